@@ -1,0 +1,1 @@
+"""What is true at a grid point: walkers, mechanics, gaits, measures and fits. Arrays in, arrays out."""

@@ -1,0 +1,1 @@
+"""The stride map, its fixed points, and their continuation."""

@@ -1,0 +1,235 @@
+"""Branches of gaits followed in slope, through folds, to their ends.
+
+A point is X = (w, q): similarity coordinates of the section (ln angle, rates/angle) and q = ln slope; the event times
+follow as functions of X. Bordered Newton with exact derivatives, tangents from the null vector, second-order
+predictor, steps by predictor error and turning angle. Several branches advance side by side in SIMD lanes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tasks.gait.fixed_point import EPS, Problem, judged
+from tasks.gait.stride import Stride
+
+#: Slopes a branch is followed over [rad]; below, double precision no longer resolves a gait's tangent.
+LEAST_SLOPE, MOST_SLOPE = 1e-13, 0.7
+LONGEST_STEP, SHORTEST_STEP = 0.25, 1e-7
+#: Acceptance of a step: largest predictor error and turning angle.
+MOST_ERROR, MOST_TURN = 0.02, 0.3
+MOST_NODES = 1500
+#: Points after which a branch is asked whether it still describes steps.
+CHECK_EVERY = 12
+
+
+@dataclass
+class Point:
+    """Corrected points of n branches: X (m + 1, n), times (k, n), tangents of both, and whether Newton converged."""
+
+    X: np.ndarray
+    times: np.ndarray
+    tangent: np.ndarray
+    times_tangent: np.ndarray
+    ok: np.ndarray
+    stride: Stride
+
+
+def _linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residual P(y) - y and its derivative by X, shapes (n, m) and (n, m, m + 1)."""
+    m, n = stride.y.shape
+    assert stride.by_slope is not None
+    frame = np.zeros((m, m, n))
+    frame[:, 0] = stride.y
+    for i in range(1, m):
+        frame[i, i] = stride.y[0]
+    J = stride.jacobian - np.eye(m)[:, :, None]
+    by_w = np.einsum("ijn,jkn->ikn", J, frame)
+    by_q = stride.by_slope * np.exp(X[m])
+    # Rows over the angle: of order one on any slope.
+    full = np.concatenate([by_w, by_q[:, None]], axis=1) / stride.y[0]
+    return np.moveaxis((stride.image - stride.y) / stride.y[0], -1, 0), np.moveaxis(full, -1, 0)
+
+
+def _times_by_X(stride: Stride, X: np.ndarray) -> np.ndarray:
+    """Derivative of the event times by X, shape (k, m + 1, n)."""
+    m = len(stride.y)
+    assert stride.times_by_slope is not None
+    by_first = np.einsum("kmn,mn->kn", stride.times_by_y, stride.y)[:, None]
+    by_rest = stride.times_by_y[:, 1:] * stride.y[0]
+    return np.concatenate([by_first, by_rest, (stride.times_by_slope * np.exp(X[m]))[:, None]], axis=1)
+
+
+def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray | None,
+            most: int = 8) -> Point:
+    """Bordered Newton: the solution in the plane through X normal to `border` (None: at fixed slope).
+
+    Parameters
+    ----------
+    X : ndarray, shape (m + 1, n)
+    times : ndarray, shape (k, n)
+    border : ndarray, shape (m + 1, n)
+    """
+    m, n = problem.m, X.shape[1]
+    if border is None:
+        border = np.zeros((m + 1, n))
+        border[m] = 1
+    X, times = X.copy(), times.copy()
+    start = X.copy()
+    ok, over, last = np.zeros(n, bool), np.zeros(n, bool), np.full(n, np.inf)
+    for iteration in range(most):
+        stride, _ = problem.stride(np.vstack([X[:m], times]), X[m], slope=True)
+        residual, derivative = _linearised(stride, X)
+        matrix = np.concatenate([derivative, border.T[:, None]], axis=1)
+        right = np.concatenate([-residual, (border * (start - X)).sum(axis=0)[:, None]], axis=1)
+        good = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+        matrix[~good], right[~good] = np.eye(m + 1), 0.0
+        dX = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
+        size = np.abs(dX).max(axis=0)
+        by_X = _times_by_X(stride, X)
+        new_times = stride.times + np.einsum("kin,in->kn", by_X, dX)
+        over |= ~good | (size > 1.0) | ~np.isfinite(new_times).all(axis=0)
+        moving = ~over & ~ok
+        X[:, moving] += dX[:, moving]
+        times[:, moving] = new_times[:, moving]
+        noise = _noise(matrix, stride)
+        ok |= moving & ((size < noise) | ((size < 1e-9) & (size > 0.2 * last)))
+        last = size
+        if (ok | over).all():
+            break
+    _, _, V = np.linalg.svd(np.nan_to_num(derivative))
+    tangent = V[:, -1].T
+    by_X = np.nan_to_num(by_X)
+    return Point(X, times, tangent, np.einsum("kin,in->kn", by_X, tangent), ok, stride)
+
+
+def _noise(matrix: np.ndarray, stride: Stride) -> np.ndarray:
+    """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
+    inverse = np.abs(np.linalg.inv(matrix))
+    error = np.abs(stride.y) + np.einsum("ijn,jn->in", np.abs(stride.jacobian), np.abs(stride.y))
+    error = np.nan_to_num(np.vstack([error / stride.y[0], np.ones(error.shape[1])]))
+    return 6 * EPS * np.einsum("nij,jn->in", inverse, error).max(axis=0)
+
+
+@dataclass
+class Track:
+    """One branch followed in one direction: its points so far, and why it stopped."""
+
+    X: list[np.ndarray] = field(default_factory=list)
+    times: list[np.ndarray] = field(default_factory=list)
+    tangent: list[np.ndarray] = field(default_factory=list)
+    times_tangent: list[np.ndarray] = field(default_factory=list)
+    step: float = 0.05
+    stopped: str = ""
+
+    def append(self, point: Point, lane: int, orientation: np.ndarray) -> None:
+        sign = 1.0 if point.tangent[:, lane] @ orientation >= 0 else -1.0
+        self.X.append(point.X[:, lane].copy())
+        self.times.append(point.times[:, lane].copy())
+        self.tangent.append(sign * point.tangent[:, lane])
+        self.times_tangent.append(sign * point.times_tangent[:, lane])
+
+    def predict(self) -> np.ndarray:
+        """Next point: the tangent, bent by how it turned over the last step."""
+        X, t, h = self.X[-1], self.tangent[-1], self.step
+        if len(self.X) < 2:
+            return X + h * t
+        back = np.linalg.norm(X - self.X[-2])
+        return X + h * t + 0.5 * h * h * (t - self.tangent[-2]) / back
+
+    def predict_times(self) -> np.ndarray:
+        return self.times[-1] + self.step * self.times_tangent[-1]
+
+    def judge(self, m: int) -> str:
+        """Why the branch stops here, or nothing."""
+        X, times = self.X[-1], self.times[-1]
+        if not np.log(LEAST_SLOPE) < X[m] < np.log(MOST_SLOPE):
+            return "end of the window"
+        if X[0] < -40:
+            return "zero step length"
+        if X[0] > 0.5 or times[-1] > 20:
+            return "a fall"
+        if np.abs(X[1:m]).max() > 30:
+            return "zero step length"
+        if len(times) == 2 and times[1] < times[0] - 0.5:
+            return "heelstrike before kneestrike"
+        return "too many points" if len(self.X) > MOST_NODES else ""
+
+
+def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[Track]]:
+    """Follow branches both ways from solved gaits.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + k, n)
+        Gaits in similarity coordinates.
+    log_slope : ndarray, shape (n,)
+
+    Returns
+    -------
+    list of [Track down, Track up]
+        One pair a start, in its order; both begin with the start itself.
+    """
+    m, n = problem.m, w.shape[1]
+    first = correct(problem, np.vstack([w[:m], log_slope]), w[m:], None)
+    pairs: list[list[Track]] = []
+    for lane in range(n):
+        pair = [Track(), Track()]
+        for track, way in zip(pair, (-1.0, 1.0)):
+            orientation = np.zeros(m + 1)
+            orientation[m] = way
+            track.append(first, lane, orientation)
+            if not first.ok[lane]:
+                track.stopped = "no start"
+        pairs.append(pair)
+    tracks = [t for pair in pairs for t in pair]
+    while True:
+        active = [t for t in tracks if not t.stopped]
+        if not active:
+            return pairs
+        guess = np.array([t.predict() for t in active]).T
+        times = np.array([t.predict_times() for t in active]).T
+        border = np.array([t.tangent[-1] for t in active]).T
+        point = correct(problem, guess, times, border)
+        for lane, track in enumerate(active):
+            error = np.linalg.norm(point.X[:, lane] - guess[:, lane])
+            turn = abs(point.tangent[:, lane] @ track.tangent[-1])
+            if point.ok[lane] and error < MOST_ERROR and turn > np.cos(MOST_TURN):
+                track.append(point, lane, track.tangent[-1])
+                track.stopped = track.judge(m)
+                if not track.stopped and len(track.X) % CHECK_EVERY == 0 and not _steps(problem, track):
+                    track.stopped = "not a step"
+                growth = (2e-3 / max(error, 1e-12)) ** (1 / 3)
+                track.step = min(LONGEST_STEP, track.step * min(2.0, max(0.4, growth)))
+            else:
+                track.step *= 0.3
+                if track.step < SHORTEST_STEP:
+                    track.stopped = "no further point"
+
+
+def _steps(problem: Problem, track: Track) -> bool:
+    """True where the last points of a track are steps that really happen."""
+    recent = slice(-CHECK_EVERY // 3, None)
+    X, times = np.array(track.X[recent]).T, np.array(track.times[recent]).T
+    _, verdict = judged(problem, np.vstack([X[:problem.m], times]), X[problem.m])
+    return bool(verdict.step.any())
+
+
+def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Lipschitz estimate of the Newton map at solutions: max over directions of |J^-1 dJ|/|dw|, shape (n,)."""
+    m = problem.m
+    w = np.vstack([X[:m], times])
+    base, _ = problem.stride(w, X[m])
+    worst = np.zeros(X.shape[1])
+    h = 1e-4
+    for i in range(m):
+        moved = w.copy()
+        moved[i] += h
+        stride, scale = problem.stride(moved, X[m])
+        # Both in the base point's relative coordinates; a changed scale would only rescale rows and columns alike.
+        change = (stride.jacobian - base.jacobian) / h
+        size = np.abs(base.y)
+        weighted = np.einsum("ijn,jkn->ikn", base.inverse, change) * size[None] / size[:, None]
+        worst = np.maximum(worst, np.abs(weighted).sum(axis=1).max(axis=0))
+    return worst

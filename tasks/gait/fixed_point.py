@@ -1,0 +1,184 @@
+"""Fixed points of the stride map: batched Newton, and the search from nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tasks.gait.stride import Stride, StrideMap, stride_map
+from tasks.gait.verify import Verdict, verify
+from tasks.mechanics.equations import Structure, constants_of, structure_of
+from tasks.walkers.parameters import Walker
+
+EPS = np.finfo(float).eps
+#: Newton steps a start may take; an honest one takes 2 to 8.
+MOST_ITERATIONS = 25
+
+
+class Problem:
+    """One walker's stride map with its constants in place."""
+
+    def __init__(self, walker: Walker):
+        self.walker = walker
+        self.structure: Structure = structure_of(walker)
+        self.map: StrideMap = stride_map(self.structure)
+        self.constants = constants_of(walker, self.structure)
+        self.m, self.phases = self.map.m, 2 if walker.knees else 1
+
+    def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        """Runtime parameters of every lane, shape (n_parameters, n)."""
+        return np.vstack([slope, scale, np.broadcast_to(self.constants[:, None], (len(self.constants), len(slope)))])
+
+    def stride(self, w: np.ndarray, log_slope: np.ndarray, slope: bool = False,
+               motion: bool = False) -> tuple[Stride, np.ndarray]:
+        """Evaluate strides at similarity coordinates.
+
+        Parameters
+        ----------
+        w : ndarray, shape (m + phases, n)
+            ln(angle), rates/angle, event times: of order one over decades of slope.
+        log_slope : ndarray, shape (n,)
+
+        Returns
+        -------
+        Stride, and the power-of-two scale (n,) its angles and rates are in.
+        """
+        angle = np.exp(w[0])
+        scale = np.exp2(np.floor(np.log2(angle)))
+        y = np.vstack([angle, angle * w[1:self.m]]) / scale
+        stride = self.map(y, w[self.m:], self.parameters(np.exp(log_slope), scale), slope, motion)
+        return stride, scale
+
+
+def similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
+    """Change of (ln angle, rates/angle) for a change dy of scaled coordinates y, to first order."""
+    d = dy / y[0]
+    return np.vstack([d[:1], d[1:] - y[1:] / y[0] * d[:1]])
+
+
+def newton_step(stride: Stride, w: np.ndarray) -> np.ndarray:
+    """The Newton step of a stride in similarity coordinates, shape (m + phases, n)."""
+    times = stride.times + np.einsum("kmn,mn->kn", stride.times_by_y, stride.newton)
+    return np.vstack([similarity(stride.y, stride.newton), times - w[len(stride.y):]])
+
+
+def rounding(stride: Stride) -> np.ndarray:
+    """How far rounding of the stride map alone can move the fixed point, relative, shape (m, n).
+
+    Notes
+    -----
+    |J^-1| times the rounding of P: of its own value, and of the start carried through the stride. The factor is
+    calibrated against extended precision (tests/test_tasks/test_error_bound.py).
+    """
+    size = np.abs(stride.y)
+    error = 6 * EPS * (size + np.abs(stride.image) + np.einsum("ijn,jn->in", np.abs(stride.jacobian), size))
+    return np.einsum("ijn,jn->in", np.abs(stride.inverse), error) / size
+
+
+@dataclass
+class Solved:
+    """Outcome of Newton on n lanes: coordinates, whether they converged, the last stride and its verdict."""
+
+    w: np.ndarray
+    converged: np.ndarray
+    stride: Stride | None
+    verdict: Verdict | None
+
+
+def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, most: int = MOST_ITERATIONS) -> Solved:
+    """Damped Newton on every lane; finished lanes leave the batch.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + phases, n)
+        Starts, in similarity coordinates.
+    log_slope : ndarray, shape (n,)
+    """
+    w = w.copy()
+    n = w.shape[1]
+    converged = np.zeros(n, bool)
+    active = np.arange(n)
+    last = np.full(n, np.inf)
+    for _ in range(most):
+        if not len(active):
+            break
+        stride, _ = problem.stride(w[:, active], log_slope[active])
+        step = newton_step(stride, w[:, active])
+        size = np.abs(step).max(axis=0)
+        noise = np.nan_to_num(rounding(stride).max(axis=0), nan=np.inf)
+        alive = np.isfinite(size) & (size < 1e6)
+        step[:, alive] *= np.minimum(1.0, 0.5 / np.maximum(size[alive], 1e-300))
+        w[:, active[alive]] += step[:, alive]
+        # Done when the step is rounding, or has become small and stopped shrinking.
+        done = alive & ((size < noise) | ((size < 1e-6) & (size > 0.3 * last[active])))
+        sane = (np.abs(w[1:problem.m, active]) < 50).all(axis=0) & (w[problem.m:, active] > 0.05).all(axis=0)
+        sane &= (w[-1, active] < 12) & (w[0, active] < 0.4)
+        converged[active[done & sane]] = True
+        last[active] = size
+        active = active[alive & sane & ~done]
+    return Solved(w, converged, None, None)
+
+
+def judged(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tuple[Stride, Verdict]:
+    """Strides with their verdicts; where samples leave a doubt, finer ones decide."""
+    stride, _ = problem.stride(w, log_slope, motion=True)
+    assert stride.motion is not None
+    verdict = verify(stride.motion, stride.closing)
+    return stride, verdict
+
+
+def gait_ratio(stride: Stride) -> np.ndarray:
+    """u = (swing rate - stance rate)/|stance rate| just before heelstrike: below 1/2 a gait is long."""
+    return (stride.impact[1] - stride.impact[0]) / np.abs(stride.impact[0])
+
+
+def starts(problem: Problem, slope: float) -> np.ndarray:
+    """A fixed lattice of starts over step length, period and swing rate, shape (m + phases, n).
+
+    Notes
+    -----
+    Stance angles run from the linear (slope) to the cube-root scaling; the stance rate is that of an inverted
+    pendulum that crosses from +angle to -angle in the period.
+    """
+    top = np.log(min(2.0 * slope ** (1 / 3), 0.7))
+    bottom = np.log(max(1.5 * slope, 0.02 * slope ** (1 / 3)))
+    angles = np.linspace(bottom, top, 9)
+    periods = np.array([2.0, 2.5, 3.0, 3.5, 4.0])
+    swing = np.array([1.0]) if problem.m == 2 else np.array([-0.9, -0.3, 0.3]) if problem.phases == 2 else np.array(
+        [1.0, 0.5])
+    knee = np.array([0.55, 0.75]) if problem.phases == 2 else np.array([1.0])
+    grid = np.meshgrid(angles, periods, swing, knee, indexing="ij")
+    log_angle, period, ratio, fraction = (g.ravel() for g in grid)
+    rate = -1.0 / np.tanh(period / 2)
+    rows = [log_angle, rate]
+    if problem.m == 3:
+        rows.append(-ratio * rate if problem.phases == 2 else ratio * rate)
+    if problem.phases == 2:
+        rows.append(fraction * period)
+    return np.vstack([*rows, period])
+
+
+def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, Verdict | None]:
+    """Every gait the lattice of starts leads to at one slope, distinct, in order of the stance angle.
+
+    Returns
+    -------
+    w : ndarray, shape (m + phases, found)
+    stride, verdict
+        Their strides and what those are; None where nothing was found.
+    """
+    w = starts(problem, slope)
+    log_slope = np.full(w.shape[1], np.log(slope))
+    solved = newton(problem, w, log_slope)
+    w = solved.w[:, solved.converged]
+    w = w[:, np.lexsort(np.round(w, 6)[::-1])]
+    keep: list[int] = []
+    for i in range(w.shape[1]):
+        if all(np.abs(w[:, i] - w[:, j]).max() > 1e-5 for j in keep):
+            keep.append(i)
+    w = w[:, keep]
+    if not keep:
+        return w, None, None
+    stride, verdict = judged(problem, w, np.full(len(keep), np.log(slope)))
+    return w, stride, verdict

@@ -1,0 +1,128 @@
+"""Energy a step loses in its impacts, from the impacts themselves (section 6 of the paper).
+
+Never a difference of energies: those are of order angle^2 while a loss may be of order angle^4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tasks.mechanics.equations import lump
+from tasks.walkers.parameters import Walker
+
+
+def _turned(S: complex, angle: np.ndarray) -> np.ndarray:
+    return S * np.exp(1j * angle)
+
+
+def _pair(c: dict[str, float], name: str) -> complex:
+    return complex(c[f"{name}_re"], c[f"{name}_im"])
+
+
+def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
+    """Contact mass matrix at the new foothold, in units of the walker's mass (paper, eq. 9).
+
+    Parameters
+    ----------
+    walker : Walker
+    angle : ndarray, shape (n,) [rad]
+        Stance angle just after heelstrike; the other leg stands at minus it, its knee free if it has one.
+
+    Returns
+    -------
+    ndarray, shape (n, 2, 2)
+        On (x down the slope, y along the ground normal).
+
+    Notes
+    -----
+    Bodies move as the contact does plus what the joint rates add, so M = 1 - L Q^-1 L^T with Q the mass matrix of
+    the walker pivoting on the contact and L = sum m dV/dq'. With a massless leg, M = n n^T along the leg.
+    """
+    c = lump(walker)
+    n = len(angle)
+    R, l, eps = c["R"], c["l"], c["eps"]  # noqa: E741
+    along = 1j * np.exp(1j * angle)
+    if eps == 0:
+        normal = np.stack([along.real, along.imag], axis=-1)
+        return normal[:, :, None] * normal[:, None, :]
+    S_a = _pair(c, "S_a")
+    links = [(_pair(c, "S_b"), c["C_bb"])] + ([(_pair(c, "S_c"), c["C_cc"])] if walker.knees else [])
+    size = 1 + len(links)
+    Q, L = np.zeros((n, size, size)), np.zeros((n, size, 2))
+    a, b = angle, -angle
+    stance = _turned(S_a, a)
+    Q[:, 0, 0] = c["C_aa"] + 2 * R * stance.imag
+    lever = -R + 1j * stance
+    L[:, 0] = np.stack([lever.real, lever.imag], axis=-1)
+    for j, (S, C) in enumerate(links, start=1):
+        own = _turned(S, b)
+        Q[:, 0, j] = Q[:, j, 0] = eps * (R * own.imag + (-1j * l * S * np.exp(1j * (b - a))).real)
+        Q[:, j, j] = eps * C
+        L[:, j] = eps * np.stack([-own.imag, own.real], axis=-1)
+    if walker.knees:
+        Q[:, 1, 2] = Q[:, 2, 1] = eps * c["H_re"]
+    return np.eye(2) - np.swapaxes(L, 1, 2) @ np.linalg.solve(Q, L)
+
+
+def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Energy lost at heelstrike on the two eigenvectors of the contact mass matrix.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (n,) [rad]
+    rates : ndarray, shape (2, n) [sqrt(g/leg)]
+        Rates of the old stance and swing leg just before heelstrike.
+
+    Returns
+    -------
+    normal, tangential : ndarray, shape (n,)
+        In units of weight times leg; 1/2 mu_i (e_i . v)^2, normal the one nearer the ground normal.
+
+    Notes
+    -----
+    v from equation 12 with the sign of its first line mended; there the stance angle is minus `angle`.
+    """
+    c = lump(walker)
+    velocity = np.stack([-(c["R"] + c["l"] * np.cos(angle)) * (rates[0] - rates[1]),
+                         c["l"] * np.sin(angle) * (rates[0] + rates[1])], axis=-1)
+    if c["eps"] == 0:
+        along = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+        return 0.5 * (along * velocity).sum(axis=-1) ** 2, np.zeros(len(angle))
+    M = contact_mass(walker, angle)
+    # The angle of the eigenvectors from the axes, without cancellation.
+    turn = 0.5 * np.arctan2(2 * M[:, 0, 1], M[:, 0, 0] - M[:, 1, 1])
+    first = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    second = np.stack([-np.sin(turn), np.cos(turn)], axis=-1)
+    losses = []
+    for e in (first, second):
+        mu = (e[:, None, :] @ M @ e[:, :, None])[:, 0, 0]
+        losses.append(0.5 * mu * (e * velocity).sum(axis=-1) ** 2)
+    upright = np.abs(first[:, 1]) > np.abs(second[:, 1])
+    return np.where(upright, losses[0], losses[1]), np.where(upright, losses[1], losses[0])
+
+
+def kneestrike_loss(walker: Walker, state: np.ndarray) -> np.ndarray:
+    """Energy lost at kneestrike, in units of weight times leg.
+
+    Parameters
+    ----------
+    state : ndarray, shape (6, n)
+        Angles and rates of stance leg, thigh and shank just before [rad, sqrt(g/leg)].
+
+    Notes
+    -----
+    1/2 (closing rate)^2 / (n M^-1 n^T) with n = (0, 1, -1) the direction the lock takes away.
+    """
+    c = lump(walker)
+    a, b = state[0], state[1]
+    n = len(a)
+    eps, R, l = c["eps"], c["R"], c["l"]  # noqa: E741
+    M = np.zeros((n, 3, 3))
+    M[:, 0, 0] = c["C_aa"] + 2 * R * _turned(_pair(c, "S_a"), a).imag
+    for j, (S, C) in enumerate(((_pair(c, "S_b"), c["C_bb"]), (_pair(c, "S_c"), c["C_cc"])), start=1):
+        M[:, 0, j] = M[:, j, 0] = eps * (R * _turned(S, b).imag + (-1j * l * S * np.exp(1j * (b - a))).real)
+        M[:, j, j] = eps * C
+    M[:, 1, 2] = M[:, 2, 1] = eps * c["H_re"]
+    lock = np.array([0.0, 1.0, -1.0])
+    yielding = np.linalg.solve(M, np.broadcast_to(lock[:, None], (n, 3, 1)))[:, :, 0] @ lock
+    return 0.5 * (state[4] - state[5]) ** 2 / yielding

@@ -1,0 +1,1 @@
+"""Equations of motion, impacts, and their compiled flows."""

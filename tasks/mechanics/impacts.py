@@ -1,0 +1,74 @@
+"""Kneestrike and heelstrike: plastic impacts, as linear maps of the rates (section 2.1 of the paper).
+
+Momentum is kept in every motion the constraints after the impact allow: with V the bodies' velocities,
+M_after q'_after = sum m (dV/dq'_after)(V_before). Rows of the swing leg are divided by `eps` as in the equations of motion.
+"""
+
+from __future__ import annotations
+
+import heyoka as hy
+
+from tasks.mechanics.equations import ZERO, Complex, Solver, Sym, Symbols, rows
+
+
+def _dot(u: Complex, v: Complex) -> Sym:
+    return u.re * v.re + u.im * v.im
+
+
+def heelstrike(p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_knee: bool) -> list[Sym]:
+    """Rates just after heelstrike from the rates just before.
+
+    Parameters
+    ----------
+    p : Symbols
+    angle : expression
+        Scaled stance angle just after heelstrike; both feet touch, so the new swing leg stands at minus it.
+    stance_rate, swing_rate : expression
+        Rates of the old stance and swing leg just before.
+    free_knee : bool
+        True where the new swing knee is free.
+
+    Returns
+    -------
+    list of expression
+        Rates of the new stance leg, new swing thigh[, new swing shank].
+
+    Notes
+    -----
+    The impulse acts at the new contact only; the old stance leg becomes the swing leg.
+    """
+    new, old = p.scale * angle, -p.scale * angle
+    trig_new, trig_old = (hy.sin(new), hy.cos(new)), (hy.sin(old), hy.cos(old))
+    hip_new = Complex(-p.R - p.l * trig_new[1], -p.l * trig_new[0])
+    hip_old = Complex(-p.R - p.l * trig_old[1], -p.l * trig_old[0])
+
+    def sweep(S: Complex, trig: tuple[Sym, Sym]) -> Complex:
+        turned = S.turned(*trig)
+        return Complex(-turned.im, turned.re)
+
+    S, J = p.locked()
+    angles = [angle, -angle] + ([-angle] if free_knee else [])
+    M, _ = rows(p, angles, [ZERO] * len(angles), free_knee)
+    # hip_new . hip_old without cancellation for legs that open wide.
+    hips = p.R**2.0 + 2.0 * p.R * p.l * trig_new[1] + p.l**2.0 * hy.cos(2.0 * new)
+    momentum = [(hips + p.eps * (_dot(sweep(S, trig_new), hip_old) + _dot(hip_new, sweep(S, trig_old)))) * stance_rate
+                + p.eps * (_dot(hip_new, sweep(S, trig_new)) + J) * swing_rate]
+    swing = [(p.S_b, p.C_bb + p.H.re), (p.S_c, p.C_cc + p.H.re)] if free_knee else [(S, J)]
+    for S_j, inertia in swing:
+        momentum.append((_dot(sweep(S_j, trig_old), hip_old) + inertia) * stance_rate)
+    return Solver(M)(momentum)
+
+
+def kneestrike(p: Symbols, q: list[Sym], rate: list[Sym]) -> list[Sym]:
+    """Rates of the stance and the locked swing leg just after kneestrike.
+
+    Parameters
+    ----------
+    p : Symbols
+    q, rate : list of expression
+        Scaled angles and rates of the three links just before.
+    """
+    free, _ = rows(p, q, rate, True)
+    locked, _ = rows(p, q[:2], rate[:2], False)
+    row = [sum((free[i][j] * rate[j] for j in range(3)), ZERO) for i in range(3)]
+    return Solver(locked)([row[0], row[1] + row[2]])

@@ -1,0 +1,109 @@
+"""Compiled flows: a structure's equations of motion, advanced over given times in SIMD lanes."""
+
+from __future__ import annotations
+
+import functools
+import os
+from pathlib import Path
+from typing import Any
+
+import heyoka as hy
+import numpy as np
+
+from tasks.mechanics.equations import Structure, system
+
+#: Steps a flow may take before it counts as lost; an honest stride takes 5 to 40.
+MOST_STEPS = 120
+LANES = hy.recommended_simd_size()
+
+_cache = os.environ.get("GAITSWEEP_CACHE")
+if _cache:
+    # A cache on a network disk is slower than compiling; a local one may be named.
+    Path(_cache).mkdir(parents=True, exist_ok=True)
+    hy.llvm_state.set_diskcache_path(_cache)
+hy.llvm_state.set_diskcache_enabled(True)
+hy.set_nthreads(1)
+
+
+class Flow:
+    """A flow over given times, with its variations, for any number of lanes.
+
+    Work is counted in `evaluations` (lanes advanced). Every lane runs the same code at its own pace, so a lane's
+    bits do not depend on its neighbours; a group with a lost lane is run again lane by lane to keep that true.
+    """
+
+    def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool):
+        equations = system(structure, free_knee, directions, with_slope)
+        self.size, self.angles = len(equations), (6 if free_knee else 4)
+        self.evaluations = 0
+        self._ta = hy.taylor_adaptive_batch(
+            equations, state=np.zeros((self.size, LANES)), tol=np.finfo(float).eps, compact_mode=self.size > 20)
+        #: Constants the equations use; the shank's come last and two links do not need them all.
+        self._used = self._ta.pars.shape[0]
+
+    def __call__(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray,
+                 samples: int = 0) -> tuple[np.ndarray, np.ndarray | None]:
+        """Advance every lane by its own duration.
+
+        Parameters
+        ----------
+        state : ndarray, shape (size, n)
+            Initial scaled state and variations.
+        parameters : ndarray, shape (n_parameters, n)
+        duration : ndarray, shape (n,) [sqrt(leg/g)]
+        samples : int
+            Number of equal intervals at whose ends the motion is also wanted.
+
+        Returns
+        -------
+        final : ndarray, shape (size, n)
+            NaN in lanes whose motion was lost.
+        motion : ndarray, shape (samples + 1, angles, n), or None
+        """
+        n = state.shape[1]
+        pad = -n % LANES
+        if pad:
+            state, parameters = np.pad(state, ((0, 0), (0, pad)), "edge"), np.pad(parameters, ((0, 0), (0, pad)), "edge")
+            duration = np.pad(duration, (0, pad), "edge")
+        final = np.empty((self.size, n + pad))
+        motion = np.empty((samples + 1, self.angles, n + pad)) if samples else None
+        for k in range(0, n + pad, LANES):
+            group = slice(k, k + LANES)
+            if not self._group(state[:, group], parameters[:, group], duration[group], group, final, motion):
+                for lane in range(k, k + LANES):
+                    alone = [lane] * LANES
+                    if not self._group(state[:, alone], parameters[:, alone], duration[alone], alone, final, motion):
+                        final[:, lane] = np.nan
+                        if motion is not None:
+                            motion[:, :, lane] = np.nan
+        self.evaluations += n
+        return final[:, :n], motion if motion is None else motion[:, :, :n]
+
+    def _group(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray, lanes: slice | list[int],
+               final: np.ndarray, motion: np.ndarray | None) -> bool:
+        """Advance one group; False where any of its lanes was lost."""
+        ta: Any = self._ta
+        ta.set_time(0.0)
+        ta.state[:] = state
+        ta.pars[:] = parameters[: self._used]
+        try:
+            if motion is None:
+                ta.propagate_until(duration, max_steps=MOST_STEPS)
+            else:
+                times = np.linspace(0.0, 1.0, len(motion))[:, None] * duration
+                dense = ta.propagate_grid(times, max_steps=MOST_STEPS)[1]
+        except ValueError:
+            # heyoka refuses durations that are not finite.
+            return False
+        if not (ta.time == duration).all():
+            return False
+        final[:, lanes] = ta.state
+        if motion is not None:
+            motion[:, :, lanes] = dense[:, : self.angles]
+        return True
+
+
+@functools.lru_cache(maxsize=64)
+def flow(structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False) -> Flow:
+    """The compiled flow of a structure; compiled once a process, kept in heyoka's disk cache between them."""
+    return Flow(structure, free_knee, directions, with_slope)

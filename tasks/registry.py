@@ -1,0 +1,125 @@
+"""What can be computed: every task's name, function, inputs, outputs and version.
+
+The lowest floor of the house. It imports nothing, so a study is planned without loading a solver.
+A version is bumped by hand when a task's results change; it is the only thing (besides the
+parameters) that makes a stored result stale.
+"""
+
+from dataclasses import dataclass
+
+#: Labels of the gait dimension. `other1`, ... hold a second gait under the same label.
+GAITS = ("long", "short", "other1", "other2")
+
+#: What can become of a solve (CF flag values). How a run ended for a worker is added by the pipeline.
+STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3}
+
+#: SI units of each kind of quantity; every one is "1" for a walker in consistent units.
+SI_UNITS = {
+    "angle": "rad", "rate": "rad s-1", "time": "s", "length": "m", "mass": "kg", "speed": "m s-1",
+    "energy": "J", "power": "W", "impulse": "N s", "torque": "N m", "acceleration": "m s-2",
+    "inertia": "kg m2", "number": "1",
+}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One archive variable: its name, dimensions after the axes, kind of quantity and meaning."""
+
+    name: str
+    dims: tuple[str, ...]
+    kind: str
+    long_name: str
+    group: str = ""
+    dtype: str = "f8"
+
+    def units(self, si: bool) -> str:
+        """CF units of this variable for a walker in SI (`si`) or in consistent units."""
+        return SI_UNITS[self.kind] if si or self.kind == "angle" else "1"
+
+
+_G, _M = ("gait",), ("gait", "multiplier")
+
+#: Variables of a grid study in the order they are archived.
+VARIABLES = {v.name: v for v in (
+    Variable("stance_angle", _G, "angle", "stance angle just after heelstrike"),
+    Variable("stance_rate", _G, "rate", "stance leg rate just after heelstrike"),
+    Variable("thigh_rate", _G, "rate", "swing thigh rate just after heelstrike"),
+    Variable("shank_rate", _G, "rate", "swing shank rate just after heelstrike"),
+    Variable("period", _G, "time", "duration of one step"),
+    Variable("kneestrike_time", _G, "time", "time of kneestrike after the start of the step"),
+    Variable("multiplier_real", _M, "number", "real part of the stride map's eigenvalues", "multipliers"),
+    Variable("multiplier_imag", _M, "number", "imaginary part of the stride map's eigenvalues", "multipliers"),
+    Variable("spectral_radius", _G, "number", "largest magnitude of the stride map's eigenvalues", "multipliers"),
+    Variable("speed", _G, "speed", "mean speed along the slope"),
+    Variable("froude_speed", _G, "number", "mean speed over sqrt(g (l + R))"),
+    Variable("cost_of_transport", _G, "number", "energy lost over weight and distance"),
+    Variable("power", _G, "power", "mean power drawn from gravity"),
+    Variable("loss_normal", _G, "energy", "heelstrike loss on the eigenvector nearer the ground normal", "energy"),
+    Variable("loss_tangential", _G, "energy", "heelstrike loss on the eigenvector nearer the slope", "energy"),
+    Variable("loss_kneestrike", _G, "energy", "loss at kneestrike", "energy"),
+    Variable("energy_imbalance", _G, "number", "losses minus drop of potential energy, over that drop", "energy"),
+    Variable("heelstrike_rate_ratio", _G, "number",
+             "(thigh rate - stance rate)/|stance rate| just before heelstrike; below 1/2 a gait is long"),
+    Variable("violations", _G, "number", "physical assumptions a gait violates", "violations", "i4"),
+    Variable("scuff_depth", _G, "length", "greatest depth of the swing foot below the ground", "violations"),
+    Variable("unlocking_torque", _G, "torque", "worst torque that would flex the stance knee", "violations"),
+    Variable("unlocking_torque_time", _G, "time", "when the unlocking torque is worst", "violations"),
+    Variable("unlocking_impulse_kneestrike", _G, "impulse", "impulse on the stance knee at kneestrike", "violations"),
+    Variable("unlocking_impulse_heelstrike", _G, "impulse", "impulse on the stance knee at heelstrike", "violations"),
+    Variable("least_normal_force", _G, "number", "least ground normal force over weight", "violations"),
+    Variable("friction_demand", _G, "number", "largest |tangential|/normal ground force", "violations"),
+    Variable("friction_demand_heelstrike", _G, "number", "|tangential|/normal impulse at heelstrike", "violations"),
+    Variable("friction_demand_kneestrike", _G, "number", "|tangential|/normal impulse at kneestrike", "violations"),
+    Variable("hyperextension", _G, "angle", "largest hyperextension of the swing knee", "violations"),
+    Variable("penetration_depth", _G, "length", "depth the released foot sinks just after heelstrike", "violations"),
+    Variable("trailing_impulse", _G, "impulse", "impulse two contacts would need at the trailing foot", "violations"),
+    Variable("residual", _G, "number", "largest residual of the fixed-point equations"),
+    Variable("error_bound", _G, "number", "bound on the largest relative error of angle, rates and period"),
+    Variable("status", _G, "number", "what became of the solve", dtype="i1"),
+    Variable("reason", _G, "number", "index into the table of reasons", dtype="i2"),
+)}
+
+#: Bits of `violations`, lowest first (PHYSICS: Appendix A of the paper).
+VIOLATIONS = ("scuff", "stance_knee_unlocks", "contact_tension", "friction", "release_hyperextends",
+              "release_penetrates", "trailing_foot_pulls")
+
+#: Always archived, whatever a study wants.
+ALWAYS = ("residual", "error_bound", "status", "reason")
+
+
+@dataclass(frozen=True)
+class Task:
+    """One kind of work: `function` is "module:name", called as function(params, inputs)."""
+
+    name: str
+    function: str
+    version: int
+    needs: tuple[str, ...] = ()
+    seconds: float = 0.01
+    seconds_per_point: float = 0.0
+
+
+TASKS = {t.name: t for t in (
+    Task("atlas", "tasks.solve:atlas", 1, seconds=1.0),
+    Task("points", "tasks.solve:points", 1, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
+    Task("trace", "tasks.trace:trace", 1, needs=("atlas",), seconds=0.2),
+    Task("scaling", "tasks.fit:scaling", 1, needs=("points",)),
+    Task("transition", "tasks.fit:transition", 1, needs=("points",)),
+)}
+
+#: Point variables each fit and figure reads; the plan adds them to what a study wants.
+READS = {
+    "scaling": ("stance_angle", "period", "speed", "power"),
+    "transition": ("stance_angle",),
+    "loglog": ("stance_angle", "spectral_radius"),
+    "linear": ("stance_angle", "spectral_radius"),
+    "transition_ladder": ("stance_angle",),
+}
+
+#: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
+CALLS = {
+    "solve": "tasks.solve:solve_one",
+    "walkers": "tasks.walkers.catalogue:describe",
+    "tune": "tasks.walkers.tuning:tune",
+    "check_walker": "tasks.walkers.parameters:check",
+}

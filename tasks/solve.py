@@ -1,0 +1,234 @@
+"""Solving: the atlas of a line, the points on it, and every gait at one point."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping
+
+import numpy as np
+
+from tasks import status
+from tasks.gait import atlas as atlases
+from tasks.gait.fixed_point import EPS, Problem, gait_ratio, newton_step, rounding, similarity, starts
+from tasks.gait.stability import multipliers
+from tasks.gait.stride import Stride
+from tasks.gait.verify import verify
+from tasks.measures.energy import heelstrike_losses, kneestrike_loss
+from tasks.measures.motion import step_length, travel
+from tasks.registry import ALWAYS, GAITS, VARIABLES
+from tasks.walkers.parameters import Walker, resolve
+
+Arrays = dict[str, np.ndarray]
+#: Lanes solved at a time: enough to hide the calls, few enough for the cache.
+BLOCK = 4096
+#: Newton steps a point may take from the atlas; nearly all take one.
+MOST_STEPS = 8
+
+
+def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Every branch of one line's gaits.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`: `{"walker": name or table, "set": {key: value}}`.
+    inputs : list
+        Nothing.
+    """
+    return atlases.to_arrays(atlases.survey(Problem(_walker(params["line"]))))
+
+
+def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Gaits at the slopes of one line, each from the line's atlas and nothing else.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `slope`, ndarray, shape (n,) [rad]; `want`, names of variables; `gaits`, labels wanted.
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Each wanted variable, shape (n, len(GAITS)[, multipliers]), and `reasons`, which `reason` indexes.
+    """
+    walker = _walker(params["line"])
+    slope = np.asarray(params["slope"], float)
+    want = [v for v in VARIABLES if v in params["want"] or v in ALWAYS]
+    wanted = set(params.get("gaits") or GAITS)
+    problem = Problem(walker)
+    branches = atlases.from_arrays(inputs[0])
+    n, width = len(slope), 4 if walker.knees else 3
+    out: Arrays = {}
+    for name in want:
+        shape = (n, len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
+        kind = VARIABLES[name].dtype
+        out[name] = np.full(shape, np.nan if kind == "f8" else 0, kind)
+    spans = [(float(np.exp(b.q[[i, j]].min())), float(np.exp(b.q[[i, j]].max())))
+             for b in branches for i, j in b.pieces()]
+    searched = (f"{starts(problem, atlases.ANCHORS[0]).shape[1]} starts at each of the slopes "
+                + ", ".join(f"{s:g}" for s in atlases.ANCHORS))
+    reasons = [status.SETTLED, status.outside(spans, searched), status.NO_FURTHER, status.NEWTON_LOST,
+               status.NOT_A_STEP]
+    if "status" in out:
+        out["status"][:] = status.NO_GAIT
+        out["reason"][:, :2], out["reason"][:, 2:] = 1, 2
+    free = np.ones((n, len(GAITS)), bool)
+    q = np.log(slope)
+    for branch in branches:
+        for index, Z, lipschitz in branch.guesses(q):
+            for k in range(0, len(index), BLOCK):
+                block = index[k:k + BLOCK]
+                solved = _solve(problem, Z[k:k + BLOCK].T, slope[block], lipschitz[k:k + BLOCK], want)
+                label = (~(solved.pop("heelstrike_rate_ratio_own") < 0.5)).astype(int)
+                slot = np.where(free[block, label], label, np.where(free[block, 2], 2, 3))
+                keep = np.array([GAITS[s] in wanted for s in slot], bool) & solved.pop("anthropomorphic")
+                free[block[keep], slot[keep]] = False
+                for name in want:
+                    out[name][block[keep], slot[keep]] = solved[name][keep]
+    out["reasons"] = np.array(reasons)
+    return out
+
+
+def _walker(line: Mapping[str, Any]) -> Walker:
+    return resolve(line["walker"], line.get("set"))
+
+
+def _solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, want: list[str]) -> Arrays:
+    """Polish guesses, verify them and measure what is wanted; every array has the lane first."""
+    m = problem.m
+    w, q = np.delete(Z, m, axis=0), np.log(slope)
+    n = len(slope)
+    stride, scale, passes = _polish(problem, w, slope, lipschitz)
+    eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
+    del q
+    y = stride.y + stride.newton
+    times = stride.times + np.einsum("kmn,mn->kn", stride.times_by_y, stride.newton)
+    begin = problem.map.start(y, problem.parameters(slope, scale))
+    state, seeds = begin[: problem.map.start_size], begin[problem.map.start_size:]
+    # Relative error: rounding of the map, and what Newton's last step leaves (Newton-Kantorovich).
+    error = (rounding(stride) + 2 * lipschitz * eta**2) * np.abs(y)
+    by_y = np.abs(seeds.reshape(problem.map.start_size, m, n))
+    rows = [0, *range(problem.map.start_size // 2, problem.map.start_size)]
+    relative = [np.einsum("mn,mn->n", by_y[i], error) / np.abs(state[i]) + EPS for i in rows]
+    guard = 4 * EPS * np.abs(y[0]) / np.abs(stride.closing)
+    relative.append((np.einsum("mn,mn->n", np.abs(stride.times_by_y[-1]), error) + guard) / times[-1] + EPS)
+    bound = np.max(relative, axis=0)
+    assert stride.motion is not None
+    verdict = verify(stride.motion, stride.closing)
+    converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
+    code = np.where(converged, np.where(verdict.step, status.CONVERGED, status.NOT_CONVERGED), status.NOT_CONVERGED)
+    found = {"status": code, "reason": np.where(converged, np.where(verdict.step, 0, 4), 3),
+             "residual": np.abs((stride.image - stride.y) / stride.y).max(axis=0), "error_bound": bound,
+             "anthropomorphic": ~verdict.step | (verdict.passes == 1),
+             "heelstrike_rate_ratio_own": gait_ratio(stride)}
+    found |= _measure(problem, stride, y * scale, state * scale, times, scale, slope, want)
+    bad = code != status.CONVERGED
+    for name, value in found.items():
+        if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio_own"):
+            value[bad] = np.nan
+    return found
+
+
+def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray) -> tuple[Stride, np.ndarray, int]:
+    """Strides at guesses close enough that one more Newton step is exact to rounding.
+
+    Lanes that are close already are not touched again, so a lane's bits do not depend on the others.
+    """
+    q = np.log(slope)
+    for most in range(MOST_STEPS):
+        stride, scale = problem.stride(w, q, motion=True)
+        step = newton_step(stride, w)
+        eta = np.abs(step).max(axis=0)
+        far = lipschitz * eta**2 > np.maximum(1e-16, 0.05 * rounding(stride).max(axis=0))
+        far &= np.isfinite(eta) & (eta < 0.1)
+        if not far.any() or most == MOST_STEPS - 1:
+            break
+        w = np.where(far, w + step, w)
+    return stride, scale, most
+
+
+def _measure(problem: Problem, stride: Stride, y: np.ndarray, state: np.ndarray, times: np.ndarray, scale: np.ndarray,
+             slope: np.ndarray, want: list[str]) -> Arrays:
+    """Wanted variables in the walker's units."""
+    walker = problem.walker
+    second = np.sqrt(walker.leg / walker.g)
+    half = problem.map.start_size // 2
+    angle, period = y[0], times[-1] * second
+    rates = state[half:] / second
+    found = {"stance_angle": angle, "stance_rate": rates[0], "thigh_rate": rates[1], "shank_rate": rates[-1],
+             "period": period, "heelstrike_rate_ratio": gait_ratio(stride),
+             "kneestrike_time": times[0] * second if walker.knees else np.full(len(slope), np.nan)}
+    if {"multiplier_real", "multiplier_imag", "spectral_radius"} & set(want):
+        values = multipliers(stride.jacobian, 4 if walker.knees else 3)
+        found |= {"multiplier_real": values.real.copy(), "multiplier_imag": values.imag.copy(),
+                  "spectral_radius": np.abs(values).max(axis=1)}
+    found |= travel(walker, slope, angle, period)
+    if {"loss_normal", "loss_tangential", "loss_kneestrike", "energy_imbalance"} & set(want):
+        unit = walker.total_mass * walker.g * walker.leg
+        normal, tangential = heelstrike_losses(walker, angle, stride.impact * scale)
+        found["loss_normal"], found["loss_tangential"] = normal * unit, tangential * unit
+        knee = np.zeros(len(slope))
+        if walker.knees:
+            assert stride.motion is not None
+            knee = kneestrike_loss(walker, stride.motion[0][-1] * scale)
+        found["loss_kneestrike"] = knee * unit if walker.knees else np.full(len(slope), np.nan)
+        drop = step_length(walker, angle) / walker.leg * np.sin(slope)
+        found["energy_imbalance"] = (normal + tangential + knee - drop) / drop
+    return {k: np.array(v) for k, v in found.items()}
+
+
+def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Every gait of a walker at one slope, in the contract's words.
+
+    Parameters
+    ----------
+    params : mapping
+        `walker` (name or table), `slope` [rad], `set` (keys to change), `all` (also those whose legs pass more
+        than once).
+
+    Returns
+    -------
+    dict
+        `gaits`, a list with one dict a gait, and `search`, sentences on how they were sought.
+
+    Raises
+    ------
+    WalkerError
+        If the walker cannot be.
+    """
+    line = {"walker": params["walker"], "set": params.get("set") or {}}
+    problem = Problem(_walker(line))
+    branches = atlases.survey(problem)
+    want = [v for v in VARIABLES if VARIABLES[v].group != "violations"]
+    slope = float(params["slope"])
+    found = points({"line": line, "slope": np.array([slope]), "want": want}, [atlases.to_arrays(branches)])
+    gaits = []
+    for g, label in enumerate(GAITS):
+        if found["status"][0, g] != status.CONVERGED:
+            continue
+        value = {k: _plain(found[k][0, g]) for k in want if k not in ("multiplier_real", "multiplier_imag")}
+        pairs = np.stack([found["multiplier_real"][0, g], found["multiplier_imag"][0, g]], axis=-1)
+        gaits.append({
+            "gait": label, "slope": slope,
+            **{k: value[k] for k in ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period",
+                                     "kneestrike_time")},
+            "multipliers": pairs.tolist(), "stable": bool(value["spectral_radius"] < 1), "speed": value["speed"],
+            **{k: value[k] for k in ("loss_normal", "loss_tangential", "loss_kneestrike")},
+            "violations": None, "status": "converged", "residual": value["residual"],
+            "error_bound": value["error_bound"]})
+    nodes = sum(len(b.Z) for b in branches)
+    search = [f"{starts(problem, s).shape[1]} starts at slope {s:g}" for s in atlases.ANCHORS]
+    search.append(f"{len(branches)} branches followed over {nodes} points")
+    if not gaits:
+        search.append(str(found["reasons"][1]))
+    return {"gaits": gaits, "search": search}
+
+
+def _plain(x: Any) -> Any:
+    """A Python number, or None where a quantity is absent."""
+    x = x.item()
+    return None if isinstance(x, float) and not np.isfinite(x) else x
+
+
+__all__ = ["atlas", "points", "similarity", "solve_one"]

@@ -1,0 +1,1 @@
+"""Walkers: their parameters, the catalogue, statics and tuning."""

@@ -1,0 +1,104 @@
+"""The walkers of the paper (figure 3's caption and figure 9), with one drawing for each kind.
+
+    straight, point feet (D, E, F)   straight, round feet (A, B)   kneed, round feet (C, physical)
+
+             o hip                            o                          o
+            / \\                              / \\                        / \\
+           /   \\                            /   \\                      /   > knee, behind the line
+          /     \\                          /     \\                    /   /
+         *       *  foot mass             (_)     (_) radius R       (_)  (_)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, Mapping
+
+from tasks.walkers.parameters import NUMBERS, Walker, from_table, named
+
+_PHYSICAL = Walker(l_t=0.35, w_t=0.0, m_t=2.345, r_t=0.099, c_t=0.091, l_s=0.46, w_s=0.025, m_s=1.013, r_s=0.197,
+                   c_s=0.17, R=0.2, eps_T=0.097, g=9.81, knees=True, units="SI")
+_C_PRINTED = replace(_PHYSICAL, w_t=-0.023, r_t=0.1882, c_t=0.084, w_s=0.022, r_s=0.1226)
+_POINT = Walker(l_t=0.5, w_t=0.0, m_t=0.5, r_t=0.0, c_t=0.0, l_s=0.5, w_s=0.0, m_s=0.0, r_s=0.0, c_s=0.5, R=0.0,
+                eps_T=0.0)
+
+
+def _exactly_tuned(walker: Walker) -> Walker:
+    """Offsets that meet section 5.1 exactly; the printed ones are rounded to a millimetre."""
+    w_s = walker.c_s * math.tan(walker.eps_S)
+    w_t = -math.tan(walker.eps_T) * (walker.c_t + walker.m_s * walker.l_t / walker.m_t)
+    return replace(walker, w_t=w_t, w_s=w_s)
+
+
+_C = _exactly_tuned(_C_PRINTED)
+
+CATALOGUE: dict[str, Walker] = {
+    "A": replace(_C, knees=False),
+    "B": replace(_POINT, m_t=0.4, m_s=0.1, R=0.2),
+    "C": _C,
+    "D": _POINT,
+    "E": replace(_POINT, m_t=0.4, m_s=0.1),
+    "F": replace(_POINT, m_t=0.45, m_s=0.05),
+    "physical": _PHYSICAL,
+    "physical-straight": replace(_PHYSICAL, knees=False),
+    "A-printed": replace(_C_PRINTED, knees=False),
+    "C-printed": _C_PRINTED,
+}
+
+DESCRIPTIONS = {
+    "A": "straight-legged, round feet, exactly tuned",
+    "B": "straight-legged, round feet, the feet's mass at their bottom",
+    "C": "kneed, round feet, exactly tuned",
+    "D": "the simplest walker: point feet of vanishing mass",
+    "E": "point feet, each a tenth of the mass",
+    "F": "point feet, each a twentieth of the mass",
+    "physical": "the kneed machine of figure 3",
+    "physical-straight": "the machine of figure 3, knees locked",
+    "A-printed": "A with the offsets as printed",
+    "C-printed": "C with the offsets as printed",
+}
+
+
+def describe(params: Mapping[str, Any]) -> dict[str, Any]:
+    """The catalogue, or one walker: parameters, drawing and statics.
+
+    Parameters
+    ----------
+    params : mapping
+        `name` (str or None) or `walker` (a table).
+
+    Raises
+    ------
+    WalkerError
+        If there is no such walker.
+    """
+    from tasks.walkers.tuning import statics
+
+    if params.get("walker") is not None:
+        found = {"custom": from_table(params["walker"])}
+    elif params.get("name"):
+        found = {params["name"]: named(params["name"])}
+    else:
+        found = CATALOGUE
+    return {"walkers": [
+        {"name": name, "description": DESCRIPTIONS.get(name, "a walker of your own"), "parameters": w.table(),
+         "geometry": {"l": w.l, "eps_S": w.eps_S, "leg": w.leg, "total_mass": w.total_mass},
+         "drawing": drawing(w), "statics": statics(w)}
+        for name, w in found.items()]}
+
+
+def drawing(walker: Walker) -> str:
+    """A few lines of text: the walker's hip, knees and feet, to no scale."""
+    foot = "(_)" if walker.R > 0 else " * "
+    rows = ["        o        hip"]
+    if walker.knees:
+        rows += ["       / \\", "      /   >      knee", "     /   /", f"   {foot} {foot}      feet"]
+    else:
+        rows += ["       / \\", "      /   \\", "     /     \\", f"   {foot}     {foot}  feet"]
+    return "\n".join(rows)
+
+
+def number_keys() -> tuple[str, ...]:
+    """Keys that hold a number and may be swept."""
+    return NUMBERS

@@ -1,0 +1,94 @@
+"""Statics of section 5.1: what a walker needs to walk at vanishing slope, and how to get it there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Mapping
+
+from tasks.walkers.parameters import NUMBERS, Walker, WalkerError, from_table, named
+
+#: What `detuning` = 1 means for each tuned walker (paper, section 5.2 and figure 8).
+PARTNERS = {"A": "physical-straight", "C": "physical"}
+
+
+def statics(walker: Walker) -> dict[str, float]:
+    """Residuals of the two static conditions of section 5.1, as lengths; both vanish for a tuned walker.
+
+    `leg_offset` is how far the extended leg's centre of mass lies behind the hip-foot-centre line;
+    `shank_offset` how far the shank's lies behind the line through the knee parallel to it (kneed only).
+    """
+    leg = walker.m_t * walker.thigh_centre + walker.m_s * (walker.knee + walker.shank_centre)
+    mass = walker.m_t + walker.m_s
+    found = {"leg_offset": -leg.real / mass if mass else 0.0}
+    if walker.knees:
+        found["shank_offset"] = -walker.shank_centre.real
+    return found
+
+
+def is_tuned(walker: Walker) -> bool:
+    """True where both static conditions hold to rounding."""
+    return all(abs(x) < 1e-14 * walker.leg for x in statics(walker).values())
+
+
+def detuned(walker: str | Mapping[str, Any], amount: float) -> Walker:
+    """Mix every parameter linearly from the tuned walker (0) to the physical one (1); beyond is allowed."""
+    name = walker if isinstance(walker, str) else walker.get("base")
+    if name not in PARTNERS:
+        raise WalkerError("detuning", amount, "needs walker A or C")
+    tuned = named(name) if isinstance(walker, str) else from_table(walker)
+    physical = named(PARTNERS[name])
+    if amount == 0:
+        return tuned
+    return replace(tuned, **{k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in NUMBERS})
+
+
+def tune(params: Mapping[str, Any]) -> dict[str, Any]:
+    """The nearest zero-slope-capable walker: smallest relative change of the freed keys.
+
+    Parameters
+    ----------
+    params : mapping
+        `walker` (name or table), `free` (keys that may change; default `w_t`, `w_s`).
+
+    Returns
+    -------
+    dict
+        `walker` (a table ready to paste), `change` (relative change by key), `statics` before and after.
+
+    Raises
+    ------
+    WalkerError
+        If a key cannot be freed or no change of the freed keys meets the conditions.
+    """
+    import numpy as np
+
+    start = named(params["walker"]) if isinstance(params["walker"], str) else from_table(params["walker"])
+    free = list(params.get("free") or ("w_t", "w_s"))
+    for key in free:
+        if key not in NUMBERS:
+            raise WalkerError("free", key, f"must name walker keys ({', '.join(NUMBERS)})")
+    # Offsets near zero have no relative size of their own: the leg is their scale.
+    scale = np.array([abs(getattr(start, k)) or start.leg for k in free])
+
+    def at(change: np.ndarray) -> Walker:
+        return replace(start, **{k: float(getattr(start, k) + s * c) for k, s, c in zip(free, scale, change)})
+
+    def residual(change: np.ndarray) -> np.ndarray:
+        return np.array(list(statics(at(change)).values())) / start.leg
+
+    # Gauss-Newton with least-norm steps: the nearest point of the tuned manifold in relative change.
+    change = np.zeros(len(free))
+    for _ in range(60):
+        r = residual(change)
+        h = 1e-7
+        jac = np.array([(residual(change + h * e) - residual(change - h * e)) / (2 * h) for e in np.eye(len(free))]).T
+        target = np.linalg.pinv(jac, rcond=1e-9) @ (jac @ change - r)
+        step = target - change
+        change = target
+        if np.abs(step).max() < 1e-15:
+            break
+    if np.abs(residual(change)).max() > 1e-12:
+        raise WalkerError("free", ", ".join(free), "cannot meet the zero-slope conditions; free another key")
+    found = at(change)
+    return {"walker": found.table(), "change": dict(zip(free, change.tolist())),
+            "before": statics(start), "after": statics(found)}
