@@ -8,10 +8,9 @@ import numpy as np
 
 from tasks import status
 from tasks.gait import atlas as atlases
-from tasks.gait.fixed_point import EPS, Problem, gait_ratio, newton_step, rounding, similarity, starts
+from tasks.gait.fixed_point import EPS, Problem, gait_ratio, newton_step, rounding, settled, starts
 from tasks.gait.stability import multipliers
-from tasks.gait.stride import Stride
-from tasks.gait.verify import verify
+from tasks.gait.stride import SAMPLES, Stride
 from tasks.measures.energy import heelstrike_losses, kneestrike_loss
 from tasks.measures.motion import step_length, travel
 from tasks.registry import ALWAYS, GAITS, VARIABLES
@@ -97,11 +96,10 @@ def _walker(line: Mapping[str, Any]) -> Walker:
 def _solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, want: list[str]) -> Arrays:
     """Polish guesses, verify them and measure what is wanted; every array has the lane first."""
     m = problem.m
-    w, q = np.delete(Z, m, axis=0), np.log(slope)
+    w = np.delete(Z, m, axis=0)
     n = len(slope)
-    stride, scale, passes = _polish(problem, w, slope, lipschitz)
+    stride, scale, w = _polish(problem, w, slope, lipschitz)
     eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
-    del q
     y = stride.y + stride.newton
     times = stride.times + np.einsum("kmn,mn->kn", stride.times_by_y, stride.newton)
     begin = problem.map.start(y, problem.parameters(slope, scale))
@@ -114,8 +112,7 @@ def _solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.nda
     guard = 4 * EPS * np.abs(y[0]) / np.abs(stride.closing)
     relative.append((np.einsum("mn,mn->n", np.abs(stride.times_by_y[-1]), error) + guard) / times[-1] + EPS)
     bound = np.max(relative, axis=0)
-    assert stride.motion is not None
-    verdict = verify(stride.motion, stride.closing)
+    verdict = settled(problem, stride, w, np.log(slope))
     converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
     code = np.where(converged, np.where(verdict.step, status.CONVERGED, status.NOT_CONVERGED), status.NOT_CONVERGED)
     found = {"status": code, "reason": np.where(converged, np.where(verdict.step, 0, 4), 3),
@@ -130,14 +127,15 @@ def _solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.nda
     return found
 
 
-def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray) -> tuple[Stride, np.ndarray, int]:
+def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray) -> tuple[Stride, np.ndarray,
+                                                                                                      np.ndarray]:
     """Strides at guesses close enough that one more Newton step is exact to rounding.
 
     Lanes that are close already are not touched again, so a lane's bits do not depend on the others.
     """
     q = np.log(slope)
     for most in range(MOST_STEPS):
-        stride, scale = problem.stride(w, q, motion=True)
+        stride, scale = problem.stride(w, q, samples=SAMPLES)
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)
         far = lipschitz * eta**2 > np.maximum(1e-16, 0.05 * rounding(stride).max(axis=0))
@@ -145,7 +143,7 @@ def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.nd
         if not far.any() or most == MOST_STEPS - 1:
             break
         w = np.where(far, w + step, w)
-    return stride, scale, most
+    return stride, scale, w
 
 
 def _measure(problem: Problem, stride: Stride, y: np.ndarray, state: np.ndarray, times: np.ndarray, scale: np.ndarray,
@@ -229,6 +227,3 @@ def _plain(x: Any) -> Any:
     """A Python number, or None where a quantity is absent."""
     x = x.item()
     return None if isinstance(x, float) and not np.isfinite(x) else x
-
-
-__all__ = ["atlas", "points", "similarity", "solve_one"]

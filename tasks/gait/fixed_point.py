@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.gait.stride import Stride, StrideMap, stride_map
+from tasks.gait.stride import SAMPLES, Stride, StrideMap, stride_map
 from tasks.gait.verify import Verdict, verify
 from tasks.mechanics.equations import Structure, constants_of, structure_of
 from tasks.walkers.parameters import Walker
@@ -31,7 +31,7 @@ class Problem:
         return np.vstack([slope, scale, np.broadcast_to(self.constants[:, None], (len(self.constants), len(slope)))])
 
     def stride(self, w: np.ndarray, log_slope: np.ndarray, slope: bool = False,
-               motion: bool = False) -> tuple[Stride, np.ndarray]:
+               samples: int = 0) -> tuple[Stride, np.ndarray]:
         """Evaluate strides at similarity coordinates.
 
         Parameters
@@ -47,7 +47,7 @@ class Problem:
         angle = np.exp(w[0])
         scale = np.exp2(np.floor(np.log2(angle)))
         y = np.vstack([angle, angle * w[1:self.m]]) / scale
-        stride = self.map(y, w[self.m:], self.parameters(np.exp(log_slope), scale), slope, motion)
+        stride = self.map(y, w[self.m:], self.parameters(np.exp(log_slope), scale), slope, samples)
         return stride, scale
 
 
@@ -122,10 +122,21 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, most: int = M
 
 def judged(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tuple[Stride, Verdict]:
     """Strides with their verdicts; where samples leave a doubt, finer ones decide."""
-    stride, _ = problem.stride(w, log_slope, motion=True)
+    stride, _ = problem.stride(w, log_slope, samples=SAMPLES)
+    return stride, settled(problem, stride, w, log_slope)
+
+
+def settled(problem: Problem, stride: Stride, w: np.ndarray, log_slope: np.ndarray) -> Verdict:
+    """The verdict on sampled strides; lanes in doubt are sampled again, sixteen times as finely."""
     assert stride.motion is not None
     verdict = verify(stride.motion, stride.closing)
-    return stride, verdict
+    lanes = np.nonzero(verdict.doubt)[0]
+    if len(lanes):
+        fine, _ = problem.stride(w[:, lanes], log_slope[lanes], samples=16 * SAMPLES)
+        assert fine.motion is not None
+        closer = verify(fine.motion, fine.closing)
+        verdict.step[lanes], verdict.passes[lanes], verdict.doubt[lanes] = closer.step, closer.passes, closer.doubt
+    return verdict
 
 
 def gait_ratio(stride: Stride) -> np.ndarray:

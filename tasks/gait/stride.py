@@ -163,7 +163,7 @@ class StrideMap:
         return self._apply(self._start, np.vstack([y, parameters]))
 
     def __call__(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, slope: bool = False,
-                 motion: bool = False) -> Stride:
+                 samples: int = 0) -> Stride:
         """Evaluate strides and their derivatives.
 
         Parameters
@@ -176,8 +176,8 @@ class StrideMap:
             Slope, scale and the structure's constants.
         slope : bool
             Also differentiate by the slope.
-        motion : bool
-            Also sample the motion of each phase.
+        samples : int
+            Equal intervals of each phase at whose ends the motion is also wanted.
 
         Returns
         -------
@@ -185,7 +185,6 @@ class StrideMap:
             NaN in lanes whose motion was lost.
         """
         m, n = y.shape
-        count = SAMPLES if motion else 0
         begin = self.start(y, parameters)
         size = self.start_size
         start, seeds = begin[:size], begin[size:].reshape(size, m, n)
@@ -194,7 +193,7 @@ class StrideMap:
         sampled = []
         if self.kneed:
             run = flow(self.structure, True, m + slope, slope)
-            final, moved = run(np.vstack([start, _lanes(D)]), parameters, times[0], count)
+            final, moved = run(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             sampled.append(moved)
             out = self._apply(self._knee[slope], np.vstack([final[:6], _unlanes(final[6:], 6), parameters]))
             start2, D = out[:4], out[4:4 + 4 * (m + 1 + slope)].reshape(4, m + 1 + slope, n)
@@ -203,7 +202,7 @@ class StrideMap:
         else:
             start2, duration = start, times[0]
         run = flow(self.structure, False, D.shape[1], slope)
-        final, moved = run(np.vstack([start2, _lanes(D)]), parameters, duration, count)
+        final, moved = run(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
         sampled.append(moved)
         out = self._apply(self._finish[slope], np.vstack([y, final[:4], _unlanes(final[4:], 4), parameters]))
         cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + slope, 2, 1]))
@@ -217,7 +216,7 @@ class StrideMap:
             all_by = np.concatenate([first_by, all_by + first_by])
         return Stride(y, image, jacobian.reshape(m, m, n), inverse.reshape(m, m, n), newton, all_times,
                       all_by[:, :m], by_slope if slope else None, all_by[:, m] if slope else None, impact, start,
-                      closing[0], sampled if motion else None)
+                      closing[0], sampled if samples else None)
 
 
 def _lanes(D: np.ndarray) -> np.ndarray:

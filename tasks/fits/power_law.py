@@ -1,0 +1,77 @@
+"""Power laws y = a x^p over a range chosen by rule: where the local exponent stands still."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+#: How far the local exponent may wander on a plateau, and the decades a plateau must span.
+FLATNESS, LEAST_DECADES, LEAST_POINTS = 0.01, 1.0, 5
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """A fitted law: exponent with its interval, amplitude, and the range it was fitted over.
+
+    The interval joins the 95 % confidence interval of the regression with the range of local exponents on the
+    plateau: for computed data the curve's own bend, not scatter, is the error.
+    """
+
+    exponent: float
+    low: float
+    high: float
+    amplitude: float
+    x_from: float
+    x_to: float
+    n: int
+
+
+def local_exponents(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """d ln y / d ln x between neighbouring points, shape (n - 1,)."""
+    return np.diff(np.log(y)) / np.diff(np.log(x))
+
+
+def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
+    """Least squares of ln y on ln x over all points given; None below three points."""
+    if len(x) < 3:
+        return None
+    log_x, log_y = np.log(x), np.log(y)
+    line = stats.linregress(log_x, log_y)
+    local = local_exponents(x, y)
+    spread = stats.t.ppf(0.975, len(x) - 2) * line.stderr
+    return PowerLaw(line.slope, min(line.slope - spread, local.min()), max(line.slope + spread, local.max()),
+                    float(np.exp(line.intercept)), float(x[0]), float(x[-1]), len(x))
+
+
+def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[tuple[int, int]]:
+    """Runs of points over which the local exponent changes by less than `flatness`, longest first.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n,)
+        Positive, x increasing.
+
+    Returns
+    -------
+    list of (first, last)
+        Inclusive indices; runs shorter than a decade or five points are no plateau.
+    """
+    p = local_exponents(x, y)
+    runs, start = [], 0
+    low = high = p[0] if len(p) else 0.0
+    for i in range(1, len(p) + 1):
+        if i < len(p) and max(high, p[i]) - min(low, p[i]) < flatness:
+            low, high = min(low, p[i]), max(high, p[i])
+            continue
+        runs.append((start, i))
+        # The next run may reach back over points that agree with it.
+        start = i
+        if i < len(p):
+            low = high = p[i]
+            while start > 0 and max(high, p[start - 1]) - min(low, p[start - 1]) < flatness:
+                start -= 1
+                low, high = min(low, p[start]), max(high, p[start])
+    good = [(a, b) for a, b in runs if b - a + 1 >= LEAST_POINTS and np.log10(x[b] / x[a]) >= LEAST_DECADES]
+    return sorted(good, key=lambda r: np.log(x[r[0]] / x[r[1]]))

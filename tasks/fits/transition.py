@@ -1,0 +1,60 @@
+"""The rho^(3/2) transition of short steps with light feet (sections 4.1 and 6.3 of the paper)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tasks.fits.power_law import fit
+
+#: Above the transition every light foot walks like walker D: angle = B slope^(1/3) as slope -> 0 (Garcia et al. 1998).
+CUBE_ROOT = math.tanh(math.pi / 2) ** (2 / 3)
+
+
+def asymptotic(ratio: np.ndarray) -> np.ndarray:
+    """Crossing of the two laws as the foot mass ratio -> 0: ratio^(3/2) coth^2(pi/2)/8."""
+    return ratio**1.5 / (8 * math.tanh(math.pi / 2) ** 2)
+
+
+def linear_amplitude(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float, float, int]:
+    """Limit of angle/slope as slope -> 0, its standard error, the largest slope used and the number of points.
+
+    Notes
+    -----
+    ln(angle/slope) = A + B slope^2 over the slopes where the law is bent by less than 2 %: the energy balance
+    slope angle ~ ratio angle^2 + angle^4 has no term between.
+    """
+    y = np.log(angle / slope)
+    near = np.abs(y - y[0]) < 0.02
+    last = int(np.argmin(near)) if not near.all() else len(y)
+    if last < 4:
+        return math.nan, math.nan, math.nan, last
+    design = np.stack([np.ones(last), (slope[:last] / slope[last - 1]) ** 2], axis=1)
+    solution, residual, _, _ = np.linalg.lstsq(design, y[:last], rcond=None)
+    scatter = math.sqrt(residual[0] / (last - 2)) if len(residual) else 0.0
+    error = scatter * math.sqrt(np.linalg.inv(design.T @ design)[0, 0])
+    return float(np.exp(solution[0])), error, float(slope[last - 1]), last
+
+
+def crossing(linear: float, cube_root: float) -> float:
+    """Slope where linear * slope = cube_root * slope^(1/3)."""
+    return (cube_root / linear) ** 1.5
+
+
+def fitted_crossing(slope: np.ndarray, angle: np.ndarray, expected: float) -> tuple[float, float, float]:
+    """Crossing of best-fit straight lines, as the paper draws them on figure 5.
+
+    Returns
+    -------
+    crossing, low, high : float
+        The lower line is fitted over slopes below low = expected/10, the upper, held at power 1/3, above
+        high = 3 expected; NaN where either has fewer than three points.
+    """
+    low, high = expected / 10, expected * 3
+    lower = fit(slope[slope < low], angle[slope < low])
+    above = slope > high
+    if lower is None or above.sum() < 3:
+        return math.nan, low, high
+    upper = float(np.exp(np.mean(np.log(angle[above]) - np.log(slope[above]) / 3)))
+    return (upper / lower.amplitude) ** (1 / (lower.exponent - 1 / 3)), low, high
