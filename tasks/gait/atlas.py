@@ -7,114 +7,18 @@ walker alone, never on a study's grid, so points that start from it are independ
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from tasks.gait.continuation import Track, correct, follow, lipschitz
+from tasks.gait.branch import Branch
+from tasks.gait.continuation import Point, Track, correct, follow, lipschitz
 from tasks.gait.fixed_point import Problem, judged, rounding, search
+from tasks.gait.special_points import end_of, located, oriented
 
 #: Slopes searched from nothing for gaits to follow [rad].
 ANCHORS = (0.01, 0.03, 0.1, 0.001)
 #: Largest change Newton may still make at a segment's middle before the segment is split.
 TOLERANCE = 3e-12
 MOST_ROUNDS = 5
-
-
-@dataclass
-class Branch:
-    """One branch: nodes Z (n, c) = (w, q, times reordered as (X, times)), tangents and Lipschitz estimates.
-
-    `Z` holds X = (w of the section, q) in its first m + 1 columns, then the event times. `why` says how the search
-    came to its two ends.
-    """
-
-    m: int
-    Z: np.ndarray
-    tangent: np.ndarray
-    lipschitz: np.ndarray
-    why: tuple[str, str]
-
-    def __post_init__(self) -> None:
-        self._segments()
-
-    @property
-    def q(self) -> np.ndarray:
-        return self.Z[:, self.m]
-
-    def _segments(self) -> None:
-        """Divided differences of every segment's polynomial."""
-        n = len(self.Z)
-        count = min(4, n)
-        left = np.clip(np.arange(n - 1) - 1, 0, n - count)
-        window = left[:, None] + np.arange(count)
-        Z, T = self.Z[window], self.tangent[window]
-        unit = np.abs(T) / np.linalg.norm(T[..., : self.m + 1], axis=-1, keepdims=True)
-        same = (np.sign(T) == np.sign(T[:, :1])).all(axis=1)
-        worth = np.where(same, unit.min(axis=1), 0.0)[:, : self.m + 1]
-        # Prefer the slope itself: then a slope's place on the segment needs no root.
-        worth[:, self.m] *= 3
-        self.axis = worth.argmax(axis=1)
-        rows = np.arange(n - 1)[:, None]
-        x = np.repeat(Z[rows, np.arange(count), self.axis[:, None]], 2, axis=1)
-        slope = T / T[rows, np.arange(count), self.axis[:, None]][..., None]
-        table = np.repeat(Z, 2, axis=1)
-        coefficients = [table[:, 0]]
-        for order in range(1, 2 * count):
-            dx = (x[:, order:] - x[:, :-order])[..., None]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                new = (table[:, 1:] - table[:, :-1]) / dx
-            if order == 1:
-                new[:, ::2] = slope
-            table = new
-            coefficients.append(table[:, 0])
-        self.nodes, self.coefficients = x, np.stack(coefficients, axis=1)
-
-    def evaluate(self, segment: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Z at places x of the segments' own coordinates, shape (n, c)."""
-        nodes, c = self.nodes[segment], self.coefficients[segment]
-        value = c[:, -1]
-        for k in reversed(range(c.shape[1] - 1)):
-            value = value * (x - nodes[:, k])[:, None] + c[:, k]
-        return value
-
-    def place(self, segment: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Where on their segments the slopes lie, by bisection where the coordinate is not the slope itself."""
-        direct = self.axis[segment] == self.m
-        x = q.copy()
-        if not direct.all():
-            s, target = segment[~direct], q[~direct]
-            a, b = self.Z[s, self.axis[s]], self.Z[s + 1, self.axis[s]]
-            rising = self.q[s + 1] > self.q[s]
-            for _ in range(60):
-                middle = 0.5 * (a + b)
-                above = self.evaluate(s, middle)[:, self.m] > target
-                up = above == rising
-                b, a = np.where(up, middle, b), np.where(up, a, middle)
-            x[~direct] = 0.5 * (a + b)
-        return x
-
-    def pieces(self) -> list[tuple[int, int]]:
-        """Runs of nodes over which the slope is monotone."""
-        rising = np.sign(np.diff(self.q))
-        cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
-        return list(zip(cuts[:-1], cuts[1:]))
-
-    def guesses(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """For each piece, which slopes it covers: (index into q, Z there, Lipschitz estimate)."""
-        found = []
-        for first, last in self.pieces():
-            nodes = self.q[first:last + 1]
-            rising = nodes[-1] > nodes[0]
-            ordered = nodes if rising else nodes[::-1]
-            inside = np.nonzero((q >= ordered[0]) & (q <= ordered[-1]))[0]
-            if not len(inside):
-                continue
-            k = np.clip(np.searchsorted(ordered, q[inside], side="right") - 1, 0, len(ordered) - 2)
-            segment = first + (k if rising else len(ordered) - 2 - k)
-            Z = self.evaluate(segment, self.place(segment, q[inside]))
-            found.append((inside, Z, np.maximum(self.lipschitz[segment], self.lipschitz[segment + 1])))
-        return found
 
 
 def _insert(problem: Problem, branch: Branch, segments: np.ndarray, x: np.ndarray) -> tuple[Branch, np.ndarray]:
@@ -135,44 +39,40 @@ def _insert(problem: Problem, branch: Branch, segments: np.ndarray, x: np.ndarra
                   np.zeros(len(branch.Z) + keep.sum()), branch.why), moved
 
 
-def _with_folds(problem: Problem, branch: Branch) -> Branch:
-    """Put a node on every fold, where the slope turns."""
-    m = branch.m
-    segments = np.nonzero(np.diff(np.sign(branch.tangent[:, m])) != 0)[0]
-    for segment in segments[::-1]:
-        s = np.array([segment])
-        a, b = branch.Z[segment, branch.axis[segment]], branch.Z[segment + 1, branch.axis[segment]]
-        h = 1e-4 * (b - a)
-        rising = branch.tangent[segment, m] > 0
-        for _ in range(50):
-            middle = 0.5 * (a + b)
-            ahead = branch.evaluate(s, np.array([middle + h]))[0, m] - branch.evaluate(s, np.array([middle - h]))[0, m]
-            a, b = (middle, b) if (ahead > 0) == rising else (a, middle)
-        branch, _ = _insert(problem, branch, s, np.array([0.5 * (a + b)]))
-    return branch
-
-
-def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
-    """Join both directions, keep what are steps, refine, and measure."""
-    m = problem.m
+def _joined(m: int, pair: list[Track]) -> tuple[Branch, int]:
+    """Both directions as one branch, and the index of the start on it."""
     down, up = pair
     X = np.array(down.X[:0:-1] + up.X)
     times = np.array(down.times[:0:-1] + up.times)
     tangent = np.array([-t for t in down.tangent[:0:-1]] + up.tangent)
     times_tangent = np.array([-t for t in down.times_tangent[:0:-1]] + up.times_tangent)
     Z, T = np.hstack([X, times]), np.hstack([tangent, times_tangent])
-    _, verdict = judged(problem, np.vstack([X[:, :m].T, times.T]), X[:, m])
-    start = len(down.X) - 1
+    return Branch(m, Z, T, np.zeros(len(Z)), (down.stopped, up.stopped)), len(down.X) - 1
+
+
+def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
+    """Join both directions, keep what are steps up to the located ends, refine, and measure."""
+    m = problem.m
+    raw, start = _joined(m, pair)
+    if len(raw.Z) < 4:
+        return None
+    X, times = raw.Z[:, : m + 1].T, raw.Z[:, m + 1:].T
+    _, verdict = judged(problem, np.vstack([X[:m], times]), X[m])
     good = verdict.step
     if not good[start]:
         return None
     low = start - np.argmin(np.append(good[start::-1], False)) + 1
-    high = start + np.argmin(np.append(good[start:], False))
-    if high - low < 4:
+    high = start + np.argmin(np.append(good[start:], False)) - 1
+    Z, T, why = raw.Z[low:high + 1], raw.tangent[low:high + 1], list(raw.why)
+    if low > 0:
+        why[0], point, way = end_of(problem, raw, low - 1, start)
+        Z, T = np.vstack([_row(point), Z]), np.vstack([_row_tangent(point, way), T])
+    if high < len(raw.Z) - 1:
+        why[1], point, way = end_of(problem, raw, high, start)
+        Z, T = np.vstack([Z, _row(point)]), np.vstack([T, _row_tangent(point, way)])
+    if len(Z) < 4:
         return None
-    why = (down.stopped if low == 0 else "not a step", up.stopped if high == len(Z) else "not a step")
-    branch = Branch(m, Z[low:high], T[low:high], np.zeros(high - low), why)
-    branch = _with_folds(problem, branch)
+    branch = _with_folds(problem, Branch(m, Z, T, np.zeros(len(Z)), (why[0], why[1])))
     for _ in range(MOST_ROUNDS):
         segments = np.arange(len(branch.Z) - 1)
         x = 0.5 * (branch.Z[segments, branch.axis] + branch.Z[segments + 1, branch.axis])
@@ -181,6 +81,26 @@ def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
         if len(branch.Z) == before:
             break
     branch.lipschitz = lipschitz(problem, branch.Z[:, : m + 1].T, branch.Z[:, m + 1:].T)
+    return branch
+
+
+def _row(point: Point) -> np.ndarray:
+    return np.concatenate([point.X[:, 0], point.times[:, 0]])
+
+
+def _row_tangent(point: Point, way: np.ndarray) -> np.ndarray:
+    tangent = np.concatenate([point.tangent[:, 0], point.times_tangent[:, 0]])
+    return tangent if point.tangent[:, 0] @ way >= 0 else -tangent
+
+
+def _with_folds(problem: Problem, branch: Branch) -> Branch:
+    """Put a node on every fold, where the slope turns."""
+    m = branch.m
+    for segment in np.nonzero(np.diff(np.sign(branch.tangent[:, m])) != 0)[0][::-1]:
+        point, way = located(problem, branch, segment, lambda point, way: oriented(point, way)[m])
+        branch = Branch(m, np.insert(branch.Z, segment + 1, _row(point), axis=0),
+                        np.insert(branch.tangent, segment + 1, _row_tangent(point, way), axis=0),
+                        np.zeros(len(branch.Z) + 1), branch.why)
     return branch
 
 

@@ -36,7 +36,7 @@ class Point:
     stride: Stride
 
 
-def _linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residual P(y) - y and its derivative by X, shapes (n, m) and (n, m, m + 1)."""
     m, n = stride.y.shape
     assert stride.by_slope is not None
@@ -80,7 +80,7 @@ def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarr
     ok, over, last = np.zeros(n, bool), np.zeros(n, bool), np.full(n, np.inf)
     for iteration in range(most):
         stride, _ = problem.stride(np.vstack([X[:m], times]), X[m], slope=True)
-        residual, derivative = _linearised(stride, X)
+        residual, derivative = linearised(stride, X)
         matrix = np.concatenate([derivative, border.T[:, None]], axis=1)
         right = np.concatenate([-residual, (border * (start - X)).sum(axis=0)[:, None]], axis=1)
         good = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)

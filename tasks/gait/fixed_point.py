@@ -31,7 +31,7 @@ class Problem:
         return np.vstack([slope, scale, np.broadcast_to(self.constants[:, None], (len(self.constants), len(slope)))])
 
     def stride(self, w: np.ndarray, log_slope: np.ndarray, slope: bool = False,
-               samples: int = 0) -> tuple[Stride, np.ndarray]:
+               samples: int = 0, rough: bool = False) -> tuple[Stride, np.ndarray]:
         """Evaluate strides at similarity coordinates.
 
         Parameters
@@ -47,7 +47,7 @@ class Problem:
         angle = np.exp(w[0])
         scale = np.exp2(np.floor(np.log2(angle)))
         y = np.vstack([angle, angle * w[1:self.m]]) / scale
-        stride = self.map(y, w[self.m:], self.parameters(np.exp(log_slope), scale), slope, samples)
+        stride = self.map(y, w[self.m:], self.parameters(np.exp(log_slope), scale), slope, samples, rough)
         return stride, scale
 
 
@@ -78,15 +78,13 @@ def rounding(stride: Stride) -> np.ndarray:
 
 @dataclass
 class Solved:
-    """Outcome of Newton on n lanes: coordinates, whether they converged, the last stride and its verdict."""
+    """Outcome of Newton on n lanes: coordinates, and whether they converged."""
 
     w: np.ndarray
     converged: np.ndarray
-    stride: Stride | None
-    verdict: Verdict | None
 
 
-def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, most: int = MOST_ITERATIONS) -> Solved:
+def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool = False) -> Solved:
     """Damped Newton on every lane; finished lanes leave the batch.
 
     Parameters
@@ -94,16 +92,18 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, most: int = M
     w : ndarray, shape (m + phases, n)
         Starts, in similarity coordinates.
     log_slope : ndarray, shape (n,)
+    rough : bool
+        Only to the search's tolerance.
     """
     w = w.copy()
     n = w.shape[1]
     converged = np.zeros(n, bool)
     active = np.arange(n)
     last = np.full(n, np.inf)
-    for _ in range(most):
+    for _ in range(MOST_ITERATIONS):
         if not len(active):
             break
-        stride, _ = problem.stride(w[:, active], log_slope[active])
+        stride, _ = problem.stride(w[:, active], log_slope[active], rough=rough)
         step = newton_step(stride, w[:, active])
         size = np.abs(step).max(axis=0)
         noise = np.nan_to_num(rounding(stride).max(axis=0), nan=np.inf)
@@ -111,13 +111,13 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, most: int = M
         step[:, alive] *= np.minimum(1.0, 0.5 / np.maximum(size[alive], 1e-300))
         w[:, active[alive]] += step[:, alive]
         # Done when the step is rounding, or has become small and stopped shrinking.
-        done = alive & ((size < noise) | ((size < 1e-6) & (size > 0.3 * last[active])))
+        done = alive & ((size < (1e-5 if rough else noise)) | ((size < 1e-6) & (size > 0.3 * last[active])))
         sane = (np.abs(w[1:problem.m, active]) < 50).all(axis=0) & (w[problem.m:, active] > 0.05).all(axis=0)
         sane &= (w[-1, active] < 12) & (w[0, active] < 0.4)
         converged[active[done & sane]] = True
         last[active] = size
         active = active[alive & sane & ~done]
-    return Solved(w, converged, None, None)
+    return Solved(w, converged)
 
 
 def judged(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tuple[Stride, Verdict]:
@@ -129,12 +129,12 @@ def judged(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tuple[Stri
 def settled(problem: Problem, stride: Stride, w: np.ndarray, log_slope: np.ndarray) -> Verdict:
     """The verdict on sampled strides; lanes in doubt are sampled again, sixteen times as finely."""
     assert stride.motion is not None
-    verdict = verify(stride.motion, stride.closing)
+    verdict = verify(stride.motion, stride.closing, stride.times)
     lanes = np.nonzero(verdict.doubt)[0]
     if len(lanes):
         fine, _ = problem.stride(w[:, lanes], log_slope[lanes], samples=16 * SAMPLES)
         assert fine.motion is not None
-        closer = verify(fine.motion, fine.closing)
+        closer = verify(fine.motion, fine.closing, fine.times)
         verdict.step[lanes], verdict.passes[lanes], verdict.doubt[lanes] = closer.step, closer.passes, closer.doubt
     return verdict
 
@@ -181,15 +181,23 @@ def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, V
     """
     w = starts(problem, slope)
     log_slope = np.full(w.shape[1], np.log(slope))
-    solved = newton(problem, w, log_slope)
-    w = solved.w[:, solved.converged]
+    if problem.phases == 2:
+        # Three links are dear: the search flies roughly, and only what it finds is flown exactly.
+        near = newton(problem, w, log_slope, rough=True)
+        w = _distinct(near.w[:, near.converged], 1e-3)
+    solved = newton(problem, w, np.full(w.shape[1], np.log(slope)))
+    w = _distinct(solved.w[:, solved.converged], 1e-5)
+    if not w.shape[1]:
+        return w, None, None
+    stride, verdict = judged(problem, w, np.full(w.shape[1], np.log(slope)))
+    return w, stride, verdict
+
+
+def _distinct(w: np.ndarray, apart: float) -> np.ndarray:
+    """Columns of w in a fixed order, without those nearer than `apart` to one kept."""
     w = w[:, np.lexsort(np.round(w, 6)[::-1])]
     keep: list[int] = []
     for i in range(w.shape[1]):
-        if all(np.abs(w[:, i] - w[:, j]).max() > 1e-5 for j in keep):
+        if all(np.abs(w[:, i] - w[:, j]).max() > apart for j in keep):
             keep.append(i)
-    w = w[:, keep]
-    if not keep:
-        return w, None, None
-    stride, verdict = judged(problem, w, np.full(len(keep), np.log(slope)))
-    return w, stride, verdict
+    return w[:, keep]

@@ -163,7 +163,7 @@ class StrideMap:
         return self._apply(self._start, np.vstack([y, parameters]))
 
     def __call__(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, slope: bool = False,
-                 samples: int = 0) -> Stride:
+                 samples: int = 0, rough: bool = False) -> Stride:
         """Evaluate strides and their derivatives.
 
         Parameters
@@ -178,6 +178,8 @@ class StrideMap:
             Also differentiate by the slope.
         samples : int
             Equal intervals of each phase at whose ends the motion is also wanted.
+        rough : bool
+            Fly to the search's tolerance only.
 
         Returns
         -------
@@ -185,6 +187,8 @@ class StrideMap:
             NaN in lanes whose motion was lost.
         """
         m, n = y.shape
+        # Three links take long to compile: one flow, with the slope, serves atlas and points alike.
+        slope = slope or (self.kneed and not rough)
         begin = self.start(y, parameters)
         size = self.start_size
         start, seeds = begin[:size], begin[size:].reshape(size, m, n)
@@ -192,7 +196,7 @@ class StrideMap:
         D = np.concatenate([seeds, zeros], axis=1) if slope else seeds
         sampled = []
         if self.kneed:
-            run = flow(self.structure, True, m + slope, slope)
+            run = flow(self.structure, True, m + slope, slope, rough)
             final, moved = run(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             sampled.append(moved)
             out = self._apply(self._knee[slope], np.vstack([final[:6], _unlanes(final[6:], 6), parameters]))
@@ -201,7 +205,7 @@ class StrideMap:
             duration = times[1] - times[0]
         else:
             start2, duration = start, times[0]
-        run = flow(self.structure, False, D.shape[1], slope)
+        run = flow(self.structure, False, D.shape[1], slope, rough)
         final, moved = run(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
         sampled.append(moved)
         out = self._apply(self._finish[slope], np.vstack([y, final[:4], _unlanes(final[4:], 4), parameters]))

@@ -37,7 +37,7 @@ def _slack(g: np.ndarray) -> np.ndarray:
     return 2.0 / 8.0 * np.maximum(padded[:-1], padded[1:])
 
 
-def verify(motion: list[np.ndarray], closing: np.ndarray) -> Verdict:
+def verify(motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray) -> Verdict:
     """Judge a stride by samples of its motion.
 
     Parameters
@@ -46,6 +46,8 @@ def verify(motion: list[np.ndarray], closing: np.ndarray) -> Verdict:
         Each phase's angles and rates at equal times; three links before two.
     closing : ndarray, shape (n,)
         Rate of the heelstrike guard at the solved time.
+    times : ndarray, shape (phases, n)
+        The solved event times, which must follow each other.
 
     Notes
     -----
@@ -58,16 +60,16 @@ def verify(motion: list[np.ndarray], closing: np.ndarray) -> Verdict:
     guard, slack = a + b, _slack(a + b)
     # Between samples i and i + 1: a strike needs the guard at or below zero with the stance angle negative.
     behind = np.minimum(a[:-1], a[1:]) < 0
-    low = np.minimum(guard[:-1], guard[1:])
-    low[-1] = guard[-2]
-    risen = np.maximum.accumulate(guard, axis=0) > 0
+    low = np.minimum(np.abs(guard[:-1]), np.abs(guard[1:]))
+    low[-1] = np.abs(guard[-2])
     falls = (guard[1:] <= 0) & (guard[:-1] > 0) & (a[1:] < 0)
     falls[-1] = False
-    step = (closing < 0) & risen[:-1].any(axis=0) & ~falls.any(axis=0) & (guard[-2] > 0) & (a[-1] < 0)
+    # A guard that closes at zero was positive just before: the swing foot has come up behind the stance foot.
+    step = (closing < 0) & ~falls.any(axis=0) & (a[-1] < 0) & (np.diff(times, axis=0, prepend=0) > 0).all(axis=0)
     # The last interval ends at zero, so the chord's own slope must win over the curvature.
     margin = slack.copy()
     margin[-1] *= 4
-    doubt = (behind & risen[:-1] & (np.abs(low) < margin)).any(axis=0)
+    doubt = (behind & (low < margin)).any(axis=0)
     apart = np.vstack([m[:, 0] - m[:, 1] if i == 0 else (m[:, 0] - m[:, 1])[1:] for i, m in enumerate(motion)])
     passes = (np.signbit(apart[1:]) != np.signbit(apart[:-1])).sum(axis=0)
     near = np.minimum(np.abs(apart[1:]), np.abs(apart[:-1])) < _slack(apart)

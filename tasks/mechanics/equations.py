@@ -112,10 +112,12 @@ class Structure:
 
 
 def structure_of(walker: Walker) -> Structure:
-    """A walker's structure: constants that are 0 or 1 are part of the code, all others are parameters."""
+    """A walker's structure: constants that are 0 or 1 are part of a straight leg's code, all others are parameters."""
     constants = lump(walker)
-    fixed = tuple((k, v) for k, v in constants.items() if v in (0.0, 1.0, -1.0))
-    free = tuple(k for k, v in constants.items() if v not in (0.0, 1.0, -1.0))
+    # Three links compile slowly and gain little from a zero: all kneed walkers share one structure.
+    plain = () if walker.knees else (0.0, 1.0, -1.0)
+    fixed = tuple((k, v) for k, v in constants.items() if v in plain)
+    free = tuple(k for k, v in constants.items() if v not in plain)
     return Structure(walker.knees, walker.point_foot, free, fixed)
 
 

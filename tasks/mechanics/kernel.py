@@ -15,6 +15,8 @@ from tasks.mechanics.equations import Structure, system
 #: Steps a flow may take before it counts as lost; an honest stride takes 5 to 40.
 MOST_STEPS = 120
 LANES = hy.recommended_simd_size()
+#: Tolerance of a search's flows, which only lead to where the exact ones begin.
+ROUGH = 1e-7
 
 _cache = os.environ.get("GAITSWEEP_CACHE")
 if _cache:
@@ -32,12 +34,12 @@ class Flow:
     bits do not depend on its neighbours; a group with a lost lane is run again lane by lane to keep that true.
     """
 
-    def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool):
+    def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool, rough: bool):
         equations = system(structure, free_knee, directions, with_slope)
         self.size, self.angles = len(equations), (6 if free_knee else 4)
         self.evaluations = 0
         self._ta = hy.taylor_adaptive_batch(
-            equations, state=np.zeros((self.size, LANES)), tol=np.finfo(float).eps, compact_mode=self.size > 20)
+            equations, state=np.zeros((self.size, LANES)), tol=ROUGH if rough else np.finfo(float).eps)
         #: Constants the equations use; the shank's come last and two links do not need them all.
         self._used = self._ta.pars.shape[0]
 
@@ -104,6 +106,7 @@ class Flow:
 
 
 @functools.lru_cache(maxsize=64)
-def flow(structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False) -> Flow:
+def flow(structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False,
+         rough: bool = False) -> Flow:
     """The compiled flow of a structure; compiled once a process, kept in heyoka's disk cache between them."""
-    return Flow(structure, free_knee, directions, with_slope)
+    return Flow(structure, free_knee, directions, with_slope, rough)

@@ -1,0 +1,77 @@
+"""Branches of gaits over a window of slopes, with their special points."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping
+
+import numpy as np
+
+from tasks.gait import atlas as atlases
+from tasks.gait.branch import Branch
+from tasks.gait.fixed_point import Problem, gait_ratio
+from tasks.gait.special_points import special_points
+from tasks.gait.stability import multipliers
+from tasks.walkers.parameters import resolve
+
+
+def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Follow a line's gaits through folds to their ends.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `slope_from`, `slope_to` [rad], the window; `n`, the least number of points of a branch in it.
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Tables `branches` (branch, slope, stance_angle, period, kneestrike_time, spectral_radius, stable, gait) and
+        `special_points` (branch, kind, slope, stance_angle, period, error_bound), in the walker's units.
+    """
+    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    problem = Problem(walker)
+    second = np.sqrt(walker.leg / walker.g)
+    low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
+    rows: dict[str, list[np.ndarray]] = {k: [] for k in (
+        "branch", "slope", "stance_angle", "period", "kneestrike_time", "spectral_radius", "stable", "gait")}
+    points: list[dict[str, Any]] = []
+    for number, found in enumerate(atlases.from_arrays(inputs[0])):
+        Z = _dense(found, low, high, least)
+        if not len(Z):
+            continue
+        m = found.m
+        stride, _ = problem.stride(np.delete(Z, m, axis=1).T, Z[:, m])
+        radius = np.abs(multipliers(stride.jacobian, m)).max(axis=1)
+        times = Z[:, m + 1:] * second
+        knee = times[:, 0] if problem.phases == 2 else np.full(len(Z), np.nan)
+        for key, value in (("branch", np.full(len(Z), number)), ("slope", np.exp(Z[:, m])),
+                           ("stance_angle", np.exp(Z[:, 0])), ("period", times[:, -1]), ("kneestrike_time", knee),
+                           ("spectral_radius", radius), ("stable", (radius < 1).astype("i1")),
+                           ("gait", np.where(gait_ratio(stride) < 0.5, "long", "short"))):
+            rows[key].append(value)
+        for point in special_points(problem, found):
+            if low <= float(point["slope"]) <= high and point["kind"] != "window":
+                points.append({"branch": number, **point, "period": float(point["period"]) * second})
+    out = {f"branches/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in rows.items()}
+    for key in ("branch", "kind", "slope", "stance_angle", "period", "error_bound"):
+        out[f"special_points/{key}"] = np.array([p[key] for p in points])
+    return out
+
+
+def _dense(found: Branch, low: float, high: float, least: int) -> np.ndarray:
+    """The branch's nodes inside the window, with points between them where there are too few."""
+    m = found.m
+    inside = (found.q >= np.log(low)) & (found.q <= np.log(high))
+    segments = np.nonzero(inside[1:] & inside[:-1])[0]
+    if not len(segments):
+        return found.Z[inside]
+    parts = max(1, int(np.ceil(least / len(segments))))
+    rows = []
+    for k in range(parts):
+        a, b = found.Z[segments, found.axis[segments]], found.Z[segments + 1, found.axis[segments]]
+        rows.append(found.evaluate(segments, a + (b - a) * k / parts))
+    between = np.stack(rows, axis=1).reshape(-1, found.Z.shape[1])
+    del m
+    return np.vstack([between, found.Z[segments[-1] + 1]])

@@ -1,0 +1,106 @@
+"""A branch of gaits: nodes with exact tangents and the polynomials between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass
+class Branch:
+    """One branch: nodes, tangents and Lipschitz estimates.
+
+    `Z` (n, c) holds X = (section, q) in its first m + 1 columns, then the event times; `tangent` its derivative along
+    the branch; `why` says what each end is.
+    """
+
+    m: int
+    Z: np.ndarray
+    tangent: np.ndarray
+    lipschitz: np.ndarray
+    why: tuple[str, str]
+
+    def __post_init__(self) -> None:
+        self._segments()
+
+    @property
+    def q(self) -> np.ndarray:
+        return self.Z[:, self.m]
+
+    def _segments(self) -> None:
+        """Divided differences of every segment's polynomial."""
+        n = len(self.Z)
+        count = min(4, n)
+        left = np.clip(np.arange(n - 1) - 1, 0, n - count)
+        window = left[:, None] + np.arange(count)
+        Z, T = self.Z[window], self.tangent[window]
+        unit = np.abs(T) / np.linalg.norm(T[..., : self.m + 1], axis=-1, keepdims=True)
+        same = (np.sign(T) == np.sign(T[:, :1])).all(axis=1)
+        worth = np.where(same, unit.min(axis=1), 0.0)[:, : self.m + 1]
+        # Prefer the slope itself: then a slope's place on the segment needs no root.
+        worth[:, self.m] *= 3
+        self.axis = worth.argmax(axis=1)
+        rows = np.arange(n - 1)[:, None]
+        x = np.repeat(Z[rows, np.arange(count), self.axis[:, None]], 2, axis=1)
+        slope = T / T[rows, np.arange(count), self.axis[:, None]][..., None]
+        table = np.repeat(Z, 2, axis=1)
+        coefficients = [table[:, 0]]
+        for order in range(1, 2 * count):
+            dx = (x[:, order:] - x[:, :-order])[..., None]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                new = (table[:, 1:] - table[:, :-1]) / dx
+            if order == 1:
+                new[:, ::2] = slope
+            table = new
+            coefficients.append(table[:, 0])
+        self.nodes, self.coefficients = x, np.stack(coefficients, axis=1)
+
+    def evaluate(self, segment: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Z at places x of the segments' own coordinates, shape (n, c)."""
+        nodes, c = self.nodes[segment], self.coefficients[segment]
+        value = c[:, -1]
+        for k in reversed(range(c.shape[1] - 1)):
+            value = value * (x - nodes[:, k])[:, None] + c[:, k]
+        return value
+
+    def place(self, segment: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Where on their segments the slopes lie, by bisection where the coordinate is not the slope itself."""
+        direct = self.axis[segment] == self.m
+        x = q.copy()
+        if not direct.all():
+            s, target = segment[~direct], q[~direct]
+            a, b = self.Z[s, self.axis[s]], self.Z[s + 1, self.axis[s]]
+            rising = self.q[s + 1] > self.q[s]
+            for _ in range(60):
+                middle = 0.5 * (a + b)
+                above = self.evaluate(s, middle)[:, self.m] > target
+                up = above == rising
+                b, a = np.where(up, middle, b), np.where(up, a, middle)
+            x[~direct] = 0.5 * (a + b)
+        return x
+
+    def pieces(self) -> list[tuple[int, int]]:
+        """Runs of nodes over which the slope is monotone."""
+        # A fold has a node of its own, so near that the next node's slope may differ by rounding only.
+        rising = np.sign(np.diff(self.q))
+        for i in np.nonzero(np.abs(np.diff(self.q)) < 1e-13)[0]:
+            rising[i] = rising[i - 1] if i else rising[min(i + 1, len(rising) - 1)]
+        cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
+        return list(zip(cuts[:-1], cuts[1:]))
+
+    def guesses(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """For each piece, which slopes it covers: (index into q, Z there, Lipschitz estimate)."""
+        found = []
+        for first, last in self.pieces():
+            nodes = self.q[first:last + 1]
+            rising = nodes[-1] > nodes[0]
+            ordered = nodes if rising else nodes[::-1]
+            inside = np.nonzero((q >= ordered[0]) & (q <= ordered[-1]))[0]
+            if not len(inside):
+                continue
+            k = np.clip(np.searchsorted(ordered, q[inside], side="right") - 1, 0, len(ordered) - 2)
+            segment = first + (k if rising else len(ordered) - 2 - k)
+            Z = self.evaluate(segment, self.place(segment, q[inside]))
+            found.append((inside, Z, np.maximum(self.lipschitz[segment], self.lipschitz[segment + 1])))
+        return found

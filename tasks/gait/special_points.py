@@ -1,0 +1,185 @@
+"""Special points of a branch, each the root of a smooth test function with the corrector in the loop.
+
+Folds, flips, Neimark-Sacker and branch points; the ends of walking: heelstrike meets kneestrike, heelstrike turns
+tangential, an earlier strike cuts in; and the release of the knee, where the branch goes on.
+"""
+
+from __future__ import annotations
+
+from typing import Callable
+
+import numpy as np
+from scipy.optimize import brentq
+
+from tasks.gait.branch import Branch
+from tasks.gait.continuation import Point, correct, linearised
+from tasks.gait.fixed_point import EPS, Problem, judged, rounding
+
+Test = Callable[[Point, np.ndarray], float]
+
+
+def oriented(point: Point, way: np.ndarray) -> np.ndarray:
+    """The point's tangent, pointing along the branch."""
+    tangent = point.tangent[:, 0]
+    return tangent if tangent @ way >= 0 else -tangent
+
+
+def corrected(problem: Problem, branch: Branch, segment: int, x: float) -> tuple[Point, np.ndarray]:
+    """The point of the branch at place x of a segment, and the branch's direction there."""
+    m = branch.m
+    Z = branch.evaluate(np.array([segment]), np.array([x]))
+    way = branch.tangent[segment, : m + 1] + branch.tangent[segment + 1, : m + 1]
+    way = way / np.linalg.norm(way)
+    return correct(problem, Z[:, : m + 1].T, Z[:, m + 1:].T, way[:, None]), way
+
+
+def located(problem: Problem, branch: Branch, segment: int, test: Test) -> tuple[Point, np.ndarray]:
+    """The root of a test function on a segment over which it changes sign, to rounding (Brent's method)."""
+    axis = branch.axis[segment]
+    a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
+
+    def value(x: float) -> float:
+        return test(*corrected(problem, branch, segment, x))
+
+    try:
+        root = brentq(value, a, b, xtol=1e-15 * max(1.0, abs(a)), rtol=8.9e-16, maxiter=60)
+    except ValueError:
+        # The nodes' own values differ in sign by rounding only: the end nearer zero is the root.
+        root = a if abs(value(a)) < abs(value(b)) else b
+    return corrected(problem, branch, segment, root)
+
+
+def _is_step(problem: Problem, point: Point) -> bool:
+    m = problem.m
+    _, verdict = judged(problem, np.vstack([point.X[:m], point.times]), point.X[m])
+    return bool(verdict.step[0])
+
+
+#: Test functions of the ends of walking.
+ENDS: dict[str, Test] = {
+    "end_kneestrike_at_heelstrike": lambda point, way: float(point.times[-1, 0] - point.times[0, 0]),
+    "end_tangential_heelstrike": lambda point, way: float(point.stride.closing[0] / point.stride.y[0, 0]),
+}
+
+
+def end_of(problem: Problem, branch: Branch, segment: int, start: int) -> tuple[str, Point, np.ndarray]:
+    """What ends walking on a segment with one node that is a step and one that is none, and where.
+
+    Returns
+    -------
+    kind : str
+    point : Point
+    way : ndarray
+        Direction of the branch there.
+    """
+    good, bad = (segment, segment + 1) if segment >= start else (segment + 1, segment)
+    found: list[tuple[float, str, Point, np.ndarray]] = []
+    for kind, test in ENDS.items():
+        if kind == "end_kneestrike_at_heelstrike" and problem.phases == 1:
+            continue
+        values = [test(*corrected(problem, branch, segment, branch.Z[i, branch.axis[segment]])) for i in (good, bad)]
+        if values[0] * values[1] < 0:
+            point, way = located(problem, branch, segment, test)
+            found.append((float(np.linalg.norm(point.X[:, 0] - branch.Z[good, : branch.m + 1])), kind, point, way))
+    if found:
+        _, kind, point, way = min(found, key=lambda f: f[0])
+        return kind, point, way
+    # A strike appears earlier in the step (its guard has a double root): bisect on the verdict itself.
+    axis = branch.axis[segment]
+    a, b = branch.Z[good, axis], branch.Z[bad, axis]
+    for _ in range(45):
+        middle = 0.5 * (a + b)
+        point, way = corrected(problem, branch, segment, middle)
+        if point.ok[0] and _is_step(problem, point):
+            a = middle
+        else:
+            b = middle
+    point, way = corrected(problem, branch, segment, a)
+    return "end_earlier_strike", point, way
+
+
+def _eigen_products(A: np.ndarray) -> np.ndarray:
+    """Product over i < j of (lambda_i lambda_j - 1), shape (n,): zero where a pair lies on the unit circle."""
+    values = np.linalg.eigvals(A)
+    m = A.shape[-1]
+    out = np.ones(A.shape[:-2], complex)
+    for i in range(m):
+        for j in range(i + 1, m):
+            out *= values[..., i] * values[..., j] - 1
+    return out.real
+
+
+def _matrix(point: Point) -> np.ndarray:
+    return np.moveaxis(point.stride.jacobian, -1, 0)
+
+
+def _release(point: Point) -> np.ndarray:
+    return (point.stride.start[4] - point.stride.start[5]) / point.stride.y[0]
+
+
+def _branching(problem: Problem, point: Point, way: np.ndarray) -> np.ndarray:
+    """Determinant of [I - A; slope column | tangent], over the branch's direction: zero where branches cross."""
+    _, derivative = linearised(point.stride, point.X)
+    tangent = point.tangent * np.sign((point.tangent * way).sum(axis=0))
+    return np.linalg.det(np.concatenate([derivative, tangent.T[:, None]], axis=1))
+
+
+def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | str]]:
+    """Every special point of a branch in its order, ends included.
+
+    Returns
+    -------
+    list of dict
+        `kind`, `slope` [rad], `stance_angle` [rad], `period` [sqrt(leg/g)], `error_bound` (relative, of the slope).
+    """
+    m = branch.m
+    X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1:].T
+    nodes = correct(problem, X, times, branch.tangent[:, : m + 1].T / np.linalg.norm(branch.tangent[:, : m + 1], axis=1))
+    way = branch.tangent[:, : m + 1].T
+    A = _matrix(nodes)
+    tests: dict[str, tuple[np.ndarray, Test]] = {
+        "fold": (branch.tangent[:, m], lambda p, w: float(oriented(p, w)[m])),
+        "flip": (np.linalg.det(A + np.eye(m)), lambda p, w: float(np.linalg.det(_matrix(p) + np.eye(m))[0])),
+        "neimark_sacker": (_eigen_products(A), lambda p, w: float(_eigen_products(_matrix(p))[0])),
+        "branch_point": (_branching(problem, nodes, way), lambda p, w: float(_branching(problem, p, w[:, None])[0])),
+    }
+    if problem.phases == 2:
+        tests["release_hyperextension"] = (_release(nodes), lambda p, w: float(_release(p)[0]))
+    found: list[tuple[float, dict[str, float | str]]] = []
+    for kind, (values, test) in tests.items():
+        turned = np.sign(values[1:]) != np.sign(values[:-1])
+        if kind == "fold":
+            # Folds have nodes of their own, whose tangent's sign is rounding.
+            turned = np.zeros(len(values) - 1, bool)
+            for first, _ in branch.pieces()[1:]:
+                found.append((float(first), _record("fold", problem, nodes, first)))
+        for segment in np.nonzero(turned & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]:
+            point, _ = located(problem, branch, int(segment), test)
+            if point.ok[0] and _is(kind, point):
+                found.append((segment + 0.5, _record(kind, problem, point, 0)))
+    for index, kind in ((0, branch.why[0]), (len(branch.Z) - 1, branch.why[1])):
+        found.append((float(index), _record(END_NAMES.get(kind, kind), problem, nodes, index)))
+    return [record for _, record in sorted(found, key=lambda f: f[0])]
+
+
+#: How the ways a search can stop are named among special points.
+END_NAMES = {"zero step length": "end_zero_step", "end of the window": "window", "no further point": "lost",
+             "a fall": "end_fall"}
+
+
+def _is(kind: str, point: Point) -> bool:
+    """True where a sign change of the test function is the point it stands for."""
+    values = np.linalg.eigvals(_matrix(point)[0])
+    if kind == "flip":
+        return bool(np.abs(values + 1).min() < 1e-6)
+    if kind == "neimark_sacker":
+        pair = values[np.abs(np.abs(values) - 1) < 1e-6]
+        return len(pair) == 2 and bool(np.abs(pair.imag).min() > 1e-6)
+    return True
+
+
+def _record(kind: str, problem: Problem, point: Point, lane: int) -> dict[str, float | str]:
+    noise = float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max()) if kind != "fold" else 64 * EPS
+    return {"kind": kind, "slope": float(np.exp(point.X[problem.m, lane])),
+            "stance_angle": float(np.exp(point.X[0, lane])), "period": float(point.times[-1, lane]),
+            "error_bound": noise + 8 * EPS}
