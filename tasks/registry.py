@@ -104,6 +104,7 @@ TASKS = {t.name: t for t in (
     Task("points", "tasks.solve:points", 1, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
     Task("trace", "tasks.trace:trace", 1, needs=("atlas",), seconds=0.2),
     Task("branch", "tasks.branch:branch", 1, needs=("atlas",), seconds=0.3),
+    Task("orbit", "tasks.orbit:orbit", 1, needs=("atlas",), seconds=30.0),
     Task("scaling", "tasks.fit:scaling", 1, needs=("points",)),
     Task("transition", "tasks.fit:transition", 1, needs=("points",)),
 )}

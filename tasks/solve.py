@@ -21,6 +21,8 @@ Arrays = dict[str, np.ndarray]
 BLOCK = 4096
 #: Newton steps a point may take from the atlas; nearly all take one.
 MOST_STEPS = 8
+#: Relative distance from the fixed point at which losses and multipliers are as good as at it.
+NEAR = 5e-13
 
 
 def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -134,15 +136,21 @@ def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.nd
     Lanes that are close already are not touched again, so a lane's bits do not depend on the others.
     """
     q = np.log(slope)
-    for most in range(MOST_STEPS):
-        stride, scale = problem.stride(w, q, samples=SAMPLES)
+    w, before = w.copy(), np.full(len(q), np.inf)
+    stride, scale = problem.stride(w, q, samples=SAMPLES)
+    for _ in range(MOST_STEPS):
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)
-        far = lipschitz * eta**2 > np.maximum(1e-16, 0.05 * rounding(stride).max(axis=0))
-        far &= np.isfinite(eta) & (eta < 0.1)
-        if not far.any() or most == MOST_STEPS - 1:
+        # Far: Newton's next step would still leave an error, or what is measured on this stride would show it.
+        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.3 * rounding(stride).max(axis=0))) | (eta > NEAR)
+        lanes = np.nonzero(far & np.isfinite(eta) & (eta < 0.1) & (eta < 0.5 * before))[0]
+        if not len(lanes):
             break
-        w = np.where(far, w + step, w)
+        before = np.zeros(len(q))
+        before[lanes] = eta[lanes]
+        w[:, lanes] += step[:, lanes]
+        again, scale[lanes] = problem.stride(w[:, lanes], q[lanes], samples=SAMPLES)
+        stride.put(lanes, again)
     return stride, scale, w
 
 

@@ -17,7 +17,7 @@ from tasks.gait.special_points import end_of, located, oriented
 #: Slopes searched from nothing for gaits to follow [rad].
 ANCHORS = (0.01, 0.03, 0.1, 0.001)
 #: Largest change Newton may still make at a segment's middle before the segment is split.
-TOLERANCE = 3e-12
+TOLERANCE = 2e-13
 MOST_ROUNDS = 5
 
 
@@ -33,7 +33,7 @@ def _insert(problem: Problem, branch: Branch, segments: np.ndarray, x: np.ndarra
     new_Z = np.vstack([point.X, point.times]).T
     new_T = np.vstack([point.tangent, point.times_tangent]).T * sign
     # Below the rounding of the fixed point itself no split would help.
-    keep = point.ok & (moved > np.maximum(TOLERANCE, 30 * rounding(point.stride).max(axis=0)))
+    keep = point.ok & (moved > np.maximum(TOLERANCE, 20 * rounding(point.stride).max(axis=0)))
     at = segments[keep] + 1
     return Branch(m, np.insert(branch.Z, at, new_Z[keep], axis=0), np.insert(branch.tangent, at, new_T[keep], axis=0),
                   np.zeros(len(branch.Z) + keep.sum()), branch.why), moved

@@ -68,11 +68,11 @@ def rounding(stride: Stride) -> np.ndarray:
 
     Notes
     -----
-    |J^-1| times the rounding of P: of its own value, and of the start carried through the stride. The factor is
-    calibrated against extended precision (tests/test_tasks/test_error_bound.py).
+    |J^-1| times the rounding of P: of its own value, and of the start carried through the stride. Calibrated against
+    extended precision (tests/test_tasks/test_error_bound.py).
     """
     size = np.abs(stride.y)
-    error = 6 * EPS * (size + np.abs(stride.image) + np.einsum("ijn,jn->in", np.abs(stride.jacobian), size))
+    error = EPS * (size + np.abs(stride.image) + np.einsum("ijn,jn->in", np.abs(stride.jacobian), size))
     return np.einsum("ijn,jn->in", np.abs(stride.inverse), error) / size
 
 

@@ -48,6 +48,14 @@ class Stride:
     closing: np.ndarray
     motion: list[np.ndarray] | None
 
+    def put(self, lanes: np.ndarray, other: "Stride") -> None:
+        """Take some lanes from another stride."""
+        for name, mine in vars(self).items():
+            theirs = getattr(other, name)
+            for a, b in zip(mine, theirs) if isinstance(mine, list) else [(mine, theirs)]:
+                if a is not None:
+                    a[..., lanes] = b
+
 
 def _matrix(name: str, n: int, m: int) -> list[list[Sym]]:
     flat = hy.make_vars(*(f"{name}{i}_{j}" for i in range(n) for j in range(m)))

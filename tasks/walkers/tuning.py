@@ -78,17 +78,21 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
 
     # Gauss-Newton with least-norm steps: the nearest point of the tuned manifold in relative change.
     change = np.zeros(len(free))
+    impossible = WalkerError("free", ", ".join(free), "cannot meet the zero-slope conditions; free another key")
     for _ in range(60):
-        r = residual(change)
         h = 1e-7
-        jac = np.array([(residual(change + h * e) - residual(change - h * e)) / (2 * h) for e in np.eye(len(free))]).T
+        try:
+            r = residual(change)
+            jac = np.array([(residual(change + h * e) - residual(change)) / h for e in np.eye(len(free))]).T
+        except WalkerError:
+            raise impossible from None
         target = np.linalg.pinv(jac, rcond=1e-9) @ (jac @ change - r)
         step = target - change
         change = target
         if np.abs(step).max() < 1e-15:
             break
     if np.abs(residual(change)).max() > 1e-12:
-        raise WalkerError("free", ", ".join(free), "cannot meet the zero-slope conditions; free another key")
+        raise impossible
     found = at(change)
     return {"walker": found.table(), "change": dict(zip(free, change.tolist())),
             "before": statics(start), "after": statics(found)}

@@ -1,0 +1,40 @@
+# make setup | paper | test | bench | soak
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+STUDIES := $(wildcard data/studies/paper/*.toml)
+
+.PHONY: setup paper test bench soak lock clean
+.DEFAULT_GOAL := test
+
+setup: $(READY)
+
+# Built anew only when the lock or the project's description changes.
+$(READY): requirements.lock pyproject.toml
+	test -x $(BIN)/python || $$(command -v $(PYTHON) || command -v python3) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+paper: $(READY)
+	$(BIN)/gaitsweep run $(STUDIES)
+	$(BIN)/gaitsweep report data/archive/*.nc -o reports
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+bench: $(READY)
+	$(BIN)/gaitsweep bench -o reports
+
+soak: $(READY)
+	$(BIN)/python -m pytest -m soak --timeout=3600
+
+# Write the lock anew from the ranges in pyproject.toml; needs pip-tools.
+lock:
+	pip-compile --generate-hashes --all-extras --allow-unsafe --strip-extras --no-header \
+	  --no-annotate --no-emit-index-url --no-emit-trusted-host --no-emit-find-links --no-emit-options \
+	  --output-file requirements.lock pyproject.toml
+
+clean:
+	rm -rf $(VENV) reports data/archive

@@ -1,0 +1,275 @@
+"""The archive: a study's results as one CF netCDF-4 file, written beside its name and then moved there.
+
+Everything in it follows from the study and the results: no clock, path, worker count or order of arrival. It
+is written region by region, so its size is not bounded by memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import os
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline import gather, tables
+from pipeline.check import SCHEMA
+from pipeline.errors import ArchiveError, DiskFullError
+from pipeline.plan import Plan
+from pipeline.provenance import provenance
+from pipeline.study import Study
+from pipeline.worker import ALL_STATUSES
+from tasks.registry import GAITS, SI_UNITS, STATUSES, VARIABLES, VIOLATIONS, Variable
+
+
+
+_CHUNK, _REGION = 4096, 65536  # points in a chunk of the file, and in a region that is put together in memory
+_CACHE = 1 << 20  # byte
+_PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
+_LONG_NAMES = {"slope": "slope of the ground", "foot_mass_ratio": "mass of each foot over the total mass",
+               "detuning": "mixture of the exactly tuned walker (0) and the physical one (1)"}
+
+
+def axis_units(study: Study, name: str) -> str:
+    """CF units of an axis."""
+    from pipeline.worker import resolve
+
+    kind = {"slope": "angle", "foot_mass_ratio": "number", "detuning": "number"}.get(name)
+    kind = kind or resolve("tasks.walkers.parameters:KEYS")[name]
+    return SI_UNITS[kind] if kind == "angle" or _si(study) else "1"
+
+
+def _si(study: Study) -> bool:
+    return all(check["si"] for check in study.checks)
+
+
+class Grid:
+    """The dimensions of a study's archive and the regions it is written in."""
+
+    def __init__(self, study: Study):
+        self.study = study
+        walkers = [("walker", len(study.walkers))] if study.walker_axis else []
+        self.sizes = dict(walkers + [(a.name, len(a)) for a in study.axes])
+        if study.kind != "grid":
+            del self.sizes["slope"]
+        self.lines = [d for d in self.sizes if d != "slope"]
+        self.chunk = self._cut(_CHUNK)
+        self.region = self._cut(_REGION)
+
+    def _cut(self, points: int) -> tuple[int, ...]:
+        """Extent of a box of at most so many points: along the slope first, then the last axes."""
+        cut: dict[str, int] = {}
+        for name in sorted(self.sizes, key=lambda d: (d == "slope", list(self.sizes).index(d)), reverse=True):
+            cut[name] = min(self.sizes[name], max(1, points // math.prod(cut.values())))
+        return tuple(cut[d] for d in self.sizes)
+
+    def regions(self) -> Iterator[tuple[slice, ...]]:
+        """Boxes that cover the grid."""
+        cuts = (range(0, n, c) for n, c in zip(self.sizes.values(), self.region, strict=True))
+        for corner in itertools.product(*cuts):
+            yield tuple(slice(i, min(i + c, n))
+                        for i, c, n in zip(corner, self.region, self.sizes.values(), strict=True))
+
+    def lines_in(self, box: tuple[slice, ...]) -> Iterator[tuple[tuple[int, ...], int]]:
+        """Every line that crosses a box: its place in the box without the slope, and its number."""
+        spans = dict(zip(self.sizes, box, strict=True))
+        shape = self.study.line_shape if self.study.walker_axis else self.study.line_shape[1:]
+        for place in itertools.product(*(range(spans[d].start, spans[d].stop) for d in self.lines)):
+            number = int(np.ravel_multi_index(place, shape)) if place else 0
+            yield tuple(i - spans[d].start for i, d in zip(place, self.lines, strict=True)), number
+
+    def slopes(self, box: tuple[slice, ...]) -> np.ndarray:
+        """Slopes of a box."""
+        return self.study.slope[dict(zip(self.sizes, box, strict=True))["slope"]]
+
+    def lined_up(self, values: np.ndarray) -> np.ndarray:
+        """A view of a box with the slope after the axes of the lines."""
+        return np.moveaxis(values, list(self.sizes).index("slope"), len(self.lines))
+
+
+def write(plan: Plan, path: Path) -> Counter[str]:
+    """Write the archive of what the journal holds and put it at `path`; counts of points (or lines) by status.
+
+    Raises
+    ------
+    ArchiveError, DiskFullError
+        If it cannot be written. What was at `path` stays.
+    """
+    draft = path.with_name(f"{path.name}.tmp.{os.getpid()}")
+    try:
+        counts = _write(plan, draft)
+        with open(draft, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(draft, path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        os.fsync(folder)
+        os.close(folder)
+    except (OSError, RuntimeError) as error:
+        free = os.statvfs(path.parent)
+        if getattr(error, "errno", None) == 28 or free.f_bavail * free.f_frsize < 1 << 20:
+            raise DiskFullError(f"The disk is full: {path} stays as it was; what was finished is kept.") from error
+        raise ArchiveError(f"{path} cannot be written: {error}.") from error
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+    return counts
+
+
+def _write(plan: Plan, draft: Path) -> Counter[str]:
+    import netCDF4
+
+    writer = _Points(plan) if plan.study.kind == "grid" else _Lines(plan)
+    with netCDF4.Dataset(draft, "w", format="NETCDF4") as file:
+        _head(file, plan, writer)
+        writer.fill(file)
+        tables.write(file, plan)
+    with netCDF4.Dataset(draft) as file:
+        if "status" not in file.variables or file.variables["status"].dimensions != (*writer.dims,):
+            raise ArchiveError(f"{draft} does not read back.")
+        file.variables["status"][(-1,) * len(writer.dims)]
+    return writer.counts
+
+
+def _head(file: Any, plan: Plan, writer: _Points | _Lines) -> None:
+    study = plan.study
+    file.setncatts({
+        "Conventions": "CF-1.11", "title": f"gaitsweep study {study.name}", "institution": "gaitsweep developers",
+        "source": "gaitsweep: passive dynamic walking in two dimensions, solved numerically",
+        "history": "written by gaitsweep run", "references": "Garcia, Chatterjee and Ruina: Efficiency, speed, and"
+        " scaling of two-dimensional passive-dynamic walking, Dynamics and Stability of Systems 15 (2000) 75-99",
+        "gaitsweep_schema": np.int32(SCHEMA), "study": study.name, "kind": study.kind,
+        "not_attempted": np.int64(writer.counts["not_attempted"]), "figures": " ".join(study.figures),
+        "provenance": provenance(plan)})
+    for name, size in writer.grid.sizes.items():
+        file.createDimension(name, size)
+        if name == "walker":
+            names = [w if isinstance(w, str) else "walker" for w in study.walkers]
+            _strings(file, name, name, names, "walker")
+            _strings(file, "walker_units", name, ["SI" if c["si"] else "1" for c in study.checks],
+                     "units of each walker: SI, or 1 for any consistent ones")
+            continue
+        axis = next(a for a in study.axes if a.name == name)
+        variable = file.createVariable(name, "f8", (name,), fill_value=False, fletcher32=True)
+        variable.setncatts({"long_name": _LONG_NAMES.get(name, f"walker's {name}"), "units": axis_units(study, name)})
+        variable[:] = axis.values
+    file.createDimension("reason_index", len(writer.sentences))
+    _strings(file, "reason_text", "reason_index", writer.sentences, "sentences that `reason` counts from 0")
+
+
+def _strings(file: Any, name: str, dim: str, values: list[str], long_name: str) -> None:
+    variable = file.createVariable(name, str, (dim,))
+    variable.setncatts({"long_name": long_name, "units": "1"})
+    variable[:] = np.array(values, object)
+
+
+def _describe(variable: Any, about: Variable, si: bool, mixed: bool) -> None:
+    variable.setncatts({"long_name": about.long_name, "units": about.units(si)})
+    if about.name == "status":
+        variable.setncatts({"flag_values": np.array(list(ALL_STATUSES.values()), np.int8),
+                            "flag_meanings": " ".join(ALL_STATUSES)})
+    elif about.name == "violations":
+        variable.setncatts({"flag_masks": np.array([1 << i for i in range(len(VIOLATIONS))], np.int32),
+                            "flag_meanings": " ".join(VIOLATIONS)})
+    if about.name not in ("status", "reason"):
+        variable.ancillary_variables = "status reason"
+    if mixed and about.kind not in ("number", "angle"):
+        variable.comment = "in the units of each walker: see walker_units"
+
+
+class _Points:
+    """The main group of a grid study."""
+
+    def __init__(self, plan: Plan):
+        self.plan, self.study, self.grid = plan, plan.study, Grid(plan.study)
+        self.counts: Counter[str] = Counter()
+        self.columns = [GAITS.index(g) for g in self.study.gaits]
+        asked = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
+        live = np.array([asked or not GAITS[c].startswith("other") for c in self.columns])
+        solved = [code for name, code in STATUSES.items() if name != "no_gait"]
+        used: set[str] = set()
+        for box in self.grid.regions():
+            for _, found in self._lines(box, ()):
+                status, reason = found["status"][:, self.columns], found["reason"][:, self.columns]
+                self.counts += gather.count(status)
+                live |= np.isin(status, solved).any(axis=0)
+                used.update(found["reasons"][np.unique(reason)].tolist())
+        self.sentences = sorted(used)
+        self.columns = self.columns[:max(np.flatnonzero(live), default=0) + 1]
+        self.dims = (*self.grid.sizes, "gait")
+
+    def _lines(self, box: tuple[slice, ...], names: tuple[str, ...]) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
+        slopes = self.grid.slopes(box)
+        for place, number in self.grid.lines_in(box):
+            keys = self.plan.line_keys(number)
+            yield place, gather.line(self.plan.journal, keys, self.plan.want, self.study, names, slopes)
+
+    def fill(self, file: Any) -> None:
+        multipliers = max(c["multipliers"] for c in self.study.checks)
+        file.createDimension("gait", len(self.columns))
+        _strings(file, "gait", "gait", [GAITS[c] for c in self.columns], "gait by its character")
+        names = self.plan.variables
+        if any("multiplier" in VARIABLES[n].dims for n in names):
+            file.createDimension("multiplier", multipliers)
+            number = file.createVariable("multiplier", "i4", ("multiplier",), fill_value=False)
+            number.setncatts({"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"})
+            number[:] = np.arange(multipliers)
+        si, mixed = _si(self.study), len({c["si"] for c in self.study.checks}) > 1
+        for name in names:
+            about = VARIABLES[name]
+            wide = name == "reason" and len(self.sentences) > np.iinfo(np.int16).max
+            extra = [len(self.columns), multipliers][:len(about.dims)]
+            variable = file.createVariable(
+                name, "i4" if wide else about.dtype, (*self.grid.sizes, *about.dims), **_PACKED,
+                chunksizes=(*self.grid.chunk, *extra), fill_value=np.nan if about.dtype == "f8" else False)
+            variable.set_var_chunk_cache(_CACHE)  # regions are whole chunks: nothing is written twice
+            _describe(variable, about, si, mixed)
+        index = {sentence: i for i, sentence in enumerate(self.sentences)}
+        for box in self.grid.regions():
+            self._fill_box(file, box, names, index, multipliers)
+
+    def _fill_box(self, file: Any, box: tuple[slice, ...], names: tuple[str, ...], index: dict[str, int],
+                  multipliers: int) -> None:
+        extent = tuple(s.stop - s.start for s in box)
+        values = {n: np.empty(extent + gather.shape(n, 0, multipliers)[1:], file.variables[n].dtype) for n in names}
+        lined_up = {n: self.grid.lined_up(v) for n, v in values.items()}
+        for place, found in self._lines(box, tuple(n for n in names if n not in ("status", "reason"))):
+            table = np.array([index.get(s, 0) for s in found["reasons"].tolist()])
+            found["reason"] = table[found["reason"]]
+            for n in names:
+                lined_up[n][place] = found[n]
+        for n in names:
+            file.variables[n][box] = np.ascontiguousarray(values[n].take(self.columns, axis=len(box)))
+
+
+class _Lines:
+    """The main group of a study of another kind: what became of each line."""
+
+    def __init__(self, plan: Plan):
+        self.plan, self.study, self.grid = plan, plan.study, Grid(plan.study)
+        self.dims = tuple(self.grid.sizes)
+        ends = [self._end(plan.line_keys(i)) for i in range(plan.study.lines)]
+        self.sentences = sorted({reason for _, reason in ends})
+        shape = tuple(self.grid.sizes.values())
+        self.status = np.array([ALL_STATUSES[status] for status, _ in ends], np.int8).reshape(shape)
+        self.reason = np.array([self.sentences.index(reason) for _, reason in ends], np.int16).reshape(shape)
+        self.counts = Counter(status for status, _ in ends)
+
+    def _end(self, keys: dict[str, tuple[str, str]]) -> tuple[str, str]:
+        for name in ("atlas", self.study.kind):
+            found = self.plan.journal.outcome(keys[name][0]) if name in keys else ("ok", "", 0)
+            if found is None:
+                return "not_attempted", gather.NOT_ATTEMPTED
+            if found[0] != "ok":
+                return found[0], f"{'The atlas of the line: ' if name == 'atlas' else ''}{found[1]}"
+        return "converged", "The line was followed; what was found is in the groups."
+
+    def fill(self, file: Any) -> None:
+        for name, values in (("status", self.status), ("reason", self.reason)):
+            variable = file.createVariable(name, values.dtype, self.dims, fill_value=False)
+            _describe(variable, VARIABLES[name], True, False)
+            variable[...] = values

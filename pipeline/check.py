@@ -1,0 +1,243 @@
+"""Read archives with care: is one ours, is it whole, and how do two differ."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import ArchiveError
+from pipeline.worker import ALL_STATUSES
+from tasks.registry import ALWAYS, GAITS, VARIABLES
+
+SCHEMA = 1
+#: Variables that measure rounding: they differ wherever last bits do, so a tolerance leaves them out.
+_ROUNDING = ("residual", "error_bound", "energy_imbalance")
+_ROWS = 1 << 20  # points read at a time
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """An archive of this schema, open for reading.
+
+    Raises
+    ------
+    ArchiveError
+        If it cannot be read or is none of ours.
+    """
+    import netCDF4
+
+    if not path.is_file():
+        raise ArchiveError(f"There is no archive {path}.")
+    try:
+        file = netCDF4.Dataset(path)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ArchiveError(f"{path} is no netCDF file that can be read.") from error
+    try:
+        schema = getattr(file, "gaitsweep_schema", None)
+        if not isinstance(schema, np.integer) or schema != SCHEMA:
+            raise ArchiveError(f"{path} is not an archive of gaitsweep (schema {SCHEMA}).")
+        try:
+            yield file
+        except (OSError, RuntimeError, IndexError, KeyError, AttributeError, UnicodeDecodeError) as error:
+            raise ArchiveError(f"{path} is damaged: {_line(error)}.") from error
+    finally:
+        with contextlib.suppress(RuntimeError):
+            file.close()
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def ours(path: Path) -> None:
+    """Check that `path` may be replaced by an archive of ours."""
+    try:
+        with opened(path):
+            pass
+    except ArchiveError as error:
+        raise ArchiveError(f"{str(error).rstrip('.')}; move it away.") from error
+
+
+def not_attempted(path: Path) -> int | None:
+    """How many points of an archive were not come to; None where there is none."""
+    try:
+        with opened(path) as file:
+            return int(file.not_attempted)
+    except (ArchiveError, ValueError, TypeError, AttributeError):
+        return None
+
+
+def verify(path: Path) -> list[str]:
+    """What is wrong with an archive, one sentence each; empty if it is whole, complete and of this schema."""
+    with opened(path) as file:
+        try:
+            return [*_heads(file), *_states(file), *_values(file), *_groups(file)]
+        except (TypeError, ValueError) as error:
+            return [f"It cannot be checked: {_line(error)}."]
+
+
+def _heads(file: Any) -> Iterator[str]:
+    for name in ("Conventions", "title", "institution", "source", "history", "references", "provenance", "study", "kind"):
+        if not isinstance(getattr(file, name, None), str):
+            yield f"The attribute `{name}` is missing."
+    try:
+        if not isinstance(json.loads(file.provenance), dict):
+            raise ValueError
+    except (AttributeError, ValueError, RecursionError):
+        yield "`provenance` is not JSON."
+    needed = ALWAYS if getattr(file, "kind", "grid") == "grid" else ("status", "reason")
+    for name in (*needed, "reason_text"):
+        if name not in file.variables:
+            yield f"`{name}` is missing."
+    for name, variable in file.variables.items():
+        for attribute in ("long_name", "units"):
+            if attribute not in variable.ncattrs():
+                yield f"`{name}` has no {attribute}."
+    for name in file.dimensions:
+        if name not in file.variables and name != "reason_index":
+            yield f"The dimension `{name}` has no coordinate."
+
+
+def _states(file: Any) -> Iterator[str]:
+    if not {"status", "reason", "reason_text"} <= set(file.variables):
+        return
+    status, reason = np.asarray(file.variables["status"][...]), np.asarray(file.variables["reason"][...])
+    if not np.isin(status, list(ALL_STATUSES.values())).all():
+        yield "`status` holds values without a meaning."
+    if reason.size and not (reason.min() >= 0 and reason.max() < len(file.dimensions["reason_index"])):
+        yield "`reason` points outside its table."
+    left = int(np.count_nonzero(status == ALL_STATUSES["not_attempted"]))
+    if left:
+        yield f"It is not complete: {left:,} values of `status` are not_attempted."
+    if "gait" in file.variables and not set(file.variables["gait"][...].tolist()) <= set(GAITS):
+        yield "`gait` holds unknown names."
+
+
+def _values(file: Any) -> Iterator[str]:
+    """Read every value, so that every checksum is checked; a number stands only where something converged."""
+    for name, variable in file.variables.items():
+        about = VARIABLES.get(name)
+        rows = max(1, _ROWS // max(1, int(np.prod(variable.shape[1:])))) if variable.shape else 1
+        wrong = 0
+        for start in range(0, variable.shape[0] if variable.shape else 1, rows):
+            values = np.ma.getdata(variable[start:start + rows] if variable.shape else variable[...])
+            if about and about.dtype == "f8" and "gait" in variable.dimensions:
+                status = np.asarray(file.variables["status"][start:start + rows])
+                other = status != ALL_STATUSES["converged"]
+                wrong += int(np.count_nonzero(np.isfinite(values[other]))) + int(np.count_nonzero(np.isinf(values)))
+        if wrong:
+            yield f"`{name}` has {wrong:,} values where nothing converged, or infinite ones."
+
+
+def _groups(place: Any, path: str = "") -> Iterator[str]:
+    for name, group in place.groups.items():
+        for column, variable in group.variables.items():
+            variable[...]
+            if "units" not in variable.ncattrs() or "long_name" not in variable.ncattrs():
+                yield f"`{path}/{name}/{column}` has no units or long_name."
+        yield from _groups(group, f"{path}/{name}")
+
+
+def diff(a: Path, b: Path, rtol: float = 0.0) -> list[str]:
+    """How archive `b` differs from `a`, one sentence each, aligned by coordinates.
+
+    Numbers are equal if they differ by at most `rtol` times the larger; parts of an eigenvalue are held against
+    its magnitude. With a tolerance the variables that only measure rounding are left out.
+    """
+    with opened(a) as left, opened(b) as right:
+        found = [f"the {what} differs: {getattr(left, what, None)} and {getattr(right, what, None)}"
+                 for what in ("kind",) if getattr(left, what, None) != getattr(right, what, None)]
+        places: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        for name in sorted(set(left.dimensions) | set(right.dimensions)):
+            if name == "reason_index":
+                continue
+            if name not in left.dimensions or name not in right.dimensions:
+                found.append(f"the dimension `{name}` is only in {a if name in left.dimensions else b}")
+                continue
+            places[name], sentences = _aligned(name, left, right, a, b)
+            found += sentences
+        for name in sorted(set(left.variables) | set(right.variables)):
+            if name in left.dimensions or name in right.dimensions or name == "reason_text":
+                continue
+            if name not in left.variables or name not in right.variables:
+                found.append(f"`{name}` is only in {a if name in left.variables else b}")
+            elif set(left.variables[name].dimensions) <= set(places):
+                found += _compare(name, left, right, places, rtol)
+        return [*found, *_compare_groups(left, right, rtol, a, b)]
+
+
+def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[tuple[np.ndarray, np.ndarray], list[str]]:
+    """Positions of the coordinates both have, and what only one has."""
+    x, y = np.ma.getdata(left.variables[name][...]), np.ma.getdata(right.variables[name][...])
+    if x.dtype.kind == "O" or y.dtype.kind == "O":
+        x, y = x.astype(str), y.astype(str)
+    _, i, j = np.intersect1d(x, y, return_indices=True)
+    order = np.argsort(i)
+    sentences = [f"{len(one) - len(i):,} of {len(one):,} values of `{name}` are only in {where}"
+                 for one, where in ((x, a), (y, b)) if len(one) > len(i)]
+    return (i[order], j[order]), sentences
+
+
+def _compare(name: str, left: Any, right: Any, places: dict[str, tuple[np.ndarray, np.ndarray]], rtol: float) -> list[str]:
+    dims = left.variables[name].dimensions
+    if right.variables[name].dimensions != dims:
+        return [f"`{name}` has other dimensions"]
+    x, y = (np.ma.getdata(file.variables[name][...])[np.ix_(*(places[d][k] for d in dims))]
+            for k, file in enumerate((left, right)))
+    if name == "reason":
+        x, y = (np.ma.getdata(f.variables["reason_text"][...]).astype(str)[v] for f, v in ((left, x), (right, y)))
+    elif name == "status":
+        return _compare_status(x, y)
+    scale = None
+    if name in ("multiplier_real", "multiplier_imag") and {"multiplier_real", "multiplier_imag"} <= set(left.variables):
+        real, imag = (np.ma.getdata(left.variables[f"multiplier_{part}"][...]) for part in ("real", "imag"))
+        scale = np.hypot(real, imag)[np.ix_(*(places[d][0] for d in dims))]
+    return _different(name, x, y, rtol, scale)
+
+
+def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
+    names = {code: name for name, code in ALL_STATUSES.items()}
+    pairs, counts = np.unique(np.stack([x[x != y], y[x != y]]), axis=1, return_counts=True)
+    return [f"`status`: {n:,} were {names.get(int(p), p)} and are {names.get(int(q), q)}"
+            for (p, q), n in zip(pairs.T, counts, strict=True)]
+
+
+def _different(name: str, x: np.ndarray, y: np.ndarray, rtol: float, scale: np.ndarray | None = None) -> list[str]:
+    if x.shape != y.shape:
+        return [f"`{name}` has {x.size:,} values and {y.size:,}"]
+    if x.dtype.kind != "f" or y.dtype.kind != "f":
+        unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
+        return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
+    if rtol and name.rpartition("/")[2] in _ROUNDING:
+        return []
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.maximum(np.abs(x), np.abs(y)) if scale is None else scale
+        gap = np.abs(x - y)
+        unequal = ~((gap <= rtol * size) | (x == y) | (np.isnan(x) & np.isnan(y)))
+        worst = np.max(np.where(unequal & np.isfinite(gap) & (size > 0), gap / size, 0.0), initial=0.0)
+    if not unequal.any():
+        return []
+    return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, by up to {worst:.2g} of their size"]
+
+
+def _compare_groups(left: Any, right: Any, rtol: float, a: Path, b: Path, path: str = "") -> list[str]:
+    found = []
+    for name in sorted(set(left.groups) | set(right.groups)):
+        place = f"{path}/{name}"
+        if name not in left.groups or name not in right.groups:
+            found.append(f"the group {place} is only in {a if name in left.groups else b}")
+            continue
+        one, two = left.groups[name], right.groups[name]
+        for column in sorted(set(one.variables) | set(two.variables)):
+            if column not in one.variables or column not in two.variables:
+                found.append(f"`{place}/{column}` is only in {a if column in one.variables else b}")
+            else:
+                x, y = (np.ma.getdata(g.variables[column][...]) for g in (one, two))
+                found += _different(f"{place}/{column}", x, y, rtol)
+        found += _compare_groups(one, two, rtol, a, b, place)
+    return found

@@ -1,0 +1,270 @@
+"""The command line: `gaitsweep COMMAND`. Loads no more than the command needs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pipeline.errors import GaitsweepError, StudyError
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise StudyError(f"{message[:1].upper()}{message[1:]} ({self.prog} --help).")
+
+
+def _natural(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 10**9:
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; got {text}")
+    return int(text)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a number; got {text}") from None
+
+
+def _setting(text: str) -> tuple[str, float]:
+    key, _, value = text.partition("=")
+    if not key or not value:
+        raise argparse.ArgumentTypeError(f"must be KEY=VALUE; got {text}")
+    return key, _number(value)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Every command and its options."""
+    top = _Parser(prog="gaitsweep", description="Gaits of passive walkers, swept over grids and kept as CF netCDF.")
+    top.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+
+    def add(function: Callable[[argparse.Namespace], int], about: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(function.__name__.strip("_"), help=about, description=about, allow_abbrev=False)
+        command.set_defaults(function=function)
+        command.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+        return command
+
+    c = add(_run, "run studies; the same command again resumes")
+    c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
+    c.add_argument("--jobs", type=_natural, default=2, metavar="N", help="worker processes (default 2)")
+    c.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT, or local:N")
+    c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
+    c.add_argument("--fresh", action="store_true", help="forget what earlier runs found")
+    c.add_argument("--retry-failed", action="store_true", help="try again what failed")
+    c.add_argument("--chunk", type=_natural, metavar="N", help="points in a chunk (default: about a second of work)")
+    c.add_argument("--snapshot", type=_number, default=60.0, metavar="SECONDS",
+                   help="publish the archive of a run in flight no more often than this (default 60)")
+    c.add_argument("--quiet", action="store_true", help="say nothing but errors")
+    c.add_argument("--verbose", action="store_true", help="tell of every chunk")
+    c = add(_plan, "what would run and why; runs nothing")
+    c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
+    c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
+    c.add_argument("--retry-failed", action="store_true", help="as `run` would")
+    c = add(_status, "progress of a run in flight or last stopped")
+    c.add_argument("studies", nargs="*", metavar="STUDY.toml", type=Path)
+    c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
+    c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_report, "HTML from archives alone")
+    c.add_argument("archives", nargs="+", metavar="ARCHIVE.nc", type=Path)
+    c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR")
+    c = add(_solve, "every gait at one point")
+    c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
+    c.add_argument("--slope", required=True, type=_number, metavar="S", help="rad")
+    c.add_argument("--set", action="append", type=_setting, default=[], metavar="KEY=VALUE", help="a walker key")
+    c.add_argument("--all", action="store_true", help="gaits that are not anthropomorphic too")
+    c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_walkers, "the catalogue, or one walker")
+    c.add_argument("name", nargs="?", metavar="NAME")
+    c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_tune, "the nearest walker that walks on slopes near zero")
+    c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
+    c.add_argument("--free", action="append", default=[], metavar="KEY", help="a key that may change")
+    c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_verify, "is an archive whole, complete and of this schema?")
+    c.add_argument("archive", type=Path, metavar="ARCHIVE.nc")
+    c = add(_diff, "what differs between two archives")
+    c.add_argument("a", type=Path, metavar="A.nc")
+    c.add_argument("b", type=Path, metavar="B.nc")
+    c.add_argument("--rtol", type=_number, default=0.0, metavar="R", help="relative tolerance (default 0)")
+    c = add(_bench, "run time against error, with the peers")
+    c.add_argument("--quick", action="store_true")
+    c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR")
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; its exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        options = parser().parse_args(given)
+        return options.function(options)
+    except GaitsweepError as error:
+        if "--debug" in given:
+            raise
+        print(f"gaitsweep: {error}", file=sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except KeyboardInterrupt:
+        print("gaitsweep: Stopped.", file=sys.stderr)
+        return 130
+
+
+def _archives(options: argparse.Namespace) -> list[tuple[Any, Path]]:
+    """Each study, read and checked, and its archive."""
+    from pipeline import study
+
+    if options.archive and len(options.studies) > 1:
+        raise StudyError("`--archive` names one file, but there are several studies.")
+    studies = [study.read(path) for path in options.studies]
+    found = [(s, options.archive or Path("data", "archive", f"{s.name}.nc")) for s in studies]
+    for i, (one, path) in enumerate(found):
+        if any(path == other for _, other in found[:i]):
+            raise StudyError(f"Two studies are called {one.name}.")
+    return found
+
+
+def _run(options: argparse.Namespace) -> int:
+    studies = _archives(options)
+    from pipeline import run
+
+    how = run.Options(options.jobs, options.cluster, options.fresh, options.retry_failed, options.chunk, options.quiet,
+                      options.verbose, options.snapshot)
+    return max(run.run(study, path, how) for study, path in studies)
+
+
+def _plan(options: argparse.Namespace) -> int:
+    from pipeline import plan, show
+    from pipeline.journal import Journal
+
+    for study, path in _archives(options):
+        journal = Journal(show.beside(path, ".journal"), write=False)
+        found = plan.Plan(study, journal, options.retry_failed)
+        print("\n".join(show.plan(found, plan.summary(found), path)))
+    return 0
+
+
+def _status(options: argparse.Namespace) -> int:
+    from pipeline import show
+
+    paths = [path for _, path in _archives(options)] or sorted(
+        p.with_name(p.name.removesuffix(".events.jsonl") + ".nc") for p in Path("data/archive").glob("*.events.jsonl"))
+    states = {path: show.state(path) for path in paths}
+    if options.json:
+        print(json.dumps([{"archive": str(path), **(state or {})} for path, state in states.items()]))
+        return 0
+    for path, state in states.items():
+        print("\n".join(show.status(path, state)))
+    if not states:
+        print("No run has left a trace in data/archive.")
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from pipeline import check
+
+    for path in options.archives:
+        with check.opened(path):
+            pass
+    from pipeline.report import page
+
+    try:
+        index = page.write(options.archives, options.out)
+    except OSError as error:
+        raise StudyError(f"{options.out} cannot be written: {error.strerror}.") from error
+    print(index)
+    return 0
+
+
+def _called(name: str, params: dict[str, Any]) -> Any:
+    """Answer of one of the calls `tasks` offers; what it finds wrong is the user's to mend."""
+    from pipeline import worker
+
+    try:
+        return worker.call(name, params)
+    except ValueError as error:
+        if not hasattr(error, "bound"):
+            raise
+        raise StudyError(str(error)) from error
+
+
+def _walker(text: str) -> Any:
+    from pipeline.study import walker
+
+    return walker(text, Path())
+
+
+def _solve(options: argparse.Namespace) -> int:
+    if not 0 < options.slope < 0.5:
+        raise StudyError(f"`--slope` must lie in (0, 0.5) rad; got {options.slope}.")
+    found = _called("solve", {"walker": _walker(options.walker), "slope": options.slope, "set": dict(options.set),
+                              "all": options.all})
+    for line in found.get("search", []):
+        print(line, file=sys.stderr)
+    if options.json:
+        print(json.dumps(found["gaits"]))
+        return 0
+    from pipeline import show
+
+    print("\n".join(show.gaits(found["gaits"])))
+    return 0
+
+
+def _walkers(options: argparse.Namespace) -> int:
+    found = _called("walkers", {"name": options.name})["walkers"]
+    if options.json:
+        print(json.dumps(found))
+        return 0
+    from pipeline import show
+
+    print("\n".join(show.walkers(found, whole=options.name is not None)))
+    return 0
+
+
+def _tune(options: argparse.Namespace) -> int:
+    params: dict[str, Any] = {"walker": _walker(options.walker)}
+    if options.free:
+        params["free"] = options.free
+    found = _called("tune", params)
+    if options.json:
+        print(json.dumps(found))
+        return 0
+    from pipeline import show
+
+    print("\n".join(show.table("walker", found["walker"])))
+    return 0
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from pipeline import check
+
+    found = check.verify(options.archive)
+    print("\n".join(found) if found else f"{options.archive} is whole, complete and of this schema.")
+    return 1 if found else 0
+
+
+def _diff(options: argparse.Namespace) -> int:
+    from pipeline import check
+
+    if not 0 <= options.rtol < 1:
+        raise StudyError(f"`--rtol` must lie in [0, 1); got {options.rtol}.")
+    found = check.diff(options.a, options.b, options.rtol)
+    print("\n".join(found) if found else "They agree.")
+    return 1 if found else 0
+
+
+def _bench(options: argparse.Namespace) -> int:
+    from pipeline import bench
+
+    return bench.main(options.quick, options.out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,262 @@
+"""Do what a plan asks: one loop; the engines differ only in where joblib sends a job.
+
+Locally joblib runs threads, each guarding a worker process of its own (`pipeline.cell`); on a cluster its Dask
+backend runs the same guard on every node. Results are kept in the journal as they come, in any order.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline import cell, gather, graph, pack
+from pipeline.errors import GaitsweepError, WorkerError
+from pipeline.journal import Result
+from pipeline.plan import LineWork, Plan
+from tasks.registry import GAITS
+
+_TARGET = 1.0  # s of work in a chunk
+_MOST = 32768  # points in a chunk: what bounds the memory of a worker
+_PIECES = 4  # chunks a worker gets at least, where there is work for it
+_LEAST = 0.25  # s of work not worth cutting
+_WHOLE = 60  # a task over a whole line or study may take as many times a point's seconds
+_TRIES = 3  # times in a row that a broken engine is built anew
+
+Listen = Callable[[str, dict[str, Any]], None]
+
+
+@dataclass
+class Engine:
+    """Where jobs run: `jobs` worker processes here, or the cluster at `address` ("local:4" starts one)."""
+
+    jobs: int = 2
+    address: str | None = None
+
+    @contextlib.contextmanager
+    def parallel(self) -> Iterator[Callable[[Iterator[Any]], Iterator[Any]]]:
+        """A function that does (function, number, job) triples and yields what they give, as it comes."""
+        import joblib
+
+        options: dict[str, Any] = {"return_as": "generator_unordered", "batch_size": 1}
+        with contextlib.ExitStack() as stack:
+            if self.address is None:
+                options["backend"] = "threading"
+            else:
+                from pipeline import cluster
+
+                client = stack.enter_context(cluster.connect(self.address))
+                stack.enter_context(joblib.parallel_config("dask", client=client))
+                self.jobs = cluster.workers(client)
+            parallel = stack.enter_context(joblib.Parallel(self.jobs, pre_dispatch=2 * self.jobs, **options))
+            yield lambda jobs: parallel(joblib.delayed(do)(number, job) for number, job in jobs)
+
+
+def do(number: int, job: dict[str, Any]) -> tuple[int, dict[str, Any]]:
+    """What an engine executes: a numbered job, under guard."""
+    return number, cell.run(job)
+
+
+@dataclass
+class Task:
+    """A task over one line, or one chunk of its points, or (without `work`) a task over the study."""
+
+    name: str
+    keys: tuple[str, str]
+    work: LineWork | None = None
+    places: np.ndarray | None = None
+    inputs: tuple[bytes, ...] = ()
+    params: dict[str, Any] | None = None
+
+
+class Queue:
+    """Tasks ready to go, in an order where chunks of points come before new lines. Any thread may take one."""
+
+    def __init__(self, loop: Loop, lines: Iterator[LineWork]):
+        self.loop, self.lines, self.exhausted = loop, lines, False
+        self.ready: deque[Task] = deque()
+        self.out: dict[int, Task] = {}
+        self.numbers = itertools.count()
+        self.lock = threading.Lock()
+
+    def __bool__(self) -> bool:
+        return bool(self.ready) or not self.exhausted
+
+    def __iter__(self) -> Iterator[tuple[int, dict[str, Any]]]:
+        return self
+
+    def __next__(self) -> tuple[int, dict[str, Any]]:
+        with self.lock:
+            while not self.ready and not self.exhausted:
+                work = next(self.lines, None)
+                if work is None:
+                    self.exhausted = True
+                else:
+                    self.ready.extend(self.loop.begin(work))
+            if not self.ready:
+                raise StopIteration
+            task = self.ready.popleft()
+            if task.places is not None and len(task.places) > (size := self.loop.chunk_size()):
+                self.ready.appendleft(Task(task.name, task.keys, task.work, task.places[size:], task.inputs))
+                task.places = task.places[:size]
+            number = next(self.numbers)
+            self.out[number] = task
+            return number, self.loop.job(task)
+
+    def add(self, tasks: list[Task]) -> None:
+        """Put tasks in front."""
+        with self.lock:
+            self.ready.extendleft(reversed(tasks))
+
+    def requeue(self) -> None:
+        """Put everything that is out back in front: its engine broke."""
+        tasks, self.out = list(self.out.values()), {}
+        self.add(tasks)
+
+
+class Loop:
+    """One run of one plan; `points` of it are to be solved."""
+
+    def __init__(self, plan: Plan, engine: Engine, listen: Listen, points: int, chunk: int | None = None,
+                 hold: contextlib.AbstractContextManager[Any] | None = None):
+        self.hold = hold or contextlib.nullcontext()
+        self.plan, self.engine, self.listen, self.points, self.chunk = plan, engine, listen, points, chunk
+        self.study, self.journal = plan.study, plan.journal
+        self.tokens = gather.needed((*plan.variables,), self.study.gaits)
+        self.columns = [GAITS.index(g) for g in self.study.gaits]
+        layer = plan.layers.get("points")
+        self.cost = self.journal.seconds_per_point() or (layer.task.seconds_per_point if layer else 0.0) or 1e-3
+        self.measured = 0
+
+    def run(self) -> None:
+        """Run everything the plan names.
+
+        Raises
+        ------
+        WorkerError
+            If workers or the cluster cannot be kept alive.
+        """
+        queue = Queue(self, self.plan.lines())
+        self.queue = queue
+        broken, done = 0, 0
+        over: deque[Task] | None = None
+        while True:
+            try:
+                with self.engine.parallel() as parallel:
+                    while True:
+                        while queue:
+                            for number, result in parallel(queue):
+                                done, broken = done + 1, 0
+                                with self.hold:
+                                    queue.add(self.record(queue.out.pop(number), result))
+                        if over is None:
+                            over = deque(self.over_study(done > 0))
+                        if not over:
+                            return
+                        queue.add([self.with_inputs(over.popleft())])
+            except (GaitsweepError, KeyboardInterrupt):
+                raise
+            except Exception as error:
+                broken += 1
+                if broken > _TRIES:
+                    raise WorkerError(f"Workers cannot be kept alive: {_line(error)}.") from error
+                self.listen("engine", {"error": _line(error)})
+                time.sleep(broken)
+                queue.requeue()
+
+    def begin(self, work: LineWork) -> list[Task]:
+        """First tasks of a line: its atlas, or what leans on it."""
+        if "atlas" in work.why:
+            return [Task("atlas", work.keys["atlas"], work)]
+        atlas = self.journal.result(work.keys["atlas"][0]) if "atlas" in work.keys else None
+        return self.lean(work, (atlas.data,) if atlas else ())
+
+    def lean(self, work: LineWork, inputs: tuple[bytes, ...]) -> list[Task]:
+        """Tasks of a line that lean on its atlas; its points in pieces far apart first."""
+        tasks = [Task(name, work.keys[name], work, None, inputs) for name in work.why if name not in ("atlas", "points")]
+        if not len(work.missing):
+            return tasks
+        pieces = np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size()))
+        n = len(pieces)
+        step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
+        return tasks + [Task("points", work.keys["points"], work, pieces[i * step % n], inputs) for i in range(n)]
+
+    def chunk_size(self) -> int:
+        """Points in the next chunk: about a second of work, less where every worker would not get its share."""
+        if self.chunk:
+            return self.chunk
+        share = self.points * self.cost / (self.engine.jobs * _PIECES)
+        seconds = min(_TARGET, max(_LEAST, share), self.study.limits.seconds / 4)
+        return max(1, min(_MOST, int(seconds / self.cost)))
+
+    def job(self, task: Task) -> dict[str, Any]:
+        """A task as `pipeline.cell` takes it."""
+        layer, limits = self.plan.layers[task.name], self.study.limits
+        params = task.params or graph.line_params(self.study, task.name, task.work.line)  # type: ignore[union-attr]
+        if task.places is not None:
+            params |= {"slope": self.study.slope[task.places], "want": self.plan.variables, "gaits": self.study.gaits}
+        return {"function": layer.task.function, "params": params, "inputs": list(task.inputs),
+                "points": task.places is not None, "memory": limits.memory,
+                "seconds": limits.seconds * (_WHOLE if task.places is None else 1)}
+
+    def record(self, task: Task, result: dict[str, Any]) -> list[Task]:
+        """Keep a result; the tasks that it makes ready."""
+        event = {"task": task.name, "line": task.work.number if task.work else None, "seconds": result["seconds"],
+                 "pid": result["pid"]}
+        if task.places is not None:
+            n, each = len(task.places), result["seconds"] / len(task.places)
+            counts: Counter[str] = Counter()
+            for row in result["rows"]:
+                self.journal.add_points(*task.keys, self.tokens, row, each * (len(row[0]) // 8))
+                counts += gather.count(pack.load(row[1])["status"][:, self.columns])
+            weight = n / (n + min(self.measured, 20 * n))
+            self.cost += weight * (each - self.cost)
+            self.measured += n
+            self.listen("chunk", {**event, "points": n, "counts": dict(counts)})
+            return []
+        outcome, reason, data = result["outcome"], result["reason"], result["data"]
+        seen = self.plan.last_block() if task.work is None else 0
+        self.journal.add_result(*task.keys, Result(outcome, reason, seen, data), result["seconds"])
+        lost = len(task.work.missing) if task.name == "atlas" and outcome != "ok" and task.work else 0
+        self.listen("task", {**event, "outcome": outcome, "reason": reason, "lost": lost})
+        return self.lean(task.work, (data,)) if task.name == "atlas" and outcome == "ok" and task.work else []
+
+    def over_study(self, ran: bool) -> list[Task]:
+        """Tasks over the whole study, inputs first."""
+        return [Task(name, keys, params=graph.study_params(self.study, name))
+                for name, (keys, _) in self.plan.over_study(ran).items()]
+
+    def with_inputs(self, task: Task) -> Task:
+        """A task over the study with everything it reads: a dict of arrays per line, then tables."""
+        layer = self.plan.layers[task.name]
+        names = tuple(v for v in self.plan.variables if v not in ("status", "reason"))
+        inputs = []
+        for i in range(self.study.lines):
+            keys = graph.line_keys(self.study, self.plan.layers, self.study.line(i))
+            found: dict[str, Any] = {}
+            if "points" in layer.needs:
+                found = gather.line(self.journal, keys, self.plan.want, self.study, names)
+            for need in layer.needs:
+                if need != "points" and self.plan.layers[need].per_line:
+                    stored = self.journal.result(keys[need][0])
+                    found |= pack.load(stored.data) if stored and stored.outcome == "ok" else {}
+            inputs.append(pack.dump(found))
+        return Task(task.name, task.keys, None, None, (*inputs, *self._tables(layer)), task.params)
+
+    def _tables(self, layer: graph.Layer) -> Iterator[bytes]:
+        for need in layer.needs:
+            if not self.plan.layers[need].per_line:
+                stored = self.journal.result(self.plan.study_keys()[need][0])
+                yield stored.data if stored and stored.outcome == "ok" else pack.dump({})
+
+
+def _line(error: BaseException) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"

@@ -1,0 +1,37 @@
+"""The figures of a report: one function each, by the name a study's `figures` list uses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pipeline.report.figures import body, branches, families, maps, motion, scaling
+from pipeline.report.figures.style import style
+from pipeline.report.figures.svg import Drawing, Sketch, render
+from pipeline.report.source import Source
+
+FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
+    "loglog": families.loglog,
+    "linear": families.linear,
+    "residuals": families.residuals,
+    "transition_ladder": scaling.transition_ladder,
+    "angles": motion.angles,
+    "walker": body.walker,
+    "conditions": body.conditions,
+    "locus": branches.locus,
+    "bifurcation": branches.bifurcation,
+    "heatmap": maps.heatmap,
+    "basin": maps.basin,
+}
+
+
+def draw(source: Source, name: str, salt: str) -> Drawing | None:
+    """One figure of a study; None where the archive does not hold what it shows, or no figure has that name.
+
+    `salt` makes the identifiers inside unlike those of other figures on one page.
+    """
+    function = FIGURES.get(name)
+    if function is None:
+        return None
+    with style():
+        sketch = function(source)
+        return None if sketch is None else render(sketch, name, salt)

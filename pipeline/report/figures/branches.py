@@ -1,0 +1,219 @@
+"""Loci of gaits followed through folds (figures 6 and 8), and cascades of orbits (figure 12)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from pipeline.report.figures.style import (
+    GAIT_COLOURS,
+    INK,
+    PAPER,
+    RASTER,
+    SHAPES,
+    brief,
+    canvas,
+    colour,
+    curve,
+    heading,
+    plain,
+    thin,
+)
+from pipeline.report.figures.svg import Marks, Sketch
+from pipeline.report.source import SYMBOLS, Source
+
+_PANELS = 6
+_SHAPES = {"fold": "o", "flip": "s", "neimark_sacker": "D", "branch_point": "P"}
+
+
+def _groups(source: Source, table: pd.DataFrame) -> list[tuple[dict, pd.DataFrame]]:
+    """Rows of a table by line, in the archive's order."""
+    columns = [c for c in source.line_columns(table) if table[c].nunique() > 1]
+    if not columns:
+        return [({}, table)]
+    return [(dict(zip(columns, key, strict=True)), rows) for key, rows in table.groupby(columns, sort=False)]
+
+
+def _title(at: dict) -> str:
+    return ", ".join(str(v) if k == "walker" else f"{SYMBOLS.get(k, k)} {plain(float(v), 6)}" for k, v in at.items())
+
+
+def locus(source: Source) -> Sketch | None:
+    """Stance angle against slope along each branch, stable parts thick, special points marked; a panel a line."""
+    table = source.tables.get("branches")
+    if table is None or not {"slope", "stance_angle"} <= set(table.columns) or table.empty:
+        return None
+    special = source.tables.get("special_points", pd.DataFrame())
+    every = _groups(source, table)
+    together = len(every) == 2 and all(set(at) == {"walker"} for at, _ in every)
+    chosen = [every[i] for i in np.unique(np.linspace(0, len(every) - 1, min(_PANELS, len(every))).round().astype(int))]
+    count = 1 if together else len(chosen)
+    across = min(count, 3)
+    rows = -(-count // across)
+    figure = canvas(300 if rows == 1 and count == 1 else 170 * rows + 30)
+    panels = np.atleast_1d(figure.subplots(rows, across, sharex=True, sharey=True)).ravel()
+    pieces, marks = [], []
+    for k, (at, frame) in enumerate(chosen):
+        axes = panels[0 if together else k]
+        command = source.command(str(_first(frame, "walker", source)), _settings(source, frame))
+        pieces += _branches(axes, frame, k if together else 0)
+        marks += _branch_marks(axes, frame, _title(at), command)
+        marks += _special(axes, _matching(special, at), numbered=count > 2, command=command)
+        if at and not together:
+            axes.set_title(brief(_title(at), 60 // across), fontsize=9, pad=4)
+        if together:
+            end = frame.iloc[frame["stance_angle"].argmax()]
+            axes.annotate(
+                str(at["walker"]),
+                (end["slope"], end["stance_angle"]),
+                xytext=(5, 3),
+                textcoords="offset points",
+                fontsize=8.5,
+                annotation_clip=False,
+            )
+    for axes in panels[count:]:
+        axes.axis("off")
+    for axes in panels:
+        axes.set_ylim(bottom=0)
+        axes.set_xlim(left=0)
+        if across > 1:
+            axes.locator_params(axis="x", nbins=3)
+    figure.supxlabel("slope γ (rad)", fontsize=9.5)
+    if count == 1:
+        heading(panels[0], "stance angle θ* (rad)")
+    else:
+        figure.supylabel("stance angle θ* (rad)", fontsize=9.5)
+    data = pd.concat(pieces, ignore_index=True)
+    some = f" Six of {len(every)} lines are drawn." if len(every) > len(chosen) else ""
+    return Sketch(
+        figure,
+        "Locus of gaits",
+        "Stance angle of every gait followed from fold to end. Thick: stable. Marked: folds (circles), flips "
+        f"(squares), ends and other special points (triangles); the table of special points lists them.{some}",
+        f"{count} panel{'s' * (count > 1)} of stance angle against slope along branches of gaits, slopes "
+        f"{plain(data['slope'].min())} to {plain(data['slope'].max())} rad, with {len(special)} special points.",
+        data,
+        marks,
+    )
+
+
+def _branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame]:
+    pieces = []
+    for branch, rows in frame.groupby("branch", sort=False) if "branch" in frame else [(0, frame)]:
+        rows = thin(rows, 500)
+        gaits = rows["gait"].unique() if "gait" in rows else [""]
+        for gait in gaits:
+            angle = rows["stance_angle"]
+            if gait:
+                # One point beyond, so that a branch has no gap where its gait changes name.
+                here = rows["gait"] == gait
+                angle = angle.where(here | here.shift(fill_value=False))
+            stable = rows["stable"] if "stable" in rows else pd.Series(np.nan, rows.index)
+            curve(axes, rows["slope"], angle, stable, colour(str(gait)), k)
+        pieces.append(rows.assign(branch=branch))
+    return pieces
+
+
+def _branch_marks(axes: Axes, frame: pd.DataFrame, title: str, command: str) -> list[Marks]:
+    frame = thin(frame.dropna(subset=["stance_angle"]), 300)
+    values = {"γ (rad)": frame["slope"].to_numpy(), "θ* (rad)": frame["stance_angle"].to_numpy()}
+    if "period" in frame:
+        values["period"] = frame["period"].to_numpy()
+    if "stable" in frame:
+        values["stable"] = np.where(frame["stable"] == 1, "yes", "no")
+    return [
+        Marks(
+            axes,
+            frame["slope"].to_numpy(),
+            frame["stance_angle"].to_numpy(),
+            title or "branch",
+            values,
+            command,
+            frame["slope"].to_numpy(),
+        )
+    ]
+
+
+def _special(axes: Axes, points: pd.DataFrame, numbered: bool, command: str) -> list[Marks]:
+    if not {"kind", "slope", "stance_angle"} <= set(points.columns):
+        return []
+    for row in points.itertuples():
+        kind = str(row.kind)
+        axes.plot(row.slope, row.stance_angle, _SHAPES.get(kind, "^"), color=INK, mfc=PAPER, ms=5, zorder=5)
+        if not numbered:
+            axes.annotate(
+                f"({plain(row.slope, 3)}, {plain(row.stance_angle, 3)})",
+                (row.slope, row.stance_angle),
+                xytext=(7, -3),
+                textcoords="offset points",
+                fontsize=8,
+                annotation_clip=False,
+            )
+    if points.empty:
+        return []
+    slopes = points["slope"].to_numpy()
+    return [
+        Marks(
+            axes,
+            slopes,
+            points["stance_angle"].to_numpy(),
+            "special point",
+            {
+                "kind": [str(k).replace("_", " ") for k in points["kind"]],
+                "γ (rad)": slopes,
+                "θ* (rad)": points["stance_angle"].to_numpy(),
+            },
+            command,
+            slopes,
+        )
+    ]
+
+
+def _matching(points: pd.DataFrame, at: dict) -> pd.DataFrame:
+    for column, value in at.items():
+        if column in points:
+            points = points[points[column] == value]
+    return points
+
+
+def _settings(source: Source, frame: pd.DataFrame) -> dict[str, float]:
+    return {c: float(frame[c].iloc[0]) for c in source.line_columns(frame) if c != "walker"}
+
+
+def _first(frame: pd.DataFrame, column: str, source: Source) -> str:
+    return str(frame[column].iloc[0]) if column in frame else source.walker
+
+
+def bifurcation(source: Source) -> Sketch | None:
+    """Stance angles an orbit keeps visiting, against slope, as dots."""
+    table = source.tables.get("orbits")
+    if table is None or not {"slope", "stance_angle"} <= set(table.columns):
+        return None
+    table = table[np.isfinite(table["stance_angle"])]
+    if table.empty:
+        return None
+    figure = canvas(300)
+    axes = figure.add_subplot()
+    raster = len(table) > SHAPES
+    ink = RASTER["long"] if raster else GAIT_COLOURS["long"]
+    axes.plot(table["slope"], table["stance_angle"], ".", ms=2, mew=0, color=ink, rasterized=raster)
+    axes.set_xlabel("slope γ (rad)")
+    heading(axes, "stance angle θ* of successive steps (rad)")
+    marks = []
+    for at, rows in _groups(source, table):
+        shown = thin(rows, 400)
+        slopes, angles = shown["slope"].to_numpy(), shown["stance_angle"].to_numpy()
+        command = source.command(_first(shown, "walker", source), _settings(source, shown))
+        marks.append(
+            Marks(axes, slopes, angles, _title(at) or "orbit", {"γ (rad)": slopes, "θ* (rad)": angles}, command, slopes)
+        )
+    return Sketch(
+        figure,
+        "Cascade",
+        "Stance angles of successive steps after the transient; only persistent walking is shown.",
+        f"Bifurcation diagram: {len(table)} stance angles against slope from {plain(table['slope'].min())} to "
+        f"{plain(table['slope'].max())} rad.",
+        table,
+        marks,
+    )

@@ -1,0 +1,218 @@
+"""Gait families: stance angle against slope (the paper's figures 5 and 11) and how well power laws fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from pipeline.report.figures.style import (
+    DASHES,
+    INK,
+    MUTED,
+    SAMPLES,
+    brief,
+    canvas,
+    colour,
+    curve,
+    end_labels,
+    heading,
+    log_axis,
+    plain,
+    thin,
+)
+from pipeline.report.figures.svg import Marks, Sketch
+from pipeline.report.source import Line, Source
+
+
+def loglog(source: Source) -> Sketch | None:
+    """Stance angle against slope on logarithmic axes, with the fitted power laws."""
+    return _families(source, "log")
+
+
+def linear(source: Source) -> Sketch | None:
+    """Stance angle against slope on linear axes."""
+    return _families(source, "linear")
+
+
+def _families(source: Source, scale: str) -> Sketch | None:
+    lines = [line for line in source.lines if "stance_angle" in line.data and line.data.sizes["slope"] > 1]
+    if not lines:
+        return None
+    figure = canvas(310)
+    axes = figure.add_subplot()
+    if scale == "log":
+        log_axis(axes, "x")
+        log_axis(axes, "y")
+    pieces: list[pd.DataFrame] = []
+    marks: list[Marks] = []
+    labels = []
+    for k, line in enumerate(lines):
+        for gait in source.gaits:
+            frame = thin(line.frame(gait, "stance_angle", "period"), max(60, 3 * SAMPLES // len(lines)))
+            there = frame[frame["stance_angle"].notna()]
+            if there.empty:
+                continue
+            curve(axes, frame["slope"], frame["stance_angle"], frame["stable"], colour(gait), k)
+            first = there.iloc[0]
+            labels.append((first["slope"], first["stance_angle"], line.label, colour(gait)))
+            marks.append(_marks(axes, there, f"{gait} step · {line.label}", line.command))
+            pieces.append(there.assign(line=line.label, gait=gait))
+    if not pieces:
+        return None
+    data = pd.concat(pieces, ignore_index=True)
+    fitted = _power_laws(source, axes, lines) if scale == "log" else False
+    axes.set_xlabel("slope γ (rad)")
+    heading(axes, "stance angle θ* (rad)")
+    if scale == "linear":
+        axes.set_xlim(left=0)
+        axes.set_ylim(bottom=0)
+    if len(lines) > 1 and scale == "log":
+        end_labels(axes, labels)
+    _legend(figure, data, fitted, lines)
+    kind = "logarithmic" if scale == "log" else "linear"
+    caption = (
+        f"Stance angle just after heelstrike against slope, on {kind} axes, for {_listed(lines)}. "
+        + ("Thick: stable. " if (data["stable"] == 1).any() else "")
+        + ("Dotted: fitted power laws, carried on to where they cross. " if fitted else "")
+    )
+    alt = (
+        f"Line plot on {kind} axes of stance angle against slope from {plain(data['slope'].min())} to "
+        f"{plain(data['slope'].max())} rad; stance angles reach {plain(data['stance_angle'].max())} rad. "
+        f"{data['line'].nunique()} walkers, gaits: {', '.join(data['gait'].unique())}."
+    )
+    title = "Gait families" + (", on logarithmic axes" if scale == "log" else "")
+    return Sketch(figure, title, caption.strip(), alt, data, marks)
+
+
+def _marks(axes: Axes, frame: pd.DataFrame, label: str, command: str) -> Marks:
+    values = {"γ (rad)": frame["slope"].to_numpy(), "θ* (rad)": frame["stance_angle"].to_numpy()}
+    if "period" in frame:
+        values["period"] = frame["period"].to_numpy()
+    if "spectral_radius" in frame:
+        values["max |λ|"] = frame["spectral_radius"].to_numpy()
+    return Marks(
+        axes,
+        frame["slope"].to_numpy(),
+        frame["stance_angle"].to_numpy(),
+        label,
+        values,
+        command,
+        frame["slope"].to_numpy(),
+    )
+
+
+def fits_of(source: Source, line: Line, gait: str) -> pd.DataFrame:
+    """Rows of the table of fitted power laws θ* ~ γ^p for one gait of one line."""
+    table = source.tables.get("fits/scaling")
+    needed = {"quantity", "gait", "exponent", "amplitude", "slope_from", "slope_to"}
+    if table is not None:
+        table = table.rename(columns={"from": "slope_from", "to": "slope_to"})
+    if table is None or not needed <= set(table.columns):
+        return pd.DataFrame()
+    keep = (table["quantity"] == "stance_angle") & (table["gait"] == gait)
+    for column in source.line_columns(table):
+        if column in line.set:
+            keep &= np.isclose(table[column].astype(float), line.set[column], rtol=1e-9, atol=0)
+        elif column == "walker" and len(source.walkers) > 1:
+            keep &= table[column] == line.walker
+    return table[keep & np.isfinite(table["exponent"]) & np.isfinite(table["amplitude"])]
+
+
+def _power_laws(source: Source, axes: Axes, lines: list[Line]) -> bool:
+    """Fitted lines; a gait's two regimes are carried on to their crossing, as in figure 5."""
+    drawn = False
+    for line in lines:
+        for gait in source.gaits:
+            rows = fits_of(source, line, gait)
+            ends = [[r.slope_from, r.slope_to] for r in rows.itertuples()]
+            if len(rows) == 2 and abs(np.diff(rows["exponent"])[0]) > 0.1:
+                (p, q), (a, b) = rows["exponent"], rows["amplitude"]
+                cross = (b / a) ** (1 / (p - q))
+                ends = [[min(lo, cross), max(hi, cross)] for lo, hi in ends]
+            for row, (low, high) in zip(rows.itertuples(), ends, strict=True):
+                slopes = np.array([low, high])
+                axes.plot(slopes, row.amplitude * slopes**row.exponent, color=MUTED, lw=1, ls=(0, (1, 2)), zorder=1.5)
+                drawn = True
+    return drawn
+
+
+def _listed(lines: list[Line]) -> str:
+    names = [line.label for line in lines]
+    return ", ".join(names) if len(names) < 7 else f"{len(names)} lines from {names[0]} to {names[-1]}"
+
+
+def _legend(figure, data: pd.DataFrame, fitted: bool, lines: list[Line]) -> None:
+    handles = [
+        Line2D([], [], color=colour(g), lw=1.4, label=f"{g} step" if g in ("long", "short") else brief(g))
+        for g in data["gait"].unique()
+    ]
+    if (data["stable"] == 1).any():
+        handles.append(Line2D([], [], color=INK, lw=2.6, label="stable"))
+    if fitted:
+        handles.append(Line2D([], [], color=MUTED, lw=1, ls=(0, (1, 2)), label="fitted"))
+    figure.legend(handles=handles, loc="outside upper left", ncols=4)
+    if 1 < len(lines) <= len(DASHES) and figure.axes[0].get_xscale() == "linear":
+        keys = [
+            Line2D([], [], color=MUTED, lw=1.2, ls=DASHES[k], label=brief(line.label)) for k, line in enumerate(lines)
+        ]
+        figure.axes[0].legend(handles=keys, loc="lower right", handlelength=3)
+
+
+def residuals(source: Source) -> Sketch | None:
+    """How far the curves lie from the fitted power laws, over the range each was fitted on."""
+    figure = canvas(210)
+    axes = figure.add_subplot()
+    pieces = []
+    marks = []
+    for k, line in enumerate(source.lines):
+        for gait in source.gaits:
+            frame = line.frame(gait, "stance_angle")
+            if "stance_angle" not in frame:
+                return None
+            for row in fits_of(source, line, gait).itertuples():
+                used = thin(
+                    frame[frame["slope"].between(row.slope_from, row.slope_to)].dropna(subset="stance_angle"), 80
+                )
+                if used.empty:
+                    continue
+                law = row.amplitude * used["slope"] ** row.exponent
+                used = used.assign(residual=used["stance_angle"] / law - 1)
+                axes.plot(used["slope"], 100 * used["residual"], color=colour(gait), lw=1.2, ls=DASHES[k % len(DASHES)])
+                regime = getattr(row, "regime", "")
+                label = f"{gait} step · {line.label} · {regime} slopes"
+                values = {"γ (rad)": used["slope"].to_numpy(), "residual (%)": 100 * used["residual"].to_numpy()}
+                marks.append(
+                    Marks(
+                        axes,
+                        used["slope"].to_numpy(),
+                        100 * used["residual"].to_numpy(),
+                        label,
+                        values,
+                        line.command,
+                        used["slope"].to_numpy(),
+                    )
+                )
+                pieces.append(used.assign(line=line.label, gait=gait, regime=regime))
+    if not pieces:
+        return None
+    data = pd.concat(pieces, ignore_index=True)
+    log_axis(axes, "x")
+    axes.axhline(0, color=MUTED, lw=0.7)
+    axes.set_xlabel("slope γ (rad)")
+    heading(axes, "stance angle over its power law, less one (%)")
+    figure.legend(
+        handles=[Line2D([], [], color=colour(g), lw=1.4, label=brief(f"{g} step")) for g in data["gait"].unique()],
+        loc="outside upper left",
+        ncols=4,
+    )
+    worst = plain(100 * data["residual"].abs().max(), 2)
+    return Sketch(
+        figure,
+        "Residuals of the power laws",
+        "What the fitted power laws leave over, on the slopes each was fitted on.",
+        f"Residuals of the fitted power laws in percent; the largest is {worst} percent.",
+        data,
+        marks,
+    )

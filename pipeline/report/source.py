@@ -1,0 +1,227 @@
+"""What a report reads: one archive as plain arrays, tables and the text of its study."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from pipeline.errors import ArchiveError
+
+#: The paper's symbol of a quantity, where it has one.
+SYMBOLS = {
+    "slope": "γ",
+    "foot_mass_ratio": "ρ",
+    "stance_angle": "θ*",
+    "stance_rate": "θ̇*",
+    "period": "T",
+    "speed": "v",
+    "power": "P",
+    "spectral_radius": "max |λ|",
+    "eps_T": "ε_T",
+    "froude_speed": "Fr",
+}
+
+#: Status names that answer the question; the others mean that a point failed.
+ANSWERS = ("converged", "no_gait", "fell")
+
+
+@dataclass(frozen=True)
+class Line:
+    """One walker with every axis but `slope` fixed, and what the archive holds along it."""
+
+    walker: str
+    set: dict[str, Any]
+    label: str
+    data: xr.Dataset
+    command: str
+
+    def frame(self, gait: str, *variables: str) -> pd.DataFrame:
+        """Columns `slope`, the wanted variables that exist, and `stable` (1, 0 or NaN) of one gait.
+
+        Slopes without that gait are left in, as NaN: a gap in the curve is a gap in the picture.
+        """
+        here = self.data.sel(gait=gait)
+        names = [v for v in dict.fromkeys((*variables, "spectral_radius")) if v in here and here[v].dims == ("slope",)]
+        frame = pd.DataFrame({"slope": here["slope"].values, **{v: here[v].values for v in names}})
+        radius = frame.get("spectral_radius", pd.Series(np.nan, frame.index))
+        return frame.assign(stable=np.where(np.isnan(radius), np.nan, (radius < 1).astype(float)))
+
+
+@dataclass(frozen=True)
+class Source:
+    """One archive, read once."""
+
+    path: Path
+    grid: xr.Dataset
+    tables: dict[str, pd.DataFrame]
+    provenance: dict[str, Any]
+    study: dict[str, Any]
+    run: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        return str(self.study.get("name") or self.path.stem)
+
+    @property
+    def slug(self) -> str:
+        """The study's name as the name of a file, whatever the archive says."""
+        return re.sub(r"[^A-Za-z0-9_-]+", "-", self.name).strip("-") or "study"
+
+    @property
+    def figures(self) -> list[str]:
+        """Names of the figures the study wants."""
+        wanted = self.study.get("want", {}).get("figures", self.study.get("figures", []))
+        return [str(name) for name in wanted]
+
+    @cached_property
+    def walkers(self) -> dict[str, dict[str, Any]]:
+        """Parameters of each walker, by the name the study gives it."""
+        given, stored = self.study.get("walker"), self.provenance.get("walkers", [])
+        named = [_name(w, i) for i, w in enumerate(given if isinstance(given, list) else [given])]
+        return {name: dict(w) for name, w in zip(named, stored, strict=False) if isinstance(w, dict)}
+
+    @property
+    def walker(self) -> str:
+        """The study's first walker: the only one where there is no axis of walkers."""
+        return next(iter(self.walkers), "")
+
+    def parameters(self, walker: str, settings: dict[str, Any]) -> dict[str, Any]:
+        """Parameters of a line's walker, as far as the archive tells."""
+        return {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **settings}
+
+    @property
+    def axes(self) -> list[str]:
+        """Dimensions of the grid, in order, without gait and multiplier."""
+        return [str(d) for d in self.grid.dims if d in self.grid.coords and d not in ("gait", "multiplier")]
+
+    @property
+    def gaits(self) -> list[str]:
+        return [str(g) for g in self.grid["gait"].values] if "gait" in self.grid.coords else []
+
+    @property
+    def statuses(self) -> dict[int, str]:
+        """Status names by their flag value."""
+        attrs = self.grid["status"].attrs if "status" in self.grid else {}
+        values = np.atleast_1d(attrs.get("flag_values", []))
+        return dict(zip((int(v) for v in values), str(attrs.get("flag_meanings", "")).split(), strict=False))
+
+    @property
+    def reasons(self) -> list[str]:
+        """The table of sentences that `reason` indexes."""
+        for name, variable in self.grid.variables.items():
+            if str(name).startswith("reason") and variable.ndim == 1 and variable.dtype.kind in "OU":
+                return [str(sentence) for sentence in variable.values]
+        return []
+
+    def units(self, variable: str) -> str:
+        """Units to print after a quantity: empty where it has none."""
+        known = self.grid.variables.get(variable)
+        units = str(known.attrs.get("units", "")) if known is not None else ""
+        if not units and variable in ("slope", "stance_angle"):
+            return "rad"
+        return "" if units == "1" else units
+
+    def command(self, walker: str, settings: dict[str, Any]) -> str:
+        """The `gaitsweep solve` command of a line, all but its slope."""
+        given = dict(settings)
+        table = self.study.get("walker")
+        if isinstance(table, str):
+            walker = table
+        elif isinstance(table, dict):
+            walker = str(table.get("base", f"{self.slug}.toml"))
+            given = ({k: v for k, v in table.items() if k != "base"} if "base" in table else {}) | given
+        words = ["gaitsweep", "solve", "--walker", walker]
+        for key, value in given.items():
+            words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
+        return shlex.join(words)
+
+    @cached_property
+    def lines(self) -> list[Line]:
+        """Every line of the grid, in grid order."""
+        return list(self._lines()) if "slope" in self.grid.dims and "gait" in self.grid.dims else []
+
+    def _lines(self) -> Iterator[Line]:
+        across = [d for d in self.axes if d != "slope"]
+        named = list(self.walkers)
+        for place in itertools.product(*(range(self.grid.sizes[d]) for d in across)):
+            at = dict(zip(across, place, strict=True))
+            settings = {d: float(self.grid[d].values[i]) for d, i in at.items() if d != "walker"}
+            i = at.get("walker", 0)
+            walker = named[i] if i < len(named) else str(self.grid["walker"].values[i]) if "walker" in at else ""
+            varying = {d: v for d, v in settings.items() if self.grid.sizes[d] > 1}
+            words = [f"{SYMBOLS.get(d, d)} = {v:g}" for d, v in varying.items()]
+            if self.grid.sizes.get("walker", 1) > 1 or not words:
+                words.insert(0, walker)
+            yield Line(walker, settings, ", ".join(words), self.grid.isel(at), self.command(walker, settings))
+
+    def line_columns(self, table: pd.DataFrame) -> list[str]:
+        """Columns of a table that say which line a row belongs to."""
+        axes = self.study.get("axes", {})
+        known = {"walker", *(axes if isinstance(axes, dict) else ()), *self.axes} - {"slope"}
+        return [c for c in table.columns if c in known]
+
+
+def read(path: Path) -> Source:
+    """Read one archive.
+
+    Raises
+    ------
+    ArchiveError
+        If there is no such file, or it is not netCDF or not written by gaitsweep.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ArchiveError(f"There is no archive {path}.")
+    try:
+        groups = xr.open_groups(path, engine="netcdf4", mask_and_scale=False, decode_times=False)
+    except (OSError, ValueError) as error:
+        raise ArchiveError(f"{path} is not a netCDF archive that can be read.") from error
+    try:
+        loaded = {name: dataset.load() for name, dataset in groups.items()}
+    finally:
+        for dataset in groups.values():
+            dataset.close()
+    grid = loaded.pop("/")
+    try:
+        provenance = json.loads(grid.attrs["provenance"])
+        study = tomllib.loads(provenance["study"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ArchiveError(f"{path} is not an archive of gaitsweep: it has no study in its provenance.") from error
+    tables = {name.strip("/"): _table(dataset) for name, dataset in loaded.items() if dataset.variables}
+    return Source(path, grid, tables, provenance, study, _run(path))
+
+
+def _name(walker: Any, place: int) -> str:
+    """A walker's name in its study: the catalogue's, a file's, or that of a table."""
+    if isinstance(walker, dict):
+        return str(walker.get("name", walker.get("base", f"walker {place + 1}")))
+    return "walker" if walker is None else str(walker)
+
+
+def _table(dataset: xr.Dataset) -> pd.DataFrame:
+    """The one-dimensional variables of a group that share its longest dimension, as columns."""
+    columns = {str(k): v.values for k, v in dataset.variables.items() if v.ndim == 1}
+    rows = max((len(v) for v in columns.values()), default=0)
+    return pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
+
+
+def _run(path: Path) -> dict[str, Any]:
+    """How the run went, from the file beside the archive; empty where there is none."""
+    beside = path.with_name(f"{path.stem}.run.json")
+    try:
+        found = json.loads(beside.read_text())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

@@ -1,0 +1,282 @@
+"""The tables of a report: plain cells, each number with the exact value it stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pipeline.report.figures.style import plain
+from pipeline.report.source import ANSWERS, Source
+
+#: Rows of failed points on the page; the file beside it has all.
+MOST_ROWS = 60
+
+#: Families of claims by the letter of their id.
+FAMILIES = {
+    "D": "Simplest walker",
+    "E": "Point feet with mass",
+    "P": "Physical walker",
+    "T": "Tuning",
+    "Z": "Zero-slope walkers",
+    "M": "Energy",
+    "K": "Kneed chaos",
+    "W": "Wheels",
+    "G": "General",
+    "A": "Appendix A",
+}
+
+_HEADS = {
+    "exponent_low": "low",
+    "exponent_high": "high",
+    "slope_from": "from γ",
+    "slope_to": "to γ",
+    "from": "from",
+    "n": "points",
+    "foot_mass_ratio": "ρ",
+    "slope": "γ",
+    "stance_angle": "θ*",
+    "period": "T",
+    "slope_transition": "γ transition",
+}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What is shown, and the number it was rounded from (None for words)."""
+
+    text: str
+    value: float | None = None
+    counted: bool = False
+
+    @property
+    def long(self) -> bool:
+        return self.value is None and len(self.text) > 24
+
+    @property
+    def exact(self) -> str:
+        return "" if self.value is None else repr(self.value)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A caption, column heads and rows of cells."""
+
+    caption: str
+    heads: list[str]
+    rows: list[list[Cell]]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One claim of the ledger and where it is shown."""
+
+    id: str
+    printed: Cell
+    source: str
+    computed: Cell
+    interval: list[Cell]
+    verdict: str
+    sign: str
+    figure: str
+    href: str
+    command: str
+
+
+@dataclass(frozen=True)
+class Family:
+    """Claims on one subject."""
+
+    title: str
+    verdicts: list[Verdict] = field(default_factory=list)
+
+
+def cell(value: Any, counted: bool = False) -> Cell:
+    """A cell of a value: numbers are rounded for the eye and kept exactly."""
+    if isinstance(value, (bool, np.bool_)):
+        return Cell("yes" if value else "no")
+    if isinstance(value, (int, np.integer)):
+        return Cell(str(int(value)).replace("-", "−"), int(value), counted)
+    if isinstance(value, (float, np.floating)):
+        return Cell("–") if np.isnan(value) else Cell(plain(float(value), 6), float(value), counted)
+    return Cell(str(value))
+
+
+def head(column: str) -> str:
+    return _HEADS.get(column, column.replace("_", " "))
+
+
+def from_frame(caption: str, frame: pd.DataFrame, note: str = "") -> Table:
+    """A table of every column that varies or is worth repeating."""
+    return Table(
+        caption,
+        [head(str(c)) for c in frame.columns],
+        [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)],
+        note,
+    )
+
+
+def fits(source: Source) -> list[Table]:
+    """One table for each fit in the archive."""
+    found = []
+    for name, table in source.tables.items():
+        if name.startswith("fits/") and not table.empty:
+            shown = table.head(2 * MOST_ROWS)
+            note = f"{len(table) - len(shown)} more rows are in the archive." if len(shown) < len(table) else ""
+            found.append(from_frame(f"Fit: {name.removeprefix('fits/').replace('_', ' ')}", shown, note))
+    return found
+
+
+def special_points(source: Source) -> Table | None:
+    """Folds, flips and ends, with their coordinates."""
+    table = source.tables.get("special_points")
+    if table is None or table.empty:
+        return None
+    shown = table.head(2 * MOST_ROWS)
+    if "kind" in shown:
+        shown = shown.assign(kind=[str(k).replace("_", " ") for k in shown["kind"]])
+    note = f"{len(table) - len(shown)} more are in the archive." if len(shown) < len(table) else ""
+    return from_frame("Special points", shown, note)
+
+
+def points(source: Source) -> pd.DataFrame:
+    """Every grid point that did not converge: coordinates, gait, status and the sentence why."""
+    grid = source.grid
+    if "status" not in grid:
+        return pd.DataFrame()
+    status = grid["status"] if grid["status"].ndim else grid["status"].expand_dims("study")
+    at = np.nonzero(status.values)
+    sentences, names = source.reasons, source.statuses
+    frame = pd.DataFrame({str(d): grid[d].values[i] for d, i in zip(status.dims, at, strict=True) if d in grid.coords})
+    frame["status"] = [names.get(int(s), str(s)) for s in status.values[at]]
+    index = np.atleast_1d(grid["reason"].values)[at] if "reason" in grid else np.full(len(at[0]), -1)
+    frame["reason"] = [sentences[i] if 0 <= i < len(sentences) else "" for i in index]
+    return frame
+
+
+def statuses(source: Source) -> list[tuple[str, int, float]]:
+    """Count and share of every status that occurs, in the order of the flags."""
+    if "status" not in source.grid:
+        return []
+    values, counts = np.unique(source.grid["status"].values, return_counts=True)
+    total = counts.sum()
+    return [
+        (source.statuses.get(int(v), str(v)), int(c), float(c / total)) for v, c in zip(values, counts, strict=True)
+    ]
+
+
+def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
+    """What became of every point, by status and reason, and where."""
+    found = statuses(source)
+    if not found:
+        return None
+    slopes = source.grid["slope"].values if "slope" in source.grid.coords else np.array([])
+    rows = [
+        [Cell("converged"), Cell(""), cell(count, True), *_range(slopes)]
+        for name, count, _ in found
+        if name == "converged"
+    ]
+    for (status, reason), group in absent.groupby(["status", "reason"], sort=False):
+        rows.append(
+            [
+                Cell(status.replace("_", " ")),
+                Cell(reason),
+                cell(len(group), True),
+                *_range(group["slope"].to_numpy() if "slope" in group else np.array([])),
+            ]
+        )
+    return Table("What became of every point and gait", ["status", "reason", "count", "from γ", "to γ"], rows)
+
+
+def _range(slopes: np.ndarray) -> list[Cell]:
+    return [cell(slopes.min()), cell(slopes.max())] if len(slopes) else [Cell("–"), Cell("–")]
+
+
+def failures(absent: pd.DataFrame) -> Table | None:
+    """Points that failed (not those whose answer is that there is no gait)."""
+    failed = absent[~absent["status"].isin(ANSWERS)] if len(absent) else absent
+    if failed.empty:
+        return None
+    shown = failed.head(MOST_ROWS)
+    note = f"{len(failed) - len(shown)} more are in the file beside this page." if len(shown) < len(failed) else ""
+    shown = shown.assign(status=[s.replace("_", " ") for s in shown["status"]])
+    return from_frame("Points that failed", shown, note)
+
+
+def failed_tasks(source: Source) -> Table | None:
+    """Work on whole lines or studies that failed."""
+    table = source.tables.get("failed_tasks")
+    return None if table is None or table.empty else from_frame("Tasks that failed", table.head(MOST_ROWS))
+
+
+def walkers(source: Source) -> Table | None:
+    """Parameters of the study's walkers, a column each."""
+    found = dict(list(source.walkers.items())[:8])
+    if not found:
+        return None
+    keys = list(dict.fromkeys(key for table in found.values() for key in table))
+    rows = [[Cell(key), *(cell(table.get(key, "–")) for table in found.values())] for key in keys]
+    return Table("Parameters", ["key", *found], rows)
+
+
+def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
+    """Plain entries of a record, for a list of names and values; nested ones are named by their path."""
+    found: list[tuple[str, Cell]] = []
+    for key, value in record.items():
+        if isinstance(value, dict):
+            found += [(f"{key} {inner}", shown) for inner, shown in pairs(value)]
+        elif isinstance(value, list):
+            found.append((str(key), Cell(", ".join(str(v) for v in value))))
+        elif value is not None:
+            found.append((str(key).replace("_", " "), cell(value)))
+    return found
+
+
+def ledger(sources: Iterable[Source], pages: dict[str, str]) -> list[Family]:
+    """Every claim in the archives by family; `pages` says where a figure "study/name" is shown."""
+    families: dict[str, Family] = {}
+    for source in sources:
+        table = source.tables.get("claims")
+        if table is None or "id" not in table:
+            continue
+        for row in table.to_dict("records"):
+            letter = str(row["id"])[:1].upper()
+            title = FAMILIES.get(letter, "Others")
+            families.setdefault(title, Family(title)).verdicts.append(_verdict(row, source, pages))
+    order = [*FAMILIES.values(), "Others"]
+    for family in families.values():
+        family.verdicts.sort(key=lambda v: (v.id[:1], len(v.id), v.id))
+    return sorted(families.values(), key=lambda f: order.index(f.title))
+
+
+def _verdict(row: dict[str, Any], source: Source, pages: dict[str, str]) -> Verdict:
+    words = str(row.get("verdict", ""))
+    figure = str(row.get("figure", ""))
+    href = pages.get(figure) or pages.get(f"{source.slug}/{figure}") or pages.get(source.slug, "")
+    interval = [cell(row[k]) for k in ("interval_low", "interval_high") if k in row]
+    if any(c.value is None for c in interval):
+        interval = []
+    return Verdict(
+        str(row["id"]),
+        cell(row.get("printed", "")),
+        str(row.get("source", "")),
+        cell(row.get("computed", "")),
+        interval,
+        words.replace("_", " "),
+        sign(words),
+        figure or source.name,
+        href,
+        str(row.get("command", "")),
+    )
+
+
+def sign(verdict: str) -> str:
+    """yes, no or open: what a verdict says, in one word."""
+    plainly = verdict.replace("_", " ").strip().lower()
+    if plainly == "reproduced":
+        return "yes"
+    return "no" if plainly.startswith("not ") else "open"

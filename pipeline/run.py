@@ -1,0 +1,230 @@
+"""One study from its file to its archive: lock, journal, plan, execution, archive, and the record of the run."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import platform
+import signal
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from pipeline import archive, cell, check
+from pipeline.errors import ArchiveError, BusyError, GaitsweepError, StoppedError
+from pipeline.execute import Engine, Loop
+from pipeline.journal import Journal, TornError, mend
+from pipeline.plan import Plan, summary
+from pipeline.progress import Progress, duration
+from pipeline.provenance import cpu_features, version
+from pipeline.show import beside
+from pipeline.study import Study
+from pipeline.worker import ALL_STATUSES, ANSWERS
+
+_FAILURES = {name for name, code in ALL_STATUSES.items() if code not in ANSWERS}
+_SNAPSHOT = 60.0  # s at least between published snapshots
+_SHARE = 20  # and as many times as long as writing one takes
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to run, never what."""
+
+    jobs: int = 2
+    cluster: str | None = None
+    fresh: bool = False
+    retry_failed: bool = False
+    chunk: int | None = None
+    quiet: bool = False
+    verbose: bool = False
+    snapshot: float = _SNAPSHOT
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold an archive; a lock dies with its process.
+
+    Raises
+    ------
+    BusyError
+        If another run holds it.
+    """
+    with open(beside(path, ".lock"), "a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise BusyError(f"{path} is held by another run: {_holder(file)}.") from error
+        file.seek(0)
+        file.truncate()
+        started = time.strftime("%Y-%m-%d %H:%M:%S")
+        json.dump({"pid": os.getpid(), "host": platform.node(), "started": started}, file)
+        file.flush()
+        yield
+
+
+def _holder(file: Any) -> str:
+    try:
+        file.seek(0)
+        who = json.load(file)
+        return f"process {who['pid']} on {who['host']}, started {who['started']}"
+    except (ValueError, KeyError, TypeError):
+        return "its name is not known yet"
+
+
+class Signals:
+    """INT, TERM and HUP stop a run at once, but not between a result and its journal; a second one is hard."""
+
+    def __init__(self) -> None:
+        self.held, self.got = False, 0
+
+    @contextlib.contextmanager
+    def caught(self) -> Iterator[None]:
+        """Handle signals inside."""
+        kept = {s: signal.signal(s, self._handle) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+        try:
+            yield
+        finally:
+            for signum, handler in kept.items():
+                signal.signal(signum, handler)
+
+    def _handle(self, signum: int, frame: FrameType | None) -> None:
+        cell.stop()
+        if self.got:
+            os._exit(128 + signum)
+        self.got = signum
+        if not self.held:
+            self._stop()
+
+    def _stop(self) -> None:
+        raise StoppedError(self.got, f"Stopped by {signal.Signals(self.got).name}; what was finished is kept.")
+
+    def __enter__(self) -> None:
+        self.held = True
+
+    def __exit__(self, *_: object) -> None:
+        self.held = False
+        if self.got:
+            self._stop()
+
+
+def run(study: Study, path: Path, options: Options) -> int:
+    """Run a study into the archive at `path`; the exit code.
+
+    Raises
+    ------
+    GaitsweepError
+        If the run cannot begin or cannot go on; what was finished is kept.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = locked(path)
+        with lock:
+            if path.exists():
+                check.ours(path)
+            return _run(study, path, options)
+    except OSError as error:
+        raise ArchiveError(f"{path.parent} cannot be written: {error.strerror}.") from error
+
+
+def _run(study: Study, path: Path, options: Options) -> int:
+    for draft in path.parent.glob(f"{path.name}.tmp.*"):
+        draft.unlink(missing_ok=True)
+    place = beside(path, ".journal")
+    if options.fresh:
+        for suffix in ("", "-wal", "-shm"):
+            place.with_name(place.name + suffix).unlink(missing_ok=True)
+    record: dict[str, Any] = {"study": study.name, "archive": path.name, "began": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+                              "host": platform.node(), "jobs": options.jobs, "cluster": options.cluster,
+                              "cpu": cpu_features(), "version": version("gaitsweep")}
+    clock, code = time.monotonic(), 1
+    try:
+        code = _attempts(study, path, place, options, record)
+        return code
+    except GaitsweepError as error:
+        code = error.exit_code
+        record["error"] = str(error)
+        raise
+    finally:
+        record |= {"exit_code": code, "seconds": round(time.monotonic() - clock, 3)}
+        with contextlib.suppress(OSError):
+            _write_record(beside(path, ".run.json"), record)
+
+
+def _attempts(study: Study, path: Path, place: Path, options: Options, record: dict[str, Any]) -> int:
+    for _ in range(3):
+        journal = Journal(place)
+        try:
+            return _once(Plan(study, journal, options.retry_failed), path, options, record)
+        except TornError:
+            journal.close()
+            mend(place)
+        finally:
+            journal.close()
+    raise ArchiveError(f"{place} cannot be mended; run again with --fresh.")
+
+
+def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> int:
+    todo = summary(plan)
+    engine, signals = Engine(options.jobs, options.cluster), Signals()
+    with signals.caught(), Progress(plan, todo, beside(path, ".events.jsonl"), options.quiet, options.verbose) as progress:
+        listen = _Snapshots(plan, path, options.snapshot, progress)
+        try:
+            if any(todo.todo.values()):
+                Loop(plan, engine, listen, sum(todo.todo.get("points", {}).values()), options.chunk, signals).run()
+            record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+            counts = archive.write(plan, path)
+        finally:
+            record |= {"state": progress.state()}
+            cell.close_all()
+    failed = sum(n for name, n in counts.items() if name in _FAILURES) + tasks_failed(plan)
+    record |= {"counts": dict(counts), "failed": failed}
+    _summarise(plan, progress, counts, path)
+    return 1 if failed else 0
+
+
+class _Snapshots:
+    """Listens for the progress, and publishes the archive of a long run now and then."""
+
+    def __init__(self, plan: Plan, path: Path, every: float, progress: Progress):
+        self.plan, self.path, self.progress = plan, path, progress
+        self.every, self.next = every, time.monotonic() + every
+
+    def __call__(self, event: str, about: dict[str, Any]) -> None:
+        self.progress(event, about)
+        if event != "chunk" or time.monotonic() < self.next:
+            return
+        began = time.monotonic()
+        # A whole archive is not replaced by part of one.
+        if check.not_attempted(self.path) != 0:
+            archive.write(self.plan, self.path)
+        took = time.monotonic() - began
+        self.next = time.monotonic() + max(self.every, _SHARE * took)
+
+
+def tasks_failed(plan: Plan) -> int:
+    """How many tasks that are no points failed."""
+    found = 0
+    for name, layer in plan.layers.items():
+        if name not in ("atlas", "points", plan.study.kind):
+            keys = [plan.line_keys(i)[name][0] for i in range(plan.study.lines)] if layer.per_line else [plan.study_keys()[name][0]]
+            found += sum(1 for key in keys if (plan.journal.outcome(key) or ("ok",))[0] != "ok")
+    return found
+
+
+def _summarise(plan: Plan, progress: Progress, counts: Counter[str], path: Path) -> None:
+    total = "points" if plan.study.kind == "grid" else "lines"
+    by_status = ", ".join(f"{name} {n:,}" for name, n in counts.items())
+    seconds = time.time() - progress.began
+    progress.say(f"{plan.study.name}: {sum(counts.values()):,} {total} ({by_status}) in {duration(seconds)}; {path}")
+
+
+def _write_record(path: Path, record: dict[str, Any]) -> None:
+    draft = path.with_name(f"{path.name}.tmp.{os.getpid()}")
+    draft.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    os.replace(draft, path)

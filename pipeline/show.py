@@ -1,0 +1,105 @@
+"""What the commands print for people."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from pipeline.plan import Plan, Summary
+from pipeline.progress import duration, last_state, sentence
+
+
+def beside(path: Path, what: str) -> Path:
+    """A companion of an archive: its journal, event log, lock or record."""
+    return path.with_name(path.name.removesuffix(".nc") + what)
+
+
+def plan(found: Plan, counts: Summary, path: Path) -> Iterator[str]:
+    """A plan: per task what runs and why, what is cached, what is not wanted."""
+    study = found.study
+    shape = " x ".join([f"{len(study.walkers)} walkers"] * study.walker_axis + [f"{len(a)} {a.name}" for a in study.axes])
+    yield f"{study.name}: {shape}, {study.points:,} points -> {path}"
+    for name, layer in found.layers.items():
+        what = "points" if name == "points" else "lines" if layer.per_line else "study"
+        parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
+        parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
+        yield f"  {name:<12} version {layer.task.version}  per {what[:-1] if what != 'study' else what}: {', '.join(parts) or 'none'}"
+    tasks, variables = found.unwanted()
+    yield f"  not wanted: {', '.join(tasks + variables) or 'nothing'}"
+    yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
+
+
+def state(path: Path) -> dict[str, Any] | None:
+    """State of the run of an archive, with `running` and, if so, who holds it."""
+    found = last_state(beside(path, ".events.jsonl"))
+    if found is None:
+        return None
+    found["running"] = False
+    try:
+        with open(beside(path, ".lock"), encoding="utf-8") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except OSError:
+                found |= {"running": True, "holder": json.load(file)}
+    except (OSError, ValueError):
+        pass
+    return found
+
+
+def status(path: Path, found: dict[str, Any] | None) -> Iterator[str]:
+    """A state in a few lines."""
+    if found is None:
+        yield f"{path}: no run has left a trace."
+        return
+    holder = found.get("holder", {})
+    how = f"running as process {holder.get('pid')} on {holder.get('host')}" if found["running"] else \
+        "finished" if found.get("over") else "stopped"
+    yield f"{path}: {how}; {sentence(found)}"
+    yield f"  after {duration(found['elapsed'])}; memory {found['memory'] / 2**20:.0f} MiB" + "".join(
+        f"; worker {w['pid']} {w['memory'] / 2**20:.0f} MiB" for w in found["workers"])
+    if found["counts"]:
+        yield "  " + ", ".join(f"{name} {n:,}" for name, n in sorted(found["counts"].items()))
+
+
+def table(name: str, values: dict[str, Any]) -> Iterator[str]:
+    """A TOML table."""
+    yield f"[{name}]"
+    for key, value in values.items():
+        yield f"{key} = {json.dumps(value)}"
+
+
+def gaits(found: Iterable[dict[str, Any]]) -> Iterator[str]:
+    """Gaits at one point, a paragraph each."""
+    nothing = True
+    for gait in found:
+        nothing = False
+        yield f"{gait['gait']} ({'stable' if gait['stable'] else 'unstable'}, {gait['status']})"
+        for key, value in gait.items():
+            if key in ("gait", "stable", "status") or value is None:
+                continue
+            if key == "multipliers":
+                value = ", ".join(f"{re:.12g}{im:+.12g}j" if im else f"{re:.12g}" for re, im in value)
+            elif isinstance(value, float):
+                value = f"{value:.15g}"
+            elif isinstance(value, list):
+                value = ", ".join(map(str, value)) or "none"
+            yield f"  {key:<16} {value}"
+    if nothing:
+        yield "no gait"
+
+
+def walkers(found: Iterable[dict[str, Any]], whole: bool) -> Iterator[str]:
+    """The catalogue, a line each, or one walker whole."""
+    for one in found:
+        if not whole:
+            yield f"{one['name']:<18} {one['description']}"
+            continue
+        yield f"{one['name']}: {one['description']}"
+        yield one["drawing"]
+        yield from table("walker", one["parameters"])
+        yield ""
+        for key, value in one["statics"].items():
+            yield f"{key:<16} {value}"

@@ -1,0 +1,364 @@
+"""Read a study: which walker, which axes, and what is wanted of every point.
+
+A study is checked whole before anything runs. Every error names the key, its value, the bound it breaks (or
+the nearest known key), the file and the place in it.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import math
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline import worker
+from pipeline.errors import StudyError
+from tasks.registry import ALWAYS, GAITS, TASKS, VARIABLES
+
+#: Kinds of study; every one but `grid` is a task of the same name.
+KINDS = ("grid", "branch", "orbit", "basin", "curve")
+#: Axis keys that are not a walker's own.
+EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
+#: Longest axis and largest grid that are taken for meant.
+MOST_VALUES, MOST_POINTS = 10_000_000, 10**12
+MOST_BYTES = 1 << 20
+_UNITS = {"": 1, "B": 1, **{f"{p}B": 1000**i for i, p in enumerate("kMGT", 1)},
+          **{f"{p}iB": 1024**i for i, p in enumerate("KMGT", 1)}}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one point may take before it is given up."""
+
+    seconds: float = 60.0
+    memory: int = 2 << 30
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One dimension of the grid."""
+
+    name: str
+    values: np.ndarray = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A checked study. `walkers` are names or plain tables; `axes` are as written, `slope` among them.
+
+    `walker_axis` says whether the walkers are a dimension; `checks` is what `tasks` says of each of them.
+    """
+
+    name: str
+    text: str
+    kind: str
+    walkers: tuple[str | dict[str, Any], ...]
+    gaits: tuple[str, ...]
+    axes: tuple[Axis, ...]
+    variables: tuple[str, ...]
+    fits: tuple[str, ...] = ()
+    figures: tuple[str, ...] = ()
+    claims: tuple[str, ...] = ()
+    limits: Limits = Limits()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    path: Path = Path()
+    walker_axis: bool = False
+    checks: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def slope(self) -> np.ndarray:
+        """Values of the slope axis, shape (n,) [rad]."""
+        return next(a.values for a in self.axes if a.name == "slope")
+
+    @property
+    def line_axes(self) -> tuple[Axis, ...]:
+        """Every axis but the slope."""
+        return tuple(a for a in self.axes if a.name != "slope")
+
+    @property
+    def line_shape(self) -> tuple[int, ...]:
+        """Shape of the grid of lines: walkers first, then `line_axes`."""
+        return (len(self.walkers), *map(len, self.line_axes))
+
+    @property
+    def lines(self) -> int:
+        """How many lines there are."""
+        return math.prod(self.line_shape)
+
+    @property
+    def points(self) -> int:
+        """How many grid points there are."""
+        return self.lines * len(self.slope)
+
+    def line(self, number: int) -> dict[str, Any]:
+        """The line of that number, in C order of `line_shape`, as plain data."""
+        values = {}
+        for axis in reversed(self.line_axes):
+            number, k = divmod(number, len(axis))
+            values[axis.name] = float(axis.values[k])
+        return {"walker": self.walkers[number], "set": {a.name: values[a.name] for a in self.line_axes}}
+
+
+class _Place:
+    """Where in a study something stands; makes the errors."""
+
+    def __init__(self, file: str, *keys: str):
+        self.file, self.keys = file, keys
+
+    def at(self, *keys: str) -> _Place:
+        return _Place(self.file, *self.keys, *keys)
+
+    def error(self, sentence: str) -> StudyError:
+        where = ", ".join(filter(None, (self.file, ".".join(self.keys) if self.file else "")))
+        return StudyError(f"{sentence.rstrip('.')} ({where})." if where else sentence)
+
+    def wrong(self, bound: str, value: object) -> StudyError:
+        return self.error(f"`{self.keys[-1]}` {bound}; got {_show(value)}")
+
+    def unknown(self, key: str, known: Iterable[str]) -> StudyError:
+        known = list(known)
+        near = difflib.get_close_matches(key, known, 1)
+        hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known[:12])}"
+        return self.error(f"`{_clip(key)}` is not known here, {hint}")
+
+
+def _clip(text: str, most: int = 60) -> str:
+    text = "".join(c if c.isprintable() else "?" for c in text)
+    return text if len(text) <= most else text[:most - 3] + "..."
+
+
+def _show(value: object) -> str:
+    try:
+        return _clip(repr(value))
+    except (ValueError, RecursionError):
+        return "something that cannot be shown"
+
+
+def read(path: str | Path) -> Study:
+    """Read and check a study file.
+
+    Raises
+    ------
+    StudyError
+        If the file cannot be read or anything in it cannot be.
+    """
+    path = Path(path)
+    text, table = _toml(path, str(path))
+    return parse(table, text, path)
+
+
+def _toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
+    shown = _clip(shown, 200)
+    try:
+        if not path.is_file():
+            raise StudyError(f"{shown} is not a file." if path.exists() else f"There is no file {shown}.")
+        if path.stat().st_size > MOST_BYTES:
+            raise StudyError(f"{shown} is larger than 1 MiB.")
+        text = path.read_text(encoding="utf-8")
+        return text, tomllib.loads(text)
+    except (OSError, ValueError) as error:
+        # A TOML error may quote control characters or a path with a null byte.
+        detail = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
+        raise StudyError(f"{shown} cannot be read: {_clip(str(detail), 120)}.") from error
+    except RecursionError as error:
+        raise StudyError(f"{shown} is nested too deeply.") from error
+
+
+def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
+    """Check a study's table; `path` names it in errors and anchors the files it names."""
+    top = _Place(path.name)
+    known = ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options")
+    for key in table:
+        if key not in known:
+            raise top.unknown(key, known)
+    name = table.get("name")
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
+        raise top.at("name").wrong("must be letters, digits, dots, dashes or underscores", name)
+    kind = table.get("kind", "grid")
+    if kind not in KINDS:
+        raise top.at("kind").wrong(f"must be one of {', '.join(KINDS)}", kind)
+    if kind != "grid" and kind not in TASKS:
+        raise top.at("kind").error(f"This version has no task for a study of kind `{kind}`")
+    options = table.get("options", {})
+    if not isinstance(options, dict) or (options and kind == "grid"):
+        raise top.at("options").error("`options` is a table for studies of another kind than `grid`")
+    gaits = _names(table.get("gaits", list(GAITS)), GAITS, top.at("gaits"))
+    study = Study(name=name, text=text, kind=kind, path=path, walker_axis=isinstance(table.get("walker"), list), options=_plain(options, top.at("options")),
+                  gaits=tuple(g for g in GAITS if g in gaits), limits=_limits(table, top),
+                  walkers=_walkers(table.get("walker"), path, top.at("walker")),
+                  axes=_axes(table.get("axes"), top.at("axes")), **_want(table.get("want", {}), top.at("want")))
+    if study.points > MOST_POINTS:
+        raise top.at("axes").error(f"The grid has {study.points:.3g} points, more than {MOST_POINTS:.0e}")
+    return _checked(study, top)
+
+
+def _table(value: object, known: Iterable[str], place: _Place) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise place.wrong("must be a table", value)
+    for key in value:
+        if key not in known:
+            raise place.unknown(key, known)
+    return value
+
+
+def _number(value: object, place: _Place) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise place.wrong("must be a number", value)
+    if not math.isfinite(value) or abs(value) > 1e300:
+        raise place.wrong("must be finite", value)
+    return float(value)
+
+
+def _names(value: object, known: Iterable[str], place: _Place) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(v, str) for v in value) or not value:
+        raise place.wrong("must be a list of names", value)
+    for name in value:
+        if name not in known:
+            raise place.unknown(name, known)
+    return tuple(dict.fromkeys(value))
+
+
+def _plain(options: Mapping[str, Any], place: _Place) -> dict[str, Any]:
+    for key, value in options.items():
+        for v in value if isinstance(value, list) else [value]:
+            if not isinstance(v, str | bool):
+                _number(v, place.at(key))
+    return dict(options)
+
+
+def _walkers(value: object, path: Path, place: _Place) -> tuple[str | dict[str, Any], ...]:
+    if isinstance(value, list):
+        if not value or not all(isinstance(v, str) for v in value) or len(set(value)) < len(value):
+            raise place.wrong("must be a list of different names", value)
+        return tuple(walker(v, path.parent, place) for v in value)
+    if isinstance(value, str | dict):
+        return (walker(value, path.parent, place),)
+    raise place.wrong("must be a name, a file, a table, or a list of names", value)
+
+
+def walker(value: str | dict[str, Any], folder: Path, place: _Place | None = None) -> str | dict[str, Any]:
+    """A walker's name, or its table where `value` names a file beside `folder` or is a table."""
+    place = place or _Place("", "walker")
+    if isinstance(value, dict) or not value.endswith(".toml"):
+        return value
+    if place.file and Path(value).is_absolute():
+        raise place.wrong("must be a path relative to the study", value)
+    try:
+        _, table = _toml(folder / value, value)
+    except StudyError as error:
+        raise place.error(str(error)) from error
+    if not isinstance(table.get("walker"), dict):
+        raise place.error(f"{_clip(value)} has no [walker] table")
+    return table["walker"]
+
+
+def _axes(value: object, place: _Place) -> tuple[Axis, ...]:
+    if not isinstance(value, dict) or not value:
+        raise place.error("A study needs axes, at least `slope`")
+    keys = worker.resolve("tasks.walkers.parameters:NUMBERS")
+    known = (*EXTRA_AXES, *keys)
+    for key in value:
+        if key not in known:
+            raise place.unknown(key, known)
+    if "slope" not in value:
+        raise place.error("A study needs the axis `slope`")
+    axes = tuple(Axis(key, _values(v, place.at(key))) for key, v in value.items())
+    for axis in axes:
+        if axis.name == "slope" and not (axis.values.min() > 0 and axis.values.max() < 0.5):
+            worst = axis.values.min() if axis.values.min() <= 0 else axis.values.max()
+            raise place.at("slope").wrong("must lie in (0, 0.5) rad", float(worst))
+    return axes
+
+
+def _values(value: object, place: _Place) -> np.ndarray:
+    if isinstance(value, list):
+        if not value:
+            raise place.wrong("must hold at least one value", value)
+        values = np.array([_number(v, place) for v in value])
+        step = np.diff(values)
+        if not (np.all(step > 0) or np.all(step < 0)):
+            raise place.wrong("must rise or fall throughout", value)
+        return values
+    if not isinstance(value, dict):
+        raise place.wrong("must be a list, or a table of from, to, n and spacing", value)
+    table = _table(value, ("from", "to", "n", "spacing"), place)
+    for key in ("from", "to", "n"):
+        if key not in table:
+            raise place.error(f"`{key}` is missing")
+    start, stop = _number(table["from"], place.at("from")), _number(table["to"], place.at("to"))
+    n, spacing = table["n"], table.get("spacing", "linear")
+    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= MOST_VALUES:
+        raise place.at("n").wrong(f"must be a whole number from 1 to {MOST_VALUES:,}", n)
+    if spacing not in ("linear", "log"):
+        raise place.at("spacing").wrong('must be "linear" or "log"', spacing)
+    if start >= stop:
+        raise place.at("from").wrong(f"must be less than `to` = {stop!r}", start)
+    if spacing == "log" and start <= 0:
+        raise place.at("from").wrong("must be > 0 for log spacing", start)
+    values = (np.geomspace if spacing == "log" else np.linspace)(start, stop, n)
+    if n > 1 and not np.all(np.diff(values) > 0):
+        raise place.at("n").wrong("is too many: neighbouring values would be equal", n)
+    return values
+
+
+def _want(value: object, place: _Place) -> dict[str, tuple[str, ...]]:
+    table = _table(value, ("variables", "fits", "figures", "claims"), place)
+    groups = sorted({v.group for v in VARIABLES.values()} - {""})
+    wanted = tuple(v.name for v in VARIABLES.values() if v.group != "violations")
+    if "variables" in table:
+        names = _names(table["variables"], (*VARIABLES, *groups), place.at("variables"))
+        wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & set(names) or v.name in ALWAYS)
+    names = {key: _free_names(table.get(key, []), place.at(key)) for key in ("fits", "figures", "claims")}
+    for fit in names["fits"]:
+        if fit not in TASKS:
+            raise place.at("fits").unknown(fit, [t for t in TASKS if t not in KINDS and t not in ("atlas", "points")])
+    return {"variables": wanted, **names}
+
+
+def _free_names(value: object, place: _Place) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(v, str) and re.fullmatch(r"\w{1,60}", v) for v in value):
+        raise place.wrong("must be a list of names", value)
+    return tuple(dict.fromkeys(value))
+
+
+def _limits(table: Mapping[str, Any], top: _Place) -> Limits:
+    place = top.at("limits")
+    limits = _table(table.get("limits", {}), ("seconds", "memory"), place)
+    seconds = _number(limits.get("seconds", Limits.seconds), place.at("seconds"))
+    if not 0 < seconds <= 1e6:
+        raise place.at("seconds").wrong("must be > 0 and at most 1e6 s", seconds)
+    memory = limits.get("memory", Limits.memory)
+    found = re.fullmatch(r"(\d+(?:\.\d+)?) ?([A-Za-z]*)", memory) if isinstance(memory, str) else None
+    if found and found[2] in _UNITS:
+        memory = int(float(found[1]) * _UNITS[found[2]])
+    if isinstance(memory, bool) or not isinstance(memory, int) or not 1 << 26 <= memory <= 1 << 50:
+        raise place.at("memory").wrong('must be at least 64 MiB, as in "2 GiB"', limits.get("memory"))
+    return Limits(seconds, memory)
+
+
+def _checked(study: Study, top: _Place) -> Study:
+    """Check every walker at the corners of the grid of lines; keep what `tasks` says of each."""
+    ends = [sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes]
+    names = [a.name for a in study.line_axes]
+    checks = []
+    for one in study.walkers:
+        for corner in itertools.islice(itertools.product(*ends), 256):
+            try:
+                found = worker.call("check_walker", {"walker": one, "set": dict(zip(names, corner, strict=True))})
+            except ValueError as error:
+                key = getattr(error, "key", "walker")
+                place = top.at("axes", key) if key in names else top.at("walker")
+                raise place.error(str(error)) from error
+        checks.append(found)
+    object.__setattr__(study, "checks", tuple(checks))
+    return study

@@ -1,0 +1,106 @@
+"""Tables in the archive: one netCDF group each, its columns along the dimension `row`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline import pack
+from pipeline.plan import Plan
+from tasks import registry
+
+Columns = dict[str, np.ndarray]
+
+
+def write(file: Any, plan: Plan) -> None:
+    """Write every table the study's tasks gave; a task that failed leaves its name and the reason."""
+    failed: list[tuple[str, str, str]] = []
+    for name, layer in plan.layers.items():
+        if name in ("atlas", "points"):
+            continue
+        parts: dict[str, list[Columns]] = {}
+        for coordinates, key in _runs(plan, name, layer.per_line):
+            found = plan.journal.result(key)
+            if found is None:
+                continue
+            if found.outcome != "ok":
+                failed.append((name, found.outcome, found.reason))
+                continue
+            for group, columns in split(pack.load(found.data)).items():
+                parts.setdefault(group, []).append({**_repeat(coordinates, columns), **columns})
+        for group in sorted(parts):
+            _group(file, plan, group, _stack(parts[group]))
+    if failed:
+        names, outcomes, reasons = zip(*failed, strict=True)
+        _group(file, plan, "failed_tasks", {"task": np.array(names), "outcome": np.array(outcomes),
+                                            "reason": np.array(reasons)})
+
+
+def _runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str]]:
+    """Coordinates and key of every run of a task, in the order of the grid."""
+    if not per_line:
+        yield {}, plan.study_keys()[name][0]
+        return
+    for i in range(plan.study.lines):
+        line = plan.study.line(i)
+        walker = line["walker"] if isinstance(line["walker"], str) else "walker"
+        yield {"walker": walker, **line["set"]}, plan.line_keys(i)[name][0]
+
+
+def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:
+    """Columns by group.
+
+    Raises
+    ------
+    ValueError
+        If a name is no "group/column" or columns of a group differ in length.
+    """
+    groups: dict[str, Columns] = {}
+    for name, values in table.items():
+        group, _, column = name.rpartition("/")
+        if not re.fullmatch(r"\w+(/\w+)?", group) or not re.fullmatch(r"\w+", column) or np.ndim(values) != 1:
+            raise ValueError(f"`{name}` is no column of a table")
+        groups.setdefault(group, {})[column] = values
+    for group, columns in groups.items():
+        if len({len(v) for v in columns.values()}) > 1:
+            raise ValueError(f"columns of `{group}` differ in length")
+    return groups
+
+
+def _repeat(coordinates: Mapping[str, Any], columns: Columns) -> Columns:
+    n = len(next(iter(columns.values())))
+    return {name: np.full(n, value) for name, value in coordinates.items() if name not in columns}
+
+
+def _stack(parts: list[Columns]) -> Columns:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
+    place = file.createGroup(group)
+    place.createDimension("row", len(next(iter(columns.values()))))
+    for name, values in columns.items():
+        text = values.dtype.kind == "U"
+        options = {} if text else {"fill_value": np.nan if values.dtype.kind == "f" else False, "fletcher32": True,
+                                   "zlib": True, "complevel": 1, "shuffle": True}
+        if not len(values):
+            options.pop("fletcher32", None)
+        variable = place.createVariable(name, str if text else values.dtype.newbyteorder("="), ("row",), **options)
+        variable.setncatts(_attributes(plan, name))
+        variable[:] = values.astype(object) if text else values
+
+
+def _attributes(plan: Plan, name: str) -> dict[str, str]:
+    from pipeline.archive import axis_units
+
+    study = plan.study
+    si = all(check["si"] for check in study.checks)
+    about = {**registry.VARIABLES, **getattr(registry, "COLUMNS", {})}.get(name)
+    if about is not None:
+        return {"long_name": about.long_name, "units": about.units(si)}
+    if name in (a.name for a in study.axes):
+        return {"long_name": name.replace("_", " "), "units": axis_units(study, name)}
+    return {"long_name": name.replace("_", " "), "units": "1"}

@@ -1,0 +1,193 @@
+"""Run what `tasks` offers, by name: at once in this process, or as a worker that answers over pipes.
+
+The one module that reaches a task's function. As a program (`python -m pipeline.worker`) it reads requests
+from its standard input and answers on its standard output until that closes; `pipeline.cell` starts it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import os
+import re
+import resource
+import signal
+import struct
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, BinaryIO
+
+from tasks.registry import CALLS, STATUSES
+
+#: How a point ended for its worker; how a solve ended is in `tasks.registry`.
+ENDINGS = {"worker_died": 4, "timed_out": 5, "out_of_memory": 6, "not_attempted": 7, "raised": 8}
+#: Every value of `status`.
+ALL_STATUSES = {**STATUSES, **ENDINGS}
+#: Statuses that answer the question; every other is a failure.
+ANSWERS = tuple(STATUSES[name] for name in ("converged", "no_gait", "fell"))
+_PR_SET_PDEATHSIG = 1
+_SLACK = 256 << 20  # byte
+
+
+def resolve(name: str) -> Any:
+    """The object called "module:name"."""
+    module, _, attribute = name.partition(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def call(name: str, params: dict[str, Any]) -> Any:
+    """Answer one of `tasks.registry.CALLS` in this process."""
+    return resolve(CALLS[name])(params)
+
+
+def send(stream: BinaryIO, *parts: bytes) -> None:
+    """Write one message of several parts."""
+    stream.write(struct.pack(f"<{1 + len(parts)}Q", len(parts), *map(len, parts)))
+    for part in parts:
+        left = memoryview(part)
+        while left:
+            left = left[stream.write(left) or 0:]
+    stream.flush()
+
+
+def receive(stream: BinaryIO) -> list[bytes]:
+    """Read one message.
+
+    Raises
+    ------
+    EOFError
+        If the other end is gone.
+    """
+    (count,) = struct.unpack("<Q", _exactly(stream, 8))
+    sizes = struct.unpack(f"<{count}Q", _exactly(stream, 8 * count))
+    return [_exactly(stream, size) for size in sizes]
+
+
+def _exactly(stream: BinaryIO, size: int) -> bytes:
+    data, got = memoryview(bytearray(size)), 0
+    while got < size:
+        n = stream.readinto(data[got:])  # type: ignore[attr-defined]
+        if not n:
+            raise EOFError
+        got += n
+    return bytes(data)
+
+
+def serve() -> None:
+    """Answer requests until the parent closes the pipe or dies."""
+    parent = os.getppid()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if os.getppid() != parent or parent == 1:
+        return
+    # What a task or a library prints must not reach the answers.
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    import threadpoolctl
+
+    from pipeline import pack
+
+    warm: set[bytes] = set()
+    while True:
+        try:
+            head, *inputs = receive(requests)
+        except EOFError:
+            return
+        request = pack.load(head)
+        try:
+            function = resolve(request["function"])
+        except Exception as error:
+            send(answers, b"broken", _sentence(error).encode())
+            continue
+        threadpoolctl.threadpool_limits(1)
+        _bound_memory(request["memory"])
+        params, trees = request["params"], [pack.load(i) for i in inputs]
+        for key in ("want", "gaits"):
+            if key in params:
+                params[key] = tuple(params[key])
+        line = pack.dump(params.get("line"))
+        if request["points"] and line not in warm:
+            # Loading compiled code is not charged to the first point.
+            _attempt(function, {**params, "slope": params["slope"][:0]}, trees)
+            warm.add(line)
+        send(answers, b"started", resource_use())
+        began = time.perf_counter()
+        outcome, result = _attempt(function, params, trees)
+        if outcome == b"ok":
+            try:
+                parts = _rows(params, result) if request["points"] else [pack.dump(result)]
+            except Exception as error:
+                outcome, parts = b"raised", [_sentence(error).encode()]
+        else:
+            parts = [result.encode()]
+        send(answers, outcome, struct.pack("<d", time.perf_counter() - began), *parts)
+
+
+def _bound_memory(growth: int) -> None:
+    """Let this process grow no further than that; the parent, who looks now and then, ends it well before."""
+    with open("/proc/self/statm") as file:
+        data = int(file.read().split()[5]) * resource.getpagesize()
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    bound = data + growth + _SLACK
+    resource.setrlimit(resource.RLIMIT_DATA, (bound if hard == resource.RLIM_INFINITY else min(bound, hard), hard))
+
+
+def resource_use() -> bytes:
+    """Resident memory of this process [byte], and the threads its libraries use, packed."""
+    import threadpoolctl
+
+    threads = max((pool["num_threads"] for pool in threadpoolctl.threadpool_info()), default=1)
+    with open("/proc/self/statm") as file:
+        resident = int(file.read().split()[1]) * resource.getpagesize()
+    return struct.pack("<QQ", resident, threads)
+
+
+def _attempt(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[bytes, Any]:
+    try:
+        return b"ok", function(params, inputs)
+    except MemoryError:
+        return b"out_of_memory", ""
+    except BaseException as error:  # sys.exit and KeyboardInterrupt too: nothing a task does ends a worker's loop
+        return b"raised", _sentence(error)
+
+
+def _sentence(error: BaseException) -> str:
+    """What an exception says, on one line and the same in every process."""
+    try:
+        text = " ".join(str(error).split())
+    except Exception:
+        text = ""
+    text = re.sub(r"0x[0-9a-f]{6,}", "0x...", text)[:300]
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
+    """A block of points as the journal keeps it: states, then variables, without gaits that nowhere exist."""
+    import numpy as np
+
+    from pipeline import pack
+
+    n, status = len(params["slope"]), np.asarray(result["status"], np.int8)
+    live = status.shape[1]
+    columns = {name: np.asarray(result[name]) for name in params["want"] if name not in ("status", "reason")}
+    for name, a in columns.items():
+        if a.shape[:2] != status.shape or len(status) != n:
+            raise ValueError(f"`{name}` has shape {a.shape} for {n} points")
+
+    def empty(g: int) -> bool:
+        return bool(np.all(status[:, g] == STATUSES["no_gait"])) and all(
+            np.all(np.isnan(a[:, g])) if a.dtype.kind == "f" else not a[:, g].any() for a in columns.values())
+
+    while live and empty(live - 1):
+        live -= 1
+    reasons = np.asarray(result["reasons"])
+    states = {"status": status, "reason": np.asarray(result["reason"], np.int16),
+              "reasons": reasons if reasons.size else np.zeros(0, "U1")}
+    return [pack.dump(states), pack.dump({name: a[:, :live] for name, a in columns.items()})]
+
+
+if __name__ == "__main__":
+    serve()

@@ -1,0 +1,154 @@
+"""Orbits: strides from many starts at many slopes, the attractors they end on, and the falls."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping
+
+import numpy as np
+
+from tasks.gait import atlas as atlases
+from tasks.gait.branch import Branch
+from tasks.gait.fixed_point import Problem, gait_ratio, newton_step
+from tasks.gait.lyapunov import Exponents, estimate
+from tasks.gait.strides import CAUSES, STRUCK, stride
+from tasks.walkers.parameters import resolve
+
+Arrays = dict[str, np.ndarray]
+#: Options of a study of this kind, and what they are where it is silent.
+OPTIONS = {"gait": "long", "starts": 8, "spread": 1e-3, "transient": 400, "strides": 240, "shown": 120}
+#: Strides over which the directions of growth settle before they are counted, and blocks the rest is cut into.
+SETTLE, BLOCKS = 16, 8
+#: Lanes advanced together: their states stay in the cache.
+LANES = 4096
+
+
+def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Strides from starts near a gait, at every slope.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `slope`, ndarray, shape (n,) [rad]; and the study's options: `gait` whose neighbourhood the starts
+        fill, `starts` at each slope, `spread` (their relative distance), `transient` (strides dropped), `strides`
+        (strides kept, all of which count for the exponents), `shown` (the last of them, tabled).
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Tables `orbits` (slope, start, stride, stance_angle, stance_rate), `lyapunov` (slope, index, exponent,
+        standard_error, strides), `falls` (slope, start, steps, cause). Exponents are per stride; only orbits that walk
+        to the end are in the first two.
+
+    Notes
+    -----
+    Transients are flown to about 1e-8, kept strides exactly. Exponents are those of the map on its section; the
+    stride's superficial zero multipliers (paper, section 2.2) would add minus infinities.
+    """
+    options = {**OPTIONS, **{k: params[k] for k in OPTIONS if k in params}}
+    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    problem = Problem(walker)
+    slope = np.asarray(params["slope"], float)
+    known, gaits = gaits_at(problem, atlases.from_arrays(inputs[0]), slope, str(options["gait"]))
+    count = int(options["starts"])
+    y = np.repeat(gaits, count, axis=1) * (1 + float(options["spread"]) * _offsets(problem.m, count, len(known)))
+    lane_slope, start = np.repeat(slope[known], count), np.tile(np.arange(count), len(known))
+    second = np.sqrt(walker.leg / walker.g)
+    parts = [_walked(problem, y[:, k:k + LANES], lane_slope[k:k + LANES], options)
+             for k in range(0, y.shape[1], LANES)]
+    angles = np.concatenate([p["angles"] for p in parts], axis=2) if parts else np.zeros((0, 2, 0))
+    steps = np.concatenate([p["steps"] for p in parts]) if parts else np.zeros(0, int)
+    outcome = np.concatenate([p["outcome"] for p in parts]) if parts else np.zeros(0, int)
+    means = np.concatenate([p["means"] for p in parts], axis=2) if parts else np.zeros((BLOCKS, problem.m, 0))
+    walks = outcome == STRUCK
+    kept = angles[:, :, walks]
+    shown, n = len(kept), int(walks.sum())
+    out = {"orbits/slope": np.repeat(lane_slope[walks], shown), "orbits/start": np.repeat(start[walks], shown),
+           "orbits/stride": np.tile(np.arange(int(options["strides"]) - shown, int(options["strides"])), n),
+           "orbits/stance_angle": kept[:, 0].T.ravel(), "orbits/stance_rate": kept[:, 1].T.ravel() / second}
+    lost = np.setdiff1d(np.arange(len(slope)), known)
+    out |= {"falls/slope": np.concatenate([lane_slope[~walks], slope[lost]]),
+            "falls/start": np.concatenate([start[~walks], np.full(len(lost), -1)]),
+            "falls/steps": np.concatenate([steps[~walks], np.zeros(len(lost), int)]),
+            "falls/cause": np.array([*(CAUSES[c] for c in outcome[~walks]), *["no gait to start from"] * len(lost)], "U24")}
+    return out | _exponents(means[:, :, walks], lane_slope[walks], int(options["strides"]) - SETTLE)
+
+
+def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Arrays:
+    """The table of exponents, each slope's orbits taken together."""
+    rows: dict[str, list[float]] = {k: [] for k in ("slope", "index", "exponent", "standard_error", "strides")}
+    for s in np.unique(lane_slope):
+        mine = lane_slope == s
+        value, error = estimate(means[:, :, mine])
+        for i in range(len(value)):
+            for key, x in zip(rows, (s, i, value[i], error[i], strides * int(mine.sum()))):
+                rows[key].append(x)
+    return {f"lyapunov/{k}": np.array(v, float if k not in ("index", "strides") else int) for k, v in rows.items()}
+
+
+def _offsets(m: int, count: int, slopes: int) -> np.ndarray:
+    """Fixed offsets of the starts in [-1, 1], the same at every slope, shape (m, slopes * count)."""
+    # Multiples of the generalised golden ratio's powers: a low-discrepancy sequence without state.
+    ratio = {2: 1.32471795724474602596, 3: 1.22074408460575947536}[m]
+    steps = np.array([ratio ** -(i + 1) for i in range(m)])
+    one = 2 * ((0.5 + steps[:, None] * np.arange(1, count + 1)) % 1) - 1
+    return np.tile(one, (1, slopes))
+
+
+def _walked(problem: Problem, y: np.ndarray, slope: np.ndarray, options: Mapping[str, Any]) -> Arrays:
+    """Transient and kept strides of some lanes; those that fall leave the batch."""
+    n, strides, shown = y.shape[1], int(options["strides"]), min(int(options["shown"]), int(options["strides"]))
+    steps, outcome = np.zeros(n, int), np.full(n, STRUCK)
+    angles = np.full((shown, 2, n), np.nan)
+    means = np.full((BLOCKS, problem.m, n), np.nan)
+    lanes = np.arange(n)
+    for _ in range(int(options["transient"])):
+        now = stride(problem, y, slope[lanes], exact=False)
+        walks = now.outcome == STRUCK
+        outcome[lanes], steps[lanes[walks]] = now.outcome, steps[lanes[walks]] + 1
+        y, lanes = now.image[:, walks], lanes[walks]
+        if not len(lanes):
+            break
+    growth = Exponents.begin(problem.m, len(lanes), BLOCKS)
+    for k in range(strides if len(lanes) else 0):
+        now = stride(problem, y, slope[lanes])
+        walks = now.outcome == STRUCK
+        outcome[lanes], steps[lanes[walks]] = now.outcome, steps[lanes[walks]] + 1
+        if not walks.all():
+            growth = Exponents(growth.Q[:, :, walks], growth.blocks[:, :, walks], growth.counts)
+        y, lanes = now.image[:, walks], lanes[walks]
+        if not len(lanes):
+            break
+        assert now.jacobian is not None
+        growth.step(now.jacobian[:, :, walks], (k - SETTLE) * BLOCKS // (strides - SETTLE) if k >= SETTLE else None)
+        if k >= strides - shown:
+            angles[k - strides + shown][:, lanes] = y[:2]
+    means[:, :, lanes] = growth.means()
+    return {"angles": angles, "steps": steps, "outcome": outcome, "means": means}
+
+
+def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
+    """A line's gaits of one label at given slopes.
+
+    Returns
+    -------
+    index : ndarray of int
+        Slopes that have one, rising.
+    y : ndarray, shape (m, len(index))
+        Their section coordinates [rad, rad/sqrt(leg/g)].
+    """
+    m = problem.m
+    found: dict[int, np.ndarray] = {}
+    for branch in branches:
+        for index, Z, _ in branch.guesses(np.log(slope)):
+            w, q = np.delete(Z, m, axis=1).T, np.log(slope[index])
+            for _ in range(3):
+                at, _ = problem.stride(w, q)
+                w = w + newton_step(at, w)
+            wanted = (gait_ratio(at) < 0.5) == (label == "long")
+            y = np.vstack([np.exp(w[0]), np.exp(w[0]) * w[1:m]])
+            for lane in np.nonzero(wanted & np.isfinite(y).all(axis=0))[0]:
+                found.setdefault(int(index[lane]), y[:, lane])
+    index = np.array(sorted(found), int)
+    return index, np.array([found[i] for i in index]).T.reshape(m, len(index))

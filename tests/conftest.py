@@ -1,0 +1,68 @@
+"""What several test folders share: the command line over toy tasks, in processes of its own."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+TOYS = ROOT / "tests" / "test_pipeline"
+
+STUDY = """name = "toy"
+walker = "E"
+[axes]
+slope = { from = 0.01, to = 0.2, n = 200 }
+w_t = [0.0, 0.25]
+[want]
+variables = ["stance_angle", "multipliers"]
+fits = ["scaling"]
+"""
+
+
+@dataclass
+class Toy:
+    """A folder in which `gaitsweep` runs toy tasks."""
+
+    folder: Path
+    environment: dict[str, str] = field(default_factory=dict)
+    started: list[subprocess.Popen] = field(default_factory=list)
+
+    def write(self, text: str = STUDY, name: str = "toy.toml") -> Path:
+        (self.folder / name).write_text(text)
+        return self.folder / name
+
+    def start(self, *arguments: object, **environment: str) -> subprocess.Popen:
+        path = os.pathsep.join([str(ROOT), str(TOYS)])
+        process = subprocess.Popen(
+            [sys.executable, "-W", "ignore", str(TOYS / "gaitsweep_toy.py"), *map(str, arguments)], cwd=self.folder,
+            env={**os.environ, "PYTHONPATH": path, **self.environment, **environment}, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        self.started.append(process)
+        return process
+
+    def close(self) -> None:
+        for process in self.started:
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
+
+    def __call__(self, *arguments: object, expect: int = 0, **environment: str) -> subprocess.CompletedProcess:
+        process = self.start(*arguments, **environment)
+        out, err = process.communicate(timeout=240)
+        assert process.returncode == expect, f"exit {process.returncode}: {out}{err}"
+        return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+    def bytes(self, name: str = "toy") -> bytes:
+        return (self.folder / "data" / "archive" / f"{name}.nc").read_bytes()
+
+
+@pytest.fixture
+def toy(tmp_path: Path) -> Iterator[Toy]:
+    found = Toy(tmp_path)
+    found.write()
+    yield found
+    found.close()

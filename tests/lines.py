@@ -1,0 +1,39 @@
+"""Lines solved once for all tests."""
+
+import functools
+
+import numpy as np
+
+from tasks.registry import GAITS, VARIABLES
+from tasks.solve import atlas, points
+from tasks.walkers.parameters import resolve
+
+WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
+
+
+@functools.lru_cache(maxsize=32)
+def _atlas(walker, overrides):
+    return atlas({"line": {"walker": walker, "set": dict(overrides)}}, [])
+
+
+def solved(walker, slopes, want=WANT, **overrides):
+    """Points of a line at some slopes."""
+    line = {"walker": walker, "set": overrides}
+    found = _atlas(walker, tuple(sorted(overrides.items())))
+    return points({"line": line, "slope": np.atleast_1d(np.asarray(slopes, float)), "want": want}, [found])
+
+
+def gait(walker, slope, label, **overrides):
+    """One gait as a dict of numbers."""
+    out = solved(walker, slope, **overrides)
+    g = GAITS.index(label)
+    return {k: v[0, g] for k, v in out.items() if k != "reasons"}
+
+
+def branches(walker, **overrides):
+    """The atlas's branches, and the walker's problem."""
+    from tasks.gait.atlas import from_arrays
+    from tasks.gait.fixed_point import Problem
+
+    found = _atlas(walker, tuple(sorted(overrides.items())))
+    return Problem(resolve(walker, overrides)), from_arrays(found)

@@ -1,0 +1,61 @@
+"""The graph is plain data, culled to what is wanted, and its keys name science alone."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline import graph, study
+from tasks import registry
+
+
+@pytest.fixture
+def make():
+    def make(slope=(0.01, 0.02), **changes):
+        table = {"name": "s", "walker": "E", "axes": {"slope": list(slope), "foot_mass_ratio": [0.1, 0.05]}, **changes}
+        return study.parse(table, "", Path("s.toml"))
+    return make
+
+
+def test_nothing_that_is_not_wanted_is_in_the_graph(make):
+    found = make(want={"variables": ["period"]})
+    assert list(graph.layers(found)) == ["atlas", "points"]
+    assert graph.variables(found) == ("period", *registry.ALWAYS)
+    found = make(want={"variables": ["period"], "fits": ["transition"]})
+    assert list(graph.layers(found)) == ["atlas", "points", "transition"]
+    assert "stance_angle" in graph.variables(found) and "multiplier_real" not in graph.variables(found)
+
+
+def test_the_graph_is_plain_data_and_whole(make):
+    nodes = graph.expand(make(want={"fits": ["scaling", "transition"]}))
+    assert [key.split("-")[0] for key in nodes] == ["atlas", "points"] * 2 + ["scaling", "transition"]
+    json.dumps(nodes)
+    for _, _, inputs in nodes.values():
+        assert set(inputs) <= set(nodes)
+
+
+def test_keys_do_not_depend_on_slopes_and_wishes(make):
+    one = graph.expand(make())
+    two = graph.expand(make(slope=np.linspace(0.01, 0.1, 9), want={"variables": ["period"]}, limits={"seconds": 3}))
+    assert set(one) == set(two)
+    three = graph.expand(make(want={"fits": ["scaling"]}))
+    four = graph.expand(make(want={"fits": ["scaling"]}, slope=(0.01, 0.03)))
+    assert len(set(three) & set(four)) == 4 and len(set(three) - set(four)) == 1
+
+
+def test_a_version_is_in_the_keys_of_its_dependents(make, monkeypatch):
+    before = graph.expand(make(want={"fits": ["scaling"]}))
+    monkeypatch.setitem(registry.TASKS, "points", dataclasses.replace(registry.TASKS["points"], version=99))
+    after = graph.expand(make(want={"fits": ["scaling"]}))
+    assert {key.split("-")[0] for key in set(before) & set(after)} == {"atlas"}
+
+
+def test_keys_hold_the_exact_numbers():
+    task = registry.TASKS["atlas"]
+    one, two = ({"line": {"walker": "E", "set": {"R": value}}} for value in (0.1, np.nextafter(0.1, 1)))
+    assert graph.key(task, one)[0] != graph.key(task, two)[0]
+    assert graph.key(task, one)[0] == ("atlas-" + graph.key(task, one)[0][6:]) and len(graph.key(task, one)[0]) == 70
+    backwards = {"line": dict(reversed(one["line"].items()))}
+    assert graph.key(task, one) == graph.key(task, backwards)

@@ -1,0 +1,71 @@
+"""One bad point costs one point."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from conftest import STUDY
+
+#: Trouble, the status it ends with, and words of its reason.
+TROUBLES = {
+    "raise": ("raised", "RuntimeError: trouble at 0.050"),
+    "exit": ("raised", "SystemExit: 3"),
+    "unpicklable": ("raised", "Local"),
+    "segfault": ("worker_died", "SIGSEGV"),
+    "kill": ("worker_died", "SIGKILL"),
+    "hang": ("timed_out", "longer than 0.5 s"),
+    "eat": ("out_of_memory", "more than 256 MiB"),
+}
+LIMITED = STUDY.replace("n = 200", "n = 191") + '[limits]\nseconds = 0.5\nmemory = "256 MiB"\n'
+
+
+def opened(toy, name="toy"):
+    return xr.open_dataset(toy.folder / "data" / "archive" / f"{name}.nc", engine="netcdf4").load()
+
+
+@pytest.fixture(scope="module")
+def innocent(tmp_path_factory):
+    from conftest import Toy
+
+    toy = Toy(tmp_path_factory.mktemp("innocent"))
+    toy.write(LIMITED)
+    toy("run", "toy.toml")
+    return opened(toy)
+
+
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_a_bad_point_gets_a_status_and_all_others_keep_their_bits(toy, innocent, trouble):
+    toy.write(LIMITED)
+    toy("run", "toy.toml", expect=1, TOY_TROUBLE=f"{trouble}@0.05")
+    found = opened(toy)
+    status, words = TROUBLES[trouble]
+    bad = np.isclose(found.slope, 0.05)
+    meanings = dict(zip(found.status.flag_meanings.split(), found.status.flag_values, strict=True))
+    assert (found.status[bad] == meanings[status]).all()
+    reasons = found.reason_text.values[found.reason[bad].values]
+    assert all(words in str(r) for r in reasons.ravel())
+    for name in ("stance_angle", "multiplier_real", "residual", "status"):
+        np.testing.assert_array_equal(found[name][~bad], innocent[name][~bad])
+        if name != "status":
+            assert np.isnan(found[name][bad]).all()
+
+
+def test_failed_points_are_kept_until_retried(toy):
+    toy.write(LIMITED)
+    toy("run", "toy.toml", expect=1, TOY_TROUBLE="raise@0.05 segfault@0.15")
+    again = toy("run", "toy.toml", expect=1)
+    assert "raised 2" in again.stderr and "worker_died 2" in again.stderr
+    assert "4 retried" in toy("plan", "toy.toml", "--retry-failed").stdout
+    toy("run", "toy.toml", "--retry-failed")
+    retried = toy.bytes()
+    toy("run", "toy.toml", "--fresh")
+    assert toy.bytes() == retried
+
+
+def test_a_failed_atlas_costs_its_line(toy):
+    toy.write(STUDY.replace("[0.0, 0.25]", "[0.0, 13.0]"))
+    toy("run", "toy.toml", expect=1)
+    found = opened(toy)
+    assert (found.status.sel(w_t=0.0, gait="long") == 0).all()
+    assert (found.status.sel(w_t=13.0) == 8).all()
+    assert "The atlas of the line: it raised ValueError: no atlas here." in found.reason_text.values

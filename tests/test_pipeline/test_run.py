@@ -1,0 +1,250 @@
+"""A run survives what ends it, and gives the same bytes however it went."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from conftest import STUDY
+
+SLOW = {"TOY_SECONDS": "0.002"}
+
+
+def journal(toy, what=".journal"):
+    return toy.folder / "data" / "archive" / f"toy{what}"
+
+
+def wait_for_points(toy, n=1, seconds=60):
+    """Wait until the event log tells of so many chunks."""
+    log, end = journal(toy, ".events.jsonl"), time.monotonic() + seconds
+    while time.monotonic() < end:
+        if log.exists() and log.read_text().count('"chunk"') >= n:
+            return
+        time.sleep(0.02)
+    raise AssertionError("no point was solved in time")
+
+
+def descendants(pid):
+    """Process ids below that one."""
+    children = [int(c) for t in Path(f"/proc/{pid}/task").glob("*/children") for c in t.read_text().split()]
+    return children + [d for c in children for d in descendants(c)]
+
+
+def alive(pids):
+    found = []
+    for pid in pids:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+        except OSError:
+            continue
+        if state != "Z":
+            found.append(pid)
+    return found
+
+
+@pytest.fixture
+def whole(toy):
+    """Bytes of an undisturbed run, which is then forgotten."""
+    toy("run", "toy.toml")
+    bytes_ = toy.bytes()
+    for file in (toy.folder / "data" / "archive").iterdir():
+        file.unlink()
+    return bytes_
+
+
+@pytest.mark.parametrize("options", [("--jobs", "1"), ("--jobs", "3"), ("--chunk", "1"), ("--chunk", "7"), ("--chunk", "64")],
+                         ids=" ".join)
+def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, options):
+    toy("run", "toy.toml", *options, OMP_NUM_THREADS="2", OPENBLAS_NUM_THREADS="2")
+    assert toy.bytes() == whole
+
+
+def test_the_same_command_again_computes_nothing(toy):
+    toy("run", "toy.toml")
+    first = toy.bytes()
+    toy("run", "toy.toml")
+    assert toy.bytes() == first
+    log = [json.loads(line) for line in journal(toy, ".events.jsonl").read_text().splitlines()]
+    begins = [i for i, event in enumerate(log) if event["event"] == "begin"]
+    assert len(begins) == 2 and not [e for e in log[begins[1]:] if e["event"] in ("chunk", "task")]
+
+
+@pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129),
+                                              (signal.SIGKILL, -9)])
+def test_a_stopped_run_leaves_no_process_and_resumes_to_the_same_bytes(toy, whole, signum, code):
+    process = toy.start("run", "toy.toml", "--chunk", 20, **SLOW)
+    wait_for_points(toy, 2)
+    children = descendants(process.pid)
+    assert len(children) == 2
+    process.send_signal(signum)
+    _, err = process.communicate(timeout=10)
+    assert process.returncode == code
+    assert "Traceback" not in err
+    time.sleep(0.3)
+    assert not alive(children)
+    kept = journal(toy, ".events.jsonl").read_text().count('"chunk"')
+    toy("run", "toy.toml", "--chunk", 20)
+    assert toy.bytes() == whole
+    assert journal(toy, ".events.jsonl").read_text().count('"chunk"') <= 20 + 2 and kept >= 2
+
+
+def test_a_killed_worker_process_costs_nothing(toy, whole):
+    process = toy.start("run", "toy.toml", "--chunk", 20, **SLOW)
+    wait_for_points(toy, 1)
+    os.kill(descendants(process.pid)[0], signal.SIGKILL)
+    process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert toy.bytes() == whole
+
+
+def test_two_runs_on_one_archive_name_the_holder(toy):
+    process = toy.start("run", "toy.toml", "--chunk", 20, TOY_SECONDS="0.02")
+    wait_for_points(toy, 1)
+    second = toy("run", "toy.toml", expect=5)
+    assert f"process {process.pid} on {os.uname().nodename}, started 20" in second.stderr
+    assert f"running as process {process.pid}" in toy("status", "toy.toml").stdout
+    process.kill()
+    process.wait()
+    assert "stopped" in toy("status", "toy.toml").stdout
+    toy("run", "toy.toml")
+    assert "finished" in toy("status").stdout
+
+
+def test_a_denser_grid_and_another_line_reuse_what_they_share(toy):
+    toy("run", "toy.toml")
+    toy.write(STUDY.replace("n = 200", "n = 399").replace("[0.0, 0.25]", "[0.0, 0.25, 0.5]"))
+    plan = toy("plan", "toy.toml").stdout
+    assert "atlas        version 1  per line: 1 new, 2 cached" in plan
+    points = next(line for line in plan.splitlines() if "points  " in line)
+    new = int(points.split("per point: ")[1].split(" new")[0].replace(",", ""))
+    # linspace gives some shared slopes other last bits; most are equal.
+    assert 399 + 2 * 199 <= new < 399 + 2 * 260
+    toy("run", "toy.toml")
+    dense = toy.bytes()
+    toy("run", "toy.toml", "--fresh")
+    assert toy.bytes() == dense
+
+
+def test_a_bumped_version_reruns_its_dependents_only(toy):
+    toy("run", "toy.toml")
+    plan = toy("plan", "toy.toml", TOY_VERSIONS="scaling=2").stdout
+    assert "2 cached" in plan and "400 cached" in plan and "per study: 1 changed" in plan
+    plan = toy("plan", "toy.toml", TOY_VERSIONS="points=2").stdout
+    assert "per line: 2 cached" in plan and "400 changed" in plan and "per study: 1" in plan
+    plan = toy("plan", "toy.toml", TOY_VERSIONS="atlas=2").stdout
+    assert "per line: 2 changed" in plan and "400 changed" in plan
+
+
+def test_a_plan_equals_what_runs(toy):
+    toy("run", "toy.toml")
+    toy.write(STUDY.replace('"stance_angle", "multipliers"', '"stance_angle", "period", "energy"'))
+    plan = toy("plan", "toy.toml").stdout
+    assert "per line: 2 cached" in plan and "400 changed" in plan and "1 its inputs change" in plan
+    toy("run", "toy.toml")
+    log = [json.loads(line) for line in journal(toy, ".events.jsonl").read_text().splitlines()]
+    last = log[max(i for i, e in enumerate(log) if e["event"] == "begin"):]
+    assert sum(e["points"] for e in last if e["event"] == "chunk") == 400
+    assert [e["task"] for e in last if e["event"] == "task"] == ["scaling"]
+
+
+@pytest.mark.parametrize("part", [0.02, 0.4, 0.8, 0.99])
+def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, part):
+    toy("run", "toy.toml", "--chunk", 10)
+    size = journal(toy).stat().st_size
+    os.truncate(journal(toy), int(part * size))
+    toy("run", "toy.toml", "--chunk", 10)
+    assert toy.bytes() == whole
+    text = journal(toy, ".events.jsonl").read_text()
+    again = text[text.rindex('"begin"'):].count('"chunk"')
+    assert again <= 40 * (1 - part) + 8
+
+
+def test_a_foreign_file_is_not_touched(toy):
+    journal(toy).parent.mkdir(parents=True)
+    for what in (".journal", ".nc"):
+        journal(toy, what).write_text("not ours\n")
+        assert "move it away" in toy("run", "toy.toml", expect=2).stderr
+        assert journal(toy, what).read_text() == "not ours\n"
+        journal(toy, what).unlink()
+
+
+def test_snapshots_can_be_read_while_the_run_goes_on(toy, whole):
+    import netCDF4
+
+    process = toy.start("run", "toy.toml", "--chunk", 10, "--snapshot", "0", **SLOW)
+    seen = set()
+    while process.poll() is None:
+        if journal(toy, ".nc").exists():
+            with netCDF4.Dataset(journal(toy, ".nc")) as file:
+                seen.add(int(file.not_attempted))
+                assert file.variables["status"].shape == (200, 2, 2)
+        time.sleep(0.01)
+    process.communicate()
+    assert len(seen) > 1
+    assert toy.bytes() == whole
+
+
+def test_a_study_of_another_kind_gives_tables(toy):
+    import xarray as xr
+
+    toy.write('name = "toy"\nkind = "orbit"\nwalker = ["E", "F"]\n[axes]\nslope = [0.01, 0.02]\nw_t = [0.0, 0.1]\n')
+    toy("run", "toy.toml")
+    archive = toy.folder / "data" / "archive" / "toy.nc"
+    assert dict(xr.open_dataset(archive, engine="netcdf4").sizes) == {"walker": 2, "w_t": 2, "reason_index": 1}
+    rows = xr.open_dataset(archive, group="orbits", engine="netcdf4")
+    assert rows.walker.values.tolist() == ["E"] * 4 + ["F"] * 4
+    assert rows.w_t.values.tolist() == [0, 0, 0.1, 0.1] * 2
+    assert rows.period.attrs == {"long_name": "duration of one step", "units": "1"}
+
+
+@pytest.mark.soak
+def test_two_hundred_random_kills(toy, whole):
+    """kill -9 at random moments, parent or worker; every time the same command finishes with the same bytes."""
+    dice = random.Random(1)
+    killed = runs = 0
+    while killed < 200:
+        process = toy.start("run", "toy.toml", "--chunk", 10, "--snapshot", "0.1", **SLOW)
+        runs += 1
+        time.sleep(dice.uniform(0.1, 2.0))
+        victims = [process.pid, *descendants(process.pid)]
+        victim = dice.choice(victims)
+        try:
+            os.kill(victim, signal.SIGKILL)
+            killed += 1
+        except ProcessLookupError:
+            pass
+        if victim == process.pid:
+            process.communicate(timeout=10)
+            time.sleep(0.2)
+            assert not alive(victims)
+        else:
+            process.communicate(timeout=60)
+            assert process.returncode == 0
+        if process.returncode == 0:
+            assert toy.bytes() == whole
+            for file in (toy.folder / "data" / "archive").iterdir():
+                file.unlink()
+    print(f"{killed} kills in {runs} runs: equal bytes after each")
+
+
+@pytest.mark.soak
+def test_a_full_disk_stops_cleanly(toy, tmp_path):
+    small = tmp_path / "small"
+    small.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", small], capture_output=True).returncode:
+        pytest.skip("no right to mount a tmpfs")
+    try:
+        toy("run", "toy.toml", "--archive", small / "toy.nc")
+        old = (small / "toy.nc").read_bytes()
+        toy.write(STUDY.replace("n = 200", "n = 40000"))
+        done = toy("run", "toy.toml", "--archive", small / "toy.nc", expect=4)
+        assert "disk is full" in done.stderr and "Traceback" not in done.stderr
+        assert (small / "toy.nc").read_bytes() == old
+        assert not list(small.glob("*.tmp.*"))
+    finally:
+        subprocess.run(["umount", small], check=True)

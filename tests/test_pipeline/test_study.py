@@ -1,0 +1,159 @@
+"""A study is checked whole before anything runs, and every mistake gets one line that helps."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pipeline import study
+from pipeline.errors import StudyError
+
+GOOD = """name = "s"
+walker = "E"
+[axes]
+slope = { from = 1e-4, to = 0.1, n = 7, spacing = "log" }
+foot_mass_ratio = [0.1, 0.05]
+[want]
+variables = ["period", "multipliers"]
+[limits]
+seconds = 5
+memory = "1.5 GiB"
+"""
+
+#: What a user may write instead of a line of the good study, and what is said about it.
+WRONG = {
+    'name = "s"': {
+        'name = "../s"': "`name` must be letters, digits, dots, dashes or underscores; got '../s' (s.toml, name).",
+        "": "`name` must be letters, digits, dots, dashes or underscores; got None (s.toml, name).",
+        'name = "s"\nwalkr = "E"': "`walkr` is not known here, did you mean `walker`? (s.toml).",
+        'name = "s"\nkind = "brunch"':
+            "`kind` must be one of grid, branch, orbit, basin, curve; got 'brunch' (s.toml, kind).",
+        'name = "s"\ngaits = ["longe"]': "`longe` is not known here, did you mean `long`? (s.toml, gaits).",
+    },
+    'walker = "E"': {
+        'walker = "Q"': "`walker` is not a known walker; got Q (s.toml, walker).",
+        'walker = 3': "`walker` must be a name, a file, a table, or a list of names; got 3 (s.toml, walker).",
+        'walker = "none.toml"': "There is no file none.toml (s.toml, walker).",
+        'walker = { base = "E", m_s = -1.0 }': "`m_s` must be >= 0; got -1.0 (s.toml, walker).",
+        'walker = { base = "E", c_tt = 1 }': "`c_tt` is not a walker key (did you mean `c_t`?); got 1 (s.toml, walker).",
+        'walker = "A"': "`foot_mass_ratio` needs a point-foot walker (D, E or F); got 0.05 (s.toml, axes.foot_mass_ratio).",
+    },
+    "foot_mass_ratio = [0.1, 0.05]": {
+        "foot_mass_ratio = [0.7]": "`foot_mass_ratio` must lie in [0, 0.5); got 0.7 (s.toml, axes.foot_mass_ratio).",
+        "foot_mass_ratio = []": "`foot_mass_ratio` must hold at least one value; got [] (s.toml, axes.foot_mass_ratio).",
+        "foot_mass_ratio = [0.1, nan]": "`foot_mass_ratio` must be finite; got nan (s.toml, axes.foot_mass_ratio).",
+        "foot_mass_ratio = [0.1, 0.2, 0.1]":
+            "`foot_mass_ratio` must rise or fall throughout; got [0.1, 0.2, 0.1] (s.toml, axes.foot_mass_ratio).",
+        "foot_mass_ratio = 0.1": "`foot_mass_ratio` must be a list, or a table of from, to, n and spacing; got 0.1"
+                                 " (s.toml, axes.foot_mass_ratio).",
+        "slopes = [0.1]": "`slopes` is not known here, did you mean `slope`? (s.toml, axes).",
+        "foot_mass_ratio = { from = 0.1, to = 0.05, n = 3 }":
+            "`from` must be less than `to` = 0.05; got 0.1 (s.toml, axes.foot_mass_ratio.from).",
+        "foot_mass_ratio = { from = 0, to = 0.1, n = 3, spacing = \"log\" }":
+            "`from` must be > 0 for log spacing; got 0.0 (s.toml, axes.foot_mass_ratio.from).",
+        "foot_mass_ratio = { from = 0, to = 0.1, n = 0 }":
+            "`n` must be a whole number from 1 to 10,000,000; got 0 (s.toml, axes.foot_mass_ratio.n).",
+    },
+    'slope = { from = 1e-4, to = 0.1, n = 7, spacing = "log" }': {
+        "slope = [0.73]": "`slope` must lie in (0, 0.5) rad; got 0.73 (s.toml, axes.slope).",
+        'slope = ["0.1"]': "`slope` must be a number; got '0.1' (s.toml, axes.slope).",
+        "": "A study needs the axis `slope` (s.toml, axes).",
+    },
+    'variables = ["period", "multipliers"]': {
+        'variables = ["perod"]': "`perod` is not known here, did you mean `period`? (s.toml, want.variables).",
+        'fits = ["scalng"]': "`scalng` is not known here, did you mean `scaling`? (s.toml, want.fits).",
+    },
+    "seconds = 5": {"seconds = 0": "`seconds` must be > 0 and at most 1e6 s; got 0.0 (s.toml, limits.seconds)."},
+    'memory = "1.5 GiB"': {
+        'memory = "2 GB/s"': "`memory` must be at least 64 MiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory)."},
+}
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text):
+        (tmp_path / "s.toml").write_text(text)
+        return tmp_path / "s.toml"
+    return write
+
+
+def test_a_good_study_is_read(write):
+    found = study.read(write(GOOD))
+    assert found.points == 14 and found.lines == 2
+    np.testing.assert_allclose(found.slope[[0, -1]], [1e-4, 0.1])
+    assert found.line(1) == {"walker": "E", "set": {"foot_mass_ratio": 0.05}}
+    assert found.variables[:2] == ("period", "multiplier_real") and "status" in found.variables
+    assert found.limits == study.Limits(5.0, 3 << 29)
+    assert found.gaits == ("long", "short", "other1", "other2")
+
+
+@pytest.mark.parametrize(("line", "wrong", "said"), [(line, wrong, said) for line, cases in WRONG.items()
+                                                     for wrong, said in cases.items()])
+def test_a_wrong_study_is_answered_in_one_helpful_line(write, line, wrong, said):
+    assert line in GOOD
+    with pytest.raises(StudyError) as error:
+        study.read(write(GOOD.replace(line, wrong)))
+    assert str(error.value) == said
+
+
+def test_a_study_without_axes_says_so(write):
+    with pytest.raises(StudyError, match=r"^A study needs axes, at least `slope` \(s.toml, axes\)\.$"):
+        study.read(write('name = "s"\nwalker = "E"\n'))
+
+
+def test_a_walker_file_is_read_beside_the_study(write, tmp_path):
+    (tmp_path / "mine.toml").write_text('[walker]\nbase = "E"\nR = 0.1\n')
+    found = study.read(write(GOOD.replace('"E"', '"mine.toml"').replace("foot_mass_ratio = [0.1, 0.05]", "")))
+    assert found.walkers == ({"base": "E", "R": 0.1},)
+    assert found.checks[0]["table"]["R"] == 0.1
+
+
+def test_a_list_of_walkers_is_a_dimension(write):
+    found = study.read(write(GOOD.replace('"E"', '["E", "F"]')))
+    assert found.walker_axis and found.line_shape == (2, 2)
+    assert [found.line(i)["walker"] for i in range(4)] == ["E", "E", "F", "F"]
+
+
+def _survives(path, text):
+    path.write_bytes(text)
+    try:
+        study.read(path)
+    except StudyError as error:
+        assert "\n" not in str(error) and len(str(error)) < 600
+
+
+_VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
+    | st.sampled_from(["E", "A", "log", "slope", "long", "period", "../x.toml", "2 GiB", "nan"]),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(
+        st.sampled_from(["from", "to", "n", "spacing", "base", "slope", "m_s", "seconds", "variables"]) | st.text(max_size=4),
+        inner, max_size=4), max_leaves=8)
+_STUDIES = st.fixed_dictionaries({}, optional={
+    key: _VALUES for key in ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options", "x")})
+
+
+def _fuzz(path, table):
+    good = {"name": "s", "walker": "E", "axes": {"slope": [0.01]}}
+    try:
+        study.parse({**good, **table}, "", path)
+    except StudyError as error:
+        assert "\n" not in str(error)
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(table=_STUDIES)
+def test_no_table_gets_past_the_reader_as_a_traceback(tmp_path, table):
+    _fuzz(tmp_path / "s.toml", table)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(at=st.integers(0, len(GOOD)), junk=st.binary(max_size=8), cut=st.integers(0, 20))
+def test_no_text_gets_past_the_reader_as_a_traceback(tmp_path, at, junk, cut):
+    _survives(tmp_path / "s.toml", GOOD.encode()[:at] + junk + GOOD.encode()[at + cut:])
+
+
+@pytest.mark.soak
+@settings(max_examples=100_000, deadline=None, suppress_health_check=list(HealthCheck))
+@given(table=_STUDIES)
+def test_a_hundred_thousand_tables(tmp_path, table):
+    _fuzz(tmp_path / "s.toml", table)

@@ -1,0 +1,79 @@
+"""Toy tasks with known answers and every way to go wrong, in place of the real ones."""
+
+import os
+import signal
+import time
+
+import numpy as np
+
+from tasks.registry import GAITS, VARIABLES
+
+
+def atlas(params, inputs):
+    """A scale that every point of the line leans on."""
+    line = params["line"]
+    if line["set"].get("w_t") == 13.0:
+        raise ValueError("no atlas here")
+    return {"scale": np.array([1.0 + sum(line["set"].values())])}
+
+
+def points(params, inputs):
+    """Long gaits everywhere, short ones below 0.1; trouble at slopes that ask for it."""
+    (source,) = inputs
+    slope, scale = params["slope"], float(source["scale"][0])
+    for s in slope:
+        _trouble(float(s), os.environ.get("TOY_TROUBLE", ""))
+    time.sleep(len(slope) * float(os.environ.get("TOY_SECONDS", "0")))
+    n, g = len(slope), len(GAITS)
+    status = np.full((n, g), 1, np.int8)
+    status[:, 0] = 0
+    status[slope < 0.1, 1] = 0
+    reason = status.astype(np.int16)
+    found = {"status": status, "reason": reason,
+             "reasons": np.array(["It converged.", "The branch ends below this slope."])}
+    for name in params["want"]:
+        about = VARIABLES[name]
+        if name in found:
+            continue
+        shape = (n, g) + ((3,) if "multiplier" in about.dims else ())
+        values = np.full(shape, np.nan) if about.dtype == "f8" else np.zeros(shape, about.dtype)
+        if about.dtype == "f8":
+            for k in range(2):
+                there = status[:, k] == 0
+                values[there, k] = (np.cbrt(slope) * scale * (k + 1))[there].reshape((-1,) + (1,) * (values.ndim - 2))
+        found[name] = values
+    return found
+
+
+def _trouble(slope, kinds):
+    for kind in kinds.split():
+        name, _, place = kind.partition("@")
+        if abs(slope - float(place)) < 1e-9:
+            if name == "raise":
+                raise RuntimeError(f"trouble at {slope:.3f}")
+            if name == "exit":
+                raise SystemExit(3)
+            if name == "unpicklable":
+                raise type("Local", (Exception,), {"lock": None})(lambda: 0)
+            if name == "segfault":
+                os.kill(os.getpid(), signal.SIGSEGV)
+            if name == "kill":
+                os.kill(os.getpid(), signal.SIGKILL)
+            if name == "hang":
+                time.sleep(1000)
+            if name == "eat":
+                hoard = []
+                while True:
+                    hoard.append(np.ones(1 << 22))
+
+
+def fit(params, inputs):
+    """Mean angle of the long gait of every line."""
+    means = [float(np.nanmean(i["stance_angle"][:, 0])) for i in inputs]
+    names = [line["walker"] if isinstance(line["walker"], str) else "walker" for line in params["lines"]]
+    return {"fits/scaling/walker": np.array(names), "fits/scaling/exponent": np.array(means)}
+
+
+def orbit(params, inputs):
+    """A table per line."""
+    return {"orbits/slope": params["slope"], "orbits/period": params["slope"] * 2}

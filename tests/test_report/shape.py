@@ -1,0 +1,93 @@
+"""An archive shaped as the contract says, from plain arrays: no solver and no pipeline behind it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+POINT = {
+    "l_t": 0.5,
+    "w_t": 0.0,
+    "m_t": 0.4,
+    "r_t": 0.0,
+    "c_t": 0.0,
+    "l_s": 0.5,
+    "w_s": 0.0,
+    "m_s": 0.1,
+    "r_s": 0.0,
+    "c_s": 0.5,
+    "R": 0.0,
+    "eps_T": 0.0,
+    "m_h": 0.0,
+    "g": 1.0,
+    "knees": False,
+    "units": "1",
+}
+KNEED = {
+    "l_t": 0.35,
+    "w_t": -0.0228856,
+    "m_t": 2.345,
+    "r_t": 0.1882,
+    "c_t": 0.084,
+    "l_s": 0.46,
+    "w_s": 0.0223541,
+    "m_s": 1.013,
+    "r_s": 0.1226,
+    "c_s": 0.17,
+    "R": 0.2,
+    "eps_T": 0.097,
+    "m_h": 0.0,
+    "g": 9.81,
+    "knees": True,
+    "units": "SI",
+}
+GAITS = np.array(["long", "short"], dtype=object)
+NAMES = "converged no_gait not_converged fell worker_died timed_out out_of_memory not_attempted"
+REASONS = [
+    "",
+    "The branch ends at a lower slope.",
+    "Newton stopped after 40 steps with residual 3e-05.",
+    "The worker died by signal 11.",
+]
+
+
+def write(
+    path: Path,
+    study: str,
+    grid: dict[str, Any],
+    coords: dict[str, Any],
+    walkers: dict[str, Any],
+    tables: dict[str, dict[str, Any]] | None = None,
+    run: dict[str, Any] | None = None,
+) -> Path:
+    """One archive: the grid's variables, and a group of columns for each table."""
+    provenance = {
+        "study": study,
+        "walkers": list(walkers.values()),
+        "packages": {"gaitsweep": "0.1.0", "numpy": "2.4.6"},
+        "commit": "0123abcd",
+        "cpu": ["avx2", "fma"],
+    }
+    units = {"slope": "rad", "stance_angle": "rad", "period": "1"}
+    dataset = xr.Dataset(grid, coords, {"Conventions": "CF-1.11", "provenance": json.dumps(provenance)})
+    for name, variable in dataset.variables.items():
+        if variable.dtype.kind in "fi":
+            variable.attrs.update(units=units.get(str(name), "1"), long_name=str(name).replace("_", " "))
+    if "status" in dataset:
+        dataset["status"].attrs.update(flag_values=np.arange(8, dtype="i1"), flag_meanings=NAMES)
+        dataset["reason_text"] = ("reason_index", np.array(REASONS, dtype=object))
+    dataset.to_netcdf(path, engine="netcdf4")
+    for group, columns in (tables or {}).items():
+        xr.Dataset(
+            {
+                k: ("row", np.asarray(v, dtype=object if np.asarray(v).dtype.kind == "U" else None))
+                for k, v in columns.items()
+            }
+        ).to_netcdf(path, mode="a", group=group, engine="netcdf4")
+    if run is not None:
+        path.with_name(f"{path.stem}.run.json").write_text(json.dumps(run))
+    return path

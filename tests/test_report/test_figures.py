@@ -1,0 +1,101 @@
+import shlex
+
+import numpy as np
+import pytest
+from test_report import synthetic
+from test_report.shape import KNEED, POINT
+
+from pipeline.report.figures import FIGURES, draw
+from pipeline.report.figures.body import Body
+from pipeline.report.figures.motion import animation, strides
+from pipeline.report.figures.style import plain
+from pipeline.report.figures.svg import TARGETS
+from pipeline.report.source import read
+
+
+@pytest.fixture(scope="module")
+def sources(archives):
+    return {source.slug: source for source in map(read, archives)}
+
+
+@pytest.mark.parametrize(
+    ("study", "name"),
+    [
+        ("transition", n)
+        for n in ("loglog", "linear", "residuals", "transition_ladder", "angles", "walker", "conditions")
+    ]
+    + [("detuning", "locus"), ("cascade", "bifurcation"), ("cascade", "basin"), ("design", "heatmap")],
+)
+def test_each_figure_is_drawn_from_its_archive(sources, study, name):
+    drawing = draw(sources[study], name, "test")
+    assert drawing is not None
+    assert drawing.svg.startswith("<svg")
+    assert len(drawing.data)
+    assert sum(len(one["rows"]) for one in drawing.targets) <= TARGETS
+
+
+@pytest.mark.parametrize("name", [n for n in FIGURES if n not in ("bifurcation", "basin", "walker", "conditions")])
+def test_a_figure_whose_data_is_missing_is_none(sources, name):
+    assert draw(sources["cascade"], name, "test") is None
+
+
+def test_marks_lie_on_the_curve_and_carry_the_command_of_their_point(sources):
+    drawing = draw(sources["transition"], "loglog", "test")
+    one = next(t for t in drawing.targets if t["label"].startswith("short step"))
+    assert shlex.split(one["command"])[:4] == ["gaitsweep", "solve", "--walker", "E"]
+    assert "foot_mass_ratio=0.1" in one["command"]
+    rows = np.array([row[:3] for row in one["rows"]], float)
+    assert (np.diff(rows[:, 0]) > 0).all()
+    assert np.isclose(rows[:, 2], sources["transition"].grid["slope"].values[:, None]).any(axis=0).all()
+    assert rows[:, 0].max() <= drawing.width
+    assert rows[:, 1].max() <= drawing.height
+
+
+def test_a_walker_table_gives_a_command_with_its_base_and_keys(sources):
+    drawing = draw(sources["design"], "heatmap", "test")
+    words = shlex.split(drawing.targets[0]["rows"][0][2])
+    assert words[:4] == ["gaitsweep", "solve", "--walker", "B"]
+    assert words[-2] == "--slope"
+    assert any(word.startswith("R=") for word in words)
+
+
+def test_a_ladder_of_many_detunings_is_drawn_in_six_panels(tmp_path):
+    drawing = draw(read(synthetic.detuning(tmp_path, 17)), "locus", "test")
+    assert drawing.data["detuning"].nunique() == 6
+    assert "Six of 17 lines" in drawing.caption
+
+
+def test_the_body_closes_as_the_paper_says():
+    body = Body.of(KNEED)
+    assert body.length == pytest.approx(0.606136, abs=5e-7)
+    hip = complex(body.hip(0.0))
+    assert body.foot(body.knee(hip, 0.0), 0.0) == pytest.approx(0.2j)
+    assert body.knee(hip, 0.0).real < 0
+
+
+@pytest.mark.parametrize("table", [POINT, KNEED])
+def test_both_feet_stand_on_the_ground_at_heelstrike_one_step_apart(table):
+    body, angle = Body.of(table), 0.21
+    hip = complex(body.hip(angle))
+    stance, swing = (body.foot(body.knee(hip, a), a) for a in (angle, -angle))
+    assert stance.imag == pytest.approx(body.radius)
+    assert swing.imag == pytest.approx(body.radius)
+    contacts = [foot.real + body.radius * a for foot, a in ((stance, angle), (swing, -angle))]
+    assert contacts[0] - contacts[1] == pytest.approx(body.step(angle))
+
+
+def test_a_traced_step_ends_where_the_next_begins(sources):
+    for stride in strides(sources["transition"]):
+        first, last = stride.frame.iloc[0], stride.frame.iloc[-1]
+        assert last["theta_st"] == pytest.approx(first["theta_th"], abs=1e-3)
+        assert last["theta_th"] == pytest.approx(first["theta_st"], abs=1e-3)
+    moves = animation(sources["transition"])
+    assert [move["gait"] for move in moves] == ["long", "short"]
+    assert moves[0]["step"] == pytest.approx(2 * np.sin(0.2003109), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0153, "0.0153"), (-3.0, "−3"), (1.2e-6, "1.2 × 10⁻⁶"), (1e-9, "10⁻⁹"), (float("nan"), "–")]
+)
+def test_numbers_are_written_as_people_write_them(value, text):
+    assert plain(value) == text

@@ -1,0 +1,195 @@
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_report import synthetic
+from test_report.reading import Page, numbers_in
+from test_report.shape import KNEED, POINT, write
+
+from pipeline.errors import ArchiveError
+from pipeline.report import page
+
+INDEX_BYTES, PAGE_BYTES = 300_000, 2_000_000
+
+
+def test_there_is_a_page_for_each_study_an_index_and_a_ledger(report):
+    names = {path.stem for path in report.glob("*.html")}
+    assert names == {"index", "ledger", "transition", "tuned-walkers", "detuning", "cascade", "design"}
+
+
+def test_every_link_resolves(report):
+    pages = {path.name: Page(path) for path in report.glob("*.html")}
+    for name, found in pages.items():
+        for link in found.all("href"):
+            file, _, anchor = link.partition("#")
+            if link.startswith("data:") or (file == "" and re.fullmatch(r"m\w+|image\w+", anchor)):
+                continue
+            assert (report / (file or name)).is_file(), f"{name}: {link}"
+            if anchor:
+                assert anchor in pages[file or name].all("id"), f"{name}: {link}"
+
+
+def test_pages_hold_to_their_budgets_and_name_no_outside_address(report):
+    for path in report.glob("*.html"):
+        text = path.read_text()
+        assert len(text.encode()) < (INDEX_BYTES if path.name == "index.html" else PAGE_BYTES)
+        assert not re.search(r"https?:|//[a-z0-9-]+\.[a-z]|@import|url\((?!#)", text), path.name
+
+
+def test_an_index_of_many_studies_and_a_map_of_ninety_thousand_points_stay_small(tmp_path):
+    small, big = synthetic.tuned(tmp_path), synthetic.design(tmp_path, 300)
+    index = page.write([*[small] * 6, big], tmp_path / "out")
+    assert index.stat().st_size < INDEX_BYTES
+    assert (tmp_path / "out" / "tuned-walkers-6.html").is_file()
+    assert (tmp_path / "out" / "design.html").stat().st_size < PAGE_BYTES
+
+
+def test_a_line_of_many_slopes_is_thinned(tmp_path):
+    archive = synthetic.transition(tmp_path, slopes=50_000)
+    page.write([archive], tmp_path / "out")
+    assert (tmp_path / "out" / "transition.html").stat().st_size < PAGE_BYTES
+    assert len(pd.read_csv(tmp_path / "out" / "transition-loglog.csv")) < 5000
+
+
+def test_every_number_of_a_table_is_in_an_archive(report, archives):
+    known = np.array(sorted(set().union(*(numbers_in(path) for path in archives))))
+    parameters = {float(v) for w in (POINT, KNEED) for v in w.values() if isinstance(v, float)} | {0.0, 0.5, 0.2}
+    count = 0
+    for path in report.glob("*.html"):
+        for number in Page(path).numbers:
+            assert number in known or number in parameters, f"{path.name}: {number}"
+            count += 1
+    assert count > 200
+
+
+def test_every_figure_has_its_data_beside_it(report, archives):
+    known = set().union(*(numbers_in(path) for path in archives))
+    linked = [link for path in report.glob("*.html") for link in Page(path).all("href") if link.endswith(".csv")]
+    assert len(linked) > 12
+    for link in linked:
+        assert len(pd.read_csv(report / link)), link
+    drawn = pd.read_csv(report / "transition-loglog.csv", dtype=str)
+    assert set(drawn["stance_angle"].astype(float)) <= known
+    assert set(drawn["gait"]) == {"long", "short"}
+
+
+def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
+    again = page.write(archives, tmp_path).parent
+    for path in report.iterdir():
+        assert path.read_bytes() == (again / path.name).read_bytes(), path.name
+
+
+def test_figures_have_alt_text_and_follow_the_pages_colours(report):
+    for path in report.glob("*.html"):
+        pictures = [about for tag, about in Page(path).elements if about.get("class") == "picture"]
+        assert all(about.get("role") == "img" and len(about["aria-label"]) > 30 for about in pictures)
+        drawn = "".join(re.findall(r"<svg viewBox.*?</svg>", path.read_text(), re.S))
+        fixed = set(re.findall(r"(?:stroke|fill): (#[0-9a-f]{6})", drawn))
+        assert fixed <= {"#ffffff", "#3c8fd6", "#e0691f", "#8d9399"}, path.name
+
+
+def test_an_archive_cannot_put_anything_into_a_page(tmp_path):
+    bad = "<script>alert(1)</script><img src=x onerror=alert(2)>\"' $x^{ =HYPERLINK(1)"
+    slope = np.array([0.01, 0.02])
+    dims = ("walker", "slope", "gait")
+    angle = np.full((2, 2, 2), 0.2) * np.array([1, 1.1])
+    study = {"name": "../../" + bad, "walker": [bad, "]]></svg>" + bad]}
+    text = (
+        f"name = {json.dumps(study['name'])}\nwalker = {json.dumps(study['walker'])}\n[axes]\nslope = [0.01]\n"
+        f"[want]\nfigures = ['loglog', 'walker', {json.dumps(bad)}]\n"
+    )
+    grid = {"stance_angle": (dims, angle), "status": (dims, np.full(angle.shape, 2, "i1")),
+            "reason": (dims, np.full(angle.shape, 2, "i2"))}  # fmt: skip
+    claims = {k: ["=1+1 " + bad] for k in ("id", "printed", "source", "computed", "verdict", "figure", "command")}
+    trace = synthetic.simplest_trace(bad, {})
+    coords = {"walker": np.array(study["walker"], object), "slope": slope, "gait": np.array(["long", bad], object)}
+    tables = {"claims": claims, "trace": trace}
+    archive = write(tmp_path / "bad.nc", text, grid, coords, {bad: POINT, "b": KNEED}, tables, {bad: bad})
+    out = page.write([archive], tmp_path / "out").parent
+    assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} == {tmp_path, out}
+    for path in out.glob("*.html"):
+        found = Page(path)
+        allowed = [about.get("type") for tag, about in found.elements if tag == "script"]
+        assert allowed.count(None) == 1
+        assert set(allowed) <= {None, "application/json"}
+        assert not [tag for tag, _ in found.elements if tag == "img"]
+        assert not [a for _, about in found.elements for a in about if a.startswith("on")]
+        assert not [link for link in found.all("href") if link.lower().startswith("javascript")]
+    for path in out.glob("*.csv"):
+        assert not re.search(r"(^|,)\"?[=@]", path.read_text(), re.M), path.name
+
+
+def test_what_the_archive_lacks_is_said(report):
+    assert "there is no figure of that name" in Page(report / "cascade.html").text
+
+
+def test_failed_points_are_listed_with_their_reason(report):
+    text = Page(report / "transition.html").text
+    assert "The worker died by signal 11." in text
+    absent = pd.read_csv(report / "transition-absent.csv")
+    assert set(absent["status"]) == {"no_gait", "not_converged", "worker_died"}
+
+
+def test_the_ledger_links_each_claim_to_its_figure(report):
+    ledger = Page(report / "ledger.html")
+    assert {"E2", "E3", "E4", "Z5"} <= set(ledger.all("id"))
+    assert "transition.html#transition_ladder" in ledger.all("href")
+    assert "2 not reproduced" in ledger.text
+
+
+def test_a_study_without_points_or_run_record_still_has_a_page(tmp_path):
+    archive = write(tmp_path / "a.nc", 'name = "a"', {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}, {}, {})
+    assert page.write([archive], tmp_path).is_file()
+    assert "1 converged" in Page(tmp_path / "a.html").text
+
+
+def test_no_archive_gives_an_index_that_says_so(tmp_path):
+    assert "No archives were given." in Page(page.write([], tmp_path)).text
+
+
+@pytest.mark.parametrize("content", [b"", b"not netCDF", None])
+def test_a_foreign_file_is_named(tmp_path, content):
+    path = tmp_path / "foreign.nc"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ArchiveError, match=r"foreign\.nc"):
+        page.write([path], tmp_path / "out")
+
+
+def test_the_report_loads_neither_the_tasks_nor_the_plan():
+    program = (
+        "import pipeline.report.page, sys; print([m for m in sys.modules if m.split('.')[0] in ('tasks', 'heyoka')]"
+    )
+    program += " + [m for m in sys.modules if m in ('pipeline.plan', 'pipeline.execute')])"
+    root = Path(__file__).parents[2]
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=root, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_colours_have_enough_contrast(scheme):
+    style = (Path(page.__file__).parent / "templates" / "report.css").read_text()
+    blocks = re.findall(r":root \{(.*?)\}", style, re.S)
+    values = dict(re.findall(r"--([\w]+): (#[0-9a-f]{6})", blocks[0]))
+    if scheme == "dark":
+        values |= dict(re.findall(r"--([\w]+): (#[0-9a-f]{6})", blocks[1]))
+    for ground in ("paper", "wash"):
+        for words in ("ink", "muted", "link", "bad", "long", "short", "other1", "other2"):
+            assert _contrast(values[words], values[ground]) >= 4.5, (words, ground)
+
+
+def _contrast(one: str, other: str) -> float:
+    """Contrast ratio of two colours (WCAG 2.1)."""
+
+    def luminance(colour: str) -> float:
+        parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)

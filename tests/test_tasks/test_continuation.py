@@ -1,0 +1,84 @@
+"""Branches, their folds, flips and ends, against what was computed before and against themselves."""
+
+import numpy as np
+import pytest
+from lines import branches
+
+from tasks.gait.continuation import correct, follow
+from tasks.gait.special_points import special_points
+
+
+def points_of(walker, **overrides):
+    problem, found = branches(walker, **overrides)
+    return [p for b in found for p in special_points(problem, b)]
+
+
+def pick(points, kind):
+    return [p for p in points if p["kind"] == kind]
+
+
+def test_the_first_flip_of_d():
+    (flip,) = pick(points_of("D"), "flip")
+    assert flip["slope"] == pytest.approx(0.015088437941119463562, rel=1e-13)
+
+
+def test_the_loci_of_the_machine():
+    kneed, straight = points_of("physical"), points_of("physical-straight")
+    low, high = sorted(p["slope"] for p in pick(kneed, "fold"))
+    assert (low, high) == (pytest.approx(0.0191, abs=5e-5), pytest.approx(0.0530, abs=5e-5))
+    (one,) = pick(kneed, "end_kneestrike_at_heelstrike")
+    assert (one["slope"], one["stance_angle"]) == (pytest.approx(0.0364, abs=5e-5), pytest.approx(0.1488, abs=1e-4))
+    three = min(pick(kneed, "release_hyperextension"), key=lambda p: p["stance_angle"])
+    assert (three["slope"], three["stance_angle"]) == (pytest.approx(0.02154, abs=5e-6), pytest.approx(0.0194, abs=5e-5))
+    (fold,) = pick(straight, "fold")
+    assert fold["slope"] == pytest.approx(0.0154, abs=5e-5)
+    (two,) = pick(straight, "end_tangential_heelstrike")
+    assert (two["slope"], two["stance_angle"]) == (pytest.approx(0.0561, abs=5e-5), pytest.approx(0.2365, abs=5e-5))
+    (four,) = pick(straight, "end_zero_step")
+    assert (four["slope"], four["stance_angle"]) == (pytest.approx(0.0211, abs=5e-5), pytest.approx(0.0, abs=1e-4))
+
+
+def test_the_kneed_walker_flips_and_hyperextends():
+    for name, flip in (("C", 0.0769), ("C-printed", 0.0786)):
+        (found,) = pick(points_of(name), "flip")
+        assert found["slope"] == pytest.approx(flip, abs=5e-5)
+    released = [p["slope"] for p in pick(points_of("C"), "release_hyperextension")]
+    assert min(released) == pytest.approx(2.2077e-4, rel=1e-4)
+    assert max(released) == pytest.approx(0.0079745, abs=5e-8)
+
+
+def test_a_located_flip_has_the_multiplier():
+    problem, found = branches("E", foot_mass_ratio=0.05)
+    for branch in found:
+        for p in pick(special_points(problem, branch), "flip"):
+            ((_, Z, _),) = [g for g in branch.guesses(np.array([np.log(p["slope"])])) if len(g[0])]
+            stride, _ = problem.stride(np.delete(Z, problem.m, axis=1).T, np.log([p["slope"]]))
+            assert np.abs(np.linalg.eigvals(stride.jacobian[:, :, 0]) + 1).min() < 1e-9
+
+
+def test_forward_and_back_to_the_start():
+    problem, found = branches("B")
+    branch = found[0]
+    k = int(np.argmin(np.abs(branch.q - np.log(0.02))))
+    start = np.delete(branch.Z[k], problem.m)[:, None]
+    ((_, up),) = follow(problem, start, branch.q[k:k + 1])
+    there = correct(problem, up.X[-3][:, None], up.times[-3][:, None], None)
+    ((down, _),) = follow(problem, np.vstack([there.X[: problem.m], there.times]), there.X[problem.m])
+    # Come back to the start's slope exactly and compare.
+    nearest = min(range(len(down.X)), key=lambda i: abs(down.X[i][problem.m] - branch.q[k]))
+    X = down.X[nearest].copy()
+    X[: problem.m] += down.tangent[nearest][: problem.m] / down.tangent[nearest][problem.m] * (branch.q[k] - X[problem.m])
+    X[problem.m] = branch.q[k]
+    back = correct(problem, X[:, None], down.times[nearest][:, None], None)
+    np.testing.assert_allclose(back.X[: problem.m, 0], start[: problem.m, 0], rtol=2e-14)
+
+
+def test_the_polynomials_lead_newton_to_rounding():
+    problem, found = branches("F")
+    rng = np.random.default_rng(1)
+    for branch in found:
+        q = rng.uniform(np.log(1e-3), np.log(0.2), 50)
+        ((index, Z, _),) = branch.guesses(q)
+        w = np.delete(Z, problem.m, axis=1).T
+        before, _ = problem.stride(w, q[index])
+        assert np.abs(before.newton / before.y).max() < 2e-12

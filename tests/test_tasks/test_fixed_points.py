@@ -1,0 +1,110 @@
+"""Gaits against 25-digit solutions, published numbers, and their own bounds."""
+
+import tomllib
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lines import gait, solved
+
+from tasks.registry import GAITS
+
+REFERENCE = Path(__file__).parents[2] / "data" / "reference"
+EXTENDED = tomllib.loads((REFERENCE / "extended.toml").read_text())["gaits"]
+ANGLES = ("stance_angle", "stance_rate", "thigh_rate", "period")
+
+
+def relative(value, digits):
+    exact = Decimal(digits)
+    return abs(float((Decimal(float(value)) - exact) / exact))
+
+
+@pytest.mark.parametrize("exact", EXTENDED, ids=lambda g: f"{g['walker']}-{g['slope']}-{g['gait']}")
+def test_a_gait_agrees_with_extended_precision(exact):
+    found = gait(exact["walker"], float(exact["slope"]), exact["gait"])
+    errors = [relative(found[name], exact[name]) for name in ANGLES]
+    # The bound is a promise; 1e-13 is what a double can hold at slopes of walking.
+    assert max(errors) <= found["error_bound"]
+    slope = float(exact["slope"])
+    assert max(errors) < (1e-13 if slope >= 1e-4 else 5e-16 * slope ** (-2 / 3) * 20)
+    values = np.array([complex(float(a), float(b)) for a, b in exact["multipliers"]])
+    computed = found["multiplier_real"] + 1j * found["multiplier_imag"]
+    for value in values:
+        assert np.abs(computed - value).min() < 1e-10
+
+
+def test_zero_multipliers_are_exact():
+    for walker, zeros in (("D", 1), ("E", 1), ("C", 1), ("B", 0)):
+        found = gait(walker, 0.01, "long")
+        assert (np.hypot(found["multiplier_real"], found["multiplier_imag"]) == 0).sum() == zeros
+
+
+def test_period_one_gaits_of_d_keep_their_identity():
+    slopes = np.geomspace(1e-4, 0.2, 25)
+    out = solved("D", slopes)
+    for g in (0, 1):
+        theta = out["stance_angle"][:, g]
+        expected = -2 / np.tan(2 * theta) * np.sqrt(np.sin(theta) * np.sin(slopes))
+        np.testing.assert_allclose(out["stance_rate"][:, g], expected, rtol=1e-11)
+
+
+def test_small_slopes_follow_the_linear_theory():
+    tau = 3.81209179509297
+    assert np.tan(tau / 2) == pytest.approx(-3 * np.tanh(tau / 2), rel=1e-10)
+    for label, period in (("long", tau), ("short", np.pi)):
+        found = gait("D", 1e-8, label)
+        assert found["period"] == pytest.approx(period, rel=1e-5)
+        assert found["stance_angle"] / 1e-8 ** (1 / 3) == pytest.approx(np.tanh(period / 2) ** (2 / 3), rel=1e-5)
+
+
+@pytest.mark.parametrize("walker", ["D", "E", "F"])
+def test_no_hole_from_1e_8_to_02(walker):
+    out = solved(walker, np.geomspace(1e-8, 0.2, 120))
+    assert (out["status"][:, :2] == 0).all()
+    assert (out["status"][:, 2:] == 1).all()
+    assert np.isfinite(out["error_bound"][:, :2]).all()
+
+
+def test_points_lean_on_nothing_but_the_atlas():
+    slopes = np.geomspace(1e-4, 0.15, 41)
+    whole = solved("E", slopes)
+    order = np.random.default_rng(3).permutation(len(slopes))
+    shuffled = solved("E", slopes[order])
+    for name in whole:
+        if name != "reasons":
+            assert np.array_equal(whole[name][order], shuffled[name], equal_nan=True), name
+    alone = solved("E", slopes[17:18])
+    assert np.array_equal(alone["multiplier_real"][0], whole["multiplier_real"][17], equal_nan=True)
+
+
+def test_only_what_is_wanted_is_returned():
+    out = solved("E", [0.01], want=("period",))
+    assert set(out) == {"period", "residual", "error_bound", "status", "reason", "reasons"}
+
+
+def test_a_slope_without_gait_says_why():
+    out = solved("physical", [0.01])
+    assert (out["status"] == 1).all()
+    assert "0.0191229" in out["reasons"][out["reason"][0, 0]]
+
+
+@pytest.mark.parametrize("walker", ["B", "A", "C"])
+def test_losses_balance_the_drop(walker):
+    out = solved(walker, np.geomspace(1e-6, 0.1, 30))
+    assert np.nanmax(np.abs(out["energy_imbalance"][:, :2])) < 1e-12 * 1e-6 ** (-2 / 3) * 1e-3 + 1e-12
+    good = out["status"][:, 0] == 0
+    assert (out["loss_normal"][good, 0] > 0).all()
+
+
+def test_the_massless_foot_loses_nothing_sideways():
+    out = solved("D", np.geomspace(1e-6, 0.1, 20))
+    assert (out["loss_tangential"][:, :2] == 0).all()
+    assert np.abs(out["energy_imbalance"][:, :2]).max() < 1e-11
+
+
+def test_labels_follow_the_contract():
+    out = solved("A", np.geomspace(1e-3, 0.1, 10))
+    u = out["heelstrike_rate_ratio"]
+    assert (u[:, GAITS.index("long")] < 0.25).all()
+    assert (u[:, GAITS.index("short")] > 0.9).all()

@@ -1,0 +1,80 @@
+"""Walkers check themselves; statics and tuning follow from their parameters."""
+
+import math
+
+import pytest
+
+from tasks.walkers.catalogue import CATALOGUE, describe
+from tasks.walkers.parameters import WalkerError, check, from_table, resolve
+from tasks.walkers.tuning import is_tuned, statics, tune
+
+
+def test_the_physical_walker_has_the_leg_that_was_settled():
+    walker = CATALOGUE["physical"]
+    assert walker.l == pytest.approx(0.606136, abs=5e-7)
+    assert math.sin(walker.eps_S) * (walker.l_s - walker.R) == pytest.approx(walker.l_t * math.sin(walker.eps_T))
+
+
+def test_exactly_tuned_offsets():
+    c = CATALOGUE["C"]
+    assert (c.w_s, c.w_t) == (pytest.approx(0.0223541, abs=5e-8), pytest.approx(-0.0228856, abs=5e-8))
+    assert statics(CATALOGUE["C-printed"])["leg_offset"] == pytest.approx(-1.85e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize(("name", "tuned"), [("A", True), ("B", True), ("C", True), ("D", True), ("E", True),
+                                             ("F", True), ("physical", False), ("C-printed", False)])
+def test_statics_tell_who_can_walk_at_vanishing_slope(name, tuned):
+    assert is_tuned(CATALOGUE[name]) is tuned
+
+
+def test_tune_finds_the_exact_offsets_from_the_printed_ones():
+    found = tune({"walker": "C-printed", "free": ["w_t", "w_s"]})["walker"]
+    assert found["w_t"] == pytest.approx(CATALOGUE["C"].w_t, abs=1e-15)
+    assert found["w_s"] == pytest.approx(CATALOGUE["C"].w_s, abs=1e-15)
+    assert is_tuned(from_table(found))
+
+
+def test_tune_says_when_freed_keys_cannot():
+    with pytest.raises(WalkerError, match="free another key"):
+        tune({"walker": "physical", "free": ["m_h"]})
+
+
+def test_detuning_runs_from_tuned_to_physical():
+    assert resolve("C", {"detuning": 0.0}) == CATALOGUE["C"]
+    assert resolve("C", {"detuning": 1.0}).table() == pytest.approx(CATALOGUE["physical"].table())
+    assert resolve("A", {"detuning": 0.5}).r_t == pytest.approx((0.1882 + 0.099) / 2)
+
+
+def test_foot_mass_ratio_keeps_the_total_mass():
+    light = resolve("E", {"foot_mass_ratio": 0.01})
+    assert light.total_mass == pytest.approx(1.0, abs=1e-15)
+    assert light.m_s == pytest.approx(0.01)
+    assert resolve("E", {"foot_mass_ratio": 0.0}) == CATALOGUE["D"]
+
+
+def test_the_papers_infinite_hip_is_the_limit():
+    assert from_table({**CATALOGUE["D"].table(), "m_t": math.inf, "m_s": 1.0}) == CATALOGUE["D"]
+
+
+@pytest.mark.parametrize(("table", "message"), [
+    ({"base": "C", "eps_t": 0.1}, r"`eps_t` is not a walker key \(did you mean `eps_T`\?\); got 0.1"),
+    ({"base": "C", "m_s": -1.0}, r"`m_s` must be >= 0; got -1.0"),
+    ({"base": "C", "eps_T": 0.9}, r"`eps_T` must satisfy \|l_t sin eps_T\| <= \|l_s - R\| = 0.26"),
+    ({"base": "E", "R": 1.0}, r"`R` must leave the hip above the foot's centre"),
+    ({"base": "E", "l_t": math.nan}, r"`l_t` must be finite; got nan"),
+    ({"base": "Z"}, r"`walker` is not a known walker"),
+    ({"l_t": 1.0}, r"`w_t` is missing from the walker"),
+    ({"base": "E", "knees": True, "m_s": 0.0}, r"`m_s` must be > 0 with a free knee"),
+    ({"base": "E", "units": "imperial"}, r'`units` must be "SI" or "1"'),
+])
+def test_a_walker_that_cannot_be_is_told_in_one_line(table, message):
+    with pytest.raises(WalkerError, match=message) as caught:
+        from_table(table)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_catalogue_describes_itself():
+    found = {w["name"]: w for w in describe({})["walkers"]}
+    assert set(found) == set(CATALOGUE)
+    assert "hip" in found["C"]["drawing"]
+    assert check({"walker": "C"})["multipliers"] == 4
