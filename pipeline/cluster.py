@@ -23,13 +23,13 @@ def connect(address: str) -> Iterator[Any]:
     WorkerError
         If no scheduler or no worker answers.
     """
+    local = re.fullmatch(r"local:(\d{1,3})", address)
+    if not local and not re.match(r"(tcp|tls|ws|wss)://.", address):
+        raise StudyError(f"`--cluster` must be tcp://HOST:PORT or local:N; got {address}.")
     try:
         import distributed
     except ImportError as error:
         raise StudyError('`--cluster` needs the extra "cluster": pip install "gaitsweep[cluster]".') from error
-    local = re.fullmatch(r"local:(\d{1,3})", address)
-    if not local and not re.match(r"(tcp|tls|ws|wss)://.", address):
-        raise StudyError(f"`--cluster` must be tcp://HOST:PORT or local:N; got {address}.")
     with contextlib.ExitStack() as stack:
         try:
             if local:

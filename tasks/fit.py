@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from tasks.fits import power_law, transition as laws
+from tasks.fits import power_law
+from tasks.fits import transition as laws
 from tasks.registry import GAITS
 
 Arrays = dict[str, np.ndarray]
@@ -56,8 +58,7 @@ def _laws(line: Mapping[str, Any], gait: str, quantity: str, x: np.ndarray, y: n
     for regime, run in (("small", small), ("large", large)):
         law = power_law.fit(x[run[0]:run[1] + 1], y[run[0]:run[1] + 1]) if run else None
         if law is None:
-            rows.append({**head, "regime": regime, **{k: np.nan for k in (
-                "exponent", "exponent_low", "exponent_high", "amplitude", "from", "to")}, "n": 0})
+            rows.append({**head, "regime": regime, **dict.fromkeys(("exponent", "exponent_low", "exponent_high", "amplitude", "from", "to"), np.nan), "n": 0})
         else:
             rows.append({**head, "regime": regime, "exponent": law.exponent, "exponent_low": law.low,
                          "exponent_high": law.high, "amplitude": law.amplitude, "from": law.x_from, "to": law.x_to,

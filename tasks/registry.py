@@ -16,7 +16,7 @@ STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3}
 #: SI units of each kind of quantity; every one is "1" for a walker in consistent units.
 SI_UNITS = {
     "angle": "rad", "rate": "rad s-1", "time": "s", "length": "m", "mass": "kg", "speed": "m s-1",
-    "energy": "J", "power": "W", "impulse": "N s", "torque": "N m", "acceleration": "m s-2",
+    "energy": "J", "power": "W", "impulse": "N s", "angular_impulse": "N m s", "torque": "N m", "acceleration": "m s-2",
     "inertia": "kg m2", "number": "1",
 }
 
@@ -64,8 +64,10 @@ VARIABLES = {v.name: v for v in (
     Variable("scuff_depth", _G, "length", "greatest depth of the swing foot below the ground", "violations"),
     Variable("unlocking_torque", _G, "torque", "worst torque that would flex the stance knee", "violations"),
     Variable("unlocking_torque_time", _G, "time", "when the unlocking torque is worst", "violations"),
-    Variable("unlocking_impulse_kneestrike", _G, "impulse", "impulse on the stance knee at kneestrike", "violations"),
-    Variable("unlocking_impulse_heelstrike", _G, "impulse", "impulse on the stance knee at heelstrike", "violations"),
+    Variable("unlocking_impulse_kneestrike", _G, "angular_impulse",
+             "angular impulse that would flex the stance knee at kneestrike", "violations"),
+    Variable("unlocking_impulse_heelstrike", _G, "angular_impulse",
+             "angular impulse that would flex the stance knee at heelstrike", "violations"),
     Variable("least_normal_force", _G, "number", "least ground normal force over weight", "violations"),
     Variable("friction_demand", _G, "number", "largest |tangential|/normal ground force", "violations"),
     Variable("friction_demand_heelstrike", _G, "number", "|tangential|/normal impulse at heelstrike", "violations"),
@@ -120,7 +122,7 @@ READS = {
 
 #: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
 CALLS = {
-    "solve": "tasks.solve:solve_one",
+    "solve": "tasks.single:solve_one",
     "walkers": "tasks.walkers.catalogue:describe",
     "tune": "tasks.walkers.tuning:tune",
     "check_walker": "tasks.walkers.parameters:check",

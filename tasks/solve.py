@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from tasks.gait import atlas as atlases
 from tasks.gait.fixed_point import EPS, Problem, gait_ratio, newton_step, rounding, settled, starts
 from tasks.gait.stability import multipliers
 from tasks.gait.stride import SAMPLES, Stride
+from tasks.measures import violations
 from tasks.measures.energy import heelstrike_losses, kneestrike_loss
 from tasks.measures.motion import step_length, travel
 from tasks.registry import ALWAYS, GAITS, VARIABLES
@@ -80,12 +82,12 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         for index, Z, lipschitz in branch.guesses(q):
             for k in range(0, len(index), BLOCK):
                 block = index[k:k + BLOCK]
-                solved = _solve(problem, Z[k:k + BLOCK].T, slope[block], lipschitz[k:k + BLOCK], want)
+                solved = solve(problem, Z[k:k + BLOCK].T, slope[block], lipschitz[k:k + BLOCK], want)
                 label = (~(solved.pop("heelstrike_rate_ratio_own") < 0.5)).astype(int)
                 slot = np.where(free[block, label], label, np.where(free[block, 2], 2, 3))
                 keep = np.array([GAITS[s] in wanted for s in slot], bool) & solved.pop("anthropomorphic")
                 free[block[keep], slot[keep]] = False
-                for name in want:
+                for name in set(want) & set(solved):
                     out[name][block[keep], slot[keep]] = solved[name][keep]
     out["reasons"] = np.array(reasons)
     return out
@@ -95,7 +97,7 @@ def _walker(line: Mapping[str, Any]) -> Walker:
     return resolve(line["walker"], line.get("set"))
 
 
-def _solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, want: list[str]) -> Arrays:
+def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, want: list[str]) -> Arrays:
     """Polish guesses, verify them and measure what is wanted; every array has the lane first."""
     m = problem.m
     w = np.delete(Z, m, axis=0)
@@ -181,57 +183,9 @@ def _measure(problem: Problem, stride: Stride, y: np.ndarray, state: np.ndarray,
         found["loss_kneestrike"] = knee * unit if walker.knees else np.full(len(slope), np.nan)
         drop = step_length(walker, angle) / walker.leg * np.sin(slope)
         found["energy_imbalance"] = (normal + tangential + knee - drop) / drop
+    if any(VARIABLES[name].group == "violations" for name in want):
+        # Extremes need closer samples than a verdict does: the step is flown once more, only for those who ask.
+        fine = problem.map(y / scale, times, problem.parameters(slope, scale), samples=violations.SAMPLES)
+        assert fine.motion is not None
+        found |= violations.measure(walker, [m * scale for m in fine.motion], fine.impact * scale, times, slope)
     return {k: np.array(v) for k, v in found.items()}
-
-
-def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
-    """Every gait of a walker at one slope, in the contract's words.
-
-    Parameters
-    ----------
-    params : mapping
-        `walker` (name or table), `slope` [rad], `set` (keys to change), `all` (also those whose legs pass more
-        than once).
-
-    Returns
-    -------
-    dict
-        `gaits`, a list with one dict a gait, and `search`, sentences on how they were sought.
-
-    Raises
-    ------
-    WalkerError
-        If the walker cannot be.
-    """
-    line = {"walker": params["walker"], "set": params.get("set") or {}}
-    problem = Problem(_walker(line))
-    branches = atlases.survey(problem)
-    want = [v for v in VARIABLES if VARIABLES[v].group != "violations"]
-    slope = float(params["slope"])
-    found = points({"line": line, "slope": np.array([slope]), "want": want}, [atlases.to_arrays(branches)])
-    gaits = []
-    for g, label in enumerate(GAITS):
-        if found["status"][0, g] != status.CONVERGED:
-            continue
-        value = {k: _plain(found[k][0, g]) for k in want if k not in ("multiplier_real", "multiplier_imag")}
-        pairs = np.stack([found["multiplier_real"][0, g], found["multiplier_imag"][0, g]], axis=-1)
-        gaits.append({
-            "gait": label, "slope": slope,
-            **{k: value[k] for k in ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period",
-                                     "kneestrike_time")},
-            "multipliers": pairs.tolist(), "stable": bool(value["spectral_radius"] < 1), "speed": value["speed"],
-            **{k: value[k] for k in ("loss_normal", "loss_tangential", "loss_kneestrike")},
-            "violations": None, "status": "converged", "residual": value["residual"],
-            "error_bound": value["error_bound"]})
-    nodes = sum(len(b.Z) for b in branches)
-    search = [f"{starts(problem, s).shape[1]} starts at slope {s:g}" for s in atlases.ANCHORS]
-    search.append(f"{len(branches)} branches followed over {nodes} points")
-    if not gaits:
-        search.append(str(found["reasons"][1]))
-    return {"gaits": gaits, "search": search}
-
-
-def _plain(x: Any) -> Any:
-    """A Python number, or None where a quantity is absent."""
-    x = x.item()
-    return None if isinstance(x, float) and not np.isfinite(x) else x

@@ -25,6 +25,9 @@ _TEMPLATES = Path(__file__).parent / "templates"
 #: Names of pages that are not a study's.
 _RESERVED = ("index", "ledger")
 
+#: What a page tells of the run; its record also names the machine, which is nobody's business.
+_RUN = ("began", "seconds", "jobs", "cluster", "version", "points", "failed", "exit_code")
+
 #: Points without a gait that are listed beside a page; the archive has all.
 _MOST_ABSENT = 20_000
 
@@ -96,7 +99,7 @@ def write(archives: Iterable[Path], out: Path) -> Path:
                 failures=tables.failures(page.absent),
                 failed_tasks=tables.failed_tasks(page.source),
                 walkers=tables.walkers(page.source),
-                run=tables.pairs(page.source.run),
+                run=tables.pairs({k: v for k, v in page.source.run.items() if k in _RUN}),
                 provenance=tables.pairs(_rest(page.source)),
             ),
         )

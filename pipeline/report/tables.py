@@ -125,8 +125,11 @@ def fits(source: Source) -> list[Table]:
     found = []
     for name, table in source.tables.items():
         if name.startswith("fits/") and not table.empty:
-            shown = table.head(2 * MOST_ROWS)
-            note = f"{len(table) - len(shown)} more rows are in the archive." if len(shown) < len(table) else ""
+            found_some = table[table["n"] > 0] if "n" in table else table
+            shown = found_some.head(2 * MOST_ROWS)
+            note = f"{len(table) - len(shown)} more rows are in the archive." if len(shown) < len(found_some) else ""
+            if len(found_some) < len(table) and not note:
+                note = f"{len(table) - len(found_some)} more fits found no range where a power law holds."
             found.append(from_frame(f"Fit: {name.removeprefix('fits/').replace('_', ' ')}", shown, note))
     return found
 

@@ -6,7 +6,7 @@ tangential, an earlier strike cuts in; and the release of the knee, where the br
 
 from __future__ import annotations
 
-from typing import Callable
+from collections.abc import Callable
 
 import numpy as np
 from scipy.optimize import brentq

@@ -21,7 +21,7 @@ from tasks.mechanics.impacts import heelstrike, kneestrike
 from tasks.mechanics.kernel import LANES, flow
 
 #: Intervals at whose ends the motion is sampled to verify a step.
-SAMPLES = 24
+SAMPLES = 16
 
 
 @dataclass
@@ -48,7 +48,7 @@ class Stride:
     closing: np.ndarray
     motion: list[np.ndarray] | None
 
-    def put(self, lanes: np.ndarray, other: "Stride") -> None:
+    def put(self, lanes: np.ndarray, other: Stride) -> None:
         """Take some lanes from another stride."""
         for name, mine in vars(self).items():
             theirs = getattr(other, name)
@@ -139,7 +139,7 @@ class StrideMap:
         M, f = rows(p, x[:2], x[2:], False)
         field = [x[2], x[3], *Solver(M)(f)]
         closing = x[2] + x[3]
-        base = [defect and D[i][m] or ZERO for i in range(4)]
+        base = [(defect and D[i][m]) or ZERO for i in range(4)]
         shift = -(x[0] + x[1] + base[0] + base[1]) / closing
         shift_by = [-(D[0][d] + D[1][d]) / closing for d in range(m + defect + slope)]
         keep = [d for d in range(m + defect + slope) if not (defect and d == m)]

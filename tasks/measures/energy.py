@@ -40,7 +40,7 @@ def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
     """
     c = lump(walker)
     n = len(angle)
-    R, l, eps = c["R"], c["l"], c["eps"]  # noqa: E741
+    R, l, eps = c["R"], c["l"], c["eps"]
     along = 1j * np.exp(1j * angle)
     if eps == 0:
         normal = np.stack([along.real, along.imag], axis=-1)
@@ -116,7 +116,7 @@ def kneestrike_loss(walker: Walker, state: np.ndarray) -> np.ndarray:
     c = lump(walker)
     a, b = state[0], state[1]
     n = len(a)
-    eps, R, l = c["eps"], c["R"], c["l"]  # noqa: E741
+    eps, R, l = c["eps"], c["R"], c["l"]
     M = np.zeros((n, 3, 3))
     M[:, 0, 0] = c["C_aa"] + 2 * R * _turned(_pair(c, "S_a"), a).imag
     for j, (S, C) in enumerate(((_pair(c, "S_b"), c["C_bb"]), (_pair(c, "S_c"), c["C_cc"])), start=1):

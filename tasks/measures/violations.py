@@ -1,9 +1,6 @@
 """Appendix A of the paper: by how much a verified gait breaks what the model takes for granted.
 
-Every item is a flag and an amount. The stance knee is opened: foot, stance shank, stance thigh, swing thigh and swing
-shank are a chain of four links, whose points are x + iy = -R s + iR + sum_j A_j exp(i q_j) with q the angles of
-(stance shank, stance thigh, swing thigh, swing shank), s the stance shank's, and A_j constant. What holds the stance
-knee is what its thigh's own equation of motion misses when both stance links move as one.
+Every item is a flag and an amount, computed on the chain of four links whose stance knee is open.
 """
 
 from __future__ import annotations
@@ -12,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.registry import SI_UNITS, VARIABLES, VIOLATIONS
+from tasks.mechanics.contact import THIGH, Chain, total
+from tasks.registry import VARIABLES, VIOLATIONS
 from tasks.walkers.parameters import Walker
 
 Arrays = dict[str, np.ndarray]
@@ -24,120 +22,8 @@ FRICTION_LIMIT = 1.0
 BLOCK = 128
 #: A velocity that is this small beside what it is the sum of counts as zero.
 ROUNDING = 1e-12
-SHANK, THIGH = 0, 1
-
-
-class Chain:
-    """A walker whose stance knee is open, in units of its leg, its mass and g.
-
-    Arrays have the link first where they have one, any shape after it, and the lane last.
-    """
-
-    def __init__(self, walker: Walker):
-        leg, mass = walker.leg, walker.total_mass
-        self.kneed, self.massless = walker.knees, walker.massless_leg
-        self.R, self.l = walker.R / leg, walker.l / leg
-        knee, thigh, shank = walker.knee / leg, walker.thigh_centre / leg, walker.shank_centre / leg
-        #: Foot centre from the knee, in the frame of the extended leg.
-        self.foot = -1j * self.l - knee
-        m_t, m_s = walker.m_t / mass, walker.m_s / mass
-        arms = np.array([[shank - self.foot, 0, 0, 0], [-self.foot, thigh - knee, 0, 0], [-self.foot, -knee, 0, 0],
-                         [-self.foot, -knee, thigh, 0], [-self.foot, -knee, knee, shank]])
-        masses = np.array([m_s, m_t, walker.m_h / mass, m_t, m_s])
-        inertia = np.array([m_s * walker.r_s**2, m_t * walker.r_t**2, m_t * walker.r_t**2, m_s * walker.r_s**2]) / leg**2
-        #: First moments and products of the arms; a massless leg's own rows are those of a unit point at its foot.
-        self.S = masses @ arms
-        self.K = arms.conj().T @ (masses[:, None] * arms) + np.diag(inertia)
-        self.S_rows = self.S.copy()
-        if self.massless:
-            self.K[2:] = np.outer(arms[4].conj(), arms[4])[2:]
-            self.S_rows[2:] = arms[4, 2:]
-
-    def groups(self, free_knee: bool) -> list[list[int]]:
-        """Links that move as one."""
-        return [[0, 1], [2], [3]] if free_knee else [[0, 1], [2, 3]]
-
-    def matrix(self, q: np.ndarray) -> list[list[np.ndarray]]:
-        """Mass matrix of the four links, rows of arrays."""
-        e = np.exp(1j * q)
-        M = [[(self.K[i, j] * e[i].conj() * e[j]).real for j in range(4)] for i in range(4)]
-        for j in range(4):
-            M[0][j] = M[0][j] + self.R * (self.S[j] * e[j]).imag
-            M[j][0] = M[j][0] + self.R * (self.S_rows[j] * e[j]).imag
-        M[0][0] = M[0][0] + self.R**2
-        return M
-
-    def force(self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray) -> list[np.ndarray]:
-        """Right-hand side f of M q'' = f."""
-        e = np.exp(1j * q)
-        gravity = np.sin(slope) - 1j * np.cos(slope)
-        f = [((1j * self.S_rows[i] * e[i]).conj() * gravity).real
-             + sum(rate[j] ** 2 * (self.K[i, j] * e[i].conj() * e[j]).imag for j in range(4)) for i in range(4)]
-        pull = gravity + sum(rate[j] ** 2 * self.S[j] * e[j] for j in range(4))
-        f[0] = f[0] - self.R * pull.real
-        return f
-
-    def accelerations(self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray, free_knee: bool) -> np.ndarray:
-        """Angular accelerations of the four links with the stance knee locked."""
-        M, f, groups = self.matrix(q), self.force(q, rate, slope), self.groups(free_knee)
-        A = _grouped(M, groups)
-        b = [sum(f[i] for i in g) for g in groups]
-        x = _solve(A, b)
-        return np.stack([x[k] for k, g in enumerate(groups) for _ in g])
-
-    def momentum(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Linear momentum, complex."""
-        e = np.exp(1j * q)
-        return -self.R * rate[0] + sum(1j * rate[j] * self.S[j] * e[j] for j in range(4))
-
-    def ground_force(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Force of the ground on the stance foot, complex, over weight."""
-        e = np.exp(1j * q)
-        moved = sum((1j * acceleration[j] - rate[j] ** 2) * self.S[j] * e[j] for j in range(4))
-        return moved - self.R * acceleration[0] - np.sin(slope) + 1j * np.cos(slope)
-
-    def holding(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Torque of the stance knee's lock on the thigh; negative where no stop could give it."""
-        M, f = self.matrix(q), self.force(q, rate, slope)
-        return sum(M[THIGH][j] * acceleration[j] for j in range(4)) - f[THIGH]
-
-    def height(self, q: np.ndarray) -> np.ndarray:
-        """Height of the swing foot's lowest point, without cancellation for short steps."""
-        a, b, c = q[0], q[2], q[3]
-        bent = 2 * np.sin((c - b) / 2) * (self.foot * np.exp(0.5j * (b + c))).real
-        return -2 * self.l * np.sin((a + b) / 2) * np.sin((a - b) / 2) + bent
-
-    def rise(self, q: np.ndarray) -> np.ndarray:
-        """Derivative of that height by the four angles."""
-        knee = -1j * self.l - self.foot
-        e = np.exp(1j * q)
-        return np.stack([(arm * e[j]).real for j, arm in enumerate((-self.foot, -knee, knee, self.foot))])
-
-    def lift(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        """Second derivative of that height by time."""
-        knee = -1j * self.l - self.foot
-        e = np.exp(1j * q)
-        turning = sum(rate[j] ** 2 * (arm * e[j]).imag for j, arm in enumerate((-self.foot, -knee, knee, self.foot)))
-        return (self.rise(q) * acceleration).sum(axis=0) - turning
-
-
-def _grouped(M: list[list[np.ndarray]], groups: list[list[int]]) -> list[list[np.ndarray]]:
-    return [[sum(M[i][j] for i in g for j in h) for h in groups] for g in groups]
-
-
-def _solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
-    """Solve A x = b elementwise. The stance row goes last: a massless leg leaves its coupling zero."""
-    A, b, n = [list(row) for row in A], list(b), len(b)
-    for k in reversed(range(1, n)):
-        for i in range(k):
-            factor = A[i][k] / A[k][k]
-            b[i] = b[i] - factor * b[k]
-            for j in range(k):
-                A[i][j] = A[i][j] - factor * A[k][j]
-    x: list[np.ndarray] = []
-    for i in range(n):
-        x.append((b[i] - sum(A[i][j] * x[j] for j in range(i))) / A[i][i])
-    return x
+#: Coefficients, times 24, of the quartic through values at 0, 1, 2, 3, 4.
+POWERS = ((24, 0, 0, 0, 0), (-50, 96, -72, 32, -6), (35, -104, 114, -56, 11), (-10, 36, -48, 28, -6), (1, -4, 6, -4, 1))
 
 
 @dataclass
@@ -152,7 +38,7 @@ class Phase:
 
 def _phases(motion: list[np.ndarray], times: np.ndarray) -> list[Phase]:
     found, begin = [], np.zeros(times.shape[1])
-    for samples, end in zip(motion, times):
+    for samples, end in zip(motion, times, strict=True):
         half = samples.shape[1] // 2
         links = [0, 0, 1, half - 1]
         clock = begin + np.linspace(0, 1, len(samples))[:, None] * (end - begin)
@@ -176,22 +62,65 @@ def greatest(x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray
     best = np.argmax(np.where(np.isnan(x), -np.inf, x) if among is None else np.where(among, x, -np.inf), axis=0)
     first = np.clip(best - 2, 0, top - 4)
     y = np.stack([x[first + k, lane] for k in range(5)])
-    with np.errstate(invalid="ignore"):
-        # Newton's divided differences at 0..4, gathered into a polynomial in t = position - first.
-        powers = np.linalg.inv(np.vander(np.arange(5.0), increasing=True)) @ y
+    powers = [total(c * y[k] for k, c in enumerate(row)) / 24 for row in POWERS]
     low, high = np.maximum(best - 1, 0) - first, np.minimum(best + 1, top) - first
     t = (best - first).astype(float)
     value = x[best, lane]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for _ in range(6):
-            slope = sum(k * powers[k] * t ** (k - 1) for k in range(1, 5))
-            bend = sum(k * (k - 1) * powers[k] * t ** (k - 2) for k in range(2, 5))
+            slope, bend = _at(powers, t, 1), _at(powers, t, 2)
             # Uphill either way: where the curve bends up, its greatest value is at an end.
             step = np.where(bend < 0, -slope / bend, np.sign(slope))
             t = np.clip(t + np.where(np.isfinite(step), step, 0.0), low, high)
-        refined = sum(powers[k] * t**k for k in range(5))
-        better = refined > value
+        refined = _at(powers, t)
+        # At an end the value is a sample's; only inside can the curve rise above them.
+        better = (refined > value) & (t > low) & (t < high)
     return np.where(better, refined, value), first + np.where(better, t, best - first)
+
+
+def _passing(chain: Chain, phase: Phase, acceleration: np.ndarray) -> np.ndarray:
+    """Greatest depth of a straight swing leg's foot where it passes the stance leg.
+
+    Notes
+    -----
+    The foot is below the ground between the zeros of a - b and a + b. On long steps at small slopes these are closer
+    to each other than samples are, so the angles are taken as quintics through both ends of the interval of passing.
+    """
+    apart = phase.q[0] - phase.q[2]
+    lane = np.arange(apart.shape[1])
+    i = np.argmax(apart[1:] <= 0, axis=0)
+    h = phase.time[i + 1, lane] - phase.time[i, lane]
+
+    def quintic(sign: float) -> list[np.ndarray]:
+        f, d, s = (x[0] + sign * x[2] for x in (phase.q, phase.rate, acceleration))
+        f0, f1, d0, d1 = f[i, lane], f[i + 1, lane], d[i, lane] * h, d[i + 1, lane] * h
+        s0, s1 = s[i, lane] * h**2, s[i + 1, lane] * h**2
+        return [f0, d0, s0 / 2, 10 * (f1 - f0) - 6 * d0 - 4 * d1 - 1.5 * s0 + 0.5 * s1,
+                -15 * (f1 - f0) + 8 * d0 + 7 * d1 + 1.5 * s0 - s1, 6 * (f1 - f0) - 3 * (d0 + d1) - (s0 - s1) / 2]
+
+    minus, plus = quintic(-1.0), quintic(1.0)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        middle = apart[i, lane] / (apart[i, lane] - apart[i + 1, lane])
+        for _ in range(5):
+            middle = middle - _at(minus, middle) / _at(minus, middle, 1)
+        # Depth 2 l sin((a + b)/2) sin((a - b)/2) is greatest halfway between the zeros, to first order.
+        t = middle - 0.5 * _at(plus, middle) / _at(plus, middle, 1)
+        for _ in range(5):
+            u, v = [[_at(c, t, k) for k in range(3)] for c in (plus, minus)]
+            slope = u[1] * v[0] + u[0] * v[1]
+            t = t - slope / (u[2] * v[0] + 2 * u[1] * v[1] + u[0] * v[2])
+        depth = 2 * chain.l * np.sin(_at(plus, t) / 2) * np.sin(_at(minus, t) / 2)
+        return np.where((np.abs(t - middle) < 1) & (depth > 0), depth, 0.0)
+
+
+def _at(powers: list[np.ndarray], t: np.ndarray, order: int = 0) -> np.ndarray:
+    """Value or derivative of a polynomial with coefficients lowest first."""
+    for _ in range(order):
+        powers = [k * c for k, c in enumerate(powers)][1:]
+    value = powers[-1]
+    for c in reversed(powers[:-1]):
+        value = value * t + c
+    return value
 
 
 def _ratio(force: np.ndarray) -> np.ndarray:
@@ -213,14 +142,12 @@ def _released(chain: Chain, first: Phase, slope: np.ndarray) -> Arrays:
     sinks = np.where(down, np.maximum(greatest(depth, under)[0], 0.0), 0.0)
     impulse = np.zeros_like(velocity)
     if not chain.massless:
-        groups = chain.groups(first.free_knee)
-        row = [sum(rise[i] for i in g) for g in groups]
-        yielding = sum(r * x for r, x in zip(row, _solve(_grouped(chain.matrix(q), groups), row)))
-        impulse = np.where(~still & (velocity < 0), -velocity / yielding, 0.0)
+        impulse = np.where(~still & (velocity < 0), -velocity / chain.yielding(q, rise, first.free_knee), 0.0)
     found = {"penetration_depth": sinks, "trailing_impulse": impulse, "release_penetrates": down}
     if chain.kneed:
-        over = greatest(first.q[3] - first.q[2])[0]
-        found["hyperextension"] = np.maximum(over, 0.0)
+        over = first.q[3] - first.q[2]
+        over[0] = over[-1] = 0.0
+        found["hyperextension"] = greatest(over)[0]
         found["release_hyperextends"] = rate[2] < rate[3]
     return found
 
@@ -240,7 +167,7 @@ def _heelstrike(chain: Chain, first: Phase, impact: np.ndarray) -> tuple[np.ndar
     ground = chain.momentum(q, after) - chain.momentum(q, before) - carried
     M = chain.matrix(q)
     lever = 1j * chain.S[THIGH] * np.exp(1j * q[THIGH])
-    lock = sum(M[THIGH][j] * (after[j] - before[j]) for j in range(4)) - (lever.conj() * carried).real
+    lock = total(M[THIGH][j] * (after[j] - before[j]) for j in range(4)) - (lever.conj() * carried).real
     return ground, lock
 
 
@@ -264,6 +191,8 @@ def _dimensionless(chain: Chain, motion: list[np.ndarray], impact: np.ndarray, t
         if phase is phases[-1]:
             depth[-1] = 0.0
         scuff = np.maximum(scuff, greatest(depth)[0])
+        if not chain.kneed:
+            scuff = np.maximum(scuff, _passing(chain, phase, acceleration))
         if chain.kneed:
             worst, at = greatest(-chain.holding(phase.q, phase.rate, acceleration, slope))
             later = worst > torque
@@ -285,7 +214,7 @@ def _dimensionless(chain: Chain, motion: list[np.ndarray], impact: np.ndarray, t
         jump = phases[1].rate[:, 0] - phases[0].rate[:, -1]
         M, ground = chain.matrix(q), chain.momentum(q, jump)
         found |= {"unlocking_torque": torque, "unlocking_torque_time": when, "unlocking_impulse_heelstrike": -lock,
-                  "unlocking_impulse_kneestrike": -sum(M[THIGH][j] * jump[j] for j in range(4)),
+                  "unlocking_impulse_kneestrike": -total(M[THIGH][j] * jump[j] for j in range(4)),
                   "friction_demand_kneestrike": _ratio(ground)}
         pulled |= ground.imag < 0
         opened = ((torque > 0) | (found["unlocking_impulse_kneestrike"] > 0)
@@ -296,5 +225,55 @@ def _dimensionless(chain: Chain, motion: list[np.ndarray], impact: np.ndarray, t
              "release_hyperextends": found.pop("release_hyperextends", opened & False),
              "release_penetrates": found.pop("release_penetrates"),
              "trailing_foot_pulls": found["trailing_impulse"] > 0}
-    found["violations"] = sum(flags[name].astype(np.int32) << k for k, name in enumerate(VIOLATIONS))
+    found["violations"] = total(flags[name].astype(np.int32) << k for k, name in enumerate(VIOLATIONS))
     return found
+
+
+def measure(walker: Walker, motion: list[np.ndarray], impact: np.ndarray, times: np.ndarray,
+            slope: np.ndarray) -> Arrays:
+    """Every item of Appendix A, in the walker's units.
+
+    Parameters
+    ----------
+    walker : Walker
+    motion : list of ndarray, shape (samples + 1, angles, n)
+        Angles and rates of each phase at equal times: stance leg, swing thigh[, swing shank]  [rad, sqrt(g/leg)].
+    impact : ndarray, shape (2, n)
+        Rates of the old stance and swing leg just before heelstrike [sqrt(g/leg)].
+    times : ndarray, shape (phases, n) [sqrt(leg/g)]
+        Ends of the phases.
+    slope : ndarray, shape (n,) [rad]
+
+    Returns
+    -------
+    dict
+        The variables of the registry's group `violations`, shape (n,). What a stance knee does is NaN without knees.
+
+    Notes
+    -----
+    Amounts are positive where the assumption is broken. Torque and impulses of the stance knee keep their sign: a
+    negative one is what its stop can give. The trailing impulse is that of the smallest complementarity problem in
+    which the foot let go may be pushed but not pulled, without friction, while the new contact holds.
+    """
+    chain = Chain(walker)
+    n = len(slope)
+    names = [v.name for v in VARIABLES.values() if v.group == "violations"]
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    for k in range(0, n, BLOCK):
+        lanes = slice(k, k + BLOCK)
+        with np.errstate(invalid="ignore"):
+            found = _dimensionless(chain, [m[..., lanes] for m in motion], impact[:, lanes], times[:, lanes],
+                                   slope[lanes])
+        for name in names:
+            parts[name].append(found[name])
+    unit = _units(walker)
+    joined = {name: np.concatenate(part) if part else np.zeros(0) for name, part in parts.items()}
+    return {name: x if x.dtype == np.int32 else x * unit[VARIABLES[name].kind] for name, x in joined.items()}
+
+
+def _units(walker: Walker) -> dict[str, float]:
+    """Size, in the walker's units, of one of each kind of quantity."""
+    length, mass = walker.leg, walker.total_mass
+    time = float(np.sqrt(length / walker.g))
+    return {"length": length, "time": time, "torque": mass * walker.g * length, "impulse": mass * length / time,
+            "angular_impulse": mass * length**2 / time, "angle": 1.0, "number": 1.0}

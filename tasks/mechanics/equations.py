@@ -37,7 +37,7 @@ class Complex:
     re: Sym
     im: Sym
 
-    def turned(self, sine: Sym, cosine: Sym) -> "Complex":
+    def turned(self, sine: Sym, cosine: Sym) -> Complex:
         return Complex(self.re * cosine - self.im * sine, self.re * sine + self.im * cosine)
 
 
@@ -51,7 +51,7 @@ def lump(walker: Walker) -> dict[str, float]:
         also `S_c, C_cc, H`. Swing constants are divided by `eps`, the swing leg's inertia about the hip.
     """
     length, mass = walker.leg, walker.total_mass
-    R, l = walker.R / length, walker.l / length  # noqa: E741
+    R, l = walker.R / length, walker.l / length
     knee, thigh, shank = walker.knee / length, walker.thigh_centre / length, walker.shank_centre / length
     m_t, m_s = walker.m_t / mass, walker.m_s / mass
     r_t, r_s = walker.r_t / length, walker.r_s / length

@@ -69,12 +69,14 @@ class Flow:
             duration = np.pad(duration, (0, pad), "edge")
         final = np.empty((self.size, n + pad))
         motion = np.empty((samples + 1, self.angles, n + pad)) if samples else None
+        fractions = np.linspace(0.0, 1.0, samples + 1)[:, None]
         for k in range(0, n + pad, LANES):
             group = slice(k, k + LANES)
-            if not self._group(state[:, group], parameters[:, group], duration[group], group, final, motion):
+            if not self._group(state[:, group], parameters[:, group], duration[group], group, fractions, final, motion):
                 for lane in range(k, k + LANES):
                     alone = [lane] * LANES
-                    if not self._group(state[:, alone], parameters[:, alone], duration[alone], alone, final, motion):
+                    if not self._group(state[:, alone], parameters[:, alone], duration[alone], alone, fractions,
+                                       final, motion):
                         final[:, lane] = np.nan
                         if motion is not None:
                             motion[:, :, lane] = np.nan
@@ -82,7 +84,7 @@ class Flow:
         return final[:, :n], motion if motion is None else motion[:, :, :n]
 
     def _group(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray, lanes: slice | list[int],
-               final: np.ndarray, motion: np.ndarray | None) -> bool:
+               fractions: np.ndarray, final: np.ndarray, motion: np.ndarray | None) -> bool:
         """Advance one group; False where any of its lanes was lost."""
         ta: Any = self._ta
         ta.set_time(0.0)
@@ -92,8 +94,7 @@ class Flow:
             if motion is None:
                 ta.propagate_until(duration, max_steps=MOST_STEPS)
             else:
-                times = np.linspace(0.0, 1.0, len(motion))[:, None] * duration
-                dense = ta.propagate_grid(times, max_steps=MOST_STEPS)[1]
+                dense = ta.propagate_grid(fractions * duration, max_steps=MOST_STEPS)[1]
         except ValueError:
             # heyoka refuses durations that are not finite.
             return False

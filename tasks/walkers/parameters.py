@@ -5,8 +5,9 @@ from __future__ import annotations
 import cmath
 import difflib
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Mapping
+from typing import Any
 
 #: Kind of quantity of every walker key.
 KEYS = {
@@ -107,7 +108,7 @@ class Walker:
         return math.asin(self.l_t * math.sin(self.eps_T) / d) if d else 0.0
 
     @property
-    def l(self) -> float:  # noqa: E743 - the paper's symbol
+    def l(self) -> float:
         """Distance from hip to foot centre."""
         return self.l_t * math.cos(self.eps_T) + (self.l_s - self.R) * math.cos(self.eps_S)
 

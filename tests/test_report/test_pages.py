@@ -135,6 +135,12 @@ def test_failed_points_are_listed_with_their_reason(report):
     assert set(absent["status"]) == {"no_gait", "not_converged", "worker_died"}
 
 
+def test_a_page_tells_the_run_time_and_not_the_machine(report):
+    text = Page(report / "transition.html").text
+    assert "12.5" in text
+    assert "secret-host" not in text
+
+
 def test_the_ledger_links_each_claim_to_its_figure(report):
     ledger = Page(report / "ledger.html")
     assert {"E2", "E3", "E4", "Z5"} <= set(ledger.all("id"))

@@ -43,14 +43,14 @@ def transition_ladder(source: Source) -> Sketch | None:
             ls=DASHES[k % len(DASHES)],
             marker=_MARKERS[k % 5],
             ms=4.5,
-            label=_meaning(column, "slope_transition", "crossing"),
+            label=_meaning(column, "slope_transition", "crossing of asymptotes"),
         )
         marks.append(
             Marks(
                 top,
                 ratio,
                 table[column].to_numpy(),
-                _meaning(column, "slope_transition", "crossing"),
+                _meaning(column, "slope_transition", "crossing of asymptotes"),
                 {"ρ": ratio, "γ at the transition (rad)": table[column].to_numpy()},
             )
         )
@@ -94,4 +94,4 @@ def transition_ladder(source: Source) -> Sketch | None:
 
 def _meaning(column: str, stem: str, plainly: str) -> str:
     rest = column.removeprefix(stem).strip("_").replace("_", " ")
-    return f"{plainly}, {rest}" if rest else plainly
+    return f"{plainly.partition(' of ')[0]}, {rest}" if rest else plainly

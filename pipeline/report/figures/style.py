@@ -107,13 +107,18 @@ def plain(value: float, digits: int = 4) -> str:
     return text.replace("-", "−")
 
 
+def _narrow(low: float, high: float) -> bool:
+    """True where fewer than two or three powers of ten are in view."""
+    return high < 200 * low
+
+
 class _Decades(LogLocator):
     """Ticks at powers of ten, and at 2 and 5 between them where few powers are in view."""
 
     def __call__(self) -> Any:
         assert self.axis is not None
         low, high = self.axis.get_view_interval()
-        self.set_params(subs=(1.0,) if high > 50 * low else (1.0, 2.0, 5.0))
+        self.set_params(subs=(1.0, 2.0, 5.0) if _narrow(low, high) else (1.0,))
         return super().__call__()
 
 
@@ -122,14 +127,14 @@ def log_axis(axes: Axes, which: str) -> None:
     getattr(axes, f"set_{which}scale")("log")
     axis = getattr(axes, f"{which}axis")
     axis.set_major_locator(_Decades())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: _decade(value)))
+    axis.set_major_formatter(
+        FuncFormatter(lambda value, _: plain(value, 2) if _narrow(*axis.get_view_interval()) else _decade(value))
+    )
     axis.set_minor_locator(NullLocator())
 
 
 def _decade(value: float) -> str:
     power = round(np.log10(value)) if value > 0 else 0
-    if not np.isclose(value, 10.0**power):
-        return plain(value, 2)
     return {0: "1", 1: "10"}.get(power, "10" + _raised(power))
 
 

@@ -1,0 +1,167 @@
+"""Cascades: gaits of period 1, 2, 4, ... and of other periods, from their folds through their doublings."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping
+
+import numpy as np
+
+from tasks.fits import cascade as scaling
+from tasks.gait import atlas as atlases
+from tasks.gait.cycles import (
+    MOST_POINTS, Cycle, Path, at_slope, doubled, flip_test, fold_test, from_start, really_walks)
+from tasks.gait.fixed_point import Problem
+from tasks.gait.strides import STRUCK, stride
+from tasks.orbit import gaits_at
+from tasks.walkers.parameters import resolve
+
+Arrays = dict[str, np.ndarray]
+#: Options of a study of this kind: the longest period, first periods of the families, and starts of their search.
+OPTIONS = {"periods": 64, "families": [1], "starts": 400}
+#: How much of the window the first step along a branch takes.
+FIRST_STEP = 0.01
+
+
+def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Flips and folds of a line's families of period-n gaits within a window of slopes.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `slope`, ndarray [rad], whose ends are the window and whose values are searched for families of other
+        periods than one; and the study's options: `periods`, the longest; `families`, first periods; `starts` of the
+        search at each slope.
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Tables `cascade` (family, period, kind, slope, error_bound, ratio, stance_angle, walks), a row for each fold and
+        flip, and `accumulation` (family, flips, slope, low, high, ratio).
+    """
+    options = {**OPTIONS, **{k: params[k] for k in OPTIONS if k in params}}
+    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    problem = Problem(walker)
+    slope = np.sort(np.asarray(params["slope"], float))
+    rows: list[dict[str, Any]] = []
+    limits: list[dict[str, Any]] = []
+    for number in options["families"]:
+        first = _first(problem, inputs[0], slope, int(number), int(options["starts"]))
+        for family, start in enumerate(first):
+            name = f"{number}" if len(first) == 1 else f"{number}{'abcdefgh'[family % 8]}"
+            found = _family(problem, start, slope, int(options["periods"]))
+            flips = np.array([c.slope for kind, c in found if kind == "flip"])
+            ratio = iter(scaling.ratios(flips))
+            for kind, c in found:
+                rows.append({"family": name, "period": c.period, "kind": kind, "slope": c.slope,
+                             "error_bound": _slope_error(problem, c), "ratio": next(ratio) if kind == "flip" else np.nan,
+                             "stance_angle": float(c.Y[0].max()), "walks": int(really_walks(problem, c))})
+            value, low, high = scaling.accumulation(flips)
+            last = scaling.ratios(flips)
+            limits.append({"family": name, "flips": len(flips), "slope": value, "low": low, "high": high,
+                           "ratio": float(last[-1]) if len(last) else np.nan})
+    out = {f"cascade/{k}": np.array([r[k] for r in rows]) for k in (
+        "family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", "walks")}
+    return out | {f"accumulation/{k}": np.array([r[k] for r in limits]) for k in (
+        "family", "flips", "slope", "low", "high", "ratio")}
+
+
+def _first(problem: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Cycle]:
+    """A first gait of each family of that period."""
+    if n == 1:
+        known, y = gaits_at(problem, atlases.from_arrays(atlas), slope[:1], "long")
+        found = from_start(problem, y[:, 0], slope[0], 1) if len(known) else None
+        return [found] if found else []
+    for s in slope:
+        distinct = cycles_at(problem, atlas, float(s), n, starts)
+        if distinct:
+            return distinct
+    return []
+
+
+def cycles_at(problem: Problem, atlas: Arrays, slope: float, n: int, starts: int) -> list[Cycle]:
+    """Distinct gaits of exact period n at one slope, stable ones first.
+
+    Notes
+    -----
+    Starts lie on a low-discrepancy lattice around the long gait, wide enough to hold every attractor of the paper's
+    walkers; those that come back near themselves after n strides are polished by Newton on all n sections.
+    """
+    known, y = gaits_at(problem, atlases.from_arrays(atlas), np.array([slope]), "long")
+    if not len(known):
+        return []
+    ratio = {2: 1.32471795724474602596, 3: 1.22074408460575947536}[problem.m]
+    steps = np.array([ratio ** -(i + 1) for i in range(problem.m)])
+    offsets = 2 * ((0.5 + steps[:, None] * np.arange(1, starts + 1)) % 1) - 1
+    Y = [y[:, :1] * (1 + 0.2 * offsets)]
+    times, lanes = [], np.arange(starts)
+    for _ in range(n + 1):
+        now = stride(problem, Y[-1], np.full(Y[-1].shape[1], slope), exact=False)
+        on = now.outcome == STRUCK
+        Y, times = [a[:, on] for a in Y] + [now.image[:, on]], [t[:, on] for t in times] + [now.times[:, on]]
+        lanes = lanes[on]
+    if not len(lanes):
+        return []
+    # The first stride throws every start onto the map's strongly contracted image.
+    back = np.abs(Y[n + 1] - Y[1]).max(axis=0)
+    found: list[Cycle] = []
+    for lane in np.argsort(back, kind="stable")[:60]:
+        cycle = at_slope(problem, np.array([Y[i][:, lane] for i in range(1, n + 1)]).T,
+                         np.array([times[i][:, lane] for i in range(1, n + 1)]).T, slope)
+        if not cycle.ok or not _exact_period(cycle) or not really_walks(problem, cycle):
+            continue
+        if all(_apart(cycle, other) > 1e-7 for other in found):
+            found.append(cycle)
+    return sorted(found, key=lambda c: float(np.abs(c.multipliers()[0])))
+
+
+def _exact_period(cycle: Cycle) -> bool:
+    n = cycle.period
+    return all(np.abs(cycle.Y - np.roll(cycle.Y, k, axis=1)).max() > 1e-6 for k in range(1, n) if n % k == 0)
+
+
+def _apart(a: Cycle, b: Cycle) -> float:
+    return min(float(np.abs(a.Y - np.roll(b.Y, k, axis=1)).max()) for k in range(b.period))
+
+
+def _family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> list[tuple[str, Cycle]]:
+    """A family's folds, then its flips, each branch switched to at the flip before."""
+    low, high = np.log(slope[0]), np.log(slope[-1])
+    up = np.zeros(start.Y.size + 1)
+    up[-1] = 1.0
+    found: list[tuple[str, Cycle]] = []
+    if start.period > 1:
+        # Down the slope to the fold the family is born at, unless it comes from elsewhere.
+        found += _events(Path(problem, start, -up, FIRST_STEP * (high - low)), fold_test, "fold", low, high)
+    path: Path | None = Path(problem, start, up, FIRST_STEP * (high - low))
+    expected = high - low
+    while path is not None and path.points[-1].period <= longest:
+        flips = _events(path, flip_test, "flip", low, high)
+        if not flips:
+            break
+        before = [c.q for kind, c in found if kind == "flip"]
+        found += flips
+        flip = flips[0][1]
+        # The next interval, as Feigenbaum expects it of the one before.
+        expected = (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected
+        path = doubled(problem, flip, expected) if 2 * flip.period <= longest else None
+    return found
+
+
+def _events(path: Path, test: Any, kind: str, low: float, high: float) -> list[tuple[str, Cycle]]:
+    """The first zero of a test function along a branch inside the window, as a list of none or one."""
+    for _ in range(MOST_POINTS):
+        if not path.advance():
+            return []
+        before, after = path.points[-2:]
+        if test(before) * test(after) < 0:
+            return [(kind, path.located(test))]
+        if not low - 0.05 <= after.q <= high + 0.05:
+            return []
+    return []
+
+
+def _slope_error(problem: Problem, cycle: Cycle) -> float:
+    """Relative error of an event's slope: what the corrector's last step still moves it by, and rounding."""
+    return float(cycle.error + 8 * np.finfo(float).eps)

@@ -1,0 +1,229 @@
+"""How far the rounding of a walker's printed parameters can move a landmark: its interval (sections 4 and 5).
+
+A landmark is a zero of G(X, p) = (P(X, p) - X, test(X, p)), with X the gait and ln slope and p the printed parameters.
+Implicit differentiation gives dX/dp = -G_X^-1 G_p. G is evaluated with its event times settled; the fixed point's
+part of G_X comes from the variational equations, G_p and the test's own row from central differences at two step
+sizes, extrapolated. The interval is the printed walker's value give or take the sum of |sensitivity| x half unit.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tasks.gait.branch import Branch
+from tasks.gait.continuation import Point, linearised
+from tasks.gait.fixed_point import Problem
+from tasks.gait.special_points import located
+from tasks.gait.stride import Stride
+from tasks.ledger.lab import Line, line
+from tasks.ledger.printed import HALF_UNITS
+from tasks.mechanics.equations import constants_of
+from tasks.walkers.catalogue import _exactly_tuned
+from tasks.walkers.parameters import Walker
+
+#: Relative steps of the central differences.
+STEP = 2e-4
+Test = Callable[[Stride, np.ndarray], np.ndarray]
+
+
+class Lanes(Problem):
+    """The stride map with a walker of its own in every lane."""
+
+    def __init__(self, walkers: list[Walker]):
+        super().__init__(walkers[0])
+        self.constants = np.array([constants_of(w, self.structure) for w in walkers]).T
+
+    def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        return np.vstack([slope, scale, self.constants])
+
+
+def _square(stride: Stride, X: np.ndarray) -> np.ndarray:
+    return linearised(stride, X)[1][:, :, :-1]
+
+
+def _fold(stride: Stride, X: np.ndarray) -> np.ndarray:
+    return np.linalg.det(_square(stride, X))
+
+
+def _flip(stride: Stride, X: np.ndarray) -> np.ndarray:
+    return np.linalg.det(np.moveaxis(stride.jacobian, -1, 0) + np.eye(len(X) - 1))
+
+
+def _exponent(stride: Stride, X: np.ndarray) -> np.ndarray:
+    """Local exponent d ln angle/d ln slope less 2/3."""
+    derivative = linearised(stride, X)[1]
+    return -np.linalg.solve(derivative[:, :, :-1], derivative[:, :, -1:])[:, 0, 0] - 2 / 3
+
+
+TESTS: dict[str, Test] = {
+    "fold": _fold, "flip": _flip, "exponent": _exponent,
+    "end_kneestrike_at_heelstrike": lambda stride, X: stride.times[-1] - stride.times[0],
+    "end_tangential_heelstrike": lambda stride, X: stride.closing / stride.y[0],
+    "release_hyperextension": lambda stride, X: (stride.start[4] - stride.start[5]) / stride.y[0],
+}
+
+
+@dataclass(frozen=True)
+class Landmark:
+    """A special point of a walker: its test, the branch's label there, which of several, and what is printed of it."""
+
+    name: str
+    walker: str
+    test: str
+    label: str = ""
+    which: int = 0
+    printed: float = float("nan")
+
+
+#: Landmarks compared with numbers of the paper, and those of figure 6.
+LANDMARKS = {mark.name: mark for mark in (
+    Landmark("smallest slope, kneed", "physical", "fold", printed=0.020),
+    Landmark("smallest slope, straight", "physical-straight", "fold", printed=0.016),
+    Landmark("point 1", "physical", "end_kneestrike_at_heelstrike"),
+    Landmark("point 2", "physical-straight", "end_tangential_heelstrike"),
+    Landmark("point 3", "physical", "release_hyperextension"),
+    Landmark("highest slope, kneed", "physical", "fold", which=1),
+    Landmark("C flip", "C", "flip", "long", printed=0.084),
+    Landmark("C-printed flip", "C-printed", "flip", "long", printed=0.084),
+    Landmark("C exponent 2/3", "C", "exponent", "long", printed=0.00015),
+    Landmark("C release, long", "C", "release_hyperextension", "long"),
+    Landmark("C release, short", "C", "release_hyperextension", "short"),
+)}
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A landmark's slope and angle, its sensitivities to each printed parameter, and its interval of slopes."""
+
+    value: float
+    angle: float
+    low: float
+    high: float
+    sensitivity: dict[str, float]
+    angle_sensitivity: dict[str, float]
+    half_unit: dict[str, float]
+
+    @property
+    def contribution(self) -> dict[str, float]:
+        return {k: abs(s) * self.half_unit[k] for k, s in self.sensitivity.items()}
+
+    @property
+    def most(self) -> str:
+        """The parameter that matters most."""
+        return max(self.contribution, key=lambda k: self.contribution[k])
+
+
+def changed(walker: str, base: Walker, key: str, change: float) -> Walker:
+    """A walker with one key moved; exact A and C stay on the tuned manifold."""
+    moved = replace(base, **{key: getattr(base, key) + change})
+    return _exactly_tuned(moved) if walker in ("A", "C") else moved
+
+
+def place(found: Line, mark: Landmark) -> tuple[np.ndarray, np.ndarray]:
+    """X and event times of a landmark, from the branches of its walker.
+
+    Raises
+    ------
+    ValueError
+        If the walker has no such point.
+    """
+    rows = []
+    for branch in found.branches:
+        for Z in _candidates(found.problem, branch, mark.test):
+            if mark.label and _label(found.problem, Z) != mark.label:
+                continue
+            rows.append(Z)
+    rows.sort(key=lambda Z: Z[found.problem.m])
+    if len(rows) <= mark.which:
+        raise ValueError(f"{mark.walker} has no {mark.name}")
+    Z, m = rows[mark.which], found.problem.m
+    return Z[: m + 1], Z[m + 1:]
+
+
+def _label(problem: Problem, Z: np.ndarray) -> str:
+    m = problem.m
+    stride, _ = problem.stride(np.delete(Z, m)[:, None], Z[m:m + 1])
+    u = (stride.impact[1] - stride.impact[0]) / np.abs(stride.impact[0])
+    return "long" if u[0] < 0.5 else "short"
+
+
+def _candidates(problem: Problem, branch: Branch, test: str) -> list[np.ndarray]:
+    """Rows (X, times) of a branch at which a test vanishes."""
+    m = branch.m
+    if test == "fold":
+        return [branch.Z[first] for first, _ in branch.pieces()[1:]]
+    if test.startswith("end_"):
+        return [branch.Z[i] for i, why in ((0, branch.why[0]), (-1, branch.why[1])) if why == test]
+    X = branch.Z[:, : m + 1].T
+    stride, _ = problem.stride(np.delete(branch.Z, m, axis=1).T, X[m], slope=True)
+    values = TESTS[test](stride, X)
+    # A step from pole to pole is no root: values on both sides must be small.
+    turns = np.nonzero((np.sign(values[1:]) != np.sign(values[:-1])) & (np.abs(values[1:] - values[:-1]) < 2))[0]
+
+    def at(point: Point, way: np.ndarray) -> float:
+        return float(TESTS[test](point.stride, point.X)[0])
+
+    points = [located(problem, branch, int(k), at)[0] for k in turns]
+    return [np.concatenate([p.X[:, 0], p.times[:, 0]]) for p in points if p.ok[0]]
+
+
+def _values(walkers: list[Walker], X: np.ndarray, times: np.ndarray, test: Test) -> tuple[np.ndarray, np.ndarray]:
+    """G at n lanes, shape (m + 1, n), and the fixed point's rows of G_X, shape (n, m, m + 1)."""
+    problem, m = Lanes(walkers), len(X) - 1
+    for _ in range(3):
+        stride, _ = problem.stride(np.vstack([X[:m], times]), X[m], slope=True)
+        times = stride.times
+    residual, derivative = linearised(stride, X)
+    return np.vstack([residual.T, test(stride, X)[None]]), derivative
+
+
+def sensitivities(mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str],
+                  step: float = STEP) -> np.ndarray:
+    """dX/dp of a landmark for each key, shape (m + 1, keys)."""
+    m, n = len(X) - 1, len(keys)
+    sizes = np.array([_size(base, k) for k in keys]) * step
+    walkers, places = [], []
+    for factor in (1.0, -1.0, 2.0, -2.0):
+        for i in range(m + 1):
+            walkers.append(base)
+            places.append(X + factor * step * np.eye(m + 1)[i])
+        for key, size in zip(keys, sizes):
+            walkers.append(changed(mark.walker, base, key, factor * size))
+            places.append(X)
+    walkers.append(base)
+    places.append(X)
+    lanes = np.array(places).T
+    G, derivative = _values(walkers, lanes, np.repeat(times[:, None], lanes.shape[1], axis=1), TESTS[mark.test])
+    one, less, two, less2 = (G[:, k * (m + 1 + n):(k + 1) * (m + 1 + n)] for k in range(4))
+    h = np.concatenate([np.full(m + 1, step), sizes])
+    slopes = (8 * (one - less) - (two - less2)) / (12 * h)
+    G_X = slopes[:, : m + 1]
+    G_X[:m] = derivative[-1]
+    return -np.linalg.solve(G_X, slopes[:, m + 1:])
+
+
+def _size(walker: Walker, key: str) -> float:
+    """The scale a key's steps are taken on."""
+    if key in ("m_t", "m_s", "m_h"):
+        return walker.total_mass
+    return {"g": walker.g, "eps_T": 1.0}.get(key, walker.leg)
+
+
+@functools.lru_cache(maxsize=32)
+def interval(name: str) -> Interval:
+    """A landmark with its interval."""
+    mark = LANDMARKS[name]
+    found = line(mark.walker)
+    X, times = place(found, mark)
+    half = dict(HALF_UNITS[mark.walker])
+    keys = list(half)
+    slope, angle = float(np.exp(X[-1])), float(np.exp(X[0]))
+    by = sensitivities(mark, X, times, found.walker, keys)
+    sensitivity = {k: slope * float(d) for k, d in zip(keys, by[-1])}
+    total = sum(abs(sensitivity[k]) * half[k] for k in keys)
+    return Interval(slope, angle, slope - total, slope + total, sensitivity,
+                    {k: angle * float(d) for k, d in zip(keys, by[0])}, half)

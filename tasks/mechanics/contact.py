@@ -1,0 +1,149 @@
+"""Contact and knee forces of a walker whose stance knee is open: an open chain of four links over a rolling foot.
+
+Stance shank, stance thigh, swing thigh and swing shank have the angles q; every point is
+
+    x + iy = -R q_0 + iR + sum_j A_j exp(i q_j)
+
+with constant arms A_j. What holds the stance knee is what its thigh's own equation of motion misses when both stance
+links move as one. Plain arrays, one elementwise operation after another: this is for measuring, not for flying.
+"""
+
+from __future__ import annotations
+
+import functools
+import operator
+from collections.abc import Iterable
+
+import numpy as np
+
+from tasks.walkers.parameters import Walker
+
+#: Row of the stance thigh among the links.
+THIGH = 1
+
+
+def total(terms: Iterable[np.ndarray]) -> np.ndarray:
+    """Sum in order."""
+    return functools.reduce(operator.add, terms)
+
+
+class Chain:
+    """A walker whose stance knee is open, in units of its leg, its mass and g.
+
+    Arrays have the link first where they have one, any shape after it, and the lane last.
+    """
+
+    def __init__(self, walker: Walker):
+        leg, mass = walker.leg, walker.total_mass
+        self.kneed, self.massless = walker.knees, walker.massless_leg
+        self.R, self.l = walker.R / leg, walker.l / leg
+        knee, thigh, shank = walker.knee / leg, walker.thigh_centre / leg, walker.shank_centre / leg
+        #: Foot centre from the knee, in the frame of the extended leg.
+        self.foot = -1j * self.l - knee
+        m_t, m_s = walker.m_t / mass, walker.m_s / mass
+        arms = np.array([[shank - self.foot, 0, 0, 0], [-self.foot, thigh - knee, 0, 0], [-self.foot, -knee, 0, 0],
+                         [-self.foot, -knee, thigh, 0], [-self.foot, -knee, knee, shank]])
+        masses = np.array([m_s, m_t, walker.m_h / mass, m_t, m_s])
+        I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
+        #: First moments and products of the arms; a massless leg's own rows are those of a unit point at its foot.
+        self.S = masses @ arms
+        self.K = arms.conj().T @ (masses[:, None] * arms) + np.diag([I_s, I_t, I_t, I_s])
+        self.S_rows = self.S.copy()
+        if self.massless:
+            self.K[2:] = np.outer(arms[4].conj(), arms[4])[2:]
+            self.S_rows[2:] = arms[4, 2:]
+
+    def groups(self, free_knee: bool) -> list[list[int]]:
+        """Links that move as one."""
+        return [[0, 1], [2], [3]] if free_knee else [[0, 1], [2, 3]]
+
+    def matrix(self, q: np.ndarray) -> list[list[np.ndarray]]:
+        """Mass matrix of the four links, rows of arrays."""
+        e = np.exp(1j * q)
+        M = [[(self.K[i, j] * e[i].conj() * e[j]).real for j in range(4)] for i in range(4)]
+        for j in range(4):
+            M[0][j] = M[0][j] + self.R * (self.S[j] * e[j]).imag
+            M[j][0] = M[j][0] + self.R * (self.S_rows[j] * e[j]).imag
+        M[0][0] = M[0][0] + self.R**2
+        return M
+
+    def force(self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray) -> list[np.ndarray]:
+        """Right-hand side f of M q'' = f."""
+        e = np.exp(1j * q)
+        gravity = np.sin(slope) - 1j * np.cos(slope)
+        f = [((1j * self.S_rows[i] * e[i]).conj() * gravity).real
+             + total(rate[j] ** 2 * (self.K[i, j] * e[i].conj() * e[j]).imag for j in range(4)) for i in range(4)]
+        pull = gravity + total(rate[j] ** 2 * self.S[j] * e[j] for j in range(4))
+        f[0] = f[0] - self.R * pull.real
+        return f
+
+    def accelerations(self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray, free_knee: bool) -> np.ndarray:
+        """Angular accelerations of the four links with the stance knee locked."""
+        M, f, groups = self.matrix(q), self.force(q, rate, slope), self.groups(free_knee)
+        A = _grouped(M, groups)
+        b = [total(f[i] for i in g) for g in groups]
+        x = _solve(A, b)
+        return np.stack([x[k] for k, g in enumerate(groups) for _ in g])
+
+    def momentum(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Linear momentum, complex."""
+        e = np.exp(1j * q)
+        return -self.R * rate[0] + total(1j * rate[j] * self.S[j] * e[j] for j in range(4))
+
+    def ground_force(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """Force of the ground on the stance foot, complex, over weight."""
+        e = np.exp(1j * q)
+        moved = total((1j * acceleration[j] - rate[j] ** 2) * self.S[j] * e[j] for j in range(4))
+        return moved - self.R * acceleration[0] - np.sin(slope) + 1j * np.cos(slope)
+
+    def holding(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """Torque of the stance knee's lock on the thigh; negative where no stop could give it."""
+        M, f = self.matrix(q), self.force(q, rate, slope)
+        return total(M[THIGH][j] * acceleration[j] for j in range(4)) - f[THIGH]
+
+    def yielding(self, q: np.ndarray, row: np.ndarray, free_knee: bool) -> np.ndarray:
+        """Rate along a row of four for a unit impulse along it, stance knee locked."""
+        groups = self.groups(free_knee)
+        r = [total(row[i] for i in g) for g in groups]
+        x = _solve(_grouped(self.matrix(q), groups), r)
+        return total(r[k] * x[k] for k in range(len(r)))
+
+    def height(self, q: np.ndarray) -> np.ndarray:
+        """Height of the swing foot's lowest point, without cancellation for short steps."""
+        a, b, c = q[0], q[2], q[3]
+        bent = 2 * np.sin((c - b) / 2) * (self.foot * np.exp(0.5j * (b + c))).real
+        return -2 * self.l * np.sin((a + b) / 2) * np.sin((a - b) / 2) + bent
+
+    def rise(self, q: np.ndarray) -> np.ndarray:
+        """Derivative of that height by the four angles."""
+        knee = -1j * self.l - self.foot
+        e = np.exp(1j * q)
+        return np.stack([(arm * e[j]).real for j, arm in enumerate((-self.foot, -knee, knee, self.foot))])
+
+    def lift(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """Second derivative of that height by time."""
+        knee = -1j * self.l - self.foot
+        e = np.exp(1j * q)
+        turning = total(rate[j] ** 2 * (arm * e[j]).imag for j, arm in enumerate((-self.foot, -knee, knee, self.foot)))
+        return (self.rise(q) * acceleration).sum(axis=0) - turning
+
+
+def _grouped(M: list[list[np.ndarray]], groups: list[list[int]]) -> list[list[np.ndarray]]:
+    return [[total(M[i][j] for i in g for j in h) for h in groups] for g in groups]
+
+
+def _solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
+    """Solve A x = b elementwise. The stance row goes last: a massless leg leaves its coupling zero."""
+    A, b, n = [list(row) for row in A], list(b), len(b)
+    for k in reversed(range(1, n)):
+        for i in range(k):
+            factor = A[i][k] / A[k][k]
+            b[i] = b[i] - factor * b[k]
+            for j in range(k):
+                A[i][j] = A[i][j] - factor * A[k][j]
+    x: list[np.ndarray] = []
+    for i in range(n):
+        for j in range(i):
+            b[i] = b[i] - A[i][j] * x[j]
+        x.append(b[i] / A[i][i])
+    return x

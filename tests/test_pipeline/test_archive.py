@@ -1,0 +1,184 @@
+"""The archive is plain CF netCDF that any tool opens; `verify` and `diff` see what is wrong with it."""
+
+import json
+import random
+import shutil
+
+import netCDF4
+import numpy as np
+import pytest
+import xarray as xr
+
+from conftest import STUDY, Toy
+from pipeline import check
+from pipeline.errors import ArchiveError
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    toy = Toy(tmp_path_factory.mktemp("archive"))
+    toy.write(STUDY.replace('"stance_angle", "multipliers"', '"stance_angle", "multipliers", "energy", "violations"'))
+    toy("run", "toy.toml")
+    return toy.folder / "data" / "archive" / "toy.nc"
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    shutil.copy(made, tmp_path / "copy.nc")
+    return tmp_path / "copy.nc"
+
+
+def test_plain_xarray_opens_it(made):
+    with xr.open_dataset(made) as found:
+        assert dict(found.sizes) == {"slope": 200, "w_t": 2, "gait": 2, "multiplier": 3, "reason_index": 2}
+        assert found.gait.values.tolist() == ["long", "short"]
+        angle = found.stance_angle.sel(gait="long", w_t=0.25)
+        np.testing.assert_array_equal(angle, np.cbrt(found.slope) * 1.25)
+        short = found.stance_angle.sel(gait="short")
+        assert (np.isfinite(short) == (found.status.sel(gait="short") == 0)).all()
+        reasons = found.reason_text.values[found.reason.sel(gait="short")]
+        assert set(reasons[found.slope.values > 0.1].ravel()) == {"The branch ends below this slope."}
+    with xr.open_dataset(made, group="fits/scaling") as fits:
+        assert fits.walker.values.tolist() == ["E", "E"] and fits.exponent.dims == ("row",)
+
+
+def test_everything_is_described(made):
+    with netCDF4.Dataset(made) as file:
+        assert file.Conventions == "CF-1.11"
+        for variable in file.variables.values():
+            assert variable.long_name and variable.units
+            if variable.name not in (*file.dimensions, "status", "reason", "reason_text"):
+                assert variable.ancillary_variables == "status reason"
+                assert variable.filters()["complevel"] == 1 and variable.filters()["fletcher32"]
+        assert file["slope"].units == file["stance_angle"].units == "rad" and file["period" if "period" in file.variables
+                                                                              else "loss_normal"].units == "1"
+        assert file["status"].dtype == np.int8 and "worker_died" in file["status"].flag_meanings
+        assert file["violations"].flag_masks.tolist() == [1, 2, 4, 8, 16, 32, 64]
+        about = json.loads(file.provenance)
+        assert about["study"].startswith('name = "toy"') and about["walkers"][0]["l_t"] and about["cpu"]
+        assert not any(word in file.provenance for word in ("/tmp", "/home", "jobs"))
+
+
+def test_verify_finds_nothing_wrong_with_a_whole_one(made):
+    assert check.verify(made) == []
+
+
+def _edit(path, change):
+    with netCDF4.Dataset(path, "a") as file:
+        change(file)
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    (lambda f: f["status"].__setitem__((0, 0, 0), 7), "It is not complete: 1 values of `status` are not_attempted."),
+    (lambda f: f["status"].__setitem__((0, 0, 0), 99), "`status` holds values without a meaning."),
+    (lambda f: f["reason"].__setitem__((0, 0, 0), 9), "`reason` points outside its table."),
+    (lambda f: f["stance_angle"].__setitem__((199, 0, 1), 1.0),
+     "`stance_angle` has 1 values where nothing converged, or infinite ones."),
+    (lambda f: f.renameVariable("residual", "x"), "`residual` is missing."),
+    (lambda f: f["residual"].delncattr("units"), "`residual` has no units."),
+    (lambda f: f.setncattr("provenance", "{"), "`provenance` is not JSON."),
+])
+def test_verify_sees(copy, change, said):
+    _edit(copy, change)
+    assert said in check.verify(copy)
+
+
+def test_no_flipped_byte_changes_a_number_unseen(made, copy):
+    original, dice = made.read_bytes(), random.Random(2)
+    seen = 0
+    for _ in range(60):
+        data = bytearray(original)
+        data[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
+        copy.write_bytes(data)
+        try:
+            if check.verify(copy) == []:
+                assert check.diff(made, copy) == []
+            else:
+                seen += 1
+        except ArchiveError as error:
+            assert "damaged" in str(error) or "no netCDF file" in str(error)
+            seen += 1
+    assert seen > 10
+
+
+@pytest.mark.parametrize("text", [b"", b"CDF\x01", b"\x89HDF\r\n\x1a\n", b"not an archive at all"])
+def test_what_is_no_archive_is_refused(tmp_path, text):
+    (tmp_path / "x.nc").write_bytes(text)
+    with pytest.raises(ArchiveError, match="no netCDF file"):
+        check.verify(tmp_path / "x.nc")
+
+
+def test_another_netcdf_file_is_foreign(tmp_path):
+    xr.Dataset({"a": ("x", [1.0])}).to_netcdf(tmp_path / "x.nc", engine="netcdf4")
+    with pytest.raises(ArchiveError, match="not an archive of gaitsweep"):
+        check.verify(tmp_path / "x.nc")
+
+
+def test_equal_archives_do_not_differ(made, copy):
+    assert check.diff(made, copy) == []
+
+
+def test_diff_tells_variables_and_statuses_apart(made, copy):
+    def change(file):
+        file["stance_angle"][3, 1, 0] *= 1 + 1e-9
+        file["multiplier_imag"][2, 0, 0, 1] += 1e-9 * file["multiplier_real"][2, 0, 0, 1]
+        file["residual"][0] = 1e-16
+        file["status"][5:8, 0, 0] = 4
+    _edit(copy, change)
+    found = check.diff(made, copy)
+    assert found[-1] == "`status`: 3 were converged and are worker_died"
+    assert [f.split(":")[0] for f in found] == ["`multiplier_imag`", "`residual`", "`stance_angle`", "`status`"]
+    assert "1 of 800 differ, by up to 1e-09 of their size" in found[2]
+    assert check.diff(made, copy, rtol=1e-8) == ["`status`: 3 were converged and are worker_died"]
+
+
+def test_diff_aligns_by_coordinates(made, tmp_path):
+    toy = Toy(tmp_path)
+    toy.write(STUDY.replace("[0.0, 0.25]", "[0.5, 0.25]").replace('"stance_angle", "multipliers"',
+                                                                  '"stance_angle", "multipliers", "energy", "violations"'))
+    toy("run", "toy.toml")
+    other = tmp_path / "data" / "archive" / "toy.nc"
+    found = check.diff(made, other)
+    assert f"1 of 2 values of `w_t` are only in {made}" in found and f"1 of 2 values of `w_t` are only in {other}" in found
+    assert not [f for f in found if f.startswith("`") and "status" in f or "stance" in f]
+
+
+def _junk(path, original, dice):
+    data = bytearray(original)
+    for _ in range(dice.randint(1, 4)):
+        at, n = dice.randrange(len(data)), dice.choice([1, 1, 2, 8, 64])
+        data[at:at + n] = dice.randbytes(n)
+    if dice.random() < 0.2:
+        del data[dice.randrange(len(data)):]
+    path.write_bytes(data)
+
+
+@pytest.mark.soak
+def test_mangled_archives_end_in_one_line(made, copy):
+    """In processes of their own: a netCDF library may not survive every file."""
+    import subprocess
+    import sys
+
+    dice, original = random.Random(1), made.read_bytes()
+    program = ("import sys, warnings; warnings.simplefilter('ignore'); from pipeline import cli\n"
+               "for path in sys.stdin: print(cli.main(['verify', path.strip()]), flush=True)")
+    codes = []
+    for _ in range(200):
+        with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                              stderr=subprocess.PIPE, text=True) as process:
+            for _ in range(50):
+                _junk(copy, original, dice)
+                process.stdin.write(f"{copy}\n")
+                process.stdin.flush()
+                line = process.stdout.readline()
+                while line and not line.strip().isdecimal():
+                    line = process.stdout.readline()
+                if not line:
+                    codes.append("died")
+                    break
+                codes.append(int(line))
+            process.stdin.close()
+            assert "Traceback" not in process.stderr.read()
+    print({code: codes.count(code) for code in set(codes)})
+    assert set(codes) <= {0, 1, 2, "died"}
+    assert codes.count("died") < len(codes) / 100

@@ -1,0 +1,120 @@
+"""What a user types: quick, one line for an error, the promised exit codes."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from conftest import ROOT, STUDY
+from pipeline import cli
+
+
+def gaitsweep(*arguments, cwd=None):
+    return subprocess.run([sys.executable, "-m", "pipeline.cli", *map(str, arguments)], cwd=cwd, text=True, timeout=60,
+                          env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True)
+
+
+def quickest(*arguments, cwd=None, tries=5):
+    """Least wall time of a few, since the machine may be shared [s]."""
+    times = []
+    for _ in range(tries):
+        began = time.perf_counter()
+        assert gaitsweep(*arguments, cwd=cwd).returncode == 0
+        times.append(time.perf_counter() - began)
+    return min(times)
+
+
+def test_help_is_quick():
+    assert quickest("--help") < 0.15
+
+
+def test_a_small_plan_is_quick_and_loads_no_solver(tmp_path):
+    (tmp_path / "s.toml").write_text(STUDY)
+    assert quickest("plan", "s.toml", cwd=tmp_path) < 0.4
+    program = ("import sys; from pipeline import cli; cli.main(['plan', 's.toml']);"
+               "print(*{m.split('.')[0] for m in sys.modules})")
+    found = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, text=True, capture_output=True,
+                           env={**os.environ, "PYTHONPATH": str(ROOT)}).stdout.splitlines()[-1].split()
+    assert not {"heyoka", "scipy", "joblib", "netCDF4", "xarray", "matplotlib", "dask"} & set(found)
+    assert not list(tmp_path.glob("data*"))
+
+
+@pytest.mark.parametrize("axes", ["slope = { from = 1e-4, to = 0.2, n = 1000000 }",
+                                  "slope = { from = 1e-4, to = 0.2, n = 1000 }\nw_t = { from = 0, to = 0.1, n = 1000 }"])
+def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
+    (tmp_path / "s.toml").write_text(f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n')
+    assert quickest("plan", "s.toml", cwd=tmp_path, tries=3) < 1.0
+    program = ("import resource; from pipeline import cli; cli.main(['plan', 's.toml']);"
+               "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)")
+    found = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, text=True, capture_output=True,
+                           env={**os.environ, "PYTHONPATH": str(ROOT)}).stdout.splitlines()
+    assert "1,000,000 points" in found[0] and int(found[-1]) < 200 * 1024
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["run"], "The following arguments are required: STUDY.toml (gaitsweep run --help)."),
+    (["run", "none.toml"], "There is no file none.toml."),
+    (["run", "s.toml", "--jobs", "0"], "Argument --jobs: must be a whole number of at least 1; got 0 (gaitsweep run --help)."),
+    (["run", "s.toml", "t.toml", "--archive", "x.nc"], "`--archive` names one file, but there are several studies."),
+    (["run", "s.toml", "--archive", "s.toml/x.nc"], "s.toml cannot be written: File exists."),
+    (["run", "s.toml", "--cluster", "nowhere"], "`--cluster` must be tcp://HOST:PORT or local:N; got nowhere."),
+    (["plan", "s.toml", "s.toml"], "Two studies are called toy."),
+    (["verify", "none.nc"], "There is no archive none.nc."),
+    (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
+    (["diff", "s.toml", "none.nc"], "s.toml is no netCDF file that can be read."),
+    (["solve", "--walker", "D", "--slope", "0.7"], "`--slope` must lie in (0, 0.5) rad; got 0.7."),
+    (["solve", "--walker", "Q", "--slope", "0.1"], "`walker` is not a known walker; got Q."),
+    (["frobnicate"], None),
+])
+def test_bad_input_is_one_line_and_exit_2(tmp_path, monkeypatch, capsys, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    for name in ("s.toml", "t.toml"):
+        (tmp_path / name).write_text(STUDY.replace("toy", "t") if name == "t.toml" else STUDY)
+    assert cli.main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1
+    if said:
+        assert err == f"gaitsweep: {said}\n"
+
+
+def test_a_folder_that_cannot_be_written_is_said(toy):
+    if os.geteuid() == 0:
+        (toy.folder / "data").write_text("in the way")
+    else:
+        (toy.folder / "data").mkdir(mode=0o500)
+    assert "cannot be written" in toy("run", "toy.toml", expect=2).stderr
+
+
+def test_status_tells_what_happened_to_people_and_machines(toy):
+    assert "no run has left a trace" in toy("status", "toy.toml").stdout
+    toy("run", "toy.toml", "--quiet")
+    text = toy("status").stdout
+    assert "finished; 400 of 400 points (100 %)" in text and "converged 400" in text
+    (found,) = json.loads(toy("status", "--json").stdout)
+    assert found["done"] == 400 and found["running"] is False
+
+
+def test_quiet_is_quiet_and_the_summary_counts(toy):
+    assert toy("run", "toy.toml", "--quiet").stderr == ""
+    done = toy("run", "toy.toml")
+    assert done.stdout == "" and "toy: 400 points (converged 400)" in done.stderr
+    record = json.loads((toy.folder / "data" / "archive" / "toy.run.json").read_text())
+    assert record["exit_code"] == 0 and record["counts"] == {"converged": 400} and record["seconds"] > 0
+
+
+def test_verify_and_diff_exit_with_1(toy):
+    toy("run", "toy.toml")
+    archive = toy.folder / "data" / "archive" / "toy.nc"
+    other = toy.folder / "other.nc"
+    other.write_bytes(archive.read_bytes())
+    toy("verify", archive)
+    assert toy("diff", archive, other).stdout == "They agree.\n"
+    import netCDF4
+
+    with netCDF4.Dataset(other, "a") as file:
+        file["status"][0] = 7
+    assert "not_attempted" in toy("verify", other, expect=1).stdout
+    assert "`status`" in toy("diff", archive, other, expect=1).stdout

@@ -1,0 +1,115 @@
+"""The same graph on a Dask cluster: equal bytes, nobody blamed for a node that is lost."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from conftest import ROOT, TOYS
+
+pytest.importorskip("distributed")
+
+SLOW = {"TOY_SECONDS": "0.004"}
+
+
+class Cluster:
+    """A scheduler and workers as processes of their own."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{TOYS}", "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "error"}
+        self.file = folder / "scheduler.json"
+        self.scheduler = self._start("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
+                                     "--no-dashboard", "--scheduler-file", self.file)
+        end = time.monotonic() + 30
+        while not self.file.exists() and time.monotonic() < end:
+            time.sleep(0.05)
+        self.address = json.loads(self.file.read_text())["address"]
+        self.workers = []
+
+    def _start(self, module, *arguments):
+        return subprocess.Popen([sys.executable, "-m", module, *map(str, arguments)], env=self.environment, cwd=self.folder,
+                                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
+
+    def add_worker(self, **environment):
+        self.environment |= environment
+        self.workers.append(self._start("distributed.cli.dask_worker", self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny",
+                                        "--no-dashboard", "--death-timeout", "30"))
+
+    def close(self):
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    found = Cluster(tmp_path)
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def whole(toy):
+    toy("run", "toy.toml", "--archive", "whole.nc")
+    return (toy.folder / "whole.nc").read_bytes()
+
+
+def test_a_cluster_gives_the_same_bytes(toy, whole, cluster):
+    cluster.add_worker()
+    cluster.add_worker()
+    toy("run", "toy.toml", "--cluster", cluster.address, "--chunk", 50)
+    assert toy.bytes() == whole
+
+
+@pytest.mark.soak
+def test_no_cluster_is_exit_3(toy):
+    done = toy("run", "toy.toml", "--cluster", "tcp://127.0.0.1:9", expect=3, DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT="1s")
+    assert done.stderr.count("\n") == 1 and "No cluster with a worker answers at tcp://127.0.0.1:9." in done.stderr
+
+
+@pytest.mark.soak
+def test_a_local_cluster_gives_the_same_bytes(toy, whole):
+    toy("run", "toy.toml", "--cluster", "local:2", "--chunk", 50)
+    assert toy.bytes() == whole
+
+
+@pytest.mark.soak
+def test_a_bad_point_on_a_cluster_costs_one_point(toy, cluster):
+    cluster.add_worker(TOY_TROUBLE="segfault@0.2")
+    done = toy("run", "toy.toml", "--cluster", cluster.address, "--chunk", 50, expect=1)
+    assert "converged 398, worker_died 2" in done.stderr
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(4))
+def test_workers_killed_at_random_blame_nobody(toy, whole, cluster, seed):
+    dice = random.Random(seed)
+    cluster.add_worker(**SLOW)
+    cluster.add_worker()
+    process = toy.start("run", "toy.toml", "--cluster", cluster.address, "--chunk", 10)
+    for _ in range(4):
+        time.sleep(dice.uniform(0.3, 1.5))
+        if process.poll() is None:
+            dice.choice(cluster.workers).send_signal(signal.SIGKILL)
+            cluster.add_worker()
+    process.communicate(timeout=120)
+    assert process.returncode == 0
+    assert toy.bytes() == whole
+
+
+@pytest.mark.soak
+def test_a_killed_scheduler_is_exit_3_and_the_run_resumes(toy, whole, cluster):
+    cluster.add_worker(**SLOW)
+    process = toy.start("run", "toy.toml", "--cluster", cluster.address, "--chunk", 10, **SLOW)
+    time.sleep(3)
+    cluster.scheduler.kill()
+    _, err = process.communicate(timeout=200)
+    assert process.returncode == 3 and "Traceback" not in err
+    toy("run", "toy.toml")
+    assert toy.bytes() == whole
