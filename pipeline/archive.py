@@ -7,8 +7,7 @@ is written region by region, so its size is not bounded by memory.
 from __future__ import annotations
 
 import contextlib
-import itertools
-import math
+import json
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import gather, tables
+from pipeline import gather, grid, tables
 from pipeline.check import SCHEMA
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.plan import Plan
@@ -28,7 +27,6 @@ from tasks.registry import GAITS, SI_UNITS, STATUSES, VARIABLES, VIOLATIONS, Var
 
 
 
-_CHUNK, _REGION = 4096, 65536  # points in a chunk of the file, and in a region that is put together in memory
 _CACHE = 1 << 20  # byte
 _PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 _LONG_NAMES = {"slope": "slope of the ground", "foot_mass_ratio": "mass of each foot over the total mass",
@@ -46,50 +44,6 @@ def axis_units(study: Study, name: str) -> str:
 
 def _si(study: Study) -> bool:
     return all(check["si"] for check in study.checks)
-
-
-class Grid:
-    """The dimensions of a study's archive and the regions it is written in."""
-
-    def __init__(self, study: Study):
-        self.study = study
-        walkers = [("walker", len(study.walkers))] if study.walker_axis else []
-        self.sizes = dict(walkers + [(a.name, len(a)) for a in study.axes])
-        if study.kind != "grid":
-            del self.sizes["slope"]
-        self.lines = [d for d in self.sizes if d != "slope"]
-        self.chunk = self._cut(_CHUNK)
-        self.region = self._cut(_REGION)
-
-    def _cut(self, points: int) -> tuple[int, ...]:
-        """Extent of a box of at most so many points: along the slope first, then the last axes."""
-        cut: dict[str, int] = {}
-        for name in sorted(self.sizes, key=lambda d: (d == "slope", list(self.sizes).index(d)), reverse=True):
-            cut[name] = min(self.sizes[name], max(1, points // math.prod(cut.values())))
-        return tuple(cut[d] for d in self.sizes)
-
-    def regions(self) -> Iterator[tuple[slice, ...]]:
-        """Boxes that cover the grid."""
-        cuts = (range(0, n, c) for n, c in zip(self.sizes.values(), self.region, strict=True))
-        for corner in itertools.product(*cuts):
-            yield tuple(slice(i, min(i + c, n))
-                        for i, c, n in zip(corner, self.region, self.sizes.values(), strict=True))
-
-    def lines_in(self, box: tuple[slice, ...]) -> Iterator[tuple[tuple[int, ...], int]]:
-        """Every line that crosses a box: its place in the box without the slope, and its number."""
-        spans = dict(zip(self.sizes, box, strict=True))
-        shape = self.study.line_shape if self.study.walker_axis else self.study.line_shape[1:]
-        for place in itertools.product(*(range(spans[d].start, spans[d].stop) for d in self.lines)):
-            number = int(np.ravel_multi_index(place, shape)) if place else 0
-            yield tuple(i - spans[d].start for i, d in zip(place, self.lines, strict=True)), number
-
-    def slopes(self, box: tuple[slice, ...]) -> np.ndarray:
-        """Slopes of a box."""
-        return self.study.slope[dict(zip(self.sizes, box, strict=True))["slope"]]
-
-    def lined_up(self, values: np.ndarray) -> np.ndarray:
-        """A view of a box with the slope after the axes of the lines."""
-        return np.moveaxis(values, list(self.sizes).index("slope"), len(self.lines))
 
 
 def write(plan: Plan, path: Path) -> Counter[str]:
@@ -185,14 +139,14 @@ class _Points:
     """The main group of a grid study."""
 
     def __init__(self, plan: Plan):
-        self.plan, self.study, self.grid = plan, plan.study, Grid(plan.study)
+        self.plan, self.study, self.grid = plan, plan.study, grid.Grid(plan.study)
         self.counts: Counter[str] = Counter()
         self.columns = [GAITS.index(g) for g in self.study.gaits]
         asked = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
         live = np.array([asked or not GAITS[c].startswith("other") for c in self.columns])
         solved = [code for name, code in STATUSES.items() if name != "no_gait"]
         used: set[str] = set()
-        for box in self.grid.regions():
+        for box in grid.boxes(self.grid.sizes):
             for _, found in self._lines(box, ()):
                 status, reason = found["status"][:, self.columns], found["reason"][:, self.columns]
                 self.counts += gather.count(status)
@@ -202,7 +156,7 @@ class _Points:
         self.columns = self.columns[:max(np.flatnonzero(live), default=0) + 1]
         self.dims = (*self.grid.sizes, "gait")
 
-    def _lines(self, box: tuple[slice, ...], names: tuple[str, ...]) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
+    def _lines(self, box: grid.Box, names: tuple[str, ...]) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
         slopes = self.grid.slopes(box)
         for place, number in self.grid.lines_in(box):
             keys = self.plan.line_keys(number)
@@ -225,15 +179,17 @@ class _Points:
             extra = [len(self.columns), multipliers][:len(about.dims)]
             variable = file.createVariable(
                 name, "i4" if wide else about.dtype, (*self.grid.sizes, *about.dims), **_PACKED,
-                chunksizes=(*self.grid.chunk, *extra), fill_value=np.nan if about.dtype == "f8" else False)
+                chunksizes=(*grid.cut(self.grid.sizes, grid.CHUNK), *extra), fill_value=np.nan if about.dtype == "f8" else False)
             variable.set_var_chunk_cache(_CACHE)  # regions are whole chunks: nothing is written twice
             _describe(variable, about, si, mixed)
         index = {sentence: i for i, sentence in enumerate(self.sentences)}
-        for box in self.grid.regions():
-            self._fill_box(file, box, names, index, multipliers)
+        sums: Counter[str] = Counter()
+        for box in grid.boxes(self.grid.sizes):
+            self._fill_box(file, box, names, index, multipliers, sums)
+        file.checksums = json.dumps({name: total % 2**32 for name, total in sums.items()}, sort_keys=True)
 
-    def _fill_box(self, file: Any, box: tuple[slice, ...], names: tuple[str, ...], index: dict[str, int],
-                  multipliers: int) -> None:
+    def _fill_box(self, file: Any, box: grid.Box, names: tuple[str, ...], index: dict[str, int],
+                  multipliers: int, sums: Counter[str]) -> None:
         extent = tuple(s.stop - s.start for s in box)
         values = {n: np.empty(extent + gather.shape(n, 0, multipliers)[1:], file.variables[n].dtype) for n in names}
         lined_up = {n: self.grid.lined_up(v) for n, v in values.items()}
@@ -243,14 +199,16 @@ class _Points:
             for n in names:
                 lined_up[n][place] = found[n]
         for n in names:
-            file.variables[n][box] = np.ascontiguousarray(values[n].take(self.columns, axis=len(box)))
+            part = values[n].take(self.columns, axis=len(box))
+            file.variables[n][box] = part
+            sums[n] += grid.checksum(box, part)
 
 
 class _Lines:
     """The main group of a study of another kind: what became of each line."""
 
     def __init__(self, plan: Plan):
-        self.plan, self.study, self.grid = plan, plan.study, Grid(plan.study)
+        self.plan, self.study, self.grid = plan, plan.study, grid.Grid(plan.study)
         self.dims = tuple(self.grid.sizes)
         ends = [self._end(plan.line_keys(i)) for i in range(plan.study.lines)]
         self.sentences = sorted({reason for _, reason in ends})

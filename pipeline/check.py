@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from pipeline import grid
 from pipeline.errors import ArchiveError
 from pipeline.worker import ALL_STATUSES
 from tasks.registry import ALWAYS, GAITS, VARIABLES
 
 SCHEMA = 1
+_ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references", "provenance", "study", "kind")
 #: Variables that measure rounding: they differ wherever last bits do, so a tolerance leaves them out.
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")
-_ROWS = 1 << 20  # points read at a time
 
 
 @contextlib.contextmanager
@@ -82,7 +83,8 @@ def verify(path: Path) -> list[str]:
 
 
 def _heads(file: Any) -> Iterator[str]:
-    for name in ("Conventions", "title", "institution", "source", "history", "references", "provenance", "study", "kind"):
+    grid_study = getattr(file, "kind", "grid") == "grid"
+    for name in (*_ATTRIBUTES, *(("checksums",) if grid_study else ())):
         if not isinstance(getattr(file, name, None), str):
             yield f"The attribute `{name}` is missing."
     try:
@@ -90,8 +92,7 @@ def _heads(file: Any) -> Iterator[str]:
             raise ValueError
     except (AttributeError, ValueError, RecursionError):
         yield "`provenance` is not JSON."
-    needed = ALWAYS if getattr(file, "kind", "grid") == "grid" else ("status", "reason")
-    for name in (*needed, "reason_text"):
+    for name in (*(ALWAYS if grid_study else ("status", "reason")), "reason_text"):
         if name not in file.variables:
             yield f"`{name}` is missing."
     for name, variable in file.variables.items():
@@ -120,18 +121,23 @@ def _states(file: Any) -> Iterator[str]:
 
 def _values(file: Any) -> Iterator[str]:
     """Read every value, so that every checksum is checked; a number stands only where something converged."""
+    sums = json.loads(getattr(file, "checksums", "{}"))
     for name, variable in file.variables.items():
-        about = VARIABLES.get(name)
-        rows = max(1, _ROWS // max(1, int(np.prod(variable.shape[1:])))) if variable.shape else 1
-        wrong = 0
-        for start in range(0, variable.shape[0] if variable.shape else 1, rows):
-            values = np.ma.getdata(variable[start:start + rows] if variable.shape else variable[...])
-            if about and about.dtype == "f8" and "gait" in variable.dimensions:
-                status = np.asarray(file.variables["status"][start:start + rows])
-                other = status != ALL_STATUSES["converged"]
-                wrong += int(np.count_nonzero(np.isfinite(values[other]))) + int(np.count_nonzero(np.isinf(values)))
+        about, sizes = VARIABLES.get(name), dict(zip(variable.dimensions, variable.shape, strict=True))
+        if name not in sums:
+            variable[...]
+            continue
+        wrong = total = 0
+        for box in grid.boxes({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}):
+            values = np.ma.getdata(variable[box])
+            total += grid.checksum(box, values)
+            if about and about.dtype == "f8":
+                other = np.asarray(file.variables["status"][box]) != ALL_STATUSES["converged"]
+                wrong += int(np.count_nonzero(~np.isnan(values[other])))
+        if total % 2**32 != sums[name]:
+            yield f"`{name}` is not as it was written."
         if wrong:
-            yield f"`{name}` has {wrong:,} values where nothing converged, or infinite ones."
+            yield f"`{name}` has {wrong:,} values where nothing converged."
 
 
 def _groups(place: Any, path: str = "") -> Iterator[str]:

@@ -42,6 +42,17 @@ def connect(address: str) -> Iterator[Any]:
         yield client
 
 
+def backend(client: Any) -> Any:
+    """joblib's Dask backend, for a cluster of any size: joblib itself would run a single slot's jobs in this process."""
+    from joblib._dask import DaskDistributedBackend
+
+    class Backend(DaskDistributedBackend):
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            return max(2, super().effective_n_jobs(n_jobs))
+
+    return Backend(client=client)
+
+
 def workers(client: Any) -> int:
     """How many jobs the cluster can do at once."""
     return max(1, sum(info["nthreads"] for info in client.scheduler_info(n_workers=-1)["workers"].values()))

@@ -54,7 +54,7 @@ class Engine:
                 from pipeline import cluster
 
                 client = stack.enter_context(cluster.connect(self.address))
-                stack.enter_context(joblib.parallel_config("dask", client=client))
+                stack.enter_context(joblib.parallel_config(cluster.backend(client)))
                 self.jobs = cluster.workers(client)
             parallel = stack.enter_context(joblib.Parallel(self.jobs, pre_dispatch=2 * self.jobs, **options))
             yield lambda jobs: parallel(joblib.delayed(do)(number, job) for number, job in jobs)

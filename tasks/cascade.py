@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Mapping
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from tasks.fits import cascade as scaling
 from tasks.gait import atlas as atlases
 from tasks.gait.cycles import (
-    MOST_POINTS, Cycle, Path, at_slope, doubled, flip_test, fold_test, from_start, really_walks)
+    MOST_POINTS, Cycle, Path, Test, at_slope, doubled, flip_test, fold_test, from_start, really_walks)
 from tasks.gait.fixed_point import Problem
 from tasks.gait.strides import STRUCK, stride
 from tasks.orbit import gaits_at
@@ -20,6 +21,15 @@ Arrays = dict[str, np.ndarray]
 OPTIONS = {"periods": 64, "families": [1], "starts": 400}
 #: How much of the window the first step along a branch takes.
 FIRST_STEP = 0.01
+
+
+@dataclass
+class Event:
+    """A fold or flip of a family, and the relative error of its slope."""
+
+    kind: str
+    cycle: Cycle
+    error: float
 
 
 def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -51,11 +61,12 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         for family, start in enumerate(first):
             name = f"{number}" if len(first) == 1 else f"{number}{'abcdefgh'[family % 8]}"
             found = _family(problem, start, slope, int(options["periods"]))
-            flips = np.array([c.slope for kind, c in found if kind == "flip"])
+            flips = np.array([e.cycle.slope for e in found if e.kind == "flip"])
             ratio = iter(scaling.ratios(flips))
-            for kind, c in found:
-                rows.append({"family": name, "period": c.period, "kind": kind, "slope": c.slope,
-                             "error_bound": _slope_error(problem, c), "ratio": next(ratio) if kind == "flip" else np.nan,
+            for event in found:
+                c = event.cycle
+                rows.append({"family": name, "period": c.period, "kind": event.kind, "slope": c.slope,
+                             "error_bound": event.error, "ratio": next(ratio) if event.kind == "flip" else np.nan,
                              "stance_angle": float(c.Y[0].max()), "walks": int(really_walks(problem, c))})
             value, low, high = scaling.accumulation(flips)
             last = scaling.ratios(flips)
@@ -125,12 +136,12 @@ def _apart(a: Cycle, b: Cycle) -> float:
     return min(float(np.abs(a.Y - np.roll(b.Y, k, axis=1)).max()) for k in range(b.period))
 
 
-def _family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> list[tuple[str, Cycle]]:
+def _family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> list[Event]:
     """A family's folds, then its flips, each branch switched to at the flip before."""
     low, high = np.log(slope[0]), np.log(slope[-1])
     up = np.zeros(start.Y.size + 1)
     up[-1] = 1.0
-    found: list[tuple[str, Cycle]] = []
+    found: list[Event] = []
     if start.period > 1:
         # Down the slope to the fold the family is born at, unless it comes from elsewhere.
         found += _events(Path(problem, start, -up, FIRST_STEP * (high - low)), fold_test, "fold", low, high)
@@ -140,28 +151,34 @@ def _family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> 
         flips = _events(path, flip_test, "flip", low, high)
         if not flips:
             break
-        before = [c.q for kind, c in found if kind == "flip"]
+        before = [e.cycle.q for e in found if e.kind == "flip"]
         found += flips
-        flip = flips[0][1]
+        flip = flips[0].cycle
         # The next interval, as Feigenbaum expects it of the one before.
         expected = (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected
         path = doubled(problem, flip, expected) if 2 * flip.period <= longest else None
     return found
 
 
-def _events(path: Path, test: Any, kind: str, low: float, high: float) -> list[tuple[str, Cycle]]:
+def _events(path: Path, test: Test, kind: str, low: float, high: float) -> list[Event]:
     """The first zero of a test function along a branch inside the window, as a list of none or one."""
     for _ in range(MOST_POINTS):
         if not path.advance():
             return []
         before, after = path.points[-2:]
         if test(before) * test(after) < 0:
-            return [(kind, path.located(test))]
+            cycle = path.located(test)
+            return [Event(kind, cycle, _slope_error(path, test, cycle))]
         if not low - 0.05 <= after.q <= high + 0.05:
             return []
     return []
 
 
-def _slope_error(problem: Problem, cycle: Cycle) -> float:
-    """Relative error of an event's slope: what the corrector's last step still moves it by, and rounding."""
-    return float(cycle.error + 8 * np.finfo(float).eps)
+def _slope_error(path: Path, test: Test, cycle: Cycle) -> float:
+    """Relative error of an event's slope: the corrector's last step, and rounding of the Jacobians in the test."""
+    eps = np.finfo(float).eps
+    before, after = path.points[-2:]
+    if test is fold_test:
+        return cycle.error + 8 * eps
+    noise = 16 * eps * cycle.period * (1 + np.abs(cycle.A).max()) ** 2
+    return float(cycle.error + 8 * eps + noise * abs((after.q - before.q) / (test(after) - test(before))))

@@ -111,13 +111,15 @@ TASKS = {t.name: t for t in (
     Task("transition", "tasks.fit:transition", 1, needs=("points",)),
 )}
 
-#: Point variables each fit and figure reads; the plan adds them to what a study wants.
+#: Point variables and tasks each fit and figure reads; the plan adds them to what a study wants.
 READS = {
     "scaling": ("stance_angle", "period", "speed", "power"),
     "transition": ("stance_angle",),
     "loglog": ("stance_angle", "spectral_radius"),
     "linear": ("stance_angle", "spectral_radius"),
     "transition_ladder": ("stance_angle",),
+    "angles": ("trace",),
+    "heatmap": ("speed", "stance_angle", "period", "spectral_radius"),
 }
 
 #: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.

@@ -14,10 +14,12 @@ from tasks.walkers.parameters import resolve
 
 #: Intervals each phase is drawn in.
 SAMPLES = 48
+#: Slopes of a line that are drawn, spread over those of the study.
+MOST_SLOPES = 6
 
 
 def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Joint coordinates of every gait of a line at given slopes.
+    """Joint coordinates of every gait of a line at a few of the given slopes.
 
     Parameters
     ----------
@@ -38,7 +40,8 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
     second = np.sqrt(walker.leg / walker.g)
     columns: dict[str, list[np.ndarray]] = {k: [] for k in (
         "gait", "slope", "time", "theta_st", "theta_th", "theta_sh", "foot_x")}
-    slope = np.asarray(params["slope"], float)
+    slope = np.unique(np.asarray(params["slope"], float))
+    slope = slope[np.unique(np.linspace(0, len(slope) - 1, MOST_SLOPES).round().astype(int))]
     for branch in atlases.from_arrays(inputs[0]):
         for index, Z, _ in branch.guesses(np.log(slope)):
             w, q = np.delete(Z, problem.m, axis=1).T, np.log(slope[index])

@@ -95,7 +95,7 @@ def _system(problem: Problem, Y: np.ndarray, times: np.ndarray,
     return residual, derivative, at.jacobian, times_after
 
 
-def correct(problem: Problem, Z: np.ndarray, times: np.ndarray, border: np.ndarray, most: int = 12) -> Cycle:
+def correct(problem: Problem, Z: np.ndarray, times: np.ndarray, border: np.ndarray, most: int = 15) -> Cycle:
     """The cycle in the plane through Z normal to `border`, by Newton with exact derivatives."""
     n = times.shape[1]
     m = problem.m
@@ -118,7 +118,7 @@ def correct(problem: Problem, Z: np.ndarray, times: np.ndarray, border: np.ndarr
             break
         Z, times = Z + dZ, times_after(dZ)
         # Done when the step is rounding, or small and no longer shrinking.
-        if size < 2e-16 or (size < 1e-9 and size > 0.2 * last):
+        if size < 2e-16 or (size < 1e-12 and size > 0.3 * last):
             ok = True
             break
         last = size

@@ -73,7 +73,8 @@ def _edit(path, change):
     (lambda f: f["status"].__setitem__((0, 0, 0), 99), "`status` holds values without a meaning."),
     (lambda f: f["reason"].__setitem__((0, 0, 0), 9), "`reason` points outside its table."),
     (lambda f: f["stance_angle"].__setitem__((199, 0, 1), 1.0),
-     "`stance_angle` has 1 values where nothing converged, or infinite ones."),
+     "`stance_angle` has 1 values where nothing converged."),
+    (lambda f: f["stance_angle"].__setitem__((0, 0, 0), 1.0), "`stance_angle` is not as it was written."),
     (lambda f: f.renameVariable("residual", "x"), "`residual` is missing."),
     (lambda f: f["residual"].delncattr("units"), "`residual` has no units."),
     (lambda f: f.setncattr("provenance", "{"), "`provenance` is not JSON."),
@@ -95,8 +96,7 @@ def test_no_flipped_byte_changes_a_number_unseen(made, copy):
                 assert check.diff(made, copy) == []
             else:
                 seen += 1
-        except ArchiveError as error:
-            assert "damaged" in str(error) or "no netCDF file" in str(error)
+        except ArchiveError:
             seen += 1
     assert seen > 10
 
