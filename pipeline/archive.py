@@ -21,29 +21,13 @@ from pipeline.check import SCHEMA
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.plan import Plan
 from pipeline.provenance import provenance
-from pipeline.study import Study
 from pipeline.worker import ALL_STATUSES
-from tasks.registry import GAITS, SI_UNITS, STATUSES, VARIABLES, VIOLATIONS, Variable
-
-
+from tasks.registry import GAITS, STATUSES, VARIABLES, VIOLATIONS, Variable
 
 _CACHE = 1 << 20  # byte
 _PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 _LONG_NAMES = {"slope": "slope of the ground", "foot_mass_ratio": "mass of each foot over the total mass",
                "detuning": "mixture of the exactly tuned walker (0) and the physical one (1)"}
-
-
-def axis_units(study: Study, name: str) -> str:
-    """CF units of an axis."""
-    from pipeline.worker import resolve
-
-    kind = {"slope": "angle", "foot_mass_ratio": "number", "detuning": "number"}.get(name)
-    kind = kind or resolve("tasks.walkers.parameters:KEYS")[name]
-    return SI_UNITS[kind] if kind == "angle" or _si(study) else "1"
-
-
-def _si(study: Study) -> bool:
-    return all(check["si"] for check in study.checks)
 
 
 def write(plan: Plan, path: Path) -> Counter[str]:
@@ -81,6 +65,7 @@ def _write(plan: Plan, draft: Path) -> Counter[str]:
     with netCDF4.Dataset(draft, "w", format="NETCDF4") as file:
         _head(file, plan, writer)
         writer.fill(file)
+        _seal(file, writer.sums)
         tables.write(file, plan)
     with netCDF4.Dataset(draft) as file:
         if "status" not in file.variables or file.variables["status"].dimensions != (*writer.dims,):
@@ -109,10 +94,17 @@ def _head(file: Any, plan: Plan, writer: _Points | _Lines) -> None:
             continue
         axis = next(a for a in study.axes if a.name == name)
         variable = file.createVariable(name, "f8", (name,), fill_value=False, fletcher32=True)
-        variable.setncatts({"long_name": _LONG_NAMES.get(name, f"walker's {name}"), "units": axis_units(study, name)})
+        long_name = _LONG_NAMES.get(name, f"walker's {name}")
+        variable.setncatts({"long_name": long_name, "units": grid.axis_units(study, name)})
         variable[:] = axis.values
     file.createDimension("reason_index", len(writer.sentences))
     _strings(file, "reason_text", "reason_index", writer.sentences, "sentences that `reason` counts from 0")
+
+
+def _seal(file: Any, sums: Counter[str]) -> None:
+    """Write the checksum of every variable; `sums` holds those of the large ones."""
+    whole = {name: grid.checksum(np.ma.getdata(v[...])) for name, v in file.variables.items() if name not in sums}
+    file.checksums = json.dumps({name: n % 2**32 for name, n in {**whole, **sums}.items()}, sort_keys=True)
 
 
 def _strings(file: Any, name: str, dim: str, values: list[str], long_name: str) -> None:
@@ -141,6 +133,7 @@ class _Points:
     def __init__(self, plan: Plan):
         self.plan, self.study, self.grid = plan, plan.study, grid.Grid(plan.study)
         self.counts: Counter[str] = Counter()
+        self.sums: Counter[str] = Counter()
         self.columns = [GAITS.index(g) for g in self.study.gaits]
         asked = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
         live = np.array([asked or not GAITS[c].startswith("other") for c in self.columns])
@@ -172,24 +165,23 @@ class _Points:
             number = file.createVariable("multiplier", "i4", ("multiplier",), fill_value=False)
             number.setncatts({"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"})
             number[:] = np.arange(multipliers)
-        si, mixed = _si(self.study), len({c["si"] for c in self.study.checks}) > 1
+        si, mixed = grid.si(self.study), len({c["si"] for c in self.study.checks}) > 1
+        chunk = grid.cut(self.grid.sizes, grid.CHUNK)
         for name in names:
             about = VARIABLES[name]
             wide = name == "reason" and len(self.sentences) > np.iinfo(np.int16).max
             extra = [len(self.columns), multipliers][:len(about.dims)]
             variable = file.createVariable(
                 name, "i4" if wide else about.dtype, (*self.grid.sizes, *about.dims), **_PACKED,
-                chunksizes=(*grid.cut(self.grid.sizes, grid.CHUNK), *extra), fill_value=np.nan if about.dtype == "f8" else False)
+                chunksizes=(*chunk, *extra), fill_value=np.nan if about.dtype == "f8" else False)
             variable.set_var_chunk_cache(_CACHE)  # regions are whole chunks: nothing is written twice
             _describe(variable, about, si, mixed)
         index = {sentence: i for i, sentence in enumerate(self.sentences)}
-        sums: Counter[str] = Counter()
         for box in grid.boxes(self.grid.sizes):
-            self._fill_box(file, box, names, index, multipliers, sums)
-        file.checksums = json.dumps({name: total % 2**32 for name, total in sums.items()}, sort_keys=True)
+            self._fill_box(file, box, names, index, multipliers)
 
     def _fill_box(self, file: Any, box: grid.Box, names: tuple[str, ...], index: dict[str, int],
-                  multipliers: int, sums: Counter[str]) -> None:
+                  multipliers: int) -> None:
         extent = tuple(s.stop - s.start for s in box)
         values = {n: np.empty(extent + gather.shape(n, 0, multipliers)[1:], file.variables[n].dtype) for n in names}
         lined_up = {n: self.grid.lined_up(v) for n, v in values.items()}
@@ -201,7 +193,7 @@ class _Points:
         for n in names:
             part = values[n].take(self.columns, axis=len(box))
             file.variables[n][box] = part
-            sums[n] += grid.checksum(box, part)
+            self.sums[n] += grid.checksum(part, box)
 
 
 class _Lines:
@@ -209,7 +201,7 @@ class _Lines:
 
     def __init__(self, plan: Plan):
         self.plan, self.study, self.grid = plan, plan.study, grid.Grid(plan.study)
-        self.dims = tuple(self.grid.sizes)
+        self.dims, self.sums = tuple(self.grid.sizes), Counter[str]()
         ends = [self._end(plan.line_keys(i)) for i in range(plan.study.lines)]
         self.sentences = sorted({reason for _, reason in ends})
         shape = tuple(self.grid.sizes.values())

@@ -168,7 +168,7 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     """
     began = time.perf_counter()
     if job["points"]:
-        done = {"rows": _block(job, np.asarray(job["params"]["slope"]))}
+        done: dict[str, Any] = {"rows": _block(job, np.asarray(job["params"]["slope"]))}
     else:
         outcome, found = _ask(job, job["params"])
         if outcome == "worker_died":  # someone else may have killed it: twice is no accident

@@ -261,9 +261,9 @@ def _diff(options: argparse.Namespace) -> int:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    from pipeline import bench
+    import importlib
 
-    return bench.main(options.quick, options.out)
+    return importlib.import_module("pipeline.bench").main(options.quick, options.out)
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ def connect(address: str) -> Iterator[Any]:
 
 
 def backend(client: Any) -> Any:
-    """joblib's Dask backend, for a cluster of any size: joblib itself would run a single slot's jobs in this process."""
+    """joblib's Dask backend for a cluster of any size; joblib itself would do a single slot's jobs in this process."""
     from joblib._dask import DaskDistributedBackend
 
     class Backend(DaskDistributedBackend):

@@ -181,7 +181,8 @@ class Loop:
 
     def lean(self, work: LineWork, inputs: tuple[bytes, ...]) -> list[Task]:
         """Tasks of a line that lean on its atlas; its points in pieces far apart first."""
-        tasks = [Task(name, work.keys[name], work, None, inputs) for name in work.why if name not in ("atlas", "points")]
+        others = [name for name in work.why if name not in ("atlas", "points")]
+        tasks = [Task(name, work.keys[name], work, None, inputs) for name in others]
         if not len(work.missing):
             return tasks
         pieces = np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size()))

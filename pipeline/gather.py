@@ -13,6 +13,8 @@ from pipeline.worker import ALL_STATUSES, ANSWERS
 from tasks.registry import GAITS, VARIABLES
 
 NOT_ATTEMPTED = "The run has not come to it."
+#: A block's number, positions in it, and their positions among the slopes asked for.
+Source = tuple[int, np.ndarray, np.ndarray]
 
 
 class Order:
@@ -39,7 +41,7 @@ def needed(variables: Iterable[str], gaits: Iterable[str]) -> frozenset[str]:
 def bad(states: dict[str, np.ndarray], gaits: Collection[str]) -> np.ndarray:
     """Which points of a block failed in any of those gaits."""
     columns = [GAITS.index(g) for g in gaits]
-    return ~np.isin(states["status"][:, columns], ANSWERS).all(axis=1)
+    return np.any(~np.isin(states["status"][:, columns], ANSWERS), axis=1)
 
 
 def missing(journal: Journal, line: str, want: frozenset[str], slopes: np.ndarray, gaits: Collection[str] = (),
@@ -54,7 +56,7 @@ def missing(journal: Journal, line: str, want: frozenset[str], slopes: np.ndarra
 
 
 def states(journal: Journal, line: str, want: frozenset[str], slopes: np.ndarray
-           ) -> tuple[np.ndarray, np.ndarray, list[str], list[tuple[int, np.ndarray, np.ndarray]]]:
+           ) -> tuple[np.ndarray, np.ndarray, list[str], list[Source]]:
     """States of a line's points.
 
     Returns
@@ -62,15 +64,18 @@ def states(journal: Journal, line: str, want: frozenset[str], slopes: np.ndarray
     status, reason : ndarray, shape (n, gait)
         `reason` indexes the sentences.
     sentences : list of str
-    sources : list of (block, positions in the block, positions among the slopes)
-        Where the variables are; a later entry overwrites an earlier one.
+    sources : list of Source
+        Where the variables are; a later one overwrites an earlier one.
     """
     order = Order(slopes)
     status = np.full((len(slopes), len(GAITS)), ALL_STATUSES["not_attempted"], np.int8)
     reason = np.zeros(status.shape, np.int32)
-    sentences, sources = {NOT_ATTEMPTED: 0}, []
+    sentences: dict[str, int] = {NOT_ATTEMPTED: 0}
+    sources: list[Source] = []
     for block in journal.blocks(line, order.sorted[0], order.sorted[-1]):
-        inside, place = order.find(block.slopes) if want <= block.variables else ((), ())
+        if not want <= block.variables:
+            continue
+        inside, place = order.find(block.slopes)
         if len(inside):
             status[place] = block.states["status"][inside]
             reason[place] = _numbers(block, sentences)[inside]
@@ -108,8 +113,7 @@ def shape(name: str, n: int, multipliers: int) -> tuple[int, ...]:
     return (n, len(GAITS), multipliers) if "multiplier" in dims else (n, len(GAITS))
 
 
-def fill(journal: Journal, name: str, sources: Iterable[tuple[int, np.ndarray, np.ndarray]], n: int,
-         multipliers: int) -> np.ndarray:
+def fill(journal: Journal, name: str, sources: Iterable[Source], n: int, multipliers: int) -> np.ndarray:
     """One variable over `n` slopes of one line; NaN, or 0 for whole numbers, where there is none."""
     dtype = np.dtype(VARIABLES[name].dtype)
     values = np.full(shape(name, n, multipliers), np.nan if dtype.kind == "f" else 0, dtype)
@@ -118,8 +122,8 @@ def fill(journal: Journal, name: str, sources: Iterable[tuple[int, np.ndarray, n
         empty = np.nan if dtype.kind == "f" else 0
         values[place] = empty
         if found is not None:
-            gaits, last = found.shape[1], found.shape[2:]
-            values[(place, slice(gaits), *(slice(k) for k in last))] = found[inside]
+            part = values[:, :found.shape[1]] if found.ndim == 2 else values[:, :found.shape[1], :found.shape[2]]
+            part[place] = found[inside]
     return values
 
 
@@ -127,7 +131,8 @@ def count(status: np.ndarray) -> Counter[str]:
     """Points by what became of them, shape (n, gait): a failure of any gait, else the best answer of any."""
     names = {code: name for name, code in ALL_STATUSES.items()}
     answered = np.where(np.isin(status, ANSWERS), -1, status).max(axis=1)
-    best = np.where(np.any(status == ALL_STATUSES["converged"], axis=1), ALL_STATUSES["converged"],
-                    np.where(np.any(status == ALL_STATUSES["fell"], axis=1), ALL_STATUSES["fell"], ALL_STATUSES["no_gait"]))
+    best = np.full(len(status), ALL_STATUSES["no_gait"])
+    for name in ("fell", "converged"):
+        best[np.any(status == ALL_STATUSES[name], axis=1)] = ALL_STATUSES[name]
     codes, counts = np.unique(np.where(answered >= 0, answered, best), return_counts=True)
     return Counter({names[int(c)]: int(n) for c, n in zip(codes, counts, strict=True)})

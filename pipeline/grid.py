@@ -10,9 +10,23 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from pipeline.study import Study
+from pipeline.worker import resolve
+from tasks.registry import SI_UNITS
 
 CHUNK, REGION = 4096, 65536  # points in a chunk of the file, and in a box that is put together in memory
 Box = tuple[slice, ...]
+
+
+def si(study: Study) -> bool:
+    """Whether every walker of a study is in SI units."""
+    return all(check["si"] for check in study.checks)
+
+
+def axis_units(study: Study, name: str) -> str:
+    """CF units of an axis."""
+    kind = {"slope": "angle", "foot_mass_ratio": "number", "detuning": "number"}.get(name)
+    kind = kind or resolve("tasks.walkers.parameters:KEYS")[name]
+    return SI_UNITS[kind] if kind == "angle" or si(study) else "1"
 
 
 def cut(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
@@ -30,10 +44,11 @@ def boxes(sizes: Mapping[str, int]) -> Iterator[Box]:
         yield tuple(slice(i, min(i + c, n)) for i, c, n in zip(corner, extent, sizes.values(), strict=True))
 
 
-def checksum(box: Box, values: np.ndarray) -> int:
+def checksum(values: np.ndarray, box: Box = ()) -> int:
     """Checksum of a variable in a box; a variable's is the sum of its boxes', modulo 2^32."""
     place = ",".join(str(s.start) for s in box)
-    return zlib.crc32(np.ascontiguousarray(values).tobytes(), zlib.crc32(place.encode()))
+    data = "\0".join(values.ravel()).encode() if values.dtype.kind == "O" else np.ascontiguousarray(values).tobytes()
+    return zlib.crc32(data, zlib.crc32(place.encode()))
 
 
 class Grid:

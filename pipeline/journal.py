@@ -38,6 +38,7 @@ _SCHEMA = (
 )
 _COLUMNS = {"points": "line, kin, variables, low, high, n, seconds, sum, slopes, states, data",
             "results": "key, kin, outcome, reason, seen, seconds, sum, data"}
+_LATEST = "FROM results WHERE key = ? ORDER BY id DESC LIMIT 1"
 _SYNC = 0.5  # s: how much finished work a power cut may cost
 _GIVE_UP = 5000  # lost rows in a row after which a torn table is taken to end
 
@@ -122,7 +123,7 @@ class Journal:
 
     def result(self, key: str) -> Result | None:
         """The latest result of that key."""
-        rows = self._read("SELECT outcome, reason, seen, data, sum FROM results WHERE key = ? ORDER BY id DESC LIMIT 1", key)
+        rows = self._read(f"SELECT outcome, reason, seen, data, sum {_LATEST}", key)
         if not rows:
             return None
         *values, check = rows[0]
@@ -132,13 +133,13 @@ class Journal:
 
     def outcome(self, key: str) -> tuple[str, str, int] | None:
         """How the latest result of that key ended, the reason, and the last block it had seen."""
-        rows = self._read("SELECT outcome, reason, seen FROM results WHERE key = ? ORDER BY id DESC LIMIT 1", key)
+        rows = self._read(f"SELECT outcome, reason, seen {_LATEST}", key)
         return rows[0] if rows else None
 
     def blocks(self, line: str, low: float = -np.inf, high: float = np.inf) -> Iterator[Block]:
         """Blocks of the line with that key and slopes in [low, high], earliest first."""
-        numbers = self._read("SELECT id FROM points WHERE line = ? AND high >= ? AND low <= ? ORDER BY id", line, low, high)
-        for (number,) in numbers:
+        found_in = "FROM points WHERE line = ? AND high >= ? AND low <= ? ORDER BY id"
+        for (number,) in self._read(f"SELECT id {found_in}", line, low, high):
             ((variables, n, slopes, states),) = self._read(
                 "SELECT variables, n, slopes, states FROM points WHERE id = ?", number)
             try:
@@ -176,7 +177,8 @@ class Journal:
 
     def seconds_per_point(self) -> float | None:
         """Mean measured cost of the latest thousand blocks."""
-        n, seconds = self._read("SELECT sum(n), sum(seconds) FROM (SELECT n, seconds FROM points ORDER BY id DESC LIMIT 1000)")[0]
+        latest = "SELECT n, seconds FROM points ORDER BY id DESC LIMIT 1000"
+        n, seconds = self._read(f"SELECT sum(n), sum(seconds) FROM ({latest})")[0]
         return seconds / n if n else None
 
     def note(self, key: str) -> str | None:

@@ -132,7 +132,8 @@ class Plan:
 
     def last_block(self) -> int:
         """Number of the latest block of any line of the study."""
-        return max((self.journal.last_block(keys["points"][0]) for keys in self._line_keys() if "points" in keys), default=0)
+        keys = (line["points"][0] for line in self._line_keys() if "points" in line)
+        return max(map(self.journal.last_block, keys), default=0)
 
     def unwanted(self) -> tuple[list[str], list[str]]:
         """Tasks and variables that the study does not ask for."""

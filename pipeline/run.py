@@ -172,7 +172,8 @@ def _attempts(study: Study, path: Path, place: Path, options: Options, record: d
 def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> int:
     todo = summary(plan)
     engine, signals = Engine(options.jobs, options.cluster), Signals()
-    with signals.caught(), Progress(plan, todo, beside(path, ".events.jsonl"), options.quiet, options.verbose) as progress:
+    log = beside(path, ".events.jsonl")
+    with signals.caught(), Progress(plan, todo, log, options.quiet, options.verbose) as progress:
         listen = _Snapshots(plan, path, options.snapshot, progress)
         try:
             if any(todo.todo.values()):
@@ -212,7 +213,8 @@ def tasks_failed(plan: Plan) -> int:
     found = 0
     for name, layer in plan.layers.items():
         if name not in ("atlas", "points", plan.study.kind):
-            keys = [plan.line_keys(i)[name][0] for i in range(plan.study.lines)] if layer.per_line else [plan.study_keys()[name][0]]
+            over = map(plan.line_keys, range(plan.study.lines)) if layer.per_line else [plan.study_keys()]
+            keys = [k[name][0] for k in over]
             found += sum(1 for key in keys if (plan.journal.outcome(key) or ("ok",))[0] != "ok")
     return found
 

@@ -20,13 +20,14 @@ def beside(path: Path, what: str) -> Path:
 def plan(found: Plan, counts: Summary, path: Path) -> Iterator[str]:
     """A plan: per task what runs and why, what is cached, what is not wanted."""
     study = found.study
-    shape = " x ".join([f"{len(study.walkers)} walkers"] * study.walker_axis + [f"{len(a)} {a.name}" for a in study.axes])
+    walkers = [f"{len(study.walkers)} walkers"] if study.walker_axis else []
+    shape = " x ".join([*walkers, *(f"{len(a)} {a.name}" for a in study.axes)])
     yield f"{study.name}: {shape}, {study.points:,} points -> {path}"
     for name, layer in found.layers.items():
-        what = "points" if name == "points" else "lines" if layer.per_line else "study"
+        what = "point" if name == "points" else "line" if layer.per_line else "study"
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
         parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
-        yield f"  {name:<12} version {layer.task.version}  per {what[:-1] if what != 'study' else what}: {', '.join(parts) or 'none'}"
+        yield f"  {name:<12} version {layer.task.version}  per {what}: {', '.join(parts) or 'none'}"
     tasks, variables = found.unwanted()
     yield f"  not wanted: {', '.join(tasks + variables) or 'nothing'}"
     yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"

@@ -23,7 +23,7 @@ from pipeline.errors import StudyError
 from tasks.registry import ALWAYS, GAITS, TASKS, VARIABLES
 
 #: Kinds of study; every one but `grid` is a task of the same name.
-KINDS = ("grid", "branch", "orbit", "basin", "curve")
+KINDS = ("grid", "branch", "orbit", "cascade", "basin", "curve", "census")
 #: Axis keys that are not a walker's own.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
 #: Longest axis and largest grid that are taken for meant.
@@ -193,10 +193,12 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     if not isinstance(options, dict) or (options and kind == "grid"):
         raise top.at("options").error("`options` is a table for studies of another kind than `grid`")
     gaits = _names(table.get("gaits", list(GAITS)), GAITS, top.at("gaits"))
-    study = Study(name=name, text=text, kind=kind, path=path, walker_axis=isinstance(table.get("walker"), list), options=_plain(options, top.at("options")),
+    want: dict[str, Any] = dict(_want(table.get("want", {}), top.at("want")))
+    study = Study(name=name, text=text, kind=kind, path=path, options=_plain(options, top.at("options")),
+                  walker_axis=isinstance(table.get("walker"), list),
                   gaits=tuple(g for g in GAITS if g in gaits), limits=_limits(table, top),
                   walkers=_walkers(table.get("walker"), path, top.at("walker")),
-                  axes=_axes(table.get("axes"), top.at("axes")), **_want(table.get("want", {}), top.at("want")))
+                  axes=_axes(table.get("axes"), top.at("axes")), **want)
     if study.points > MOST_POINTS:
         raise top.at("axes").error(f"The grid has {study.points:.3g} points, more than {MOST_POINTS:.0e}")
     return _checked(study, top)
@@ -316,8 +318,8 @@ def _want(value: object, place: _Place) -> dict[str, tuple[str, ...]]:
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
     wanted = tuple(v.name for v in VARIABLES.values() if v.group != "violations")
     if "variables" in table:
-        names = _names(table["variables"], (*VARIABLES, *groups), place.at("variables"))
-        wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & set(names) or v.name in ALWAYS)
+        asked = {*_names(table["variables"], (*VARIABLES, *groups), place.at("variables")), *ALWAYS}
+        wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & asked)
     names = {key: _free_names(table.get(key, []), place.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:

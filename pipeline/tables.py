@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import pack
+from pipeline import grid, pack
 from pipeline.plan import Plan
 from tasks import registry
 
@@ -94,13 +94,10 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
 
 
 def _attributes(plan: Plan, name: str) -> dict[str, str]:
-    from pipeline.archive import axis_units
-
-    study = plan.study
-    si = all(check["si"] for check in study.checks)
+    study, si = plan.study, grid.si(plan.study)
     about = {**registry.VARIABLES, **getattr(registry, "COLUMNS", {})}.get(name)
     if about is not None:
         return {"long_name": about.long_name, "units": about.units(si)}
     if name in (a.name for a in study.axes):
-        return {"long_name": name.replace("_", " "), "units": axis_units(study, name)}
+        return {"long_name": name.replace("_", " "), "units": grid.axis_units(study, name)}
     return {"long_name": name.replace("_", " "), "units": "1"}

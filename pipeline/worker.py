@@ -13,7 +13,6 @@ import re
 import resource
 import signal
 import struct
-import sys
 import time
 from collections.abc import Callable
 from typing import Any, BinaryIO

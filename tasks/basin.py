@@ -88,7 +88,7 @@ def _starts(problem: Problem, gait: np.ndarray, options: Mapping[str, Any], seco
         ranges.append(np.sort(np.array(given, float) * unit if given else np.array(AROUND) * gait[i]))
     sides = [low + (high - low) * (np.arange(size) + 0.5) / size for low, high in ranges]
     angle, rate = (g.ravel() for g in np.meshgrid(*sides, indexing="ij"))
-    y = np.vstack([angle, rate, *[gait[2] / gait[1] * rate] * (problem.m - 2)])
+    y = np.vstack([angle, rate, *(g / gait[1] * rate for g in gait[2:])])
     return y, float(np.prod([(high - low) / size for low, high in ranges]))
 
 

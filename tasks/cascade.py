@@ -57,10 +57,13 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     rows: list[dict[str, Any]] = []
     limits: list[dict[str, Any]] = []
     for number in options["families"]:
-        first = _first(problem, inputs[0], slope, int(number), int(options["starts"]))
-        for family, start in enumerate(first):
-            name = f"{number}" if len(first) == 1 else f"{number}{'abcdefgh'[family % 8]}"
+        families: list[list[Event]] = []
+        for start in _first(problem, inputs[0], slope, int(number), int(options["starts"])):
             found = _family(problem, start, slope, int(options["periods"]))
+            if not any(_same_birth(found, other) for other in families):
+                families.append(found)
+        for family, found in enumerate(families):
+            name = f"{number}" if len(families) == 1 else f"{number}-{family + 1}"
             flips = np.array([e.cycle.slope for e in found if e.kind == "flip"])
             ratio = iter(scaling.ratios(flips))
             for event in found:
@@ -76,6 +79,12 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         "family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", "walks")}
     return out | {f"accumulation/{k}": np.array([r[k] for r in limits]) for k in (
         "family", "flips", "slope", "low", "high", "ratio")}
+
+
+def _same_birth(a: list[Event], b: list[Event]) -> bool:
+    """True where two gaits are the two sides of one fold."""
+    return bool(a and b and a[0].kind == b[0].kind == "fold"
+                and abs(a[0].cycle.q - b[0].cycle.q) < 1e-9 and _apart(a[0].cycle, b[0].cycle) < 1e-4)
 
 
 def _first(problem: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Cycle]:

@@ -12,7 +12,7 @@ from tasks.gait import atlas as atlases
 from tasks.gait.continuation import lipschitz
 from tasks.gait.fixed_point import Problem, search, starts
 from tasks.registry import GAITS, VARIABLES
-from tasks.solve import points, solve
+from tasks.solve import UNKNOWN, points, solve
 from tasks.walkers.parameters import resolve
 
 #: Variables measured for one point; the amounts of violations stay in archives.
@@ -65,7 +65,8 @@ def _elsewhere(problem: Problem, slope: float, known: list[float]) -> tuple[list
     m = problem.m
     q = np.full((1, w.shape[1]), np.log(slope))
     X = np.vstack([w[:m], q])
-    solved = solve(problem, np.vstack([X, w[m:]]), np.exp(q[0]), lipschitz(problem, X, w[m:]), list(WANT))
+    unknown = np.full(w.shape[1], UNKNOWN)
+    solved = solve(problem, np.vstack([X, w[m:]]), np.exp(q[0]), lipschitz(problem, X, w[m:]), WANT, unknown)
     records = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from tasks import status
 from tasks.gait import atlas as atlases
-from tasks.gait.fixed_point import EPS, Problem, gait_ratio, newton_step, rounding, settled, starts
+from tasks.gait.branch import Branch
+from tasks.gait.fixed_point import EPS, Problem, gait_ratio, judged, newton_step, rounding, starts
 from tasks.gait.stability import multipliers
-from tasks.gait.stride import SAMPLES, Stride
+from tasks.gait.stride import Stride, apply
 from tasks.measures import violations
 from tasks.measures.energy import heelstrike_losses, kneestrike_loss
 from tasks.measures.motion import step_length, travel
@@ -21,6 +22,8 @@ from tasks.walkers.parameters import Walker, resolve
 Arrays = dict[str, np.ndarray]
 #: Lanes solved at a time: enough to hide the calls, few enough for the cache.
 BLOCK = 4096
+#: Where the atlas cannot vouch for a point's verdict.
+UNKNOWN = -1
 #: Newton steps a point may take from the atlas; nearly all take one.
 MOST_STEPS = 8
 #: Relative distance from the fixed point at which losses and multipliers are as good as at it.
@@ -79,15 +82,20 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     free = np.ones((n, len(GAITS)), bool)
     q = np.log(slope)
     for branch in branches:
-        for index, Z, lipschitz in branch.guesses(q):
+        for index, Z, segment in branch.guesses(q):
+            asked = _asked(branch, segment, wanted)
+            index, Z, segment = index[asked], Z[asked], segment[asked]
+            lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
+            passes = np.where(branch.safe[segment], branch.passes[segment], UNKNOWN)
             for k in range(0, len(index), BLOCK):
-                block = index[k:k + BLOCK]
-                solved = solve(problem, Z[k:k + BLOCK].T, slope[block], lipschitz[k:k + BLOCK], want)
-                label = (~(solved.pop("heelstrike_rate_ratio_own") < 0.5)).astype(int)
+                part = slice(k, k + BLOCK)
+                block = index[part]
+                solved = solve(problem, Z[part].T, slope[block], lipschitz[part], want, passes[part])
+                label = (~(solved["heelstrike_rate_ratio"] < 0.5)).astype(int)
                 slot = np.where(free[block, label], label, np.where(free[block, 2], 2, 3))
-                keep = np.array([GAITS[s] in wanted for s in slot], bool) & solved.pop("anthropomorphic")
+                keep = np.array([GAITS[s] in wanted for s in slot], bool) & solved["anthropomorphic"]
                 free[block[keep], slot[keep]] = False
-                for name in set(want) & set(solved):
+                for name in want:
                     out[name][block[keep], slot[keep]] = solved[name][keep]
     out["reasons"] = np.array(reasons)
     return out
@@ -97,49 +105,72 @@ def _walker(line: Mapping[str, Any]) -> Walker:
     return resolve(line["walker"], line.get("set"))
 
 
-def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, want: list[str]) -> Arrays:
-    """Polish guesses, verify them and measure what is wanted; every array has the lane first."""
+def _asked(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarray:
+    """Segments that may hold a gait the study asks for; a gait under a label already taken may be any."""
+    if wanted & set(GAITS[2:]):
+        return np.ones(len(segment), bool)
+    low = np.minimum(branch.ratio[segment], branch.ratio[segment + 1])
+    high = np.maximum(branch.ratio[segment], branch.ratio[segment + 1])
+    return ((low < 0.6) & ("long" in wanted)) | ((high > 0.4) & ("short" in wanted))
+
+
+def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, want: Sequence[str],
+          passes: np.ndarray) -> Arrays:
+    """Polish guesses, verify them and measure what is wanted; every array has the lane first.
+
+    Parameters
+    ----------
+    Z : ndarray, shape (m + 1 + phases, n)
+        Guesses as a branch's nodes hold them.
+    slope, lipschitz : ndarray, shape (n,)
+    want : sequence of str
+    passes : ndarray, shape (n,)
+        How often the legs pass, where the atlas has shown the stride to be a step; elsewhere UNKNOWN.
+    """
     m = problem.m
-    w = np.delete(Z, m, axis=0)
     n = len(slope)
-    stride, scale, w = _polish(problem, w, slope, lipschitz)
+    stride, scale, w = _polish(problem, np.delete(Z, m, axis=0), slope, lipschitz)
     eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
     y = stride.y + stride.newton
-    times = stride.times + np.einsum("kmn,mn->kn", stride.times_by_y, stride.newton)
+    times = stride.times + apply(stride.times_by_y, stride.newton)
     begin = problem.map.start(y, problem.parameters(slope, scale))
     state, seeds = begin[: problem.map.start_size], begin[problem.map.start_size:]
     # Relative error: rounding of the map, and what Newton's last step leaves (Newton-Kantorovich).
     error = (rounding(stride) + 2 * lipschitz * eta**2) * np.abs(y)
     by_y = np.abs(seeds.reshape(problem.map.start_size, m, n))
     rows = [0, *range(problem.map.start_size // 2, problem.map.start_size)]
-    relative = [np.einsum("mn,mn->n", by_y[i], error) / np.abs(state[i]) + EPS for i in rows]
+    relative = list(apply(by_y[rows], error) / np.abs(state[rows]) + EPS)
     guard = 4 * EPS * np.abs(y[0]) / np.abs(stride.closing)
-    relative.append((np.einsum("mn,mn->n", np.abs(stride.times_by_y[-1]), error) + guard) / times[-1] + EPS)
+    relative.append((apply(np.abs(stride.times_by_y[-1:]), error)[0] + guard) / times[-1] + EPS)
     bound = np.max(relative, axis=0)
-    verdict = settled(problem, stride, w, np.log(slope))
+    step = (stride.closing < 0) & (np.diff(stride.times, axis=0, prepend=0) > 0).all(axis=0)
+    lanes = np.nonzero(passes == UNKNOWN)[0]
+    if len(lanes):
+        _, verdict = judged(problem, w[:, lanes], np.log(slope[lanes]))
+        step[lanes], passes = verdict.step, passes.copy()
+        passes[lanes] = verdict.passes
     converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
-    code = np.where(converged, np.where(verdict.step, status.CONVERGED, status.NOT_CONVERGED), status.NOT_CONVERGED)
-    found = {"status": code, "reason": np.where(converged, np.where(verdict.step, 0, 4), 3),
+    code = np.where(converged & step, status.CONVERGED, status.NOT_CONVERGED)
+    found = {"status": code, "reason": np.where(converged, np.where(step, 0, 4), 3),
              "residual": np.abs((stride.image - stride.y) / stride.y).max(axis=0), "error_bound": bound,
-             "anthropomorphic": ~verdict.step | (verdict.passes == 1),
-             "heelstrike_rate_ratio_own": gait_ratio(stride)}
+             "anthropomorphic": ~step | (passes == 1), "passes": passes}
     found |= _measure(problem, stride, y * scale, state * scale, times, scale, slope, want)
     bad = code != status.CONVERGED
     for name, value in found.items():
-        if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio_own"):
+        if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
             value[bad] = np.nan
     return found
 
 
-def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray) -> tuple[Stride, np.ndarray,
-                                                                                                      np.ndarray]:
+def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray
+            ) -> tuple[Stride, np.ndarray, np.ndarray]:
     """Strides at guesses close enough that one more Newton step is exact to rounding.
 
     Lanes that are close already are not touched again, so a lane's bits do not depend on the others.
     """
     q = np.log(slope)
     w, before = w.copy(), np.full(len(q), np.inf)
-    stride, scale = problem.stride(w, q, samples=SAMPLES)
+    stride, scale = problem.stride(w, q)
     for _ in range(MOST_STEPS):
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)
@@ -151,13 +182,13 @@ def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.nd
         before = np.zeros(len(q))
         before[lanes] = eta[lanes]
         w[:, lanes] += step[:, lanes]
-        again, scale[lanes] = problem.stride(w[:, lanes], q[lanes], samples=SAMPLES)
+        again, scale[lanes] = problem.stride(w[:, lanes], q[lanes])
         stride.put(lanes, again)
     return stride, scale, w
 
 
 def _measure(problem: Problem, stride: Stride, y: np.ndarray, state: np.ndarray, times: np.ndarray, scale: np.ndarray,
-             slope: np.ndarray, want: list[str]) -> Arrays:
+             slope: np.ndarray, want: Sequence[str]) -> Arrays:
     """Wanted variables in the walker's units."""
     walker = problem.walker
     second = np.sqrt(walker.leg / walker.g)
@@ -178,8 +209,8 @@ def _measure(problem: Problem, stride: Stride, y: np.ndarray, state: np.ndarray,
         found["loss_normal"], found["loss_tangential"] = normal * unit, tangential * unit
         knee = np.zeros(len(slope))
         if walker.knees:
-            assert stride.motion is not None
-            knee = kneestrike_loss(walker, stride.motion[0][-1] * scale)
+            assert stride.knee is not None
+            knee = kneestrike_loss(walker, stride.knee * scale)
         found["loss_kneestrike"] = knee * unit if walker.knees else np.full(len(slope), np.nan)
         drop = step_length(walker, angle) / walker.leg * np.sin(slope)
         found["energy_imbalance"] = (normal + tangential + knee - drop) / drop

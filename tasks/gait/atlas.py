@@ -11,8 +11,10 @@ import numpy as np
 
 from tasks.gait.branch import Branch
 from tasks.gait.continuation import Point, Track, correct, follow, lipschitz
-from tasks.gait.fixed_point import Problem, judged, rounding, search
+from tasks.gait.fixed_point import Problem, gait_ratio, judged, rounding, search
 from tasks.gait.special_points import end_of, located, oriented
+from tasks.gait.stride import SAMPLES
+from tasks.gait.verify import verify
 
 #: Slopes searched from nothing for gaits to follow [rad].
 ANCHORS = (0.01, 0.03, 0.1, 0.001)
@@ -80,7 +82,29 @@ def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
         branch, _ = _insert(problem, branch, segments, x)
         if len(branch.Z) == before:
             break
-    branch.lipschitz = lipschitz(problem, branch.Z[:, : m + 1].T, branch.Z[:, m + 1:].T)
+    return _measured(problem, branch)
+
+
+def _measured(problem: Problem, branch: Branch) -> Branch:
+    """The branch with its Lipschitz estimates, gait ratios, and which segments need no verdict of their own."""
+    m = branch.m
+    X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1:].T
+    branch.lipschitz = lipschitz(problem, X, times)
+    stride, scale = problem.stride(np.vstack([X[:m], times]), X[m], samples=8 * SAMPLES)
+    branch.ratio = gait_ratio(stride)
+    assert stride.motion is not None
+    # Angles and rates over the stance angle, so that neighbours' motions may be compared.
+    motion = [part / stride.y[0] for part in stride.motion]
+    n = len(branch.Z)
+    stray = np.zeros(n)
+    apart = np.max([np.abs(np.diff(part, axis=-1)).max(axis=(0, 1)) for part in motion], axis=0)
+    # A guard adds two angles, and a stride between two nodes lies within their distance of one of them.
+    stray[:-1] = 2 * apart
+    stray[1:] = np.maximum(stray[1:], 2 * apart)
+    verdict = verify(motion, stride.closing / stride.y[0], stride.times, stray)
+    calm = verdict.step & ~verdict.doubt
+    branch.passes = verdict.passes
+    branch.safe = np.append(calm[1:] & calm[:-1] & (verdict.passes[1:] == verdict.passes[:-1]), False)
     return branch
 
 
@@ -136,19 +160,17 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
     """Branches as plain arrays, to be kept and passed between processes."""
     lengths = np.array([len(b.Z) for b in branches], dtype=np.int64)
     if not branches:
-        return {"lengths": lengths, "Z": np.zeros((0, 0)), "tangent": np.zeros((0, 0)), "lipschitz": np.zeros(0),
-                "why": np.zeros((0, 2), "U1"), "m": np.array([0])}
-    return {"lengths": lengths, "Z": np.concatenate([b.Z for b in branches]),
-            "tangent": np.concatenate([b.tangent for b in branches]),
-            "lipschitz": np.concatenate([b.lipschitz for b in branches]),
-            "why": np.array([b.why for b in branches]), "m": np.array([branches[0].m])}
+        return {"lengths": lengths}
+    return {"lengths": lengths, "m": np.array([branches[0].m]), "why": np.array([b.why for b in branches]),
+            **{name: np.concatenate([getattr(b, name) for b in branches]) for name in _BY_NODE}}
+
+
+_BY_NODE = ("Z", "tangent", "lipschitz", "ratio", "passes", "safe")
 
 
 def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:
     """Branches from the arrays of `to_arrays`."""
     ends = np.cumsum(arrays["lengths"])
-    found = []
-    for i, (a, b) in enumerate(zip(ends - arrays["lengths"], ends)):
-        found.append(Branch(int(arrays["m"][0]), arrays["Z"][a:b], arrays["tangent"][a:b], arrays["lipschitz"][a:b],
-                            (str(arrays["why"][i][0]), str(arrays["why"][i][1]))))
-    return found
+    return [Branch(m=int(arrays["m"][0]), why=(str(arrays["why"][i][0]), str(arrays["why"][i][1])),
+                   **{name: arrays[name][a:b] for name in _BY_NODE})
+            for i, (a, b) in enumerate(zip(ends - arrays["lengths"], ends, strict=True))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +12,8 @@ class Branch:
     """One branch: nodes, tangents and Lipschitz estimates.
 
     `Z` (n, c) holds X = (section, q) in its first m + 1 columns, then the event times; `tangent` its derivative along
-    the branch; `why` says what each end is.
+    the branch; `why` says what each end is. `ratio` is the gait ratio at the nodes; `safe` says of the segment after
+    each node that every stride on it is a step whose legs pass `passes` times, by the nodes' own motions.
     """
 
     m: int
@@ -20,6 +21,9 @@ class Branch:
     tangent: np.ndarray
     lipschitz: np.ndarray
     why: tuple[str, str]
+    ratio: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    passes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    safe: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
 
     def __post_init__(self) -> None:
         self._segments()
@@ -90,7 +94,7 @@ class Branch:
         return list(zip(cuts[:-1], cuts[1:]))
 
     def guesses(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """For each piece, which slopes it covers: (index into q, Z there, Lipschitz estimate)."""
+        """For each piece, which slopes it covers: (index into q, Z there, the segments they lie on)."""
         found = []
         for first, last in self.pieces():
             nodes = self.q[first:last + 1]
@@ -101,6 +105,5 @@ class Branch:
                 continue
             k = np.clip(np.searchsorted(ordered, q[inside], side="right") - 1, 0, len(ordered) - 2)
             segment = first + (k if rising else len(ordered) - 2 - k)
-            Z = self.evaluate(segment, self.place(segment, q[inside]))
-            found.append((inside, Z, np.maximum(self.lipschitz[segment], self.lipschitz[segment + 1])))
+            found.append((inside, self.evaluate(segment, self.place(segment, q[inside])), segment))
         return found

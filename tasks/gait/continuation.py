@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tasks.gait.fixed_point import EPS, Problem, judged
-from tasks.gait.stride import Stride
+from tasks.gait.stride import Stride, apply
 
 #: Slopes a branch is followed over [rad]; below, double precision no longer resolves a gait's tangent.
 LEAST_SLOPE, MOST_SLOPE = 1e-13, 0.7
@@ -56,7 +56,7 @@ def _times_by_X(stride: Stride, X: np.ndarray) -> np.ndarray:
     """Derivative of the event times by X, shape (k, m + 1, n)."""
     m = len(stride.y)
     assert stride.times_by_slope is not None
-    by_first = np.einsum("kmn,mn->kn", stride.times_by_y, stride.y)[:, None]
+    by_first = apply(stride.times_by_y, stride.y)[:, None]
     by_rest = stride.times_by_y[:, 1:] * stride.y[0]
     return np.concatenate([by_first, by_rest, (stride.times_by_slope * np.exp(X[m]))[:, None]], axis=1)
 
@@ -88,7 +88,7 @@ def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarr
         dX = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
         size = np.abs(dX).max(axis=0)
         by_X = _times_by_X(stride, X)
-        new_times = stride.times + np.einsum("kin,in->kn", by_X, dX)
+        new_times = stride.times + apply(by_X, dX)
         over |= ~good | (size > 1.0) | ~np.isfinite(new_times).all(axis=0)
         moving = ~over & ~ok
         X[:, moving] += dX[:, moving]
@@ -101,13 +101,13 @@ def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarr
     _, _, V = np.linalg.svd(np.nan_to_num(derivative))
     tangent = V[:, -1].T
     by_X = np.nan_to_num(by_X)
-    return Point(X, times, tangent, np.einsum("kin,in->kn", by_X, tangent), ok, stride)
+    return Point(X, times, tangent, apply(by_X, tangent), ok, stride)
 
 
 def _noise(matrix: np.ndarray, stride: Stride) -> np.ndarray:
     """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
     inverse = np.abs(np.linalg.inv(matrix))
-    error = np.abs(stride.y) + np.einsum("ijn,jn->in", np.abs(stride.jacobian), np.abs(stride.y))
+    error = np.abs(stride.y) + apply(np.abs(stride.jacobian), np.abs(stride.y))
     error = np.nan_to_num(np.vstack([error / stride.y[0], np.ones(error.shape[1])]))
     return 6 * EPS * np.einsum("nij,jn->in", inverse, error).max(axis=0)
 

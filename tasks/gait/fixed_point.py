@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.gait.stride import SAMPLES, Stride, StrideMap, stride_map
+from tasks.gait.stride import SAMPLES, Stride, StrideMap, apply, stride_map
 from tasks.gait.verify import Verdict, verify
 from tasks.mechanics.equations import Structure, constants_of, structure_of
 from tasks.walkers.parameters import Walker
@@ -59,7 +59,7 @@ def similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
 
 def newton_step(stride: Stride, w: np.ndarray) -> np.ndarray:
     """The Newton step of a stride in similarity coordinates, shape (m + phases, n)."""
-    times = stride.times + np.einsum("kmn,mn->kn", stride.times_by_y, stride.newton)
+    times = stride.times + apply(stride.times_by_y, stride.newton)
     return np.vstack([similarity(stride.y, stride.newton), times - w[len(stride.y):]])
 
 
@@ -72,8 +72,8 @@ def rounding(stride: Stride) -> np.ndarray:
     extended precision (tests/test_tasks/test_error_bound.py).
     """
     size = np.abs(stride.y)
-    error = EPS * (size + np.abs(stride.image) + np.einsum("ijn,jn->in", np.abs(stride.jacobian), size))
-    return np.einsum("ijn,jn->in", np.abs(stride.inverse), error) / size
+    error = EPS * (size + np.abs(stride.image) + apply(np.abs(stride.jacobian), size))
+    return apply(np.abs(stride.inverse), error) / size
 
 
 @dataclass

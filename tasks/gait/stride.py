@@ -31,7 +31,8 @@ class Stride:
     `y` (m, n) the section's start; `image` (m, n) P(y) after the correction of the times; `jacobian` (m, m, n) dP/dy;
     `inverse` (m, m, n) of I - dP/dy; `newton` (m, n) the Newton step; `times` (k, n) kneestrike and heelstrike,
     corrected; `times_by_y` (k, m, n); `by_slope` (m, n) and `times_by_slope` (k, n) where asked for; `impact` (2, n)
-    rates just before heelstrike; `start` (a, n) state after heelstrike; `closing` (n,) rate of the heelstrike guard.
+    rates just before heelstrike; `start` (a, n) state after heelstrike; `closing` (n,) rate of the heelstrike guard; `knee` (6, n) state at
+    kneestrike; `motion` samples of each phase.
     """
 
     y: np.ndarray
@@ -46,6 +47,7 @@ class Stride:
     impact: np.ndarray
     start: np.ndarray
     closing: np.ndarray
+    knee: np.ndarray | None
     motion: list[np.ndarray] | None
 
     def put(self, lanes: np.ndarray, other: Stride) -> None:
@@ -81,6 +83,14 @@ def _inverse(J: list[list[Sym]]) -> list[list[Sym]]:
 def _directions(rows_by: list[Sym], q: list[Sym], D: list[list[Sym]]) -> list[list[Sym]]:
     """Gradient of each row by q, times the directions D."""
     return [[sum((hy.diff(r, x) * D[i][d] for i, x in enumerate(q)), ZERO) for d in range(len(D[0]))] for r in rows_by]
+
+
+def apply(A: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """A v for every lane, (i, j, n) times (j, n), always added in the same order."""
+    total = A[:, 0] * v[0]
+    for j in range(1, A.shape[1]):
+        total = total + A[:, j] * v[j]
+    return total
 
 
 class StrideMap:
@@ -202,11 +212,12 @@ class StrideMap:
         start, seeds = begin[:size], begin[size:].reshape(size, m, n)
         zeros = np.zeros((size, 1, n))
         D = np.concatenate([seeds, zeros], axis=1) if slope else seeds
-        sampled = []
+        sampled, knee = [], None
         if self.kneed:
             run = flow(self.structure, True, m + slope, slope, rough)
             final, moved = run(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             sampled.append(moved)
+            knee = final[:6]
             out = self._apply(self._knee[slope], np.vstack([final[:6], _unlanes(final[6:], 6), parameters]))
             start2, D = out[:4], out[4:4 + 4 * (m + 1 + slope)].reshape(4, m + 1 + slope, n)
             knee_shift = out[4 + D.shape[1] * 4:]
@@ -228,7 +239,7 @@ class StrideMap:
             all_by = np.concatenate([first_by, all_by + first_by])
         return Stride(y, image, jacobian.reshape(m, m, n), inverse.reshape(m, m, n), newton, all_times,
                       all_by[:, :m], by_slope if slope else None, all_by[:, m] if slope else None, impact, start,
-                      closing[0], sampled if samples else None)
+                      closing[0], knee, sampled if samples else None)
 
 
 def _lanes(D: np.ndarray) -> np.ndarray:

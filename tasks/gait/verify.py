@@ -37,7 +37,19 @@ def _slack(g: np.ndarray) -> np.ndarray:
     return 2.0 / 8.0 * np.maximum(padded[:-1], padded[1:])
 
 
-def verify(motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray) -> Verdict:
+def _unclear(g: np.ndarray, rate: np.ndarray, stray: float | np.ndarray) -> np.ndarray:
+    """Intervals in which a guard could touch zero unseen, shape (intervals, n).
+
+    It could where it comes nearer zero than the samples resolve, unless its rate has one sign all along: then the
+    samples' signs tell of every crossing.
+    """
+    low = np.minimum(np.abs(g[:-1]), np.abs(g[1:]))
+    steady = np.minimum(np.abs(rate[:-1]), np.abs(rate[1:])) > _slack(rate) + stray
+    steady &= np.signbit(rate[:-1]) == np.signbit(rate[1:])
+    return (low < _slack(g) + stray) & ~steady
+
+
+def verify(motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray, stray: float | np.ndarray = 0.0) -> Verdict:
     """Judge a stride by samples of its motion.
 
     Parameters
@@ -48,6 +60,8 @@ def verify(motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray) -> 
         Rate of the heelstrike guard at the solved time.
     times : ndarray, shape (phases, n)
         The solved event times, which must follow each other.
+    stray : float or ndarray, shape (n,)
+        How far, besides, the guards may lie from the samples: leaves a doubt where their signs could change.
 
     Notes
     -----
@@ -57,30 +71,29 @@ def verify(motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray) -> 
     two = motion[-1]
     a, b = two[:, 0], two[:, 1]
     n = a.shape[1]
-    guard, slack = a + b, _slack(a + b)
+    da, db = two[:, len(two[0]) // 2], two[:, len(two[0]) // 2 + 1]
+    guard = a + b
     # Between samples i and i + 1: a strike needs the guard at or below zero with the stance angle negative.
-    behind = np.minimum(a[:-1], a[1:]) < 0
-    low = np.minimum(np.abs(guard[:-1]), np.abs(guard[1:]))
-    low[-1] = np.abs(guard[-2])
+    behind = np.minimum(a[:-1], a[1:]) - stray < 0
     falls = (guard[1:] <= 0) & (guard[:-1] > 0) & (a[1:] < 0)
     falls[-1] = False
     # A guard that closes at zero was positive just before: the swing foot has come up behind the stance foot.
     step = (closing < 0) & ~falls.any(axis=0) & (a[-1] < 0) & (np.diff(times, axis=0, prepend=0) > 0).all(axis=0)
-    # The last interval ends at zero, so the chord's own slope must win over the curvature.
-    margin = slack.copy()
-    margin[-1] *= 4
-    doubt = (behind & (low < margin)).any(axis=0)
-    apart = np.vstack([m[:, 0] - m[:, 1] if i == 0 else (m[:, 0] - m[:, 1])[1:] for i, m in enumerate(motion)])
-    passes = (np.signbit(apart[1:]) != np.signbit(apart[:-1])).sum(axis=0)
-    near = np.minimum(np.abs(apart[1:]), np.abs(apart[:-1])) < _slack(apart)
-    doubt |= (near & (np.signbit(apart[1:]) == np.signbit(apart[:-1]))).any(axis=0)
-    hyperextends = np.zeros(n, bool)
+    doubt = (behind & _unclear(guard, da + db, stray)).any(axis=0)
+    passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
+    for phase in motion:
+        half = phase.shape[1] // 2
+        apart, rate = phase[:, 0] - phase[:, 1], phase[:, half] - phase[:, half + 1]
+        passes += (np.signbit(apart[1:]) != np.signbit(apart[:-1])).sum(axis=0)
+        doubt |= _unclear(apart, rate, stray).any(axis=0)
     if len(motion) == 2:
-        flexion = motion[0][:, 1] - motion[0][:, 2]
-        hyperextends = motion[0][0, 4] < motion[0][0, 5]
+        three = motion[0]
+        flexion, rate = three[:, 1] - three[:, 2], three[:, 4] - three[:, 5]
+        hyperextends = rate[0] < 0
         inner = flexion[1:-1]
         bent = np.maximum.accumulate(inner > 0, axis=0)
         straight_again = (bent[:-1] & (inner[1:] <= 0)).any(axis=0)
         step = step & bent.any(axis=0) & ~straight_again & (inner[-1] > 0)
-        doubt |= (bent & (np.abs(inner) < 0.25 * _slack(flexion)[:-1])).any(axis=0)
+        # The knee starts straight: that first touch is no strike.
+        doubt |= _unclear(flexion, rate, stray)[1:].any(axis=0)
     return Verdict(step, passes, doubt & np.isfinite(closing), hyperextends)

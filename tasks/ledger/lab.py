@@ -31,11 +31,11 @@ TUNED = ("A", "B", "C", "D", "E", "F")
 class Line:
     """The gaits of one walker over slope."""
 
-    def __init__(self, walker: str | dict[str, Any], settings: Mapping[str, float]):
+    def __init__(self, walker: str, settings: Mapping[str, float], known: Arrays | None = None):
         self.params = {"line": {"walker": walker, "set": dict(settings)}}
         self.walker: Walker = resolve(walker, settings)
         self.problem = Problem(self.walker)
-        self.arrays = atlas(self.params, [])
+        self.arrays = atlas(self.params, []) if known is None else known
         self.branches: list[Branch] = atlases.from_arrays(self.arrays)
         self._grids: dict[tuple[float, float, int], Arrays] = {}
 
@@ -90,14 +90,22 @@ def curve(problem: Problem, found: Branch) -> Arrays:
             "speed": travel(walker, slope, angle, times[-1] * second)["speed"]}
 
 
-@functools.lru_cache(maxsize=64)
-def _line(walker: str, settings: tuple[tuple[str, float], ...]) -> Line:
-    return Line(walker, dict(settings))
+_LINES: dict[tuple[str, tuple[tuple[str, float], ...]], Line] = {}
 
 
 def line(walker: str, **settings: float) -> Line:
     """The line of a catalogue walker; solved once a process."""
-    return _line(walker, tuple(sorted(settings.items())))
+    key = walker, tuple(sorted(settings.items()))
+    if key not in _LINES:
+        _LINES[key] = Line(walker, settings)
+    return _LINES[key]
+
+
+def remember(walker: str, settings: Mapping[str, float], known: Arrays) -> None:
+    """Take a line's atlas as solved elsewhere."""
+    key = walker, tuple(sorted(settings.items()))
+    if key not in _LINES:
+        _LINES[key] = Line(walker, settings, known)
 
 
 def root(function: Callable[[float], float], slope: np.ndarray, values: np.ndarray, last: bool = False) -> float:

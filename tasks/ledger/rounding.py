@@ -12,6 +12,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import heyoka as hy
 import numpy as np
 
 from tasks.gait.branch import Branch
@@ -21,7 +22,8 @@ from tasks.gait.special_points import located
 from tasks.gait.stride import Stride
 from tasks.ledger.lab import Line, line
 from tasks.ledger.printed import HALF_UNITS
-from tasks.mechanics.equations import constants_of
+from tasks.mechanics.equations import Symbols, constants_of
+from tasks.mechanics.impacts import heelstrike
 from tasks.walkers.catalogue import _exactly_tuned
 from tasks.walkers.parameters import Walker
 
@@ -162,7 +164,7 @@ def _candidates(problem: Problem, branch: Branch, test: str) -> list[np.ndarray]
     stride, _ = problem.stride(np.delete(branch.Z, m, axis=1).T, X[m], slope=True)
     values = TESTS[test](stride, X)
     # A step from pole to pole is no root: values on both sides must be small.
-    turns = np.nonzero((np.sign(values[1:]) != np.sign(values[:-1])) & (np.abs(values[1:] - values[:-1]) < 2))[0]
+    turns = np.nonzero((np.sign(values[1:]) != np.sign(values[:-1])) & (np.abs(np.diff(values)) < 2))[0]
 
     def at(point: Point, way: np.ndarray) -> float:
         return float(TESTS[test](point.stride, point.X)[0])
@@ -181,10 +183,54 @@ def _values(walkers: list[Walker], X: np.ndarray, times: np.ndarray, test: Test)
     return np.vstack([residual.T, test(stride, X)[None]]), derivative
 
 
+def _grazing(walkers: list[Walker], Z: np.ndarray) -> np.ndarray:
+    """G of a straight-legged gait whose heelstrike is tangential, shape (m + 2, n), with the period an unknown.
+
+    Notes
+    -----
+    There the period has no derivative by the state, so Z = (ln angle, rates/angle, period, ln slope) and
+    G = (heelstrike of the final state - start, height of the foot, its closing rate).
+    """
+    problem = Lanes(walkers)
+    m = problem.m
+    angle = np.exp(Z[0])
+    scale = np.exp2(np.floor(np.log2(angle)))
+    y = np.vstack([angle, angle * Z[1:m]]) / scale
+    parameters = problem.parameters(np.exp(Z[m + 1]), scale)
+    stride = problem.map(y, Z[m:m + 1], parameters, True, 1)
+    assert stride.motion is not None
+    a, b, a_rate, b_rate = stride.motion[-1][-1]
+    p = Symbols(problem.structure, variables=True)
+    names = hy.make_vars("angle", "stance", "swing")
+    strike = hy.cfunc(heelstrike(p, *names, False), vars=[*names, *p.variables])
+    rates = strike(np.ascontiguousarray(np.vstack([b, a_rate, b_rate, parameters])))[: m - 1]
+    return np.vstack([b - y[0], rates - y[1:], a + b, a_rate + b_rate]) / y[0]
+
+
+def grazing_sensitivities(mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str],
+                          step: float = STEP) -> np.ndarray:
+    """dX/dp of the end where heelstrike turns tangential, as `sensitivities`."""
+    Z = np.concatenate([X[:-1], times, X[-1:]])
+    sizes = np.array([_size(base, k) for k in keys]) * step
+    walkers, places, n = [], [], len(Z)
+    for factor in (1.0, -1.0, 2.0, -2.0):
+        walkers += [base] * n + [changed(mark.walker, base, k, factor * size) for k, size in zip(keys, sizes)]
+        places += [*(Z + factor * step * np.eye(n)), *([Z] * len(keys))]
+    slopes = _central(_grazing(walkers, np.array(places).T), np.concatenate([np.full(n, step), sizes]))
+    by = -np.linalg.solve(slopes[:, :n], slopes[:, n:])
+    return np.vstack([by[: len(X) - 1], by[-1:]])
+
+
+def _central(values: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Derivatives from values at +h, -h, +2h, -2h, side by side."""
+    one, less, two, less2 = np.split(values, 4, axis=1)
+    return (8 * (one - less) - (two - less2)) / (12 * h)
+
+
 def sensitivities(mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str],
                   step: float = STEP) -> np.ndarray:
     """dX/dp of a landmark for each key, shape (m + 1, keys)."""
-    m, n = len(X) - 1, len(keys)
+    m = len(X) - 1
     sizes = np.array([_size(base, k) for k in keys]) * step
     walkers, places = [], []
     for factor in (1.0, -1.0, 2.0, -2.0):
@@ -198,9 +244,7 @@ def sensitivities(mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker
     places.append(X)
     lanes = np.array(places).T
     G, derivative = _values(walkers, lanes, np.repeat(times[:, None], lanes.shape[1], axis=1), TESTS[mark.test])
-    one, less, two, less2 = (G[:, k * (m + 1 + n):(k + 1) * (m + 1 + n)] for k in range(4))
-    h = np.concatenate([np.full(m + 1, step), sizes])
-    slopes = (8 * (one - less) - (two - less2)) / (12 * h)
+    slopes = _central(G[:, :-1], np.concatenate([np.full(m + 1, step), sizes]))
     G_X = slopes[:, : m + 1]
     G_X[:m] = derivative[-1]
     return -np.linalg.solve(G_X, slopes[:, m + 1:])
@@ -222,7 +266,8 @@ def interval(name: str) -> Interval:
     half = dict(HALF_UNITS[mark.walker])
     keys = list(half)
     slope, angle = float(np.exp(X[-1])), float(np.exp(X[0]))
-    by = sensitivities(mark, X, times, found.walker, keys)
+    differentiate = grazing_sensitivities if mark.test == "end_tangential_heelstrike" else sensitivities
+    by = differentiate(mark, X, times, found.walker, keys)
     sensitivity = {k: slope * float(d) for k, d in zip(keys, by[-1])}
     total = sum(abs(sensitivity[k]) * half[k] for k in keys)
     return Interval(slope, angle, slope - total, slope + total, sensitivity,

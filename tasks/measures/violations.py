@@ -5,6 +5,7 @@ Every item is a flag and an amount, computed on the chain of four links whose st
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -171,58 +172,64 @@ def _heelstrike(chain: Chain, first: Phase, impact: np.ndarray) -> tuple[np.ndar
     return ground, lock
 
 
-def _dimensionless(chain: Chain, motion: list[np.ndarray], impact: np.ndarray, times: np.ndarray,
-                   slope: np.ndarray) -> Arrays:
-    phases = _phases(motion, times)
+def _moving(chain: Chain, phases: list[Phase], slope: np.ndarray) -> Arrays:
+    """Items 1 to 3 between the impacts."""
     n = len(slope)
-    least, friction = np.full(n, np.inf), np.zeros(n)
-    scuff, torque, when = np.zeros(n), np.full(n, -np.inf), np.zeros(n)
+    least, friction, scuff = np.full(n, np.inf), np.zeros(n), np.zeros(n)
+    torque, when = np.full(n, -np.inf), np.zeros(n)
     for phase in phases:
         acceleration = chain.accelerations(phase.q, phase.rate, slope, phase.free_knee)
         force = chain.ground_force(phase.q, phase.rate, acceleration, slope)
         least = np.minimum(least, -greatest(-force.imag)[0])
         demand = _ratio(force)
         pulls = np.isinf(demand).any(axis=0)
-        worst = greatest(np.where(pulls, 0.0, demand))[0]
-        friction = np.maximum(friction, np.where(pulls, np.inf, worst))
+        friction = np.maximum(friction, np.where(pulls, np.inf, greatest(np.where(pulls, 0.0, demand))[0]))
         depth = -chain.height(phase.q)
-        if phase is phases[0]:
-            depth[0] = 0.0
-        if phase is phases[-1]:
-            depth[-1] = 0.0
+        # Both feet touch when the step begins and when it ends: what is left there is rounding.
+        depth[0] = 0.0 if phase is phases[0] else depth[0]
+        depth[-1] = 0.0 if phase is phases[-1] else depth[-1]
         scuff = np.maximum(scuff, greatest(depth)[0])
         if not chain.kneed:
             scuff = np.maximum(scuff, _passing(chain, phase, acceleration))
-        if chain.kneed:
-            worst, at = greatest(-chain.holding(phase.q, phase.rate, acceleration, slope))
-            later = worst > torque
-            torque = np.where(later, worst, torque)
-            begin, end = phase.time[0], phase.time[-1]
-            when = np.where(later, begin + at / (len(phase.time) - 1) * (end - begin), when)
+            continue
+        worst, at = greatest(-chain.holding(phase.q, phase.rate, acceleration, slope))
+        later = worst > torque
+        begin, end = phase.time[0], phase.time[-1]
+        torque = np.where(later, worst, torque)
+        when = np.where(later, begin + at / (len(phase.time) - 1) * (end - begin), when)
+    knee = {"unlocking_torque": torque, "unlocking_torque_time": when} if chain.kneed else {}
+    return {"scuff_depth": scuff, "least_normal_force": least, "friction_demand": friction, **knee}
+
+
+def _struck(chain: Chain, phases: list[Phase], impact: np.ndarray) -> tuple[Arrays, np.ndarray]:
+    """Items 2 and 3 at the impacts, and whether one of them pulls at the ground."""
     ground, lock = _heelstrike(chain, phases[0], impact)
-    absent = np.full(n, np.nan)
-    found = {"scuff_depth": scuff, "least_normal_force": least, "friction_demand": friction,
-             "friction_demand_heelstrike": _ratio(ground), "friction_demand_kneestrike": absent,
-             "unlocking_torque": absent, "unlocking_torque_time": absent, "unlocking_impulse_kneestrike": absent,
-             "unlocking_impulse_heelstrike": absent, "hyperextension": absent}
-    found |= _released(chain, phases[0], slope)
-    pulled = (least < 0) | (ground.imag < 0)
-    opened = np.zeros(n, bool)
-    strikes = found["friction_demand_heelstrike"]
+    found = {"friction_demand_heelstrike": _ratio(ground)}
+    pulls = ground.imag < 0
     if chain.kneed:
-        q = phases[1].q[:, 0]
-        jump = phases[1].rate[:, 0] - phases[0].rate[:, -1]
+        q, jump = phases[1].q[:, 0], phases[1].rate[:, 0] - phases[0].rate[:, -1]
         M, ground = chain.matrix(q), chain.momentum(q, jump)
-        found |= {"unlocking_torque": torque, "unlocking_torque_time": when, "unlocking_impulse_heelstrike": -lock,
-                  "unlocking_impulse_kneestrike": -total(M[THIGH][j] * jump[j] for j in range(4)),
-                  "friction_demand_kneestrike": _ratio(ground)}
-        pulled |= ground.imag < 0
-        opened = ((torque > 0) | (found["unlocking_impulse_kneestrike"] > 0)
-                  | (found["unlocking_impulse_heelstrike"] > 0))
-        strikes = np.maximum(strikes, found["friction_demand_kneestrike"])
-    flags = {"scuff": scuff > 0, "stance_knee_unlocks": opened, "contact_tension": pulled,
-             "friction": np.maximum(friction, strikes) > FRICTION_LIMIT,
-             "release_hyperextends": found.pop("release_hyperextends", opened & False),
+        found |= {"friction_demand_kneestrike": _ratio(ground), "unlocking_impulse_heelstrike": -lock,
+                  "unlocking_impulse_kneestrike": -total(M[THIGH][j] * jump[j] for j in range(4))}
+        pulls |= ground.imag < 0
+    return found, pulls
+
+
+def _dimensionless(chain: Chain, motion: list[np.ndarray], impact: np.ndarray, times: np.ndarray,
+                   slope: np.ndarray) -> Arrays:
+    """Every amount, with the flags that follow from them; what is absent is left out."""
+    phases = _phases(motion, times)
+    struck, pulls = _struck(chain, phases, impact)
+    found = _moving(chain, phases, slope) | struck | _released(chain, phases[0], slope)
+
+    def worst(*names: str) -> np.ndarray:
+        return functools.reduce(np.maximum, [found[k] for k in names if k in found], np.full(len(slope), -np.inf))
+
+    opened = worst("unlocking_torque", "unlocking_impulse_kneestrike", "unlocking_impulse_heelstrike") > 0
+    slips = worst("friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike") > FRICTION_LIMIT
+    flags = {"scuff": found["scuff_depth"] > 0, "stance_knee_unlocks": opened,
+             "contact_tension": (found["least_normal_force"] < 0) | pulls, "friction": slips,
+             "release_hyperextends": found.pop("release_hyperextends", np.zeros(len(slope), bool)),
              "release_penetrates": found.pop("release_penetrates"),
              "trailing_foot_pulls": found["trailing_impulse"] > 0}
     found["violations"] = total(flags[name].astype(np.int32) << k for k, name in enumerate(VIOLATIONS))
@@ -252,7 +259,8 @@ def measure(walker: Walker, motion: list[np.ndarray], impact: np.ndarray, times:
     Notes
     -----
     Amounts are positive where the assumption is broken. Torque and impulses of the stance knee keep their sign: a
-    negative one is what its stop can give. The trailing impulse is that of the smallest complementarity problem in
+    negative one is what its stop can give. A contact counts as pulled by the force of the motion or by an impulse; the
+    friction it demands is then infinite. The trailing impulse is that of the smallest complementarity problem in
     which the foot let go may be pushed but not pulled, without friction, while the new contact holds.
     """
     chain = Chain(walker)
@@ -265,7 +273,7 @@ def measure(walker: Walker, motion: list[np.ndarray], impact: np.ndarray, times:
             found = _dimensionless(chain, [m[..., lanes] for m in motion], impact[:, lanes], times[:, lanes],
                                    slope[lanes])
         for name in names:
-            parts[name].append(found[name])
+            parts[name].append(found[name] if name in found else np.full(len(slope[lanes]), np.nan))
     unit = _units(walker)
     joined = {name: np.concatenate(part) if part else np.zeros(0) for name, part in parts.items()}
     return {name: x if x.dtype == np.int32 else x * unit[VARIABLES[name].kind] for name, x in joined.items()}

@@ -3,9 +3,6 @@
 import os
 import sys
 
-import pipeline.graph
-import pipeline.plan
-import pipeline.study
 from pipeline import cli
 from tasks import registry
 

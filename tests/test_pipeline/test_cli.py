@@ -42,8 +42,10 @@ def test_a_small_plan_is_quick_and_loads_no_solver(tmp_path):
     assert not list(tmp_path.glob("data*"))
 
 
-@pytest.mark.parametrize("axes", ["slope = { from = 1e-4, to = 0.2, n = 1000000 }",
-                                  "slope = { from = 1e-4, to = 0.2, n = 1000 }\nw_t = { from = 0, to = 0.1, n = 1000 }"])
+@pytest.mark.parametrize("axes", [
+    "slope = { from = 1e-4, to = 0.2, n = 1000000 }",
+    "slope = { from = 1e-4, to = 0.2, n = 1000 }\nw_t = { from = 0, to = 0.1, n = 1000 }",
+])
 def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
     (tmp_path / "s.toml").write_text(f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n')
     assert quickest("plan", "s.toml", cwd=tmp_path, tries=3) < 1.0
@@ -57,7 +59,8 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
 @pytest.mark.parametrize(("arguments", "said"), [
     (["run"], "The following arguments are required: STUDY.toml (gaitsweep run --help)."),
     (["run", "none.toml"], "There is no file none.toml."),
-    (["run", "s.toml", "--jobs", "0"], "Argument --jobs: must be a whole number of at least 1; got 0 (gaitsweep run --help)."),
+    (["run", "s.toml", "--jobs", "0"],
+     "Argument --jobs: must be a whole number of at least 1; got 0 (gaitsweep run --help)."),
     (["run", "s.toml", "t.toml", "--archive", "x.nc"], "`--archive` names one file, but there are several studies."),
     (["run", "s.toml", "--archive", "s.toml/x.nc"], "s.toml cannot be written: File exists."),
     (["run", "s.toml", "--cluster", "nowhere"], "`--cluster` must be tcp://HOST:PORT or local:N; got nowhere."),

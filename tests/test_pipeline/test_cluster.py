@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from conftest import ROOT, TOYS
+from conftest import ROOT, TOYS, Toy
 
 pytest.importorskip("distributed")
 
@@ -22,7 +22,7 @@ class Cluster:
 
     def __init__(self, folder):
         self.folder = folder
-        self.environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{TOYS}", "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "error"}
+        self.environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{TOYS}"}
         self.file = folder / "scheduler.json"
         self.scheduler = self._start("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
                                      "--no-dashboard", "--scheduler-file", self.file)
@@ -33,13 +33,14 @@ class Cluster:
         self.workers = []
 
     def _start(self, module, *arguments):
-        return subprocess.Popen([sys.executable, "-m", module, *map(str, arguments)], env=self.environment, cwd=self.folder,
-                                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
+        quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+        return subprocess.Popen([sys.executable, "-m", module, *map(str, arguments)], env=self.environment,
+                                cwd=self.folder, **quiet)
 
     def add_worker(self, **environment):
         self.environment |= environment
-        self.workers.append(self._start("distributed.cli.dask_worker", self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny",
-                                        "--no-dashboard", "--death-timeout", "30"))
+        self.workers.append(self._start("distributed.cli.dask_worker", self.address, "--host", "127.0.0.1",
+                                        "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "30"))
 
     def close(self):
         for process in (*self.workers, self.scheduler):
@@ -54,10 +55,12 @@ def cluster(tmp_path):
     found.close()
 
 
-@pytest.fixture
-def whole(toy):
-    toy("run", "toy.toml", "--archive", "whole.nc")
-    return (toy.folder / "whole.nc").read_bytes()
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    toy = Toy(tmp_path_factory.mktemp("whole"))
+    toy.write()
+    toy("run", "toy.toml")
+    return toy.bytes()
 
 
 def test_a_cluster_gives_the_same_bytes(toy, whole, cluster):
@@ -69,13 +72,16 @@ def test_a_cluster_gives_the_same_bytes(toy, whole, cluster):
 
 @pytest.mark.soak
 def test_no_cluster_is_exit_3(toy):
-    done = toy("run", "toy.toml", "--cluster", "tcp://127.0.0.1:9", expect=3, DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT="1s")
-    assert done.stderr.count("\n") == 1 and "No cluster with a worker answers at tcp://127.0.0.1:9." in done.stderr
+    done = toy("run", "toy.toml", "--cluster", "tcp://127.0.0.1:9", expect=3)
+    assert done.stderr.count("\n") == 1
+    assert "No cluster with a worker answers at tcp://127.0.0.1:9." in done.stderr
 
 
 @pytest.mark.soak
-def test_a_local_cluster_gives_the_same_bytes(toy, whole):
-    toy("run", "toy.toml", "--cluster", "local:2", "--chunk", 50)
+@pytest.mark.parametrize("workers", [1, 2, 3])
+@pytest.mark.parametrize("chunk", [7, 64, 1000, 1])
+def test_a_local_cluster_gives_the_same_bytes(toy, whole, workers, chunk):
+    toy("run", "toy.toml", "--cluster", f"local:{workers}", "--chunk", chunk)
     assert toy.bytes() == whole
 
 

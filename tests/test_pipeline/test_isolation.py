@@ -35,7 +35,7 @@ def innocent(tmp_path_factory):
 
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_a_bad_point_gets_a_status_and_all_others_keep_their_bits(toy, innocent, trouble):
-    toy.write(LIMITED)
+    toy.write(LIMITED.replace("= 0.5", "= 5") if trouble == "eat" else LIMITED)
     toy("run", "toy.toml", expect=1, TOY_TROUBLE=f"{trouble}@0.05")
     found = opened(toy)
     status, words = TROUBLES[trouble]

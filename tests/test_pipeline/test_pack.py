@@ -8,7 +8,8 @@ from hypothesis.extra import numpy as hnp
 
 from pipeline import pack
 
-_ARRAYS = hnp.arrays(st.sampled_from(["f8", "i1", "i2", "i4", "U3", "b1"]), hnp.array_shapes(max_dims=3, min_side=0, max_side=4))
+_ARRAYS = hnp.arrays(st.sampled_from(["f8", "i1", "i2", "i4", "U3", "b1"]),
+                     hnp.array_shapes(max_dims=3, min_side=0, max_side=4))
 
 
 @settings(deadline=None, max_examples=60)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from conftest import STUDY
+from conftest import STUDY, Toy
 
 SLOW = {"TOY_SECONDS": "0.002"}
 
@@ -47,20 +47,19 @@ def alive(pids):
     return found
 
 
-@pytest.fixture
-def whole(toy):
-    """Bytes of an undisturbed run, which is then forgotten."""
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Bytes of an undisturbed run."""
+    toy = Toy(tmp_path_factory.mktemp("whole"))
+    toy.write()
     toy("run", "toy.toml")
-    bytes_ = toy.bytes()
-    for file in (toy.folder / "data" / "archive").iterdir():
-        file.unlink()
-    return bytes_
+    return toy.bytes()
 
 
-@pytest.mark.parametrize("options", [("--jobs", "1"), ("--jobs", "3"), ("--chunk", "1"), ("--chunk", "7"), ("--chunk", "64")],
-                         ids=" ".join)
-def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, options):
-    toy("run", "toy.toml", *options, OMP_NUM_THREADS="2", OPENBLAS_NUM_THREADS="2")
+@pytest.mark.parametrize(("jobs", "chunk"), [(1, 7), (3, 64), *(
+    pytest.param(jobs, chunk, marks=pytest.mark.soak) for jobs in (1, 2, 3) for chunk in (1, 7, 64, 1000))])
+def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, jobs, chunk):
+    toy("run", "toy.toml", "--jobs", jobs, "--chunk", chunk, OMP_NUM_THREADS="2", OPENBLAS_NUM_THREADS="2")
     assert toy.bytes() == whole
 
 
@@ -152,7 +151,8 @@ def test_a_plan_equals_what_runs(toy):
     assert [e["task"] for e in last if e["event"] == "task"] == ["scaling"]
 
 
-@pytest.mark.parametrize("part", [0.02, 0.4, 0.8, 0.99])
+@pytest.mark.parametrize("part", [0.4, *(
+    pytest.param(part, marks=pytest.mark.soak) for part in (0, 0.02, 0.2, 0.6, 0.8, 0.99))])
 def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, part):
     toy("run", "toy.toml", "--chunk", 10)
     size = journal(toy).stat().st_size

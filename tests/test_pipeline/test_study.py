@@ -126,10 +126,10 @@ _VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
     | st.sampled_from(["E", "A", "log", "slope", "long", "period", "../x.toml", "2 GiB", "nan"]),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(
-        st.sampled_from(["from", "to", "n", "spacing", "base", "slope", "m_s", "seconds", "variables"]) | st.text(max_size=4),
-        inner, max_size=4), max_leaves=8)
-_STUDIES = st.fixed_dictionaries({}, optional={
-    key: _VALUES for key in ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options", "x")})
+        st.sampled_from(["from", "to", "n", "spacing", "base", "slope", "m_s", "seconds", "variables"])
+        | st.text(max_size=4), inner, max_size=4), max_leaves=8)
+_STUDIES = st.fixed_dictionaries({}, optional=dict.fromkeys(
+    ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options", "x"), _VALUES))
 
 
 def _fuzz(path, table):

@@ -138,10 +138,16 @@ def _branch_marks(axes: Axes, frame: pd.DataFrame, title: str, command: str) -> 
 def _special(axes: Axes, points: pd.DataFrame, numbered: bool, command: str) -> list[Marks]:
     if not {"kind", "slope", "stance_angle"} <= set(points.columns):
         return []
-    for row in points.itertuples():
+    placed: list[tuple[float, float]] = []
+    wide, high = np.maximum(axes.dataLim.size, 1e-300)
+    # Folds and ends are labelled first: where points crowd, those are the ones to read.
+    order = points["kind"].astype(str).str.startswith(("fold", "end")).sort_values(ascending=False, kind="stable").index
+    for row in points.loc[order].itertuples():
         kind = str(row.kind)
         axes.plot(row.slope, row.stance_angle, _SHAPES.get(kind, "^"), color=INK, mfc=PAPER, ms=5, zorder=5)
-        if not numbered:
+        near = any(abs(row.slope - x) < 0.3 * wide and abs(row.stance_angle - y) < 0.045 * high for x, y in placed)
+        if not (numbered or near):
+            placed.append((row.slope, row.stance_angle))
             axes.annotate(
                 f"({plain(row.slope, 3)}, {plain(row.stance_angle, 3)})",
                 (row.slope, row.stance_angle),

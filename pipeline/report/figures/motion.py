@@ -114,7 +114,7 @@ def angles(source: Source) -> Sketch | None:
 def _middle(found: list[Stride]) -> Stride | None:
     """The long step nearest the middle of the traced slopes, else the first."""
     long = [s for s in found if s.gait == "long"] or found
-    return long[len(long) // 2] if long else None
+    return long[(len(long) - 1) // 2] if long else None
 
 
 def _strobe(axes: Axes, stride: Stride, moments: int = 6) -> None:

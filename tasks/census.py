@@ -1,0 +1,127 @@
+"""How many gaits are there? Newton from low-discrepancy starts over the whole admissible section."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping
+
+import numpy as np
+
+from tasks.gait.fixed_point import Problem, gait_ratio, judged, newton
+from tasks.gait.stability import multipliers
+from tasks.gait.strides import STRUCK, stride
+from tasks.walkers.parameters import resolve
+
+Arrays = dict[str, np.ndarray]
+#: Starts at each slope where a study is silent.
+OPTIONS = {"starts": 2000}
+#: Widest admissible stance angle [rad]; the narrowest is this share of the slope: half the linear law's.
+WIDEST, NARROWEST = 0.8, 0.5
+#: Stance rate over angle: from a walker that barely crosses the vertical to one that runs over it.
+CROSSING = (-4.0, -0.7)
+#: Swing rate over the stance rate's size.
+SWING = (-1.6, 1.6)
+#: Solutions nearer than this in similarity coordinates are one.
+SAME = 1e-5
+GAITS = ("slope", "gait", "anthropomorphic", "passes", "stance_angle", "stance_rate", "period", "spectral_radius", "hits")
+COVER = ("slope", "starts", "struck", "converged", "gaits", "anthropomorphic", "non_anthropomorphic", "not_steps",
+         "found_once", "unseen")
+
+
+def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Every period-one gait of a line that Newton finds from starts all over its section.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `slope`, ndarray, shape (n,) [rad]; and the study's option `starts` at each slope.
+    inputs : list
+        Nothing.
+
+    Returns
+    -------
+    dict
+        Tables `census` (a row per distinct gait: slope, gait, anthropomorphic, passes, stance_angle, stance_rate,
+        period, spectral_radius, hits) and `coverage` (slope, starts, struck, converged, gaits, anthropomorphic,
+        non_anthropomorphic, not_steps, found_once, unseen).
+
+    Notes
+    -----
+    Starts fill the box of stance angle (evenly in its logarithm), stance rate over angle and swing rate over stance rate
+    by an additive recurrence. A start is flown to its strikes, which gives Newton its event times. `unseen` is Good's
+    and Turing's estimate of the share of converging starts that would lead to a gait not found yet: solutions found
+    exactly once, over starts that converged (at least one is assumed, so it is never zero).
+    """
+    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    problem = Problem(walker)
+    second = np.sqrt(walker.leg / walker.g)
+    rows: dict[str, list[Any]] = {k: [] for k in GAITS}
+    cover: dict[str, list[Any]] = {k: [] for k in COVER}
+    for slope in np.asarray(params["slope"], float):
+        y = starts(problem, float(slope), int(params.get("starts", OPTIONS["starts"])))
+        flown = stride(problem, y, np.full(y.shape[1], slope), exact=False)
+        struck = flown.outcome == STRUCK
+        w, hits, converged = _solved(problem, y[:, struck], flown.times[:, struck], float(slope))
+        counts = {"anthropomorphic": 0, "non_anthropomorphic": 0, "not_steps": 0}
+        if w.shape[1]:
+            at, verdict = judged(problem, w, np.full(w.shape[1], np.log(slope)))
+            radius = np.abs(multipliers(at.jacobian, problem.m)).max(axis=1)
+            human = verdict.anthropomorphic
+            counts = {"anthropomorphic": int(human.sum()), "non_anthropomorphic": int((verdict.step & ~human).sum()),
+                      "not_steps": int((~verdict.step).sum())}
+            for i in np.nonzero(verdict.step)[0]:
+                values = (slope, "long" if gait_ratio(at)[i] < 0.5 else "short", int(human[i]), int(verdict.passes[i]),
+                          np.exp(w[0, i]), np.exp(w[0, i]) * w[1, i] / second, w[-1, i] * second, radius[i], int(hits[i]))
+                for key, value in zip(GAITS, values):
+                    rows[key].append(value)
+        once = int((hits == 1).sum())
+        for key, value in zip(COVER, (slope, y.shape[1], int(struck.sum()), converged, w.shape[1] - counts["not_steps"],
+                                      *counts.values(), once, max(once, 1) / max(converged, 1))):
+            cover[key].append(value)
+    return {f"census/{k}": np.array(v) for k, v in rows.items()} | {f"coverage/{k}": np.array(v) for k, v in cover.items()}
+
+
+def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
+    """Low-discrepancy starts over the admissible section, shape (m, count) [rad, rad/sqrt(leg/g)]."""
+    # Powers of the generalised golden ratio: x^(m + 1) = x + 1.
+    ratio = {2: 1.32471795724474602596, 3: 1.22074408460575947536}[problem.m]
+    unit = (0.5 + np.array([ratio ** -(i + 1) for i in range(problem.m)])[:, None] * np.arange(1, count + 1)) % 1
+    low, high = np.log(NARROWEST * slope), np.log(WIDEST)
+    angle = np.exp(low + (high - low) * unit[0])
+    rate = angle * (CROSSING[0] + (CROSSING[1] - CROSSING[0]) * unit[1])
+    if problem.m == 2:
+        return np.vstack([angle, rate])
+    return np.vstack([angle, rate, -rate * (SWING[0] + (SWING[1] - SWING[0]) * unit[2])])
+
+
+def _solved(problem: Problem, y: np.ndarray, times: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Distinct fixed points, how many starts led to each, and how many converged at all."""
+    q = np.log(slope)
+    w = np.vstack([np.log(y[0]), y[1:] / y[0], times])
+    if problem.phases == 2:
+        # Three links are dear: every start flies roughly, and only distinct ends are flown exactly.
+        near = newton(problem, w, np.full(w.shape[1], q), rough=True)
+        w, hits = _distinct(near.w[:, near.converged], np.ones(int(near.converged.sum()), int), 1e-3)
+        converged = int(near.converged.sum())
+    else:
+        hits, converged = np.ones(w.shape[1], int), -1
+    exact = newton(problem, w, np.full(w.shape[1], q))
+    if converged < 0:
+        converged = int(exact.converged.sum())
+    w, hits = _distinct(exact.w[:, exact.converged], hits[exact.converged], SAME)
+    return w, hits, converged
+
+
+def _distinct(w: np.ndarray, hits: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of w nearer than `apart` taken together, in order of their angle, with the sum of their hits."""
+    order = np.lexsort(np.round(w, 6)[::-1])
+    kept: list[int] = []
+    count: list[int] = []
+    for i in order:
+        for k, j in enumerate(kept):
+            if np.abs(w[:, i] - w[:, j]).max() <= apart:
+                count[k] += int(hits[i])
+                break
+        else:
+            kept.append(int(i))
+            count.append(int(hits[i]))
+    return w[:, kept], np.array(count, int)

@@ -1,0 +1,137 @@
+"""Curves of folds, flips and ends of walking in slope and one more key of a walker."""
+
+from __future__ import annotations
+
+from typing import Any, Mapping
+
+import numpy as np
+
+from tasks.gait import atlas as atlases
+from tasks.gait.branch import Branch
+from tasks.gait.curves import SCALARS, Curve, Point, follow, turning
+from tasks.gait.fixed_point import Problem
+from tasks.gait.special_points import special_points
+from tasks.walkers.parameters import Walker, WalkerError, resolve
+
+Arrays = dict[str, np.ndarray]
+#: Kinds of points that are followed where a study is silent.
+KINDS = ("fold", "flip")
+COLUMNS = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "walks")
+TURNS = ("curve", "kind", "turn", "slope", "key", "value", "stance_angle", "period", "error_bound")
+
+
+def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Follow a line's special points as one key moves.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`, where the curves begin; `slope`, ndarray [rad], whose ends are the window; and the study's options:
+        `key` (a walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range, and `kinds` of points.
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Tables `curves` (curve, kind, slope, key, value, stance_angle, period, walks) and `turnings` (where along a
+        curve the key or the slope turns back: curve, kind, turn, slope, key, value, stance_angle, period,
+        error_bound).
+
+    Raises
+    ------
+    WalkerError
+        If the key is none of the walker's, or the range is empty.
+    """
+    line, key = params["line"], str(params.get("key", "detuning"))
+    low, high = float(params.get("from", 0.0)), float(params.get("to", 1.0))
+    if not low < high:
+        raise WalkerError("from", low, f"must be less than `to` = {high!r}")
+
+    def walker_at(value: float) -> Walker:
+        return resolve(line["walker"], {**line.get("set", {}), key: value})
+
+    walker_at(0.5 * (low + high))
+    here = resolve(line["walker"], line.get("set"))
+    own = line.get("set", {}).get(key, 0.0 if key == "detuning" else _ratio(here) if key == "foot_mass_ratio"
+                                  else getattr(here, key))
+    problem = Problem(here)
+    second = np.sqrt(here.leg / here.g)
+    slope = np.asarray(params["slope"], float)
+    window = {"q": (np.log(slope.min()), np.log(slope.max())), "key": (low, high)}
+    rows: dict[str, list[Any]] = {k: [] for k in COLUMNS}
+    turns: dict[str, list[Any]] = {k: [] for k in TURNS}
+    seen: list[tuple[str, np.ndarray]] = []
+    number = 0
+    for kind, U, times in _seeds(problem, atlases.from_arrays(inputs[0]), params.get("kinds", KINDS), window):
+        equations = Curve(kind, walker_at, float(own), high - low)
+        border = np.zeros(len(U) + 1)
+        border[-1] = 1.0
+        first = equations.correct(np.append(U, own / (high - low)), times, border)
+        if not first.ok or any(k == kind and np.abs(first.U - p).max() < 1e-3 for k, p in seen):
+            continue
+        points = _both_ways(equations, first, window)
+        # A curve that comes back to the line it began on passes through another of its points.
+        seen += [(kind, p.U) for p in _back_at(equations, points, first)]
+        for p in points:
+            for name, value in zip(COLUMNS, (number, kind, np.exp(p.U[-2]), key, p.U[-1] * equations.scale, np.exp(p.U[0]),
+                                             p.times[-1] * second, int(equations.walks(p)))):
+                rows[name].append(value)
+        for component, turn in ((-1, "key"), (-2, "slope")):
+            for a, b in zip(points[:-1], points[1:]):
+                p = turning(equations, a, b, component)
+                if p is not None and p.ok:
+                    for name, value in zip(TURNS, (number, kind, turn, np.exp(p.U[-2]), key, p.U[-1] * equations.scale,
+                                                   np.exp(p.U[0]), p.times[-1] * second, 1e-9 + p.error)):
+                        turns[name].append(value)
+        number += 1
+    return {f"curves/{k}": np.array(v) for k, v in rows.items()} | {
+        f"turnings/{k}": np.array(v) for k, v in turns.items()}
+
+
+def _ratio(walker: Walker) -> float:
+    return walker.m_s / walker.total_mass
+
+
+def _seeds(problem: Problem, branches: list[Branch], kinds: Any,
+           window: Mapping[str, tuple[float, float]]) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Special points of a line's branches to begin at: kind, (w, q) and event times."""
+    found = []
+    m = problem.m
+    for branch in branches:
+        for point in special_points(problem, branch):
+            q = np.log(float(point["slope"]))
+            if point["kind"] not in kinds or point["kind"] not in SCALARS:
+                continue
+            if not window["q"][0] <= q <= window["q"][1]:
+                continue
+            # Folds have a node of their own; between nodes the branch's polynomial is as good as a solution.
+            angle = np.log(float(point["stance_angle"]))
+            near = [branch.Z[np.argmin(np.abs(branch.Z[:, [0, m]] - [angle, q]).max(axis=1))]]
+            near += [Z[0] for _, Z, _ in branch.guesses(np.array([q]))]
+            Z = min(near, key=lambda z: abs(z[0] - angle) + abs(z[m] - q))
+            found.append((str(point["kind"]), Z[:m + 1], Z[m + 1:]))
+    return found
+
+
+def _both_ways(equations: Curve, first: Point, window: Mapping[str, tuple[float, float]]) -> list[Point]:
+    """The curve through a point, from its falling to its rising end."""
+    down = follow(equations, Point(first.U, first.times, first.tangent.copy(), True, first.error), -1.0, window)
+    up = follow(equations, Point(first.U, first.times, first.tangent.copy(), True, first.error), 1.0, window)
+    for p in down:
+        p.tangent = -p.tangent
+    return down[:0:-1] + up
+
+
+def _back_at(equations: Curve, points: list[Point], first: Point) -> list[Point]:
+    """Where a curve crosses the key value it began at."""
+    found = [first]
+    border = np.zeros(len(first.U))
+    border[-1] = 1.0
+    value = first.U[-1]
+    for a, b in zip(points[:-1], points[1:]):
+        if (a.U[-1] - value) * (b.U[-1] - value) < 0:
+            h = (value - a.U[-1]) / (b.U[-1] - a.U[-1])
+            p = equations.correct((1 - h) * a.U + h * b.U, (1 - h) * a.times + h * b.times, border)
+            found += [p] if p.ok else []
+    return found

@@ -1,0 +1,74 @@
+"""Who may import whom, who owns which name, and what the package list says."""
+
+import importlib.metadata
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_every_import_contract_is_kept():
+    from importlinter.cli import lint_imports
+
+    assert lint_imports(config_filename=str(ROOT / "pyproject.toml"), no_cache=True) == 0
+
+
+@pytest.mark.parametrize("name", ["tasks", "pipeline"])
+def test_each_import_name_has_one_owner_and_it_is_ours(name):
+    """Both names are taken elsewhere; a foreign package in site-packages would win silently."""
+    owners = set(importlib.metadata.packages_distributions().get(name, []))
+    assert owners <= {"gaitsweep"}
+    found = __import__(name)
+    assert Path(found.__file__).resolve().parent == ROOT / name
+    assert [Path(p).resolve() for p in found.__path__] == [ROOT / name]
+
+
+def test_the_package_list_is_whole():
+    listed = set(PROJECT["tool"]["setuptools"]["packages"])
+    there = {".".join(init.parent.relative_to(ROOT).parts) for name in ("tasks", "pipeline")
+             for init in (ROOT / name).rglob("__init__.py")}
+    assert there == listed
+
+
+def test_tests_are_no_packages():
+    assert not list((ROOT / "tests").rglob("__init__.py"))
+    assert not (ROOT / "tests" / "tasks").exists()
+
+
+def test_the_registry_imports_nothing_and_the_plan_no_solver():
+    program = ("import sys; import tasks.registry; before = set(sys.modules); import pipeline.plan;"
+               "print(*(m for m in sys.modules if m.startswith('tasks')))")
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert found.stdout.split() == ["tasks", "tasks.registry"]
+
+
+def test_files_are_of_a_size_to_be_read():
+    long = {str(f.relative_to(ROOT)): n for name in ("tasks", "pipeline") for f in (ROOT / name).rglob("*.py")
+            if (n := len(f.read_text().splitlines())) > 400}
+    assert not long
+
+
+def test_every_dependency_is_locked_with_its_hash():
+    lock = (ROOT / "requirements.lock").read_text()
+    pinned = {line.split("==")[0].lower() for line in lock.splitlines() if "==" in line}
+    project = PROJECT["project"]
+    wanted = [*project["dependencies"], *sum(project["optional-dependencies"].values(), [])]
+    assert {name.split(">")[0].lower() for name in wanted} <= pinned
+    assert lock.count("--hash=sha256:") >= len(pinned)
+    assert "http" not in lock and "/" not in lock
+
+
+def test_ruff_finds_nothing():
+    command = [sys.executable, "-m", "ruff", "check", "--no-cache", "."]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_mypy_finds_nothing():
+    done = subprocess.run([sys.executable, "-m", "mypy"], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
