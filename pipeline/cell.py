@@ -26,7 +26,7 @@ from pipeline.errors import WorkerError
 from tasks.registry import GAITS
 
 _LOOK = 0.1  # s between looks at a worker's memory
-_START = 120.0  # s a worker may take to load its task
+_START = 300.0  # s a worker may take to load its task
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
 _PIECES = 16  # a bad block is cut into as many
 _own = threading.local()
@@ -42,9 +42,9 @@ class Cell:
             raise WorkerError("The run is being stopped.")
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
         # A group of its own: Ctrl-C in a terminal reaches the parent alone. No buffer: `poll` must see every answer.
-        self.process = subprocess.Popen([sys.executable, "-P", "-m", "pipeline.worker"], env=environment,
-                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-                                        process_group=0, bufsize=0)
+        command = [sys.executable, "-P", "-m", "pipeline.worker", str(os.getpid())]
+        self.process = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                                        stderr=subprocess.DEVNULL, process_group=0, bufsize=0)
         for pipe in (self.process.stdin, self.process.stdout):
             with contextlib.suppress(OSError):
                 fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[arg-type]

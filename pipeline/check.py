@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,8 @@ from pipeline.worker import ALL_STATUSES
 from tasks.registry import ALWAYS, GAITS, VARIABLES
 
 SCHEMA = 1
+_PATIENCE, _PACE = 30.0, 5e6  # s, and byte per s, that reading an archive may take
+_ROWS = 1 << 20  # values read at a time
 Pair = tuple[np.ndarray, np.ndarray]
 _ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references", "provenance", "study", "kind",
                "checksums")
@@ -51,6 +55,39 @@ def opened(path: Path) -> Iterator[Any]:
     finally:
         with contextlib.suppress(RuntimeError):
             file.close()
+
+
+def probe(paths: Iterable[Path]) -> None:
+    """Let another process read the archives whole first: a mangled file can crash or hang the netCDF library.
+
+    Raises
+    ------
+    ArchiveError
+        If one does.
+    """
+    for path in paths:
+        size = path.stat().st_size if path.is_file() else 0
+        command = [sys.executable, "-P", "-m", "pipeline.check", str(path)]
+        try:
+            done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                                  stderr=subprocess.DEVNULL, timeout=_PATIENCE + size / _PACE)
+        except subprocess.TimeoutExpired as error:
+            raise ArchiveError(f"{path} is damaged: the netCDF library does not come back from it.") from error
+        if done.returncode:
+            raise ArchiveError(f"{path} is damaged: the netCDF library does not survive it.")
+
+
+def _read_whole(path: Path) -> None:
+    """Read all there is; what can be caught is left to those who read in earnest."""
+    with contextlib.suppress(Exception), opened(path) as file:
+        places = [file]
+        for place in places:
+            for variable in place.variables.values():
+                with contextlib.suppress(Exception):
+                    rows = max(1, _ROWS // max(1, int(np.prod(variable.shape[1:]))))
+                    for start in range(0, variable.shape[0] if variable.shape else 1, rows):
+                        variable[start:start + rows] if variable.shape else variable[...]
+            places += place.groups.values()
 
 
 def _line(error: Exception) -> str:
@@ -250,3 +287,7 @@ def _compare_groups(left: Any, right: Any, rtol: float, a: Path, b: Path, path: 
                 found += _different(f"{place}/{column}", x, y, rtol)
         found += _compare_groups(one, two, rtol, a, b, place)
     return found
+
+
+if __name__ == "__main__":
+    _read_whole(Path(sys.argv[1]))

@@ -115,6 +115,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("gaitsweep: Stopped.", file=sys.stderr)
         return 130
+    except Exception as error:
+        if "--debug" in given:
+            raise
+        print(f"gaitsweep: Internal error, {type(error).__name__}: {' '.join(str(error).split())[:300]}; "
+              "--debug shows where.", file=sys.stderr)
+        return 2
 
 
 def _archives(options: argparse.Namespace) -> list[tuple[Any, Path]]:
@@ -170,6 +176,7 @@ def _status(options: argparse.Namespace) -> int:
 def _report(options: argparse.Namespace) -> int:
     from pipeline import check
 
+    check.probe(options.archives)
     for path in options.archives:
         with check.opened(path):
             pass
@@ -245,6 +252,7 @@ def _tune(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from pipeline import check
 
+    check.probe([options.archive])
     found = check.verify(options.archive)
     print("\n".join(found) if found else f"{options.archive} is whole, complete and of this schema.")
     return 1 if found else 0
@@ -255,6 +263,7 @@ def _diff(options: argparse.Namespace) -> int:
 
     if not 0 <= options.rtol < 1:
         raise StudyError(f"`--rtol` must lie in [0, 1); got {options.rtol}.")
+    check.probe([options.a, options.b])
     found = check.diff(options.a, options.b, options.rtol)
     print("\n".join(found) if found else "They agree.")
     return 1 if found else 0

@@ -165,6 +165,8 @@ class Loop:
             except (GaitsweepError, KeyboardInterrupt):
                 raise
             except Exception as error:
+                if self.engine.address is None:
+                    raise
                 broken += 1
                 if broken > _TRIES:
                     raise WorkerError(f"Workers cannot be kept alive: {_line(error)}.") from error

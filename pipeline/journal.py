@@ -19,6 +19,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
+from urllib.parse import quote
 
 import numpy as np
 
@@ -40,6 +41,7 @@ _COLUMNS = {"points": "line, kin, variables, low, high, n, seconds, sum, slopes,
             "results": "key, kin, outcome, reason, seen, seconds, sum, data"}
 _LATEST = "FROM results WHERE key = ? ORDER BY id DESC LIMIT 1"
 _SYNC = 0.5  # s: how much finished work a power cut may cost
+_MANY, _FEW = 64, 1000  # blocks of a line, and points in one, from which they are put together
 _GIVE_UP = 5000  # lost rows in a row after which a torn table is taken to end
 
 
@@ -81,7 +83,7 @@ class Journal:
                         raise ArchiveError(f"{path} is not a journal of gaitsweep; move it away.")
             if write and there and _is_torn(path):
                 mend(path)
-            self._db = _connect(str(path) if there or write else ":memory:")
+            self._db = _connect(str(path) if there or write else ":memory:", write or not there)
         except (sqlite3.Error, OSError) as error:
             _fail(error, path)
 
@@ -181,6 +183,32 @@ class Journal:
         n, seconds = self._read(f"SELECT sum(n), sum(seconds) FROM ({latest})")[0]
         return seconds / n if n else None
 
+    def small_lines(self) -> list[str]:
+        """Keys of lines that are kept in many blocks of few points."""
+        return [key for (key,) in self._read(
+            f"SELECT line FROM points GROUP BY line HAVING count(*) > {_MANY} AND avg(n) < {_FEW}")]
+
+    def replace_points(self, numbers: Iterable[int], line: str, variables: Iterable[str],
+                       row: tuple[bytes, bytes, bytes]) -> None:
+        """Put one block in the place of several: all of it or nothing."""
+        numbers = sorted(numbers)
+        kin, seconds = self._read(f"SELECT max(kin), sum(seconds) FROM points WHERE id IN ({_list(numbers)})")[0]
+        slopes = np.frombuffer(row[0])
+        self._recent.clear()
+        with self._lock:
+            self._write("BEGIN IMMEDIATE")
+            self._read(f"DELETE FROM points WHERE id IN ({_list(numbers)})")
+            self._read(f"INSERT INTO points (id, {_COLUMNS['points']}) VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", numbers[-1],
+                       line, kin, " ".join(sorted(variables)), slopes.min(), slopes.max(), len(slopes), seconds,
+                       _sum(line, *row), *row)
+            self._read("COMMIT")
+
+    def shrink(self) -> None:
+        """Give the space of what was replaced back to the disk."""
+        pages, free = (self._read(f"PRAGMA {what}")[0][0] for what in ("page_count", "freelist_count"))
+        if 2 * free > pages:
+            self._read("VACUUM")
+
     def note(self, key: str) -> str | None:
         """A note kept beside the results."""
         rows = self._read("SELECT value FROM notes WHERE key = ?", key)
@@ -196,15 +224,25 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
+def _list(numbers: Iterable[int]) -> str:
+    return ",".join(str(int(n)) for n in numbers)
+
+
 def _sum(key: str, *blobs: bytes) -> int:
     return functools.reduce(lambda check, blob: zlib.crc32(blob, check), blobs, zlib.crc32(key.encode()))
 
 
-def _connect(path: str) -> sqlite3.Connection:
-    db = sqlite3.connect(path, timeout=10, isolation_level=None, check_same_thread=False)
-    for pragma in ("trusted_schema=OFF", "journal_mode=WAL", "synchronous=NORMAL", "cache_size=-8192"):
+def _connect(path: str, write: bool = True) -> sqlite3.Connection:
+    options: dict[str, Any] = {"timeout": 10, "isolation_level": None, "check_same_thread": False}
+    if not write and not os.access(Path(path).parent, os.W_OK):
+        # SQLite shares a lock file even to read; where it cannot, nobody else writes.
+        db = sqlite3.connect(f"file:{quote(path)}?immutable=1", uri=True, **options)
+    else:
+        db = sqlite3.connect(path, **options)
+        db.execute("PRAGMA journal_mode=WAL")
+    for pragma in ("trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192"):
         db.execute(f"PRAGMA {pragma}")
-    if not db.execute("SELECT 1 FROM sqlite_master LIMIT 1").fetchone():
+    if write and not db.execute("SELECT 1 FROM sqlite_master LIMIT 1").fetchone():
         db.execute("BEGIN IMMEDIATE")
         for statement in _SCHEMA:
             db.execute(statement)

@@ -30,6 +30,7 @@ class Progress:
         self.began = self.logged = self.told = time.time()
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
+        self.cached_tasks = [name for name, n in todo.cached.items() if n]
         self.done: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
         self.counts: Counter[str] = Counter()

@@ -17,12 +17,13 @@ from types import FrameType
 from typing import Any
 
 from pipeline import archive, cell, check
+from pipeline.compact import compact
 from pipeline.errors import ArchiveError, BusyError, GaitsweepError, StoppedError
 from pipeline.execute import Engine, Loop
 from pipeline.journal import Journal, TornError, mend
 from pipeline.plan import Plan, summary
 from pipeline.progress import Progress, duration
-from pipeline.provenance import cpu_features, version
+from pipeline.provenance import code_digest, cpu_features, version
 from pipeline.show import beside
 from pipeline.study import Study
 from pipeline.worker import ALL_STATUSES, ANSWERS
@@ -174,12 +175,14 @@ def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> i
     engine, signals = Engine(options.jobs, options.cluster), Signals()
     log = beside(path, ".events.jsonl")
     with signals.caught(), Progress(plan, todo, log, options.quiet, options.verbose) as progress:
+        _warn_of_moved_code(plan, progress)
         listen = _Snapshots(plan, path, options.snapshot, progress)
         try:
             if any(todo.todo.values()):
                 Loop(plan, engine, listen, sum(todo.todo.get("points", {}).values()), options.chunk, signals).run()
             record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
             counts = archive.write(plan, path)
+            compact(plan.journal)
         finally:
             record |= {"state": progress.state()}
             cell.close_all()
@@ -187,6 +190,17 @@ def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> i
     record |= {"counts": dict(counts), "failed": failed}
     _summarise(plan, progress, counts, path)
     return 1 if failed else 0
+
+
+def _warn_of_moved_code(plan: Plan, progress: Progress) -> None:
+    """Say when `tasks` changed since results were kept and no version did; comments do not count."""
+    note, now = plan.journal.note("code"), code_digest()
+    versions = json.dumps({name: layer.task.version for name, layer in plan.layers.items()}, sort_keys=True)
+    if note and note != now and plan.journal.note("versions") == versions and any(progress.cached_tasks):
+        progress.say("The code of `tasks` has changed since some of these results were kept, its versions have not; "
+                     "if numbers may change, bump the task's version or run with --fresh.")
+    plan.journal.set_note("code", now)
+    plan.journal.set_note("versions", versions)
 
 
 class _Snapshots:
@@ -228,5 +242,8 @@ def _summarise(plan: Plan, progress: Progress, counts: Counter[str], path: Path)
 
 def _write_record(path: Path, record: dict[str, Any]) -> None:
     draft = path.with_name(f"{path.name}.tmp.{os.getpid()}")
-    draft.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-    os.replace(draft, path)
+    try:
+        draft.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        os.replace(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)

@@ -1,6 +1,6 @@
 """Run what `tasks` offers, by name: at once in this process, or as a worker that answers over pipes.
 
-The one module that reaches a task's function. As a program (`python -m pipeline.worker`) it reads requests
+The one module that reaches a task's function. As a program (`python -m pipeline.worker PARENT`) it reads requests
 from its standard input and answers on its standard output until that closes; `pipeline.cell` starts it.
 """
 
@@ -13,6 +13,7 @@ import re
 import resource
 import signal
 import struct
+import sys
 import time
 from collections.abc import Callable
 from typing import Any, BinaryIO
@@ -73,23 +74,21 @@ def _exactly(stream: BinaryIO, size: int) -> bytes:
     return bytes(data)
 
 
-def serve() -> None:
-    """Answer requests until the parent closes the pipe or dies."""
-    parent = os.getppid()
+def serve(parent: int) -> None:
+    """Answer requests of the process `parent` until it closes the pipe or dies."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if os.getppid() != parent or parent == 1:
+    if os.getppid() != parent:
         return
     # What a task or a library prints must not reach the answers.
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    import threadpoolctl
-
     from pipeline import pack
 
     warm: set[bytes] = set()
+    modules, threads = 0, 1
     while True:
         try:
             head, *inputs = receive(requests)
@@ -101,7 +100,8 @@ def serve() -> None:
         except Exception as error:
             send(answers, b"broken", _sentence(error).encode())
             continue
-        threadpoolctl.threadpool_limits(1)
+        if len(sys.modules) != modules:  # a library may have come with a pool of its own
+            threads, modules = one_thread(), len(sys.modules)
         _bound_memory(request["memory"])
         params, trees = request["params"], [pack.load(i) for i in inputs]
         for key in ("want", "gaits"):
@@ -112,7 +112,7 @@ def serve() -> None:
             # Loading compiled code is not charged to the first point.
             _attempt(function, {**params, "slope": params["slope"][:0]}, trees)
             warm.add(line)
-        send(answers, b"started", resource_use())
+        send(answers, b"started", struct.pack("<QQ", _pages(1), threads))
         began = time.perf_counter()
         outcome, result = _attempt(function, params, trees)
         if outcome == b"ok":
@@ -127,21 +127,23 @@ def serve() -> None:
 
 def _bound_memory(growth: int) -> None:
     """Let this process grow no further than that; the parent, who looks now and then, ends it well before."""
-    with open("/proc/self/statm") as file:
-        data = int(file.read().split()[5]) * resource.getpagesize()
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    bound = data + growth + _SLACK
+    bound = _pages(5) + growth + _SLACK
     resource.setrlimit(resource.RLIMIT_DATA, (bound if hard == resource.RLIM_INFINITY else min(bound, hard), hard))
 
 
-def resource_use() -> bytes:
-    """Resident memory of this process [byte], and the threads its libraries use, packed."""
+def _pages(field: int) -> int:
+    """Memory of this process [byte]: field 1 of the kernel's list is what is resident, 5 its data."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[field]) * resource.getpagesize()
+
+
+def one_thread() -> int:
+    """Bind every numerical library of this process to one thread; how many they use now."""
     import threadpoolctl
 
-    threads = max((pool["num_threads"] for pool in threadpoolctl.threadpool_info()), default=1)
-    with open("/proc/self/statm") as file:
-        resident = int(file.read().split()[1]) * resource.getpagesize()
-    return struct.pack("<QQ", resident, threads)
+    threadpoolctl.threadpool_limits(1)
+    return max((pool["num_threads"] for pool in threadpoolctl.threadpool_info()), default=1)
 
 
 def _attempt(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[bytes, Any]:
@@ -189,4 +191,4 @@ def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
 
 
 if __name__ == "__main__":
-    serve()
+    serve(int(sys.argv[1]))

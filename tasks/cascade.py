@@ -152,15 +152,18 @@ def _family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> 
     up[-1] = 1.0
     found: list[Event] = []
     if start.period > 1:
-        # Down the slope to the fold the family is born at, unless it comes from elsewhere.
-        found += _events(Path(problem, start, -up, FIRST_STEP * (high - low)), fold_test, "fold", low, high)
+        # Down the slope to the fold the family is born at; of its two sides the one nearer stability cascades.
+        down = Path(problem, start, -up, FIRST_STEP * (high - low))
+        found += _events(down, fold_test, "fold", low, high)
+        if found:
+            start = min(down.points[-2:], key=lambda c: float(np.abs(c.multipliers()[0])))
     path: Path | None = Path(problem, start, up, FIRST_STEP * (high - low))
     expected = high - low
     while path is not None and path.points[-1].period <= longest:
         flips = _events(path, flip_test, "flip", low, high)
         if not flips:
             break
-        before = [e.cycle.q for e in found if e.kind == "flip"]
+        before = [e.cycle.q for e in found]
         found += flips
         flip = flips[0].cycle
         # The next interval, as Feigenbaum expects it of the one before.

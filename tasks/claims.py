@@ -10,10 +10,9 @@ import numpy as np
 from tasks.ledger import CLAIMS, Claim, Finding, tables, tuned
 from tasks.ledger.claim import NOT_CHECKABLE
 from tasks.ledger.lab import remember
+from tasks.registry import VARIABLES
 
 Arrays = dict[str, np.ndarray]
-#: What of a line's inputs is its atlas.
-_ATLAS = ("lengths", "Z", "tangent", "lipschitz", "why", "m")
 #: Tables that go with a claim.
 _TABLES = {
     "P1": (tables.rounding,),
@@ -47,8 +46,9 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     if unknown:
         raise ValueError(f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}")
     for line, data in zip(params["lines"], inputs):
-        if isinstance(line["walker"], str) and all(k in data for k in _ATLAS):
-            remember(line["walker"], line["set"], {k: data[k] for k in _ATLAS})
+        atlas = {k: v for k, v in data.items() if k not in VARIABLES and k not in ("slope", "reasons")}
+        if isinstance(line["walker"], str) and atlas:
+            remember(line["walker"], line["set"], atlas)
     wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(re.sub(r"\D", "", c.id))))
     rows = [_row(claim, _found(claim)) for claim in wanted]
     out: Arrays = {f"claims/{k}": np.array([row[k] for row in rows]) for k in (rows[0] if rows else {})}

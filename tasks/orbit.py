@@ -39,8 +39,8 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     -------
     dict
         Tables `orbits` (slope, start, stride, stance_angle, stance_rate), `lyapunov` (slope, index, exponent,
-        standard_error, strides), `falls` (slope, start, steps, cause). Exponents are per stride; only orbits that walk
-        to the end are in the first two.
+        standard_error, strides), `falls` (slope, start, steps, cause) and `survival` (slope, starts, falls, strides,
+        lifetime: strides walked a fall). Exponents are per stride; only orbits that walk to the end are in the first two.
 
     Notes
     -----
@@ -73,7 +73,18 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             "falls/start": np.concatenate([start[~walks], np.full(len(lost), -1)]),
             "falls/steps": np.concatenate([steps[~walks], np.zeros(len(lost), int)]),
             "falls/cause": np.array([*(CAUSES[c] for c in outcome[~walks]), *["no gait to start from"] * len(lost)], "U24")}
+    out |= _survival(lane_slope, steps, ~walks)
     return out | _exponents(means[:, :, walks], lane_slope[walks], int(options["strides"]) - SETTLE)
+
+
+def _survival(lane_slope: np.ndarray, steps: np.ndarray, fell: np.ndarray) -> Arrays:
+    """How long walking lasts at every slope: all strides walked over all falls."""
+    slopes, which = np.unique(lane_slope, return_inverse=True)
+    strides, falls = np.bincount(which, steps, len(slopes)), np.bincount(which, fell, len(slopes))
+    with np.errstate(divide="ignore"):
+        lifetime = strides / falls
+    return {"survival/slope": slopes, "survival/starts": np.bincount(which, minlength=len(slopes)),
+            "survival/falls": falls.astype(int), "survival/strides": strides.astype(int), "survival/lifetime": lifetime}
 
 
 def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Arrays:

@@ -9,6 +9,7 @@ import numpy as np
 
 from tasks import status
 from tasks.gait import atlas as atlases
+from tasks.gait import extended
 from tasks.gait.branch import Branch
 from tasks.gait.fixed_point import EPS, Problem, gait_ratio, judged, newton_step, rounding, starts
 from tasks.gait.stability import multipliers
@@ -133,23 +134,20 @@ def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndar
     eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
     y = stride.y + stride.newton
     times = stride.times + apply(stride.times_by_y, stride.newton)
+    bound = _bound(problem, stride, y, times, slope, scale, lipschitz, eta)
+    converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
+    for lane in np.nonzero((bound > extended.ESCALATE) & (bound < 1e-3))[0]:
+        y[:, lane], times[:, lane], stride.impact[:, lane], bound[lane] = extended.refine(
+            problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane])
+        converged[lane] = bound[lane] < extended.ESCALATE_AGAIN
     begin = problem.map.start(y, problem.parameters(slope, scale))
-    state, seeds = begin[: problem.map.start_size], begin[problem.map.start_size:]
-    # Relative error: rounding of the map, and what Newton's last step leaves (Newton-Kantorovich).
-    error = (rounding(stride) + 2 * lipschitz * eta**2) * np.abs(y)
-    by_y = np.abs(seeds.reshape(problem.map.start_size, m, n))
-    rows = [0, *range(problem.map.start_size // 2, problem.map.start_size)]
-    relative = list(apply(by_y[rows], error) / np.abs(state[rows]) + EPS)
-    guard = 4 * EPS * np.abs(y[0]) / np.abs(stride.closing)
-    relative.append((apply(np.abs(stride.times_by_y[-1:]), error)[0] + guard) / times[-1] + EPS)
-    bound = np.max(relative, axis=0)
+    state = begin[: problem.map.start_size]
     step = (stride.closing < 0) & (np.diff(stride.times, axis=0, prepend=0) > 0).all(axis=0)
     lanes = np.nonzero(passes == UNKNOWN)[0]
     if len(lanes):
         _, verdict = judged(problem, w[:, lanes], np.log(slope[lanes]))
         step[lanes], passes = verdict.step, passes.copy()
         passes[lanes] = verdict.passes
-    converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
     code = np.where(converged & step, status.CONVERGED, status.NOT_CONVERGED)
     found = {"status": code, "reason": np.where(converged, np.where(step, 0, 4), 3),
              "residual": np.abs((stride.image - stride.y) / stride.y).max(axis=0), "error_bound": bound,
@@ -160,6 +158,24 @@ def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndar
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
             value[bad] = np.nan
     return found
+
+
+def _bound(problem: Problem, stride: Stride, y: np.ndarray, times: np.ndarray, slope: np.ndarray, scale: np.ndarray,
+           lipschitz: np.ndarray, eta: np.ndarray) -> np.ndarray:
+    """Bound on the largest relative error of angle, rates and period, shape (n,).
+
+    Rounding of the stride map carried to the fixed point, and what Newton's last step leaves (Newton-Kantorovich).
+    """
+    m, n = y.shape
+    size = problem.map.start_size
+    begin = problem.map.start(y, problem.parameters(slope, scale))
+    state, by_y = begin[:size], np.abs(begin[size:].reshape(size, m, n))
+    error = (rounding(stride) + 2 * lipschitz * eta**2) * np.abs(y)
+    rows = [0, *range(size // 2, size)]
+    relative = list(apply(by_y[rows], error) / np.abs(state[rows]) + EPS)
+    guard = 4 * EPS * np.abs(y[0]) / np.abs(stride.closing)
+    relative.append((apply(np.abs(stride.times_by_y[-1:]), error)[0] + guard) / times[-1] + EPS)
+    return np.max(relative, axis=0)
 
 
 def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray

@@ -12,7 +12,7 @@ import numpy as np
 from tasks.gait.branch import Branch
 from tasks.gait.continuation import Point, Track, correct, follow, lipschitz
 from tasks.gait.fixed_point import Problem, gait_ratio, judged, rounding, search
-from tasks.gait.special_points import end_of, located, oriented
+from tasks.gait.special_points import end_of, located, oriented, row, row_tangent
 from tasks.gait.stride import SAMPLES
 from tasks.gait.verify import verify
 
@@ -68,10 +68,10 @@ def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
     Z, T, why = raw.Z[low:high + 1], raw.tangent[low:high + 1], list(raw.why)
     if low > 0:
         why[0], point, way = end_of(problem, raw, low - 1, start)
-        Z, T = np.vstack([_row(point), Z]), np.vstack([_row_tangent(point, way), T])
+        Z, T = np.vstack([row(point), Z]), np.vstack([row_tangent(point, way), T])
     if high < len(raw.Z) - 1:
         why[1], point, way = end_of(problem, raw, high, start)
-        Z, T = np.vstack([Z, _row(point)]), np.vstack([T, _row_tangent(point, way)])
+        Z, T = np.vstack([Z, row(point)]), np.vstack([T, row_tangent(point, way)])
     if len(Z) < 4:
         return None
     branch = _with_folds(problem, Branch(m, Z, T, np.zeros(len(Z)), (why[0], why[1])))
@@ -108,22 +108,13 @@ def _measured(problem: Problem, branch: Branch) -> Branch:
     return branch
 
 
-def _row(point: Point) -> np.ndarray:
-    return np.concatenate([point.X[:, 0], point.times[:, 0]])
-
-
-def _row_tangent(point: Point, way: np.ndarray) -> np.ndarray:
-    tangent = np.concatenate([point.tangent[:, 0], point.times_tangent[:, 0]])
-    return tangent if point.tangent[:, 0] @ way >= 0 else -tangent
-
-
 def _with_folds(problem: Problem, branch: Branch) -> Branch:
     """Put a node on every fold, where the slope turns."""
     m = branch.m
     for segment in np.nonzero(np.diff(np.sign(branch.tangent[:, m])) != 0)[0][::-1]:
         point, way = located(problem, branch, segment, lambda point, way: oriented(point, way)[m])
-        branch = Branch(m, np.insert(branch.Z, segment + 1, _row(point), axis=0),
-                        np.insert(branch.tangent, segment + 1, _row_tangent(point, way), axis=0),
+        branch = Branch(m, np.insert(branch.Z, segment + 1, row(point), axis=0),
+                        np.insert(branch.tangent, segment + 1, row_tangent(point, way), axis=0),
                         np.zeros(len(branch.Z) + 1), branch.why)
     return branch
 

@@ -109,8 +109,9 @@ def correct(problem: Problem, Z: np.ndarray, times: np.ndarray, border: np.ndarr
         if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
             break
         try:
-            dZ = np.linalg.solve(matrix, np.append(-residual, border @ (start - Z)))
-            tangent = np.linalg.solve(matrix, np.append(np.zeros(len(residual)), 1.0))
+            right = np.zeros((len(matrix), 2))
+            right[:-1, 0], right[-1] = -residual, (border @ (start - Z), 1.0)
+            dZ, tangent = np.linalg.solve(matrix, right).T
         except np.linalg.LinAlgError:
             break
         size = float(np.abs(dZ).max())
@@ -202,7 +203,7 @@ class Path:
                  + b.Z * h * h * (3 - 2 * h) + length * b.tangent * h * h * (h - 1))
             return _along(correct(self.problem, Z, a.times * (1 - h) + b.times * h, way), way)
 
-        root = brentq(lambda s: test(at(s)), 0.0, length, xtol=1e-14 * length, rtol=8.9e-16, maxiter=60)
+        root = brentq(lambda s: test(at(s)), 0.0, length, xtol=3e-13 * length, rtol=8.9e-16, maxiter=60)
         return at(root)
 
 

@@ -30,7 +30,11 @@ def corrected(problem: Problem, branch: Branch, segment: int, x: float) -> tuple
     Z = branch.evaluate(np.array([segment]), np.array([x]))
     way = branch.tangent[segment, : m + 1] + branch.tangent[segment + 1, : m + 1]
     way = way / np.linalg.norm(way)
-    return correct(problem, Z[:, : m + 1].T, Z[:, m + 1:].T, way[:, None]), way
+    point = correct(problem, Z[:, : m + 1].T, Z[:, m + 1:].T, way[:, None])
+    # The corrector's stride is that before its last step; a test function wants the derivative at the point itself.
+    again = correct(problem, point.X, point.times, way[:, None], most=1)
+    again.ok = point.ok
+    return again, way
 
 
 def located(problem: Problem, branch: Branch, segment: int, test: Test) -> tuple[Point, np.ndarray]:
@@ -47,6 +51,43 @@ def located(problem: Problem, branch: Branch, segment: int, test: Test) -> tuple
         # The nodes' own values differ in sign by rounding only: the end nearer zero is the root.
         root = a if abs(value(a)) < abs(value(b)) else b
     return corrected(problem, branch, segment, root)
+
+
+def _at_tangency(problem: Problem, branch: Branch, segment: int) -> tuple[Point, np.ndarray]:
+    """Where heelstrike turns tangential on a segment, and the branch's direction there.
+
+    At the point itself the event time has no derivative, though the branch is smooth. So it is read off polynomials
+    through six points beside it.
+    """
+    test = ENDS["end_tangential_heelstrike"]
+    axis = branch.axis[segment]
+    a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
+    middle = brentq(lambda x: test(*corrected(problem, branch, segment, x)), a, b, xtol=1e-3 * abs(b - a))
+    h = 8e-3 * (b - a)
+    places = np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5])
+    points = [corrected(problem, branch, segment, middle + h * p) for p in places]
+    values = np.array([np.concatenate([row(p), row_tangent(p, way), [test(p, way)]]) for p, way in points])
+    coefficients = np.linalg.solve(np.vander(places), values)
+    roots = np.roots(coefficients[:, -1])
+    root = roots[np.argmin(np.abs(roots))].real
+    found = np.vander([root], len(places))[0] @ coefficients
+    point, way = points[2]
+    m, k = branch.m, len(point.times)
+    size = m + 1 + k
+    found_point = Point(found[: m + 1, None], found[m + 1:size, None], found[size:size + m + 1, None],
+                        found[size + m + 1:-1, None], point.ok, point.stride)
+    return found_point, way
+
+
+def row(point: Point) -> np.ndarray:
+    """One corrected point as a node of a branch."""
+    return np.concatenate([point.X[:, 0], point.times[:, 0]])
+
+
+def row_tangent(point: Point, way: np.ndarray) -> np.ndarray:
+    """Its tangent, pointing along the branch."""
+    tangent = np.concatenate([point.tangent[:, 0], point.times_tangent[:, 0]])
+    return tangent if point.tangent[:, 0] @ way >= 0 else -tangent
 
 
 def _is_step(problem: Problem, point: Point) -> bool:
@@ -79,7 +120,10 @@ def end_of(problem: Problem, branch: Branch, segment: int, start: int) -> tuple[
             continue
         values = [test(*corrected(problem, branch, segment, branch.Z[i, branch.axis[segment]])) for i in (good, bad)]
         if values[0] * values[1] < 0:
-            point, way = located(problem, branch, segment, test)
+            if kind == "end_tangential_heelstrike":
+                point, way = _at_tangency(problem, branch, segment)
+            else:
+                point, way = located(problem, branch, segment, test)
             found.append((float(np.linalg.norm(point.X[:, 0] - branch.Z[good, : branch.m + 1])), kind, point, way))
     if found:
         _, kind, point, way = min(found, key=lambda f: f[0])
@@ -100,7 +144,10 @@ def end_of(problem: Problem, branch: Branch, segment: int, start: int) -> tuple[
 
 def _eigen_products(A: np.ndarray) -> np.ndarray:
     """Product over i < j of (lambda_i lambda_j - 1), shape (n,): zero where a pair lies on the unit circle."""
-    values = np.linalg.eigvals(A)
+    # Where heelstrike is tangential to the last digit the map has no derivative.
+    good = np.isfinite(A).all(axis=(-2, -1))
+    values = np.full(A.shape[:-1], np.nan, complex)
+    values[good] = np.linalg.eigvals(A[good])
     m = A.shape[-1]
     out = np.ones(A.shape[:-2], complex)
     for i in range(m):
@@ -159,9 +206,14 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
                 found.append((segment + 0.5, _record(kind, problem, point, 0)))
     for index, kind in ((0, branch.why[0]), (len(branch.Z) - 1, branch.why[1])):
         found.append((float(index), _record(END_NAMES.get(kind, kind), problem, nodes, index)))
+    for _, record in found:
+        if record["kind"] == "end_tangential_heelstrike":
+            record["error_bound"] = TANGENT_ERROR
     return [record for _, record in sorted(found, key=lambda f: f[0])]
 
 
+#: Relative error of a slope read off polynomials beside a tangency (checked in tests against other spacings).
+TANGENT_ERROR = 1e-10
 #: How the ways a search can stop are named among special points.
 END_NAMES = {"zero step length": "end_zero_step", "end of the window": "window", "no further point": "lost",
              "a fall": "end_fall"}
@@ -169,6 +221,8 @@ END_NAMES = {"zero step length": "end_zero_step", "end of the window": "window",
 
 def _is(kind: str, point: Point) -> bool:
     """True where a sign change of the test function is the point it stands for."""
+    if not np.isfinite(_matrix(point)).all():
+        return False
     values = np.linalg.eigvals(_matrix(point)[0])
     if kind == "flip":
         return bool(np.abs(values + 1).min() < 1e-6)

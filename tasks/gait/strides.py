@@ -2,8 +2,9 @@
 
 A fixed point knows its event times; any other start does not. Here they are found: all lanes advance together by a
 fixed step of Dormand and Prince's fifth-order formula, every lane watches its own guard, and a lane that strikes
-leaves the batch. The time found is good to about 1e-8; the exact stride map, given that time, corrects it to the last
-digits and adds the exact Jacobian. A lane's bits depend on its start alone.
+leaves the batch. The time found is good to about 1e-8; the exact stride map, given that time, corrects it and the image
+to the last digits and adds the Jacobian, which is as good as the time it was given. A lane's bits depend on its start
+alone.
 """
 
 from __future__ import annotations
@@ -223,7 +224,7 @@ def stride(problem: Problem, y: np.ndarray, slope: np.ndarray, exact: bool = Tru
         Section coordinates [rad, rad/sqrt(leg/g)].
     slope : ndarray, shape (n,) [rad]
     exact : bool
-        Polish with the exact stride map and give its Jacobian; otherwise the image is good to about 1e-8.
+        Polish with the exact stride map and give its Jacobian (to about 1e-7); otherwise the image is good to 1e-8.
     """
     found, scale, parameters = _found(problem, y, slope)
     walks = np.nonzero(found.outcome == STRUCK)[0]

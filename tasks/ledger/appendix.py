@@ -56,7 +56,8 @@ def tension() -> Finding:
     found = {w: _measured(w, _SLOPES) for w in names}
     least = min(float(np.nanmin(f["least_normal_force"])) for f in found.values())
     tense = sum(int(_flagged(f, "contact_tension").sum()) for f in found.values())
-    demand = {k: float(found["physical"][k][2, LONG]) for k in (
+    figure3 = _SLOPES.index(0.036)
+    demand = {k: float(found["physical"][k][figure3, LONG]) for k in (
         "friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike")}
     return Finding(f"least normal force {least:.3f} of the weight over gaits of {', '.join(names)} at slopes from 1e-5 to "
                    f"0.1; the ground would have to pull at an impact in {tense} of them; friction asked of the gait of figure 3: {demand['friction_demand']:.3f} in motion, "

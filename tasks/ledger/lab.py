@@ -58,6 +58,12 @@ class Line:
         x = found["slope"] if abscissa == "slope" else found[abscissa][:, gait]
         return float(np.diff(np.log(found[ordinate][:, gait]))[0] / np.diff(np.log(x))[0])
 
+    def short(self, Z: np.ndarray) -> bool:
+        """Whether a row (X, times) of a branch is a short step."""
+        m = self.problem.m
+        stride, _ = self.problem.stride(np.delete(Z, m)[:, None], Z[m:m + 1])
+        return not gait_ratio(stride)[0] < 0.5
+
     def ends(self) -> tuple[float, float]:
         """Smallest and largest slope of any branch."""
         q = np.concatenate([b.q for b in self.branches])

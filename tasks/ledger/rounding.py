@@ -27,7 +27,8 @@ from tasks.mechanics.impacts import heelstrike
 from tasks.walkers.catalogue import _exactly_tuned
 from tasks.walkers.parameters import Walker
 
-#: Relative steps of the central differences.
+#: Steps of the central differences: of X, and of parameters relative to their size and the gait's angle (offsets of
+#: the masses matter beside the angle).
 STEP = 2e-4
 Test = Callable[[Stride, np.ndarray], np.ndarray]
 
@@ -136,21 +137,16 @@ def place(found: Line, mark: Landmark) -> tuple[np.ndarray, np.ndarray]:
     rows = []
     for branch in found.branches:
         for Z in _candidates(found.problem, branch, mark.test):
-            if mark.label and _label(found.problem, Z) != mark.label:
+            if mark.label and mark.label != ("short" if found.short(Z) else "long"):
                 continue
             rows.append(Z)
     rows.sort(key=lambda Z: Z[found.problem.m])
     if len(rows) <= mark.which:
         raise ValueError(f"{mark.walker} has no {mark.name}")
     Z, m = rows[mark.which], found.problem.m
+    if mark.test == "end_tangential_heelstrike":
+        return grazed(found, Z[: m + 1], Z[m + 1:])
     return Z[: m + 1], Z[m + 1:]
-
-
-def _label(problem: Problem, Z: np.ndarray) -> str:
-    m = problem.m
-    stride, _ = problem.stride(np.delete(Z, m)[:, None], Z[m:m + 1])
-    u = (stride.impact[1] - stride.impact[0]) / np.abs(stride.impact[0])
-    return "long" if u[0] < 0.5 else "short"
 
 
 def _candidates(problem: Problem, branch: Branch, test: str) -> list[np.ndarray]:
@@ -207,11 +203,22 @@ def _grazing(walkers: list[Walker], Z: np.ndarray) -> np.ndarray:
     return np.vstack([b - y[0], rates - y[1:], a + b, a_rate + b_rate]) / y[0]
 
 
+def grazed(found: Line, X: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """X and the period where heelstrike is tangential, by Newton on G: beside it, branches end a little early."""
+    Z = np.concatenate([X[:-1], times, X[-1:]])
+    n = len(Z)
+    for _ in range(4):
+        places = np.concatenate([Z + factor * STEP * np.eye(n) for factor in (1.0, -1.0, 2.0, -2.0)] + [Z[None]])
+        G = _grazing([found.walker] * len(places), places.T)
+        Z = Z - np.linalg.solve(_central(G[:, :-1], np.full(n, STEP)), G[:, -1])
+    return np.concatenate([Z[: len(X) - 1], Z[-1:]]), Z[len(X) - 1:-1]
+
+
 def grazing_sensitivities(mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str],
                           step: float = STEP) -> np.ndarray:
     """dX/dp of the end where heelstrike turns tangential, as `sensitivities`."""
     Z = np.concatenate([X[:-1], times, X[-1:]])
-    sizes = np.array([_size(base, k) for k in keys]) * step
+    sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
     walkers, places, n = [], [], len(Z)
     for factor in (1.0, -1.0, 2.0, -2.0):
         walkers += [base] * n + [changed(mark.walker, base, k, factor * size) for k, size in zip(keys, sizes)]
@@ -231,7 +238,7 @@ def sensitivities(mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker
                   step: float = STEP) -> np.ndarray:
     """dX/dp of a landmark for each key, shape (m + 1, keys)."""
     m = len(X) - 1
-    sizes = np.array([_size(base, k) for k in keys]) * step
+    sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
     walkers, places = [], []
     for factor in (1.0, -1.0, 2.0, -2.0):
         for i in range(m + 1):

@@ -54,7 +54,7 @@ def short_unstable() -> Finding:
 def heelstrike_direction() -> Finding:
     slopes = [1e-3, 1e-5, 1e-7]
     ratios = {w: foot_ratio(line(w).walker, line(w).at(slopes)) for w in ("D", "A", "B", "E", "F")}
-    power = {w: np.diff(np.log(r[1:], where=r[1:] > 0), axis=0)[0] / np.log(slopes[2] / slopes[1])
+    power = {w: np.diff(np.log(r[1:, :2]), axis=0)[0] / np.log(slopes[2] / slopes[1])
              for w, r in ratios.items()}
     uneven = [_asymmetry(s) for s in slopes]
     falls = all(p[LONG] > 0.3 for p in power.values())

@@ -7,9 +7,12 @@ import functools
 import numpy as np
 from scipy.optimize import brentq
 
+from tasks.gait.fixed_point import Problem, newton
+from tasks.gait.stability import multipliers
 from tasks.ledger.claim import Finding, claim, verdict, within
 from tasks.ledger.lab import LONG, SHORT, line, numbers, root
 from tasks.ledger.rounding import interval
+from tasks.walkers.parameters import resolve
 
 WALKERS = ("A", "B", "C", "D", "E")
 #: A slope small enough for the last of the laws, and still far above rounding.
@@ -82,10 +85,19 @@ def knee_half() -> float:
 @functools.lru_cache(maxsize=2)
 def mass_limit(slope: float = 1e-9) -> float:
     """The heaviest foot, over the total mass, whose long step is stable as the slope vanishes."""
-    def excess(ratio: float) -> float:
-        return float(line("E", foot_mass_ratio=ratio).at([slope], ("spectral_radius",))["spectral_radius"][0, LONG] - 1)
+    own, at = line("E"), np.array([np.log(slope)])
+    long = [Z for b in own.branches for _, Z, _ in b.guesses(at) if not own.short(Z[0])][0]
+    w = np.delete(long, own.problem.m, axis=1).T
 
-    return float(brentq(excess, 0.0945, 0.0955, xtol=1e-6))
+    def solved(ratio: float, w: np.ndarray) -> tuple[np.ndarray, float]:
+        problem = Problem(resolve("E", {"foot_mass_ratio": ratio}))
+        found = newton(problem, w, at).w
+        return found, float(np.abs(multipliers(problem.stride(found, at)[0].jacobian, problem.m)).max() - 1)
+
+    # At vanishing slopes Newton's basin is narrow: small steps from E's own foot mass.
+    for ratio in np.arange(0.0995, 0.0948, -5e-4):
+        w, _ = solved(float(ratio), w)
+    return float(brentq(lambda ratio: solved(ratio, w)[1], 0.0947, 0.0953, xtol=1e-9))
 
 
 def stability_limit(walker: str) -> float:

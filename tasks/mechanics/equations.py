@@ -19,12 +19,14 @@ States are scaled, q = s x with s a power of two, so an absolute tolerance is a 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import heyoka as hy
 import numpy as np
 
-from tasks.walkers.parameters import Walker
+from tasks.walkers.parameters import NUMBERS, Walker
 
 ZERO = hy.expression(0.0)
 Sym = hy.expression
@@ -41,8 +43,14 @@ class Complex:
         return Complex(self.re * cosine - self.im * sine, self.re * sine + self.im * cosine)
 
 
-def lump(walker: Walker) -> dict[str, float]:
+def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     """Lumped constants of a walker in units of its leg, its mass and g.
+
+    Parameters
+    ----------
+    walker : Walker
+    number : type
+        `float`, or a wider type for constants to more digits: numpy's long double or heyoka's real128.
 
     Returns
     -------
@@ -50,45 +58,74 @@ def lump(walker: Walker) -> dict[str, float]:
         `R, l, eps, C_aa, S_a, S_b, C_bb` with complex constants split into `_re` and `_im`; kneed walkers
         also `S_c, C_cc, H`. Swing constants are divided by `eps`, the swing leg's inertia about the hip.
     """
-    length, mass = walker.leg, walker.total_mass
-    R, l = walker.R / length, walker.l / length
-    knee, thigh, shank = walker.knee / length, walker.thigh_centre / length, walker.shank_centre / length
-    m_t, m_s = walker.m_t / mass, walker.m_s / mass
-    r_t, r_s = walker.r_t / length, walker.r_s / length
+    key = {k: number(getattr(walker, k)) for k in NUMBERS}
+    zero, one, two = number(0.0), number(1.0), number(2.0)
+    sin_T, cos_T = _sine(key["eps_T"]), _cosine(key["eps_T"])
+    d = key["l_s"] - key["R"]
+    # sin eps_S = l_t sin eps_T / d closes the leg.
+    sin_S = key["l_t"] * sin_T / d if walker.eps_T else zero
+    cos_S = (one - sin_S * sin_S) ** number(0.5)
+    l = key["l_t"] * cos_T + d * cos_S
+    length, mass = l + key["R"], two * (key["m_t"] + key["m_s"]) + key["m_h"]
+    R, l = key["R"] / length, l / length
+    knee = Vector(-key["l_t"] * sin_T, -key["l_t"] * cos_T) / length
+    thigh = Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
+    shank = Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
     if walker.massless_leg:
         # Only ratios of the swing leg's constants remain: a unit point at the foot.
-        eps, thigh_mass, shank_mass = 0.0, 0.0, 1.0
+        eps, m_t, m_s = zero, zero, one
     else:
-        eps, thigh_mass, shank_mass = 1.0, m_t, m_s
-    S_b = thigh_mass * thigh + shank_mass * knee
-    S_c = shank_mass * shank
-    C_bb = thigh_mass * (abs(thigh) ** 2 + r_t**2) + shank_mass * abs(knee) ** 2
-    C_cc = shank_mass * (abs(shank) ** 2 + r_s**2)
-    H = knee.conjugate() * S_c
-    inertia = C_bb + C_cc + 2 * H.real
-    leg_S, hip = eps * (S_b + S_c), 1j * l
-    found: dict[str, float | complex] = {"R": R, "l": l, "eps": eps * inertia, "S_a": hip + leg_S}
+        eps, m_t, m_s = one, key["m_t"] / mass, key["m_s"] / mass
+    S_b, S_c = thigh * m_t + knee * m_s, shank * m_s
+    C_bb = m_t * (thigh.dot(thigh) + (key["r_t"] / length) ** two) + m_s * knee.dot(knee)
+    C_cc = m_s * (shank.dot(shank) + (key["r_s"] / length) ** two)
+    # H = conj(knee) S_c.
+    H = Vector(knee.dot(S_c), knee.x * S_c.y - knee.y * S_c.x)
+    inertia = C_bb + C_cc + two * H.x
+    leg_S = (S_b + S_c) * eps
+    found = {"R": R, "l": l, "eps": eps * inertia, **_pair("S_a", leg_S + Vector(zero, l))}
     # Stance leg m|il + p|^2 + I, hip and swing leg (the rest of the unit mass) at |il|.
-    found["C_aa"] = R**2 + l**2 + 2 * (hip.conjugate() * leg_S).real + eps * inertia
+    found["C_aa"] = R * R + l * l + two * l * leg_S.y + eps * inertia
     if walker.knees:
-        found |= {"S_b": S_b / inertia, "C_bb": C_bb / inertia, "S_c": S_c / inertia, "C_cc": C_cc / inertia,
-                  "H": H / inertia}
+        found |= {**_pair("S_b", S_b / inertia), "C_bb": C_bb / inertia, **_pair("S_c", S_c / inertia),
+                  "C_cc": C_cc / inertia, **_pair("H", H / inertia)}
     else:
-        found |= {"S_b": (S_b + S_c) / inertia, "C_bb": 1.0}
-    return _split(found)
+        found |= {**_pair("S_b", (S_b + S_c) / inertia), "C_bb": one}
+    return found
 
 
-def _split(constants: dict[str, float | complex]) -> dict[str, float]:
-    """Complex constants as `_re` and `_im`; parts that are rounding of zero become zero."""
-    flat: dict[str, float] = {}
-    for name, value in constants.items():
-        if name in ("S_a", "S_b", "S_c", "H"):
-            value = complex(value)
-            for part, x in (("_re", value.real), ("_im", value.imag)):
-                flat[name + part] = 0.0 if abs(x) < 4e-16 * abs(value) else x
-        else:
-            flat[name] = float(value.real)
-    return flat
+@dataclass(frozen=True)
+class Vector:
+    """A vector of a leg, in any type of number."""
+
+    x: Any
+    y: Any
+
+    def __add__(self, other: Vector) -> Vector:
+        return Vector(self.x + other.x, self.y + other.y)
+
+    def __mul__(self, factor: Any) -> Vector:
+        return Vector(self.x * factor, self.y * factor)
+
+    def __truediv__(self, divisor: Any) -> Vector:
+        return Vector(self.x / divisor, self.y / divisor)
+
+    def dot(self, other: Vector) -> Any:
+        return self.x * other.x + self.y * other.y
+
+
+def _sine(x: Any) -> Any:
+    return math.sin(x) if isinstance(x, float) and type(x) is float else np.sin(np.array([x], dtype=type(x)))[0]
+
+
+def _cosine(x: Any) -> Any:
+    return math.cos(x) if isinstance(x, float) and type(x) is float else np.cos(np.array([x], dtype=type(x)))[0]
+
+
+def _pair(name: str, v: Vector) -> dict[str, Any]:
+    """A complex constant as `_re` and `_im`; a part that is rounding of zero becomes zero."""
+    size = 4e-16 * max(abs(float(v.x)), abs(float(v.y)))
+    return {f"{name}_{part}": x if abs(float(x)) > size else type(x)(0.0) for part, x in (("re", v.x), ("im", v.y))}
 
 
 @dataclass(frozen=True)

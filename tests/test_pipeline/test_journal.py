@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline import gather, pack
+from pipeline.compact import compact
 from pipeline.errors import ArchiveError
 from pipeline.journal import Journal, Result, TornError, mend
 
@@ -107,3 +108,17 @@ def test_reading_a_journal_that_is_not_there_makes_none(tmp_path):
     assert journal.empty()
     journal.close()
     assert not (tmp_path / "j").exists()
+
+
+def test_small_blocks_are_put_together_and_nothing_changes(journal):
+    slopes = np.linspace(0.1, 0.4, 300)
+    for k in range(300):
+        journal.add_points("L", "k", WANT, row(slopes[k:k + 1], float(k), status=0 if k % 7 else 4), 0.1)
+    journal.add_points("L", "k", WANT, row(slopes[7:8], -7.0), 0.1)
+    before, last = values(journal, slopes), journal.last_block("L")
+    compact(journal)
+    assert len(list(journal.blocks("L"))) == 1 and journal.last_block("L") == last
+    for one, two in zip(before, values(journal, slopes), strict=True):
+        np.testing.assert_array_equal(one, two)
+    _, reason, sentences, _ = gather.states(journal, "L", WANT, slopes)
+    assert [sentences[r] for r in reason[[6, 7, 8], 0]] == ["reason 6.0", "reason -7.0", "reason 8.0"]

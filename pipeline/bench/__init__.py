@@ -1,0 +1,42 @@
+"""`gaitsweep bench`: run time against error, with the peers, in one run; one archive and one page."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from pipeline.errors import StudyError
+
+#: Slope of each walker's timed gait [rad]; the grid runs from 1e-3 to three times it.
+FAMILIES = {"D": 0.005, "E": 0.005, "B": 0.01, "C": 0.01}
+QUICK = ("D", "B")
+
+
+def main(quick: bool, out: Path, families: tuple[str, ...] | None = None, grid: int | None = None) -> int:
+    """Measure, write `bench.nc` and `bench.html` into a folder, and say where.
+
+    Parameters
+    ----------
+    quick : bool
+        Two walkers and fewer repeats, in less than a minute.
+    out : Path
+    families : tuple of str
+        Walkers instead of the usual.
+    grid : int
+        Slopes of the grids instead of the usual.
+    """
+    from pipeline.bench import page, record, run
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        found = run.measured(quick, families or (QUICK if quick else tuple(FAMILIES)), grid, _say)
+        record.write(found, out / "bench.nc")
+        page.write(found, out / "bench.html")
+    except OSError as error:
+        raise StudyError(f"{out} cannot be written: {error.strerror}.") from error
+    print(out / "bench.html")
+    return 0
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,268 @@
+"""The peers: scipy's integrators with their events, and the same method compiled by numba where it is installed.
+
+Their right-hand side is written out in scalars with the lumped constants of `tasks.mechanics.equations`; it is
+compiled by numba where it is installed, so scipy is not held back by it. Angles are not scaled; the tolerances are
+relative to the step's angle.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import math
+from collections.abc import Callable
+from typing import Any
+
+import heyoka as hy
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from tasks.gait.fixed_point import Problem
+from tasks.mechanics.equations import Symbols, lump
+from tasks.mechanics.impacts import heelstrike, kneestrike
+
+HAS_NUMBA = importlib.util.find_spec("numba") is not None
+#: Time from the start of a phase before which its guard does not count [sqrt(leg/g)].
+EARLY = 0.1
+#: Time after which a flight counts as lost.
+LONGEST = 8.0
+#: Order of the constants the right-hand sides read.
+CONSTANTS = ("R", "l", "eps", "C_aa", "S_a_re", "S_a_im", "S_b_re", "S_b_im", "C_bb", "S_c_re", "S_c_im", "C_cc", "H_re",
+             "H_im")
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, compiled by numba where it is installed."""
+    if not HAS_NUMBA:
+        return function
+    import numba
+
+    return numba.njit(function)
+
+
+def _two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
+    """Stance leg and locked swing leg; c = (slope, constants, locked S and inertia in the places of S_b, C_bb)."""
+    slope, R, l, eps = c[0], c[1], c[2], c[3]
+    a, b, u, v = x[0], x[1], x[2], x[3]
+    sa, ca, sb, cb = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
+    ta, da, tb, db = math.sin(a - slope), math.cos(a - slope), math.sin(b - slope), math.cos(b - slope)
+    sf, cf = math.sin(b - a), math.cos(b - a)
+    couple = R * (c[7] * sb + c[8] * cb) + l * (c[8] * cf + c[7] * sf)
+    turn = l * (c[8] * sf - c[7] * cf)
+    top = c[4] + 2 * R * (c[5] * sa + c[6] * ca)
+    f0 = (-R * (c[5] * ca - c[6] * sa) * u * u - R * math.sin(slope) - (c[5] * da - c[6] * ta)
+          - eps * (R * (c[7] * cb - c[8] * sb) - turn) * v * v)
+    f1 = -turn * u * u - (c[7] * db - c[8] * tb)
+    first = (f0 - eps * couple * f1 / c[9]) / (top - eps * couple * couple / c[9])
+    out[0], out[1], out[2], out[3] = u, v, first, (f1 - couple * first) / c[9]
+
+
+def _three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
+    """Stance leg, swing thigh and swing shank."""
+    slope, R, l, eps = c[0], c[1], c[2], c[3]
+    a, u = x[0], x[3]
+    sa, ca = math.sin(a), math.cos(a)
+    top = c[4] + 2 * R * (c[5] * sa + c[6] * ca)
+    f0 = (-R * (c[5] * ca - c[6] * sa) * u * u - R * math.sin(slope)
+          - (c[5] * math.cos(a - slope) - c[6] * math.sin(a - slope)))
+    re, im, b, v = c[7], c[8], x[1], x[4]
+    sf, cf = math.sin(b - a), math.cos(b - a)
+    k1 = R * (re * math.sin(b) + im * math.cos(b)) + l * (im * cf + re * sf)
+    turn = l * (im * sf - re * cf)
+    f0 -= eps * (R * (re * math.cos(b) - im * math.sin(b)) - turn) * v * v
+    f1 = -turn * u * u - (re * math.cos(b - slope) - im * math.sin(b - slope))
+    re, im, b, w = c[10], c[11], x[2], x[5]
+    sf, cf = math.sin(b - a), math.cos(b - a)
+    k2 = R * (re * math.sin(b) + im * math.cos(b)) + l * (im * cf + re * sf)
+    turn = l * (im * sf - re * cf)
+    f0 -= eps * (R * (re * math.cos(b) - im * math.sin(b)) - turn) * w * w
+    f2 = -turn * u * u - (re * math.cos(b - slope) - im * math.sin(b - slope))
+    sf, cf = math.sin(x[2] - x[1]), math.cos(x[2] - x[1])
+    h, spin = c[13] * cf - c[14] * sf, c[13] * sf + c[14] * cf
+    f1 += spin * w * w
+    f2 -= spin * v * v
+    inner = c[9] - h * h / c[12]
+    g1, k = f1 - h * f2 / c[12], k1 - h * k2 / c[12]
+    first = (f0 - eps * (k2 * f2 / c[12] + k * g1 / inner)) / (top - eps * (k2 * k2 / c[12] + k * k / inner))
+    second = (g1 - k * first) / inner
+    out[0], out[1], out[2] = u, v, w
+    out[3], out[4], out[5] = first, second, (f2 - k2 * first - h * second) / c[12]
+
+
+two_links, three_links = compiled(_two_links), compiled(_three_links)
+
+
+class Algebra:
+    """Start of a step, kneestrike and the image on the section, compiled for the product's lanes and the peers."""
+
+    def __init__(self, problem: Problem):
+        self.problem, self.m, self.kneed = problem, problem.m, problem.structure.kneed
+        p = Symbols(problem.structure, variables=True)
+        x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
+        image = [x[1], x[2], x[3]]
+        if not self.kneed:
+            image = [x[1], *heelstrike(p, x[1], x[2], x[3], False)[: self.m - 1]]
+        self.image = hy.cfunc(image, vars=[*x[:4], *p.variables])
+        if self.kneed:
+            self.lock = hy.cfunc([x[0], x[1], *kneestrike(p, x[:3], x[3:])], vars=[*x, *p.variables])
+
+    def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """State just after heelstrike, shape (4 or 6, n)."""
+        return self.problem.map.start(y, parameters)[: 6 if self.kneed else 4]
+
+
+class Peer:
+    """The stride map by a peer's integrator: `fly(rhs, constants, state, guard, tolerance)` -> (time, state)."""
+
+    def __init__(self, algebra: Algebra, slope: float, fly: Callable[..., tuple[float, np.ndarray]], tolerance: float):
+        self.algebra, self.fly, self.tolerance = algebra, fly, tolerance
+        problem = algebra.problem
+        self.parameters = problem.parameters(np.array([slope]), np.array([1.0]))[:, 0]
+        lumped = lump(problem.walker)
+        self.constants = np.array([slope, *(lumped.get(k, 0.0) for k in CONSTANTS)])
+        self.locked = self.constants.copy()
+        if algebra.kneed:
+            self.locked[7] += self.locked[10]
+            self.locked[8] += self.locked[11]
+            self.locked[9] += self.locked[12] + 2 * self.locked[13]
+
+    def stride(self, y: np.ndarray) -> np.ndarray:
+        """(image, event times) of one stride from y, unscaled."""
+        state = self.algebra.start(y[:, None], self.parameters[:, None])[:, 0]
+        times = []
+        if self.algebra.kneed:
+            time, state = self.fly(three_links, self.constants, state, 1, self.tolerance)
+            times.append(time)
+            state = self.algebra.lock(np.concatenate([state, self.parameters]))
+        time, state = self.fly(two_links, self.locked, state, 0, self.tolerance)
+        times.append(time + sum(times))
+        return np.concatenate([self.algebra.image(np.concatenate([state, self.parameters])), times])
+
+    def jacobian(self, y: np.ndarray) -> np.ndarray:
+        """Central differences of the stride, shape (m, m), with the step the tolerance allows."""
+        m = self.algebra.m
+        h = abs(y[0]) * max(self.tolerance, 1e-16) ** (1 / 3)
+        columns = []
+        for j in range(m):
+            move = np.zeros(m)
+            move[j] = h
+            columns.append((self.stride(y + move)[:m] - self.stride(y - move)[:m]) / (2 * h))
+        return np.stack(columns, axis=1)
+
+    def fixed_point(self, y: np.ndarray, most: int = 12) -> np.ndarray:
+        """(fixed point, multipliers' magnitudes) by Newton's method on differences."""
+        m = self.algebra.m
+        size = np.inf
+        for _ in range(most):
+            J = self.jacobian(y)
+            step = np.linalg.solve(np.eye(m) - J, self.stride(y)[:m] - y)
+            y = y + step
+            last, size = size, np.abs(step).max() / abs(y[0])
+            if not size > 10 * self.tolerance or size > 0.5 * last:
+                break
+        multipliers = np.abs(np.linalg.eigvals(J)) if np.isfinite(J).all() else np.full(m, math.nan)
+        return np.concatenate([y, np.sort(multipliers)[::-1]])
+
+
+def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
+    """A flight to its event with one of scipy's methods."""
+
+    def fly(rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int,
+            tolerance: float) -> tuple[float, np.ndarray]:
+        def field(_: float, x: np.ndarray) -> np.ndarray:
+            out = np.empty_like(x)
+            rhs(x, constants, out)
+            return out
+
+        def guard(t: float, x: np.ndarray) -> float:
+            # The guards are zero at the start of a phase too; only a later fall to zero ends it.
+            if t < EARLY:
+                return -1.0
+            return x[1] - x[2] if kind else x[0] + x[1]
+
+        if not np.isfinite(state).all():
+            return math.nan, state
+        guard.terminal, guard.direction = True, -1  # type: ignore[attr-defined]
+        found = solve_ivp(field, (0.0, LONGEST), state, method=method, rtol=max(tolerance, 2.3e-14),
+                          atol=tolerance * abs(state[0]), events=guard)
+        if not len(found.t_events[0]):
+            return math.nan, np.full_like(state, math.nan)
+        return float(found.t_events[0][0]), found.y_events[0][0]
+
+    return fly
+
+
+@functools.cache
+def by_numba() -> Callable[..., tuple[float, np.ndarray]]:
+    """A flight to its event with DOP853 compiled by numba; the event is found by Newton's method on the last step's length."""
+    import numba
+    from scipy.integrate._ivp import dop853_coefficients as table
+
+    early, longest = EARLY, LONGEST
+    A, B, E3, E5 = table.A[:12, :12].copy(), table.B.copy(), table.E3.copy(), table.E5.copy()
+
+    @numba.njit
+    def stages(rhs, c, x, h, K, new):  # type: ignore[no-untyped-def]
+        for s in range(1, 12):
+            for i in range(len(x)):
+                total = 0.0
+                for r in range(s):
+                    total += A[s, r] * K[r, i]
+                new[i] = x[i] + h * total
+            rhs(new, c, K[s])
+        for i in range(len(x)):
+            total = 0.0
+            for r in range(12):
+                total += B[r] * K[r, i]
+            new[i] = x[i] + h * total
+
+    @numba.njit
+    def guard(kind, t, x):  # type: ignore[no-untyped-def]
+        if t < early:
+            return -1.0
+        return x[1] - x[2] if kind else x[0] + x[1]
+
+    @numba.njit
+    def fly(rhs, c, start, kind, tolerance):  # type: ignore[no-untyped-def]
+        n = len(start)
+        x, new, t, h = start.copy(), np.empty(n), 0.0, 0.05
+        K = np.zeros((13, n))
+        rhs(x, c, K[0])
+        absolute = tolerance * abs(start[0])
+        for _ in range(4000):
+            stages(rhs, c, x, h, K, new)
+            rhs(new, c, K[12])
+            five, three = 0.0, 0.0
+            for i in range(n):
+                scale = absolute + tolerance * max(abs(x[i]), abs(new[i]))
+                e5, e3 = 0.0, 0.0
+                for r in range(13):
+                    e5 += E5[r] * K[r, i]
+                    e3 += E3[r] * K[r, i]
+                five += (e5 / scale) ** 2
+                three += (e3 / scale) ** 2
+            denominator = five + 0.01 * three
+            error = h * five / math.sqrt(denominator * n) if denominator > 0 else 0.0
+            factor = min(6.0, max(0.2, 0.9 * error ** (-1 / 8))) if error > 0 else 6.0
+            if error > 1:
+                h *= factor
+                continue
+            if guard(kind, t, x) > 0 and guard(kind, t + h, new) <= 0:
+                step = h
+                for _ in range(30):
+                    gap = new[1] - new[2] if kind else new[0] + new[1]
+                    rate = new[4] - new[5] if kind else new[2] + new[3]
+                    step -= gap / rate
+                    stages(rhs, c, x, step, K, new)
+                    if abs(gap) <= 1e-16 * abs(rate):
+                        break
+                return t + step, new
+            t += h
+            x[:] = new
+            K[0] = K[12]
+            h *= factor
+            if t > longest:
+                break
+        return math.nan, np.full(n, math.nan)
+
+    return fly

@@ -1,0 +1,276 @@
+"""What is timed: one stride, its Jacobian, one fixed point, a grid and a branch, for one walker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import heyoka as hy
+import numpy as np
+
+from pipeline.bench import peers
+from pipeline.bench.extended import Precise, best_kind
+from pipeline.bench.harness import Case, largest_error
+from tasks import solve
+from tasks.gait import atlas as atlases
+from tasks.gait.fixed_point import Problem, newton
+from tasks.gait.stability import multipliers
+from tasks.mechanics.equations import system
+from tasks.registry import GAITS, VARIABLES
+from tasks.walkers.parameters import resolve
+
+#: Lanes the product's methods carry at a time; times are for one.
+LANES = 64
+EPS = float(np.finfo(float).eps)
+#: Tolerances of work-precision curves.
+OURS = (EPS, 1e-13, 1e-10, 1e-7, 1e-4)
+THEIRS = {"scipy DOP853": (1e-13, 1e-10, 1e-7, 1e-4), "scipy RK45": (1e-11, 1e-8, 1e-5), "scipy LSODA": (1e-12, 1e-9, 1e-6),
+          "scipy Radau": (1e-9, 1e-6, 1e-4), "numba DOP853": (1e-14, 1e-11, 1e-8, 1e-5)}
+GRID_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
+
+
+@dataclass
+class Family:
+    """One walker at one slope: its gait in double and in extended precision, and everything compiled for it."""
+
+    name: str
+    slope: float
+    problem: Problem
+    atlas: dict[str, np.ndarray]
+    w: np.ndarray
+    slopes: np.ndarray
+    kind: str
+    precise: Precise
+    algebra: peers.Algebra
+    exact: dict[str, np.ndarray]
+    exact_y: np.ndarray
+    others: dict[str, Precise] = field(default_factory=dict)
+
+    def in_kind(self, kind: str, wide: Any) -> Precise:
+        """The stride map in a precision, compiled once."""
+        if kind not in self.others:
+            self.others[kind] = Precise(self.problem.structure, wide)
+        return self.others[kind]
+
+    @property
+    def scale(self) -> np.ndarray:
+        return np.exp2(np.floor(np.log2(np.exp(self.w[0]))))
+
+    @property
+    def y(self) -> np.ndarray:
+        """Scaled section coordinates of every lane, shape (m, LANES)."""
+        angle = np.exp(self.w[0])
+        return np.vstack([angle, angle * self.w[1:self.problem.m]]) / self.scale
+
+
+def family(name: str, slope: float) -> Family:
+    """Solve a walker's long gait on lanes around a slope, and its first lane in extended precision."""
+    problem = Problem(resolve(name, {}))
+    arrays = atlases.to_arrays(atlases.survey(problem))
+    slopes = slope * np.concatenate([[1.0], np.linspace(0.9, 1.1, LANES - 1)])
+    q = np.log(slopes)
+    m = problem.m
+    for branch in atlases.from_arrays(arrays):
+        for found in branch.guesses(q):
+            index, Z = found[0], found[1]
+            if len(index) == LANES:
+                settled = newton(problem, np.delete(Z.T, m, axis=0), q)
+                if settled.converged.all():
+                    return _precise(name, slope, problem, arrays, settled.w, slopes)
+    raise ValueError(f"`slope` must have a gait of {name} all around it; got {slope}.")
+
+
+def _precise(name: str, slope: float, problem: Problem, arrays: dict[str, np.ndarray], w: np.ndarray,
+             slopes: np.ndarray) -> Family:
+    kind, wide = best_kind()
+    precise = Precise(problem.structure, wide)
+    found = Family(name, slope, problem, arrays, w, slopes, kind, precise, peers.Algebra(problem), {}, np.zeros(0), {kind: precise})
+    y, times, parameters = _lane(found, precise)
+    found.exact = precise.settled_stride(y, times, parameters)
+    found.exact_y, _ = precise.fixed_point(y, times, parameters)
+    return found
+
+
+def _lane(f: Family, precise: Precise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The first lane's section, event times and parameters in the wider type."""
+    parameters = f.problem.parameters(f.slopes[:1], f.scale[:1])[:, 0]
+    times = f.exact["times"] if f.exact else f.w[f.problem.m:, 0]
+    return precise.array(f.y[:, 0]), precise.array(times), precise.array(parameters)
+
+
+class Lanes:
+    """Strides of the product's integrator at any tolerance, without variations, over given event times."""
+
+    def __init__(self, f: Family, tolerance: float):
+        structure = f.problem.structure
+        self.f, self.width = f, hy.recommended_simd_size()
+
+        def built(free: bool) -> Any:
+            equations = system(structure, free, 0, False)
+            return hy.taylor_adaptive_batch(equations, np.zeros((len(equations), self.width)), tol=tolerance)
+
+        self.locked = built(False)
+        self.free = built(True) if structure.kneed else None
+        self.times = np.tile(np.asarray([float(t) for t in f.exact["times"]])[:, None], LANES)
+        self.y, self.parameters = f.y[:, [0] * LANES], f.problem.parameters(f.slopes[[0] * LANES], f.scale[[0] * LANES])
+
+    def _fly(self, ta: Any, state: np.ndarray, duration: np.ndarray) -> np.ndarray:
+        out = np.empty_like(state)
+        for k in range(0, LANES, self.width):
+            lanes = slice(k, k + self.width)
+            ta.set_time(0.0)
+            ta.state[:] = state[:, lanes]
+            ta.pars[:] = self.parameters[: len(ta.pars), lanes]
+            ta.propagate_until(duration[lanes])
+            out[:, lanes] = ta.state
+        return out
+
+    def __call__(self) -> np.ndarray:
+        state = self.f.algebra.start(self.y, self.parameters)
+        duration = self.times[-1]
+        if self.free is not None:
+            state = self._fly(self.free, state, self.times[0])
+            state = self.f.algebra.lock(np.vstack([state, self.parameters]))
+            duration = self.times[1] - self.times[0]
+        state = self._fly(self.locked, state, duration)
+        return self.f.algebra.image(np.vstack([state, self.parameters]))
+
+
+def _peer_flights() -> dict[str, Any]:
+    """Every peer's flight; numba compiles once a process."""
+    found = {name: peers.by_scipy(name.split()[1]) for name in THEIRS if name.startswith("scipy")}
+    if peers.HAS_NUMBA:
+        found["numba DOP853"] = peers.by_numba()
+    return found
+
+
+def _tolerances(name: str, quick: bool, newton: bool = False) -> tuple[float, ...]:
+    """A peer's tolerances; Newton's method, which takes dozens of strides, is not asked for the loosest."""
+    chosen = THEIRS[name][:-1] if newton else THEIRS[name]
+    return chosen[::2] if quick else chosen
+
+
+def strides(f: Family, quick: bool) -> list[Case]:
+    """One stride, against its image in extended precision."""
+    exact = np.asarray(f.exact["image"], float)
+    cases = []
+    for tolerance in OURS:
+        run = Lanes(f, tolerance)
+        case = Case(f.name, "stride", "heyoka, lanes", tolerance, run, LANES)
+        case.error = largest_error(run()[:, 0], exact)
+        cases.append(case)
+    y = f.y[:, 0] * f.scale[0]
+    for name, fly in _peer_flights().items():
+        for tolerance in _tolerances(name, quick):
+            peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
+            case = Case(f.name, "stride", name, tolerance, lambda peer=peer: peer.stride(y))  # type: ignore[misc]
+            case.error = largest_error(case.run()[: f.problem.m], exact * f.scale[0])
+            cases.append(case)
+    return cases
+
+
+def jacobians(f: Family, quick: bool) -> list[Case]:
+    """The stride with its exact Jacobian, in two tolerances and two precisions, against differences."""
+    exact = np.asarray(f.exact["jacobian"], float)
+    q, m = np.log(f.slopes), f.problem.m
+    cases = []
+    for setting, rough in ((EPS, False), (1e-7, True)):
+        def ours(rough: bool = rough) -> np.ndarray:
+            return f.problem.stride(f.w, q, rough=rough)[0].jacobian
+        cases.append(Case(f.name, "jacobian", "ours, exact", setting, ours, LANES, largest_error(ours()[..., 0], exact)))
+    for kind, wide in (("long double", np.longdouble), *([("real128", hy.real128)] if f.kind == "real128" else [])):
+        precise = f.in_kind(kind, wide)
+        lane = _lane(f, precise)
+
+        def widened(precise: Precise = precise, lane: Any = lane) -> np.ndarray:
+            return np.asarray(precise.stride(*lane)["jacobian"], float)
+        cases.append(Case(f.name, "jacobian", f"{kind}, exact", float(np.finfo(np.longdouble).eps) if kind != "real128"
+                          else 2.0**-113, widened, 1, largest_error(widened(), exact)))
+    y = f.y[:, 0] * f.scale[0]
+    for name, fly in _peer_flights().items():
+        if name not in ("scipy DOP853", "numba DOP853"):
+            continue
+        for tolerance in _tolerances(name, quick, newton=True):
+            peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
+            case = Case(f.name, "jacobian", f"{name}, differences", tolerance, lambda peer=peer: peer.jacobian(y))  # type: ignore[misc]
+            case.error = largest_error(case.run(), exact)
+            cases.append(case)
+
+    def differences() -> np.ndarray:
+        """Central differences of the product's own map, one lane's directions as lanes."""
+        h = f.y[0, 0] * EPS ** (1 / 3)
+        moves = np.concatenate([np.eye(m) * h, -np.eye(m) * h]).T
+        n = 2 * m
+        stride = f.problem.map(f.y[:, [0] * n] + moves, f.w[m:, [0] * n],
+                               f.problem.parameters(f.slopes[[0] * n], f.scale[[0] * n]))
+        return (stride.image[:, :m] - stride.image[:, m:]) / (2 * h)
+    cases.append(Case(f.name, "jacobian", "ours, differences", EPS, differences, 1, largest_error(differences(), exact)))
+    return cases
+
+
+def fixed_points(f: Family, quick: bool) -> list[Case]:
+    """Newton's method from a start off by a thousandth, multipliers included."""
+    exact, m, q = np.asarray(f.exact_y, float), f.problem.m, np.log(f.slopes)
+    start = f.w.copy()
+    start[0] += 1e-3
+    start[1:m] *= 0.999
+    cases = []
+    for setting, rough in ((EPS, False), (1e-7, True)):
+        def ours(rough: bool = rough) -> np.ndarray:
+            found = newton(f.problem, start, q, rough=rough)
+            stride, scale = f.problem.stride(found.w, q, rough=rough)
+            multipliers(stride.jacobian, 3)
+            return (stride.y + stride.newton) * scale / f.scale
+        before = _evaluations(f)
+        found = ours()
+        case = Case(f.name, "fixed point", "ours", setting, ours, LANES, largest_error(found[:, 0], exact))
+        case.work = (_evaluations(f) - before) / LANES
+        cases.append(case)
+    wide = f.in_kind("long double", np.longdouble)
+    lane = _lane(f, wide)
+
+    def polished() -> np.ndarray:
+        return np.asarray(wide.fixed_point(*lane, turns=1)[0], float)
+    cases.append(Case(f.name, "fixed point", "long double, from double", float(np.finfo(np.longdouble).eps), polished, 1,
+                      largest_error(polished(), exact)))
+    y = f.y[:, 0] * f.scale[0] * np.exp(1e-3) * np.where(np.arange(m) == 0, 1.0, 0.999)
+    for name, fly in _peer_flights().items():
+        if name not in ("scipy DOP853", "numba DOP853"):
+            continue
+        for tolerance in _tolerances(name, quick, newton=True):
+            peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
+            case = Case(f.name, "fixed point", f"{name}, differences", tolerance,
+                        lambda peer=peer: peer.fixed_point(y))  # type: ignore[misc]
+            case.error = largest_error(case.run()[:m], exact * f.scale[0])
+            cases.append(case)
+    return cases
+
+
+def _evaluations(f: Family) -> int:
+    from pipeline.bench.counted import flows
+
+    return sum(flow.evaluations for flow in flows() if flow.angles == 4)
+
+
+def grid(f: Family, n: int) -> list[Case]:
+    """A line of slopes with everything but violations; error of both rates and angle at its first point."""
+    slopes = np.concatenate([[f.slope], np.geomspace(1e-3, f.slope * 3, n - 1)])
+    line = {"walker": f.name, "set": {}}
+    last: dict[str, np.ndarray] = {}
+
+    def run() -> np.ndarray:
+        last.update(solve.points({"line": line, "slope": slopes, "want": GRID_WANT, "gaits": GAITS}, [f.atlas]))
+        return last["stance_angle"]
+    case = Case(f.name, "grid", "ours", EPS, run, n)
+    angles = run()[0]
+    exact = float(abs(f.exact_y[0])) * f.scale[0]
+    case.error = float(np.nanmin(np.abs(angles / exact - 1)))
+    case.work = float((last["status"] == 0).sum() / n)
+    return [case]
+
+
+def branches(f: Family) -> list[Case]:
+    """Every branch of the walker, with its folds and ends: what one line of a study costs before its points."""
+    def run() -> np.ndarray:
+        return np.array([len(b.Z) for b in atlases.survey(f.problem)], float)
+    return [Case(f.name, "branch", "ours", EPS, run, 1, np.nan, float(run().sum()))]

@@ -1,0 +1,65 @@
+"""Period-n gaits: the scaling of the logistic map, D's published flip, C's, and the families of other periods."""
+
+import numpy as np
+import pytest
+from lines import _atlas
+
+from tasks.cascade import cascade
+from tasks.fits.cascade import DELTA, accumulation, ratios
+from tasks.gait.cycles import from_start, really_walks
+from tasks.gait.fixed_point import Problem
+from tasks.walkers.parameters import resolve
+
+#: Period doublings of x -> r x (1 - x), and where they accumulate.
+LOGISTIC = [3.0, 3.449489742783178, 3.544090359551923, 3.564407266095433, 3.568759419543826, 3.569691609801374]
+
+
+def doublings(walker, low, high, n=2, **options):
+    line = {"walker": walker, "set": {}}
+    return cascade({"line": line, "slope": np.linspace(low, high, n), **options}, [_atlas(walker, ())])
+
+
+def test_scaling_of_the_logistic_map():
+    value, low, high = accumulation(np.array(LOGISTIC))
+    assert low < 3.569945671870944 < high
+    assert value == pytest.approx(3.569945671870944, abs=2e-6)
+    assert ratios(np.array(LOGISTIC))[-1] == pytest.approx(4.6692, abs=0.01)
+    assert np.isnan(accumulation(np.array(LOGISTIC[:2]))).all()
+
+
+def test_the_cascade_of_d():
+    found = doublings("D", 0.0145, 0.0195, periods=64)
+    slopes = found["cascade/slope"]
+    assert found["cascade/period"].tolist() == [1, 2, 4, 8, 16, 32, 64]
+    assert slopes[0] == pytest.approx(0.015088437941119463562, rel=1e-13)
+    # Published by Garcia et al. (1998) as 0.017 and on, chaos to 0.019.
+    assert slopes[1] == pytest.approx(0.0176693748625, rel=1e-10)
+    assert found["cascade/ratio"][-1] == pytest.approx(DELTA, abs=0.05)
+    assert (found["cascade/error_bound"] < 1e-10).all()
+    assert found["cascade/walks"].all()
+    assert found["accumulation/slope"] == pytest.approx(0.018293397965, abs=2e-10)
+    assert found["accumulation/high"] - found["accumulation/low"] < 1e-9
+
+
+def test_the_first_flips_of_c():
+    found = doublings("C", 0.07, 0.1, periods=8)
+    assert found["cascade/slope"][0] == pytest.approx(0.0769, abs=5e-5)
+    assert found["cascade/ratio"][-1] == pytest.approx(DELTA, abs=0.1)
+
+
+def test_the_period_three_family_near_0_0125():
+    found = doublings("D", 0.0122, 0.0130, n=3, families=[3], periods=12, starts=200)
+    assert found["cascade/kind"].tolist() == ["fold", "flip", "flip", "flip"]
+    assert found["cascade/slope"][:2] == pytest.approx([0.0122808216, 0.0126349598], abs=1e-9)
+    assert found["cascade/walks"].all()
+
+
+def test_a_cycle_is_one_strides_after_another():
+    """The product of a two-step gait's Jacobians has the multipliers that its orbit shows."""
+    problem = Problem(resolve("D"))
+    y = np.array([0.23571329, -0.23133825])
+    cycle = from_start(problem, y, 0.016, 2)
+    assert cycle is not None and really_walks(problem, cycle)
+    again = from_start(problem, cycle.Y[:, 1], 0.016, 2)
+    assert np.abs(again.Y[:, ::-1] - cycle.Y).max() < 1e-13
+    assert np.sort(np.abs(again.multipliers())) == pytest.approx(np.sort(np.abs(cycle.multipliers())), rel=1e-9)

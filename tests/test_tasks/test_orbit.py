@@ -1,0 +1,88 @@
+"""Orbits and their exponents: known maps, known slopes, and the same bits in any company."""
+
+import numpy as np
+import pytest
+from lines import _atlas
+
+from tasks.gait.lyapunov import Exponents, estimate, orthogonalised
+from tasks.orbit import orbit
+
+D = {"walker": "D", "set": {}}
+SHORT = {"starts": 4, "transient": 120, "strides": 80, "shown": 40}
+
+
+def walked(slopes, **options):
+    return orbit({"line": D, "slope": np.array(slopes), **SHORT, **options}, [_atlas("D", ())])
+
+
+def test_exponents_of_the_logistic_map():
+    x = np.random.default_rng(1).uniform(0.1, 0.9, 400)
+    growth = Exponents.begin(1, len(x), 5)
+    for k in range(500):
+        growth.step((4 - 8 * x)[None, None], k // 100)
+        x = 4 * x * (1 - x)
+    (value,), (error,) = estimate(growth.means())
+    assert error < 2e-3
+    assert abs(value - np.log(2)) < 4 * error
+
+
+def test_exponents_of_the_henon_map():
+    """The first is 0.4192 (a = 1.4, b = 0.3); both together are ln b exactly."""
+    a, b = 1.4, 0.3
+    x, y = np.random.default_rng(2).uniform(-0.05, 0.05, (2, 100))
+    growth = Exponents.begin(2, 100, 10)
+    one, zero = np.ones(100), np.zeros(100)
+    for k in range(-50, 1000):
+        growth.step(np.array([[-2 * a * x, one], [b * one, zero]]), k // 100 if k >= 0 else None)
+        x, y = 1 - a * x * x + y, b * x
+    value, error = estimate(growth.means())
+    assert abs(value[0] - 0.4192) < 4 * error[0] < 0.01
+    assert value.sum() == pytest.approx(np.log(b), rel=1e-12)
+
+
+def test_a_destroyed_direction_has_no_growth():
+    Q, growth = orthogonalised(np.array([[1.0, 2.0], [2.0, 4.0]])[:, :, None])
+    assert growth[1, 0] < 1e-15
+    assert np.isfinite(Q).all()
+
+
+def test_exponents_of_a_stable_gait_are_its_multipliers():
+    found = walked([0.009])
+    # A complex pair of modulus |-0.19009984 + 0.55759878 i|: both exponents are its logarithm.
+    expected = np.log(abs(-0.19009984106588809 + 0.55759877668206829j))
+    assert found["lyapunov/exponent"].sum() / 2 == pytest.approx(expected, abs=1e-6)
+    assert np.ptp(found["orbits/stance_angle"]) < 1e-12
+
+
+def test_the_exponent_of_d_in_chaos():
+    """0.369 at slope 0.0189; chaotic, and contracting areas."""
+    found = walked([0.0189], starts=64, transient=200, strides=320)
+    first, second = found["lyapunov/exponent"]
+    error = found["lyapunov/standard_error"][0]
+    assert error < 0.004
+    assert abs(first - 0.3691) < 4 * error
+    assert first + second < -1
+
+
+def test_periods_double_and_walking_ends():
+    found = walked([0.0145, 0.0165, 0.0179, 0.0195], transient=400)
+    counts = [len(np.unique(np.round(found["orbits/stance_angle"][found["orbits/slope"] == s], 6)))
+              for s in (0.0145, 0.0165, 0.0179)]
+    assert counts == [1, 2, 4]
+    assert set(found["falls/slope"]) == {0.0195}
+    assert set(found["falls/cause"]) == {"fell forward"}
+    assert (found["falls/steps"] > 0).all()
+    assert found["survival/lifetime"][:3].tolist() == [np.inf] * 3
+
+
+def test_an_orbit_keeps_its_bits_in_any_company():
+    """Chaos doubles an error every other stride: a slip of one bit would show."""
+    together = walked([0.0150, 0.0188, 0.0189, 0.0193])
+    alone = walked([0.0189])
+    mine = together["orbits/slope"] == 0.0189
+    for column in ("stance_angle", "stance_rate", "start", "stride"):
+        assert np.array_equal(together[f"orbits/{column}"][mine], alone[f"orbits/{column}"])
+    mine = together["lyapunov/slope"] == 0.0189
+    assert np.array_equal(together["lyapunov/exponent"][mine], alone["lyapunov/exponent"])
+    fewer = walked([0.0189], starts=2)
+    assert np.array_equal(fewer["orbits/stance_angle"], alone["orbits/stance_angle"][alone["orbits/start"] < 2])

@@ -1,0 +1,87 @@
+"""Strides from any start: against the slow oracles, against the exact map, and lane by lane."""
+
+import numpy as np
+import pytest
+from oracle import Oracle, SimplestWalker, StepFailed
+
+from tasks.gait.fixed_point import Problem
+from tasks.gait.strides import BACKWARD, CAUSES, FORWARD, STRUCK, stride
+from tasks.walkers.parameters import resolve
+
+LONG_D = np.array([[0.2003109005442470894], [-0.1998324730049523546]])
+
+
+@pytest.fixture(scope="module")
+def simplest():
+    return Problem(resolve("D"))
+
+
+def test_the_published_gait_comes_back_to_itself(simplest):
+    found = stride(simplest, LONG_D, np.array([0.009]))
+    assert np.abs(found.image - LONG_D).max() < 2e-15
+    assert found.times[0, 0] == pytest.approx(3.882463752851374137569671, rel=1e-14)
+    values = np.linalg.eigvals(found.jacobian[:, :, 0])
+    assert values.real == pytest.approx(-0.19009984106588809, abs=2e-7)
+
+
+def test_any_start_agrees_with_the_published_equations(simplest):
+    oracle = SimplestWalker()
+    angle, rate = 0.23, -0.225
+    found = stride(simplest, np.array([[angle], [rate]]), np.array([0.012]))
+    slow = oracle.step(angle, (rate, rate * np.cos(2 * angle)), 0.012)
+    assert found.image[:, 0] == pytest.approx([slow.theta, slow.rates[0]], rel=1e-11)
+    assert found.times[0, 0] == pytest.approx(slow.period, rel=1e-11)
+
+
+def test_any_start_of_a_kneed_walker_agrees_with_the_rigid_bodies():
+    walker = resolve("C")
+    problem, oracle = Problem(walker), Oracle(walker.table())
+    y, slope = np.array([[0.36], [-0.50], [0.05]]), np.array([0.05])
+    found = stride(problem, y, slope)
+    begin = problem.map.start(y, problem.parameters(slope, np.ones(1)))[:, 0]
+    slow = oracle.step(begin[0], begin[3:6] / oracle.time_unit, slope[0], rtol=1e-12)
+    assert found.outcome[0] == STRUCK
+    assert found.image[:, 0] == pytest.approx(
+        [slow.theta, *(slow.before_heelstrike[3:5] * oracle.time_unit)], rel=1e-9)
+    assert found.times[:, 0] * oracle.time_unit == pytest.approx([slow.kneestrike_time, slow.period], rel=1e-9)
+
+
+def test_rough_strides_agree_with_exact_ones(simplest):
+    y = LONG_D * np.array([[1.05], [1.05]])
+    rough, exact = (stride(simplest, y, np.array([0.009]), exact=e) for e in (False, True))
+    assert np.abs(rough.image - exact.image).max() < 1e-7
+    assert np.abs(rough.times - exact.times).max() < 1e-6
+
+
+def test_falls_have_their_causes(simplest):
+    slow, fast = LONG_D * np.array([[1.0], [0.8]]), LONG_D * np.array([[1.0], [1.5]])
+    found = stride(simplest, np.hstack([slow, fast]), np.full(2, 0.009))
+    assert found.outcome.tolist() == [BACKWARD, FORWARD]
+    assert np.isnan(found.image).all()
+    for y in (slow, fast):
+        with pytest.raises(StepFailed):
+            SimplestWalker().step(y[0, 0], (y[1, 0], y[1, 0] * np.cos(2 * y[0, 0])), 0.009)
+    assert len(CAUSES) == len(set(CAUSES))
+
+
+@pytest.mark.parametrize("name", ["D", "C"])
+def test_a_lane_does_not_know_its_neighbours(name):
+    """Bits of a stride are the same alone, in another place and beside falls."""
+    problem = Problem(resolve(name))
+    centre = {"D": [0.2, -0.2], "C": [0.36, -0.5, 0.01]}[name]
+    rng = np.random.default_rng(3)
+    n = 61
+    y = np.array(centre)[:, None] * (1 + 0.2 * rng.uniform(-1, 1, (len(centre), n)))
+    slope = rng.uniform(0.01, 0.05, n)
+    for exact in (False, True):
+        whole = stride(problem, y, slope, exact)
+        assert 3 < (whole.outcome == STRUCK).sum() < n
+        order = rng.permutation(n)
+        moved = stride(problem, y[:, order], slope[order], exact)
+        assert np.array_equal(moved.image, whole.image[:, order], equal_nan=True)
+        for lane in np.nonzero(whole.outcome == STRUCK)[0][:4]:
+            alone = stride(problem, y[:, [lane]], slope[[lane]], exact)
+            assert np.array_equal(alone.image[:, 0], whole.image[:, lane])
+            assert np.array_equal(alone.times[:, 0], whole.times[:, lane])
+            if exact:
+                assert np.array_equal(alone.jacobian[:, :, 0], whole.jacobian[:, :, lane])
