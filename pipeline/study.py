@@ -24,6 +24,8 @@ from tasks.registry import ALWAYS, GAITS, TASKS, VARIABLES
 
 #: Kinds of study; every one but `grid` is a task of the same name.
 KINDS = ("grid", "branch", "orbit", "cascade", "basin", "curve", "census")
+#: Tasks that no study is named after.
+_SERVANTS = ("atlas", "points", "trace")
 #: Axis keys that are not a walker's own.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
 #: Longest axis and largest grid that are taken for meant.
@@ -144,6 +146,11 @@ def _show(value: object) -> str:
         return "something that cannot be shown"
 
 
+def kinds() -> tuple[str, ...]:
+    """Kinds of study; every one but `grid` is the task of that name, over each line."""
+    return ("grid", *(t.name for t in TASKS.values() if set(t.needs) <= {"atlas"} and t.name not in _SERVANTS))
+
+
 def read(path: str | Path) -> Study:
     """Read and check a study file.
 
@@ -185,10 +192,8 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
         raise top.at("name").wrong("must be letters, digits, dots, dashes or underscores", name)
     kind = table.get("kind", "grid")
-    if kind not in KINDS:
-        raise top.at("kind").wrong(f"must be one of {', '.join(KINDS)}", kind)
-    if kind != "grid" and kind not in TASKS:
-        raise top.at("kind").error(f"This version has no task for a study of kind `{kind}`")
+    if not isinstance(kind, str) or kind not in kinds():
+        raise top.at("kind").wrong(f"must be one of {', '.join(kinds())}", kind)
     options = table.get("options", {})
     if not isinstance(options, dict) or (options and kind == "grid"):
         raise top.at("options").error("`options` is a table for studies of another kind than `grid`")
@@ -323,7 +328,7 @@ def _want(value: object, place: _Place) -> dict[str, tuple[str, ...]]:
     names = {key: _free_names(table.get(key, []), place.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:
-            raise place.at("fits").unknown(fit, [t for t in TASKS if t not in KINDS and t not in ("atlas", "points")])
+            raise place.at("fits").unknown(fit, [t for t in TASKS if t not in (*kinds(), *_SERVANTS)])
     return {"variables": wanted, **names}
 
 

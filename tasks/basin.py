@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -73,8 +74,9 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             table["swing_rate"] = starts[2] / second
         tables.append(table | {"outcome": outcome, "steps": steps})
         for name, area, error in _areas(outcome.reshape(int(options["size"]), -1), cell / second):
-            for key, value in zip(areas, (slope, name, area, error, np.mean(outcome == name), len(outcome))):
-                areas[key].append(value)
+            row = (slope, name, area, error, np.mean(outcome == name), len(outcome))
+            for column, value in zip(areas.values(), row, strict=True):
+                column.append(value)
     found = {f"basin/{k}": np.concatenate([t[k] for t in tables]) for k in (tables[0] if tables else {})}
     return found | {f"areas/{k}": np.array(v) for k, v in areas.items()}
 

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Mapping
+from typing import Any
 
 import numpy as np
 
 from tasks.fits import cascade as scaling
 from tasks.gait import atlas as atlases
 from tasks.gait.cycles import (
-    MOST_POINTS, Cycle, Path, Test, at_slope, doubled, flip_test, fold_test, from_start, really_walks)
+    MOST_POINTS,
+    Cycle,
+    Path,
+    Test,
+    at_slope,
+    doubled,
+    flip_test,
+    fold_test,
+    from_start,
+    really_walks,
+)
 from tasks.gait.fixed_point import Problem
 from tasks.gait.strides import STRUCK, stride
 from tasks.orbit import gaits_at
@@ -115,13 +126,12 @@ def cycles_at(problem: Problem, atlas: Arrays, slope: float, n: int, starts: int
     steps = np.array([ratio ** -(i + 1) for i in range(problem.m)])
     offsets = 2 * ((0.5 + steps[:, None] * np.arange(1, starts + 1)) % 1) - 1
     Y = [y[:, :1] * (1 + 0.2 * offsets)]
-    times, lanes = [], np.arange(starts)
+    times: list[np.ndarray] = []
     for _ in range(n + 1):
         now = stride(problem, Y[-1], np.full(Y[-1].shape[1], slope), exact=False)
         on = now.outcome == STRUCK
         Y, times = [a[:, on] for a in Y] + [now.image[:, on]], [t[:, on] for t in times] + [now.times[:, on]]
-        lanes = lanes[on]
-    if not len(lanes):
+    if not Y[-1].shape[1]:
         return []
     # The first stride throws every start onto the map's strongly contracted image.
     back = np.abs(Y[n + 1] - Y[1]).max(axis=0)

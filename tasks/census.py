@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,8 @@ CROSSING = (-4.0, -0.7)
 SWING = (-1.6, 1.6)
 #: Solutions nearer than this in similarity coordinates are one.
 SAME = 1e-5
-GAITS = ("slope", "gait", "anthropomorphic", "passes", "stance_angle", "stance_rate", "period", "spectral_radius", "hits")
+GAITS = ("slope", "gait", "anthropomorphic", "passes", "stance_angle", "stance_rate", "period", "spectral_radius",
+         "hits")
 COVER = ("slope", "starts", "struck", "converged", "gaits", "anthropomorphic", "non_anthropomorphic", "not_steps",
          "found_once", "unseen")
 
@@ -46,8 +48,8 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
     Notes
     -----
-    Starts fill the box of stance angle (evenly in its logarithm), stance rate over angle and swing rate over stance rate
-    by an additive recurrence. A start is flown to its strikes, which gives Newton its event times. `unseen` is Good's
+    Starts fill the box of stance angle (evenly in its logarithm), stance rate over angle and swing rate over stance
+    rate by an additive recurrence. A start is flown to its strikes, which gives Newton its event times. `unseen` is Good's
     and Turing's estimate of the share of converging starts that would lead to a gait not found yet: solutions found
     exactly once, over starts that converged (at least one is assumed, so it is never zero).
     """
@@ -70,14 +72,17 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                       "not_steps": int((~verdict.step).sum())}
             for i in np.nonzero(verdict.step)[0]:
                 values = (slope, "long" if gait_ratio(at)[i] < 0.5 else "short", int(human[i]), int(verdict.passes[i]),
-                          np.exp(w[0, i]), np.exp(w[0, i]) * w[1, i] / second, w[-1, i] * second, radius[i], int(hits[i]))
-                for key, value in zip(GAITS, values):
+                          np.exp(w[0, i]), np.exp(w[0, i]) * w[1, i] / second, w[-1, i] * second, radius[i],
+                          int(hits[i]))
+                for key, value in zip(GAITS, values, strict=True):
                     rows[key].append(value)
         once = int((hits == 1).sum())
-        for key, value in zip(COVER, (slope, y.shape[1], int(struck.sum()), converged, w.shape[1] - counts["not_steps"],
-                                      *counts.values(), once, max(once, 1) / max(converged, 1))):
+        values = (slope, y.shape[1], int(struck.sum()), converged, w.shape[1] - counts["not_steps"], *counts.values(),
+                  once, max(once, 1) / max(converged, 1))
+        for key, value in zip(COVER, values, strict=True):
             cover[key].append(value)
-    return {f"census/{k}": np.array(v) for k, v in rows.items()} | {f"coverage/{k}": np.array(v) for k, v in cover.items()}
+    found = {f"census/{k}": np.array(v) for k, v in rows.items()}
+    return found | {f"coverage/{k}": np.array(v) for k, v in cover.items()}
 
 
 def starts(problem: Problem, slope: float, count: int) -> np.ndarray:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Mapping
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     unknown = [name for name in params["ids"] if name not in CLAIMS]
     if unknown:
         raise ValueError(f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}")
-    for line, data in zip(params["lines"], inputs):
+    for line, data in zip(params["lines"], inputs, strict=False):
         atlas = {k: v for k, v in data.items() if k not in VARIABLES and k not in ("slope", "reasons")}
         if isinstance(line["walker"], str) and atlas:
             remember(line["walker"], line["set"], atlas)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Mapping
+import itertools
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -74,19 +76,25 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         # A curve that comes back to the line it began on passes through another of its points.
         seen += [(kind, p.U) for p in _back_at(equations, points, first)]
         for p in points:
-            for name, value in zip(COLUMNS, (number, kind, np.exp(p.U[-2]), key, p.U[-1] * equations.scale, np.exp(p.U[0]),
-                                             p.times[-1] * second, int(equations.walks(p)))):
-                rows[name].append(value)
+            _add(rows, (number, kind, *_place(equations, p, key, second), int(equations.walks(p))))
         for component, turn in ((-1, "key"), (-2, "slope")):
-            for a, b in zip(points[:-1], points[1:]):
-                p = turning(equations, a, b, component)
-                if p is not None and p.ok:
-                    for name, value in zip(TURNS, (number, kind, turn, np.exp(p.U[-2]), key, p.U[-1] * equations.scale,
-                                                   np.exp(p.U[0]), p.times[-1] * second, 1e-9 + p.error)):
-                        turns[name].append(value)
+            for a, b in itertools.pairwise(points):
+                found = turning(equations, a, b, component)
+                if found is not None and found.ok:
+                    _add(turns, (number, kind, turn, *_place(equations, found, key, second), 1e-9 + found.error))
         number += 1
     return {f"curves/{k}": np.array(v) for k, v in rows.items()} | {
         f"turnings/{k}": np.array(v) for k, v in turns.items()}
+
+
+def _add(table: dict[str, list[Any]], row: tuple[Any, ...]) -> None:
+    for column, value in zip(table.values(), row, strict=True):
+        column.append(value)
+
+
+def _place(equations: Curve, p: Point, key: str, second: float) -> tuple[Any, ...]:
+    """Slope, key, its value, stance angle and period of a point, in the walker's units."""
+    return float(np.exp(p.U[-2])), key, float(p.U[-1] * equations.scale), float(np.exp(p.U[0])), p.times[-1] * second
 
 
 def _ratio(walker: Walker) -> float:
@@ -129,7 +137,7 @@ def _back_at(equations: Curve, points: list[Point], first: Point) -> list[Point]
     border = np.zeros(len(first.U))
     border[-1] = 1.0
     value = first.U[-1]
-    for a, b in zip(points[:-1], points[1:]):
+    for a, b in itertools.pairwise(points):
         if (a.U[-1] - value) * (b.U[-1] - value) < 0:
             h = (value - a.U[-1]) / (b.U[-1] - a.U[-1])
             p = equations.correct((1 - h) * a.U + h * b.U, (1 - h) * a.times + h * b.times, border)

@@ -40,7 +40,8 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         Tables `orbits` (slope, start, stride, stance_angle, stance_rate), `lyapunov` (slope, index, exponent,
         standard_error, strides), `falls` (slope, start, steps, cause) and `survival` (slope, starts, falls, strides,
-        lifetime: strides walked a fall). Exponents are per stride; only orbits that walk to the end are in the first two.
+        lifetime: strides walked a fall). Exponents are per stride; only orbits that walk to the end are in the first
+        two.
 
     Notes
     -----
@@ -72,7 +73,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     out |= {"falls/slope": np.concatenate([lane_slope[~walks], slope[lost]]),
             "falls/start": np.concatenate([start[~walks], np.full(len(lost), -1)]),
             "falls/steps": np.concatenate([steps[~walks], np.zeros(len(lost), int)]),
-            "falls/cause": np.array([*(CAUSES[c] for c in outcome[~walks]), *["no gait to start from"] * len(lost)], "U24")}
+            "falls/cause": np.array([CAUSES[c] for c in outcome[~walks]] + ["no gait to start from"] * len(lost), "U24")}
     out |= _survival(lane_slope, steps, ~walks)
     return out | _exponents(means[:, :, walks], lane_slope[walks], int(options["strides"]) - SETTLE)
 
@@ -94,8 +95,9 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
         mine = lane_slope == s
         value, error = estimate(means[:, :, mine])
         for i in range(len(value)):
-            for key, x in zip(rows, (s, i, value[i], error[i], strides * int(mine.sum()))):
-                rows[key].append(x)
+            row = (s, i, value[i], error[i], strides * int(mine.sum()))
+            for column, x in zip(rows.values(), row, strict=True):
+                column.append(x)
     return {f"lyapunov/{k}": np.array(v, float if k not in ("index", "strides") else int) for k, v in rows.items()}
 
 

@@ -27,8 +27,8 @@ BLOCK = 4096
 UNKNOWN = -1
 #: Newton steps a point may take from the atlas; nearly all take one.
 MOST_STEPS = 8
-#: Relative distance from the fixed point at which losses and multipliers are as good as at it.
-NEAR = 5e-13
+#: Relative distance from the fixed point at which multipliers are as good as at it.
+NEAR = 2e-12
 
 
 def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -134,6 +134,10 @@ def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndar
     eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
     y = stride.y + stride.newton
     times = stride.times + apply(stride.times_by_y, stride.newton)
+    # What is measured at the impacts is carried to the fixed point, as the times are.
+    stride.impact = stride.impact + apply(stride.impact_by_y, stride.newton)
+    if stride.knee is not None and stride.knee_by_y is not None:
+        stride.knee = stride.knee + apply(stride.knee_by_y, stride.newton)
     bound = _bound(problem, stride, y, times, slope, scale, lipschitz, eta)
     converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
     for lane in np.nonzero((bound > extended.ESCALATE) & (bound < 1e-3))[0]:

@@ -1,15 +1,15 @@
 """Curves of special points in two parameters: folds, flips and ends of walking in slope and one walker key.
 
 A point is U = (w, q, k): similarity coordinates of the section, q = ln slope and the key over its scale. It solves
-P(y) = y together with one smooth scalar g: det(I - A) for a fold, det(I + A) for a flip, the gap between the strikes or the
-closing rate of the heel for an end. Both are zero along the curve, which is followed by pseudo-arclength; derivatives
+P(y) = y together with one smooth scalar g: det(I - A) for a fold, det(I + A) for a flip, the gap between the strikes or
+the closing rate of the heel for an end. Both are zero along the curve, which is followed by pseudo-arclength; derivatives
 of P by y and slope are exact, all others are central differences, flown as further lanes of one call.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Callable, Mapping
 
 import numpy as np
 from scipy.optimize import brentq
@@ -17,7 +17,8 @@ from scipy.optimize import brentq
 from tasks.gait.continuation import linearised
 from tasks.gait.fixed_point import Problem
 from tasks.gait.stride import Stride, StrideMap, stride_map
-from tasks.gait.strides import STRUCK, stride as flown
+from tasks.gait.strides import STRUCK
+from tasks.gait.strides import stride as flown
 from tasks.mechanics.equations import constants_of, structure_of
 from tasks.walkers.parameters import Walker, WalkerError
 

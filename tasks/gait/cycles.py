@@ -1,20 +1,21 @@
 """Gaits of period n: fixed points of n strides, by multiple shooting over the stride map.
 
 All n sections are unknowns, so the residual never grows over many strides: a 64-step gait is as well conditioned as a
-step. Z = (sections, q) with q = ln slope; sections are in rad and rad/sqrt(leg/g), divided by sqrt(n), so lengths along a
-branch mean the same for every n. The event times follow as functions of Z.
+step. Z = (sections, q) with q = ln slope; sections are in rad and rad/sqrt(leg/g), divided by sqrt(n), so lengths along
+a branch mean the same for every n. The event times follow as functions of Z.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable
 
 import numpy as np
 from scipy.optimize import brentq
 
 from tasks.gait.fixed_point import Problem
-from tasks.gait.strides import STRUCK, stride as flown
+from tasks.gait.strides import STRUCK
+from tasks.gait.strides import stride as flown
 
 #: Acceptance of a step along a branch: predictor error relative to the step, and change of the map's trace.
 MOST_BEND, MOST_CHANGE = 0.2, 0.6
@@ -125,7 +126,8 @@ def correct(problem: Problem, Z: np.ndarray, times: np.ndarray, border: np.ndarr
         last = size
     if not ok:
         return Cycle(np.full((m, n), np.nan), times, np.nan, np.zeros((m, m, n)), border, False, size)
-    return Cycle(Z[:-1].reshape(n, m).T * np.sqrt(n), times, float(Z[-1]), A, tangent / np.linalg.norm(tangent), True, size)
+    Y, tangent = Z[:-1].reshape(n, m).T * np.sqrt(n), tangent / np.linalg.norm(tangent)
+    return Cycle(Y, times, float(Z[-1]), A, tangent, True, size)
 
 
 def at_slope(problem: Problem, Y: np.ndarray, times: np.ndarray, slope: float) -> Cycle:
@@ -228,7 +230,7 @@ def doubled(problem: Problem, flip: Cycle, expected: float) -> Path | None:
     Along the branch the sections of the two halves part by +-a v with v the eigenvector of -1, and the slope moves as
     a^2. The first point is sought at a fixed parting, where the branch of the single period is not.
     """
-    n, m = flip.period, len(flip.Y)
+    n = flip.period
     values, vectors = np.linalg.eig(flip.monodromy)
     v = np.real(vectors[:, np.argmin(np.abs(values + 1))])
     half = []

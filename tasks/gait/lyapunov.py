@@ -39,7 +39,7 @@ def orthogonalised(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _dot(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     total = u[0] * v[0]
-    for a, b in zip(u[1:], v[1:]):
+    for a, b in zip(u[1:], v[1:], strict=True):
         total = total + a * b
     return total
 

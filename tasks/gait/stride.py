@@ -31,8 +31,8 @@ class Stride:
     `y` (m, n) the section's start; `image` (m, n) P(y) after the correction of the times; `jacobian` (m, m, n) dP/dy;
     `inverse` (m, m, n) of I - dP/dy; `newton` (m, n) the Newton step; `times` (k, n) kneestrike and heelstrike,
     corrected; `times_by_y` (k, m, n); `by_slope` (m, n) and `times_by_slope` (k, n) where asked for; `impact` (2, n)
-    rates just before heelstrike; `start` (a, n) state after heelstrike; `closing` (n,) rate of the heelstrike guard; `knee` (6, n) state at
-    kneestrike; `motion` samples of each phase.
+    rates just before heelstrike and `impact_by_y` (2, m, n); `start` (a, n) state after heelstrike; `closing` (n,) rate of the heelstrike guard; `knee` (6, n) state at
+    kneestrike and `knee_by_y` (6, m, n); `motion` samples of each phase.
     """
 
     y: np.ndarray
@@ -45,9 +45,11 @@ class Stride:
     by_slope: np.ndarray | None
     times_by_slope: np.ndarray | None
     impact: np.ndarray
+    impact_by_y: np.ndarray
     start: np.ndarray
     closing: np.ndarray
     knee: np.ndarray | None
+    knee_by_y: np.ndarray | None
     motion: list[np.ndarray] | None
 
     def put(self, lanes: np.ndarray, other: Stride) -> None:
@@ -137,7 +139,8 @@ class StrideMap:
         lock = [q[0], q[1], *kneestrike(p, q, rate)]
         columns = [[*moved[i][:self.m], defect[i], *moved[i][self.m:]] for i in range(6)]
         out = _directions(lock, x, columns)
-        return self._function(lock + _flat(out) + [shift, *shift_by, closing], [*x, *_flat(D), *p.variables])
+        strike = [x[i] + defect[i] for i in range(6)] + _flat([moved[i][:self.m] for i in range(6)])
+        return self._function(lock + _flat(out) + [shift, *shift_by, *strike], [*x, *_flat(D), *p.variables])
 
     def _compile_finish(self, slope: bool) -> hy.cfunc:
         """From the end of two links to the image on the section, its derivatives and the Newton step."""
@@ -166,7 +169,7 @@ class StrideMap:
         newton = [sum((inverse[i][j] * miss[j] for j in range(m)), ZERO) for i in range(m)]
         impact = [x[2] + base[2] + field[2] * shift, x[3] + base[3] + field[3] * shift]
         outputs = [*moved, *_flat(jacobian), *_flat(inverse), *newton, shift, *(shift_by[d] for d in keep), *impact,
-                   closing, *([row[m] for row in out] if slope else [])]
+                   *columns[2][:m], *columns[3][:m], closing, *([row[m] for row in out] if slope else [])]
         return self._function(outputs, [*y, *x, *_flat(D), *p.variables])
 
     def _apply(self, function: hy.cfunc, inputs: np.ndarray) -> np.ndarray:
@@ -212,15 +215,15 @@ class StrideMap:
         start, seeds = begin[:size], begin[size:].reshape(size, m, n)
         zeros = np.zeros((size, 1, n))
         D = np.concatenate([seeds, zeros], axis=1) if slope else seeds
-        sampled, knee = [], None
+        sampled, knee, knee_by_y = [], None, None
         if self.kneed:
             run = flow(self.structure, True, m + slope, slope, rough)
             final, moved = run(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             sampled.append(moved)
-            knee = final[:6]
             out = self._apply(self._knee[slope], np.vstack([final[:6], _unlanes(final[6:], 6), parameters]))
             start2, D = out[:4], out[4:4 + 4 * (m + 1 + slope)].reshape(4, m + 1 + slope, n)
-            knee_shift = out[4 + D.shape[1] * 4:]
+            knee_shift, strike = np.split(out[4 + D.shape[1] * 4:], [1 + m + slope])
+            knee, knee_by_y = strike[:6], strike[6:].reshape(6, m, n)
             duration = times[1] - times[0]
         else:
             start2, duration = start, times[0]
@@ -228,8 +231,8 @@ class StrideMap:
         final, moved = run(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
         sampled.append(moved)
         out = self._apply(self._finish[slope], np.vstack([y, final[:4], _unlanes(final[4:], 4), parameters]))
-        cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + slope, 2, 1]))
-        image, jacobian, inverse, newton, shift, shift_by, impact, closing, by_slope = cut
+        cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + slope, 2, 2 * m, 1]))
+        image, jacobian, inverse, newton, shift, shift_by, impact, impact_by_y, closing, by_slope = cut
         all_times, all_by = times[-1:] + shift, shift_by[None]
         if self.kneed:
             first = times[:1] + knee_shift[:1]
@@ -238,8 +241,8 @@ class StrideMap:
             all_times = np.vstack([first, all_times + knee_shift[:1]])
             all_by = np.concatenate([first_by, all_by + first_by])
         return Stride(y, image, jacobian.reshape(m, m, n), inverse.reshape(m, m, n), newton, all_times,
-                      all_by[:, :m], by_slope if slope else None, all_by[:, m] if slope else None, impact, start,
-                      closing[0], knee, sampled if samples else None)
+                      all_by[:, :m], by_slope if slope else None, all_by[:, m] if slope else None, impact,
+                      impact_by_y.reshape(2, m, n), start, closing[0], knee, knee_by_y, sampled if samples else None)
 
 
 def _lanes(D: np.ndarray) -> np.ndarray:

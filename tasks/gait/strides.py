@@ -72,7 +72,7 @@ class Scanner:
         for weights in _STAGES:
             M, f = rows(p, now[:n], now[n:], free)
             slopes.append([*now[n:], *Solver(M)(f)])
-            now = [x[i] + h * sum((a * s[i] for a, s in zip(weights, slopes) if a), ZERO) for i in range(2 * n)]
+            now = [x[i] + h * sum((a * s[i] for a, s in zip(weights, slopes, strict=True) if a), ZERO) for i in range(2 * n)]
         return hy.cfunc(now, vars=[*x, h, *p.variables], compact_mode=False)
 
     def _compile_lock(self) -> hy.cfunc:
@@ -238,7 +238,8 @@ def _polished(found: Strides, walks: np.ndarray, at: Stride, scale: np.ndarray) 
     """The strides with the exact map's images, times and Jacobians in place of the scan's."""
     m = len(found.image)
     found.jacobian = np.full((m, m, len(found.outcome)), np.nan)
-    found.image[:, walks], found.times[:, walks], found.jacobian[:, :, walks] = at.image * scale[walks], at.times, at.jacobian
+    found.image[:, walks], found.times[:, walks] = at.image * scale[walks], at.times
+    found.jacobian[:, :, walks] = at.jacobian
     lost = ~np.isfinite(found.image[:, walks]).all(axis=0)
     found.outcome[walks[lost]] = LOST
     return found

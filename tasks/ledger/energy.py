@@ -24,8 +24,9 @@ def diagonal() -> Finding:
     light = {f"{r:g}": contact_mass(line("E", foot_mass_ratio=r).walker, np.zeros(1))[0, 0, 0] / r
              for r in (0.1, 0.01, 1e-3, 1e-4)}
     other = contact_mass(CATALOGUE["physical"], np.zeros(1))[0, 0, 1]
-    return Finding(f"off-diagonal and y - 1 at most {off:g} of the total mass (the untuned machine: {other:.2g}); x over "
-                   f"the foot's mass at {numbers(light, 5)}", verdict(off < 1e-14 and abs(light["0.0001"] - 1) < 1e-3), float(light["0.0001"]))
+    return Finding(f"off-diagonal and y - 1 at most {off:g} of the total mass (the untuned machine: {other:.2g}); x "
+                   f"over the foot's mass at {numbers(light, 5)}",
+                   verdict(off < 1e-14 and abs(light["0.0001"] - 1) < 1e-3), float(light["0.0001"]))
 
 
 @claim("M2", "losses equal the drop in height", "sections 3 and 6.2", "figure11/loglog", _RUN)
@@ -65,8 +66,9 @@ def kneestrike() -> Finding:
     grid = line("C").grid()
     losses = sum(grid[k][0, :2] for k in ("loss_normal", "loss_tangential", "loss_kneestrike"))
     share = grid["loss_kneestrike"][0, :2] / losses
-    return Finding(f"exponents at {VANISHING:g}: {numbers(found, 6)}; its share of all losses at 1e-8: long {share[0]:.4f}, "
-                   f"short {share[1]:.4f}", verdict(max(abs(p - 2) for p in found.values()) < 1e-3), found["long"])
+    return Finding(f"exponents at {VANISHING:g}: {numbers(found, 6)}; its share of all losses at 1e-8: long "
+                   f"{share[0]:.4f}, short {share[1]:.4f}",
+                   verdict(max(abs(p - 2) for p in found.values()) < 1e-3), found["long"])
 
 
 def power_at(walker: str, gait: int, froude: float) -> float:
@@ -81,8 +83,9 @@ def cheaper() -> Finding:
     speeds = (0.01, 0.03)
     ratio = {v: {w: power_at(w, SHORT, v) / power_at(w, LONG, v) for w in TUNED} for v in speeds}
     tuned = [ratio[0.01][w] for w in TUNED if w != "D"]
-    return Finding(f"power of the short step over the long one's at Froude speed 0.01: {numbers(ratio[0.01], 3)}; at 0.03: "
-                   f"{numbers(ratio[0.03], 3)} (D has no tangential loss)", verdict(min(tuned) > 5, min(tuned) > 2),
+    return Finding(f"power of the short step over the long one's at Froude speed 0.01: {numbers(ratio[0.01], 3)}; at "
+                   f"0.03: {numbers(ratio[0.03], 3)} (D has no tangential loss)",
+                   verdict(min(tuned) > 5, min(tuned) > 2),
                    ratio[0.01]["E"])
 
 
@@ -114,8 +117,8 @@ def silly_wheel() -> Finding:
             need[f"{radius:g}"] = slope / angle**3
             mismatch[f"{radius:g}"] = float(gait_ratio(stride)[long[-1]]) / angle**2
     values = list(mismatch.values())
-    return Finding(f"long gait of B with R of {', '.join(need)}: slope over angle^3 {numbers(need, 3)}; mismatch of the legs' "
-                   f"rates over stance rate and angle^2 {numbers(mismatch, 3)}: at a given step both vanish with leg - R",
+    return Finding(f"long gait of B with R of {', '.join(need)}: slope over angle^3 {numbers(need, 3)}; mismatch of "
+                   f"the legs' rates over stance rate and angle^2 {numbers(mismatch, 3)}: at a given step both vanish with leg - R",
                    verdict(values[-1] < 0.2 * values[0] and list(need.values())[-1] < 0.05 * need["0.2"]), values[-1])
 
 

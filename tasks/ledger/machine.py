@@ -89,8 +89,8 @@ def slowest() -> Finding:
         shown = found["stance_angle"] >= end
         slope, speed = found["slope"][shown], found["speed"][shown]
         slow, small = int(np.argmin(speed)), int(np.argmin(slope))
-        said.append(f"{name}: slowest {speed[slow]:.3g} m/s at slope {slope[slow]:.5f}, and {speed[small]:.3g} m/s at its "
-                    f"smallest slope {slope[small]:.5f}")
+        said.append(f"{name}: slowest {speed[slow]:.3g} m/s at slope {slope[slow]:.5f}, and {speed[small]:.3g} m/s at "
+                    f"its smallest slope {slope[small]:.5f}")
         right.append(speed[slow] < 0.5 * speed[small])
     return Finding("; ".join(said), verdict(all(right)), float(speed[small]))
 

@@ -86,9 +86,9 @@ def transition_power() -> Finding:
     powers = table["fits/transition/local_exponent"][:-1]
     steps = ", ".join(f"{p:.4f}" for p in powers)
     limit = abs(powers[-1] - 1.5) < 0.01
-    return Finding(f"E over F {fitted:.3f} by fitted lines as the paper draws them, {exact:.3f} by the exact asymptotes "
-                   f"(2^1.5 = 2.828); local power between foot masses {', '.join(f'{r:g}' for r in RATIOS)}: {steps}, "
-                   f"tending to 3/2", APPROXIMATELY if limit else verdict(False), fitted)
+    return Finding(f"E over F {fitted:.3f} by fitted lines as the paper draws them, {exact:.3f} by the exact "
+                   f"asymptotes (2^1.5 = 2.828); local power between foot masses "
+                   f"{', '.join(f'{r:g}' for r in RATIOS)}: {steps}, tending to 3/2", APPROXIMATELY if limit else verdict(False), fitted)
 
 
 @claim("E5", "above the transition both walkers' short steps follow similar curves", "section 4.1, figure 5",
@@ -97,7 +97,7 @@ def one_line() -> Finding:
     slopes = np.array([1e-6, 0.01, 0.05, 0.1, 0.2])
     e, f = (line(w).at(slopes)["stance_angle"] for w in ("E", "F"))
     short, long = f[:, SHORT] / e[:, SHORT], f[:, LONG] / e[:, LONG]
-    listed = ", ".join(f"{r:.4f} at {s:g}" for r, s in zip(short, slopes))
+    listed = ", ".join(f"{r:.4f} at {s:g}" for r, s in zip(short, slopes, strict=True))
     return Finding(f"short step of F over that of E: {listed}; long step within {np.abs(long - 1).max():.3f}",
                    verdict(abs(short[3] - 1) < 0.02, abs(short[3] - 1) < 0.1), float(short[3]))
 
@@ -114,7 +114,8 @@ def speed_crossing(walker: str) -> float:
     return root(lead, grid["slope"], np.log(grid["speed"][:, SHORT] / grid["speed"][:, LONG]))
 
 
-@claim("E6", "the long step is faster as the slope vanishes, the short step above the transition", "section 4.1; figure 10",
+@claim("E6", "the long step is faster as the slope vanishes, the short step above the transition",
+       "section 4.1; figure 10",
        "figure11/loglog", "gaitsweep solve --walker E --slope 0.01 --json")
 def faster() -> Finding:
     found = {w: speed_crossing(w) for w in ("A", "B", "C", "E", "F")}

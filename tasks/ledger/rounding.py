@@ -221,7 +221,7 @@ def grazing_sensitivities(mark: Landmark, X: np.ndarray, times: np.ndarray, base
     sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
     walkers, places, n = [], [], len(Z)
     for factor in (1.0, -1.0, 2.0, -2.0):
-        walkers += [base] * n + [changed(mark.walker, base, k, factor * size) for k, size in zip(keys, sizes)]
+        walkers += [base] * n + [changed(mark.walker, base, k, factor * size) for k, size in zip(keys, sizes, strict=True)]
         places += [*(Z + factor * step * np.eye(n)), *([Z] * len(keys))]
     slopes = _central(_grazing(walkers, np.array(places).T), np.concatenate([np.full(n, step), sizes]))
     by = -np.linalg.solve(slopes[:, :n], slopes[:, n:])
@@ -244,7 +244,7 @@ def sensitivities(mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker
         for i in range(m + 1):
             walkers.append(base)
             places.append(X + factor * step * np.eye(m + 1)[i])
-        for key, size in zip(keys, sizes):
+        for key, size in zip(keys, sizes, strict=True):
             walkers.append(changed(mark.walker, base, key, factor * size))
             places.append(X)
     walkers.append(base)
@@ -275,7 +275,7 @@ def interval(name: str) -> Interval:
     slope, angle = float(np.exp(X[-1])), float(np.exp(X[0]))
     differentiate = grazing_sensitivities if mark.test == "end_tangential_heelstrike" else sensitivities
     by = differentiate(mark, X, times, found.walker, keys)
-    sensitivity = {k: slope * float(d) for k, d in zip(keys, by[-1])}
+    sensitivity = {k: slope * float(d) for k, d in zip(keys, by[-1], strict=True)}
     total = sum(abs(sensitivity[k]) * half[k] for k in keys)
     return Interval(slope, angle, slope - total, slope + total, sensitivity,
-                    {k: angle * float(d) for k, d in zip(keys, by[0])}, half)
+                    {k: angle * float(d) for k, d in zip(keys, by[0], strict=True)}, half)

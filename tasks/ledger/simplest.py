@@ -41,7 +41,8 @@ def long_stable() -> Finding:
                    finding.verdict if worst < 1 else verdict(False), finding.value, finding.low, finding.high)
 
 
-@claim("D3", "the short step is never stable", "section 3", "figure11/linear", "gaitsweep solve --walker D --slope 0.009")
+@claim("D3", "the short step is never stable", "section 3", "figure11/linear",
+       "gaitsweep solve --walker D --slope 0.009")
 def short_unstable() -> Finding:
     radius = line("D").grid(1e-8, 0.2, 97)["spectral_radius"][:, SHORT]
     least = float(radius.min())
@@ -62,9 +63,9 @@ def heelstrike_direction() -> Finding:
     even = uneven[2][0] < 1e-3 and uneven[2][1] > 0.1
     shorts = numbers({w: power[w][SHORT] for w in power}, 3)
     return Finding(
-        f"long: x'/y' of D {ratios['D'][0, LONG]:.2g}, {ratios['D'][1, LONG]:.2g}, {ratios['D'][2, LONG]:.2g} at slopes "
-        f"1e-3, 1e-5, 1e-7; motion off its time reversal by {uneven[0][0]:.1g}, {uneven[1][0]:.1g}, {uneven[2][0]:.1g} "
-        f"of the step (short: {uneven[2][1]:.2g}); short: x'/y' ~ slope^p with p = {shorts}",
+        f"long: x'/y' of D {ratios['D'][0, LONG]:.2g}, {ratios['D'][1, LONG]:.2g}, {ratios['D'][2, LONG]:.2g} at "
+        f"slopes 1e-3, 1e-5, 1e-7; motion off its time reversal by {uneven[0][0]:.1g}, {uneven[1][0]:.1g}, "
+        f"{uneven[2][0]:.1g} of the step (short: {uneven[2][1]:.2g}); short: x'/y' ~ slope^p with p = {shorts}",
         verdict(falls and rises and even), float(power["E"][SHORT]))
 
 
@@ -88,7 +89,7 @@ def cube_roots() -> Finding:
     speed = {n: line("D").exponent(g, 1e-8, "speed") for g, n in enumerate(names)}
     period = {n: float(found["period"][0, g]) for g, n in enumerate(names)}
     off = max(abs(p - 1 / 3) for p in (*angle.values(), *speed.values()))
-    drift = max(abs(period[n] - limit) for n, limit in zip(names, PERIODS))
+    drift = max(abs(period[n] - limit) for n, limit in zip(names, PERIODS, strict=True))
     return Finding(f"exponents of the angle: {numbers(angle, 6)}, of the speed: {numbers(speed, 6)} at 1e-8; "
                    f"periods at 1e-9: {numbers(period, 10)}", verdict(off < 1e-4 and drift < 1e-4), angle["long"])
 
@@ -101,7 +102,7 @@ def fourth_power() -> Finding:
     found, unit = d.at([1e-9]), d.walker.total_mass * d.walker.g
     factors = [float(found["power"][0, g] / found["speed"][0, g] ** 4) / unit for g in (LONG, SHORT)]
     limits = [power_factor(p) for p in PERIODS]
-    off = max(abs(a / b - 1) for a, b in zip(factors, limits))
+    off = max(abs(a / b - 1) for a, b in zip(factors, limits, strict=True))
     return Finding(f"exponents {exponents[0]:.6f} long, {exponents[1]:.6f} short; P/v^4 = {factors[0]:.6f} and "
                    f"{factors[1]:.6f} (closed form {limits[0]:.6f} and {limits[1]:.6f})",
                    verdict(max(abs(p - 4) for p in exponents) < 1e-3 and off < 1e-4), exponents[0])

@@ -94,7 +94,7 @@ def whole_table() -> Finding:
         right = [row["zero_slope_capable"] == 1, row["faster_vanishing"] == first, row["faster_larger"] == then]
         strict, loose, cells = strict + sum(right), loose + sum(right), cells + 3
         for gait, laws in (("short", short), ("long", long)):
-            for when, cube in zip(("vanishing", "small", "larger"), laws):
+            for when, cube in zip(("vanishing", "small", "larger"), laws, strict=True):
                 if cube is None:
                     continue
                 off = max(abs(row[f"{gait}_angle_{when}"] - (1 / 3 if cube else 1)),
@@ -104,6 +104,6 @@ def whole_table() -> Finding:
                     far = off
                     worst = (f"{name} {gait} at {when} slope: angle ~ slope^{row[f'{gait}_angle_{when}']:.3f}, "
                              f"P ~ v^{row[f'{gait}_power_{when}']:.2f}")
-    return Finding(f"{strict} of {cells} cells (all but chaos) hold to within 0.01 of the angle's and 0.1 of the power's "
-                   f"exponent, {loose} to within ten times that (at slope {LARGE:g} for the larger ones); farthest off: "
-                   f"{worst}", verdict(strict == cells, loose == cells), float(strict))
+    return Finding(f"{strict} of {cells} cells (all but chaos) hold to within 0.01 of the angle's and 0.1 of the "
+                   f"power's exponent, {loose} to within ten times that (at slope {LARGE:g} for the larger ones); "
+                   f"farthest off: {worst}", verdict(strict == cells, loose == cells), float(strict))

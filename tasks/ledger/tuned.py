@@ -35,8 +35,8 @@ def conditions() -> Finding:
     tuned = [name for name, w in CATALOGUE.items() if is_tuned(w)]
     off = {name: worst[name] for name in worst if name not in tuned}
     compass = max(abs(x) for x in statics(GOSWAMI).values())
-    return Finding(f"met by {', '.join(tuned)} and Goswami's compass gait (residual {compass:g}); largest residual of the "
-                   f"others in m: {numbers(off, 3)}",
+    return Finding(f"met by {', '.join(tuned)} and Goswami's compass gait (residual {compass:g}); largest residual of "
+                   f"the others in m: {numbers(off, 3)}",
                    verdict(set(tuned) == {"A", "B", "C", "D", "E", "F"} and is_tuned(GOSWAMI)), off["C-printed"])
 
 
@@ -83,13 +83,14 @@ def cusp_breaks() -> Finding:
         above = ~slow & (found["slope"] > 1.05 * found["slope"][fold]) & (found["slope"] < 0.04)
         stable.append(bool((found["spectral_radius"][above] < 1).all()))
     shifts = bool(np.all(np.diff(list(least.values())) > 0)) and min(least.values()) > 0
-    return Finding(f"smallest slope of the long step at detuning {numbers(least)}; below the fold's speed unstable up to "
-                   f"slope {numbers(unstable)}; above it stable to 0.04 at detuning "
-                   + ", ".join(f"{d:g}" for d, s in zip(PANELS, stable) if s),
+    return Finding(f"smallest slope of the long step at detuning {numbers(least)}; below the fold's speed unstable up "
+                   f"to slope {numbers(unstable)}; above it stable to 0.04 at detuning "
+                   + ", ".join(f"{d:g}" for d, s in zip(PANELS, stable, strict=True) if s),
                    verdict(shifts and all(u > 0 for u in unstable.values()) and all(stable)), least["0.05"])
 
 
-@claim("T5", "the short step's end (heelstrike at kneestrike) moves up with detuning", "section 5.2, 2", "figure8/locus", _RUN)
+@claim("T5", "the short step's end (heelstrike at kneestrike) moves up with detuning", "section 5.2, 2",
+       "figure8/locus", _RUN)
 def short_end() -> Finding:
     ends = {f"{d:g}": line("C", detuning=d).special_of("end_kneestrike_at_heelstrike")[0] for d in PANELS[1:]}
     ends["1"] = line("physical").special_of("end_kneestrike_at_heelstrike")[0]
@@ -97,7 +98,8 @@ def short_end() -> Finding:
     first = line("C", detuning=PANELS[0]).special_of("end_tangential_heelstrike")
     other = f"; at {PANELS[0]:g} the short step ends as heelstrike turns tangential, at {first[-1]['slope']:.4g}" if first else ""
     rises = all(np.all(np.diff(list(x.values())) > 0) for x in (slopes, angles))
-    return Finding(f"slope of the end at detuning {numbers(slopes)}; its angle {numbers(angles)}{other}", verdict(rises),
+    return Finding(f"slope of the end at detuning {numbers(slopes)}; its angle {numbers(angles)}{other}",
+                   verdict(rises),
                    slopes["0.2"])
 
 
@@ -106,7 +108,7 @@ def offsets() -> dict[str, np.ndarray]:
     """Table of the smallest slope against fore-aft offsets from exact tuning."""
     rows = [(name, key, value, value - getattr(CATALOGUE[name], key), line(name, **{key: value}).ends()[0])
             for name, key, value in OFFSETS]
-    return {k: np.array(v) for k, v in zip(("walker", "key", "key_value", "offset", "smallest_slope"), zip(*rows))}
+    return {k: np.array(v) for k, v in zip(("walker", "key", "key_value", "offset", "smallest_slope"), zip(*rows, strict=True), strict=True)}
 
 
 @claim("T7", "zero-slope capability is not generic: any fore-aft offset ends it", "section 8", "figure8/locus",
@@ -114,7 +116,7 @@ def offsets() -> dict[str, np.ndarray]:
 def not_generic() -> Finding:
     table = offsets()
     least = {f"{w} {k} off by {1e3 * o:+.3f} mm": float(x) for w, k, o, x in
-             zip(table["walker"], table["key"], table["offset"], table["smallest_slope"])}
+             zip(table["walker"], table["key"], table["offset"], table["smallest_slope"], strict=True)}
     thigh = (table["walker"] == "A") & (table["key"] == "w_t")
     offset, slope = table["offset"][thigh], table["smallest_slope"][thigh]
     grows = all(np.all(np.diff(slope[side][np.argsort(abs(offset[side]))]) > 0) for side in (offset > 0, offset < 0))
@@ -145,5 +147,5 @@ def high_slopes() -> Finding:
     rest = ", ".join(f"{p['kind']} at {p['slope']:.6f}" for p in points if p["kind"] in (
         "flip", "end_kneestrike_at_heelstrike"))
     top = float(np.exp(found.q.max()))
-    return Finding(f"its fold is at slope {fold['slope']:.9f}, angle {fold['stance_angle']:.6f}; {rest}; followed to slope "
-                   f"{top:.2f}", verdict(top > 0.3), float(fold["slope"]))
+    return Finding(f"its fold is at slope {fold['slope']:.9f}, angle {fold['stance_angle']:.6f}; {rest}; followed to "
+                   f"slope {top:.2f}", verdict(top > 0.3), float(fold["slope"]))

@@ -29,8 +29,9 @@ def limits(gait: int) -> dict[str, float]:
 def arbitrarily_small() -> Finding:
     least = {w: max(float(np.exp(b.q.min())) for b in line(w).branches) for w in WALKERS}
     both = {w: line(w).at([1e-10])["status"][0, :2] for w in WALKERS}
-    return Finding(f"both gaits solved at 1e-10, and their branches followed to {max(least.values()):.0e}, where double "
-                   f"precision ends", verdict(all((s == 0).all() for s in both.values()) and max(least.values()) < 1e-12),
+    return Finding(f"both gaits solved at 1e-10, and their branches followed to {max(least.values()):.0e}, where "
+                   f"double precision ends",
+                   verdict(all((s == 0).all() for s in both.values()) and max(least.values()) < 1e-12),
                    max(least.values()))
 
 
@@ -64,8 +65,8 @@ def turns_linear() -> Finding:
     found = interval("C exponent 2/3")
     half = knee_half()
     at = {f"{s:g}": line("C").exponent(LONG, s) for s in (1e-6, 1e-5, 1e-4, 1e-3)}
-    return Finding(f"local exponent passes 2/3, midway between the laws, at {found.value:.4e}; kneestrike takes half of "
-                   f"the loss at {half:.4e}; exponents at {numbers(at, 3)}", within(0.00015, found.low, found.high),
+    return Finding(f"local exponent passes 2/3, midway between the laws, at {found.value:.4e}; kneestrike takes half "
+                   f"of the loss at {half:.4e}; exponents at {numbers(at, 3)}", within(0.00015, found.low, found.high),
                    found.value, found.low, found.high)
 
 

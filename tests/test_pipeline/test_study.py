@@ -27,7 +27,7 @@ WRONG = {
         "": "`name` must be letters, digits, dots, dashes or underscores; got None (s.toml, name).",
         'name = "s"\nwalkr = "E"': "`walkr` is not known here, did you mean `walker`? (s.toml).",
         'name = "s"\nkind = "brunch"':
-            "`kind` must be one of grid, branch, orbit, basin, curve; got 'brunch' (s.toml, kind).",
+            f"`kind` must be one of {', '.join(study.kinds())}; got 'brunch' (s.toml, kind).",
         'name = "s"\ngaits = ["longe"]': "`longe` is not known here, did you mean `long`? (s.toml, gaits).",
     },
     'walker = "E"': {

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from lines import _atlas
 
+from lines import _atlas
 from tasks.basin import basin
 from tasks.census import census, starts
 from tasks.gait.fixed_point import Problem

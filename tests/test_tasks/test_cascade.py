@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from lines import _atlas
 
+from lines import _atlas
 from tasks.cascade import cascade
 from tasks.fits.cascade import DELTA, accumulation, ratios
 from tasks.gait.cycles import from_start, really_walks

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from tasks.claims import claims
 from tasks.ledger import CLAIMS, VERDICTS, Claim, Finding
 from tasks.ledger import claim as rule

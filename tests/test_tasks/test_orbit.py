@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from lines import _atlas
 
+from lines import _atlas
 from tasks.gait.lyapunov import Exponents, estimate, orthogonalised
 from tasks.orbit import orbit
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from oracle import Oracle, SimplestWalker, StepFailed
 
+from oracle import Oracle, SimplestWalker, StepFailed
 from tasks.gait.fixed_point import Problem
 from tasks.gait.strides import BACKWARD, CAUSES, FORWARD, STRUCK, stride
 from tasks.walkers.parameters import resolve
