@@ -97,7 +97,7 @@ def line(journal: Journal, keys: dict[str, tuple[str, str]], want: frozenset[str
         status[lost], reason[lost] = ALL_STATUSES[atlas[0]], len(sentences)
         sentences.append(f"The atlas of the line: {atlas[1][:1].lower()}{atlas[1][1:]}")
     multipliers = max(check["multipliers"] for check in study.checks)
-    found = {name: fill(journal, name, sources, len(slopes), multipliers) for name in names}
+    found = fill(journal, names, sources, len(slopes), multipliers)
     return {"slope": slopes, **found, "status": status, "reason": reason, "reasons": np.array(sentences)}
 
 
@@ -113,17 +113,19 @@ def shape(name: str, n: int, multipliers: int) -> tuple[int, ...]:
     return (n, len(GAITS), multipliers) if "multiplier" in dims else (n, len(GAITS))
 
 
-def fill(journal: Journal, name: str, sources: Iterable[Source], n: int, multipliers: int) -> np.ndarray:
-    """One variable over `n` slopes of one line; NaN, or 0 for whole numbers, where there is none."""
-    dtype = np.dtype(VARIABLES[name].dtype)
-    values = np.full(shape(name, n, multipliers), np.nan if dtype.kind == "f" else 0, dtype)
+def fill(journal: Journal, names: Iterable[str], sources: Iterable[Source], n: int, multipliers: int
+         ) -> dict[str, np.ndarray]:
+    """Variables over `n` slopes of one line; NaN, or 0 for whole numbers, where there is none."""
+    empty = {name: np.nan if VARIABLES[name].dtype == "f8" else 0 for name in names}
+    values = {name: np.full(shape(name, n, multipliers), empty[name], VARIABLES[name].dtype) for name in empty}
     for block, inside, place in sources:
-        found = journal.variables(block).get(name)
-        empty = np.nan if dtype.kind == "f" else 0
-        values[place] = empty
-        if found is not None:
-            part = values[:, :found.shape[1]] if found.ndim == 2 else values[:, :found.shape[1], :found.shape[2]]
-            part[place] = found[inside]
+        data = journal.variables(block)
+        for name, whole in values.items():
+            found = data.get(name)
+            whole[place] = empty[name]
+            if found is not None:
+                part = whole[:, :found.shape[1]] if found.ndim == 2 else whole[:, :found.shape[1], :found.shape[2]]
+                part[place] = found[inside]
     return values
 
 

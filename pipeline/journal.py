@@ -153,7 +153,7 @@ class Journal:
             yield Block(number, _words(variables), np.frombuffer(slopes), found)
 
     def variables(self, block: int) -> dict[str, np.ndarray]:
-        """Variables of one block, checked; the last few are kept at hand."""
+        """Variables of one block, checked; the last two are kept at hand."""
         if block in self._recent:
             self._recent.move_to_end(block)
             return self._recent[block]
@@ -161,7 +161,7 @@ class Journal:
         if check != _sum(line, *row):
             raise TornError(f"{self.path} is torn.")
         self._recent[block] = pack.load(row[2])
-        while len(self._recent) > 4:
+        while len(self._recent) > 2:
             self._recent.popitem(last=False)
         return self._recent[block]
 

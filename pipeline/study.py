@@ -22,8 +22,6 @@ from pipeline import worker
 from pipeline.errors import StudyError
 from tasks.registry import ALWAYS, GAITS, TASKS, VARIABLES
 
-#: Kinds of study; every one but `grid` is a task of the same name.
-KINDS = ("grid", "branch", "orbit", "cascade", "basin", "curve", "census")
 #: Tasks that no study is named after.
 _SERVANTS = ("atlas", "points", "trace")
 #: Axis keys that are not a walker's own.

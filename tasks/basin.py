@@ -9,8 +9,8 @@ import numpy as np
 
 from tasks.gait import atlas as atlases
 from tasks.gait.fixed_point import Problem
+from tasks.gait.starts import gaits_at
 from tasks.gait.strides import CAUSES, STRUCK, stride
-from tasks.orbit import gaits_at
 from tasks.walkers.parameters import resolve
 
 Arrays = dict[str, np.ndarray]

@@ -23,8 +23,8 @@ from tasks.gait.cycles import (
     really_walks,
 )
 from tasks.gait.fixed_point import Problem
+from tasks.gait.starts import gaits_at, scattered
 from tasks.gait.strides import STRUCK, stride
-from tasks.orbit import gaits_at
 from tasks.walkers.parameters import resolve
 
 Arrays = dict[str, np.ndarray]
@@ -122,10 +122,7 @@ def cycles_at(problem: Problem, atlas: Arrays, slope: float, n: int, starts: int
     known, y = gaits_at(problem, atlases.from_arrays(atlas), np.array([slope]), "long")
     if not len(known):
         return []
-    ratio = {2: 1.32471795724474602596, 3: 1.22074408460575947536}[problem.m]
-    steps = np.array([ratio ** -(i + 1) for i in range(problem.m)])
-    offsets = 2 * ((0.5 + steps[:, None] * np.arange(1, starts + 1)) % 1) - 1
-    Y = [y[:, :1] * (1 + 0.2 * offsets)]
+    Y = [y[:, :1] * (1 + 0.2 * (2 * scattered(problem.m, starts) - 1))]
     times: list[np.ndarray] = []
     for _ in range(n + 1):
         now = stride(problem, Y[-1], np.full(Y[-1].shape[1], slope), exact=False)

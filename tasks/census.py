@@ -9,6 +9,7 @@ import numpy as np
 
 from tasks.gait.fixed_point import Problem, gait_ratio, judged, newton
 from tasks.gait.stability import multipliers
+from tasks.gait.starts import scattered
 from tasks.gait.strides import STRUCK, stride
 from tasks.walkers.parameters import resolve
 
@@ -49,8 +50,8 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Notes
     -----
     Starts fill the box of stance angle (evenly in its logarithm), stance rate over angle and swing rate over stance
-    rate by an additive recurrence. A start is flown to its strikes, which gives Newton its event times. `unseen` is Good's
-    and Turing's estimate of the share of converging starts that would lead to a gait not found yet: solutions found
+    rate by an additive recurrence. A start is flown to its strikes, which gives Newton its event times. `unseen` is
+    Good's and Turing's estimate of the share of converging starts that would lead to a gait not found yet: solutions found
     exactly once, over starts that converged (at least one is assumed, so it is never zero).
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
@@ -87,9 +88,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
     """Low-discrepancy starts over the admissible section, shape (m, count) [rad, rad/sqrt(leg/g)]."""
-    # Powers of the generalised golden ratio: x^(m + 1) = x + 1.
-    ratio = {2: 1.32471795724474602596, 3: 1.22074408460575947536}[problem.m]
-    unit = (0.5 + np.array([ratio ** -(i + 1) for i in range(problem.m)])[:, None] * np.arange(1, count + 1)) % 1
+    unit = scattered(problem.m, count)
     low, high = np.log(NARROWEST * slope), np.log(WIDEST)
     angle = np.exp(low + (high - low) * unit[0])
     rate = angle * (CROSSING[0] + (CROSSING[1] - CROSSING[0]) * unit[1])

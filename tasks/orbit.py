@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from tasks.gait import atlas as atlases
-from tasks.gait.branch import Branch
-from tasks.gait.fixed_point import Problem, gait_ratio, newton_step
+from tasks.gait.fixed_point import Problem
 from tasks.gait.lyapunov import Exponents, estimate
+from tasks.gait.starts import gaits_at, scattered
 from tasks.gait.strides import CAUSES, STRUCK, stride
 from tasks.walkers.parameters import resolve
 
@@ -19,6 +19,7 @@ Arrays = dict[str, np.ndarray]
 OPTIONS = {"gait": "long", "starts": 8, "spread": 1e-3, "transient": 400, "strides": 240, "shown": 120}
 #: Strides over which the directions of growth settle before they are counted, and blocks the rest is cut into.
 SETTLE, BLOCKS = 16, 8
+NO_START = "no gait to start from"
 #: Lanes advanced together: their states stay in the cache.
 LANES = 4096
 
@@ -54,7 +55,9 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     slope = np.asarray(params["slope"], float)
     known, gaits = gaits_at(problem, atlases.from_arrays(inputs[0]), slope, str(options["gait"]))
     count = int(options["starts"])
-    y = np.repeat(gaits, count, axis=1) * (1 + float(options["spread"]) * _offsets(problem.m, count, len(known)))
+    # The same offsets at every slope, so an orbit does not depend on which slopes stand beside it.
+    offsets = np.tile(2 * scattered(problem.m, count) - 1, (1, len(known)))
+    y = np.repeat(gaits, count, axis=1) * (1 + float(options["spread"]) * offsets)
     lane_slope, start = np.repeat(slope[known], count), np.tile(np.arange(count), len(known))
     second = np.sqrt(walker.leg / walker.g)
     parts = [_walked(problem, y[:, k:k + LANES], lane_slope[k:k + LANES], options)
@@ -73,7 +76,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     out |= {"falls/slope": np.concatenate([lane_slope[~walks], slope[lost]]),
             "falls/start": np.concatenate([start[~walks], np.full(len(lost), -1)]),
             "falls/steps": np.concatenate([steps[~walks], np.zeros(len(lost), int)]),
-            "falls/cause": np.array([CAUSES[c] for c in outcome[~walks]] + ["no gait to start from"] * len(lost), "U24")}
+            "falls/cause": np.array([CAUSES[c] for c in outcome[~walks]] + [NO_START] * len(lost), "U24")}
     out |= _survival(lane_slope, steps, ~walks)
     return out | _exponents(means[:, :, walks], lane_slope[walks], int(options["strides"]) - SETTLE)
 
@@ -99,15 +102,6 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
             for column, x in zip(rows.values(), row, strict=True):
                 column.append(x)
     return {f"lyapunov/{k}": np.array(v, float if k not in ("index", "strides") else int) for k, v in rows.items()}
-
-
-def _offsets(m: int, count: int, slopes: int) -> np.ndarray:
-    """Fixed offsets of the starts in [-1, 1], the same at every slope, shape (m, slopes * count)."""
-    # Multiples of the generalised golden ratio's powers: a low-discrepancy sequence without state.
-    ratio = {2: 1.32471795724474602596, 3: 1.22074408460575947536}[m]
-    steps = np.array([ratio ** -(i + 1) for i in range(m)])
-    one = 2 * ((0.5 + steps[:, None] * np.arange(1, count + 1)) % 1) - 1
-    return np.tile(one, (1, slopes))
 
 
 def _walked(problem: Problem, y: np.ndarray, slope: np.ndarray, options: Mapping[str, Any]) -> Arrays:
@@ -140,29 +134,3 @@ def _walked(problem: Problem, y: np.ndarray, slope: np.ndarray, options: Mapping
             angles[k - strides + shown][:, lanes] = y[:2]
     means[:, :, lanes] = growth.means()
     return {"angles": angles, "steps": steps, "outcome": outcome, "means": means}
-
-
-def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
-    """A line's gaits of one label at given slopes.
-
-    Returns
-    -------
-    index : ndarray of int
-        Slopes that have one, rising.
-    y : ndarray, shape (m, len(index))
-        Their section coordinates [rad, rad/sqrt(leg/g)].
-    """
-    m = problem.m
-    found: dict[int, np.ndarray] = {}
-    for branch in branches:
-        for index, Z, _ in branch.guesses(np.log(slope)):
-            w, q = np.delete(Z, m, axis=1).T, np.log(slope[index])
-            for _ in range(3):
-                at, _ = problem.stride(w, q)
-                w = w + newton_step(at, w)
-            wanted = (gait_ratio(at) < 0.5) == (label == "long")
-            y = np.vstack([np.exp(w[0]), np.exp(w[0]) * w[1:m]])
-            for lane in np.nonzero(wanted & np.isfinite(y).all(axis=0))[0]:
-                found.setdefault(int(index[lane]), y[:, lane])
-    index = np.array(sorted(found), int)
-    return index, np.array([found[i] for i in index]).T.reshape(m, len(index))

@@ -47,7 +47,7 @@ class Clock:
 
 
 def line(f: problems.Family, n: int) -> dict[str, float]:
-    """Strides a gait, Newton steps a gait and the compiled share of the wall time, on one line of n slopes."""
+    """Strides a gait (each is one Newton step) and the compiled share of the wall time, on one line of n slopes."""
     slopes = np.geomspace(1e-3, f.slope * 3, n)
     params = {"line": {"walker": f.name, "set": {}}, "slope": slopes, "want": problems.GRID_WANT, "gaits": GAITS}
     solve.points(params, [f.atlas])
@@ -63,7 +63,7 @@ def line(f: problems.Family, n: int) -> dict[str, float]:
     flown = sum(flow.evaluations for flow in flows())
     return {"grid points": n, "gaits": gaits, "microseconds a grid point": 1e6 * wall / n,
             "microseconds a gait": 1e6 * wall / max(gaits, 1), "strides a gait": strides / max(gaits, 1),
-            "flights a gait": flown / max(gaits, 1), "Newton steps a gait": strides / max(gaits, 1),
+            "flights a gait": flown / max(gaits, 1),
             "share in compiled code": clock.seconds / wall}
 
 
@@ -100,8 +100,10 @@ def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str
             for _ in range(steps):
                 ta.step(tiny)
             best = min(best, (time.perf_counter() - start) / steps)
-        found.append({"flow": "free knee" if flow.angles == 6 else "locked", "states": flow.size, "u-variables": float(
-            len(ta.decomposition)), "products": float(nonlinear), "sines and cosines": float(trigonometric), "order": float(order),
+        found.append({
+            "flow": "free knee" if flow.angles == 6 else "locked", "states": flow.size,
+            "u-variables": float(len(ta.decomposition)), "products": float(nonlinear),
+            "sines and cosines": float(trigonometric), "order": float(order),
             "kilobytes of coefficients": len(ta.decomposition) * (order + 1) * lanes * 8 / 1024,
             "microseconds a step": 1e6 * best, "GFlop/s": flops / best / 1e9, "share of peak": flops / best / peak})
     return found

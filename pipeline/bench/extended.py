@@ -32,6 +32,15 @@ def best_kind() -> tuple[str, Any]:
     return "long double", np.longdouble
 
 
+def converted(values: Any, kind: Any) -> np.ndarray:
+    """Values of any floating-point type as another: a double's worth, and a double's worth of what that leaves."""
+    found = []
+    for x in values:
+        leading = float(x)
+        found.append(kind(leading) + kind(float(x - type(x)(leading))))
+    return np.array(found, dtype=kind)
+
+
 class Precise:
     """One stride at a time, in a wider floating-point type.
 
@@ -49,12 +58,8 @@ class Precise:
         return hy.taylor_adaptive(equations, self.array([0.0] * len(equations)), fp_type=self.kind, compact_mode=True)
 
     def array(self, values: Any) -> np.ndarray:
-        """Values, of any type, as the wider type; a double's worth and what it leaves are all it needs."""
-        kind, found = self.kind, []
-        for x in values:
-            leading = float(x)
-            found.append(kind(leading) + kind(float(x - type(x)(leading))))
-        return np.array(found, dtype=kind)
+        """Values, of any type, as the wider type."""
+        return converted(values, self.kind)
 
     def _fly(self, flow: Any, start: np.ndarray, directions: np.ndarray, parameters: np.ndarray,
              duration: Any) -> np.ndarray:
@@ -91,7 +96,8 @@ class Precise:
             by = np.stack([first_by, after_by[0] + first_by])
         return {"image": cut[0], "jacobian": cut[1].reshape(m, m), "newton": cut[3], "times": times, "times_by_y": by}
 
-    def settled_stride(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, turns: int = 4) -> dict[str, np.ndarray]:
+    def settled_stride(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray,
+                       turns: int = 4) -> dict[str, np.ndarray]:
         """A stride whose event times are corrected until they are exact."""
         found = self.stride(y, times, parameters)
         for _ in range(turns):

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pipeline.bench.extended import converted
+
 
 @dataclass
 class Case:
@@ -52,9 +54,8 @@ def interleaved(cases: Sequence[Case], rounds: int, least: float) -> None:
 
 
 def largest_error(found: np.ndarray, exact: np.ndarray) -> float:
-    """Largest error of an array over its largest entry; NaN where nothing was found."""
-    exact = np.asarray(exact, float)
-    found = np.asarray(found, float)
-    if found.shape != exact.shape or not np.isfinite(found).all():
+    """Largest error of an array over its largest entry, taken in long double; NaN where nothing was found."""
+    if found.shape != exact.shape:
         return float("nan")
-    return float(np.abs(found - exact).max() / np.abs(exact).max())
+    difference = converted(found.ravel(), np.longdouble) - converted(exact.ravel(), np.longdouble)
+    return float(np.abs(difference).max() / np.abs(exact.astype(float)).max())

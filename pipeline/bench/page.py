@@ -14,6 +14,8 @@ from pipeline.bench.harness import Case
 from pipeline.bench.run import Found
 
 PLOTTED = ("stride", "jacobian", "fixed point")
+#: What `work` counts for each problem.
+WORK = {"fixed point": "strides", "grid": "gaits a point", "branch": "nodes"}
 MARKS = "os^Dv<>p*hXP"
 
 TEMPLATE = """<!doctype html>
@@ -22,13 +24,15 @@ TEMPLATE = """<!doctype html>
 <style>
 body{font:16px/1.5 system-ui,sans-serif;max-width:72rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a;background:#fff}
 h1,h2{line-height:1.2} figure{margin:1rem 0} svg{max-width:100%;height:auto} .wide{overflow-x:auto}
-table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.9rem} caption{text-align:left;padding:.3rem 0}
+table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:.9rem}
+caption{text-align:left;padding:.3rem 0}
 th,td{padding:.15rem .7rem;text-align:right;border-bottom:1px solid #ddd} th:first-child,td:first-child{text-align:left}
 details{margin:.5rem 0}
 </style></head><body>
 <h1>Run time against error</h1>
-<p>All methods timed in turns in one run, one thread. Times are medians of the rounds with least and greatest, for one answer;
-errors are against {{ kind }}, the largest over the largest entry.{% if quick %} A quick run: fewer rounds.{% endif %}
+<p>All methods timed in turns in one run, one thread. Times are medians of the rounds with least and greatest, for one
+answer; errors are against {{ kind }}, the largest over the largest entry.
+{%- if quick %} A quick run: fewer rounds.{% endif %}
 The product carries {{ lanes }} strides at a time; a peer carries one. scipy's right-hand side is compiled
 {%- if numba %} by numba{% else %} by nothing here, for numba is not installed{% endif %}.</p>
 <div class="wide"><table><caption>Machine</caption><tbody>
@@ -37,8 +41,8 @@ The product carries {{ lanes }} strides at a time; a peer carries one. scipy's r
 <p>A grid point holds every gait there is, with multipliers, energy and error bound.</p>
 {{ table(work) }}
 <h2>The Taylor step and the machine's peak</h2>
-<p>Operations are estimated from the u-variables of the decomposition and the order; a step is timed through one call from
-Python, so short steps are underrated.</p>
+<p>Operations are estimated from the u-variables of the decomposition and the order; a step is timed through one call
+from Python, so short steps are underrated.</p>
 {{ table(flows) }}
 {% for name, problems in families.items() %}<h2>Walker {{ name }}</h2>
 {% for problem, part in problems.items() %}{% if part.plot %}<figure>{{ part.plot }}</figure>{% endif %}
@@ -75,9 +79,12 @@ def write(found: Found, path: Path) -> None:
 
 
 def _row(case: Case) -> dict[str, Any]:
-    return {"method": case.method, "tolerance": f"{case.setting:.1e}", "median": _time(float(np.median(case.seconds))),
-            "least": _time(min(case.seconds)), "greatest": _time(max(case.seconds)), "error": f"{case.error:.1e}",
-            "work": "" if np.isnan(case.work) else f"{case.work:.4g}"}
+    row = {"method": case.method, "tolerance": f"{case.setting:.1e}", "median": _time(float(np.median(case.seconds))),
+           "least": _time(min(case.seconds)), "greatest": _time(max(case.seconds)),
+           "error": "" if np.isnan(case.error) else f"{case.error:.1e}"}
+    if case.problem in WORK:
+        row[WORK[case.problem]] = "" if np.isnan(case.work) else f"{case.work:.4g}"
+    return row
 
 
 def _time(seconds: float) -> str:

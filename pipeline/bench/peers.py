@@ -27,8 +27,8 @@ EARLY = 0.1
 #: Time after which a flight counts as lost.
 LONGEST = 8.0
 #: Order of the constants the right-hand sides read.
-CONSTANTS = ("R", "l", "eps", "C_aa", "S_a_re", "S_a_im", "S_b_re", "S_b_im", "C_bb", "S_c_re", "S_c_im", "C_cc", "H_re",
-             "H_im")
+CONSTANTS = ("R", "l", "eps", "C_aa", "S_a_re", "S_a_im", "S_b_re", "S_b_im", "C_bb", "S_c_re", "S_c_im", "C_cc",
+             "H_re", "H_im")
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -97,6 +97,8 @@ class Algebra:
 
     def __init__(self, problem: Problem):
         self.problem, self.m, self.kneed = problem, problem.m, problem.structure.kneed
+        # The map's own start pads its lanes, which would cost one lane dear.
+        self.begin = problem.map._compile_start()
         p = Symbols(problem.structure, variables=True)
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
         image = [x[1], x[2], x[3]]
@@ -107,8 +109,8 @@ class Algebra:
             self.lock = hy.cfunc([x[0], x[1], *kneestrike(p, x[:3], x[3:])], vars=[*x, *p.variables])
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """State just after heelstrike, shape (4 or 6, n)."""
-        return self.problem.map.start(y, parameters)[: 6 if self.kneed else 4]
+        """State just after heelstrike, shape (4 or 6,) or (4 or 6, n)."""
+        return self.begin(np.concatenate([y, parameters]))[: 6 if self.kneed else 4]
 
 
 class Peer:
@@ -128,7 +130,7 @@ class Peer:
 
     def stride(self, y: np.ndarray) -> np.ndarray:
         """(image, event times) of one stride from y, unscaled."""
-        state = self.algebra.start(y[:, None], self.parameters[:, None])[:, 0]
+        state = self.algebra.start(y, self.parameters)
         times = []
         if self.algebra.kneed:
             time, state = self.fly(three_links, self.constants, state, 1, self.tolerance)
@@ -194,7 +196,7 @@ def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
 
 @functools.cache
 def by_numba() -> Callable[..., tuple[float, np.ndarray]]:
-    """A flight to its event with DOP853 compiled by numba; the event is found by Newton's method on the last step's length."""
+    """A flight to its event with DOP853 compiled by numba; Newton's method finds the length of the last step."""
     import numba
     from scipy.integrate._ivp import dop853_coefficients as table
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from tasks.gait.branch import Branch
-from tasks.gait.continuation import Point, Track, correct, follow, lipschitz
+from tasks.gait.continuation import Track, correct, follow, lipschitz
 from tasks.gait.fixed_point import Problem, gait_ratio, judged, rounding, search
 from tasks.gait.special_points import end_of, located, oriented, row, row_tangent
 from tasks.gait.stride import SAMPLES

@@ -78,7 +78,7 @@ def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarr
     X, times = X.copy(), times.copy()
     start = X.copy()
     ok, over, last = np.zeros(n, bool), np.zeros(n, bool), np.full(n, np.inf)
-    for iteration in range(most):
+    for _ in range(most):
         stride, _ = problem.stride(np.vstack([X[:m], times]), X[m], slope=True)
         residual, derivative = linearised(stride, X)
         matrix = np.concatenate([derivative, border.T[:, None]], axis=1)

@@ -2,8 +2,8 @@
 
 A point is U = (w, q, k): similarity coordinates of the section, q = ln slope and the key over its scale. It solves
 P(y) = y together with one smooth scalar g: det(I - A) for a fold, det(I + A) for a flip, the gap between the strikes or
-the closing rate of the heel for an end. Both are zero along the curve, which is followed by pseudo-arclength; derivatives
-of P by y and slope are exact, all others are central differences, flown as further lanes of one call.
+the closing rate of the heel for an end. Both are zero along the curve, which is followed by pseudo-arclength;
+derivatives of P by y and slope are exact, all others are central differences, flown as further lanes of one call.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tasks.walkers.parameters import Walker, WalkerError
 
 #: Relative step of the central differences, and acceptance of a step along a curve.
 DIFFERENCE, MOST_BEND = 1e-5, 0.1
-SHORTEST, MOST_POINTS = 1e-6, 600
+SHORTEST, MOST_POINTS = 5e-4, 300
 
 
 def _shifted_det(sign: float) -> Callable[[Stride], np.ndarray]:
@@ -155,11 +155,12 @@ def follow(curve: Curve, first: Point, way: float, window: Mapping[str, tuple[fl
     points = [first]
     while len(points) < MOST_POINTS and step > SHORTEST:
         here = points[-1]
-        guess = here.U + step * here.tangent
+        guess, times = here.U + step * here.tangent, here.times
         if len(points) > 1:
             back = np.linalg.norm(here.U - points[-2].U)
             guess += 0.5 * step**2 * (here.tangent - points[-2].tangent) / back
-        new = curve.correct(guess, here.times, here.tangent)
+            times = times + (here.times - points[-2].times) * step / back
+        new = curve.correct(guess, times, here.tangent)
         bend = np.linalg.norm(new.U - guess) / step if new.ok else np.inf
         if bend < MOST_BEND and new.tangent @ here.tangent > 0.95:
             points.append(new)

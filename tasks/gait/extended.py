@@ -14,7 +14,7 @@ import numpy as np
 
 from tasks.gait.fixed_point import EPS, Problem
 from tasks.gait.stride import Stride
-from tasks.mechanics.equations import ZERO, Solver, Structure, Symbols, lump, rows, system
+from tasks.mechanics.equations import Structure, Symbols, lump, system
 from tasks.mechanics.impacts import heelstrike, kneestrike
 
 #: Bounds of a double's fixed point above which long double is asked, and 128 bits.

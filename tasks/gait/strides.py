@@ -72,7 +72,8 @@ class Scanner:
         for weights in _STAGES:
             M, f = rows(p, now[:n], now[n:], free)
             slopes.append([*now[n:], *Solver(M)(f)])
-            now = [x[i] + h * sum((a * s[i] for a, s in zip(weights, slopes, strict=True) if a), ZERO) for i in range(2 * n)]
+            used = [(a, s) for a, s in zip(weights, slopes, strict=True) if a]
+            now = [x[i] + h * sum((a * s[i] for a, s in used), ZERO) for i in range(2 * n)]
         return hy.cfunc(now, vars=[*x, h, *p.variables], compact_mode=False)
 
     def _compile_lock(self) -> hy.cfunc:

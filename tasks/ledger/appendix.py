@@ -64,7 +64,8 @@ def tension() -> Finding:
     return Finding(f"least normal force {least:.3f} of the weight over gaits of {', '.join(names)} at slopes from "
                    f"1e-5 to 0.1; the ground would have to pull at an impact in {tense} of them; friction asked of "
                    f"the gait of figure 3: {demand['friction_demand']:.3f} in motion, "
-                   f"{demand['friction_demand_heelstrike']:.3f} at heelstrike, {demand['friction_demand_kneestrike']:.3f} at kneestrike",
+                   f"{demand['friction_demand_heelstrike']:.3f} at heelstrike, "
+                   f"{demand['friction_demand_kneestrike']:.3f} at kneestrike",
                    verdict(least > 0 and not tense, least > 0), least)
 
 
@@ -73,11 +74,13 @@ def tension() -> Finding:
        "gaitsweep solve --walker C --slope 1e-4 --json")
 def hyperextension() -> Finding:
     release = line("physical").special_of("release_hyperextension")
-    exact = {("long", "short")[p["branch"] != _branch_of("C")]: p["slope"] for p in line("C").special_of("release_hyperextension")}
+    exact = {("long", "short")[p["branch"] != _branch_of("C")]: p["slope"]
+             for p in line("C").special_of("release_hyperextension")}
     deep = _measured("C", (1e-4,))["hyperextension"][0]
     tuned = ", ".join(f"{k} below {s:.7g}" for k, s in sorted(exact.items()))
     return Finding(f"the machine does below angle {release[0]['stance_angle']:.5f} (point 3, slope "
-                   f"{release[0]['slope']:.6f}); so does the tuned walker C: {tuned}; at 1e-4 by {deep[LONG]:.2g} and {deep[SHORT]:.2g} rad",
+                   f"{release[0]['slope']:.6f}); so does the tuned walker C: {tuned}; at 1e-4 by "
+                   f"{deep[LONG]:.2g} and {deep[SHORT]:.2g} rad",
                    verdict(bool(release)), release[0]["slope"])
 
 
@@ -100,7 +103,8 @@ def penetration() -> Finding:
     some, of, said = _count("release_penetrates")
     steep = _measured("physical-straight", (0.3,))
     return Finding(f"{some} of {of} gaits at {len(_SLOPES)} slopes from 1e-5 to 0.1 ({said}); on steeper slopes it "
-                   f"happens: the machine with its knees locked at 0.3 by {1e3 * np.nanmax(steep['penetration_depth']):.2g} mm",
+                   f"happens: the machine with its knees locked at 0.3 by "
+                   f"{1e3 * np.nanmax(steep['penetration_depth']):.2g} mm",
                    verdict(some > 0), float(some))
 
 
@@ -110,5 +114,6 @@ def trailing_foot() -> Finding:
     some, of, said = _count("trailing_foot_pulls")
     steep = np.nanmax(_measured("physical-straight", (0.3,))["trailing_impulse"])
     return Finding(f"two contacts would push the trailing foot in {some} of {of} gaits at {len(_SLOPES)} slopes from "
-                   f"1e-5 to 0.1 ({said}); on steeper slopes they do: the machine with its knees locked at 0.3 by {steep:.2g} N s",
+                   f"1e-5 to 0.1 ({said}); on steeper slopes they do: the machine with its knees locked at 0.3 "
+                   f"by {steep:.2g} N s",
                    verdict(some == 0, some < of / 10), float(some))

@@ -72,7 +72,8 @@ class Line:
     @functools.cached_property
     def special(self) -> list[dict[str, Any]]:
         """Special points of every branch, each with the number of its `branch`."""
-        return [{"branch": k, **point} for k, b in enumerate(self.branches) for point in special_points(self.problem, b)]
+        return [{"branch": k, **point} for k, b in enumerate(self.branches)
+                for point in special_points(self.problem, b)]
 
     def special_of(self, kind: str) -> list[dict[str, Any]]:
         """Special points of a kind, by slope."""

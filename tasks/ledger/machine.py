@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.ledger.claim import Finding, claim, verdict, within
+from tasks.ledger.claim import Finding, claim, verdict
 from tasks.ledger.lab import line
 from tasks.ledger.rounding import Interval, interval
 
@@ -19,9 +19,9 @@ def _said(found: Interval) -> str:
        "gaitsweep solve --walker physical --slope 0.01912288")
 def smallest_slopes() -> Finding:
     kneed, straight = interval("smallest slope, kneed"), interval("smallest slope, straight")
-    both = (within(0.020, kneed.low, kneed.high), within(0.016, straight.low, straight.high))
-    return Finding(f"folds at {_said(kneed)} kneed, {_said(straight)} straight", max(both, key=len), kneed.value, kneed.low,
-                   kneed.high)
+    both = kneed.low <= 0.020 <= kneed.high and straight.low <= 0.016 <= straight.high
+    return Finding(f"folds at {_said(kneed)} kneed, {_said(straight)} straight",
+                   verdict(both), kneed.value, kneed.low, kneed.high)
 
 
 @claim("P2", "the straight-legged gaits are unstable, a part of the kneed ones is stable", "section 4.2, 1",
@@ -76,7 +76,8 @@ def points_3_4() -> Finding:
     end = line("physical").special_of("end_tangential_heelstrike")
     goes_on = f"; the branch goes on, flagged, to slope {end[0]['slope']:.5f}" if end else ""
     return Finding(f"point 4 at slope {fourth['slope']:.6g}, angle {fourth['stance_angle']:.1e}; point 3, where the "
-                   f"released knee first moves against its stop, at slope {_said(third)}, angle {third.angle:.6g}{goes_on}",
+                   f"released knee first moves against its stop, at slope {_said(third)}, angle "
+                   f"{third.angle:.6g}{goes_on}",
                    verdict(fourth["stance_angle"] < 1e-4), third.value, third.low, third.high)
 
 

@@ -88,7 +88,8 @@ def transition_power() -> Finding:
     limit = abs(powers[-1] - 1.5) < 0.01
     return Finding(f"E over F {fitted:.3f} by fitted lines as the paper draws them, {exact:.3f} by the exact "
                    f"asymptotes (2^1.5 = 2.828); local power between foot masses "
-                   f"{', '.join(f'{r:g}' for r in RATIOS)}: {steps}, tending to 3/2", APPROXIMATELY if limit else verdict(False), fitted)
+                   f"{', '.join(f'{r:g}' for r in RATIOS)}: {steps}, tending to 3/2",
+                   APPROXIMATELY if limit else verdict(False), fitted)
 
 
 @claim("E5", "above the transition both walkers' short steps follow similar curves", "section 4.1, figure 5",

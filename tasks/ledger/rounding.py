@@ -198,7 +198,7 @@ def _grazing(walkers: list[Walker], Z: np.ndarray) -> np.ndarray:
     a, b, a_rate, b_rate = stride.motion[-1][-1]
     p = Symbols(problem.structure, variables=True)
     names = hy.make_vars("angle", "stance", "swing")
-    strike = hy.cfunc(heelstrike(p, *names, False), vars=[*names, *p.variables])
+    strike = hy.cfunc(heelstrike(p, names[0], names[1], names[2], False), vars=[*names, *p.variables])
     rates = strike(np.ascontiguousarray(np.vstack([b, a_rate, b_rate, parameters])))[: m - 1]
     return np.vstack([b - y[0], rates - y[1:], a + b, a_rate + b_rate]) / y[0]
 
@@ -221,7 +221,8 @@ def grazing_sensitivities(mark: Landmark, X: np.ndarray, times: np.ndarray, base
     sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
     walkers, places, n = [], [], len(Z)
     for factor in (1.0, -1.0, 2.0, -2.0):
-        walkers += [base] * n + [changed(mark.walker, base, k, factor * size) for k, size in zip(keys, sizes, strict=True)]
+        walkers += [base] * n
+        walkers += [changed(mark.walker, base, k, factor * size) for k, size in zip(keys, sizes, strict=True)]
         places += [*(Z + factor * step * np.eye(n)), *([Z] * len(keys))]
     slopes = _central(_grazing(walkers, np.array(places).T), np.concatenate([np.full(n, step), sizes]))
     by = -np.linalg.solve(slopes[:, :n], slopes[:, n:])

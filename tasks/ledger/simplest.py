@@ -26,7 +26,8 @@ def two_gaits() -> Finding:
     both = np.isfinite(found["stance_angle"][:, [LONG, SHORT]]).all(axis=1)
     spans = [(np.exp(b.q.min()), np.exp(b.q.max())) for b in line("D").branches]
     upper = float(min(high for _, high in spans))
-    return Finding(f"both gaits at each of {len(both)} slopes from 1e-8 to 0.2; their branches reach beyond {upper:.2f}",
+    return Finding(f"both gaits at each of {both.size} slopes from 1e-8 to 0.2; their branches reach beyond "
+                   f"{upper:.2f}",
                    verdict(bool(both.all()) and upper > 0.2), upper)
 
 

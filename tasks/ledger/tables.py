@@ -75,8 +75,9 @@ def rounding() -> Columns:
     for name, mark in LANDMARKS.items():
         found = interval(name)
         rows += [{"landmark": name, "walker": mark.walker, "kind": mark.test, "slope": found.value,
-                  "stance_angle": found.angle, "slope_low": found.low, "slope_high": found.high, "printed": mark.printed,
-                  "parameter": key, "sensitivity": s, "angle_sensitivity": found.angle_sensitivity[key],
+                  "stance_angle": found.angle, "slope_low": found.low, "slope_high": found.high,
+                  "printed": mark.printed, "parameter": key,
+                  "sensitivity": s, "angle_sensitivity": found.angle_sensitivity[key],
                   "half_unit": found.half_unit[key], "contribution": found.contribution[key],
                   "matters_most": int(key == found.most)} for key, s in found.sensitivity.items()]
     return _columns("rounding", rows)

@@ -3,9 +3,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from test_report import synthetic
 
 from pipeline.report import page
+from test_report import synthetic
 
 
 @pytest.fixture(scope="session")

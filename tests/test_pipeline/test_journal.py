@@ -30,7 +30,7 @@ def journal(tmp_path):
 
 def values(journal, slopes):
     status, _, _, sources = gather.states(journal, "L", WANT, slopes)
-    return status[:, 0], gather.fill(journal, "stance_angle", sources, len(slopes), 3)[:, 0]
+    return status[:, 0], gather.fill(journal, ["stance_angle"], sources, len(slopes), 3)["stance_angle"][:, 0]
 
 
 def test_points_are_found_whatever_the_blocks_and_the_latest_counts(journal):

@@ -1,9 +1,9 @@
 from pathlib import Path
 
 import pytest
-from test_report import synthetic
 
 from pipeline.report import page
+from test_report import synthetic
 
 
 @pytest.fixture(scope="session")

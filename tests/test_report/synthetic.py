@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
+
 from test_report.shape import GAITS, KNEED, POINT, write
 
 

@@ -2,8 +2,6 @@ import shlex
 
 import numpy as np
 import pytest
-from test_report import synthetic
-from test_report.shape import KNEED, POINT
 
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.body import Body
@@ -11,6 +9,8 @@ from pipeline.report.figures.motion import animation, strides
 from pipeline.report.figures.style import plain
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
+from test_report import synthetic
+from test_report.shape import KNEED, POINT
 
 
 @pytest.fixture(scope="module")

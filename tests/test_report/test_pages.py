@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from test_report import synthetic
-from test_report.reading import Page, numbers_in
-from test_report.shape import KNEED, POINT, write
 
 from pipeline.errors import ArchiveError
 from pipeline.report import page
+from test_report import synthetic
+from test_report.reading import Page, numbers_in
+from test_report.shape import KNEED, POINT, write
 
 INDEX_BYTES, PAGE_BYTES = 300_000, 2_000_000
 

@@ -175,7 +175,8 @@ def test_sensitivity_of_a_fold_is_that_of_the_fold_found_again():
     h = 2e-5
     moved = [min(float(np.exp(b.q.min())) for b in line("physical-straight", w_t=w).branches) for w in (h, -h)]
     # Central difference of relocated folds: error of order (h/leg)^2.
-    assert interval("smallest slope, straight").sensitivity["w_t"] == pytest.approx((moved[0] - moved[1]) / (2 * h), rel=1e-5)
+    again = (moved[0] - moved[1]) / (2 * h)
+    assert interval("smallest slope, straight").sensitivity["w_t"] == pytest.approx(again, rel=1e-5)
 
 
 def test_the_table_of_claims_is_whole():

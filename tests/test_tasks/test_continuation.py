@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from lines import branches
 
+from lines import branches
 from tasks.gait.continuation import correct, follow
 from tasks.gait.special_points import special_points
 
@@ -29,7 +29,8 @@ def test_the_loci_of_the_machine():
     (one,) = pick(kneed, "end_kneestrike_at_heelstrike")
     assert (one["slope"], one["stance_angle"]) == (pytest.approx(0.0364, abs=5e-5), pytest.approx(0.1488, abs=1e-4))
     three = min(pick(kneed, "release_hyperextension"), key=lambda p: p["stance_angle"])
-    assert (three["slope"], three["stance_angle"]) == (pytest.approx(0.02154, abs=5e-6), pytest.approx(0.0194, abs=5e-5))
+    assert three["slope"] == pytest.approx(0.02154, abs=5e-6)
+    assert three["stance_angle"] == pytest.approx(0.0194, abs=5e-5)
     (fold,) = pick(straight, "fold")
     assert fold["slope"] == pytest.approx(0.0154, abs=5e-5)
     (two,) = pick(straight, "end_tangential_heelstrike")
@@ -67,7 +68,8 @@ def test_forward_and_back_to_the_start():
     # Come back to the start's slope exactly and compare.
     nearest = min(range(len(down.X)), key=lambda i: abs(down.X[i][problem.m] - branch.q[k]))
     X = down.X[nearest].copy()
-    X[: problem.m] += down.tangent[nearest][: problem.m] / down.tangent[nearest][problem.m] * (branch.q[k] - X[problem.m])
+    along = down.tangent[nearest] / down.tangent[nearest][problem.m]
+    X[: problem.m] += along[: problem.m] * (branch.q[k] - X[problem.m])
     X[problem.m] = branch.q[k]
     back = correct(problem, X[:, None], down.times[nearest][:, None], None)
     np.testing.assert_allclose(back.X[: problem.m, 0], start[: problem.m, 0], rtol=2e-14)

@@ -56,7 +56,6 @@ def test_the_asymptotic_law_is_three_halves():
 
 def test_light_feet_reach_the_three_halves_power():
     from lines import solved
-
     from tasks.fit import transition as fit_transition
 
     slope = np.geomspace(1e-10, 1e-2, 90)
@@ -67,4 +66,5 @@ def test_light_feet_reach_the_three_halves_power():
         inputs.append({"slope": slope, "stance_angle": out["stance_angle"]})
     table = fit_transition({"lines": lines}, inputs)
     assert table["fits/transition/local_exponent"][0] == pytest.approx(1.5, abs=3e-3)
-    np.testing.assert_allclose(table["fits/transition/slope_transition"], table["fits/transition/asymptotic"], rtol=5e-3)
+    found = table["fits/transition/slope_transition"]
+    np.testing.assert_allclose(found, table["fits/transition/asymptotic"], rtol=5e-3)

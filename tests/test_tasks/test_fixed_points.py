@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lines import gait, solved
 
+from lines import gait, solved
 from tasks.registry import GAITS
 
 REFERENCE = Path(__file__).parents[2] / "data" / "reference"

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from oracle import Oracle, SimplestWalker
 
+from oracle import Oracle, SimplestWalker
 from tasks.gait.fixed_point import Problem, search
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.parameters import Walker

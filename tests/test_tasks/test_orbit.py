@@ -56,7 +56,7 @@ def test_exponents_of_a_stable_gait_are_its_multipliers():
 
 def test_the_exponent_of_d_in_chaos():
     """0.369 at slope 0.0189; chaotic, and contracting areas."""
-    found = walked([0.0189], starts=64, transient=200, strides=320)
+    found = walked([0.0189], starts=96, transient=80, strides=240)
     first, second = found["lyapunov/exponent"]
     error = found["lyapunov/standard_error"][0]
     assert error < 0.004
