@@ -225,7 +225,8 @@ def _solve(options: argparse.Namespace) -> int:
 
 
 def _walkers(options: argparse.Namespace) -> int:
-    found = _called("walkers", {"name": options.name})["walkers"]
+    table = _walker(options.name) if options.name else None
+    found = _called("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
     if options.json:
         print(json.dumps(found))
         return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -30,6 +31,9 @@ def connect(address: str) -> Iterator[Any]:
         import distributed
     except ImportError as error:
         raise StudyError('`--cluster` needs the extra "cluster": pip install "gaitsweep[cluster]".') from error
+    # What they say in their own time is said by this package in one line.
+    for name in ("distributed", "tornado", "asyncio", "bokeh"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with contextlib.ExitStack() as stack:
         try:
             if local:

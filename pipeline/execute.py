@@ -22,13 +22,15 @@ from pipeline import cell, gather, graph, pack
 from pipeline.errors import GaitsweepError, WorkerError
 from pipeline.journal import Result
 from pipeline.plan import LineWork, Plan
-from tasks.registry import GAITS
+from tasks.registry import GAITS, READS, VARIABLES
 
 _TARGET = 1.0  # s of work in a chunk
 _MOST = 32768  # points in a chunk: what bounds the memory of a worker
 _PIECES = 4  # chunks a worker gets at least, where there is work for it
 _LEAST = 0.25  # s of work not worth cutting
 _WHOLE = 60  # a task over a whole line or study may take as many times a point's seconds
+_OUT = 4  # jobs out or not yet read, for each worker
+_READ = 200_000  # slopes of a line that a task over the study is given, evenly taken
 _TRIES = 3  # times in a row that a broken engine is built anew
 
 Listen = Callable[[str, dict[str, Any]], None]
@@ -101,8 +103,8 @@ class Queue:
                     self.exhausted = True
                 else:
                     self.ready.extend(self.loop.begin(work))
-            if not self.ready:
-                raise StopIteration
+            if not self.ready or len(self.out) >= _OUT * self.loop.engine.jobs:
+                raise StopIteration  # joblib runs ahead of a slow reader; what it holds is memory
             task = self.ready.popleft()
             if task.places is not None and len(task.places) > (size := self.loop.chunk_size()):
                 self.ready.appendleft(Task(task.name, task.keys, task.work, task.places[size:], task.inputs))
@@ -240,13 +242,15 @@ class Loop:
     def with_inputs(self, task: Task) -> Task:
         """A task over the study with everything it reads: a dict of arrays per line, then tables."""
         layer = self.plan.layers[task.name]
-        names = tuple(v for v in self.plan.variables if v not in ("status", "reason"))
+        reads = READS.get(task.name, self.plan.variables)
+        names = [v for v in reads if v in VARIABLES and v not in ("status", "reason")]
+        slopes = self.study.slope[::math.ceil(len(self.study.slope) / _READ)]
         inputs = []
         for i in range(self.study.lines):
             keys = graph.line_keys(self.study, self.plan.layers, self.study.line(i))
             found: dict[str, Any] = {}
             if "points" in layer.needs:
-                found = gather.line(self.journal, keys, self.plan.want, self.study, names)
+                found = gather.line(self.journal, keys, self.plan.want, self.study, names, slopes)
             for need in layer.needs:
                 if need != "points" and self.plan.layers[need].per_line:
                     stored = self.journal.result(keys[need][0])

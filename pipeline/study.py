@@ -20,7 +20,7 @@ import numpy as np
 
 from pipeline import worker
 from pipeline.errors import StudyError
-from tasks.registry import ALWAYS, GAITS, TASKS, VARIABLES
+from tasks.registry import ALWAYS, GAITS, READS, TASKS, VARIABLES
 
 #: Tasks that no study is named after.
 _SERVANTS = ("atlas", "points", "trace")

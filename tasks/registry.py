@@ -120,7 +120,7 @@ TASKS = {t.name: t for t in (
     Task("claims", "tasks.claims:claims", 1, needs=("points", "atlas"), seconds=30.0),
 )}
 
-#: Point variables and tasks each fit and figure reads; the plan adds them to what a study wants.
+#: Every figure and fit, and the point variables and tasks it reads; the plan adds them to what a study wants.
 READS = {
     "scaling": ("stance_angle", "period", "speed", "power"),
     "transition": ("stance_angle",),
@@ -129,6 +129,7 @@ READS = {
     "transition_ladder": ("stance_angle",),
     "angles": ("trace",),
     "heatmap": ("speed", "stance_angle", "period", "spectral_radius"),
+    **dict.fromkeys(("walker", "conditions", "locus", "bifurcation", "basin"), ()),
 }
 
 #: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.

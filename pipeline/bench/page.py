@@ -30,11 +30,12 @@ th,td{padding:.15rem .7rem;text-align:right;border-bottom:1px solid #ddd} th:fir
 details{margin:.5rem 0}
 </style></head><body>
 <h1>Run time against error</h1>
-<p>All methods timed in turns in one run, one thread. Times are medians of the rounds with least and greatest, for one
-answer; errors are against {{ kind }}, the largest over the largest entry.
-{%- if quick %} A quick run: fewer rounds.{% endif %}
-The product carries {{ lanes }} strides at a time; a peer carries one. scipy's right-hand side is compiled
-{%- if numba %} by numba{% else %} by nothing here, for numba is not installed{% endif %}.</p>
+<p>All methods timed in turns in one run, one thread. Times are medians of the rounds with least and greatest,
+for one answer; errors are against {{ kind }}, the largest over the largest entry. No error: the method lost the event,
+or is the reference itself.{% if quick %} A quick run: fewer rounds.{% endif %}</p>
+<p>The product carries {{ lanes }} strides at a time and flies over given event times, as its Newton's method does;
+a peer carries one stride, finds its events, and pays for its algebra's calls from Python, some ten microseconds. scipy's
+right-hand side is compiled by {% if numba %}numba{% else %}nothing here, for numba is not installed{% endif %}.</p>
 <div class="wide"><table><caption>Machine</caption><tbody>
 {% for k, v in machine.items() %}<tr><th scope="row">{{ k }}</th><td>{{ v }}</td></tr>{% endfor %}</tbody></table></div>
 <h2>A line of slopes</h2>
@@ -61,7 +62,8 @@ def write(found: Found, path: Path) -> None:
     for name, parts in families.items():
         for problem, part in parts.items():
             part["rows"] = [_row(case) for case in part["cases"]]
-            part["plot"] = _plot(f"Walker {name}: one {problem}", part["cases"]) if problem in PLOTTED else ""
+            title = f"Walker {name}: one {problem.replace('j', 'J')}"
+            part["plot"] = _plot(title, part["cases"]) if problem in PLOTTED else ""
     environment = jinja2.Environment(autoescape=jinja2.select_autoescape(default=True, default_for_string=True))
     from markupsafe import Markup
 

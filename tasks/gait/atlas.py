@@ -17,7 +17,7 @@ from tasks.gait.stride import SAMPLES
 from tasks.gait.verify import verify
 
 #: Slopes searched from nothing for gaits to follow [rad].
-ANCHORS = (0.01, 0.03, 0.1, 0.001)
+ANCHORS = (0.01, 0.03, 0.1, 0.001, 0.2)
 #: Largest change Newton may still make at a segment's middle before the segment is split.
 TOLERANCE = 2e-13
 MOST_ROUNDS = 5

@@ -200,6 +200,9 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
             turned = np.zeros(len(values) - 1, bool)
             for first, _ in branch.pieces()[1:]:
                 found.append((float(first), _record("fold", problem, nodes, first)))
+        if kind in ("flip", "neimark_sacker", "branch_point"):
+            # The derivative has a pole where heelstrike turns tangential: that sign change is no root.
+            turned[[i for i, why in ((0, branch.why[0]), (-1, branch.why[1])) if why == "end_tangential_heelstrike"]] = False
         for segment in np.nonzero(turned & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]:
             point, _ = located(problem, branch, int(segment), test)
             if point.ok[0] and _is(kind, point):

@@ -15,8 +15,7 @@ from tasks.mechanics.equations import Structure, system
 #: Steps a flow may take before it counts as lost; an honest stride takes 5 to 40.
 MOST_STEPS = 120
 LANES = hy.recommended_simd_size()
-#: Tolerance of a point's flows: order 18, whose truncation is fifty times below rounding. Branches, whose special points
-#: ask more of the derivative, are flown to order 20.
+#: Tolerance of the exact flows: order 18, whose truncation is fifty times below rounding.
 FINE = 1.75e-15
 #: Tolerance of a search's flows, which only lead to where the exact ones begin.
 ROUGH = 1e-7
@@ -42,7 +41,7 @@ class Flow:
         self.size, self.angles = len(equations), (6 if free_knee else 4)
         self.evaluations = 0
         self._ta = hy.taylor_adaptive_batch(
-            equations, state=np.zeros((self.size, LANES)), tol=ROUGH if rough else np.finfo(float).eps if with_slope else FINE)
+            equations, state=np.zeros((self.size, LANES)), tol=ROUGH if rough else FINE)
         #: Constants the equations use; the shank's come last and two links do not need them all.
         self._used = self._ta.pars.shape[0]
 
