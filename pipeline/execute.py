@@ -30,6 +30,7 @@ _PIECES = 4  # chunks a worker gets at least, where there is work for it
 _LEAST = 0.25  # s of work not worth cutting
 _WHOLE = 60  # a task over a whole line or study may take as many times a point's seconds
 _OUT = 4  # jobs out or not yet read, for each worker
+_NOTHING, _IDLE = -1, 0.05  # number of a job of nothing, and how long it lasts [s]
 _READ = 200_000  # slopes of a line that a task over the study is given, evenly taken
 _TRIES = 3  # times in a row that a broken engine is built anew
 
@@ -45,7 +46,7 @@ class Engine:
 
     @contextlib.contextmanager
     def parallel(self) -> Iterator[Callable[[Iterator[Any]], Iterator[Any]]]:
-        """A function that does (function, number, job) triples and yields what they give, as it comes."""
+        """A function that does numbered jobs and yields what they give, as it comes."""
         import joblib
 
         options: dict[str, Any] = {"return_as": "generator_unordered", "batch_size": 1}
@@ -64,6 +65,9 @@ class Engine:
 
 def do(number: int, job: dict[str, Any]) -> tuple[int, dict[str, Any]]:
     """What an engine executes: a numbered job, under guard."""
+    if number == _NOTHING:
+        time.sleep(_IDLE)
+        return number, {}
     return number, cell.run(job)
 
 
@@ -103,8 +107,12 @@ class Queue:
                     self.exhausted = True
                 else:
                     self.ready.extend(self.loop.begin(work))
-            if not self.ready or len(self.out) >= _OUT * self.loop.engine.jobs:
+            if len(self.out) >= _OUT * self.loop.engine.jobs:
                 raise StopIteration  # joblib runs ahead of a slow reader; what it holds is memory
+            if not self.ready and self.out:
+                return _NOTHING, {}  # joblib never asks again whom nothing was given; what is out may lead to more
+            if not self.ready:
+                raise StopIteration
             task = self.ready.popleft()
             if task.places is not None and len(task.places) > (size := self.loop.chunk_size()):
                 self.ready.appendleft(Task(task.name, task.keys, task.work, task.places[size:], task.inputs))
@@ -156,6 +164,8 @@ class Loop:
                     while True:
                         while queue:
                             for number, result in parallel(queue):
+                                if number == _NOTHING:
+                                    continue
                                 done, broken = done + 1, 0
                                 with self.hold:
                                     queue.add(self.record(queue.out.pop(number), result))

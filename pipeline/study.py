@@ -20,7 +20,7 @@ import numpy as np
 
 from pipeline import worker
 from pipeline.errors import StudyError
-from tasks.registry import ALWAYS, GAITS, READS, TASKS, VARIABLES
+from tasks.registry import ALWAYS, FIGURES, GAITS, TASKS, VARIABLES
 
 #: Tasks that no study is named after.
 _SERVANTS = ("atlas", "points", "trace")
@@ -327,6 +327,9 @@ def _want(value: object, place: _Place) -> dict[str, tuple[str, ...]]:
     for fit in names["fits"]:
         if fit not in TASKS:
             raise place.at("fits").unknown(fit, [t for t in TASKS if t not in (*kinds(), *_SERVANTS)])
+    for figure in names["figures"]:
+        if figure not in FIGURES:
+            raise place.at("figures").unknown(figure, FIGURES)
     return {"variables": wanted, **names}
 
 

@@ -132,6 +132,9 @@ READS = {
     **dict.fromkeys(("walker", "conditions", "locus", "bifurcation", "basin"), ()),
 }
 
+#: Names a study's `figures` may hold.
+FIGURES = tuple(name for name in READS if name not in ("scaling", "transition"))
+
 #: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
 CALLS = {
     "solve": "tasks.single:solve_one",
