@@ -14,6 +14,8 @@ from tasks.walkers.parameters import Walker
 EPS = np.finfo(float).eps
 #: Newton steps a start may take; an honest one takes 2 to 8.
 MOST_ITERATIONS = 25
+#: The same for a rough flight: what is not near by then hardly ever arrives.
+MOST_ROUGH = 8
 
 
 class Problem:
@@ -100,7 +102,7 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool =
     converged = np.zeros(n, bool)
     active = np.arange(n)
     last = np.full(n, np.inf)
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(MOST_ROUGH if rough else MOST_ITERATIONS):
         if not len(active):
             break
         stride, _ = problem.stride(w[:, active], log_slope[active], rough=rough)
