@@ -39,9 +39,11 @@ class Flow:
     def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool, rough: bool):
         equations = system(structure, free_knee, directions, with_slope)
         self.size, self.angles = len(equations), (6 if free_knee else 4)
+        # Point feet have so few terms that two registers a step pay.
+        self.lanes = 2 * LANES if structure.point_foot else LANES
         self.evaluations = 0
         self._ta = hy.taylor_adaptive_batch(
-            equations, state=np.zeros((self.size, LANES)), tol=ROUGH if rough else FINE)
+            equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE)
         #: Constants the equations use; the shank's come last and two links do not need them all.
         self._used = self._ta.pars.shape[0]
 
@@ -65,18 +67,18 @@ class Flow:
         motion : ndarray, shape (samples + 1, angles, n), or None
         """
         n = state.shape[1]
-        pad = -n % LANES
+        pad = -n % self.lanes
         if pad:
             state, parameters = np.pad(state, ((0, 0), (0, pad)), "edge"), np.pad(parameters, ((0, 0), (0, pad)), "edge")
             duration = np.pad(duration, (0, pad), "edge")
         final = np.empty((self.size, n + pad))
         motion = np.empty((samples + 1, self.angles, n + pad)) if samples else None
         fractions = np.linspace(0.0, 1.0, samples + 1)[:, None]
-        for k in range(0, n + pad, LANES):
-            group = slice(k, k + LANES)
+        for k in range(0, n + pad, self.lanes):
+            group = slice(k, k + self.lanes)
             if not self._group(state[:, group], parameters[:, group], duration[group], group, fractions, final, motion):
-                for lane in range(k, k + LANES):
-                    alone = [lane] * LANES
+                for lane in range(k, k + self.lanes):
+                    alone = [lane] * self.lanes
                     if not self._group(state[:, alone], parameters[:, alone], duration[alone], alone, fractions,
                                        final, motion):
                         final[:, lane] = np.nan
