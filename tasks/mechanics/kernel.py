@@ -39,8 +39,8 @@ class Flow:
     def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool, rough: bool):
         equations = system(structure, free_knee, directions, with_slope)
         self.size, self.angles = len(equations), (6 if free_knee else 4)
-        # Point feet have so few terms that two registers a step pay.
-        self.lanes = 2 * LANES if structure.point_foot else LANES
+        # Without a foot mass the links do not couple: so few terms are left that two registers a step pay.
+        self.lanes = 2 * LANES if ("eps", 0.0) in structure.units else LANES
         self.evaluations = 0
         self._ta = hy.taylor_adaptive_batch(
             equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE)
