@@ -11,6 +11,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from pipeline.check import SCHEMA
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.plan import Plan
 from pipeline.provenance import provenance
-from pipeline.worker import ALL_STATUSES
+from pipeline.worker import ALL_STATUSES, ANSWERS
 from tasks.registry import GAITS, STATUSES, VARIABLES, VIOLATIONS, Variable
 
 _CACHE = 1 << 20  # byte
@@ -30,8 +31,22 @@ _LONG_NAMES = {"slope": "slope of the ground", "foot_mass_ratio": "mass of each 
                "detuning": "mixture of the exactly tuned walker (0) and the physical one (1)"}
 
 
-def write(plan: Plan, path: Path) -> Counter[str]:
-    """Write the archive of what the journal holds and put it at `path`; counts of points (or lines) by status.
+@dataclass
+class Written:
+    """What stands in an archive: points (or lines) by status, and the failed ones by reason, with one of each."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    failures: Counter[str] = field(default_factory=Counter)
+    examples: dict[str, str] = field(default_factory=dict)
+
+    def fail(self, reason: str, n: int, example: str) -> None:
+        """Count failures of one reason."""
+        self.failures[reason] += n
+        self.examples.setdefault(reason, example)
+
+
+def write(plan: Plan, path: Path) -> Written:
+    """Write the archive of what the journal holds and put it at `path`.
 
     Raises
     ------
@@ -40,7 +55,7 @@ def write(plan: Plan, path: Path) -> Counter[str]:
     """
     draft = path.with_name(f"{path.name}.tmp.{os.getpid()}")
     try:
-        counts = _write(plan, draft)
+        written = _write(plan, draft)
         with open(draft, "rb") as file:
             os.fsync(file.fileno())
         os.replace(draft, path)
@@ -55,10 +70,10 @@ def write(plan: Plan, path: Path) -> Counter[str]:
     finally:
         with contextlib.suppress(OSError):
             draft.unlink()
-    return counts
+    return written
 
 
-def _write(plan: Plan, draft: Path) -> Counter[str]:
+def _write(plan: Plan, draft: Path) -> Written:
     import netCDF4
 
     writer = _Points(plan) if plan.study.kind == "grid" else _Lines(plan)
@@ -71,7 +86,7 @@ def _write(plan: Plan, draft: Path) -> Counter[str]:
         if "status" not in file.variables or file.variables["status"].dimensions != (*writer.dims,):
             raise ArchiveError(f"{draft} does not read back.")
         file.variables["status"][(-1,) * len(writer.dims)]
-    return writer.counts
+    return writer.written
 
 
 def _head(file: Any, plan: Plan, writer: _Points | _Lines) -> None:
@@ -82,7 +97,7 @@ def _head(file: Any, plan: Plan, writer: _Points | _Lines) -> None:
         "history": "written by gaitsweep run", "references": "Garcia, Chatterjee and Ruina: Efficiency, speed, and"
         " scaling of two-dimensional passive-dynamic walking, Dynamics and Stability of Systems 15 (2000) 75-99",
         "gaitsweep_schema": np.int32(SCHEMA), "study": study.name, "kind": study.kind,
-        "not_attempted": np.int64(writer.counts["not_attempted"]), "figures": " ".join(study.figures),
+        "not_attempted": np.int64(writer.written.counts["not_attempted"]), "figures": " ".join(study.figures),
         "provenance": provenance(plan)})
     for name, size in writer.grid.sizes.items():
         file.createDimension(name, size)
@@ -127,12 +142,18 @@ def _describe(variable: Any, about: Variable, si: bool, mixed: bool) -> None:
         variable.comment = "in the units of each walker: see walker_units"
 
 
+def _spot(line: dict[str, Any]) -> str:
+    """A line as a user would name it."""
+    walker = line["walker"] if isinstance(line["walker"], str) else "walker"
+    return " ".join([walker, *(f"{key}={value!r}" for key, value in line["set"].items())])
+
+
 class _Points:
     """The main group of a grid study."""
 
     def __init__(self, plan: Plan):
         self.plan, self.study, self.grid = plan, plan.study, grid.Grid(plan.study)
-        self.counts: Counter[str] = Counter()
+        self.written = Written()
         self.sums: Counter[str] = Counter()
         self.columns = [GAITS.index(g) for g in self.study.gaits]
         asked = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
@@ -140,20 +161,31 @@ class _Points:
         solved = [code for name, code in STATUSES.items() if name != "no_gait"]
         used: set[str] = set()
         for box in grid.boxes(self.grid.sizes):
-            for _, found in self._lines(box, ()):
+            for _, number, found in self._lines(box, ()):
                 status, reason = found["status"][:, self.columns], found["reason"][:, self.columns]
-                self.counts += gather.count(status)
+                self.written.counts += gather.count(status)
+                self._note_failures(number, found, status, reason)
                 live |= np.isin(status, solved).any(axis=0)
                 used.update(found["reasons"][np.unique(reason)].tolist())
         self.sentences = sorted(used)
         self.columns = self.columns[:max(np.flatnonzero(live), default=0) + 1]
         self.dims = (*self.grid.sizes, "gait")
 
-    def _lines(self, box: grid.Box, names: tuple[str, ...]) -> Iterator[tuple[tuple[int, ...], dict[str, Any]]]:
+    def _note_failures(self, number: int, found: dict[str, Any], status: np.ndarray, reason: np.ndarray) -> None:
+        failed = ~np.isin(status, ANSWERS)
+        rows = np.flatnonzero(failed.any(axis=1))
+        reasons = reason[rows, failed[rows].argmax(axis=1)]
+        for k in np.unique(reasons):
+            those = rows[reasons == k]
+            self.written.fail(str(found["reasons"][k]), len(those), f"{_spot(self.study.line(number))}"
+                              f" slope={float(found['slope'][those[0]])!r}")
+
+    def _lines(self, box: grid.Box, names: tuple[str, ...]
+               ) -> Iterator[tuple[tuple[int, ...], int, dict[str, Any]]]:
         slopes = self.grid.slopes(box)
         for place, number in self.grid.lines_in(box):
             keys = self.plan.line_keys(number)
-            yield place, gather.line(self.plan.journal, keys, self.plan.want, self.study, names, slopes)
+            yield place, number, gather.line(self.plan.journal, keys, self.plan.want, self.study, names, slopes)
 
     def fill(self, file: Any) -> None:
         multipliers = max(c["multipliers"] for c in self.study.checks)
@@ -185,7 +217,7 @@ class _Points:
         extent = tuple(s.stop - s.start for s in box)
         values = {n: np.empty(extent + gather.shape(n, 0, multipliers)[1:], file.variables[n].dtype) for n in names}
         lined_up = {n: self.grid.lined_up(v) for n, v in values.items()}
-        for place, found in self._lines(box, tuple(n for n in names if n not in ("status", "reason"))):
+        for place, _, found in self._lines(box, tuple(n for n in names if n not in ("status", "reason"))):
             table = np.array([index.get(s, 0) for s in found["reasons"].tolist()])
             found["reason"] = table[found["reason"]]
             for n in names:
@@ -207,7 +239,10 @@ class _Lines:
         shape = tuple(self.grid.sizes.values())
         self.status = np.array([ALL_STATUSES[status] for status, _ in ends], np.int8).reshape(shape)
         self.reason = np.array([self.sentences.index(reason) for _, reason in ends], np.int16).reshape(shape)
-        self.counts = Counter(status for status, _ in ends)
+        self.written = Written(Counter(status for status, _ in ends))
+        for i, (status, reason) in enumerate(ends):
+            if ALL_STATUSES[status] not in ANSWERS:
+                self.written.fail(reason, 1, _spot(plan.study.line(i)))
 
     def _end(self, keys: dict[str, tuple[str, str]]) -> tuple[str, str]:
         for name in ("atlas", self.study.kind):

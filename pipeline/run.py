@@ -9,7 +9,6 @@ import os
 import platform
 import signal
 import time
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,10 +25,9 @@ from pipeline.progress import Progress, duration
 from pipeline.provenance import code_digest, cpu_features, version
 from pipeline.show import beside
 from pipeline.study import Study
-from pipeline.worker import ALL_STATUSES, ANSWERS
 
-_FAILURES = {name for name, code in ALL_STATUSES.items() if code not in ANSWERS}
 _SNAPSHOT = 60.0  # s at least between published snapshots
+_LISTED = 10  # reasons told at the end of a run
 _SHARE = 20  # and as many times as long as writing one takes
 
 
@@ -181,15 +179,16 @@ def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> i
             if any(todo.todo.values()):
                 Loop(plan, engine, listen, sum(todo.todo.get("points", {}).values()), options.chunk, signals).run()
             record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-            counts = archive.write(plan, path)
+            written = archive.write(plan, path)
             compact(plan.journal)
         finally:
             record |= {"state": progress.state()}
             cell.close_all()
-    failed = sum(n for name, n in counts.items() if name in _FAILURES) + tasks_failed(plan)
-    record |= {"counts": dict(counts), "failed": failed}
-    _summarise(plan, progress, counts, path)
-    return 1 if failed else 0
+    failed = tasks_failed(plan)
+    record |= {"points": sum(written.counts.values()), "counts": dict(written.counts),
+               "failed": sum(written.failures.values()), "failures": dict(written.failures), "failed_tasks": failed}
+    _summarise(plan, progress, written, failed, path)
+    return 1 if written.failures or failed else 0
 
 
 def _warn_of_moved_code(plan: Plan, progress: Progress) -> None:
@@ -222,22 +221,30 @@ class _Snapshots:
         self.next = time.monotonic() + max(self.every, _SHARE * took)
 
 
-def tasks_failed(plan: Plan) -> int:
-    """How many tasks that are no points failed."""
-    found = 0
+def tasks_failed(plan: Plan) -> list[str]:
+    """Tasks that are no points and failed, one sentence each."""
+    found = []
     for name, layer in plan.layers.items():
         if name not in ("atlas", "points", plan.study.kind):
-            over = map(plan.line_keys, range(plan.study.lines)) if layer.per_line else [plan.study_keys()]
-            keys = [k[name][0] for k in over]
-            found += sum(1 for key in keys if (plan.journal.outcome(key) or ("ok",))[0] != "ok")
+            for keys in map(plan.line_keys, range(plan.study.lines)) if layer.per_line else [plan.study_keys()]:
+                outcome, reason, _ = plan.journal.outcome(keys[name][0]) or ("ok", "", 0)
+                if outcome != "ok":
+                    found.append(f"{name}: {outcome}; {reason}")
     return found
 
 
-def _summarise(plan: Plan, progress: Progress, counts: Counter[str], path: Path) -> None:
+def _summarise(plan: Plan, progress: Progress, written: archive.Written, failed: list[str], path: Path) -> None:
     total = "points" if plan.study.kind == "grid" else "lines"
-    by_status = ", ".join(f"{name} {n:,}" for name, n in counts.items())
+    by_status = ", ".join(f"{name} {n:,}" for name, n in written.counts.items())
     seconds = time.time() - progress.began
-    progress.say(f"{plan.study.name}: {sum(counts.values()):,} {total} ({by_status}) in {duration(seconds)}; {path}")
+    n = sum(written.counts.values())
+    progress.say(f"{plan.study.name}: {n:,} {total} ({by_status}) in {duration(seconds)}; {path}")
+    for reason, n in written.failures.most_common(_LISTED):
+        progress.say(f"  {n:,} x {reason} First: {written.examples[reason]}")
+    if len(written.failures) > _LISTED:
+        progress.say(f"  ... and {len(written.failures) - _LISTED:,} more reasons: see reason_text in the archive")
+    for sentence in failed:
+        progress.say(f"  {sentence}")
 
 
 def _write_record(path: Path, record: dict[str, Any]) -> None:
