@@ -32,8 +32,9 @@ def connect(address: str) -> Iterator[Any]:
     except ImportError as error:
         raise StudyError('`--cluster` needs the extra "cluster": pip install "gaitsweep[cluster]".') from error
     # What they say in their own time is said by this package in one line.
-    for name in ("distributed", "tornado", "asyncio", "bokeh"):
-        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    for name in list(logging.root.manager.loggerDict):
+        if name.startswith(("distributed", "tornado", "asyncio")):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with contextlib.ExitStack() as stack:
         try:
             if local:
