@@ -63,7 +63,6 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
 
 def _dense(found: Branch, low: float, high: float, least: int) -> np.ndarray:
     """The branch's nodes inside the window, with points between them where there are too few."""
-    m = found.m
     inside = (found.q >= np.log(low)) & (found.q <= np.log(high))
     segments = np.nonzero(inside[1:] & inside[:-1])[0]
     if not len(segments):
@@ -74,5 +73,5 @@ def _dense(found: Branch, low: float, high: float, least: int) -> np.ndarray:
         a, b = found.Z[segments, found.axis[segments]], found.Z[segments + 1, found.axis[segments]]
         rows.append(found.evaluate(segments, a + (b - a) * k / parts))
     between = np.stack(rows, axis=1).reshape(-1, found.Z.shape[1])
-    del m
+
     return np.vstack([between, found.Z[segments[-1] + 1]])

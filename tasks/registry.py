@@ -106,7 +106,7 @@ class Task:
 
 
 TASKS = {t.name: t for t in (
-    Task("atlas", "tasks.solve:atlas", 2, seconds=1.0),
+    Task("atlas", "tasks.solve:atlas", 3, seconds=1.0),
     Task("points", "tasks.solve:points", 2, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
     Task("trace", "tasks.trace:trace", 1, needs=("atlas",), seconds=0.2),
     Task("branch", "tasks.branch:branch", 1, needs=("atlas",), seconds=0.3),
@@ -114,7 +114,7 @@ TASKS = {t.name: t for t in (
     Task("cascade", "tasks.cascade:cascade", 1, needs=("atlas",), seconds=3.0),
     Task("basin", "tasks.basin:basin", 1, needs=("atlas",), seconds=5.0),
     Task("curve", "tasks.curve:curve", 1, needs=("atlas",), seconds=5.0),
-    Task("census", "tasks.census:census", 1, seconds=10.0),
+    Task("census", "tasks.census:census", 2, seconds=10.0),
     Task("scaling", "tasks.fit:scaling", 1, needs=("points",)),
     Task("transition", "tasks.fit:transition", 1, needs=("points",)),
     Task("claims", "tasks.claims:claims", 1, needs=("points", "atlas"), seconds=30.0),

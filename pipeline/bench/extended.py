@@ -8,7 +8,8 @@ import heyoka as hy
 import numpy as np
 
 from tasks.gait.stride import StrideMap
-from tasks.mechanics.equations import Structure, system
+from tasks.mechanics.equations import system
+from tasks.mechanics.lumped import Structure
 
 
 class _Algebra(StrideMap):
@@ -54,8 +55,10 @@ class Precise:
         self.free = self._integrator(structure, True, self.m) if self.kneed else None
 
     def _integrator(self, structure: Structure, free: bool, directions: int) -> Any:
-        equations = system(structure, free, directions, False)
-        return hy.taylor_adaptive(equations, self.array([0.0] * len(equations)), fp_type=self.kind, compact_mode=True)
+        flown = system(structure, free, directions, False)
+        flow = hy.taylor_adaptive(flown.equations, self.array([0.0] * len(flown.equations)), fp_type=self.kind,
+                                  compact_mode=True)
+        return flow, flown.parameters(fp_type=self.kind, compact_mode=True)
 
     def array(self, values: Any) -> np.ndarray:
         """Values, of any type, as the wider type."""
@@ -63,9 +66,10 @@ class Precise:
 
     def _fly(self, flow: Any, start: np.ndarray, directions: np.ndarray, parameters: np.ndarray,
              duration: Any) -> np.ndarray:
+        flow, held = flow
         flow.time = self.kind(0.0)
         flow.state[:] = np.concatenate([start, np.ascontiguousarray(directions.T).reshape(-1)])
-        flow.pars[:] = parameters[: len(flow.pars)]
+        flow.pars[:] = held(parameters)
         flow.propagate_until(duration)
         return flow.state.copy()
 

@@ -18,8 +18,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from tasks.gait.fixed_point import Problem
-from tasks.mechanics.equations import Symbols, lump
+from tasks.mechanics.equations import Symbols
 from tasks.mechanics.impacts import heelstrike, kneestrike
+from tasks.mechanics.lumped import lump
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 #: Time from the start of a phase before which its guard does not count [sqrt(leg/g)].
@@ -99,7 +100,7 @@ class Algebra:
         self.problem, self.m, self.kneed = problem, problem.m, problem.structure.kneed
         # The map's own start pads its lanes, which would cost one lane dear.
         self.begin = problem.map._compile_start()
-        p = Symbols(problem.structure, variables=True)
+        p = Symbols(problem.structure)
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
         image = [x[1], x[2], x[3]]
         if not self.kneed:

@@ -107,22 +107,25 @@ class Lanes:
         structure = f.problem.structure
         self.f, self.width = f, hy.recommended_simd_size()
 
-        def built(free: bool) -> Any:
-            equations = system(structure, free, 0, False)
-            return hy.taylor_adaptive_batch(equations, np.zeros((len(equations), self.width)), tol=tolerance)
-
-        self.locked = built(False)
-        self.free = built(True) if structure.kneed else None
         self.times = np.tile(np.asarray([float(t) for t in f.exact["times"]])[:, None], LANES)
         self.y, self.parameters = f.y[:, [0] * LANES], f.problem.parameters(f.slopes[[0] * LANES], f.scale[[0] * LANES])
 
-    def _fly(self, ta: Any, state: np.ndarray, duration: np.ndarray) -> np.ndarray:
+        def built(free: bool) -> Any:
+            flown = system(structure, free, 0, False)
+            flow = hy.taylor_adaptive_batch(flown.equations, np.zeros((len(flown.equations), self.width)), tol=tolerance)
+            return flow, flown.parameters()(np.ascontiguousarray(self.parameters))
+
+        self.locked = built(False)
+        self.free = built(True) if structure.kneed else None
+
+    def _fly(self, built: Any, state: np.ndarray, duration: np.ndarray) -> np.ndarray:
+        ta, held = built
         out = np.empty_like(state)
         for k in range(0, LANES, self.width):
             lanes = slice(k, k + self.width)
             ta.set_time(0.0)
             ta.state[:] = state[:, lanes]
-            ta.pars[:] = self.parameters[: len(ta.pars), lanes]
+            ta.pars[:] = held[:, lanes]
             ta.propagate_until(duration[lanes])
             out[:, lanes] = ta.state
         return out

@@ -7,6 +7,8 @@ walker alone, never on a study's grid, so points that start from it are independ
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tasks.gait.branch import Branch
@@ -37,8 +39,8 @@ def _insert(problem: Problem, branch: Branch, segments: np.ndarray, x: np.ndarra
     # Below the rounding of the fixed point itself no split would help.
     keep = point.ok & (moved > np.maximum(TOLERANCE, 20 * rounding(point.stride).max(axis=0)))
     at = segments[keep] + 1
-    return Branch(m, np.insert(branch.Z, at, new_Z[keep], axis=0), np.insert(branch.tangent, at, new_T[keep], axis=0),
-                  np.zeros(len(branch.Z) + keep.sum()), branch.why), moved
+    return replace(branch, Z=np.insert(branch.Z, at, new_Z[keep], axis=0),
+                   tangent=np.insert(branch.tangent, at, new_T[keep], axis=0)), moved
 
 
 def _joined(m: int, pair: list[Track]) -> tuple[Branch, int]:
@@ -65,16 +67,16 @@ def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
         return None
     low = start - np.argmin(np.append(good[start::-1], False)) + 1
     high = start + np.argmin(np.append(good[start:], False)) - 1
-    Z, T, why = raw.Z[low:high + 1], raw.tangent[low:high + 1], list(raw.why)
+    Z, T, why, errors = raw.Z[low:high + 1], raw.tangent[low:high + 1], list(raw.why), [0.0, 0.0]
     if low > 0:
-        why[0], point, way = end_of(problem, raw, low - 1, start)
+        why[0], point, way, errors[0] = end_of(problem, raw, low - 1, start)
         Z, T = np.vstack([row(point), Z]), np.vstack([row_tangent(point, way), T])
     if high < len(raw.Z) - 1:
-        why[1], point, way = end_of(problem, raw, high, start)
+        why[1], point, way, errors[1] = end_of(problem, raw, high, start)
         Z, T = np.vstack([Z, row(point)]), np.vstack([T, row_tangent(point, way)])
     if len(Z) < 4:
         return None
-    branch = _with_folds(problem, Branch(m, Z, T, np.zeros(len(Z)), (why[0], why[1])))
+    branch = _with_folds(problem, Branch(m, Z, T, np.zeros(len(Z)), (why[0], why[1]), (errors[0], errors[1])))
     for _ in range(MOST_ROUNDS):
         segments = np.arange(len(branch.Z) - 1)
         x = 0.5 * (branch.Z[segments, branch.axis] + branch.Z[segments + 1, branch.axis])
@@ -113,9 +115,8 @@ def _with_folds(problem: Problem, branch: Branch) -> Branch:
     m = branch.m
     for segment in np.nonzero(np.diff(np.sign(branch.tangent[:, m])) != 0)[0][::-1]:
         point, way = located(problem, branch, segment, lambda point, way: oriented(point, way)[m])
-        branch = Branch(m, np.insert(branch.Z, segment + 1, row(point), axis=0),
-                        np.insert(branch.tangent, segment + 1, row_tangent(point, way), axis=0),
-                        np.zeros(len(branch.Z) + 1), branch.why)
+        branch = replace(branch, Z=np.insert(branch.Z, segment + 1, row(point), axis=0),
+                         tangent=np.insert(branch.tangent, segment + 1, row_tangent(point, way), axis=0))
     return branch
 
 
@@ -153,6 +154,7 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
     if not branches:
         return {"lengths": lengths}
     return {"lengths": lengths, "m": np.array([branches[0].m]), "why": np.array([b.why for b in branches]),
+            "end_errors": np.array([b.end_errors for b in branches]),
             **{name: np.concatenate([getattr(b, name) for b in branches]) for name in _BY_NODE}}
 
 
@@ -163,5 +165,6 @@ def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:
     """Branches from the arrays of `to_arrays`."""
     ends = np.cumsum(arrays["lengths"])
     return [Branch(m=int(arrays["m"][0]), why=(str(arrays["why"][i][0]), str(arrays["why"][i][1])),
+                   end_errors=(float(arrays["end_errors"][i][0]), float(arrays["end_errors"][i][1])),
                    **{name: arrays[name][a:b] for name in _BY_NODE})
             for i, (a, b) in enumerate(zip(ends - arrays["lengths"], ends, strict=True))]

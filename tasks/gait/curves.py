@@ -19,7 +19,7 @@ from tasks.gait.fixed_point import Problem
 from tasks.gait.stride import Stride, StrideMap, stride_map
 from tasks.gait.strides import STRUCK
 from tasks.gait.strides import stride as flown
-from tasks.mechanics.equations import constants_of, structure_of
+from tasks.mechanics.lumped import constants_of, structure_of
 from tasks.walkers.parameters import Walker, WalkerError
 
 #: Relative step of the central differences, and acceptance of a step along a curve.

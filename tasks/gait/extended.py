@@ -14,8 +14,9 @@ import numpy as np
 
 from tasks.gait.fixed_point import EPS, Problem
 from tasks.gait.stride import Stride
-from tasks.mechanics.equations import Structure, Symbols, lump, system
+from tasks.mechanics.equations import Symbols, system
 from tasks.mechanics.impacts import heelstrike, kneestrike
+from tasks.mechanics.lumped import Structure, lump
 
 #: Bounds of a double's fixed point above which long double is asked, and 128 bits.
 ESCALATE, ESCALATE_AGAIN = 4e-12, 4e-9
@@ -31,17 +32,18 @@ class Extended:
         self.structure, self.number = structure, number
         self.m, self.kneed = structure.dimension, structure.kneed
         flows = [True, False] if self.kneed else [False]
+        systems = [system(structure, free, 0, False) for free in flows]
         self._flows = [
-            hy.taylor_adaptive(equations, state=self._array(np.zeros(len(equations))), fp_type=number,
-                               tol=number(2 * unit), compact_mode=True)
-            for equations in (system(structure, free, 0, False) for free in flows)]
+            hy.taylor_adaptive(flown.equations, state=self._array(np.zeros(len(flown.equations))), fp_type=number,
+                               tol=number(2 * unit), compact_mode=True) for flown in systems]
+        self._held = [flown.parameters(fp_type=number, compact_mode=True) for flown in systems]
         self._start, self._knee, self._finish = self._compile()
 
     def _array(self, values: Any) -> np.ndarray:
         return np.array([self.number(v) for v in values], dtype=self.number)
 
     def _compile(self) -> tuple[Any, Any, Any]:
-        p = Symbols(self.structure, variables=True)
+        p = Symbols(self.structure)
         y = list(hy.make_vars(*(f"y{i}" for i in range(self.m))))
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
 
@@ -66,7 +68,7 @@ class Extended:
         ta = self._flows[k]
         ta.time = self.number(0.0)
         ta.state[:] = state
-        ta.pars[:] = parameters[: len(ta.pars)]
+        ta.pars[:] = self._held[k](parameters)
         ta.propagate_until(duration)
         return ta.state.copy()
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tasks.gait.stride import SAMPLES, Stride, StrideMap, apply, stride_map
 from tasks.gait.verify import Verdict, verify
-from tasks.mechanics.equations import Structure, constants_of, structure_of
+from tasks.mechanics.lumped import Structure, constants_of, structure_of
 from tasks.walkers.parameters import Walker
 
 EPS = np.finfo(float).eps
@@ -16,6 +16,8 @@ EPS = np.finfo(float).eps
 MOST_ITERATIONS = 25
 #: The same for a rough flight: what is not near by then hardly ever arrives.
 MOST_ROUGH = 8
+#: Starts still this far away after three rough steps are given up: hardly one arrives, and scores of others do.
+HOPELESS = 4.0
 
 
 class Problem:
@@ -102,14 +104,14 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool =
     converged = np.zeros(n, bool)
     active = np.arange(n)
     last = np.full(n, np.inf)
-    for _ in range(MOST_ROUGH if rough else MOST_ITERATIONS):
+    for taken in range(MOST_ROUGH if rough else MOST_ITERATIONS):
         if not len(active):
             break
         stride, _ = problem.stride(w[:, active], log_slope[active], rough=rough)
         step = newton_step(stride, w[:, active])
         size = np.abs(step).max(axis=0)
         noise = np.nan_to_num(rounding(stride).max(axis=0), nan=np.inf)
-        alive = np.isfinite(size) & (size < 1e6)
+        alive = np.isfinite(size) & (size < (HOPELESS if rough and taken > 2 else 1e6))
         step[:, alive] *= np.minimum(1.0, 0.5 / np.maximum(size[alive], 1e-300))
         w[:, active[alive]] += step[:, alive]
         # Done when the step is rounding, or has become small and stopped shrinking.

@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import brentq
 
 from tasks.gait.branch import Branch
 from tasks.gait.continuation import Point, correct, linearised
 from tasks.gait.fixed_point import EPS, Problem, judged, rounding
+from tasks.gait.root import bracketed_root
 
 Test = Callable[[Point, np.ndarray], float]
+#: Distance, over the segment, of the points a tangential end is read off.
+SPACING = 4e-3
 
 
 def oriented(point: Point, way: np.ndarray) -> np.ndarray:
@@ -38,7 +40,7 @@ def corrected(problem: Problem, branch: Branch, segment: int, x: float) -> tuple
 
 
 def located(problem: Problem, branch: Branch, segment: int, test: Test) -> tuple[Point, np.ndarray]:
-    """The root of a test function on a segment over which it changes sign, to rounding (Brent's method)."""
+    """The root of a test function on a segment over which it changes sign, to rounding."""
     axis = branch.axis[segment]
     a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
 
@@ -46,37 +48,41 @@ def located(problem: Problem, branch: Branch, segment: int, test: Test) -> tuple
         return test(*corrected(problem, branch, segment, x))
 
     try:
-        root = brentq(value, a, b, xtol=1e-15 * max(1.0, abs(a)), rtol=8.9e-16, maxiter=60)
+        root = bracketed_root(value, a, b, 1e-15 * max(1.0, abs(a)))
     except ValueError:
         # The nodes' own values differ in sign by rounding only: the end nearer zero is the root.
         root = a if abs(value(a)) < abs(value(b)) else b
     return corrected(problem, branch, segment, root)
 
 
-def _at_tangency(problem: Problem, branch: Branch, segment: int) -> tuple[Point, np.ndarray]:
-    """Where heelstrike turns tangential on a segment, and the branch's direction there.
+def _at_tangency(problem: Problem, branch: Branch, segment: int) -> tuple[Point, np.ndarray, float]:
+    """Where heelstrike turns tangential on a segment, the branch's direction there, and the error of ln slope.
 
     At the point itself the event time has no derivative, though the branch is smooth. So it is read off polynomials
-    through six points beside it.
+    through six points beside it; those through the inner four bound their error, a hundred times too wide.
     """
     test = ENDS["end_tangential_heelstrike"]
     axis = branch.axis[segment]
     a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
-    middle = brentq(lambda x: test(*corrected(problem, branch, segment, x)), a, b, xtol=1e-3 * abs(b - a))
-    h = 8e-3 * (b - a)
+    middle = bracketed_root(lambda x: test(*corrected(problem, branch, segment, x)), a, b, 1e-3 * abs(b - a))
+    h = SPACING * (b - a)
     places = np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5])
     points = [corrected(problem, branch, segment, middle + h * p) for p in places]
     values = np.array([np.concatenate([row(p), row_tangent(p, way), [test(p, way)]]) for p, way in points])
-    coefficients = np.linalg.solve(np.vander(places), values)
-    roots = np.roots(coefficients[:, -1])
-    root = roots[np.argmin(np.abs(roots))].real
-    found = np.vander([root], len(places))[0] @ coefficients
+
+    def at_root(among: slice) -> np.ndarray:
+        coefficients = np.linalg.solve(np.vander(places[among]), values[among])
+        roots = np.roots(coefficients[:, -1])
+        root = roots[np.argmin(np.abs(roots))].real
+        return np.vander([root], len(coefficients))[0] @ coefficients
+
+    found, inner = at_root(slice(None)), at_root(slice(1, -1))
     point, way = points[2]
     m, k = branch.m, len(point.times)
     size = m + 1 + k
     found_point = Point(found[: m + 1, None], found[m + 1:size, None], found[size:size + m + 1, None],
                         found[size + m + 1:-1, None], point.ok, point.stride)
-    return found_point, way
+    return found_point, way, abs(float(inner[m] - found[m]))
 
 
 def row(point: Point) -> np.ndarray:
@@ -103,7 +109,7 @@ ENDS: dict[str, Test] = {
 }
 
 
-def end_of(problem: Problem, branch: Branch, segment: int, start: int) -> tuple[str, Point, np.ndarray]:
+def end_of(problem: Problem, branch: Branch, segment: int, start: int) -> tuple[str, Point, np.ndarray, float]:
     """What ends walking on a segment with one node that is a step and one that is none, and where.
 
     Returns
@@ -112,22 +118,25 @@ def end_of(problem: Problem, branch: Branch, segment: int, start: int) -> tuple[
     point : Point
     way : ndarray
         Direction of the branch there.
+    error : float
+        Of ln slope, beyond rounding.
     """
     good, bad = (segment, segment + 1) if segment >= start else (segment + 1, segment)
-    found: list[tuple[float, str, Point, np.ndarray]] = []
+    found: list[tuple[float, str, Point, np.ndarray, float]] = []
     for kind, test in ENDS.items():
         if kind == "end_kneestrike_at_heelstrike" and problem.phases == 1:
             continue
         values = [test(*corrected(problem, branch, segment, branch.Z[i, branch.axis[segment]])) for i in (good, bad)]
         if values[0] * values[1] < 0:
+            error = 0.0
             if kind == "end_tangential_heelstrike":
-                point, way = _at_tangency(problem, branch, segment)
+                point, way, error = _at_tangency(problem, branch, segment)
             else:
                 point, way = located(problem, branch, segment, test)
-            found.append((float(np.linalg.norm(point.X[:, 0] - branch.Z[good, : branch.m + 1])), kind, point, way))
+            apart = float(np.linalg.norm(point.X[:, 0] - branch.Z[good, : branch.m + 1]))
+            found.append((apart, kind, point, way, error))
     if found:
-        _, kind, point, way = min(found, key=lambda f: f[0])
-        return kind, point, way
+        return min(found, key=lambda f: f[0])[1:]
     # A strike appears earlier in the step (its guard has a double root): bisect on the verdict itself.
     axis = branch.axis[segment]
     a, b = branch.Z[good, axis], branch.Z[bad, axis]
@@ -139,7 +148,7 @@ def end_of(problem: Problem, branch: Branch, segment: int, start: int) -> tuple[
         else:
             b = middle
     point, way = corrected(problem, branch, segment, a)
-    return "end_earlier_strike", point, way
+    return "end_earlier_strike", point, way, 0.0
 
 
 def _eigen_products(A: np.ndarray) -> np.ndarray:
@@ -207,16 +216,15 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
             point, _ = located(problem, branch, int(segment), test)
             if point.ok[0] and _is(kind, point):
                 found.append((segment + 0.5, _record(kind, problem, point, 0)))
-    for index, kind in ((0, branch.why[0]), (len(branch.Z) - 1, branch.why[1])):
-        found.append((float(index), _record(END_NAMES.get(kind, kind), problem, nodes, index)))
-    for _, record in found:
-        if record["kind"] == "end_tangential_heelstrike":
-            record["error_bound"] = TANGENT_ERROR
+    for index, kind, error in zip((0, len(branch.Z) - 1), branch.why, branch.end_errors):
+        record = _record(END_NAMES.get(kind, kind), problem, nodes, index)
+        if kind == "end_tangential_heelstrike":
+            # The point is read off its neighbours: the map's own derivative says nothing there.
+            record["error_bound"] = error + 64 * EPS
+        found.append((float(index), record))
     return [record for _, record in sorted(found, key=lambda f: f[0])]
 
 
-#: Relative error of a slope read off polynomials beside a tangency (checked in tests against other spacings).
-TANGENT_ERROR = 1e-10
 #: How the ways a search can stop are named among special points.
 END_NAMES = {"zero step length": "end_zero_step", "end of the window": "window", "no further point": "lost",
              "a fall": "end_fall"}

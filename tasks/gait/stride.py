@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import heyoka as hy
 import numpy as np
 
-from tasks.mechanics.equations import ZERO, Solver, Structure, Sym, Symbols, rows
+from tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
 from tasks.mechanics.impacts import heelstrike, kneestrike
-from tasks.mechanics.kernel import LANES, flow
+from tasks.mechanics.kernel import LANES, flow, whole_groups
+from tasks.mechanics.lumped import Structure
 
 #: Intervals at whose ends the motion is sampled to verify a step.
 SAMPLES = 16
@@ -111,7 +112,7 @@ class StrideMap:
         return hy.cfunc(outputs, vars=variables, compact_mode=False)
 
     def _compile_start(self) -> hy.cfunc:
-        p = Symbols(self.structure, variables=True)
+        p = Symbols(self.structure)
         y = list(hy.make_vars(*(f"y{i}" for i in range(self.m))))
         if self.kneed:
             state = [y[0], -y[0], -y[0], *heelstrike(p, y[0], y[1], y[2], True)]
@@ -123,8 +124,13 @@ class StrideMap:
         return self._function(state + _flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
 
     def _compile_knee(self, slope: bool) -> hy.cfunc:
-        """From the end of three links to the start of two, with directions (y, defect[, slope])."""
-        p = Symbols(self.structure, variables=True)
+        """From the end of three links to the start of two, with directions (y, defect[, slope]).
+
+        After it, two links fly along the field and three unit vectors beside it, whatever the directions: what lies
+        along the field is only a shift of time, which the next event takes up. So each direction is given by its
+        four parts, the field's first.
+        """
+        p = Symbols(self.structure)
         m = self.m + slope
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
         D = _matrix("d", 6, m)
@@ -139,16 +145,24 @@ class StrideMap:
         lock = [q[0], q[1], *kneestrike(p, q, rate)]
         columns = [[*moved[i][:self.m], defect[i], *moved[i][self.m:]] for i in range(6)]
         out = _directions(lock, x, columns)
+        M, f = rows(p, lock[:2], lock[2:], False)
+        after = [lock[2], lock[3], *Solver(M)(f)]
+        along = [d / after[0] for d in out[0]]
+        parts = [along] + [[d - c * after[i] for d, c in zip(out[i], along)] for i in range(1, 4)]
         strike = [x[i] + defect[i] for i in range(6)] + _flat([moved[i][:self.m] for i in range(6)])
-        return self._function(lock + _flat(out) + [shift, *shift_by, *strike], [*x, *_flat(D), *p.variables])
+        return self._function(lock + _flat(parts) + [shift, *shift_by, *strike], [*x, *_flat(D), *p.variables])
 
     def _compile_finish(self, slope: bool) -> hy.cfunc:
         """From the end of two links to the image on the section, its derivatives and the Newton step."""
-        p = Symbols(self.structure, variables=True)
+        p = Symbols(self.structure)
         m, defect = self.m, int(self.kneed)
         y = list(hy.make_vars(*(f"y{i}" for i in range(m))))
         x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-        D = _matrix("d", 4, m + defect + slope)
+        flown = D = _matrix("d", 4, 3 + slope if self.kneed else m + slope)
+        parts: list[list[Sym]] = _matrix("c", 4, m + 1 + slope) if self.kneed else []
+        if self.kneed:
+            D = [[sum((parts[1 + k][d] * flown[i][k] for k in range(3)), flown[i][3] if d > m else ZERO)
+                  for d in range(m + 1 + slope)] for i in range(4)]
         M, f = rows(p, x[:2], x[2:], False)
         field = [x[2], x[3], *Solver(M)(f)]
         closing = x[2] + x[3]
@@ -168,16 +182,15 @@ class StrideMap:
         miss = [image[i] - y[i] + out[i][-1] for i in range(m)]
         newton = [sum((inverse[i][j] * miss[j] for j in range(m)), ZERO) for i in range(m)]
         impact = [x[2] + base[2] + field[2] * shift, x[3] + base[3] + field[3] * shift]
+        if parts:
+            shift, shift_by = shift - parts[0][m], [a - b for a, b in zip(shift_by, parts[0])]
         outputs = [*moved, *_flat(jacobian), *_flat(inverse), *newton, shift, *(shift_by[d] for d in keep), *impact,
                    *columns[2][:m], *columns[3][:m], closing, *([row[m] for row in out] if slope else [])]
-        return self._function(outputs, [*y, *x, *_flat(D), *p.variables])
+        return self._function(outputs, [*y, *x, *_flat(flown), *_flat(parts), *p.variables])
 
     def _apply(self, function: hy.cfunc, inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes padded to whole SIMD groups, so every lane runs the same code."""
-        n = inputs.shape[1]
-        pad = -n % (4 * LANES)
-        padded = np.ascontiguousarray(np.pad(inputs, ((0, 0), (0, pad)), "edge"))
-        return function(padded)[:, :n]
+        return function(whole_groups(inputs, 4 * LANES))[:, :inputs.shape[1]]
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """State just after heelstrike at y, then its derivative by y, rows flattened."""
@@ -208,29 +221,28 @@ class StrideMap:
             NaN in lanes whose motion was lost.
         """
         m, n = y.shape
-        # Three links take long to compile: one flow, with the slope, serves atlas and points alike.
-        slope = slope or (self.kneed and not rough)
         begin = self.start(y, parameters)
         size = self.start_size
         start, seeds = begin[:size], begin[size:].reshape(size, m, n)
         zeros = np.zeros((size, 1, n))
         D = np.concatenate([seeds, zeros], axis=1) if slope else seeds
-        sampled, knee, knee_by_y = [], None, None
+        sampled, knee, knee_by_y, parts = [], None, None, np.empty((0, n))
         if self.kneed:
             run = flow(self.structure, True, m + slope, slope, rough)
             final, moved = run(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             sampled.append(moved)
             out = self._apply(self._knee[slope], np.vstack([final[:6], _unlanes(final[6:], 6), parameters]))
-            start2, D = out[:4], out[4:4 + 4 * (m + 1 + slope)].reshape(4, m + 1 + slope, n)
-            knee_shift, strike = np.split(out[4 + D.shape[1] * 4:], [1 + m + slope])
+            start2, parts, knee_shift, strike = np.split(
+                out, np.cumsum([4, 4 * (m + 1 + slope), 1 + m + slope]))
             knee, knee_by_y = strike[:6], strike[6:].reshape(6, m, n)
+            D = np.broadcast_to(np.eye(4, 3 + slope, -1)[:, :, None], (4, 3 + slope, n))
             duration = times[1] - times[0]
         else:
             start2, duration = start, times[0]
         run = flow(self.structure, False, D.shape[1], slope, rough)
         final, moved = run(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
         sampled.append(moved)
-        out = self._apply(self._finish[slope], np.vstack([y, final[:4], _unlanes(final[4:], 4), parameters]))
+        out = self._apply(self._finish[slope], np.vstack([y, final[:4], _unlanes(final[4:], 4), parts, parameters]))
         cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + slope, 2, 2 * m, 1]))
         image, jacobian, inverse, newton, shift, shift_by, impact, impact_by_y, closing, by_slope = cut
         all_times, all_by = times[-1:] + shift, shift_by[None]

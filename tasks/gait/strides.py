@@ -17,9 +17,10 @@ import numpy as np
 
 from tasks.gait.fixed_point import Problem
 from tasks.gait.stride import Stride
-from tasks.mechanics.equations import ZERO, Solver, Structure, Symbols, rows
+from tasks.mechanics.equations import ZERO, Solver, Symbols, rows
 from tasks.mechanics.impacts import heelstrike, kneestrike
 from tasks.mechanics.kernel import LANES
+from tasks.mechanics.lumped import Structure
 
 #: What becomes of a stride. Everything but STRUCK is a fall.
 STRUCK, BACKWARD, FORWARD, NO_KNEESTRIKE, NO_HEELSTRIKE, LOST = range(6)
@@ -64,7 +65,7 @@ class Scanner:
         self._strike = None if structure.kneed else self._compile_strike()
 
     def _compile_step(self, free: bool) -> hy.cfunc:
-        p = Symbols(self.structure, variables=True)
+        p = Symbols(self.structure)
         n = 3 if free else 2
         x = list(hy.make_vars(*(f"x{i}" for i in range(2 * n))))
         h = hy.make_vars("h")
@@ -77,12 +78,12 @@ class Scanner:
         return hy.cfunc(now, vars=[*x, h, *p.variables], compact_mode=False)
 
     def _compile_lock(self) -> hy.cfunc:
-        p = Symbols(self.structure, variables=True)
+        p = Symbols(self.structure)
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
         return hy.cfunc([x[0], x[1], *kneestrike(p, x[:3], x[3:])], vars=[*x, *p.variables], compact_mode=False)
 
     def _compile_strike(self) -> hy.cfunc:
-        p = Symbols(self.structure, variables=True)
+        p = Symbols(self.structure)
         x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
         rates = heelstrike(p, x[1], x[2], x[3], False)[: self.structure.dimension - 1]
         return hy.cfunc([x[1], *rates], vars=[*x, *p.variables], compact_mode=False)

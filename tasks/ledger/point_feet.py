@@ -12,7 +12,7 @@ from tasks.gait.fixed_point import Problem
 from tasks.gait.stride import stride_map
 from tasks.ledger.claim import APPROXIMATELY, Finding, claim, verdict
 from tasks.ledger.lab import LONG, SHORT, foot_ratio, line, numbers, root
-from tasks.mechanics.equations import constants_of
+from tasks.mechanics.lumped import constants_of
 
 #: Foot masses over the total mass whose transition is followed down to where the 3/2 power is exact.
 RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)

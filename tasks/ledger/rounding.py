@@ -22,8 +22,9 @@ from tasks.gait.special_points import located
 from tasks.gait.stride import Stride
 from tasks.ledger.lab import Line, line
 from tasks.ledger.printed import HALF_UNITS
-from tasks.mechanics.equations import Symbols, constants_of
+from tasks.mechanics.equations import Symbols
 from tasks.mechanics.impacts import heelstrike
+from tasks.mechanics.lumped import constants_of
 from tasks.walkers.catalogue import _exactly_tuned
 from tasks.walkers.parameters import Walker
 
@@ -196,7 +197,7 @@ def _grazing(walkers: list[Walker], Z: np.ndarray) -> np.ndarray:
     stride = problem.map(y, Z[m:m + 1], parameters, True, 1)
     assert stride.motion is not None
     a, b, a_rate, b_rate = stride.motion[-1][-1]
-    p = Symbols(problem.structure, variables=True)
+    p = Symbols(problem.structure)
     names = hy.make_vars("angle", "stance", "swing")
     strike = hy.cfunc(heelstrike(p, names[0], names[1], names[2], False), vars=[*names, *p.variables])
     rates = strike(np.ascontiguousarray(np.vstack([b, a_rate, b_rate, parameters])))[: m - 1]

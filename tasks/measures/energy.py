@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.mechanics.equations import lump
+from tasks.mechanics.lumped import lump
 from tasks.walkers.parameters import Walker
 
 

@@ -4,31 +4,27 @@ Frame and angles as PHYSICS settles them: x down the slope, y along the ground n
 from the normal; a vector of a leg is a complex number x + iy in the frame of that leg, rotated by exp(i angle).
 Unit of length is the leg l + R, of mass the whole walker, and g = 1.
 
-With A and B the arms of the stance leg and of the swing links, all a walker's masses enter through
-
-    S_a = sum m A,  C_aa = sum m (R^2 + |A|^2) + I,  S_b, S_c = sum m B,  C_bb, C_cc, H = conj(knee) S_c,
-
-and the kinetic and potential energies are
+With the lumped constants of `tasks.mechanics.lumped` the kinetic and potential energies are
 
     T = 1/2 (C_aa + 2 R Im(e^{ia} S_a)) a'^2 + (R Im(e^{ib} S_b) - l Re(i S_b e^{i(b-a)})) a' b' + 1/2 C_bb b'^2 + ...
     V = R a sin(slope) + Im(e^{i(a-slope)} S_a) + Im(e^{i(b-slope)} S_b) + ...
 
 Rows of the swing links are divided by the leg's inertia `eps`, so the limit of a vanishing foot mass is exact.
 States are scaled, q = s x with s a power of two, so an absolute tolerance is a relative one on any slope.
+What depends on parameters alone is held: computed once a flight, not at every step of it. So the equations turn
+constants that are already multiplied out, and angles are taken from the vertical, where gravity needs one term.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import heyoka as hy
-import numpy as np
 
-from tasks.walkers.parameters import NUMBERS, Walker
+from tasks.mechanics.lumped import Structure
 
-ZERO = hy.expression(0.0)
+ZERO, ONE = hy.expression(0.0), hy.expression(1.0)
 Sym = hy.expression
 
 
@@ -43,135 +39,18 @@ class Complex:
         return Complex(self.re * cosine - self.im * sine, self.re * sine + self.im * cosine)
 
 
-def lump(walker: Walker, number: type = float) -> dict[str, Any]:
-    """Lumped constants of a walker in units of its leg, its mass and g.
-
-    Parameters
-    ----------
-    walker : Walker
-    number : type
-        `float`, or a wider type for constants to more digits: numpy's long double or heyoka's real128.
-
-    Returns
-    -------
-    dict
-        `R, l, eps, C_aa, S_a, S_b, C_bb` with complex constants split into `_re` and `_im`; kneed walkers
-        also `S_c, C_cc, H`. Swing constants are divided by `eps`, the swing leg's inertia about the hip.
-    """
-    key = {k: number(getattr(walker, k)) for k in NUMBERS}
-    zero, one, two = number(0.0), number(1.0), number(2.0)
-    sin_T, cos_T = _sine(key["eps_T"]), _cosine(key["eps_T"])
-    d = key["l_s"] - key["R"]
-    # sin eps_S = l_t sin eps_T / d closes the leg.
-    sin_S = key["l_t"] * sin_T / d if walker.eps_T else zero
-    cos_S = (one - sin_S * sin_S) ** number(0.5)
-    l = key["l_t"] * cos_T + d * cos_S
-    length, mass = l + key["R"], two * (key["m_t"] + key["m_s"]) + key["m_h"]
-    R, l = key["R"] / length, l / length
-    knee = Vector(-key["l_t"] * sin_T, -key["l_t"] * cos_T) / length
-    thigh = Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
-    shank = Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
-    if walker.massless_leg:
-        # Only ratios of the swing leg's constants remain: a unit point at the foot.
-        eps, m_t, m_s = zero, zero, one
-    else:
-        eps, m_t, m_s = one, key["m_t"] / mass, key["m_s"] / mass
-    S_b, S_c = thigh * m_t + knee * m_s, shank * m_s
-    C_bb = m_t * (thigh.dot(thigh) + (key["r_t"] / length) ** two) + m_s * knee.dot(knee)
-    C_cc = m_s * (shank.dot(shank) + (key["r_s"] / length) ** two)
-    # H = conj(knee) S_c.
-    H = Vector(knee.dot(S_c), knee.x * S_c.y - knee.y * S_c.x)
-    inertia = C_bb + C_cc + two * H.x
-    leg_S = (S_b + S_c) * eps
-    found = {"R": R, "l": l, "eps": eps * inertia, **_pair("S_a", leg_S + Vector(zero, l))}
-    # Stance leg m|il + p|^2 + I, hip and swing leg (the rest of the unit mass) at |il|.
-    found["C_aa"] = R * R + l * l + two * l * leg_S.y + eps * inertia
-    if walker.knees:
-        found |= {**_pair("S_b", S_b / inertia), "C_bb": C_bb / inertia, **_pair("S_c", S_c / inertia),
-                  "C_cc": C_cc / inertia, **_pair("H", H / inertia)}
-    else:
-        found |= {**_pair("S_b", (S_b + S_c) / inertia), "C_bb": one}
-    return found
-
-
-@dataclass(frozen=True)
-class Vector:
-    """A vector of a leg, in any type of number."""
-
-    x: Any
-    y: Any
-
-    def __add__(self, other: Vector) -> Vector:
-        return Vector(self.x + other.x, self.y + other.y)
-
-    def __mul__(self, factor: Any) -> Vector:
-        return Vector(self.x * factor, self.y * factor)
-
-    def __truediv__(self, divisor: Any) -> Vector:
-        return Vector(self.x / divisor, self.y / divisor)
-
-    def dot(self, other: Vector) -> Any:
-        return self.x * other.x + self.y * other.y
-
-
-def _sine(x: Any) -> Any:
-    return math.sin(x) if isinstance(x, float) and type(x) is float else np.sin(np.array([x], dtype=type(x)))[0]
-
-
-def _cosine(x: Any) -> Any:
-    return math.cos(x) if isinstance(x, float) and type(x) is float else np.cos(np.array([x], dtype=type(x)))[0]
-
-
-def _pair(name: str, v: Vector) -> dict[str, Any]:
-    """A complex constant as `_re` and `_im`; a part that is rounding of zero becomes zero."""
-    size = 4e-16 * max(abs(float(v.x)), abs(float(v.y)))
-    return {f"{name}_{part}": x if abs(float(x)) > size else type(x)(0.0) for part, x in (("re", v.x), ("im", v.y))}
-
-
-@dataclass(frozen=True)
-class Structure:
-    """Which constants a walker has at all; code is compiled once per structure, never per value."""
-
-    kneed: bool
-    point_foot: bool
-    constants: tuple[str, ...]
-    units: tuple[tuple[str, float], ...]
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Order of the runtime parameters: slope, scale, then the constants."""
-        return ("slope", "scale", *self.constants)
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of the stride map."""
-        return 2 if self.point_foot else 3
-
-
-def structure_of(walker: Walker) -> Structure:
-    """A walker's structure: constants that are 0 or 1 are part of a straight leg's code, all others are parameters."""
-    constants = lump(walker)
-    # Three links compile slowly and gain little from a zero: all kneed walkers share one structure.
-    plain = () if walker.knees else (0.0, 1.0, -1.0)
-    fixed = tuple((k, v) for k, v in constants.items() if v in plain)
-    free = tuple(k for k, v in constants.items() if v not in plain)
-    return Structure(walker.knees, walker.point_foot, free, fixed)
-
-
-def constants_of(walker: Walker, structure: Structure) -> np.ndarray:
-    """Values of the structure's runtime constants, shape (len(structure.constants),)."""
-    lumped = lump(walker)
-    return np.array([lumped[k] for k in structure.constants])
-
-
 class Symbols:
-    """The runtime parameters of a structure as heyoka symbols: `par[i]` for flows, variables for functions."""
+    """The runtime parameters of a structure as symbols, in compiled functions and in flows.
 
-    def __init__(self, structure: Structure, variables: bool = False):
+    A flow may not use them but through `held`, which makes any expression of them one of the flow's own parameters;
+    `held_values` are these, in their order.
+    """
+
+    def __init__(self, structure: Structure, flow: bool = False):
         names = structure.parameters
-        held = hy.make_vars(*(f"p_{n}" for n in names)) if variables else [hy.par[i] for i in range(len(names))]
-        self.variables = list(held)
-        values = dict(zip(names, held)) | {k: hy.expression(v) for k, v in structure.units}
+        self.variables = list(hy.make_vars(*(f"p_{n}" for n in names)))
+        self.held_values: list[Sym] | None = [] if flow else None
+        values = dict(zip(names, self.variables)) | {k: hy.expression(v) for k, v in structure.units}
         self.slope, self.scale = values["slope"], values["scale"]
         self.R, self.l, self.eps, self.C_aa = values["R"], values["l"], values["eps"], values["C_aa"]
         self.S_a = Complex(values["S_a_re"], values["S_a_im"])
@@ -181,6 +60,18 @@ class Symbols:
             self.S_c = Complex(values["S_c_re"], values["S_c_im"])
             self.C_cc, self.H = values["C_cc"], Complex(values["H_re"], values["H_im"])
 
+    def held(self, value: Sym) -> Sym:
+        """An expression of parameters alone, in a form this code may use."""
+        if self.held_values is None or not hy.get_variables(value):
+            return value
+        if value not in self.held_values:
+            self.held_values.append(value)
+        return hy.par[self.held_values.index(value)]
+
+    def turned(self, constant: Complex, factor: Sym, trig: tuple[Sym, Sym]) -> Complex:
+        """factor constant e^{i angle}."""
+        return Complex(self.held(factor * constant.re), self.held(factor * constant.im)).turned(*trig)
+
     def locked(self) -> tuple[Complex, Sym]:
         """S and inertia of the whole swing leg with its knee locked."""
         if not hasattr(self, "S_c"):
@@ -189,8 +80,8 @@ class Symbols:
                 self.C_bb + self.C_cc + 2.0 * self.H.re)
 
 
-def rows(p: Symbols, q: list[Sym], rate: list[Sym], free_knee: bool) -> tuple[list[list[Sym]], list[Sym]]:
-    """Mass matrix and force of the equations of motion, M q'' = f, in scaled coordinates.
+class Motion:
+    """Equations of motion M q'' = f in scaled coordinates, and their first variation.
 
     Parameters
     ----------
@@ -203,50 +94,113 @@ def rows(p: Symbols, q: list[Sym], rate: list[Sym], free_knee: bool) -> tuple[li
 
     Notes
     -----
-    Lagrange's equations of the energies in the module's docstring; the swing rows are divided by `eps`.
+    Lagrange's equations of the energies in the module's docstring; the swing rows are divided by `eps`. With
+    K = -i l S e^{i(b-a)}, the coupling of stance and swing link is k = R Im(S e^{ib}) + Re K, and by the stance and
+    the swing angle its derivatives are p = s Im K and n = s R Re(S e^{ib}) - p, which makes the residual M q'' - f
+
+        stance   (C_aa + 2 y) a'' + m a'^2 + g_0/s + eps sum(k b'' + n b'^2),   y + i m/s = R (Im + i Re)(S_a e^{ia})
+        swing    C b'' + k a'' + p a'^2 + g/s [+- knee],                         g = Re(S e^{i(b - slope)}).
     """
-    s = p.scale
-    angle = [s * x for x in q]
-    trig = [(hy.sin(x), hy.cos(x)) for x in angle]
-    tilt = [(hy.sin(x - p.slope), hy.cos(x - p.slope)) for x in angle]
 
-    def between(j: int, i: int) -> tuple[Sym, Sym]:
-        return hy.sin(angle[j] - angle[i]), hy.cos(angle[j] - angle[i])
+    def __init__(self, p: Symbols, q: list[Sym], rate: list[Sym], free_knee: bool):
+        self.p, self.rate, self.square = p, rate, [x ** 2.0 for x in rate]
+        s, hold = p.scale, p.held
+        scale = hold(s)
+        angle = [scale * x for x in q]
+        tilt = [(hy.sin(x), hy.cos(x)) for x in (x - hold(p.slope) for x in angle)]
+        # Constants that go with an angle from the ground's normal.
+        sine, cosine = hy.sin(p.slope), hy.cos(p.slope)
+        swing = [(p.S_b, p.C_bb), (p.S_c, p.C_cc)] if free_knee else [p.locked()]
+        n = 1 + len(swing)
+        self.M = [[ZERO] * n for _ in range(n)]
+        self.f = [ZERO] * n
+        square, eps = self.square, hold(p.eps)
+        self.weighted = list(zip([p.S_a, *(S for S, _ in swing)], tilt))
 
-    swing = [(p.S_b, p.C_bb), (p.S_c, p.C_cc)] if free_knee else [p.locked()]
-    n = 1 + len(swing)
-    M = [[ZERO] * n for _ in range(n)]
-    f = [ZERO] * n
-    stance = p.S_a.turned(*trig[0])
-    M[0][0] = p.C_aa + 2.0 * p.R * stance.im
-    f[0] = -(s * p.R * stance.re) * rate[0] ** 2.0 - (p.R * hy.sin(p.slope) + p.S_a.turned(*tilt[0]).re) / s
-    for j, (S, C) in enumerate(swing, start=1):
-        # K e^{i(b-a)} with K = -i l S: its real part couples the rows, its imaginary part turns them.
-        K = Complex(p.l * S.im, -p.l * S.re).turned(*between(j, 0))
-        own = S.turned(*trig[j])
-        couple = p.R * own.im + K.re
-        M[0][j], M[j][0], M[j][j] = p.eps * couple, couple, C
-        f[0] = f[0] - s * p.eps * (p.R * own.re - K.im) * rate[j] ** 2.0
-        f[j] = -s * K.im * rate[0] ** 2.0 - S.turned(*tilt[j]).re / s
-    if free_knee:
-        knee = p.H.turned(*between(2, 1))
-        M[1][2] = M[2][1] = knee.re
-        f[1] = f[1] + s * knee.im * rate[2] ** 2.0
-        f[2] = f[2] - s * knee.im * rate[1] ** 2.0
-    return M, f
+        def rolling(S: Complex, j: int) -> tuple[Sym, Sym]:
+            """R Im(S e^{iq}) and s R Re(S e^{iq}), q from the ground's normal."""
+            normal = S.turned(sine, cosine)
+            return p.turned(normal, p.R, tilt[j]).im, p.turned(normal, s * p.R, tilt[j]).re
+
+        self.y, self.m = rolling(p.S_a, 0)
+        self.M[0][0] = hold(p.C_aa) + 2.0 * self.y
+        self.f[0] = -(self.m * square[0]) - p.turned(p.S_a, ONE / s, tilt[0]).re - hold(p.R * sine / s)
+        #: One for each swing link, from 1.
+        self.c, self.k, self.by_stance, self.by_swing = [ZERO], [ZERO], [ZERO], [ZERO]
+        for j, (S, C) in enumerate(swing, start=1):
+            between = scale * (q[j] - q[0])
+            trig = hy.sin(between), hy.cos(between)
+            K = Complex(p.l * S.im, -p.l * S.re)
+            roll, roll_by = rolling(S, j)
+            c, by_stance = p.turned(K, ONE, trig).re, p.turned(K, s, trig).im
+            k, by_swing = c + roll, roll_by - by_stance
+            self.c.append(c)
+            self.k.append(k)
+            self.by_stance.append(by_stance)
+            self.by_swing.append(by_swing)
+            self.M[0][j], self.M[j][0], self.M[j][j] = eps * k, k, hold(C)
+            self.f[0] = self.f[0] - eps * (by_swing * square[j])
+            self.f[j] = -(by_stance * square[0]) - p.turned(S, ONE / s, tilt[j]).re
+        if free_knee:
+            bent = scale * (q[2] - q[1])
+            trig = hy.sin(bent), hy.cos(bent)
+            self.h, self.h_by = p.turned(p.H, ONE, trig).re, p.turned(p.H, s, trig).im
+            self.M[1][2] = self.M[2][1] = self.h
+            self.f[1] = self.f[1] + self.h_by * square[2]
+            self.f[2] = self.f[2] - self.h_by * square[1]
+        self.last_pivot = hold(ONE / swing[-1][1])
+
+    def varied(self, u: list[Sym]) -> tuple[list[list[Sym]], list[list[Sym]]]:
+        """Derivatives of the residual M u - f at the accelerations u by the angles, and by the rates."""
+        p, s, n = self.p, self.p.scale, len(u)
+        eps, s2, eps_s2 = (p.held(x) for x in (p.eps, s * s, p.eps * s * s))
+        twice = [2.0 * x for x in self.rate]
+        falling = [p.turned(S, ONE, trig).im for S, trig in self.weighted]
+        by_q = [[ZERO] * n for _ in range(n)]
+        by_rate = [[ZERO] * n for _ in range(n)]
+        by_q[0][0] = 2.0 * (self.m * u[0]) - s2 * (self.y * self.square[0]) - falling[0]
+        by_rate[0][0] = self.m * twice[0]
+        for j in range(1, n):
+            lag = s2 * (self.c[j] * self.square[0])
+            by_q[0][0] = (by_q[0][0] + eps * (self.by_stance[j] * u[j]) + eps_s2 * (self.c[j] * self.square[j]))
+            by_q[0][j] = eps * (self.by_swing[j] * u[j]) - eps_s2 * (self.k[j] * self.square[j])
+            by_rate[0][j] = eps * (self.by_swing[j] * twice[j])
+            by_q[j][0] = self.by_stance[j] * u[0] - lag
+            by_q[j][j] = self.by_swing[j] * u[0] + lag - falling[j]
+            by_rate[j][0] = self.by_stance[j] * twice[0]
+        if n == 3:
+            for j, other, sign in ((1, 2, 1.0), (2, 1, -1.0)):
+                bend = self.h_by * u[other] + sign * (p.held(s * s) * (self.h * self.square[other]))
+                by_q[j][1], by_q[j][2] = by_q[j][1] + bend, by_q[j][2] - bend
+                by_rate[j][other] = -sign * (self.h_by * twice[other])
+        return by_q, by_rate
+
+    def by_slope(self) -> list[Sym]:
+        """Derivatives of the residual by the slope."""
+        p = self.p
+        found = [p.turned(S, ONE / p.scale, trig).im for S, trig in self.weighted]
+        return [found[0] + p.held(p.R * hy.cos(p.slope) / p.scale), *found[1:]]
+
+
+def rows(p: Symbols, q: list[Sym], rate: list[Sym], free_knee: bool) -> tuple[list[list[Sym]], list[Sym]]:
+    """Mass matrix and force of the equations of motion, as `Motion` has them."""
+    motion = Motion(p, q, rate, free_knee)
+    return motion.M, motion.f
 
 
 class Solver:
-    """Solves M x = f in symbols for many right-hand sides, sharing the elimination."""
+    """Solves M x = f in symbols for many right-hand sides, sharing the elimination; `last` is 1/M[-1][-1] if known."""
 
-    def __init__(self, M: list[list[Sym]]):
+    def __init__(self, M: list[list[Sym]], last: Sym | None = None):
         n = len(M)
         self.U = [list(row) for row in M]
         self.factors: list[tuple[int, int, Sym]] = []
+        self.pivots = [ZERO] * n
         # The stance row goes last: with no foot mass its coupling vanishes and the elimination with it.
-        for k in reversed(range(1, n)):
+        for k in reversed(range(n)):
+            self.pivots[k] = last if last is not None and k == n - 1 else ONE / self.U[k][k]
             for i in reversed(range(k)):
-                factor = self.U[i][k] / self.U[k][k]
+                factor = self.U[i][k] * self.pivots[k]
                 self.factors.append((i, k, factor))
                 for j in range(k):
                     self.U[i][j] = self.U[i][j] - factor * self.U[k][j]
@@ -257,11 +211,24 @@ class Solver:
             f[i] = f[i] - factor * f[k]
         x: list[Sym] = []
         for i in range(len(f)):
-            x.append((f[i] - sum((self.U[i][j] * x[j] for j in range(i)), ZERO)) / self.U[i][i])
+            x.append((f[i] - sum((self.U[i][j] * x[j] for j in range(i)), ZERO)) * self.pivots[i])
         return x
 
 
-def system(structure: Structure, free_knee: bool, directions: int, with_slope: bool) -> list[tuple[Sym, Sym]]:
+@dataclass(frozen=True)
+class System:
+    """A flow's differential equations, and its parameters as expressions of the structure's (`variables`)."""
+
+    equations: list[tuple[Sym, Sym]]
+    held: list[Sym]
+    variables: list[Sym]
+
+    def parameters(self, **options: Any) -> Any:
+        """The compiled function from the structure's parameters to the flow's."""
+        return hy.cfunc(self.held, vars=self.variables, **options)
+
+
+def system(structure: Structure, free_knee: bool, directions: int, with_slope: bool) -> System:
     """The flow's right-hand side: the motion and, beside it, its first-order variations.
 
     Parameters
@@ -280,25 +247,16 @@ def system(structure: Structure, free_knee: bool, directions: int, with_slope: b
     The variations are implicit: with r = M q'' - f, M dq'' = -(r_q dq + r_q' dq' + r_slope dslope), so the matrix is
     eliminated once for all directions.
     """
-    p = Symbols(structure)
+    p = Symbols(structure, flow=True)
     n = 3 if free_knee else 2
     q = list(hy.make_vars(*(f"q{i}" for i in range(n))))
     rate = list(hy.make_vars(*(f"v{i}" for i in range(n))))
-    held = list(hy.make_vars(*(f"w{i}" for i in range(n))))
-    M, f = rows(p, q, rate, free_knee)
-    solve = Solver(M)
-    acceleration = solve(f)
+    motion = Motion(p, q, rate, free_knee)
+    solve = Solver(motion.M, motion.last_pivot)
+    acceleration = solve(motion.f)
     found = list(zip(q, rate)) + list(zip(rate, acceleration))
-    if not directions:
-        return found
-    residual = [sum((M[i][j] * held[j] for j in range(n)), ZERO) - f[i] for i in range(n)]
-    named = {f"w{i}": acceleration[i] for i in range(n)}
-
-    def by(row: Sym, wrt: Sym) -> Sym:
-        return hy.subs(hy.diff(row, wrt), named)
-
-    by_q = [[by(r, x) for x in q] for r in residual]
-    by_rate = [[by(r, x) for x in rate] for r in residual]
+    if directions:
+        by_q, by_rate = motion.varied(acceleration)
     for d in range(directions):
         dq = list(hy.make_vars(*(f"dq{i}_{d}" for i in range(n))))
         dv = list(hy.make_vars(*(f"dv{i}_{d}" for i in range(n))))
@@ -306,7 +264,7 @@ def system(structure: Structure, free_knee: bool, directions: int, with_slope: b
         for i in range(n):
             total = sum((by_q[i][j] * dq[j] + by_rate[i][j] * dv[j] for j in range(n)), ZERO)
             if with_slope and d == directions - 1:
-                total = total + by(residual[i], p.slope)
+                total = total + motion.by_slope()[i]
             forces.append(-total)
         found += list(zip(dq, dv)) + list(zip(dv, solve(forces)))
-    return found
+    return System(found, p.held_values or [], p.variables)

@@ -10,7 +10,8 @@ from typing import Any
 import heyoka as hy
 import numpy as np
 
-from tasks.mechanics.equations import Structure, system
+from tasks.mechanics.equations import system
+from tasks.mechanics.lumped import Structure
 
 #: Steps a flow may take before it counts as lost; an honest stride takes 5 to 40.
 MOST_STEPS = 120
@@ -29,6 +30,16 @@ hy.llvm_state.set_diskcache_enabled(True)
 hy.set_nthreads(1)
 
 
+def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
+    """Values with the last lane repeated until the lanes fill whole groups, contiguous."""
+    n = values.shape[-1]
+    if not n % lanes:
+        return np.ascontiguousarray(values)
+    padded = np.empty((*values.shape[:-1], n + -n % lanes))
+    padded[..., :n], padded[..., n:] = values, values[..., -1:]
+    return padded
+
+
 class Flow:
     """A flow over given times, with its variations, for any number of lanes.
 
@@ -37,15 +48,14 @@ class Flow:
     """
 
     def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool, rough: bool):
-        equations = system(structure, free_knee, directions, with_slope)
-        self.size, self.angles = len(equations), (6 if free_knee else 4)
+        flown = system(structure, free_knee, directions, with_slope)
+        self.size, self.angles = len(flown.equations), (6 if free_knee else 4)
         # Without a foot mass the links do not couple: so few terms are left that two registers a step pay.
         self.lanes = 2 * LANES if ("eps", 0.0) in structure.units else LANES
         self.evaluations = 0
         self._ta = hy.taylor_adaptive_batch(
-            equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE)
-        #: Constants the equations use; the shank's come last and two links do not need them all.
-        self._used = self._ta.pars.shape[0]
+            flown.equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE)
+        self._parameters = flown.parameters()
 
     def __call__(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray,
                  samples: int = 0) -> tuple[np.ndarray, np.ndarray | None]:
@@ -67,14 +77,13 @@ class Flow:
         motion : ndarray, shape (samples + 1, angles, n), or None
         """
         n = state.shape[1]
-        pad = -n % self.lanes
-        if pad:
-            state, parameters = np.pad(state, ((0, 0), (0, pad)), "edge"), np.pad(parameters, ((0, 0), (0, pad)), "edge")
-            duration = np.pad(duration, (0, pad), "edge")
-        final = np.empty((self.size, n + pad))
-        motion = np.empty((samples + 1, self.angles, n + pad)) if samples else None
+        state, duration = whole_groups(state, self.lanes), whole_groups(duration, self.lanes)
+        parameters = self._parameters(whole_groups(parameters, self.lanes))
+        flown = len(duration)
+        final = np.empty((self.size, flown))
+        motion = np.empty((samples + 1, self.angles, flown)) if samples else None
         fractions = np.linspace(0.0, 1.0, samples + 1)[:, None]
-        for k in range(0, n + pad, self.lanes):
+        for k in range(0, flown, self.lanes):
             group = slice(k, k + self.lanes)
             if not self._group(state[:, group], parameters[:, group], duration[group], group, fractions, final, motion):
                 for lane in range(k, k + self.lanes):
@@ -93,7 +102,7 @@ class Flow:
         ta: Any = self._ta
         ta.set_time(0.0)
         ta.state[:] = state
-        ta.pars[:] = parameters[: self._used]
+        ta.pars[:] = parameters
         try:
             if motion is None:
                 ta.propagate_until(duration, max_steps=MOST_STEPS)

@@ -1,11 +1,19 @@
 """Branches, their folds, flips and ends, against what was computed before and against themselves."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from lines import branches
+from tasks.gait import special_points as special
+from tasks.gait.atlas import survey
 from tasks.gait.continuation import correct, follow
+from tasks.gait.fixed_point import Problem
+from tasks.gait.root import bracketed_root
 from tasks.gait.special_points import special_points
+from tasks.walkers.catalogue import CATALOGUE
 
 
 def points_of(walker, **overrides):
@@ -86,3 +94,29 @@ def test_the_polynomials_lead_newton_to_rounding():
         w = np.delete(Z, problem.m, axis=1).T
         before, _ = problem.stride(w, q[index])
         assert np.abs(before.newton / before.y).max() < 2e-12
+
+
+def test_a_bracketed_root_is_found_as_scipy_finds_it():
+    for function, a, b in ((lambda x: np.cos(x) - x, 0.0, 1.0), (lambda x: x**3 - 2, 0.0, 5.0),
+                           (lambda x: np.exp(-30 * x) - 0.3, 2.0, -1.0), (lambda x: x, -1.0, 0.0)):
+        asked = Mock(side_effect=function)
+        found = bracketed_root(asked, a, b)
+        np.testing.assert_allclose(found, brentq(function, a, b, xtol=1e-300, rtol=9e-16), rtol=5e-16)
+        assert asked.call_count <= 15
+    with pytest.raises(ValueError, match="no change of sign"):
+        bracketed_root(lambda x: x * x + 1, -1.0, 1.0)
+
+
+def test_a_tangential_end_agrees_with_other_spacings_within_its_bound(monkeypatch):
+    problem = Problem(CATALOGUE["physical-straight"])
+
+    def end():
+        branch = next(b for b in survey(problem) if "end_tangential_heelstrike" in b.why)
+        return next(p for p in special_points(problem, branch) if p["kind"] == "end_tangential_heelstrike")
+
+    first = end()
+    assert first["error_bound"] < 1e-12
+    real = special.SPACING
+    for factor in (0.25, 2.5):
+        monkeypatch.setattr(special, "SPACING", factor * real)
+        assert abs(end()["slope"] / first["slope"] - 1) < first["error_bound"]

@@ -1,0 +1,138 @@
+"""A walker's lumped constants, and which of them it has at all: all its masses and lengths enter through these.
+
+With A and B the arms of the stance leg and of the swing links as complex numbers in the leg's frame (x + iy, the leg
+along y), in units of the leg l + R and of the whole walker's mass,
+
+    S_a = sum m A,  C_aa = sum m (R^2 + |A|^2) + I,  S_b, S_c = sum m B,  C_bb, C_cc, H = conj(knee) S_c.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tasks.walkers.parameters import NUMBERS, Walker
+
+
+def lump(walker: Walker, number: type = float) -> dict[str, Any]:
+    """Lumped constants of a walker in units of its leg, its mass and g.
+
+    Parameters
+    ----------
+    walker : Walker
+    number : type
+        `float`, or a wider type for constants to more digits: numpy's long double or heyoka's real128.
+
+    Returns
+    -------
+    dict
+        `R, l, eps, C_aa, S_a, S_b, C_bb` with complex constants split into `_re` and `_im`; kneed walkers
+        also `S_c, C_cc, H`. Swing constants are divided by `eps`, the swing leg's inertia about the hip.
+    """
+    key = {k: number(getattr(walker, k)) for k in NUMBERS}
+    zero, one, two = number(0.0), number(1.0), number(2.0)
+    sin_T, cos_T = _sine(key["eps_T"]), _cosine(key["eps_T"])
+    d = key["l_s"] - key["R"]
+    # sin eps_S = l_t sin eps_T / d closes the leg.
+    sin_S = key["l_t"] * sin_T / d if walker.eps_T else zero
+    cos_S = (one - sin_S * sin_S) ** number(0.5)
+    l = key["l_t"] * cos_T + d * cos_S
+    length, mass = l + key["R"], two * (key["m_t"] + key["m_s"]) + key["m_h"]
+    R, l = key["R"] / length, l / length
+    knee = Vector(-key["l_t"] * sin_T, -key["l_t"] * cos_T) / length
+    thigh = Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
+    shank = Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
+    if walker.massless_leg:
+        # Only ratios of the swing leg's constants remain: a unit point at the foot.
+        eps, m_t, m_s = zero, zero, one
+    else:
+        eps, m_t, m_s = one, key["m_t"] / mass, key["m_s"] / mass
+    S_b, S_c = thigh * m_t + knee * m_s, shank * m_s
+    C_bb = m_t * (thigh.dot(thigh) + (key["r_t"] / length) ** two) + m_s * knee.dot(knee)
+    C_cc = m_s * (shank.dot(shank) + (key["r_s"] / length) ** two)
+    # H = conj(knee) S_c.
+    H = Vector(knee.dot(S_c), knee.x * S_c.y - knee.y * S_c.x)
+    inertia = C_bb + C_cc + two * H.x
+    leg_S = (S_b + S_c) * eps
+    found = {"R": R, "l": l, "eps": eps * inertia, **_pair("S_a", leg_S + Vector(zero, l))}
+    # Stance leg m|il + p|^2 + I, hip and swing leg (the rest of the unit mass) at |il|.
+    found["C_aa"] = R * R + l * l + two * l * leg_S.y + eps * inertia
+    if walker.knees:
+        found |= {**_pair("S_b", S_b / inertia), "C_bb": C_bb / inertia, **_pair("S_c", S_c / inertia),
+                  "C_cc": C_cc / inertia, **_pair("H", H / inertia)}
+    else:
+        found |= {**_pair("S_b", (S_b + S_c) / inertia), "C_bb": one}
+    return found
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A vector of a leg, in any type of number."""
+
+    x: Any
+    y: Any
+
+    def __add__(self, other: Vector) -> Vector:
+        return Vector(self.x + other.x, self.y + other.y)
+
+    def __mul__(self, factor: Any) -> Vector:
+        return Vector(self.x * factor, self.y * factor)
+
+    def __truediv__(self, divisor: Any) -> Vector:
+        return Vector(self.x / divisor, self.y / divisor)
+
+    def dot(self, other: Vector) -> Any:
+        return self.x * other.x + self.y * other.y
+
+
+def _sine(x: Any) -> Any:
+    return math.sin(x) if isinstance(x, float) and type(x) is float else np.sin(np.array([x], dtype=type(x)))[0]
+
+
+def _cosine(x: Any) -> Any:
+    return math.cos(x) if isinstance(x, float) and type(x) is float else np.cos(np.array([x], dtype=type(x)))[0]
+
+
+def _pair(name: str, v: Vector) -> dict[str, Any]:
+    """A complex constant as `_re` and `_im`; a part that is rounding of zero becomes zero."""
+    size = 4e-16 * max(abs(float(v.x)), abs(float(v.y)))
+    return {f"{name}_{part}": x if abs(float(x)) > size else type(x)(0.0) for part, x in (("re", v.x), ("im", v.y))}
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Which constants a walker has at all; code is compiled once per structure, never per value."""
+
+    kneed: bool
+    point_foot: bool
+    constants: tuple[str, ...]
+    units: tuple[tuple[str, float], ...]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Order of the runtime parameters: slope, scale, then the constants."""
+        return ("slope", "scale", *self.constants)
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of the stride map."""
+        return 2 if self.point_foot else 3
+
+
+def structure_of(walker: Walker) -> Structure:
+    """A walker's structure: constants that are 0 or 1 are part of a straight leg's code, all others are parameters."""
+    constants = lump(walker)
+    # Three links compile slowly and gain little from a zero: all kneed walkers share one structure.
+    plain = () if walker.knees else (0.0, 1.0, -1.0)
+    fixed = tuple((k, v) for k, v in constants.items() if v in plain)
+    free = tuple(k for k, v in constants.items() if v not in plain)
+    return Structure(walker.knees, walker.point_foot, free, fixed)
+
+
+def constants_of(walker: Walker, structure: Structure) -> np.ndarray:
+    """Values of the structure's runtime constants, shape (len(structure.constants),)."""
+    lumped = lump(walker)
+    return np.array([lumped[k] for k in structure.constants])
