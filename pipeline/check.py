@@ -57,6 +57,14 @@ def opened(path: Path) -> Iterator[Any]:
             file.close()
 
 
+def tables(place: Any, path: str = "") -> Iterator[str]:
+    """Names of the tables in an open archive, as "fits/scaling"."""
+    for name, group in place.groups.items():
+        if group.variables:
+            yield f"{path}{name}"
+        yield from tables(group, f"{path}{name}/")
+
+
 def probe(paths: Iterable[Path]) -> None:
     """Let another process read the archives whole first: a mangled file can crash or hang the netCDF library.
 

@@ -139,11 +139,11 @@ def _archives(options: argparse.Namespace) -> list[tuple[Any, Path]]:
 
 def _run(options: argparse.Namespace) -> int:
     studies = _archives(options)
-    from pipeline import run
+    from pipeline import runner
 
-    how = run.Options(options.jobs, options.cluster, options.fresh, options.retry_failed, options.chunk, options.quiet,
-                      options.verbose, options.snapshot)
-    return max(run.run(study, path, how) for study, path in studies)
+    how = runner.Options(options.jobs, options.cluster, options.fresh, options.retry_failed, options.chunk,
+                         options.quiet, options.verbose, options.snapshot)
+    return max(runner.run(study, path, how) for study, path in studies)
 
 
 def _plan(options: argparse.Namespace) -> int:
@@ -190,29 +190,10 @@ def _report(options: argparse.Namespace) -> int:
     return 0
 
 
-def _called(name: str, params: dict[str, Any]) -> Any:
-    """Answer of one of the calls `tasks` offers; what it finds wrong is the user's to mend."""
-    from pipeline import worker
-
-    try:
-        return worker.call(name, params)
-    except ValueError as error:
-        if not hasattr(error, "bound"):
-            raise
-        raise StudyError(str(error)) from error
-
-
-def _walker(text: str) -> Any:
-    from pipeline.study import walker
-
-    return walker(text, Path())
-
-
 def _solve(options: argparse.Namespace) -> int:
-    if not 0 < options.slope < 0.5:
-        raise StudyError(f"`--slope` must lie in (0, 0.5) rad; got {options.slope}.")
-    found = _called("solve", {"walker": _walker(options.walker), "slope": options.slope, "set": dict(options.set),
-                              "all": options.all})
+    from pipeline.ask import solve
+
+    found = solve(options.walker, options.slope, dict(options.set), options.all)
     for line in found.get("search", []):
         print(line, file=sys.stderr)
     if options.json:
@@ -225,8 +206,11 @@ def _solve(options: argparse.Namespace) -> int:
 
 
 def _walkers(options: argparse.Namespace) -> int:
-    table = _walker(options.name) if options.name else None
-    found = _called("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
+    from pipeline import study
+    from pipeline.ask import ask
+
+    table = study.walker(options.name, Path()) if options.name else None
+    found = ask("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
     if options.json:
         print(json.dumps(found))
         return 0
@@ -237,10 +221,13 @@ def _walkers(options: argparse.Namespace) -> int:
 
 
 def _tune(options: argparse.Namespace) -> int:
-    params: dict[str, Any] = {"walker": _walker(options.walker)}
+    from pipeline import study
+    from pipeline.ask import ask
+
+    params: dict[str, Any] = {"walker": study.walker(options.walker, Path())}
     if options.free:
         params["free"] = options.free
-    found = _called("tune", params)
+    found = ask("tune", params)
     if options.json:
         print(json.dumps(found))
         return 0

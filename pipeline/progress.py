@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -27,6 +28,7 @@ class Progress:
         self.plan, self.log, self.quiet, self.verbose = plan, log, quiet, verbose
         self.stream = stream or sys.stderr
         self.tty = self.stream.isatty()
+        self.bar = None if quiet else notebook_bar()
         self.began = self.logged = self.told = time.time()
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
@@ -49,6 +51,8 @@ class Progress:
         self.thread.join()
         self._log("state", self.state())
         self._log("end", {})
+        if self.bar:
+            self.bar(self.state())
         if self.tty and not self.quiet:
             self.stream.write("\r\033[K")
         self.file.close()
@@ -83,12 +87,13 @@ class Progress:
             each = self.seconds[name] / self.done[name] if self.done[name] else \
                 guess.seconds_per_point if name == "points" else guess.seconds
             left += each * max(0, whole - self.done[name])
+        share = spent / (spent + left) if spent + left else 1.0
         at_once = min(max(1.0, spent / elapsed), 1e4) if elapsed > 0 else 1.0
         with open("/proc/self/statm") as file:
             memory = int(file.read().split()[1]) * 4096
         return {"elapsed": round(elapsed, 1), "points": self.total, "cached": self.cached, "done": self.done["points"],
                 "todo": self.todo.get("points", 0), "tasks": dict(self.done), "counts": dict(self.counts),
-                "rate": round(self.done["points"] / elapsed, 1) if elapsed > 0 else 0.0,
+                "share": round(share, 4), "rate": round(self.done["points"] / elapsed, 1) if elapsed > 0 else 0.0,
                 "eta": round(left / at_once, 1), "memory": memory, "workers": cell.members()}
 
     def _log(self, event: str, about: dict[str, Any]) -> None:
@@ -102,11 +107,32 @@ class Progress:
             if now - self.logged >= _LOG:
                 self.logged = now
                 self._log("state", self.state())
-            if not self.quiet and now - self.told >= (_FAST if self.tty else _SLOW):
+            if not self.quiet and now - self.told >= (_FAST if self.tty or self.bar else _SLOW):
                 self.told = now
-                text = sentence(self.state())
+                state = self.state()
+                if self.bar:
+                    self.bar(state)
+                    continue
+                text = sentence(state)
                 self.stream.write(f"\r\033[K{text[:118]}" if self.tty else text + "\n")
                 self.stream.flush()
+
+
+def notebook_bar() -> Callable[[dict[str, Any]], None] | None:
+    """A bar under the cell of a notebook that follows the states it is given; None outside of notebooks."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    if not hasattr(shell, "kernel"):
+        return None
+    from IPython.display import display
+
+    def shown(state: dict[str, Any]) -> dict[str, str]:
+        part = (state["cached"] + state["done"]) / state["points"] if state["points"] else state["share"]
+        text = sentence(state)
+        return {"text/plain": text, "text/html": f'<progress value="{part:.4f}" max="1"></progress> {text}'}
+
+    empty = {"text/plain": "", "text/html": '<progress max="1"></progress>'}
+    handle = display(empty, raw=True, display_id=True)
+    return lambda state: handle.update(shown(state), raw=True)
 
 
 def sentence(state: dict[str, Any]) -> str:

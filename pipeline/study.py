@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import worker
+from pipeline import options, worker
 from pipeline.errors import StudyError
-from tasks.registry import ALWAYS, FIGURES, GAITS, TASKS, VARIABLES
+from tasks.registry import ALWAYS, CLAIMS, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
 #: Tasks that no study is named after.
 _SERVANTS = ("atlas", "points", "trace")
@@ -29,6 +29,7 @@ EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
 #: Longest axis and largest grid that are taken for meant.
 MOST_VALUES, MOST_POINTS = 10_000_000, 10**12
 MOST_BYTES = 1 << 20
+_LISTED = 20  # names told where one is unknown
 _UNITS = {"": 1, "B": 1, **{f"{p}B": 1000**i for i, p in enumerate("kMGT", 1)},
           **{f"{p}iB": 1024**i for i, p in enumerate("KMGT", 1)}}
 
@@ -109,18 +110,18 @@ class Study:
         return {"walker": self.walkers[number], "set": {a.name: values[a.name] for a in self.line_axes}}
 
 
-class _Place:
+class Place:
     """Where in a study something stands; makes the errors."""
 
     def __init__(self, file: str, *keys: str):
         self.file, self.keys = file, keys
 
-    def at(self, *keys: str) -> _Place:
-        return _Place(self.file, *self.keys, *keys)
+    def at(self, *keys: str) -> Place:
+        return Place(self.file, *self.keys, *keys)
 
     def error(self, sentence: str) -> StudyError:
         where = ", ".join(filter(None, (self.file, ".".join(self.keys) if self.file else "")))
-        return StudyError(f"{sentence.rstrip('.')} ({where})." if where else sentence)
+        return StudyError(f"{sentence.rstrip('.')} ({where})." if where else f"{sentence.rstrip('.')}.")
 
     def wrong(self, bound: str, value: object) -> StudyError:
         return self.error(f"`{self.keys[-1]}` {bound}; got {_show(value)}")
@@ -128,8 +129,15 @@ class _Place:
     def unknown(self, key: str, known: Iterable[str]) -> StudyError:
         known = list(known)
         near = difflib.get_close_matches(key, known, 1)
-        hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known[:12])}"
+        hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known[:_LISTED])}"
         return self.error(f"`{_clip(key)}` is not known here, {hint}")
+
+    def number(self, value: object) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.wrong("must be a number", value)
+        if not math.isfinite(value) or abs(value) > 1e300:
+            raise self.wrong("must be finite", value)
+        return float(value)
 
 
 def _clip(text: str, most: int = 60) -> str:
@@ -181,23 +189,25 @@ def _toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
 
 def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     """Check a study's table; `path` names it in errors and anchors the files it names."""
-    top = _Place(path.name)
+    top = Place(path.name)
     known = ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options")
     for key in table:
         if key not in known:
             raise top.unknown(key, known)
     name = table.get("name")
+    if name is None:
+        raise top.error("A study needs a `name`")
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
         raise top.at("name").wrong("must be letters, digits, dots, dashes or underscores", name)
     kind = table.get("kind", "grid")
-    if not isinstance(kind, str) or kind not in kinds():
+    if not isinstance(kind, str):
         raise top.at("kind").wrong(f"must be one of {', '.join(kinds())}", kind)
-    options = table.get("options", {})
-    if not isinstance(options, dict) or (options and kind == "grid"):
-        raise top.at("options").error("`options` is a table for studies of another kind than `grid`")
+    if kind not in kinds():
+        raise top.at("kind").unknown(kind, kinds())
     gaits = _names(table.get("gaits", list(GAITS)), GAITS, top.at("gaits"))
-    want: dict[str, Any] = dict(_want(table.get("want", {}), top.at("want")))
-    study = Study(name=name, text=text, kind=kind, path=path, options=_plain(options, top.at("options")),
+    want: dict[str, Any] = dict(_want(table.get("want", {}), kind, top.at("want")))
+    study = Study(name=name, text=text, kind=kind, path=path,
+                  options=options.check(table.get("options", {}), kind, _keys(), top.at("options")),
                   walker_axis=isinstance(table.get("walker"), list),
                   gaits=tuple(g for g in GAITS if g in gaits), limits=_limits(table, top),
                   walkers=_walkers(table.get("walker"), path, top.at("walker")),
@@ -207,7 +217,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     return _checked(study, top)
 
 
-def _table(value: object, known: Iterable[str], place: _Place) -> dict[str, Any]:
+def _table(value: object, known: Iterable[str], place: Place) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise place.wrong("must be a table", value)
     for key in value:
@@ -216,15 +226,7 @@ def _table(value: object, known: Iterable[str], place: _Place) -> dict[str, Any]
     return value
 
 
-def _number(value: object, place: _Place) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise place.wrong("must be a number", value)
-    if not math.isfinite(value) or abs(value) > 1e300:
-        raise place.wrong("must be finite", value)
-    return float(value)
-
-
-def _names(value: object, known: Iterable[str], place: _Place) -> tuple[str, ...]:
+def _names(value: object, known: Iterable[str], place: Place) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(v, str) for v in value) or not value:
         raise place.wrong("must be a list of names", value)
     for name in value:
@@ -233,28 +235,27 @@ def _names(value: object, known: Iterable[str], place: _Place) -> tuple[str, ...
     return tuple(dict.fromkeys(value))
 
 
-def _plain(options: Mapping[str, Any], place: _Place) -> dict[str, Any]:
-    for key, value in options.items():
-        for v in value if isinstance(value, list) else [value]:
-            if not isinstance(v, str | bool):
-                _number(v, place.at(key))
-    return dict(options)
-
-
-def _walkers(value: object, path: Path, place: _Place) -> tuple[str | dict[str, Any], ...]:
+def _walkers(value: object, path: Path, place: Place) -> tuple[str | dict[str, Any], ...]:
     if isinstance(value, list):
         if not value or not all(isinstance(v, str) for v in value) or len(set(value)) < len(value):
             raise place.wrong("must be a list of different names", value)
         return tuple(walker(v, path.parent, place) for v in value)
     if isinstance(value, str | dict):
         return (walker(value, path.parent, place),)
+    if value is None:
+        raise place.error("A study needs a `walker`: a name, a file, a table, or a list of names")
     raise place.wrong("must be a name, a file, a table, or a list of names", value)
 
 
-def walker(value: str | dict[str, Any], folder: Path, place: _Place | None = None) -> str | dict[str, Any]:
+def walker(value: str | dict[str, Any], folder: Path, place: Place | None = None) -> str | dict[str, Any]:
     """A walker's name, or its table where `value` names a file beside `folder` or is a table."""
-    place = place or _Place("", "walker")
-    if isinstance(value, dict) or not value.endswith(".toml"):
+    place = place or Place("", "walker")
+    if isinstance(value, dict):
+        return value
+    if not value.endswith(".toml"):
+        known = worker.resolve("tasks.walkers.catalogue:CATALOGUE")
+        if value not in known:
+            raise place.unknown(value, [*known, "or a file FILE.toml"])
         return value
     if place.file and Path(value).is_absolute():
         raise place.wrong("must be a path relative to the study", value)
@@ -267,14 +268,17 @@ def walker(value: str | dict[str, Any], folder: Path, place: _Place | None = Non
     return table["walker"]
 
 
-def _axes(value: object, place: _Place) -> tuple[Axis, ...]:
+def _keys() -> tuple[str, ...]:
+    """What an axis may be called."""
+    return (*EXTRA_AXES, *worker.resolve("tasks.walkers.parameters:NUMBERS"))
+
+
+def _axes(value: object, place: Place) -> tuple[Axis, ...]:
     if not isinstance(value, dict) or not value:
         raise place.error("A study needs axes, at least `slope`")
-    keys = worker.resolve("tasks.walkers.parameters:NUMBERS")
-    known = (*EXTRA_AXES, *keys)
     for key in value:
-        if key not in known:
-            raise place.unknown(key, known)
+        if key not in _keys():
+            raise place.unknown(key, _keys())
     if "slope" not in value:
         raise place.error("A study needs the axis `slope`")
     axes = tuple(Axis(key, _values(v, place.at(key))) for key, v in value.items())
@@ -285,11 +289,11 @@ def _axes(value: object, place: _Place) -> tuple[Axis, ...]:
     return axes
 
 
-def _values(value: object, place: _Place) -> np.ndarray:
+def _values(value: object, place: Place) -> np.ndarray:
     if isinstance(value, list):
         if not value:
             raise place.wrong("must hold at least one value", value)
-        values = np.array([_number(v, place) for v in value])
+        values = np.array([place.number(v) for v in value])
         step = np.diff(values)
         if not (np.all(step > 0) or np.all(step < 0)):
             raise place.wrong("must rise or fall throughout", value)
@@ -300,7 +304,7 @@ def _values(value: object, place: _Place) -> np.ndarray:
     for key in ("from", "to", "n"):
         if key not in table:
             raise place.error(f"`{key}` is missing")
-    start, stop = _number(table["from"], place.at("from")), _number(table["to"], place.at("to"))
+    start, stop = place.at("from").number(table["from"]), place.at("to").number(table["to"])
     n, spacing = table["n"], table.get("spacing", "linear")
     if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= MOST_VALUES:
         raise place.at("n").wrong(f"must be a whole number from 1 to {MOST_VALUES:,}", n)
@@ -316,7 +320,7 @@ def _values(value: object, place: _Place) -> np.ndarray:
     return values
 
 
-def _want(value: object, place: _Place) -> dict[str, tuple[str, ...]]:
+def _want(value: object, kind: str, place: Place) -> dict[str, tuple[str, ...]]:
     table = _table(value, ("variables", "fits", "figures", "claims"), place)
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
     wanted = tuple(v.name for v in VARIABLES.values() if v.group != "violations")
@@ -326,23 +330,29 @@ def _want(value: object, place: _Place) -> dict[str, tuple[str, ...]]:
     names = {key: _free_names(table.get(key, []), place.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:
-            raise place.at("fits").unknown(fit, [t for t in TASKS if t not in (*kinds(), *_SERVANTS)])
+            raise place.at("fits").unknown(fit, [t for t in TASKS if t not in (*kinds(), *_SERVANTS, "claims")])
     for figure in names["figures"]:
         if figure not in FIGURES:
             raise place.at("figures").unknown(figure, FIGURES)
+        if SHOWN_BY.get(figure, kind) != kind:
+            raise place.at("figures").error(f"`{figure}` shows a study of kind `{SHOWN_BY[figure]}`;"
+                                            f" this one is `{kind}`")
+    for claim in names["claims"]:
+        if claim not in CLAIMS:
+            raise place.at("claims").unknown(claim, CLAIMS)
     return {"variables": wanted, **names}
 
 
-def _free_names(value: object, place: _Place) -> tuple[str, ...]:
+def _free_names(value: object, place: Place) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(v, str) and re.fullmatch(r"\w{1,60}", v) for v in value):
         raise place.wrong("must be a list of names", value)
     return tuple(dict.fromkeys(value))
 
 
-def _limits(table: Mapping[str, Any], top: _Place) -> Limits:
+def _limits(table: Mapping[str, Any], top: Place) -> Limits:
     place = top.at("limits")
     limits = _table(table.get("limits", {}), ("seconds", "memory"), place)
-    seconds = _number(limits.get("seconds", Limits.seconds), place.at("seconds"))
+    seconds = place.at("seconds").number(limits.get("seconds", Limits.seconds))
     if not 0 < seconds <= 1e6:
         raise place.at("seconds").wrong("must be > 0 and at most 1e6 s", seconds)
     memory = limits.get("memory", Limits.memory)
@@ -354,7 +364,7 @@ def _limits(table: Mapping[str, Any], top: _Place) -> Limits:
     return Limits(seconds, memory)
 
 
-def _checked(study: Study, top: _Place) -> Study:
+def _checked(study: Study, top: Place) -> Study:
     """Check every walker at the corners of the grid of lines; keep what `tasks` says of each."""
     ends = [sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes]
     names = [a.name for a in study.line_axes]

@@ -10,7 +10,9 @@ import numpy as np
 
 from pipeline import grid, pack
 from pipeline.plan import Plan
+from pipeline.worker import resolve
 from tasks import registry
+from tasks.columns import COLUMNS
 
 Columns = dict[str, np.ndarray]
 
@@ -89,15 +91,21 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
         if not len(values):
             options.pop("fletcher32", None)
         variable = place.createVariable(name, str if text else values.dtype.newbyteorder("="), ("row",), **options)
-        variable.setncatts(_attributes(plan, name))
+        variable.setncatts(_attributes(plan, group, name))
         variable[:] = values.astype(object) if text else values
 
 
-def _attributes(plan: Plan, name: str) -> dict[str, str]:
+def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
+    """Attributes of a column. A column that nobody has described is called by its name."""
     study, si = plan.study, grid.si(plan.study)
-    about = {**registry.VARIABLES, **getattr(registry, "COLUMNS", {})}.get(name)
-    if about is not None:
-        return {"long_name": about.long_name, "units": about.units(si)}
-    if name in (a.name for a in study.axes):
-        return {"long_name": name.replace("_", " "), "units": grid.axis_units(study, name)}
-    return {"long_name": name.replace("_", " "), "units": "1"}
+    kind, meaning = COLUMNS.get(f"{group}/{name}") or COLUMNS.get(name) or ("number", name.replace("_", " "))
+    if f"{group}/{name}" not in COLUMNS and name in registry.VARIABLES:
+        kind, meaning = registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
+    elif name not in COLUMNS and name in (keys := resolve("tasks.walkers.parameters:KEYS")):
+        kind, meaning = keys[name], f"walker's {name}"
+    elif name == "slope":
+        kind, meaning = "angle", "slope of the ground"
+    found = {"long_name": meaning, "units": registry.SI_UNITS[kind] if si or kind == "angle" else "1"}
+    if len({check["si"] for check in study.checks}) > 1 and kind not in ("number", "angle"):
+        found["comment"] = "in the units of each walker: SI, or any consistent ones"
+    return found

@@ -135,6 +135,24 @@ READS = {
 #: Names a study's `figures` may hold.
 FIGURES = tuple(name for name in READS if name not in ("scaling", "transition"))
 
+#: Options of each kind of study and what each one holds: a `count` is a whole number from 1, a `range` two numbers.
+OPTIONS = {
+    "orbit": {"gait": "gait", "starts": "count", "spread": "number", "transient": "count", "strides": "count",
+              "shown": "count"},
+    "cascade": {"periods": "count", "families": "counts", "starts": "count"},
+    "basin": {"size": "count", "strides": "count", "stance_angle": "range", "stance_rate": "range"},
+    "curve": {"key": "key", "from": "number", "to": "number", "kinds": "kinds"},
+    "census": {"starts": "count"},
+}
+
+#: Figures that only one kind of study can show.
+SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin"}
+
+#: Claims of the ledger.
+CLAIMS = tuple(f"{family}{n}" for family, numbers in {
+    "D": (1, 2, 3, 4, 5, 6, 7, 10), "E": range(1, 8), "P": range(1, 9), "T": (1, 2, 3, 4, 5, 7, 8), "Z": range(1, 7),
+    "M": range(1, 8), "W": (1,), "G": (2,), "A": range(1, 7)}.items() for n in numbers)
+
 #: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
 CALLS = {
     "solve": "tasks.single:solve_one",

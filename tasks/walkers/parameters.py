@@ -177,7 +177,7 @@ def from_table(table: Mapping[str, Any], catalogue: Mapping[str, Walker] | None 
         return replace(named(base, catalogue), **table)
     missing = [f.name for f in fields(Walker) if f.default is f.default_factory and f.name not in table]
     if missing:
-        raise WalkerError(missing[0], "nothing", "is missing from the walker")
+        raise WalkerError(missing[0], ", ".join(table) or "no key", "is missing from the walker")
     return Walker(**table)
 
 

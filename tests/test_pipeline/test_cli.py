@@ -71,8 +71,9 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
     (["verify", "none.nc"], "There is no archive none.nc."),
     (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
     (["diff", "s.toml", "none.nc"], "s.toml is no netCDF file that can be read."),
-    (["solve", "--walker", "D", "--slope", "0.7"], "`--slope` must lie in (0, 0.5) rad; got 0.7."),
-    (["solve", "--walker", "Q", "--slope", "0.1"], "`walker` is not a known walker; got Q."),
+    (["solve", "--walker", "D", "--slope", "0.7"], "`slope` must lie in (0, 0.5) rad; got 0.7."),
+    (["solve", "--walker", "Q", "--slope", "0.1"], "`Q` is not known here, known: A, B, C, D, E, F,"
+     " physical, physical-straight, A-printed, C-printed, or a file FILE.toml."),
     (["frobnicate"], None),
 ])
 def test_bad_input_is_one_line_and_exit_2(tmp_path, monkeypatch, capsys, arguments, said):

@@ -24,14 +24,23 @@ memory = "1.5 GiB"
 WRONG = {
     'name = "s"': {
         'name = "../s"': "`name` must be letters, digits, dots, dashes or underscores; got '../s' (s.toml, name).",
-        "": "`name` must be letters, digits, dots, dashes or underscores; got None (s.toml, name).",
+        'name = "my study"':
+            "`name` must be letters, digits, dots, dashes or underscores; got 'my study' (s.toml, name).",
+        "": "A study needs a `name` (s.toml).",
         'name = "s"\nwalkr = "E"': "`walkr` is not known here, did you mean `walker`? (s.toml).",
         'name = "s"\nkind = "brunch"':
-            f"`kind` must be one of {', '.join(study.kinds())}; got 'brunch' (s.toml, kind).",
+            "`brunch` is not known here, did you mean `branch`? (s.toml, kind).",
+        'name = "s"\nkind = 3': f"`kind` must be one of {', '.join(study.kinds())}; got 3 (s.toml, kind).",
+        'name = "s"\ngaits = "long"': "`gaits` must be a list of names; got 'long' (s.toml, gaits).",
         'name = "s"\ngaits = ["longe"]': "`longe` is not known here, did you mean `long`? (s.toml, gaits).",
     },
     'walker = "E"': {
-        'walker = "Q"': "`walker` is not a known walker; got Q (s.toml, walker).",
+        "": "A study needs a `walker`: a name, a file, a table, or a list of names (s.toml, walker).",
+        'walker = "Q"': "`Q` is not known here, known: A, B, C, D, E, F, physical, physical-straight, A-printed, C-printed,"
+                        " or a file FILE.toml (s.toml, walker).",
+        'walker = "physicl"': "`physicl` is not known here, did you mean `physical`? (s.toml, walker).",
+        'walker = ["E", "E"]': "`walker` must be a list of different names; got ['E', 'E'] (s.toml, walker).",
+        'walker = { l_t = 1.0 }': "`w_t` is missing from the walker; got l_t (s.toml, walker).",
         'walker = 3': "`walker` must be a name, a file, a table, or a list of names; got 3 (s.toml, walker).",
         'walker = "none.toml"': "There is no file none.toml (s.toml, walker).",
         'walker = { base = "E", m_s = -1.0 }': "`m_s` must be >= 0; got -1.0 (s.toml, walker).",
@@ -57,16 +66,45 @@ WRONG = {
     'slope = { from = 1e-4, to = 0.1, n = 7, spacing = "log" }': {
         "slope = [0.73]": "`slope` must lie in (0, 0.5) rad; got 0.73 (s.toml, axes.slope).",
         'slope = ["0.1"]': "`slope` must be a number; got '0.1' (s.toml, axes.slope).",
+        "slope = [0.1]\nknees = [true]":
+            "`knees` is not known here, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
+            " r_s, c_s, R, eps_T, m_h, g (s.toml, axes).",
+        "slope = [0.1]\ndetuning = [0.5]": "`detuning` needs walker A or C; got 0.5 (s.toml, axes.detuning).",
+        "slope = { start = 0.1, n = 2 }": "`start` is not known here, known: from, to, n, spacing (s.toml, axes.slope).",
+        "slope = { from = 0.01, to = 0.1 }": "`n` is missing (s.toml, axes.slope).",
+        'slope = { from = 0.01, to = 0.1, n = 9, spacing = "lgo" }':
+            "`spacing` must be \"linear\" or \"log\"; got 'lgo' (s.toml, axes.slope.spacing).",
         "": "A study needs the axis `slope` (s.toml, axes).",
     },
     'variables = ["period", "multipliers"]': {
         'variables = ["perod"]': "`perod` is not known here, did you mean `period`? (s.toml, want.variables).",
+        "variables = []": "`variables` must be a list of names; got [] (s.toml, want.variables).",
         'fits = ["scalng"]': "`scalng` is not known here, did you mean `scaling`? (s.toml, want.fits).",
+        'fits = ["power_law"]': "`power_law` is not known here, known: scaling, transition (s.toml, want.fits).",
+        'figures = ["loglg"]': "`loglg` is not known here, did you mean `loglog`? (s.toml, want.figures).",
+        'figures = ["locus"]': "`locus` shows a study of kind `branch`; this one is `grid` (s.toml, want.figures).",
+        'claims = ["E22"]': "`E22` is not known here, did you mean `E2`? (s.toml, want.claims).",
     },
     "seconds = 5": {"seconds = 0": "`seconds` must be > 0 and at most 1e6 s; got 0.0 (s.toml, limits.seconds)."},
     'memory = "1.5 GiB"': {
-        'memory = "2 GB/s"': "`memory` must be at least 64 MiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory)."},
+        'memory = "2 GB/s"': "`memory` must be at least 64 MiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory).",
+        'memory = "2 GiB"\n[options]\nstarts = 3': "A study of kind `grid` has no options; got starts (s.toml, options).",
+    },
 }
+
+#: Options of a study of another kind, and what is said about them.
+WRONG_OPTIONS = [
+    ("branch", "n = 3", "A study of kind `branch` has no options; got n (s.toml, options)."),
+    ("orbit", "strids = 3", "`strids` is not known here, did you mean `strides`? (s.toml, options)."),
+    ("orbit", "strides = -3", "`strides` must be a whole number from 1 to 1,000,000; got -3 (s.toml, options.strides)."),
+    ("orbit", 'gait = "loong"', "`loong` is not known here, did you mean `long`? (s.toml, options.gait)."),
+    ("orbit", 'spread = "1e-3"', "`spread` must be a number; got '1e-3' (s.toml, options.spread)."),
+    ("cascade", "families = 3", "`families` must be a list of whole numbers from 1; got 3 (s.toml, options.families)."),
+    ("basin", "stance_rate = [0.2, 0.1]", "`stance_rate` must be two numbers that rise; got [0.2, 0.1]"
+                                          " (s.toml, options.stance_rate)."),
+    ("curve", 'key = "detunning"', "`detunning` is not known here, did you mean `detuning`? (s.toml, options.key)."),
+    ("curve", 'kinds = ["folds"]', "`folds` is not known here, did you mean `fold`? (s.toml, options.kinds)."),
+]
 
 
 @pytest.fixture
@@ -94,6 +132,28 @@ def test_a_wrong_study_is_answered_in_one_helpful_line(write, line, wrong, said)
     with pytest.raises(StudyError) as error:
         study.read(write(GOOD.replace(line, wrong)))
     assert str(error.value) == said
+
+
+@pytest.mark.parametrize(("kind", "option", "said"), WRONG_OPTIONS)
+def test_a_wrong_option_is_answered_in_one_helpful_line(write, kind, option, said):
+    with pytest.raises(StudyError) as error:
+        study.read(write(f'name = "s"\nkind = "{kind}"\nwalker = "E"\n[axes]\nslope = [0.01]\n[options]\n{option}\n'))
+    assert str(error.value) == said
+
+
+def test_the_registry_names_every_option_and_claim_of_the_tasks():
+    from pipeline.worker import resolve
+    from tasks import registry
+
+    for kind, known in registry.OPTIONS.items():
+        if kind != "curve":  # which reads its options one by one
+            assert set(known) == set(resolve(f"tasks.{kind}:OPTIONS")), kind
+    assert set(registry.CLAIMS) == set(resolve("tasks.ledger:CLAIMS"))
+
+
+def test_a_study_that_is_no_toml_is_shown_its_line(write):
+    with pytest.raises(StudyError, match=r"s\.toml cannot be read: Expected ']' .* \(at line 2, column 6\)\.$"):
+        study.read(write('name = "s"\n[axes\nslope = [0.1]\n'))
 
 
 def test_a_study_without_axes_says_so(write):

@@ -8,6 +8,7 @@ import json
 import os
 import platform
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -84,7 +85,10 @@ class Signals:
 
     @contextlib.contextmanager
     def caught(self) -> Iterator[None]:
-        """Handle signals inside."""
+        """Handle signals inside; only a main thread can."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
         kept = {s: signal.signal(s, self._handle) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
         try:
             yield

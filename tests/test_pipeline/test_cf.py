@@ -1,0 +1,100 @@
+"""Archives of every kind of study keep the CF conventions they declare, and describe all they hold."""
+
+import json
+import subprocess
+import sys
+
+import netCDF4
+import numpy as np
+import pytest
+
+import pipeline
+
+#: The smallest study of each kind, and one over walkers of different units.
+STUDIES = {
+    "grid": {"walker": "E", "axes": {"slope": [0.0005, 0.001, 0.002, 0.02], "foot_mass_ratio": [0.1, 0.05]},
+             "want": {"variables": ["stance_angle", "period", "speed", "power", "multipliers", "energy", "violations"],
+                      "fits": ["scaling", "transition"], "figures": ["angles"], "claims": ["D1"]}},
+    "walkers": {"walker": ["A", "D"], "axes": {"slope": [0.01]}, "want": {"figures": ["angles"]}},
+    "branch": {"walker": "D", "axes": {"slope": {"from": 0.005, "to": 0.03, "n": 4}}},
+    "orbit": {"walker": "D", "axes": {"slope": [0.012, 0.019]},
+              "options": {"starts": 2, "transient": 20, "strides": 60, "shown": 8}},
+    "cascade": {"walker": "D", "axes": {"slope": [0.012, 0.018]}, "options": {"periods": 2, "starts": 20}},
+    "basin": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"size": 8, "strides": 20}},
+    "curve": {"walker": "E", "axes": {"slope": [0.005, 0.05]},
+              "options": {"key": "foot_mass_ratio", "from": 0.08, "to": 0.12, "kinds": ["flip"]}},
+    "census": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"starts": 60}},
+}
+
+#: A program: the checker, strict, over the archives it is given.
+CHECK = """
+import sys
+from compliance_checker.runner import CheckSuite, ComplianceChecker
+CheckSuite.load_all_available_checkers()
+ComplianceChecker.run_checker(sys.argv[2:], ["cf:1.11"], 0, "strict", output_filename=sys.argv[1],
+                              output_format=["json_new"])
+"""
+
+
+@pytest.fixture(scope="module")
+def archives(tmp_path_factory):
+    """An archive of each study."""
+    folder = tmp_path_factory.mktemp("cf")
+    for name, study in STUDIES.items():
+        kind = "grid" if name == "walkers" else name
+        pipeline.run({"name": name, "kind": kind, **study}, jobs=1, archive=folder / f"{name}.nc", quiet=True)
+    return {name: folder / f"{name}.nc" for name in STUDIES}
+
+
+def test_the_checker_of_the_conventions_finds_nothing(archives, tmp_path):
+    command = [sys.executable, "-W", "ignore", "-c", CHECK, str(tmp_path / "found.json"), *map(str, archives.values())]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert (tmp_path / "found.json").exists(), done.stderr
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert set(found) == set(map(str, archives.values()))
+    for name, checks in found.items():
+        said = [check["msgs"] for check in checks["cf:1.11"]["all_priorities"] if check["msgs"]]
+        assert not said and checks["cf:1.11"]["scored_points"] == checks["cf:1.11"]["possible_points"] > 20, (name, said)
+    # The checker takes differences of text coordinates, where it stumbles; it says so, and finds nothing by it.
+    stumbles = [line for line in done.stdout.splitlines() if line.startswith("cf:1.11.")]
+    assert all("strict_monotonicity" in line and "'str'" in line for line in stumbles)
+
+
+def _variables(group, path=""):
+    for variable in group.variables.values():
+        yield f"{path}{variable.name}", variable
+    for name, inner in group.groups.items():
+        yield from _variables(inner, f"{path}{name}/")
+
+
+def test_every_variable_of_every_group_has_units_and_a_meaning(archives):
+    seen = set()
+    for archive in archives.values():
+        with netCDF4.Dataset(archive) as file:
+            assert file.Conventions == "CF-1.11"
+            for name, variable in _variables(file):
+                seen.add(name)
+                assert variable.units, name
+                # A bare name stands where nobody has written what a column means.
+                assert variable.long_name != name.rpartition("/")[2].replace("_", " ") or name == "walker", name
+    groups = {name.rpartition("/")[0] for name in seen}
+    assert groups >= {"", "fits/scaling", "fits/transition", "trace", "claims", "branches", "special_points", "orbits",
+                      "falls", "lyapunov", "survival", "cascade", "basin", "areas", "census", "coverage", "curves"}
+
+
+def test_tables_are_in_the_walkers_units(archives):
+    with netCDF4.Dataset(archives["walkers"]) as mixed, netCDF4.Dataset(archives["cascade"]) as counted:
+        assert mixed["trace/theta_st"].units == "rad" and mixed["trace/time"].units == "1"
+        assert mixed["trace/time"].comment.startswith("in the units of each walker")
+        assert counted["cascade/period"].long_name == "steps of the periodic gait"
+
+
+def test_flags_decode_with_netcdf4_alone(archives):
+    with netCDF4.Dataset(archives["grid"]) as file:
+        status, violations = file["status"], file["violations"]
+        words = dict(zip(status.flag_values.tolist(), status.flag_meanings.split(), strict=True))
+        assert {words[v] for v in np.unique(status[...]).tolist()} <= {"converged", "no_gait"}
+        assert len(violations.flag_meanings.split()) == len(violations.flag_masks)
+        assert not np.any(violations[...] & ~np.bitwise_or.reduce(violations.flag_masks))
+        reasons = file["reason_text"][...][file["reason"][...]]
+        assert all(text.endswith(".") for text in reasons.ravel())

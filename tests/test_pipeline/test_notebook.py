@@ -1,0 +1,146 @@
+"""`from pipeline import load, run, solve`: the command line's results as Datasets and tables."""
+
+import json
+import sys
+import types
+
+import numpy as np
+import pytest
+
+import pipeline
+from pipeline import cli, progress
+from pipeline.errors import ArchiveError, StudyError
+
+STUDY = {
+    "name": "mine",
+    "walker": {"base": "E", "m_h": 0.25},
+    "axes": {"slope": np.geomspace(0.004, 0.05, 4), "foot_mass_ratio": [0.1, 0.05]},
+    "want": {"variables": ["stance_angle", "period", "violations", "multipliers"], "fits": ["scaling"]},
+}
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory):
+    """A small sweep, run from a mapping, and the archive's place."""
+    path = tmp_path_factory.mktemp("mine") / "mine.nc"
+    return pipeline.run(STUDY, jobs=1, archive=path, quiet=True), path
+
+
+def test_a_sweep_in_three_lines_is_tidy(mine):
+    found, path = mine
+    assert dict(found.sizes) == {"slope": 4, "foot_mass_ratio": 2, "gait": 2, "multiplier": 3, "violation": 7}
+    np.testing.assert_array_equal(found.slope, STUDY["axes"]["slope"])
+    assert found.identical(pipeline.load(path))
+    assert found.attrs["tables"] == ["fits/scaling"] and found.stance_angle.units == "rad"
+
+
+def test_flags_are_words_and_multipliers_complex(mine):
+    found, path = mine
+    assert set(np.unique(found.status)) <= {"converged", "no_gait"}
+    assert (np.isfinite(found.stance_angle) == (found.status == "converged")).all()
+    assert all(text.endswith(".") for text in found.reason.values.ravel())
+    # Legs of a point-foot walker scuff when they are parallel: the paper ignores it, the archive says so.
+    assert found.violations.dtype == bool
+    assert found.violations.sel(violation="scuff").where(found.status == "converged", True).all()
+    radius = np.abs(found.multipliers).max("multiplier")
+    np.testing.assert_array_equal(radius.fillna(-1), found.spectral_radius.fillna(-1))
+
+
+def test_a_sweep_and_a_single_solve_agree(mine):
+    found, _ = mine
+    slope = float(found.slope[2])
+    alone = pipeline.solve(STUDY["walker"], slope, foot_mass_ratio=0.05).set_index("gait")
+    there = found.isel(slope=2).sel(foot_mass_ratio=0.05)
+    assert list(alone.index) == ["long", "short"]
+    for name in ("stance_angle", "period"):
+        np.testing.assert_allclose(alone[name], there[name].sel(gait=["long", "short"]), rtol=1e-12)
+    assert alone.multipliers["long"][0] == pytest.approx(complex(there.multipliers.sel(gait="long")[0]), rel=1e-9)
+    assert alone.attrs["search"] and np.isnan(alone.kneestrike_time).all()
+
+
+def test_solve_gives_what_the_command_gives(capsys):
+    table = pipeline.solve("D", 0.009)
+    assert cli.main(["solve", "--walker", "D", "--slope", "0.009", "--json"]) == 0
+    for row, gait in zip(table.to_dict("records"), json.loads(capsys.readouterr().out), strict=True):
+        assert row["period"] == gait["period"] and row["violations"] == tuple(gait["violations"])
+        assert [[z.real, z.imag] for z in row["multipliers"]] == gait["multipliers"]
+
+
+def test_no_gait_is_an_empty_table_that_says_how_it_was_sought():
+    found = pipeline.solve("physical", 1e-4)
+    assert found.empty and any("starts" in sentence for sentence in found.attrs["search"])
+
+
+def test_a_table_is_a_frame_with_units(mine):
+    _, path = mine
+    table = pipeline.load(path, "fits/scaling")
+    assert {"gait", "exponent", "foot_mass_ratio"} <= set(table.columns)
+    assert table.attrs["units"]["slope"] == "rad" if "slope" in table else table.attrs["units"]["exponent"] == "1"
+    with pytest.raises(ArchiveError, match=r"mine.nc has no table branches; it has fits/scaling\.$"):
+        pipeline.load(path, "branches")
+
+
+def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
+    text = 'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\n'
+    (tmp_path / "s.toml").write_text(text)
+    from pipeline import notebook
+
+    read = [notebook._study(one) for one in (tmp_path / "s.toml", str(tmp_path / "s.toml"), text,
+                                             {"name": "s", "walker": "E", "axes": {"slope": np.array([0.01, 0.02])}})]
+    assert len({(one.name, one.walkers, tuple(one.slope), one.variables) for one in read}) == 1
+
+
+@pytest.mark.parametrize(("wanted", "said"), [
+    ({"name": "s", "walker": "E", "axes": {"slope": 0.1}},
+     r"`slope` must be a list, or a table of from, to, n and spacing; got 0.1 \(study, axes.slope\)"),
+    ({"name": "s", "walker": "E", "axes": {"slope": None}}, r"`axes` must be a number, a text, a list or a mapping"),
+    ("name = ", "The study cannot be read: Invalid value"),
+    ("none.toml", "There is no file none.toml"),
+])
+def test_a_wrong_study_is_one_sentence(wanted, said):
+    with pytest.raises(StudyError, match=said) as error:
+        pipeline.run(wanted)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("arguments", "keys", "said"), [
+    (("D", 0.7), {}, r"`slope` must lie in \(0, 0.5\) rad; got 0.7"),
+    (("Q", 0.1), {}, "`Q` is not known here, known: A, B"),
+    (("D", 0.1), {"l_tt": 1}, "did you mean `l_t`"),
+])
+def test_a_wrong_point_is_one_sentence(arguments, keys, said):
+    with pytest.raises(StudyError, match=said):
+        pipeline.solve(*arguments, **keys)
+
+
+class _Handle:
+    def __init__(self):
+        self.seen = []
+
+    def update(self, shown, raw):
+        assert raw
+        self.seen.append(shown)
+
+
+def _in_a_notebook(monkeypatch, shell):
+    handle = _Handle()
+    interactive, shown = types.ModuleType("IPython"), types.ModuleType("IPython.display")
+    interactive.get_ipython = lambda: shell
+    shown.display = lambda *_, **__: handle
+    monkeypatch.setitem(sys.modules, "IPython", interactive)
+    monkeypatch.setitem(sys.modules, "IPython.display", shown)
+    return handle
+
+
+def test_a_notebook_shows_a_bar_that_ends_full(monkeypatch, tmp_path, capsys):
+    handle = _in_a_notebook(monkeypatch, types.SimpleNamespace(kernel=True))
+    pipeline.run({**STUDY, "axes": {"slope": [0.01, 0.02]}}, jobs=1, archive=tmp_path / "m.nc")
+    assert '<progress value="1.0000"' in handle.seen[-1]["text/html"]
+    assert "2 of 2 points (100 %)" in handle.seen[-1]["text/plain"]
+    assert "mine: 2 points" in capsys.readouterr().err
+
+
+def test_a_terminal_has_no_bar_of_a_notebook(monkeypatch):
+    assert progress.notebook_bar() is None
+    _in_a_notebook(monkeypatch, types.SimpleNamespace())
+    assert progress.notebook_bar() is None
