@@ -1,0 +1,77 @@
+# %% [markdown]
+# # From one gait to a sweep of your own walker
+#
+# Open this file as a notebook (VS Code, or Jupyter with jupytext), or run it: `python docs/tutorial.py`. It takes some
+# seconds and writes an archive and a picture into the current folder.
+
+# %%
+import matplotlib.pyplot as plt
+import numpy as np
+
+from pipeline import load, run, solve
+
+# %% [markdown]
+# ## One point
+# The simplest walker on a slope of 0.009 rad. Both gaits are found from nothing; the long one is stable.
+
+# %%
+gaits = solve("D", 0.009)
+print(gaits[["gait", "stance_angle", "period", "stable"]])
+
+# %% [markdown]
+# ## Your own walker
+# A walker is a table. This one starts from the catalogue's E, point feet with a tenth of the mass each, and gets round
+# feet. A walker file works as well, by its name.
+
+# %%
+mine = {"base": "E", "R": 0.3}
+print(solve(mine, 0.009)[["gait", "stance_angle", "period", "stable"]])
+
+# %% [markdown]
+# ## A sweep
+# A study says what is wanted, and nothing else is computed. Its points are kept: run the cell again and nothing is left
+# to do; add values to an axis and only those are computed.
+
+# %%
+found = run({
+    "name": "round-feet",
+    "walker": mine,
+    "axes": {"R": [0.0, 0.3], "slope": np.geomspace(1e-6, 0.1, 80)},
+    "want": {"variables": ["stance_angle", "period", "multipliers"], "fits": ["scaling"], "figures": ["loglog"]},
+})
+print(found.stance_angle.sel(R=0.3, gait="long"))
+
+# %% [markdown]
+# `found` is an xarray Dataset with units, and `status` says what became of every point, in words.
+
+# %%
+print(found.status.to_series().value_counts())
+
+# %% [markdown]
+# ## Power laws
+# Fits and other tables are read by their names, which `found.attrs["tables"]` lists.
+
+# %%
+laws = load("data/archive/round-feet.nc", "fits/scaling")
+angle = laws[(laws.quantity == "stance_angle") & (laws.n > 0)]
+print(angle[["R", "gait", "regime", "exponent", "exponent_low", "exponent_high"]])
+
+# %% [markdown]
+# ## A picture
+# Stance angle against slope, stable parts thick.
+
+# %%
+figure, axes = plt.subplots(figsize=(5, 3.6), layout="constrained")
+for gait, colour in {"long": "#1f6fb2", "short": "#c04a08"}.items():
+    for radius, style in zip(found.R.values, ["-", "--"], strict=True):
+        line = found.sel(gait=gait, R=radius)
+        axes.loglog(line.slope, line.stance_angle, style, color=colour, lw=1, label=f"{gait}, R = {radius:g}")
+        axes.loglog(line.slope, line.stance_angle.where(line.spectral_radius < 1), style, color=colour, lw=3)
+axes.set(xlabel="slope (rad)", ylabel="stance angle (rad)")
+axes.legend(fontsize=8)
+figure.savefig("round-feet.png", dpi=150)
+
+# %% [markdown]
+# ## Pages
+# `gaitsweep report data/archive/round-feet.nc` makes pages of the same archive. The study asks for `loglog`, so this
+# picture is there too, with the values and the command behind every point.
