@@ -7,17 +7,19 @@ is written region by region, so its size is not bounded by memory.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline import gather, grid, tables
+from pipeline import chunks, gather, grid, tables
 from pipeline.check import SCHEMA
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.plan import Plan
@@ -25,7 +27,6 @@ from pipeline.provenance import provenance
 from pipeline.worker import ALL_STATUSES, ANSWERS
 from tasks.registry import GAITS, STATUSES, VARIABLES, VIOLATIONS, Variable
 
-_CACHE = 1 << 20  # byte
 _PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 _LONG_NAMES = {"slope": "slope of the ground", "foot_mass_ratio": "mass of each foot over the total mass",
                "detuning": "mixture of the exactly tuned walker (0) and the physical one (1)"}
@@ -45,8 +46,8 @@ class Written:
         self.examples.setdefault(reason, example)
 
 
-def write(plan: Plan, path: Path) -> Written:
-    """Write the archive of what the journal holds and put it at `path`.
+def write(plan: Plan, path: Path, threads: int = 1) -> Written:
+    """Write the archive of what the journal holds and put it at `path`; so many threads pack its chunks.
 
     Raises
     ------
@@ -55,7 +56,7 @@ def write(plan: Plan, path: Path) -> Written:
     """
     draft = path.with_name(f"{path.name}.tmp.{os.getpid()}")
     try:
-        written = _write(plan, draft)
+        written = _write(plan, draft, threads)
         with open(draft, "rb") as file:
             os.fsync(file.fileno())
         os.replace(draft, path)
@@ -73,15 +74,17 @@ def write(plan: Plan, path: Path) -> Written:
     return written
 
 
-def _write(plan: Plan, draft: Path) -> Written:
+def _write(plan: Plan, draft: Path, threads: int) -> Written:
     import netCDF4
 
     writer = _Points(plan) if plan.study.kind == "grid" else _Lines(plan)
     with netCDF4.Dataset(draft, "w", format="NETCDF4") as file:
         _head(file, plan, writer)
-        writer.fill(file)
-        _seal(file, writer.sums)
+        writer.define(file)
         tables.write(file, plan)
+    writer.fill(draft, threads)
+    with netCDF4.Dataset(draft, "a") as file:
+        _seal(file, writer.sums)
     with netCDF4.Dataset(draft) as file:
         if "status" not in file.variables or file.variables["status"].dimensions != (*writer.dims,):
             raise ArchiveError(f"{draft} does not read back.")
@@ -155,6 +158,8 @@ class _Points:
         self.plan, self.study, self.grid = plan, plan.study, grid.Grid(plan.study)
         self.written = Written()
         self.sums: Counter[str] = Counter()
+        self.shapes: dict[str, tuple[int, ...]] = {}
+        self.dtypes: dict[str, np.dtype] = {}
         self.columns = [GAITS.index(g) for g in self.study.gaits]
         asked = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
         live = np.array([asked or not GAITS[c].startswith("other") for c in self.columns])
@@ -163,10 +168,12 @@ class _Points:
         for box in grid.boxes(self.grid.sizes):
             for _, number, found in self._lines(box, ()):
                 status, reason = found["status"][:, self.columns], found["reason"][:, self.columns]
+                rows = gather.rows(status)
                 self.written.counts += gather.count(status)
-                self._note_failures(number, found, status, reason)
-                live |= np.isin(status, solved).any(axis=0)
-                used.update(found["reasons"][np.unique(reason)].tolist())
+                live |= np.isin(list(rows), solved).any(axis=0)
+                used.update(found["reasons"][np.flatnonzero(np.bincount(reason.ravel()))].tolist())
+                if not set(ANSWERS).issuperset(itertools.chain(*rows)):
+                    self._note_failures(number, found, status, reason)
         self.sentences = sorted(used)
         self.columns = self.columns[:max(np.flatnonzero(live), default=0) + 1]
         self.dims = (*self.grid.sizes, "gait")
@@ -185,9 +192,11 @@ class _Points:
         slopes = self.grid.slopes(box)
         for place, number in self.grid.lines_in(box):
             keys = self.plan.line_keys(number)
-            yield place, number, gather.line(self.plan.journal, keys, self.plan.want, self.study, names, slopes)
+            yield place, number, gather.line(self.plan.journal, keys, self.plan.want, self.study, names, slopes,
+                                             max(self.columns) + 1)
 
-    def fill(self, file: Any) -> None:
+    def define(self, file: Any) -> None:
+        """Create every variable, without values."""
         multipliers = max(c["multipliers"] for c in self.study.checks)
         file.createDimension("gait", len(self.columns))
         _strings(file, "gait", "gait", [GAITS[c] for c in self.columns], "gait by its character")
@@ -206,26 +215,38 @@ class _Points:
             variable = file.createVariable(
                 name, "i4" if wide else about.dtype, (*self.grid.sizes, *about.dims), **_PACKED,
                 chunksizes=(*chunk, *extra), fill_value=np.nan if about.dtype == "f8" else False)
-            variable.set_var_chunk_cache(_CACHE)  # regions are whole chunks: nothing is written twice
+            self.shapes[name], self.dtypes[name] = variable.chunking(), variable.dtype
             _describe(variable, about, si, mixed)
-        index = {sentence: i for i, sentence in enumerate(self.sentences)}
-        for box in grid.boxes(self.grid.sizes):
-            self._fill_box(file, box, names, index, multipliers)
 
-    def _fill_box(self, file: Any, box: grid.Box, names: tuple[str, ...], index: dict[str, int],
-                  multipliers: int) -> None:
+    def fill(self, draft: Path, threads: int) -> None:
+        """Write the values region by region; while one is packed the next is put together."""
+        before: list[tuple[str, tuple[int, ...], Future[bytes]]] = []
+        with ThreadPoolExecutor(threads) as pool, chunks.Chunks(draft) as out:
+            for box in [*grid.boxes(self.grid.sizes), ()]:
+                now = [(name, corner, pool.submit(chunks.packed, part))
+                       for name, values in (self._region(box).items() if box else ())
+                       for corner, part in chunks.cut(values, box, self.shapes[name])]
+                for name, corner, data in before:
+                    out.write(name, corner, data.result())
+                before = now
+
+    def _region(self, box: grid.Box) -> dict[str, np.ndarray]:
+        """Every variable in a box."""
         extent = tuple(s.stop - s.start for s in box)
-        values = {n: np.empty(extent + gather.shape(n, 0, multipliers)[1:], file.variables[n].dtype) for n in names}
-        lined_up = {n: self.grid.lined_up(v) for n, v in values.items()}
-        for place, _, found in self._lines(box, tuple(n for n in names if n not in ("status", "reason"))):
+        values = {name: np.empty((*extent, max(self.columns) + 1, *shape[len(box) + 1:]), self.dtypes[name])
+                  for name, shape in self.shapes.items()}
+        lined_up = {name: self.grid.lined_up(v) for name, v in values.items()}
+        index = {sentence: i for i, sentence in enumerate(self.sentences)}
+        for place, _, found in self._lines(box, tuple(n for n in values if n not in ("status", "reason"))):
             table = np.array([index.get(s, 0) for s in found["reasons"].tolist()])
             found["reason"] = table[found["reason"]]
-            for n in names:
-                lined_up[n][place] = found[n]
-        for n in names:
-            part = values[n].take(self.columns, axis=len(box))
-            file.variables[n][box] = part
-            self.sums[n] += grid.checksum(part, box)
+            for name, lines in lined_up.items():
+                lines[place] = found[name]
+        for name in values:
+            if self.columns != list(range(len(self.columns))):
+                values[name] = values[name].take(self.columns, axis=len(box))
+            self.sums[name] += grid.checksum(values[name], box)
+        return values
 
 
 class _Lines:
@@ -253,8 +274,12 @@ class _Lines:
                 return found[0], f"{'The atlas of the line: ' if name == 'atlas' else ''}{found[1]}"
         return "converged", "The line was followed; what was found is in the groups."
 
-    def fill(self, file: Any) -> None:
+    def define(self, file: Any) -> None:
+        """Create and write every variable."""
         for name, values in (("status", self.status), ("reason", self.reason)):
             variable = file.createVariable(name, values.dtype, self.dims, fill_value=False)
             _describe(variable, VARIABLES[name], True, False)
             variable[...] = values
+
+    def fill(self, draft: Path, threads: int) -> None:
+        """Nothing is left to be written."""

@@ -167,8 +167,7 @@ class Loop:
                                 if number == _NOTHING:
                                     continue
                                 done, broken = done + 1, 0
-                                with self.hold:
-                                    queue.add(self.record(queue.out.pop(number), result))
+                                queue.add(self.record(queue.out.pop(number), result))
                         if over is None:
                             over = deque(self.over_study(done > 0))
                         if not over:
@@ -229,9 +228,10 @@ class Loop:
         if task.places is not None:
             n, each = len(task.places), result["seconds"] / len(task.places)
             counts: Counter[str] = Counter()
-            for row in result["rows"]:
-                self.journal.add_points(*task.keys, self.tokens, row, each * (len(row[0]) // 8))
-                counts += gather.count(pack.load(row[1])["status"][:, self.columns])
+            with self.hold:
+                for row in result["rows"]:
+                    self.journal.add_points(*task.keys, self.tokens, row, each * (len(row[0]) // 8))
+                    counts += gather.count(pack.load(row[1])["status"][:, self.columns])
             weight = n / (n + min(self.measured, 20 * n))
             self.cost += weight * (each - self.cost)
             self.measured += n
@@ -239,7 +239,8 @@ class Loop:
             return []
         outcome, reason, data = result["outcome"], result["reason"], result["data"]
         seen = self.plan.last_block() if task.work is None else 0
-        self.journal.add_result(*task.keys, Result(outcome, reason, seen, data), result["seconds"])
+        with self.hold:
+            self.journal.add_result(*task.keys, Result(outcome, reason, seen, data), result["seconds"])
         lost = len(task.work.missing) if task.name == "atlas" and outcome != "ok" and task.work else 0
         self.listen("task", {**event, "outcome": outcome, "reason": reason, "lost": lost})
         return self.lean(task.work, (data,)) if task.name == "atlas" and outcome == "ok" and task.work else []

@@ -13,8 +13,13 @@ from pipeline.worker import ALL_STATUSES, ANSWERS
 from tasks.registry import GAITS, VARIABLES
 
 NOT_ATTEMPTED = "The run has not come to it."
-#: A block's number, positions in it, and their positions among the slopes asked for.
-Source = tuple[int, np.ndarray, np.ndarray]
+_NAMES = {code: name for name, code in ALL_STATUSES.items()}
+_BEST = tuple(ALL_STATUSES[name] for name in ("converged", "fell", "no_gait"))
+_BASE = 1 + max(_NAMES)
+#: Places in an array.
+Places = np.ndarray | slice
+#: A block's number, places in it, and their places among the slopes asked for.
+Source = tuple[int, Places, Places]
 
 
 class Order:
@@ -79,15 +84,15 @@ def states(journal: Journal, line: str, want: frozenset[str], slopes: np.ndarray
         if len(inside):
             status[place] = block.states["status"][inside]
             reason[place] = _numbers(block, sentences)[inside]
-            sources.append((block.id, inside, place))
+            sources.append((block.id, _run(inside), _run(place)))
     return status, reason, list(sentences), sources
 
 
 def line(journal: Journal, keys: dict[str, tuple[str, str]], want: frozenset[str], study: Study,
-         names: Iterable[str], slopes: np.ndarray | None = None) -> dict[str, np.ndarray]:
+         names: Iterable[str], slopes: np.ndarray | None = None, gaits: int = len(GAITS)) -> dict[str, np.ndarray]:
     """Everything about one line's points: `slope`, `status`, `reason`, `reasons` and the variables named.
 
-    Where the line's atlas failed every point shares its fate.
+    Of so many gaits, from the first. Where the line's atlas failed every point shares its fate.
     """
     slopes = study.slope if slopes is None else slopes
     status, reason, sentences, sources = states(journal, keys["points"][0], want, slopes)
@@ -97,8 +102,15 @@ def line(journal: Journal, keys: dict[str, tuple[str, str]], want: frozenset[str
         status[lost], reason[lost] = ALL_STATUSES[atlas[0]], len(sentences)
         sentences.append(f"The atlas of the line: {atlas[1][:1].lower()}{atlas[1][1:]}")
     multipliers = max(check["multipliers"] for check in study.checks)
-    found = fill(journal, names, sources, len(slopes), multipliers)
-    return {"slope": slopes, **found, "status": status, "reason": reason, "reasons": np.array(sentences)}
+    found = fill(journal, names, sources, len(slopes), multipliers, gaits)
+    return {"slope": slopes, **found, "status": status[:, :gaits], "reason": reason[:, :gaits],
+            "reasons": np.array(sentences)}
+
+
+def _run(places: np.ndarray) -> Places:
+    """Those places as a slice if they are one run: copied at once, not one by one."""
+    first, n = int(places[0]), len(places)
+    return slice(first, first + n) if np.array_equal(places, np.arange(first, first + n)) else places
 
 
 def _numbers(block: Block, sentences: dict[str, int]) -> np.ndarray:
@@ -107,34 +119,39 @@ def _numbers(block: Block, sentences: dict[str, int]) -> np.ndarray:
     return table[block.states["reason"]]
 
 
-def shape(name: str, n: int, multipliers: int) -> tuple[int, ...]:
-    """Shape of a variable over `n` slopes of one line, every gait in it."""
-    dims = VARIABLES[name].dims
-    return (n, len(GAITS), multipliers) if "multiplier" in dims else (n, len(GAITS))
-
-
-def fill(journal: Journal, names: Iterable[str], sources: Iterable[Source], n: int, multipliers: int
-         ) -> dict[str, np.ndarray]:
+def fill(journal: Journal, names: Iterable[str], sources: Iterable[Source], n: int, multipliers: int,
+         gaits: int = len(GAITS)) -> dict[str, np.ndarray]:
     """Variables over `n` slopes of one line; NaN, or 0 for whole numbers, where there is none."""
     empty = {name: np.nan if VARIABLES[name].dtype == "f8" else 0 for name in names}
-    values = {name: np.full(shape(name, n, multipliers), empty[name], VARIABLES[name].dtype) for name in empty}
+    extra = {name: (multipliers,) if "multiplier" in VARIABLES[name].dims else () for name in empty}
+    values = {name: np.full((n, gaits, *extra[name]), empty[name], VARIABLES[name].dtype) for name in empty}
     for block, inside, place in sources:
         data = journal.variables(block)
         for name, whole in values.items():
             found = data.get(name)
-            whole[place] = empty[name]
+            if found is None or found.shape[1:] != whole.shape[1:]:
+                whole[place] = empty[name]  # what an earlier block may have left there
             if found is not None:
-                part = whole[:, :found.shape[1]] if found.ndim == 2 else whole[:, :found.shape[1], :found.shape[2]]
-                part[place] = found[inside]
+                part = tuple(slice(min(a, b)) for a, b in zip(found.shape[1:], whole.shape[1:], strict=True))
+                whole[:, *part][place] = found[:, *part][inside]
     return values
+
+
+def rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
+    """The different rows of an array of statuses, shape (n, gait), and how often each occurs."""
+    code = np.zeros(len(status), np.intp)
+    for column in status.T:
+        code = code * _BASE + column
+    often = np.bincount(code)
+    place = _BASE ** np.arange(status.shape[1])[::-1]
+    return {tuple((c // place % _BASE).tolist()): int(often[c]) for c in np.flatnonzero(often)}
 
 
 def count(status: np.ndarray) -> Counter[str]:
     """Points by what became of them, shape (n, gait): a failure of any gait, else the best answer of any."""
-    names = {code: name for name, code in ALL_STATUSES.items()}
-    answered = np.where(np.isin(status, ANSWERS), -1, status).max(axis=1)
-    best = np.full(len(status), ALL_STATUSES["no_gait"])
-    for name in ("fell", "converged"):
-        best[np.any(status == ALL_STATUSES[name], axis=1)] = ALL_STATUSES[name]
-    codes, counts = np.unique(np.where(answered >= 0, answered, best), return_counts=True)
-    return Counter({names[int(c)]: int(n) for c, n in zip(codes, counts, strict=True)})
+    found: Counter[str] = Counter()
+    for row, n in rows(status).items():
+        failed = [code for code in row if code not in ANSWERS]
+        best = next((code for code in _BEST if code in row), row[0])
+        found[_NAMES[max(failed, default=best)]] += n
+    return found

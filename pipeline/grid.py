@@ -38,8 +38,10 @@ def cut(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
 
 
 def boxes(sizes: Mapping[str, int]) -> Iterator[Box]:
-    """Boxes of at most `REGION` points that cover the grid."""
-    extent = cut(sizes, REGION)
+    """Boxes of at most `REGION` points, whole chunks all, that cover the grid."""
+    chunk = dict(zip(sizes, cut(sizes, CHUNK), strict=True))
+    many = cut({d: -(-sizes[d] // c) for d, c in chunk.items()}, REGION // math.prod(chunk.values()))
+    extent = tuple(c * n for c, n in zip(chunk.values(), many, strict=True))
     for corner in itertools.product(*(range(0, n, c) for n, c in zip(sizes.values(), extent, strict=True))):
         yield tuple(slice(i, min(i + c, n)) for i, c, n in zip(corner, extent, sizes.values(), strict=True))
 

@@ -18,7 +18,7 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 from urllib.parse import quote
 
 import numpy as np
@@ -42,6 +42,8 @@ _COLUMNS = {"points": "line, kin, variables, low, high, n, seconds, sum, slopes,
 _LATEST = "FROM results WHERE key = ? ORDER BY id DESC LIMIT 1"
 _SYNC = 0.5  # s: how much finished work a power cut may cost
 _MANY, _FEW = 64, 1000  # blocks of a line, and points in one, from which they are put together
+#: Size of a page [byte], and of one where so many points come in blocks of megabytes: every page costs.
+_PAGE, _LARGE_PAGE, _LARGE = 4096, 32768, 100_000
 _GIVE_UP = 5000  # lost rows in a row after which a torn table is taken to end
 
 
@@ -70,9 +72,12 @@ class Result:
 
 
 class Journal:
-    """One archive's journal. The run is its only writer; others open it with `write=False`."""
+    """One archive's journal. The run is its only writer; others open it with `write=False`.
 
-    def __init__(self, path: Path, write: bool = True):
+    `points` is how many there may come, to lay out a new one.
+    """
+
+    def __init__(self, path: Path, write: bool = True, points: int = 0):
         self.path, self._lock, self._synced = path, threading.RLock(), 0.0
         self._recent: OrderedDict[int, dict[str, np.ndarray]] = OrderedDict()
         try:
@@ -83,7 +88,8 @@ class Journal:
                         raise ArchiveError(f"{path} is not a journal of gaitsweep; move it away.")
             if write and there and _is_torn(path):
                 mend(path)
-            self._db = _connect(str(path) if there or write else ":memory:", write or not there)
+            self._db = _connect(str(path) if there or write else ":memory:", write or not there,
+                                _LARGE_PAGE if points >= _LARGE else _PAGE)
         except (sqlite3.Error, OSError) as error:
             _fail(error, path)
 
@@ -232,13 +238,14 @@ def _sum(key: str, *blobs: bytes) -> int:
     return functools.reduce(lambda check, blob: zlib.crc32(blob, check), blobs, zlib.crc32(key.encode()))
 
 
-def _connect(path: str, write: bool = True) -> sqlite3.Connection:
+def _connect(path: str, write: bool = True, page: int = _PAGE) -> sqlite3.Connection:
     options: dict[str, Any] = {"timeout": 10, "isolation_level": None, "check_same_thread": False}
     if not write and not os.access(Path(path).parent, os.W_OK):
         # SQLite shares a lock file even to read; where it cannot, nobody else writes.
         db = sqlite3.connect(f"file:{quote(path)}?immutable=1", uri=True, **options)
     else:
         db = sqlite3.connect(path, **options)
+        db.execute(f"PRAGMA page_size={page}")
         db.execute("PRAGMA journal_mode=WAL")
     for pragma in ("trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192"):
         db.execute(f"PRAGMA {pragma}")
@@ -256,9 +263,14 @@ def _connect(path: str, write: bool = True) -> sqlite3.Connection:
 
 def _is_torn(path: Path) -> bool:
     with open(path, "rb") as file:
-        header = file.read(32)
-    size, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
-    return pages * (65536 if size == 1 else size) > path.stat().st_size
+        page, pages = _layout(file)
+    return page * pages > path.stat().st_size
+
+
+def _layout(file: BinaryIO) -> tuple[int, int]:
+    """Size [byte] and number of the pages a database says it has."""
+    header = file.read(32)
+    return int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
 
 
 def mend(path: Path) -> None:
@@ -267,11 +279,10 @@ def mend(path: Path) -> None:
     for suffix in ("", "-wal", "-shm"):
         fresh.with_name(fresh.name + suffix).unlink(missing_ok=True)
     with open(path, "r+b") as file:
-        header = file.read(32)
-        size, pages = int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
+        page, pages = _layout(file)
         # SQLite refuses a file shorter than its header says; rows in the missing pages fail one by one.
-        file.truncate(max(os.fstat(file.fileno()).st_size, pages * (65536 if size == 1 else size)))
-    new = _connect(str(fresh))
+        file.truncate(max(os.fstat(file.fileno()).st_size, page * pages))
+    new = _connect(str(fresh), page=page if page in (_PAGE, _LARGE_PAGE) else _PAGE)
     new.execute("BEGIN")
     with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(path)) as old:
         old.execute("PRAGMA trusted_schema=OFF")

@@ -92,6 +92,12 @@ class Signals:
         kept = {s: signal.signal(s, self._handle) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
         try:
             yield
+        except StoppedError:
+            raise
+        except Exception:
+            if self.got:  # what a library makes of being stopped amid its work
+                self._stop()
+            raise
         finally:
             for signum, handler in kept.items():
                 signal.signal(signum, handler)
@@ -105,7 +111,8 @@ class Signals:
             self._stop()
 
     def _stop(self) -> None:
-        raise StoppedError(self.got, f"Stopped by {signal.Signals(self.got).name}; what was finished is kept.")
+        name = signal.Signals(self.got).name
+        raise StoppedError(self.got, f"Stopped by {name}; what was finished is kept.") from None
 
     def __enter__(self) -> None:
         self.held = True
@@ -161,7 +168,7 @@ def _run(study: Study, path: Path, options: Options) -> int:
 
 def _attempts(study: Study, path: Path, place: Path, options: Options, record: dict[str, Any]) -> int:
     for _ in range(3):
-        journal = Journal(place)
+        journal = Journal(place, points=study.points)
         try:
             return _once(Plan(study, journal, options.retry_failed), path, options, record)
         except TornError:
@@ -183,7 +190,7 @@ def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> i
             if any(todo.todo.values()):
                 Loop(plan, engine, listen, sum(todo.todo.get("points", {}).values()), options.chunk, signals).run()
             record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-            written = archive.write(plan, path)
+            written = archive.write(plan, path, min(options.jobs, os.cpu_count() or 1))
             compact(plan.journal)
         finally:
             record |= {"state": progress.state()}

@@ -1,0 +1,59 @@
+"""Chunks packed here are what HDF5's own filters read, and no larger than what they would write."""
+
+import netCDF4
+import numpy as np
+import pytest
+
+from pipeline import chunks, grid
+
+SMOOTH = np.cbrt(np.linspace(1e-4, 0.1, 3 * 5000)).reshape(3, 5000)
+PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
+
+
+def _file(path, values, extent):
+    with netCDF4.Dataset(path, "w") as file:
+        for k, n in enumerate(values.shape):
+            file.createDimension(f"d{k}", n)
+        dims = tuple(f"d{k}" for k in range(values.ndim))
+        file.createVariable("v", values.dtype, dims, chunksizes=extent, fill_value=False, **PACKED)
+    return path
+
+
+@pytest.mark.parametrize("values", [
+    np.stack([SMOOTH, SMOOTH**2], -1), np.full((3, 5000, 2), np.nan), (SMOOTH * 90).astype(np.int8)[..., None],
+    (SMOOTH * 9e3).astype(np.int16)[..., None], (SMOOTH * 9e8).astype(np.int32)[..., None], np.zeros((1, 1, 1)),
+    np.random.default_rng(1).random((2, 4096, 3)),
+], ids=["smooth", "nan", "i1", "i2", "i4", "one", "noise"])
+def test_netcdf_reads_back_what_was_packed(tmp_path, values):
+    sizes = {"line": values.shape[0], "slope": values.shape[1]}
+    extent = (*grid.cut(sizes, 4096), values.shape[2])
+    ours, theirs = (_file(tmp_path / name, values, extent) for name in ("ours.nc", "theirs.nc"))
+    with netCDF4.Dataset(theirs, "a") as file:
+        file["v"][:] = values
+    with chunks.Chunks(ours) as out:
+        for box in grid.boxes(sizes):
+            for corner, part in chunks.cut(values[box], box, extent):
+                out.write("v", corner, chunks.packed(part))
+    with netCDF4.Dataset(ours) as file:
+        np.testing.assert_array_equal(np.ma.getdata(file["v"][:]), values)
+    assert ours.stat().st_size < 1.05 * theirs.stat().st_size + 1000
+
+
+def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
+    path = _file(tmp_path / "v.nc", SMOOTH, (1, 5000))
+    data = chunks.packed(SMOOTH[:1].copy())
+    with chunks.Chunks(path) as out:
+        out.write("v", (0, 0), data[:-20] + bytes([data[-20] ^ 1]) + data[-19:])
+    with netCDF4.Dataset(path) as file, pytest.raises(RuntimeError):
+        file["v"][0]
+
+
+@pytest.mark.parametrize("sizes", [{"slope": 200_000}, {"slope": 1000, "R": 300}, {"R": 70, "m": 90, "slope": 50},
+                                   {"R": 3000, "slope": 3}, {"slope": 1}])
+def test_regions_are_whole_chunks_and_cover_the_grid_once(sizes):
+    seen, chunk = np.zeros(tuple(sizes.values()), int), grid.cut(sizes, grid.CHUNK)
+    for box in grid.boxes(sizes):
+        seen[box] += 1
+        assert seen[box].size <= grid.REGION and all(s.start % c == 0 for s, c in zip(box, chunk, strict=True))
+        assert all(s.stop % c == 0 or s.stop == n for s, c, n in zip(box, chunk, seen.shape, strict=True))
+    assert (seen == 1).all()
