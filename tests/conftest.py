@@ -4,7 +4,8 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -69,3 +70,26 @@ def toy(tmp_path: Path) -> Iterator[Toy]:
     found.write()
     yield found
     found.close()
+
+
+TOLD = pytest.StashKey[list[tuple[str, str, float]]]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[TOLD] = []
+
+
+@pytest.fixture
+def tell(request: pytest.FixtureRequest) -> Callable[[str], None]:
+    """Put what a long test found into the table at the end of the run."""
+    began, name = time.monotonic(), request.node.name
+    return lambda found: request.config.stash[TOLD].append((name, found, time.monotonic() - began))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    told = config.stash[TOLD]
+    if told:
+        terminalreporter.section("what the long tests found")
+        width = max(len(name) for name, _, _ in told)
+        for name, found, seconds in told:
+            terminalreporter.write_line(f"{name:<{width}}  {seconds:7.1f} s  {found}")

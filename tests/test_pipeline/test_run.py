@@ -2,57 +2,17 @@
 
 import json
 import os
-import random
 import signal
 import subprocess
 import time
-from pathlib import Path
 
 import pytest
 
 from conftest import STUDY, Toy
+from processes import alive, descendants, wait_for_points
+from processes import beside as journal
 
 SLOW = {"TOY_SECONDS": "0.002"}
-
-
-def journal(toy, what=".journal"):
-    return toy.folder / "data" / "archive" / f"toy{what}"
-
-
-def wait_for_points(toy, n=1, seconds=60):
-    """Wait until the event log tells of so many chunks."""
-    log, end = journal(toy, ".events.jsonl"), time.monotonic() + seconds
-    while time.monotonic() < end:
-        if log.exists() and log.read_text().count('"chunk"') >= n:
-            return
-        time.sleep(0.02)
-    raise AssertionError("no point was solved in time")
-
-
-def descendants(pid):
-    """Process ids below that one."""
-    children = [int(c) for t in Path(f"/proc/{pid}/task").glob("*/children") for c in t.read_text().split()]
-    return children + [d for c in children for d in descendants(c)]
-
-
-def alive(pids, seconds=3.0):
-    """Those of the processes that still run after so long."""
-    end = time.monotonic() + seconds
-    while (found := _running(pids)) and time.monotonic() < end:
-        time.sleep(0.05)
-    return found
-
-
-def _running(pids):
-    found = []
-    for pid in pids:
-        try:
-            state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
-        except OSError:
-            continue
-        if state != "Z":
-            found.append(pid)
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -207,35 +167,6 @@ def test_a_study_of_another_kind_gives_tables(toy):
     assert rows.walker.values.tolist() == ["E"] * 4 + ["F"] * 4
     assert rows.w_t.values.tolist() == [0, 0, 0.1, 0.1] * 2
     assert rows.period.attrs == {"long_name": "duration of one step", "units": "1"}
-
-
-@pytest.mark.soak
-def test_two_hundred_random_kills(toy, whole):
-    """kill -9 at random moments, parent or worker; every time the same command finishes with the same bytes."""
-    dice = random.Random(1)
-    killed = runs = 0
-    while killed < 200:
-        process = toy.start("run", "toy.toml", "--chunk", 10, "--snapshot", "0.1", **SLOW)
-        runs += 1
-        time.sleep(dice.uniform(0.1, 2.0))
-        victims = [process.pid, *descendants(process.pid)]
-        victim = dice.choice(victims)
-        try:
-            os.kill(victim, signal.SIGKILL)
-            killed += 1
-        except ProcessLookupError:
-            pass
-        if victim == process.pid:
-            process.communicate(timeout=10)
-            assert not alive(victims)
-        else:
-            process.communicate(timeout=60)
-            assert process.returncode == 0
-        if process.returncode == 0:
-            assert toy.bytes() == whole
-            for file in (toy.folder / "data" / "archive").iterdir():
-                file.unlink()
-    print(f"{killed} kills in {runs} runs: equal bytes after each")
 
 
 @pytest.mark.soak

@@ -1,0 +1,96 @@
+"""Whatever ends a run, and whenever: the same command again finishes with the same bytes."""
+
+import os
+import random
+import shutil
+import signal
+import sqlite3
+import time
+from collections import Counter
+
+import pytest
+
+from conftest import Toy
+from processes import alive, beside, descendants, wait_for_points
+
+SLOW = {"TOY_SECONDS": "0.002"}
+ENDS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+PAGE = 4096
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Bytes of an undisturbed run."""
+    toy = Toy(tmp_path_factory.mktemp("whole"))
+    toy.write()
+    toy("run", "toy.toml")
+    return toy.bytes()
+
+
+def _clear(toy):
+    for file in (toy.folder / "data" / "archive").iterdir():
+        file.unlink()
+
+
+@pytest.mark.soak
+def test_two_hundred_random_kills(toy, whole, tell):
+    """Any of four signals at a random moment, to the parent or a worker process."""
+    dice, killed, ends = random.Random(1), Counter(), Counter()
+    while killed.total() < 200:
+        process = toy.start("run", "toy.toml", "--chunk", 10, "--snapshot", "0.1", **SLOW)
+        time.sleep(dice.uniform(0.1, 2.5))
+        victims = [process.pid, *descendants(process.pid)]
+        victim = process.pid if dice.random() < 0.75 else dice.choice(victims)
+        signum = dice.choice(ENDS) if victim == process.pid else signal.SIGKILL
+        if process.poll() is None:
+            os.kill(victim, signum)
+            killed[f"{'parent' if victim == process.pid else 'worker'} {signum.name}"] += 1
+        _, err = process.communicate(timeout=60)
+        assert "Traceback" not in err, err
+        ends[process.returncode] += 1
+        if victim == process.pid:
+            assert not alive(victims)
+        else:
+            assert process.returncode == 0, err
+        assert process.returncode in (0, -signum, 128 + signum), err
+        if process.returncode == 0:
+            assert toy.bytes() == whole
+            _clear(toy)
+    toy("run", "toy.toml")
+    assert toy.bytes() == whole
+    tell(f"{dict(sorted(killed.items()))}; exit codes {dict(sorted(ends.items()))}: {ends[0] + 1} whole archives, all "
+         "of equal bytes; no process left after 3 s")
+
+
+@pytest.mark.parametrize("cuts", [1, pytest.param(60, marks=pytest.mark.soak)])
+def test_a_power_cut_costs_what_was_not_on_the_disk_yet(toy, whole, tell, cuts):
+    """The files as they are at some moment, without some of the pages the log took last; a run from there."""
+    dice, lost, kept = random.Random(cuts), Counter(), 0
+    for _ in range(cuts):
+        process = toy.start("run", "toy.toml", "--chunk", 10, **SLOW)
+        wait_for_points(toy, dice.randint(1, 25))
+        for suffix in ("", "-wal"):  # what was mapped in memory is gone with the power
+            shutil.copy(beside(toy, f".journal{suffix}"), toy.folder / f"cut{suffix}")
+        process.kill()
+        process.communicate()
+        _clear(toy)
+        for suffix in ("", "-wal"):
+            shutil.move(toy.folder / f"cut{suffix}", beside(toy, f".journal{suffix}"))
+        log = beside(toy, ".journal-wal")
+        with open(log, "r+b") as file:
+            size = log.stat().st_size
+            for _ in range(dice.randint(0, 8)):
+                file.seek(max(0, size - PAGE * dice.randint(1, 40)))
+                file.write(dice.choice([bytes(PAGE), dice.randbytes(PAGE)])[:size])
+                lost["pages"] += 1
+            if dice.random() < 0.5:
+                file.truncate(dice.randint(0, size))
+                lost["tails"] += 1
+        toy("run", "toy.toml", "--chunk", 10)
+        assert toy.bytes() == whole
+        with sqlite3.connect(beside(toy)) as db:
+            assert db.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+        db.close()
+        kept += beside(toy, ".events.jsonl").read_text().count('"chunk"') < 40
+        _clear(toy)
+    tell(f"{cuts} power cuts ({dict(lost)} of the log lost): equal bytes after each, {kept} with earlier work kept")
