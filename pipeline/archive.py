@@ -215,7 +215,7 @@ class _Points:
             variable = file.createVariable(
                 name, "i4" if wide else about.dtype, (*self.grid.sizes, *about.dims), **_PACKED,
                 chunksizes=(*chunk, *extra), fill_value=np.nan if about.dtype == "f8" else False)
-            self.shapes[name], self.dtypes[name] = variable.chunking(), variable.dtype
+            self.shapes[name], self.dtypes[name] = tuple(variable.chunking()), variable.dtype
             _describe(variable, about, si, mixed)
 
     def fill(self, draft: Path, threads: int) -> None:
@@ -223,12 +223,14 @@ class _Points:
         before: list[tuple[str, tuple[int, ...], Future[bytes]]] = []
         with ThreadPoolExecutor(threads) as pool, chunks.Chunks(draft) as out:
             for box in [*grid.boxes(self.grid.sizes), ()]:
-                now = [(name, corner, pool.submit(chunks.packed, part))
-                       for name, values in (self._region(box).items() if box else ())
+                region = self._region(box) if box else {}
+                sums = {name: pool.submit(grid.checksum, values, box) for name, values in region.items()}
+                now = [(name, corner, pool.submit(chunks.packed, part)) for name, values in region.items()
                        for corner, part in chunks.cut(values, box, self.shapes[name])]
                 for name, corner, data in before:
                     out.write(name, corner, data.result())
                 before = now
+                self.sums.update({name: found.result() for name, found in sums.items()})
 
     def _region(self, box: grid.Box) -> dict[str, np.ndarray]:
         """Every variable in a box."""
@@ -242,11 +244,9 @@ class _Points:
             found["reason"] = table[found["reason"]]
             for name, lines in lined_up.items():
                 lines[place] = found[name]
-        for name in values:
-            if self.columns != list(range(len(self.columns))):
-                values[name] = values[name].take(self.columns, axis=len(box))
-            self.sums[name] += grid.checksum(values[name], box)
-        return values
+        if self.columns == list(range(len(self.columns))):
+            return values
+        return {name: v.take(self.columns, axis=len(box)) for name, v in values.items()}
 
 
 class _Lines:

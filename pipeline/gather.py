@@ -80,11 +80,12 @@ def states(journal: Journal, line: str, want: frozenset[str], slopes: np.ndarray
     for block in journal.blocks(line, order.sorted[0], order.sorted[-1]):
         if not want <= block.variables:
             continue
-        inside, place = order.find(block.slopes)
-        if len(inside):
+        indices, places = order.find(block.slopes)
+        if len(indices):
+            inside, place = _run(indices), _run(places)
             status[place] = block.states["status"][inside]
             reason[place] = _numbers(block, sentences)[inside]
-            sources.append((block.id, _run(inside), _run(place)))
+            sources.append((block.id, inside, place))
     return status, reason, list(sentences), sources
 
 
