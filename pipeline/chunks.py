@@ -19,8 +19,10 @@ import numpy as np
 
 from pipeline.grid import Box
 
-#: Every so manieth byte is looked at, a prime number so that no dimension hides; and how uneven is worth deflating.
-_STRIDE, _UNEVEN = 13, 1.1
+#: Every so manieth byte is looked at, a prime number so that no dimension hides.
+_STRIDE = 13
+#: How uneven bytes are worth deflating, and how many must repeat one so many places before: a gait's, a multiplier's.
+_UNEVEN, _REPEATED, _LAGS = 1.1, 0.02, (1, 2, 3, 4, 6, 8)
 _READ_WRITE = 1  # H5F_ACC_RDWR
 _ID = ctypes.c_int64  # hid_t
 
@@ -59,11 +61,15 @@ def packed(values: np.ndarray) -> bytes:
 
 
 def _worth(planes: np.ndarray) -> list[bool]:
-    """Which rows of bytes are less even than chance: the sum of squares of how often a sample holds each byte."""
-    sample = planes[:, ::_STRIDE]
-    size, n = sample.shape
+    """Which rows of bytes, by a sample, are less even than chance, or repeat what stands a few places before."""
+    size, last = planes.shape[0], max(1, planes.shape[1] - _LAGS[-1])
+    sample = planes[:, :last:_STRIDE]
+    n = sample.shape[1]
     often = np.bincount((sample + 256 * np.arange(size)[:, None]).ravel(), minlength=256 * size).reshape(size, 256)
-    return (np.sum(often**2, axis=1) > _UNEVEN * (n + n * (n - 1) / 256)).tolist()
+    worth = np.sum(often**2, axis=1) > _UNEVEN * (n + n * (n - 1) / 256)
+    for lag in _LAGS if planes.shape[1] > _LAGS[-1] else ():
+        worth |= np.mean(sample == planes[:, lag:last + lag:_STRIDE], axis=1) > _REPEATED
+    return worth.tolist()
 
 
 def fletcher32(data: np.ndarray) -> int:
