@@ -66,8 +66,10 @@ def variables(study: Study) -> tuple[str, ...]:
 
 def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of a task over one line. A block of points is told its own slopes besides."""
-    if name in ("atlas", "points"):
+    if name == "atlas":
         return {"line": line}
+    if name == "points":
+        return {"line": line, **study.options}
     if name == "branch":
         slopes = study.slope
         window = {"slope_from": float(slopes.min()), "slope_to": float(slopes.max()), "n": len(slopes)}

@@ -41,6 +41,8 @@ def _check(value: Any, what: str, axes: tuple[str, ...], place: Place) -> None:
         raise place.wrong("must be a list of whole numbers from 1", value)
     if what == "number":
         place.number(value)
+    if what == "positive" and not place.number(value) > 0:
+        raise place.wrong("must be above 0", value)
     if what == "range":
         if not isinstance(value, list) or len(value) != 2 or not place.number(value[0]) < place.number(value[1]):
             raise place.wrong("must be two numbers that rise", value)

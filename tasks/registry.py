@@ -137,6 +137,7 @@ FIGURES = tuple(name for name in READS if name not in ("scaling", "transition"))
 
 #: Options of each kind of study and what each one holds: a `count` is a whole number from 1, a `range` two numbers.
 OPTIONS = {
+    "grid": {"friction_limit": "positive"},
     "orbit": {"gait": "gait", "starts": "count", "spread": "number", "transient": "count", "strides": "count",
               "shown": "count"},
     "cascade": {"periods": "count", "families": "counts", "starts": "count"},

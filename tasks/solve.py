@@ -50,7 +50,8 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`; `slope`, ndarray, shape (n,) [rad]; `want`, names of variables; `gaits`, labels wanted.
+        `line`; `slope`, ndarray, shape (n,) [rad]; `want`, names of variables; `gaits`, labels wanted;
+        `friction_limit`, above which a gait is flagged for it.
     inputs : list
         The line's atlas.
 
@@ -91,7 +92,8 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             for k in range(0, len(index), BLOCK):
                 part = slice(k, k + BLOCK)
                 block = index[part]
-                solved = solve(problem, Z[part].T, slope[block], lipschitz[part], want, passes[part])
+                solved = solve(problem, Z[part].T, slope[block], lipschitz[part], want, passes[part],
+                               params.get("friction_limit", violations.FRICTION_LIMIT))
                 label = (~(solved["heelstrike_rate_ratio"] < 0.5)).astype(int)
                 slot = np.where(free[block, label], label, np.where(free[block, 2], 2, 3))
                 keep = np.array([GAITS[s] in wanted for s in slot], bool) & solved["anthropomorphic"]
@@ -116,7 +118,7 @@ def _asked(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarray:
 
 
 def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, want: Sequence[str],
-          passes: np.ndarray) -> Arrays:
+          passes: np.ndarray, friction_limit: float = violations.FRICTION_LIMIT) -> Arrays:
     """Polish guesses, verify them and measure what is wanted; every array has the lane first.
 
     Parameters
@@ -156,7 +158,7 @@ def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndar
     found = {"status": code, "reason": np.where(converged, np.where(step, 0, 4), 3),
              "residual": np.abs((stride.image - stride.y) / stride.y).max(axis=0), "error_bound": bound,
              "anthropomorphic": ~step | (passes == 1), "passes": passes}
-    found |= _measure(problem, stride, y * scale, state * scale, times, scale, slope, want)
+    found |= _measure(problem, stride, y * scale, state * scale, times, scale, slope, want, friction_limit)
     bad = code != status.CONVERGED
     for name, value in found.items():
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
@@ -208,7 +210,7 @@ def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.nd
 
 
 def _measure(problem: Problem, stride: Stride, y: np.ndarray, state: np.ndarray, times: np.ndarray, scale: np.ndarray,
-             slope: np.ndarray, want: Sequence[str]) -> Arrays:
+             slope: np.ndarray, want: Sequence[str], friction_limit: float) -> Arrays:
     """Wanted variables in the walker's units."""
     walker = problem.walker
     second = np.sqrt(walker.leg / walker.g)
@@ -238,5 +240,6 @@ def _measure(problem: Problem, stride: Stride, y: np.ndarray, state: np.ndarray,
         # Extremes need closer samples than a verdict does: the step is flown once more, only for those who ask.
         fine = problem.map(y / scale, times, problem.parameters(slope, scale), samples=violations.SAMPLES)
         assert fine.motion is not None
-        found |= violations.measure(walker, [m * scale for m in fine.motion], fine.impact * scale, times, slope)
+        found |= violations.measure(walker, [m * scale for m in fine.motion], fine.impact * scale, times, slope,
+                                    friction_limit)
     return {k: np.array(v) for k, v in found.items()}

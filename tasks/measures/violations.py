@@ -17,7 +17,7 @@ from tasks.walkers.parameters import Walker
 Arrays = dict[str, np.ndarray]
 #: Intervals of each phase; with extremes of a quartic through five samples, amounts are good to about 1e-8.
 SAMPLES = 96
-#: Contact friction above which a gait is flagged (the amount is archived, so any other limit can be applied).
+#: Contact friction above which a gait is flagged, unless a study says otherwise.
 FRICTION_LIMIT = 1.0
 #: Lanes measured at a time, to bound memory.
 BLOCK = 128
@@ -216,7 +216,7 @@ def _struck(chain: Chain, phases: list[Phase], impact: np.ndarray) -> tuple[Arra
 
 
 def _dimensionless(chain: Chain, motion: list[np.ndarray], impact: np.ndarray, times: np.ndarray,
-                   slope: np.ndarray) -> Arrays:
+                   slope: np.ndarray, friction_limit: float) -> Arrays:
     """Every amount, with the flags that follow from them; what is absent is left out."""
     phases = _phases(motion, times)
     struck, pulls = _struck(chain, phases, impact)
@@ -226,7 +226,7 @@ def _dimensionless(chain: Chain, motion: list[np.ndarray], impact: np.ndarray, t
         return functools.reduce(np.maximum, [found[k] for k in names if k in found], np.full(len(slope), -np.inf))
 
     opened = worst("unlocking_torque", "unlocking_impulse_kneestrike", "unlocking_impulse_heelstrike") > 0
-    slips = worst("friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike") > FRICTION_LIMIT
+    slips = worst("friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike") > friction_limit
     flags = {"scuff": found["scuff_depth"] > 0, "stance_knee_unlocks": opened,
              "contact_tension": (found["least_normal_force"] < 0) | pulls, "friction": slips,
              "release_hyperextends": found.pop("release_hyperextends", np.zeros(len(slope), bool)),
@@ -237,7 +237,7 @@ def _dimensionless(chain: Chain, motion: list[np.ndarray], impact: np.ndarray, t
 
 
 def measure(walker: Walker, motion: list[np.ndarray], impact: np.ndarray, times: np.ndarray,
-            slope: np.ndarray) -> Arrays:
+            slope: np.ndarray, friction_limit: float = FRICTION_LIMIT) -> Arrays:
     """Every item of Appendix A, in the walker's units.
 
     Parameters
@@ -250,6 +250,8 @@ def measure(walker: Walker, motion: list[np.ndarray], impact: np.ndarray, times:
     times : ndarray, shape (phases, n) [sqrt(leg/g)]
         Ends of the phases.
     slope : ndarray, shape (n,) [rad]
+    friction_limit : float
+        |tangential|/normal force or impulse above which `friction` is flagged.
 
     Returns
     -------
@@ -271,7 +273,7 @@ def measure(walker: Walker, motion: list[np.ndarray], impact: np.ndarray, times:
         lanes = slice(k, k + BLOCK)
         with np.errstate(invalid="ignore"):
             found = _dimensionless(chain, [m[..., lanes] for m in motion], impact[:, lanes], times[:, lanes],
-                                   slope[lanes])
+                                   slope[lanes], friction_limit)
         for name in names:
             parts[name].append(found[name] if name in found else np.full(len(slope[lanes]), np.nan))
     unit = _units(walker)

@@ -306,3 +306,15 @@ def test_the_compass_walks_with_period_one_at_three_degrees_and_is_tuned():
     assert list(found["spectral_radius"][:, 0] < 1) == [True, True, False]
     table = tomllib.loads((WALKERS / "goswami-compass.toml").read_text())["walker"]
     assert all(value == 0 for value in statics(resolve(table)).values())
+
+
+def test_a_study_sets_the_friction_limit():
+    line = {"walker": "physical", "set": {}}
+    measured("physical", [0.036])
+    want = ("violations", "friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike")
+    for factor, flagged in ((0.999, True), (1.001, False)):
+        base = {"line": line, "slope": np.array([0.036]), "want": want}
+        amounts = points(base, [_atlases["physical"]])
+        worst = max(amounts[name][0, 0] for name in want[1:])
+        found = points({**base, "friction_limit": factor * worst}, [_atlases["physical"]])
+        assert ("friction" in flags(found["violations"][0, 0])) == flagged
