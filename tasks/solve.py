@@ -112,8 +112,8 @@ def _asked(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarray:
     """Segments that may hold a gait the study asks for; a gait under a label already taken may be any."""
     if wanted & set(GAITS[2:]):
         return np.ones(len(segment), bool)
-    low = np.minimum(branch.ratio[segment], branch.ratio[segment + 1])
-    high = np.maximum(branch.ratio[segment], branch.ratio[segment + 1])
+    low = np.fmin(branch.ratio[segment], branch.ratio[segment + 1])
+    high = np.fmax(branch.ratio[segment], branch.ratio[segment + 1])
     return ((low < 0.6) & ("long" in wanted)) | ((high > 0.4) & ("short" in wanted))
 
 
