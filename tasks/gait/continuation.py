@@ -16,7 +16,7 @@ from tasks.gait.stride import Stride, apply
 
 #: Slopes a branch is followed over [rad]; below, double precision no longer resolves a gait's tangent.
 LEAST_SLOPE, MOST_SLOPE = 1e-13, 0.7
-LONGEST_STEP, SHORTEST_STEP = 0.25, 1e-7
+LONGEST_STEP, SHORTEST_STEP = 0.5, 1e-7
 #: Acceptance of a step: largest predictor error and turning angle.
 MOST_ERROR, MOST_TURN = 0.02, 0.3
 MOST_NODES = 1500
