@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 import jinja2
 import pandas as pd
 
-from pipeline.report import tables
+from pipeline.report import results, tables
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.motion import animation
 from pipeline.report.figures.style import plain
@@ -32,7 +33,7 @@ _RUN = ("began", "seconds", "jobs", "cluster", "version", "points", "failed", "e
 _MOST_ABSENT = 20_000
 
 #: Bytes the index gives to small pictures of its studies.
-_THUMBNAILS = 200_000
+_THUMBNAILS = 235_000
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,13 @@ class Page:
 
     @property
     def title(self) -> str:
-        return self.source.name.replace("_", " ").replace("-", " ")
+        return self.source.title
+
+    @property
+    def order(self) -> tuple[bool, bool, list[tuple[int, str]]]:
+        """Place in the index: pages with pictures first, numbered ones before others, figure 3 before figure 11."""
+        parts = re.findall(r"\d+|\D+", self.source.name.lower())
+        return not self.drawings, not parts[-1].isdigit(), [(int(p), "") if p.isdigit() else (0, p) for p in parts]
 
 
 def write(archives: Iterable[Path], out: Path) -> Path:
@@ -78,6 +85,7 @@ def write(archives: Iterable[Path], out: Path) -> Path:
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     pages = [_page(source, slug) for source, slug in zip(sources, _slugs(sources), strict=True)]
+    pages.sort(key=lambda page: page.order)
     shown = {page.slug: f"{page.slug}.html" for page in pages}
     shown |= {f"{p.source.slug}/{d.name}": f"{p.slug}.html#{d.name}" for p in pages for d in p.drawings}
     ledger = tables.ledger(sources, shown)
@@ -95,6 +103,7 @@ def write(archives: Iterable[Path], out: Path) -> Path:
                 page=page,
                 fits=tables.fits(page.source),
                 special=tables.special_points(page.source),
+                results=results.tables(page.source),
                 outcomes=tables.outcomes(page.source, page.absent),
                 failures=tables.failures(page.absent),
                 failed_tasks=tables.failed_tasks(page.source),
@@ -149,8 +158,8 @@ def _thumbnails(pages: list[Page]) -> dict[str, Drawing]:
     """The first figure of each study, the smallest first, while the index has room for it."""
     room, found = _THUMBNAILS, {}
     firsts = [(page.slug, drawing) for page in pages for drawing in page.drawings[:1]]
-    for slug, drawing in sorted(firsts, key=lambda first: len(first[1].svg)):
-        room -= len(drawing.svg)
+    for slug, drawing in sorted(firsts, key=lambda first: len(first[1].small)):
+        room -= len(drawing.small)
         if room > 0:
             found[slug] = drawing
     return found

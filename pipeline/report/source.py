@@ -80,6 +80,22 @@ class Source:
         return re.sub(r"[^A-Za-z0-9_-]+", "-", self.name).strip("-") or "study"
 
     @property
+    def title(self) -> str:
+        """The study's name in words: figure5 is Figure 5."""
+        return re.sub(r"(?<=[a-z])(?=\d)", " ", re.sub(r"[-_]+", " ", self.name))
+
+    @property
+    def about(self) -> str:
+        """What the study says of itself: the comment it begins with."""
+        lines = itertools.takewhile(lambda line: line.startswith("#"), self.provenance["study"].strip().splitlines())
+        return " ".join(line.lstrip("# ").strip() for line in lines)
+
+    @property
+    def whole(self) -> str:
+        """What a status is about: a point of a grid, or a line that was followed."""
+        return "point" if "gait" in self.grid.dims else "line"
+
+    @property
     def figures(self) -> list[str]:
         """Names of the figures the study wants."""
         wanted = self.study.get("want", {}).get("figures", self.study.get("figures", []))
@@ -140,8 +156,10 @@ class Source:
         if isinstance(table, str):
             walker = table
         elif isinstance(table, dict):
-            walker = str(table.get("base", f"{self.slug}.toml"))
-            given = ({k: v for k, v in table.items() if k != "base"} if "base" in table else {}) | given
+            # What is no number cannot be set on the command line; the study's own file is a walker's too.
+            own = {k: v for k, v in table.items() if k != "base"}
+            settable = "base" in table and all(type(v) in (int, float) for v in own.values())
+            walker, given = (str(table["base"]), own | given) if settable else (f"{self.slug}.toml", given)
         words = ["gaitsweep", "solve", "--walker", walker]
         for key, value in given.items():
             words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
@@ -214,7 +232,10 @@ def _table(dataset: xr.Dataset) -> pd.DataFrame:
     """The one-dimensional variables of a group that share its longest dimension, as columns."""
     columns = {str(k): v.values for k, v in dataset.variables.items() if v.ndim == 1}
     rows = max((len(v) for v in columns.values()), default=0)
-    return pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
+    frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
+    frame.attrs["units"] = {str(k): str(v.attrs.get("units", "")) for k, v in dataset.variables.items()}
+    frame.attrs["meanings"] = {str(k): str(v.attrs.get("long_name", "")) for k, v in dataset.variables.items()}
+    return frame
 
 
 def _run(path: Path) -> dict[str, Any]:

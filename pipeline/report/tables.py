@@ -15,6 +15,9 @@ from pipeline.report.source import ANSWERS, Source
 #: Rows of failed points on the page; the file beside it has all.
 MOST_ROWS = 60
 
+#: Longest table of results that is open from the start.
+_OPEN_ROWS = 20
+
 #: Families of claims by the letter of their id.
 FAMILIES = {
     "D": "Simplest walker",
@@ -41,7 +44,13 @@ _HEADS = {
     "stance_angle": "θ*",
     "period": "T",
     "slope_transition": "γ transition",
+    "spectral_radius": "max |λ|",
+    "stance_rate": "θ̇*",
+    "error_bound": "error bound",
 }
+
+#: Laws that are fitted.
+_LAWS = {"stance_angle": "θ* of γ", "speed": "v of γ", "power_speed": "P of v"}
 
 
 @dataclass(frozen=True)
@@ -69,6 +78,12 @@ class Table:
     heads: list[str]
     rows: list[list[Cell]]
     note: str = ""
+    meanings: list[str] = field(default_factory=list)
+
+    @property
+    def folded(self) -> bool:
+        """Whether a page shows the caption first and the rows when asked."""
+        return len(self.rows) > _OPEN_ROWS
 
 
 @dataclass(frozen=True)
@@ -114,10 +129,15 @@ def from_frame(caption: str, frame: pd.DataFrame, note: str = "") -> Table:
     """A table of every column that varies or is worth repeating."""
     return Table(
         caption,
-        [head(str(c)) for c in frame.columns],
+        [_with_unit(head(str(c)), frame.attrs.get("units", {}).get(c, "")) for c in frame.columns],
         [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)],
         note,
+        [frame.attrs.get("meanings", {}).get(c, "") for c in frame.columns],
     )
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return name if unit in ("", "1") else f"{name} ({unit})"
 
 
 def fits(source: Source) -> list[Table]:
@@ -127,6 +147,9 @@ def fits(source: Source) -> list[Table]:
         if name.startswith("fits/") and not table.empty:
             found_some = table[table["n"] > 0] if "n" in table else table
             shown = found_some.head(2 * MOST_ROWS)
+            if "quantity" in shown:
+                shown = shown.assign(quantity=[_LAWS.get(q, q) for q in shown["quantity"]]).rename(
+                    columns={"quantity": "law"})
             note = f"{len(table) - len(shown)} more rows are in the archive." if len(shown) < len(found_some) else ""
             if len(found_some) < len(table) and not note:
                 note = f"{len(table) - len(found_some)} more fits found no range where a power law holds."
@@ -192,7 +215,8 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
                 *_range(group["slope"].to_numpy() if "slope" in group else np.array([])),
             ]
         )
-    return Table("What became of every point and gait", ["status", "reason", "count", "from γ", "to γ"], rows)
+    what = "point and gait" if source.whole == "point" else "line"
+    return Table(f"What became of every {what}", ["status", "reason", "count", "from γ", "to γ"], rows)
 
 
 def _range(slopes: np.ndarray) -> list[Cell]:

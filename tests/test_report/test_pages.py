@@ -10,6 +10,8 @@ import pytest
 
 from pipeline.errors import ArchiveError
 from pipeline.report import page
+from pipeline.report.figures.style import plain
+from pipeline.report.source import read
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
 from test_report.shape import KNEED, POINT, write
@@ -76,6 +78,65 @@ def test_every_figure_has_its_data_beside_it(report, archives):
     drawn = pd.read_csv(report / "transition-loglog.csv", dtype=str)
     assert set(drawn["stance_angle"].astype(float)) <= known
     assert set(drawn["gait"]) == {"long", "short"}
+
+
+def test_every_value_under_the_pointer_is_in_an_archive(report, archives):
+    known = {plain(number, 7) for path in archives for number in numbers_in(path)} | {"yes", "no"}
+    derived = ("residual (%)", "time")  # a ratio of archived numbers; the second step's times
+    count = 0
+    for path in report.glob("*.html"):
+        for series in re.findall(r'<script type="application/json">(\[\{"command".*?)</script>', path.read_text()):
+            for one in json.loads(series):
+                kept = [k for k, name in enumerate(one["names"]) if name not in (*derived, "outcome", "kind")]
+                for row in one["rows"]:
+                    values = [row[3 + k] for k in kept]
+                    assert one["label"].endswith(("thigh", "shank", "hip")) or set(values) <= known, (path.name, one)
+                    count += len(values)
+    assert count > 1000
+
+
+def test_tables_of_results_stand_on_the_page_of_their_study(tmp_path):
+    figure10 = {"walker": ["D", "C"], "description": ["simplest", "kneed"], "zero_slope_capable": [1, 1],
+                "short_angle_vanishing": [0.3331, 0.9993], "faster_larger": ["short", "long"]}
+    tables = {"figure10": figure10, "figure9": {"walker": ["D", "C"], "l_t": [0.5, 0.35]},
+              "accumulation": {"family": ["1"], "slope": [0.0190401]},
+              "falls": {"slope": np.linspace(0.01, 0.02, 30), "cause": ["fell forward"] * 30}}
+    text = '# Section 7: doublings\n# and falls.\nname = "figure7-more"\nwalker = ["D", "C"]'
+    status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
+    page.write([write(tmp_path / "a.nc", text, status, {}, {"D": POINT, "C": KNEED}, tables)], tmp_path)
+    found, source = Page(tmp_path / "figure7-more.html"), (tmp_path / "figure7-more.html").read_text()
+    assert "Figure 7 more".lower() in found.text.lower() and "Section 7: doublings and falls." in found.text
+    assert {0.3331, 0.9993, 0.35, 0.0190401} <= set(found.numbers)
+    for words in ("short step, p of θ* ∝ γᵖ: γ vanishing", "faster step: γ larger", "Where the doublings accumulate"):
+        assert words in found.text
+    assert "<summary>Falls</summary>" in source and found.text.count("fell forward") == 30
+    assert ">l_t<" in source and "1 converged line" in " ".join(found.text.split())
+    assert "Section 7: doublings and falls." in Page(tmp_path / "index.html").text
+
+
+def test_numbered_figures_come_first_and_in_order(tmp_path):
+    def study(name, angle=True):
+        grid = {"stance_angle": (("slope", "gait"), np.full((2, 1), 0.2))} if angle else {}
+        text = f'name = "{name}"\nwalker = "D"\n[want]\nfigures = ["linear"]'
+        coords = {"slope": [0.01, 0.02], "gait": np.array(["long"], object)}
+        return write(tmp_path / f"{name}.nc", text, grid, coords, {"D": POINT})
+
+    page.write([study("basin"), study("figure11"), study("ledger-x", False), study("figure3")], tmp_path)
+    text = Page(tmp_path / "index.html").text
+    places = [text.index(word) for word in ("figure 3", "figure 11", "basin", "ledger x")]
+    assert places == sorted(places)
+
+
+@pytest.mark.parametrize(("walker", "command"), [
+    ('{ base = "E", R = 0.2 }', "gaitsweep solve --walker E --set R=0.2"),
+    ('{ base = "C", knees = false }', "gaitsweep solve --walker s.toml"),
+    ("{ l_t = 0.5 }", "gaitsweep solve --walker s.toml"),
+    ('"mine.toml"', "gaitsweep solve --walker mine.toml"),
+])
+def test_the_command_under_the_pointer_can_be_typed(tmp_path, walker, command):
+    status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
+    archive = write(tmp_path / "s.nc", f'name = "s"\nwalker = {walker}', status, {}, {"w": POINT})
+    assert read(archive).command("w", {}) == command
 
 
 def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):

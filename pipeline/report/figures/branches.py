@@ -67,8 +67,9 @@ def locus(source: Source) -> Sketch | None:
             axes.annotate(
                 str(at["walker"]),
                 (end["slope"], end["stance_angle"]),
-                xytext=(5, 3),
+                xytext=(-6, 4),
                 textcoords="offset points",
+                ha="right",
                 fontsize=8.5,
                 annotation_clip=False,
             )
@@ -146,7 +147,7 @@ def _special(axes: Axes, points: pd.DataFrame, numbered: bool, command: str) -> 
         kind = str(row.kind)
         axes.plot(row.slope, row.stance_angle, _SHAPES.get(kind, "^"), color=INK, mfc=PAPER, ms=5, zorder=5)
         near = any(abs(row.slope - x) < 0.3 * wide and abs(row.stance_angle - y) < 0.045 * high for x, y in placed)
-        if not (numbered or near):
+        if not (numbered or near or row.stance_angle < 0.02 * high):
             placed.append((row.slope, row.stance_angle))
             axes.annotate(
                 f"({plain(row.slope, 3)}, {plain(row.stance_angle, 3)})",
@@ -199,15 +200,16 @@ def bifurcation(source: Source) -> Sketch | None:
     table = table[np.isfinite(table["stance_angle"])]
     if table.empty:
         return None
-    figure = canvas(300)
-    axes = figure.add_subplot()
+    groups = _groups(source, table)[:_PANELS]
+    figure = canvas(300 if len(groups) == 1 else 190 * len(groups))
+    panels = np.atleast_1d(figure.subplots(len(groups), 1, sharex=True))
     raster = len(table) > SHAPES
     ink = RASTER["long"] if raster else GAIT_COLOURS["long"]
-    axes.plot(table["slope"], table["stance_angle"], ".", ms=2, mew=0, color=ink, rasterized=raster)
-    axes.set_xlabel("slope γ (rad)")
-    heading(axes, "stance angle θ* of successive steps (rad)")
+    panels[-1].set_xlabel("slope γ (rad)")
     marks = []
-    for at, rows in _groups(source, table):
+    for axes, (at, rows) in zip(panels, groups, strict=True):
+        axes.plot(rows["slope"], rows["stance_angle"], ".", ms=2, mew=0, color=ink, rasterized=raster)
+        heading(axes, (brief(_title(at)) + ": " if at else "") + "stance angle θ* of successive steps (rad)")
         shown = thin(rows, 400)
         slopes, angles = shown["slope"].to_numpy(), shown["stance_angle"].to_numpy()
         command = source.command(_first(shown, "walker", source), _settings(source, shown))

@@ -16,8 +16,8 @@ from pipeline.report.source import SYMBOLS, Source
 #: What a map shows, the first that the archive holds.
 _SHOWN = ("speed", "froude_speed", "stance_angle", "period", "spectral_radius")
 
-#: Outcomes that are neither a gait nor a fall, and a fall.
-_OUTCOMES, _FELL = ("#9a74c4", "#4a9c74", "#b8a23a", "#3c8fd6", "#e0691f"), "#8d939955"
+#: Outcomes that are neither a gait nor a fall, and falls: quiet, so that what walks stands out.
+_OUTCOMES, _FELL = ("#b8a23a", "#9a74c4", "#4a9c74"), ("#8d939940", "#8d939980", "#8d9399c0")
 
 
 def heatmap(source: Source) -> Sketch | None:
@@ -117,6 +117,17 @@ def _named(source: Source, name: str) -> str:
     return " ".join(p for p in (words, symbol, f"({unit})" if unit else "") if p)
 
 
+def _lost(outcome: str) -> bool:
+    """Whether a start does not come to walk."""
+    return outcome.startswith(("fell", "foot", "no ", "-1"))
+
+
+def _column(table: pd.DataFrame, name: str) -> str:
+    """A column in words, with its symbol and unit."""
+    unit = table.attrs.get("units", {}).get(name, "1")
+    return " ".join(filter(None, (name.replace("_", " "), SYMBOLS.get(name), f"({unit})" if unit != "1" else "")))
+
+
 def basin(source: Source) -> Sketch | None:
     """Where each start ends: starts as points over their first two coordinates, coloured by outcome."""
     table = source.tables.get("basin")
@@ -128,10 +139,9 @@ def basin(source: Source) -> Sketch | None:
         return None
     figure = canvas(300)
     axes = figure.add_subplot()
-    outcomes = list(dict.fromkeys(str(o) for o in table["outcome"]))
-    others = itertools.cycle(_OUTCOMES)
-    known = {**RASTER, "fell": _FELL, "-1": _FELL}
-    inks = [known[outcome] if outcome in known else next(others) for outcome in outcomes]
+    outcomes = sorted({str(o) for o in table["outcome"]}, key=lambda o: (_lost(o), o))
+    others, falls = itertools.cycle(_OUTCOMES), itertools.cycle(_FELL)
+    inks = [next(falls) if _lost(o) else RASTER[o] if o in RASTER else next(others) for o in outcomes]
     which = table["outcome"].astype(str).map(outcomes.index)
     if len(table) == table[plane[0]].nunique() * table[plane[1]].nunique():
         z = table.assign(which=which.astype(float)).pivot(index=plane[1], columns=plane[0], values="which")
@@ -152,9 +162,9 @@ def basin(source: Source) -> Sketch | None:
     for outcome, ink in zip(outcomes, inks, strict=True):
         axes.scatter([], [], s=40, marker="s", lw=0, color=ink, label=brief(outcome.replace("_", " ")))
     axes.grid(False)
-    axes.set_xlabel(plane[0].replace("_", " "))
-    heading(axes, plane[1].replace("_", " "))
-    figure.legend(loc="outside upper left", ncols=4)
+    axes.set_xlabel(_column(table, plane[0]))
+    heading(axes, _column(table, plane[1]))
+    figure.legend(loc="outside upper left", ncols=3)
     shown = thin(table, 400)
     marks = [
         Marks(
@@ -172,7 +182,7 @@ def basin(source: Source) -> Sketch | None:
     return Sketch(
         figure,
         "Basin of attraction",
-        "Starts coloured by what becomes of them.",
+        "Starts coloured by what becomes of them; grey ones do not come to walk.",
         f"Map of {len(table)} starts over {plane[0]} and {plane[1]}, coloured by outcome: {', '.join(outcomes)}.",
         table,
         marks,

@@ -99,7 +99,7 @@ def plain(value: float, digits: int = 4) -> str:
     """A number as people write it: 0.0153, 1.2 × 10⁻⁶, −3."""
     if not np.isfinite(value):
         return {np.inf: "∞", -np.inf: "−∞"}.get(float(value), "–")
-    text = f"{value:.{digits}g}"
+    text = f"{value + 0.0:.{digits}g}"  # and never −0
     mantissa, _, exponent = text.partition("e")
     if exponent:
         power = _raised(int(exponent))

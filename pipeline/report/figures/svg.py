@@ -61,6 +61,7 @@ class Drawing:
     width: float
     height: float
     data: pd.DataFrame
+    small: str
     targets: list[dict[str, Any]]
 
 
@@ -74,21 +75,29 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
     figure = sketch.figure
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    stream = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": f"{salt}/{name}"}):
-        figure.savefig(stream, format="svg", dpi=200, metadata={"Date": None})
+    svg = _saved(figure, f"{salt}/{name}", 200)
+    small = _saved(figure, f"{salt}/{name}/small", 80) if "data:image" in svg else svg
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
         name,
         sketch.title,
         sketch.caption,
         sketch.alt,
-        _inline(stream.getvalue()),
+        svg,
         width,
         height,
         sketch.data,
+        small,
         _targets(sketch.marks, height),
     )
+
+
+def _saved(figure: Figure, salt: str, dpi: int) -> str:
+    """The figure's SVG; `dpi` is that of parts made of pixels."""
+    stream = io.StringIO()
+    with matplotlib.rc_context({"svg.hashsalt": salt}):
+        figure.savefig(stream, format="svg", dpi=dpi, metadata={"Date": None})
+    return _inline(stream.getvalue())
 
 
 def _inline(svg: str) -> str:

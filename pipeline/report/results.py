@@ -1,0 +1,68 @@
+"""Tables of results that no figure or ledger shows: cascades, censuses, curves, and the paper's figures 9 and 10."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from pipeline.report.source import Source
+from pipeline.report.tables import MOST_ROWS, Table, cell, from_frame, head
+
+#: Tables and their captions, in the order of a page.
+CAPTIONS = {
+    "figure9": "The tuned walkers (the paper's figure 9)",
+    "figure10": "Gaits of the tuned walkers (the paper's figure 10)",
+    "cascade": "Folds and flips of each family of gaits",
+    "accumulation": "Where the doublings accumulate",
+    "census": "Every gait found",
+    "coverage": "How the search went",
+    "areas": "What becomes of the starts",
+    "turnings": "Where a curve of special points turns",
+    "lyapunov": "Lyapunov exponents",
+    "survival": "How long walking lasts",
+    "falls": "Falls",
+    "offsets": "Smallest slope against distance from exact tuning",
+    "rounding": "What rounding of each printed parameter does to each landmark",
+}
+
+#: Shown by figures, the ledger or tables of their own; too long for a page.
+_ELSEWHERE = ("claims", "branches", "special_points", "trace", "orbits", "basin", "curves", "failed_tasks")
+
+_EXPONENTS = "{1} step, p of {0}: γ {2}"
+_FIGURE10 = {
+    "zero_slope_capable": "walks as the slope vanishes",
+    **{f"{gait}_{of}_{when}": _EXPONENTS.format(law, gait, near)
+       for gait in ("short", "long") for of, law in (("angle", "θ* ∝ γᵖ"), ("power", "P ∝ vᵖ"))
+       for when, near in (("vanishing", "vanishing"), ("small", "small"), ("larger", "larger"))},
+    "faster_vanishing": "faster step: γ vanishing",
+    "faster_larger": "faster step: γ larger",
+    "crossing_slope": "γ where both are equally fast (rad)",
+}
+
+
+def tables(source: Source) -> list[Table]:
+    """Every table of results in the archive that is not shown elsewhere on its page."""
+    rest = [n for n in source.tables if n not in CAPTIONS and n not in _ELSEWHERE and not n.startswith("fits/")]
+    return [_shown(name, source) for name in (*CAPTIONS, *sorted(rest))
+            if name in source.tables and len(source.tables[name])]
+
+
+def _shown(name: str, source: Source) -> Table:
+    frame = source.tables[name]
+    caption = CAPTIONS.get(name, name.replace("_", " ").replace("/", ": "))
+    if name in ("figure9", "figure10") and "walker" in frame:
+        return _turned(caption, frame, {key for table in source.walkers.values() for key in table})
+    shown = frame.head(MOST_ROWS)
+    note = f"{len(frame) - len(shown)} more rows are in the archive." if len(shown) < len(frame) else ""
+    return from_frame(caption, shown, note)
+
+
+def _turned(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
+    """A column a walker and a row a quantity, as the paper prints it."""
+    columns = [c for c in frame.columns if c not in ("walker", "description")]
+    rows = []
+    for column in columns:
+        flag = set(frame[column]) <= {0, 1} and frame[column].dtype.kind in "iu"
+        values = [cell(bool(v)) if flag else cell(v) for v in frame[column]]
+        rows.append([cell(column if column in keys else _FIGURE10.get(column, head(column))), *values])
+    return Table(caption, ["", *map(str, frame["walker"])], rows, "",
+                 ["", *(frame["description"] if "description" in frame else [""] * len(frame))])
