@@ -48,7 +48,9 @@ def layers(study: Study) -> dict[str, Layer]:
     for name in study.fits:
         add(name, False)
     if study.claims and "claims" in TASKS:
-        add("claims", False)
+        # Claims read what the study is about: its points or the tables of its own task, and their atlas.
+        own = "points" if study.kind == "grid" else study.kind
+        found["claims"] = Layer(TASKS["claims"], False, (own, *TASKS[own].needs))
     return found
 
 

@@ -25,13 +25,19 @@ from tasks.gait.cycles import (
 from tasks.gait.fixed_point import Problem
 from tasks.gait.starts import gaits_at, scattered
 from tasks.gait.strides import STRUCK, stride
+from tasks.gait.survival import lost
 from tasks.walkers.parameters import resolve
 
 Arrays = dict[str, np.ndarray]
-#: Options of a study of this kind: the longest period, first periods of the families, and starts of their search.
-OPTIONS = {"periods": 64, "families": [1], "starts": 400}
-#: How much of the window the first step along a branch takes.
-FIRST_STEP = 0.01
+#: Options of a study of this kind: the longest period, first periods of the families, starts of their search, and the
+#: strides every start must last where the attractor beyond the doublings is sought for its end.
+OPTIONS = {"periods": 64, "families": [1], "starts": 400, "strides": 200}
+#: Starts that look for that end, their relative distance from the last doubled gait (chaos parts them), and how far
+#: beyond the doublings they look, over the doublings' own length.
+WALKERS, SPREAD, BEYOND = 32, 1e-9, 3.0
+#: How much of the window the first step along a branch takes, and the longest interval to the next flip, in ln slope,
+#: that is expected: the first intervals of a cascade need not follow its law.
+FIRST_STEP, LONGEST = 0.01, 0.05
 
 
 @dataclass
@@ -51,7 +57,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `line`; `slope`, ndarray [rad], whose ends are the window and whose values are searched for families of other
         periods than one; and the study's options: `periods`, the longest; `families`, first periods; `starts` of the
-        search at each slope.
+        search at each slope; `strides` that walking must last (0: its end is not sought).
     inputs : list
         The line's atlas.
 
@@ -59,7 +65,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     -------
     dict
         Tables `cascade` (family, period, kind, slope, error_bound, ratio, stance_angle, walks), a row for each fold and
-        flip, and `accumulation` (family, flips, slope, low, high, ratio).
+        flip, `accumulation` (family, flips, slope, low, high, ratio), and `lost` (family, low, high, starts, strides):
+        the slopes between which the chaos beyond a family's doublings ends, in falls or in a gait of period one.
     """
     options = {**OPTIONS, **{k: params[k] for k in OPTIONS if k in params}}
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
@@ -67,6 +74,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     slope = np.sort(np.asarray(params["slope"], float))
     rows: list[dict[str, Any]] = []
     limits: list[dict[str, Any]] = []
+    ends: list[dict[str, Any]] = []
     for number in options["families"]:
         families: list[list[Event]] = []
         for start in _first(problem, inputs[0], slope, int(number), int(options["starts"])):
@@ -86,10 +94,22 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             last = scaling.ratios(flips)
             limits.append({"family": name, "flips": len(flips), "slope": value, "low": low, "high": high,
                            "ratio": float(last[-1]) if len(last) else np.nan})
+            if int(options["strides"]) and np.isfinite(value):
+                high = min(slope[-1], value + BEYOND * (value - flips[0]))
+                before, after = lost(problem, _around(found[-1].cycle), value, high, int(options["strides"]))
+                ends.append({"family": name, "low": before, "high": after, "starts": WALKERS,
+                             "strides": int(options["strides"])})
     out = {f"cascade/{k}": np.array([r[k] for r in rows]) for k in (
         "family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", "walks")}
-    return out | {f"accumulation/{k}": np.array([r[k] for r in limits]) for k in (
+    out |= {f"accumulation/{k}": np.array([r[k] for r in limits]) for k in (
         "family", "flips", "slope", "low", "high", "ratio")}
+    return out | {f"lost/{k}": np.array([r[k] for r in ends]) for k in ("family", "low", "high", "starts", "strides")}
+
+
+def _around(cycle: Cycle) -> np.ndarray:
+    """Starts beside the steps of a gait, in turn, shape (m, WALKERS)."""
+    steps = np.arange(WALKERS) * cycle.period // WALKERS if cycle.period > WALKERS else np.arange(WALKERS) % cycle.period
+    return cycle.Y[:, steps] * (1 + SPREAD * (2 * scattered(len(cycle.Y), WALKERS) - 1))
 
 
 def _same_birth(a: list[Event], b: list[Event]) -> bool:
@@ -174,7 +194,7 @@ def _family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> 
         found += flips
         flip = flips[0].cycle
         # The next interval, as Feigenbaum expects it of the one before.
-        expected = (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected
+        expected = min(LONGEST, (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected)
         path = doubled(problem, flip, expected) if 2 * flip.period <= longest else None
     return found
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from tasks.ledger import CLAIMS, Claim, Finding, tables, tuned
 from tasks.ledger.claim import NOT_CHECKABLE
-from tasks.ledger.lab import remember
+from tasks.ledger.lab import remember, remember_tables
 from tasks.registry import VARIABLES
 
 Arrays = dict[str, np.ndarray]
@@ -30,7 +30,8 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `ids`, names of claims; `lines` of the study.
     inputs : list
-        One dict a line, with its atlas; lines that a claim needs and the study has not are solved here.
+        One dict a line, with its atlas and the tables of the study's own task; what a claim needs and the study has not
+        is computed here.
 
     Returns
     -------
@@ -47,9 +48,12 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     if unknown:
         raise ValueError(f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}")
     for line, data in zip(params["lines"], inputs, strict=False):
-        atlas = {k: v for k, v in data.items() if k not in VARIABLES and k not in ("slope", "reasons")}
-        if isinstance(line["walker"], str) and atlas:
+        if not isinstance(line["walker"], str):
+            continue
+        atlas = {k: v for k, v in data.items() if k not in VARIABLES and k not in ("slope", "reasons") and "/" not in k}
+        if atlas:
             remember(line["walker"], line["set"], atlas)
+        remember_tables(line["walker"], {k: v for k, v in data.items() if "/" in k})
     wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(re.sub(r"\D", "", c.id))))
     rows = [_row(claim, _found(claim)) for claim in wanted]
     out: Arrays = {f"claims/{k}": np.array([row[k] for row in rows]) for k in (rows[0] if rows else {})}

@@ -111,13 +111,13 @@ TASKS = {t.name: t for t in (
     Task("trace", "tasks.trace:trace", 1, needs=("atlas",), seconds=0.2),
     Task("branch", "tasks.branch:branch", 1, needs=("atlas",), seconds=0.3),
     Task("orbit", "tasks.orbit:orbit", 1, needs=("atlas",), seconds=30.0),
-    Task("cascade", "tasks.cascade:cascade", 1, needs=("atlas",), seconds=3.0),
+    Task("cascade", "tasks.cascade:cascade", 2, needs=("atlas",), seconds=3.0),
     Task("basin", "tasks.basin:basin", 1, needs=("atlas",), seconds=5.0),
     Task("curve", "tasks.curve:curve", 1, needs=("atlas",), seconds=5.0),
     Task("census", "tasks.census:census", 2, seconds=10.0),
     Task("scaling", "tasks.fit:scaling", 1, needs=("points",)),
     Task("transition", "tasks.fit:transition", 1, needs=("points",)),
-    Task("claims", "tasks.claims:claims", 1, needs=("points", "atlas"), seconds=30.0),
+    Task("claims", "tasks.claims:claims", 2, needs=("points", "atlas"), seconds=30.0),
 )}
 
 #: Every figure and fit, and the point variables and tasks it reads; the plan adds them to what a study wants.

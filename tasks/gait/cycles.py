@@ -20,6 +20,8 @@ from tasks.gait.strides import stride as flown
 #: Acceptance of a step along a branch: predictor error relative to the step, and change of the map's trace.
 MOST_BEND, MOST_CHANGE = 0.2, 0.6
 MOST_POINTS = 400
+#: Largest step that rounding may leave of Newton's method.
+BORN = 1e-10
 Test = Callable[["Cycle"], float]
 
 
@@ -124,6 +126,9 @@ def correct(problem: Problem, Z: np.ndarray, times: np.ndarray, border: np.ndarr
             ok = True
             break
         last = size
+    else:
+        # Near a branch's birth the derivative is nearly singular and rounding alone makes larger steps.
+        ok = size < BORN
     if not ok:
         return Cycle(np.full((m, n), np.nan), times, np.nan, np.zeros((m, m, n)), border, False, size)
     Y, tangent = Z[:-1].reshape(n, m).T * np.sqrt(n), tangent / np.linalg.norm(tangent)

@@ -3,8 +3,8 @@
 A new claim is one such function in any module named here; importing this package fills `CLAIMS`.
 """
 
-from tasks.ledger import appendix, energy, machine, point_feet, simplest, tables, tuned, zero_slope
+from tasks.ledger import appendix, chaos, energy, machine, point_feet, simplest, tables, tuned, zero_slope
 from tasks.ledger.claim import CLAIMS, VERDICTS, Claim, Finding
 
-__all__ = ["CLAIMS", "VERDICTS", "Claim", "Finding", "appendix", "energy", "machine", "point_feet", "simplest",
+__all__ = ["CLAIMS", "VERDICTS", "Claim", "Finding", "appendix", "chaos", "energy", "machine", "point_feet", "simplest",
            "tables", "tuned", "zero_slope"]

@@ -98,6 +98,8 @@ def curve(problem: Problem, found: Branch) -> Arrays:
 
 
 _LINES: dict[tuple[str, tuple[tuple[str, float], ...]], Line] = {}
+#: Tables that a study's own task made of its lines, by walker: several lines of one walker stand one below the other.
+_TABLES: dict[str, Arrays] = {}
 
 
 def line(walker: str, **settings: float) -> Line:
@@ -113,6 +115,20 @@ def remember(walker: str, settings: Mapping[str, float], known: Arrays) -> None:
     key = walker, tuple(sorted(settings.items()))
     if key not in _LINES:
         _LINES[key] = Line(walker, settings, known)
+
+
+def remember_tables(walker: str, tables: Arrays) -> None:
+    """Take the tables of a line as made elsewhere."""
+    mine = _TABLES.setdefault(walker, {})
+    for name, column in tables.items():
+        mine[name] = np.concatenate([mine[name], column]) if name in mine else column
+
+
+def table(group: str, walker: str, make: Callable[[], Arrays]) -> Arrays:
+    """Columns of one table of a walker: the study's own, or else what `make` gives."""
+    if not any(name.startswith(f"{group}/") for name in _TABLES.get(walker, {})):
+        remember_tables(walker, make())
+    return {name.partition("/")[2]: column for name, column in _TABLES[walker].items() if name.startswith(f"{group}/")}
 
 
 def root(function: Callable[[float], float], slope: np.ndarray, values: np.ndarray, last: bool = False) -> float:
