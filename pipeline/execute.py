@@ -7,6 +7,7 @@ backend runs the same guard on every node. Results are kept in the journal as th
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import math
 import threading
@@ -19,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import cell, gather, graph, pack
+from pipeline.costs import Costs
 from pipeline.errors import GaitsweepError, WorkerError
 from pipeline.journal import Result
 from pipeline.plan import LineWork, Plan
@@ -28,6 +30,9 @@ _TARGET = 1.0  # s of work in a chunk
 _MOST = 32768  # points in a chunk: what bounds the memory of a worker
 _PIECES = 4  # chunks a worker gets at least, where there is work for it
 _LEAST = 0.25  # s of work not worth cutting
+_FIRST = 256  # points in a chunk before anything is measured
+_AHEAD, _AHEAD_POINTS = 32, 1_000_000  # lines at work at a time, and points on them
+_LONG = 10.0  # s of a line from which it is probed
 _WHOLE = 60  # a task over a whole line or study may take as many times a point's seconds
 _OUT = 4  # jobs out or not yet read, for each worker
 _NOTHING, _IDLE = -1, 0.05  # number of a job of nothing, and how long it lasts [s]
@@ -81,6 +86,14 @@ class Task:
     places: np.ndarray | None = None
     inputs: tuple[bytes, ...] = ()
     params: dict[str, Any] | None = None
+    probe: bool = False
+
+
+def spread(pieces: list[Any]) -> list[Any]:
+    """The same in an order in which a part of them is a sample of the whole."""
+    n = len(pieces)
+    step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
+    return [pieces[i * step % n] for i in range(n)]
 
 
 class Queue:
@@ -101,7 +114,7 @@ class Queue:
 
     def __next__(self) -> tuple[int, dict[str, Any]]:
         with self.lock:
-            while not self.ready and not self.exhausted:
+            while not self.exhausted and (not self.ready or self.ahead()):
                 work = next(self.lines, None)
                 if work is None:
                     self.exhausted = True
@@ -114,22 +127,41 @@ class Queue:
             if not self.ready:
                 raise StopIteration
             task = self.ready.popleft()
-            if task.places is not None and len(task.places) > (size := self.loop.chunk_size()):
-                self.ready.appendleft(Task(task.name, task.keys, task.work, task.places[size:], task.inputs))
+            if task.places is not None and len(task.places) > (size := self.loop.chunk_size(task)):
+                self.ready.appendleft(dataclasses.replace(task, places=task.places[size:]))
                 task.places = task.places[:size]
             number = next(self.numbers)
             self.out[number] = task
             return number, self.loop.job(task)
 
+    def ahead(self) -> bool:
+        """Whether to begin another line before those at work are done: what lines cost is then known early."""
+        costs = self.loop.costs
+        return len(self.ready) < _AHEAD and len(costs.lines) < _AHEAD and costs.begun() < _AHEAD_POINTS
+
     def add(self, tasks: list[Task]) -> None:
-        """Put tasks in front."""
+        """Put tasks in front, but the points of a line, after the first of them, at the end."""
         with self.lock:
-            self.ready.extendleft(reversed(tasks))
+            points = [task for task in tasks if task.places is not None]
+            self.ready.extendleft(reversed([task for task in tasks if task.places is None] + points[:1]))
+            self.ready.extend(points[1:])
+
+    def probe(self, work: LineWork) -> None:
+        """Let a few points of every region of a line come first: what is left of it can then be told."""
+        with self.lock:
+            mine = [task for task in self.ready if task.work is work and task.places is not None]
+            if mine:
+                places = np.sort(np.concatenate([task.places for task in mine]))  # type: ignore[misc]
+                few, rest = self.loop.costs.probes(work.number, places)
+                self.ready = deque(task for task in self.ready if not any(task is t for t in mine))
+                self.ready.extend(dataclasses.replace(mine[0], places=p) for p in spread(rest))
+                self.ready.extendleft(dataclasses.replace(mine[0], places=p, probe=True) for p in few)
 
     def requeue(self) -> None:
         """Put everything that is out back in front: its engine broke."""
-        tasks, self.out = list(self.out.values()), {}
-        self.add(tasks)
+        with self.lock:
+            self.ready.extendleft(self.out.values())
+            self.out = {}
 
 
 class Loop:
@@ -145,6 +177,7 @@ class Loop:
         layer = plan.layers.get("points")
         self.cost = self.journal.seconds_per_point() or (layer.task.seconds_per_point if layer else 0.0) or 1e-3
         self.measured = 0
+        self.costs = Costs(len(self.study.slope), points, self.cost)
 
     def run(self) -> None:
         """Run everything the plan names.
@@ -187,6 +220,7 @@ class Loop:
 
     def begin(self, work: LineWork) -> list[Task]:
         """First tasks of a line: its atlas, or what leans on it."""
+        self.costs.begin(work.number, work.missing)
         if "atlas" in work.why:
             return [Task("atlas", work.keys["atlas"], work)]
         atlas = self.journal.result(work.keys["atlas"][0]) if "atlas" in work.keys else None
@@ -198,18 +232,23 @@ class Loop:
         tasks = [Task(name, work.keys[name], work, None, inputs) for name in others]
         if not len(work.missing):
             return tasks
-        pieces = np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size()))
-        n = len(pieces)
-        step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
-        return tasks + [Task("points", work.keys["points"], work, pieces[i * step % n], inputs) for i in range(n)]
+        pieces = spread(np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size())))
+        if len(work.missing) * self.cost > _TARGET:  # a taste of the line, before those that follow are begun
+            pieces[:1] = filter(len, (pieces[0][:_FIRST], pieces[0][_FIRST:]))
+        return tasks + [Task("points", work.keys["points"], work, piece, inputs) for piece in pieces]
 
-    def chunk_size(self) -> int:
+    def chunk_size(self, task: Task | None = None) -> int:
         """Points in the next chunk: about a second of work, less where every worker would not get its share."""
         if self.chunk:
             return self.chunk
+        cost = self.cost
+        if task and task.work and task.places is not None and task.work.number in self.costs.probed:
+            cost = self.costs.each(task.work.number)[self.costs.region(task.places[0])] or cost
+        if task and not self.measured:
+            return _FIRST
         share = self.points * self.cost / (self.engine.jobs * _PIECES)
         seconds = min(_TARGET, max(_LEAST, share), self.study.limits.seconds / 4)
-        return max(1, min(_MOST, int(seconds / self.cost)))
+        return max(1, min(_MOST, int(seconds / cost)))
 
     def job(self, task: Task) -> dict[str, Any]:
         """A task as `pipeline.cell` takes it."""
@@ -235,6 +274,10 @@ class Loop:
             weight = n / (n + min(self.measured, 20 * n))
             self.cost += weight * (each - self.cost)
             self.measured += n
+            assert task.work is not None
+            self.costs.add(task.work.number, task.places, result["seconds"], task.probe)
+            if task.work.number not in self.costs.probed and self.costs.left(task.work.number) > _LONG:
+                self.queue.probe(task.work)
             self.listen("chunk", {**event, "points": n, "counts": dict(counts)})
             return []
         outcome, reason, data = result["outcome"], result["reason"], result["data"]
@@ -242,6 +285,8 @@ class Loop:
         with self.hold:
             self.journal.add_result(*task.keys, Result(outcome, reason, seen, data), result["seconds"])
         lost = len(task.work.missing) if task.name == "atlas" and outcome != "ok" and task.work else 0
+        if lost and task.work:
+            self.costs.give_up(task.work.number)
         self.listen("task", {**event, "outcome": outcome, "reason": reason, "lost": lost})
         return self.lean(task.work, (data,)) if task.name == "atlas" and outcome == "ok" and task.work else []
 

@@ -12,10 +12,13 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from pipeline import cell
 from pipeline.plan import Plan, Summary
+
+if TYPE_CHECKING:
+    from pipeline.execute import Loop
 
 _LOG, _SLOW, _FAST = 5.0, 60.0, 0.5  # s between states in the log, lines without a terminal, and with one
 
@@ -33,6 +36,7 @@ class Progress:
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
         self.cached_tasks = [name for name, n in todo.cached.items() if n]
+        self.loop: Loop | None = None
         self.done: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
         self.counts: Counter[str] = Counter()
@@ -80,15 +84,14 @@ class Progress:
     def state(self) -> dict[str, Any]:
         """Where the run stands: counts, rate, seconds to go, memory and workers."""
         elapsed = time.time() - self.began
-        spent = sum(self.seconds.values())
-        left = 0.0
+        left = self.loop.costs.left() if self.loop else 0.0
         for name, whole in self.todo.items():
-            guess = self.plan.layers[name].task
-            each = self.seconds[name] / self.done[name] if self.done[name] else \
-                guess.seconds_per_point if name == "points" else guess.seconds
-            left += each * max(0, whole - self.done[name])
+            if name != "points":
+                each = self.seconds[name] / self.done[name] if self.done[name] else self.plan.layers[name].task.seconds
+                left += each * max(0, whole - self.done[name])
+        at_once = self.loop.engine.jobs if self.loop else 1
+        spent = sum(self.seconds.values())
         share = spent / (spent + left) if spent + left else 1.0
-        at_once = min(max(1.0, spent / elapsed), 1e4) if elapsed > 0 else 1.0
         with open("/proc/self/statm") as file:
             memory = int(file.read().split()[1]) * 4096
         return {"elapsed": round(elapsed, 1), "points": self.total, "cached": self.cached, "done": self.done["points"],

@@ -188,7 +188,9 @@ def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> i
         listen = _Snapshots(plan, path, options.snapshot, progress)
         try:
             if any(todo.todo.values()):
-                Loop(plan, engine, listen, sum(todo.todo.get("points", {}).values()), options.chunk, signals).run()
+                points = sum(todo.todo.get("points", {}).values())
+                progress.loop = Loop(plan, engine, listen, points, options.chunk, signals)
+                progress.loop.run()
             record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
             written = archive.write(plan, path, min(options.jobs, os.cpu_count() or 1))
             compact(plan.journal)

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from conftest import ROOT, TOYS, Toy
+from conftest import ROOT, STUDY, TOYS, Toy
 
 pytest.importorskip("distributed")
 
@@ -80,37 +80,44 @@ def test_no_cluster_is_exit_3(toy):
 @pytest.mark.soak
 @pytest.mark.parametrize("workers", [1, 2, 3])
 @pytest.mark.parametrize("chunk", [7, 64, 1000, 1])
-def test_a_local_cluster_gives_the_same_bytes(toy, whole, workers, chunk):
+def test_a_local_cluster_gives_the_same_bytes(toy, whole, tell, workers, chunk):
     toy("run", "toy.toml", "--cluster", f"local:{workers}", "--chunk", chunk)
     assert toy.bytes() == whole
+    tell(f"cluster, local:{workers}, --chunk {chunk}: equal bytes")
 
 
 @pytest.mark.soak
-def test_a_bad_point_on_a_cluster_costs_one_point(toy, cluster):
+def test_a_bad_point_on_a_cluster_costs_one_point(toy, cluster, tell):
     cluster.add_worker(TOY_TROUBLE="segfault@0.2")
     done = toy("run", "toy.toml", "--cluster", cluster.address, "--chunk", 50, expect=1)
     assert "converged 398, worker_died 2" in done.stderr
+    tell("a point that segfaults on a cluster, on two lines: worker_died 2, converged 398")
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", range(4))
-def test_workers_killed_at_random_blame_nobody(toy, whole, cluster, seed):
+def test_workers_killed_at_random_blame_nobody(toy, whole, cluster, tell, seed):
     dice = random.Random(seed)
     cluster.add_worker(**SLOW)
     cluster.add_worker()
     process = toy.start("run", "toy.toml", "--cluster", cluster.address, "--chunk", 10)
+    killed = 0
     for _ in range(4):
         time.sleep(dice.uniform(0.3, 1.5))
         if process.poll() is None:
-            dice.choice(cluster.workers).send_signal(signal.SIGKILL)
+            victim = dice.choice([worker for worker in cluster.workers if worker.poll() is None])
+            victim.send_signal(signal.SIGKILL)
+            victim.wait()
+            killed += 1
             cluster.add_worker()
     process.communicate(timeout=120)
     assert process.returncode == 0
     assert toy.bytes() == whole
+    tell(f"{killed} dask workers killed during a run: nobody blamed, equal bytes")
 
 
 @pytest.mark.soak
-def test_a_killed_scheduler_is_exit_3_and_the_run_resumes(toy, whole, cluster):
+def test_a_killed_scheduler_is_exit_3_and_the_run_resumes(toy, whole, cluster, tell):
     cluster.add_worker(**SLOW)
     process = toy.start("run", "toy.toml", "--cluster", cluster.address, "--chunk", 10, **SLOW)
     time.sleep(3)
@@ -119,3 +126,19 @@ def test_a_killed_scheduler_is_exit_3_and_the_run_resumes(toy, whole, cluster):
     assert process.returncode == 3 and "Traceback" not in err
     toy("run", "toy.toml")
     assert toy.bytes() == whole
+    tell("the scheduler killed during a run: exit 3; run again without it: equal bytes")
+
+
+@pytest.mark.soak
+def test_what_a_chunk_costs_on_a_cluster(toy, tell):
+    """800 chunks of a point each, nothing to compute: what is left is the way there and back."""
+    toy.write(STUDY.replace("n = 200", "n = 400"))
+    took = {}
+    for engine in ("--jobs", "--cluster"):
+        toy("run", "toy.toml", engine, "local:2" if engine == "--cluster" else 2, "--chunk", 1, "--fresh")
+        events = [json.loads(e) for e in (toy.folder / "data/archive/toy.events.jsonl").read_text().splitlines()]
+        times = [e["time"] for e in events if e["event"] == "chunk"][-700:]
+        took[engine] = (times[-1] - times[0]) / (len(times) - 1)
+    assert max(took.values()) < 0.05
+    tell(f"a chunk costs {1e3 * took['--jobs']:.1f} ms here, {1e3 * took['--cluster']:.1f} ms on two dask workers,"
+         " its place in the journal included")

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import time
@@ -26,9 +27,10 @@ def whole(tmp_path_factory):
 
 @pytest.mark.parametrize(("jobs", "chunk"), [(1, 7), (3, 64), *(
     pytest.param(jobs, chunk, marks=pytest.mark.soak) for jobs in (1, 2, 3) for chunk in (1, 7, 64, 1000))])
-def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, jobs, chunk):
+def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, tell, jobs, chunk):
     toy("run", "toy.toml", "--jobs", jobs, "--chunk", chunk, OMP_NUM_THREADS="2", OPENBLAS_NUM_THREADS="2")
     assert toy.bytes() == whole
+    tell(f"local, --jobs {jobs}, --chunk {chunk}: equal bytes")
 
 
 def test_the_same_command_again_computes_nothing(toy):
@@ -120,7 +122,7 @@ def test_a_plan_equals_what_runs(toy):
 
 @pytest.mark.parametrize("part", [0.4, *(
     pytest.param(part, marks=pytest.mark.soak) for part in (0, 0.02, 0.2, 0.6, 0.8, 0.99))])
-def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, part):
+def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, tell, part):
     toy("run", "toy.toml", "--chunk", 10)
     size = journal(toy).stat().st_size
     os.truncate(journal(toy), int(part * size))
@@ -129,6 +131,7 @@ def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, part)
     text = journal(toy, ".events.jsonl").read_text()
     again = text[text.rindex('"begin"'):].count('"chunk"')
     assert again <= 40 * (1 - part) + 8
+    tell(f"journal cut to {part:.0%}: {again} of 40 chunks computed again, equal bytes")
 
 
 def test_a_foreign_file_is_not_touched(toy):
@@ -170,7 +173,9 @@ def test_a_study_of_another_kind_gives_tables(toy):
 
 
 @pytest.mark.soak
-def test_a_full_disk_stops_cleanly(toy, tmp_path):
+@pytest.mark.parametrize("n", [15_000, 22_000, 40_000])
+def test_a_full_disk_stops_cleanly(toy, tmp_path, tell, n):
+    """8 MB: full while the archive is written, or the journal; with room again the same command finishes."""
     small = tmp_path / "small"
     small.mkdir()
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", small], capture_output=True).returncode:
@@ -178,10 +183,19 @@ def test_a_full_disk_stops_cleanly(toy, tmp_path):
     try:
         toy("run", "toy.toml", "--archive", small / "toy.nc")
         old = (small / "toy.nc").read_bytes()
-        toy.write(STUDY.replace("n = 200", "n = 40000"))
+        toy.write(STUDY.replace("n = 200", f"n = {n}"))
         done = toy("run", "toy.toml", "--archive", small / "toy.nc", expect=4)
         assert "disk is full" in done.stderr and "Traceback" not in done.stderr
+        assert not re.search("HDF5|Error", done.stderr)
         assert (small / "toy.nc").read_bytes() == old
         assert not list(small.glob("*.tmp.*"))
+        kept = (small / "toy.events.jsonl").read_text().count('"chunk"')
+        subprocess.run(["mount", "-o", "remount,size=64m", small], check=True)
+        toy("run", "toy.toml", "--archive", small / "toy.nc")
+        toy("run", "toy.toml")
+        assert Toy.clean((small / "toy.nc").read_bytes()) == toy.bytes()
     finally:
         subprocess.run(["umount", small], check=True)
+    where = re.search(r"full: \S*toy\.(\w+)", done.stderr)[1]
+    tell(f"{2 * n:,} points on 8 MB of tmpfs: exit 4 at the {where} after {kept} chunks, old archive intact;"
+         " with room again the bytes of a run elsewhere")

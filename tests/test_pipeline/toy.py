@@ -23,7 +23,8 @@ def points(params, inputs):
     slope, scale = params["slope"], float(source["scale"][0])
     for s in slope:
         _trouble(float(s), os.environ.get("TOY_TROUBLE", ""))
-    time.sleep(len(slope) * float(os.environ.get("TOY_SECONDS", "0")))
+    low, high, dear = map(float, os.environ.get("TOY_COSTLY", "0 0 0").split())
+    time.sleep(len(slope) * float(os.environ.get("TOY_SECONDS", "0")) + dear * np.sum((slope > low) & (slope < high)))
     n, g = len(slope), len(GAITS)
     status = np.full((n, g), 1, np.int8)
     status[:, 0] = 0
