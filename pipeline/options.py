@@ -35,6 +35,8 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Place) -> dict[
 
 
 def _check(value: Any, what: str, axes: tuple[str, ...], place: Place) -> None:
+    if what == "count or 0" and not (_count(value) or value == 0):
+        raise place.wrong(f"must be a whole number from 0 to {_MOST:,}", value)
     if what == "count" and not _count(value):
         raise place.wrong(f"must be a whole number from 1 to {_MOST:,}", value)
     if what == "counts" and not (isinstance(value, list) and value and all(map(_count, value))):

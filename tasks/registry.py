@@ -140,7 +140,7 @@ OPTIONS = {
     "grid": {"friction_limit": "positive"},
     "orbit": {"gait": "gait", "starts": "count", "spread": "number", "transient": "count", "strides": "count",
               "shown": "count"},
-    "cascade": {"periods": "count", "families": "counts", "starts": "count"},
+    "cascade": {"periods": "count", "families": "counts", "starts": "count", "strides": "count or 0"},
     "basin": {"size": "count", "strides": "count", "stance_angle": "range", "stance_rate": "range"},
     "curve": {"key": "key", "from": "number", "to": "number", "kinds": "kinds"},
     "census": {"starts": "count"},
@@ -151,8 +151,8 @@ SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin"}
 
 #: Claims of the ledger.
 CLAIMS = tuple(f"{family}{n}" for family, numbers in {
-    "D": (1, 2, 3, 4, 5, 6, 7, 10), "E": range(1, 8), "P": range(1, 9), "T": (1, 2, 3, 4, 5, 7, 8), "Z": range(1, 7),
-    "M": range(1, 8), "W": (1,), "G": (2,), "A": range(1, 7)}.items() for n in numbers)
+    "D": range(1, 11), "E": range(1, 8), "P": range(1, 9), "T": range(1, 9), "Z": range(1, 7), "M": range(1, 8),
+    "K": range(1, 4), "W": (1,), "G": (1, 2), "A": range(1, 7)}.items() for n in numbers)
 
 #: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
 CALLS = {

@@ -88,7 +88,8 @@ class Solved:
     converged: np.ndarray
 
 
-def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool = False) -> Solved:
+def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool = False,
+           hopeless: float = 1e6) -> Solved:
     """Damped Newton on every lane; finished lanes leave the batch.
 
     Parameters
@@ -98,6 +99,8 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool =
     log_slope : ndarray, shape (n,)
     rough : bool
         Only to the search's tolerance.
+    hopeless : float
+        Size of a step that ends a lane's search after the third.
     """
     w = w.copy()
     n = w.shape[1]
@@ -111,7 +114,7 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool =
         step = newton_step(stride, w[:, active])
         size = np.abs(step).max(axis=0)
         noise = np.nan_to_num(rounding(stride).max(axis=0), nan=np.inf)
-        alive = np.isfinite(size) & (size < (HOPELESS if rough and taken > 2 else 1e6))
+        alive = np.isfinite(size) & (size < (hopeless if taken > 2 else 1e6))
         step[:, alive] *= np.minimum(1.0, 0.5 / np.maximum(size[alive], 1e-300))
         w[:, active[alive]] += step[:, alive]
         # Done when the step is rounding, or has become small and stopped shrinking.
@@ -187,7 +190,7 @@ def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, V
     log_slope = np.full(w.shape[1], np.log(slope))
     if problem.phases == 2:
         # Three links are dear: the search flies roughly, and only what it finds is flown exactly.
-        near = newton(problem, w, log_slope, rough=True)
+        near = newton(problem, w, log_slope, rough=True, hopeless=HOPELESS)
         w = _distinct(near.w[:, near.converged], 1e-3)
     solved = newton(problem, w, np.full(w.shape[1], np.log(slope)))
     w = _distinct(solved.w[:, solved.converged], 1e-5)
