@@ -123,4 +123,14 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "faster_larger": ("number", "the faster gait at larger slopes"),
     "crossing_slope": ("angle", "slope where both gaits are equally fast"),
     "chaos": ("number", "whether it walks chaotically"),
+    # design maps
+    "design/smallest_slope": ("angle", "smallest slope of any gait; 0 where they go on to vanishing slopes"),
+    "smallest_at": ("number", "what the branch does at its smallest slope"),
+    "largest_stable_slope": ("angle", "largest slope of a stable gait"),
+    "stability_lost_by": ("number", "how stability is lost there"),
+    "fastest_stable_speed": ("speed", "largest mean speed of a stable gait"),
+    "fastest_froude_speed": ("number", "largest mean speed of a stable gait over sqrt(g (l + R))"),
+    "fastest_slope": ("angle", "slope of the fastest stable gait"),
+    "lost/low": ("angle", "largest slope at which all starts walk on"),
+    "lost/high": ("angle", "smallest slope at which walking is lost"),
 }

@@ -114,6 +114,7 @@ TASKS = {t.name: t for t in (
     Task("cascade", "tasks.cascade:cascade", 2, needs=("atlas",), seconds=3.0),
     Task("basin", "tasks.basin:basin", 1, needs=("atlas",), seconds=5.0),
     Task("curve", "tasks.curve:curve", 1, needs=("atlas",), seconds=5.0),
+    Task("design", "tasks.design:design", 1, needs=("atlas",), seconds=0.1),
     Task("census", "tasks.census:census", 2, seconds=10.0),
     Task("scaling", "tasks.fit:scaling", 1, needs=("points",)),
     Task("transition", "tasks.fit:transition", 1, needs=("points",)),
@@ -129,7 +130,7 @@ READS = {
     "transition_ladder": ("stance_angle",),
     "angles": ("trace",),
     "heatmap": ("speed", "stance_angle", "period", "spectral_radius"),
-    **dict.fromkeys(("walker", "conditions", "locus", "bifurcation", "basin"), ()),
+    **dict.fromkeys(("walker", "conditions", "locus", "bifurcation", "basin", "design"), ()),
 }
 
 #: Names a study's `figures` may hold.
@@ -147,7 +148,7 @@ OPTIONS = {
 }
 
 #: Figures that only one kind of study can show.
-SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin"}
+SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin", "design": "design"}
 
 #: Claims of the ledger.
 CLAIMS = tuple(f"{family}{n}" for family, numbers in {

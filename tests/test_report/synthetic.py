@@ -209,9 +209,13 @@ def design(folder: Path, side: int = 40) -> Path:
     status = np.isnan(speed).astype("i1")
     dims = ("R", "slope", "gait")
     study = (
-        'name = "design"\nwalker = { base = "B" }\n[axes]\nR = { from = 0, to = 0.4, n = 40 }\n'
-        'slope = { from = 0.002, to = 0.06, n = 40 }\n[want]\nfigures = ["heatmap"]\n'
+        'name = "design"\nwalker = { base = "B" }\n[axes]\nR = { from = 0, to = 0.4, n = 40 }\nc_t = [0.1]\n'
+        'slope = { from = 0.002, to = 0.06, n = 40 }\n[want]\nfigures = ["heatmap", "design"]\n'
     )
+    key = np.repeat([0.1, 0.2, 0.3], 3)
+    fast = np.where(key > 0.15, key, np.nan)
+    best = {"R": key, "c_t": np.tile([0.08, 0.1, 0.12], 3), "smallest_slope": 0.1 * key, "largest_stable_slope": key,
+            "fastest_froude_speed": fast, "fastest_slope": fast}
     return write(
         folder / "design.nc",
         study,
@@ -223,6 +227,7 @@ def design(folder: Path, side: int = 40) -> Path:
         },
         {"R": radius, "slope": slope, "gait": GAITS},
         {"B": POINT | {"R": 0.2}},
+        {"design": best},
     )
 
 

@@ -24,7 +24,8 @@ def sources(archives):
         ("transition", n)
         for n in ("loglog", "linear", "residuals", "transition_ladder", "angles", "walker", "conditions")
     ]
-    + [("detuning", "locus"), ("cascade", "bifurcation"), ("cascade", "basin"), ("design", "heatmap")],
+    + [("detuning", "locus"), ("cascade", "bifurcation"), ("cascade", "basin")]
+    + [("design", "heatmap"), ("design", "design")],
 )
 def test_each_figure_is_drawn_from_its_archive(sources, study, name):
     drawing = draw(sources[study], name, "test")
@@ -99,3 +100,12 @@ def test_a_traced_step_ends_where_the_next_begins(sources):
 )
 def test_numbers_are_written_as_people_write_them(value, text):
     assert plain(value) == text
+
+
+def test_a_design_map_leads_to_its_walkers(sources):
+    drawing = draw(sources["design"], "design", "test")
+    labels = [shlex.split(row[2]) for target in drawing.targets for row in target["rows"]]
+    assert len(labels) == 27
+    assert all("c_t=0.08" in words or "c_t=0.1" in words or "c_t=0.12" in words for words in labels)
+    # Three walkers are never stable: no slope to solve them at.
+    assert sum("--slope" in words for words in labels) == 24

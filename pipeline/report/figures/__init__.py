@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pipeline.report.figures import body, branches, families, maps, motion, scaling
+from pipeline.report.figures import body, branches, design, families, maps, motion, scaling
 from pipeline.report.figures.style import style
 from pipeline.report.figures.svg import Drawing, Sketch, render
 from pipeline.report.source import Source
@@ -21,6 +21,7 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
     "bifurcation": branches.bifurcation,
     "heatmap": maps.heatmap,
     "basin": maps.basin,
+    "design": design.design,
 }
 
 

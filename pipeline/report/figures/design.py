@@ -1,0 +1,90 @@
+"""Design maps: the best of each walker over two of its keys."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from pipeline.report.figures.style import brief, canvas, plain
+from pipeline.report.figures.svg import Marks, Sketch
+from pipeline.report.source import SYMBOLS, Source
+
+#: What is mapped, from left to right, and how it is headed.
+_SHOWN = {
+    "smallest_slope": "smallest slope γ",
+    "largest_stable_slope": "largest stable γ",
+    "fastest_froude_speed": "fastest stable Fr",
+}
+#: Walkers shown, a row of maps each.
+_MOST = 3
+
+
+def design(source: Source) -> Sketch | None:
+    """Smallest slope, largest stable slope and fastest stable speed over two keys, a row of maps a walker."""
+    table = source.tables.get("design")
+    if table is None or table.empty or not set(_SHOWN) <= set(table.columns):
+        return None
+    keys = [c for c in source.line_columns(table) if c != "walker" and table[c].nunique() > 1][:2]
+    if len(keys) < 2:
+        return None
+    down, along = keys
+    others = [c for c in source.line_columns(table) if c not in ("walker", *keys)]
+    for column in others:
+        table = table[table[column] == table[column].iloc[0]]
+    walkers = list(dict.fromkeys(table["walker"]))[:_MOST] if "walker" in table else [source.walker]
+    figure = canvas(60 + 130 * len(walkers))
+    panels = figure.subplots(len(walkers), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
+    marks = []
+    for k, (row, walker) in enumerate(zip(panels, walkers, strict=True)):
+        mine = table[table["walker"] == walker] if "walker" in table else table
+        for axes, (column, words) in zip(row, _SHOWN.items(), strict=True):
+            _map(axes, mine.pivot(index=down, columns=along, values=column), table[column], figure)
+            axes.set_title(words if k == 0 else "", pad=5)
+            marks.append(_marks(axes, source, mine, str(walker), (down, along), column))
+        row[0].set_ylabel(f"{brief(str(walker), 12)}: {_symbol(source, down)}")
+    for axes in panels[-1]:
+        axes.set_xlabel(_symbol(source, along))
+        axes.set_xticks([table[along].min(), table[along].max()])
+    return Sketch(
+        figure,
+        "Design map",
+        f"What walkers {', '.join(map(str, walkers))} can do at best over {down} and {along}: the smallest slope with "
+        "a gait, the largest with a stable one, and the fastest stable gait, as a Froude number. Left blank: none.",
+        f"Heat maps over {along} and {down}: "
+        + "; ".join(f"{c.replace('_', ' ')} from {plain(table[c].min())} to {plain(table[c].max())}" for c in _SHOWN)
+        + ".",
+        table,
+        marks,
+    )
+
+
+def _map(axes: Axes, z: pd.DataFrame, whole: pd.Series, figure) -> None:
+    """One map; every walker's map of a quantity has the same colours."""
+    low, high = np.nanmin(whole, initial=np.inf), np.nanmax(whole, initial=-np.inf)
+    low, high = (low, high) if low <= high else (0.0, 1.0)
+    picture = axes.pcolormesh(
+        z.columns, z.index, z.values, shading="nearest", cmap="cividis", rasterized=True, vmin=low, vmax=high
+    )
+    axes.grid(False)
+    bar = figure.colorbar(picture, ax=axes, shrink=0.9, aspect=16)
+    bar.outline.set_visible(False)
+    bar.ax.grid(False)
+
+
+def _symbol(source: Source, key: str) -> str:
+    unit = source.units(key)
+    return f"{SYMBOLS.get(key, key)} ({unit})" if unit else SYMBOLS.get(key, key)
+
+
+def _marks(axes: Axes, source: Source, table: pd.DataFrame, walker: str, keys: tuple[str, str], column: str) -> Marks:
+    """Cells as hover targets, each with the command that solves its walker at the slope it tells of."""
+    down, along = keys
+    slopes = table["fastest_slope"] if column.startswith("fastest") else table[column]
+    commands = [
+        source.command(walker, {k: float(v) for k, v in zip(keys, place, strict=True)})
+        + (f" --slope {slope!r}" if 0 < slope < 0.5 else "")
+        for *place, slope in zip(table[down], table[along], map(float, slopes), strict=True)
+    ]
+    values = {name: table[name].to_numpy() for name in (down, along, column)}
+    return Marks(axes, table[along].to_numpy(), table[down].to_numpy(), walker, values, commands=commands)

@@ -1,0 +1,55 @@
+"""Design maps: the pins of single walkers, and a cell looked at by brute force."""
+
+import numpy as np
+import pytest
+
+from lines import _atlas, solved
+from tasks.design import design
+from tasks.registry import GAITS
+
+
+def best(walker, low=1e-4, high=0.2, **overrides):
+    line = {"walker": walker, "set": overrides}
+    found = design({"line": line, "slope": np.array([low, high])}, [_atlas(walker, tuple(sorted(overrides.items())))])
+    return {k.removeprefix("design/"): v[0] for k, v in found.items()}
+
+
+def test_the_simplest_walker_is_stable_up_to_its_flip():
+    found = best("D")
+    assert found["largest_stable_slope"] == pytest.approx(0.015088437941119463562, rel=1e-12)
+    assert found["stability_lost_by"] == "flip"
+    assert (found["smallest_slope"], found["smallest_at"]) == (0.0, "any slope")
+    # Its speed grows with the slope, so the fastest stable gait is the last one.
+    assert found["fastest_slope"] == pytest.approx(found["largest_stable_slope"], rel=1e-12)
+
+
+def test_a_walker_that_is_never_stable_has_no_number_and_says_so():
+    found = best("E")
+    assert np.isnan(found["largest_stable_slope"]) and np.isnan(found["fastest_stable_speed"])
+    assert found["stability_lost_by"] == "never stable"
+    assert found["smallest_slope"] == 0.0
+
+
+def test_a_window_cuts_what_is_told():
+    found = best("D", 1e-3, 0.01)
+    assert (found["largest_stable_slope"], found["stability_lost_by"]) == (pytest.approx(0.01, rel=1e-12), "window")
+    # The last place looked at lies less than a part of a segment before the edge.
+    assert 0.0099 < found["fastest_slope"] < 0.01 * (1 + 1e-12)
+    assert best("physical", 1e-3, 0.01)["smallest_at"] == "no gait"
+
+
+@pytest.mark.parametrize(("walker", "overrides"), [("A", {"R": 0.3}), ("physical", {})])
+def test_a_cell_by_brute_force(walker, overrides):
+    """A grid of slopes that knows no branch sees the same ends to within its own step."""
+    low, high, n = 5e-3, 0.2, 391
+    found = best(walker, low, high, **overrides)
+    slopes = np.linspace(low, high, n)
+    grid = solved(walker, slopes, want=("stance_angle", "spectral_radius", "speed"), **overrides)
+    step = slopes[1] - slopes[0]
+    gaits = [GAITS.index(g) for g in ("long", "short")]
+    there = np.isfinite(grid["stance_angle"][:, gaits]).any(axis=1)
+    stable = grid["spectral_radius"] < 1
+    assert 0 <= slopes[there][0] - found["smallest_slope"] < step
+    assert 0 <= found["largest_stable_slope"] - slopes[stable.any(axis=1)][-1] < step
+    speed = np.where(stable, grid["speed"], 0.0)
+    assert 0 <= found["fastest_stable_speed"] - speed.max() < 0.01 * speed.max()
