@@ -6,7 +6,8 @@ import contextlib
 import json
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,12 @@ def tables(place: Any, path: str = "") -> Iterator[str]:
         if group.variables:
             yield f"{path}{name}"
         yield from tables(group, f"{path}{name}/")
+
+
+def columns(place: Any) -> Iterator[str]:
+    """Names of all columns of tables, as "fits/scaling/exponent"."""
+    for name, group in place.groups.items():
+        yield from (f"{name}/{column}" for column in (*group.variables, *columns(group)))
 
 
 def probe(paths: Iterable[Path]) -> None:
@@ -197,12 +204,33 @@ def _groups(place: Any, path: str = "") -> Iterator[str]:
         yield from _groups(group, f"{path}/{name}")
 
 
-def diff(a: Path, b: Path, rtol: float = 0.0) -> list[str]:
+@dataclass(frozen=True)
+class Tolerance:
+    """Relative tolerance of every variable, and of some by name."""
+
+    rtol: float
+    own: Mapping[str, float]
+
+    def of(self, name: str) -> float | None:
+        """Tolerance of a variable; None where it is not to be compared."""
+        if name in self.own:
+            return self.own[name]
+        return None if self.rtol and name.rpartition("/")[2] in _ROUNDING else self.rtol
+
+
+def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = None) -> list[str]:
     """How archive `b` differs from `a`, one sentence each, aligned by coordinates.
 
-    Numbers are equal if they differ by at most `rtol` times the larger; parts of an eigenvalue are held against
-    its magnitude. With a tolerance the variables that only measure rounding are left out.
+    Numbers are equal if they differ by at most `rtol` times the larger, or `own[name]` where a variable or a column
+    "group/column" has a tolerance of its own; parts of an eigenvalue are held against its magnitude. With a tolerance
+    the variables that only measure rounding are left out, unless they have one of their own.
+
+    Raises
+    ------
+    ArchiveError
+        If `own` names what neither archive holds.
     """
+    within = Tolerance(rtol, own or {})
     with opened(a) as left, opened(b) as right:
         found = [f"the {what} differs: {getattr(left, what, None)} and {getattr(right, what, None)}"
                  for what in ("kind",) if getattr(left, what, None) != getattr(right, what, None)]
@@ -221,8 +249,13 @@ def diff(a: Path, b: Path, rtol: float = 0.0) -> list[str]:
             if name not in left.variables or name not in right.variables:
                 found.append(f"`{name}` is only in {a if name in left.variables else b}")
             elif set(left.variables[name].dimensions) <= set(places):
-                found += _compare(name, left, right, places, rtol)
-        return [*found, *_compare_groups(left, right, rtol, a, b)]
+                found += _compare(name, left, right, places, within)
+        found += _compare_groups(left, right, within, places, a, b)
+        known = {name for file in (left, right) for name in (*file.variables, *columns(file))}
+        for name in within.own:
+            if name not in known:
+                raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
+        return found
 
 
 def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[Pair, list[str]]:
@@ -237,7 +270,7 @@ def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[Pair, 
     return (i[order], j[order]), sentences
 
 
-def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], rtol: float) -> list[str]:
+def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], within: Tolerance) -> list[str]:
     dims = left.variables[name].dimensions
     if right.variables[name].dimensions != dims:
         return [f"`{name}` has other dimensions"]
@@ -251,7 +284,7 @@ def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], rtol: fl
     if name in ("multiplier_real", "multiplier_imag") and {"multiplier_real", "multiplier_imag"} <= set(left.variables):
         real, imag = (np.ma.getdata(left.variables[f"multiplier_{part}"][...]) for part in ("real", "imag"))
         scale = np.hypot(real, imag)[np.ix_(*(places[d][0] for d in dims))]
-    return _different(name, x, y, rtol, scale)
+    return _different(name, x, y, within, scale)
 
 
 def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
@@ -261,13 +294,15 @@ def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
             for (p, q), n in zip(pairs.T, counts, strict=True)]
 
 
-def _different(name: str, x: np.ndarray, y: np.ndarray, rtol: float, scale: np.ndarray | None = None) -> list[str]:
+def _different(name: str, x: np.ndarray, y: np.ndarray, within: Tolerance, scale: np.ndarray | None = None
+               ) -> list[str]:
     if x.shape != y.shape:
         return [f"`{name}` has {x.size:,} values and {y.size:,}"]
     if x.dtype.kind != "f" or y.dtype.kind != "f":
         unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
         return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
-    if rtol and name.rpartition("/")[2] in _ROUNDING:
+    rtol = within.of(name)
+    if rtol is None:
         return []
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.maximum(np.abs(x), np.abs(y)) if scale is None else scale
@@ -279,7 +314,8 @@ def _different(name: str, x: np.ndarray, y: np.ndarray, rtol: float, scale: np.n
     return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, by up to {worst:.2g} of their size"]
 
 
-def _compare_groups(left: Any, right: Any, rtol: float, a: Path, b: Path, path: str = "") -> list[str]:
+def _compare_groups(left: Any, right: Any, within: Tolerance, places: dict[str, Pair], a: Path, b: Path,
+                    path: str = "") -> list[str]:
     found = []
     for name in sorted(set(left.groups) | set(right.groups)):
         place = f"{path}/{name}"
@@ -287,14 +323,29 @@ def _compare_groups(left: Any, right: Any, rtol: float, a: Path, b: Path, path: 
             found.append(f"the group {place} is only in {a if name in left.groups else b}")
             continue
         one, two = left.groups[name], right.groups[name]
+        rows = _rows_of_both(one, two, places, left, right)
         for column in sorted(set(one.variables) | set(two.variables)):
             if column not in one.variables or column not in two.variables:
                 found.append(f"`{place}/{column}` is only in {a if column in one.variables else b}")
             else:
-                x, y = (np.ma.getdata(g.variables[column][...]) for g in (one, two))
-                found += _different(f"{place}/{column}", x, y, rtol)
-        found += _compare_groups(one, two, rtol, a, b, place)
+                x, y = (np.ma.getdata(g.variables[column][...])[kept] for g, kept in zip((one, two), rows, strict=True))
+                found += _different(f"{place}/{column}".lstrip("/"), x, y, within)
+        found += _compare_groups(one, two, within, places, a, b, place)
     return found
+
+
+def _rows_of_both(one: Any, two: Any, places: dict[str, Pair], left: Any, right: Any) -> tuple[Any, Any]:
+    """Rows of a table in either archive whose line both archives have."""
+    kept = []
+    for group, file, k in ((one, left, 0), (two, right, 1)):
+        rows = np.ones(len(group.dimensions["row"]) if "row" in group.dimensions else 0, bool)
+        for name, pair in places.items():
+            # A column `slope` may hold slopes of its own: along a branch, of a fold.
+            if name in group.variables and name not in ("slope", "gait", "multiplier"):
+                shared = np.ma.getdata(file.variables[name][...])[pair[k]]
+                rows &= np.isin(np.ma.getdata(group.variables[name][...]).astype(shared.dtype), shared)
+        kept.append(rows)
+    return kept[0], kept[1]
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -29,6 +30,13 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"must be a number; got {text}") from None
+
+
+def _tolerance(text: str) -> tuple[str, float]:
+    name, _, value = text.rpartition("=")
+    if not 0 <= (number := _number(value)) < 1:
+        raise argparse.ArgumentTypeError(f"must lie in [0, 1); got {value}")
+    return name, number
 
 
 def _setting(text: str) -> tuple[str, float]:
@@ -91,7 +99,8 @@ def parser() -> argparse.ArgumentParser:
     c = add(_diff, "what differs between two archives")
     c.add_argument("a", type=Path, metavar="A.nc")
     c.add_argument("b", type=Path, metavar="B.nc")
-    c.add_argument("--rtol", type=_number, default=0.0, metavar="R", help="relative tolerance (default 0)")
+    c.add_argument("--rtol", type=_tolerance, action="append", default=[], metavar="R|NAME=R",
+                   help="relative tolerance (default 0), or that of one variable")
     c = add(_bench, "run time against error, with the peers")
     c.add_argument("--quick", action="store_true")
     c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR")
@@ -139,11 +148,15 @@ def _archives(options: argparse.Namespace) -> list[tuple[Any, Path]]:
 
 def _run(options: argparse.Namespace) -> int:
     studies = _archives(options)
-    from pipeline import runner
+    from pipeline import runner, show
 
     how = runner.Options(options.jobs, options.cluster, options.fresh, options.retry_failed, options.chunk,
                          options.quiet, options.verbose, options.snapshot)
-    return max(runner.run(study, path, how) for study, path in studies)
+    began = time.monotonic()
+    code = max([runner.run(study, path, how) for study, path in studies])
+    if not options.quiet:
+        print(show.after([path for _, path in studies], time.monotonic() - began), file=sys.stderr)
+    return code
 
 
 def _plan(options: argparse.Namespace) -> int:
@@ -249,10 +262,9 @@ def _verify(options: argparse.Namespace) -> int:
 def _diff(options: argparse.Namespace) -> int:
     from pipeline import check
 
-    if not 0 <= options.rtol < 1:
-        raise StudyError(f"`--rtol` must lie in [0, 1); got {options.rtol}.")
     check.probe([options.a, options.b])
-    found = check.diff(options.a, options.b, options.rtol)
+    own = dict(options.rtol)
+    found = check.diff(options.a, options.b, own.pop("", 0.0), own)
     print("\n".join(found) if found else "They agree.")
     return 1 if found else 0
 

@@ -73,7 +73,7 @@ class Progress:
                 self.counts[about["outcome"]] += about["lost"]
         self._log(event, about)
         if self.verbose or event == "engine":
-            self.say(f"{event} " + " ".join(f"{k}={v}" for k, v in about.items()))
+            self.say(f"{event}: " + ", ".join(f"{k} {_told(v)}" for k, v in about.items() if v not in ("", 0)))
 
     def say(self, text: str) -> None:
         """Print a line on stderr."""
@@ -136,6 +136,12 @@ def notebook_bar() -> Callable[[dict[str, Any]], None] | None:
     empty = {"text/plain": "", "text/html": '<progress max="1"></progress>'}
     handle = display(empty, raw=True, display_id=True)
     return lambda state: handle.update(shown(state), raw=True)
+
+
+def _told(value: Any) -> str:
+    if isinstance(value, dict):
+        return " ".join(f"{k} {v}" for k, v in value.items())
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def sentence(state: dict[str, Any]) -> str:

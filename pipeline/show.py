@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import fcntl
 import json
+import shlex
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,21 @@ def plan(found: Plan, counts: Summary, path: Path) -> Iterator[str]:
     tasks, variables = found.unwanted()
     yield f"  not wanted: {', '.join(tasks + variables) or 'nothing'}"
     yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
+
+
+def after(archives: list[Path], seconds: float) -> str:
+    """What a run ends with: how it went over all its studies, and how to see it."""
+    counts: Counter[str] = Counter()
+    for path in archives:
+        try:
+            counts.update(json.loads(beside(path, ".run.json").read_text(encoding="utf-8"))["counts"])
+        except (OSError, ValueError, KeyError):
+            continue
+    whole = f"{len(archives)} studies in {duration(seconds)}: " + ", ".join(f"{k} {n:,}" for k, n in counts.items())
+    folder = archives[0].parent / "*.nc" if len(archives) > 1 and len({p.parent for p in archives}) == 1 else None
+    shown = str(folder) if folder else " ".join(shlex.quote(str(path)) for path in archives)
+    see = f"To see it: gaitsweep report {shown}  (makes {Path('reports', 'index.html')})"
+    return f"{whole}\n{see}" if len(archives) > 1 else see
 
 
 def state(path: Path) -> dict[str, Any] | None:

@@ -108,8 +108,22 @@ def test_quiet_is_quiet_and_the_summary_counts(toy):
     assert toy("run", "toy.toml", "--quiet").stderr == ""
     done = toy("run", "toy.toml")
     assert done.stdout == "" and "toy: 400 points (converged 400)" in done.stderr
+    assert done.stderr.splitlines()[-1] == \
+        "To see it: gaitsweep report data/archive/toy.nc  (makes reports/index.html)"
     record = json.loads((toy.folder / "data" / "archive" / "toy.run.json").read_text())
     assert record["exit_code"] == 0 and record["counts"] == {"converged": 400} and record["seconds"] > 0
+
+
+def test_several_studies_end_with_one_account_of_them_all(toy):
+    toy.write(STUDY.replace('"toy"', '"other"'), "other.toml")
+    said = toy("run", "toy.toml", "other.toml").stderr.splitlines()
+    assert said[-2].startswith("2 studies in ") and said[-2].endswith(": converged 800")
+    assert said[-1].startswith("To see it: gaitsweep report data/archive/*.nc")
+
+
+def test_verbose_tells_of_every_chunk_in_words(toy):
+    told = [line for line in toy("run", "toy.toml", "--verbose").stderr.splitlines() if line.startswith("chunk: ")]
+    assert told and all("task points" in line and "counts converged" in line and "=" not in line for line in told)
 
 
 def test_verify_and_diff_exit_with_1(toy):
