@@ -120,4 +120,5 @@ def walkers(found: Iterable[dict[str, Any]], whole: bool) -> Iterator[str]:
         yield from table("walker", one["parameters"])
         yield ""
         for key, value in one["statics"].items():
-            yield f"{key:<16} {value}"
+            yield f"{key:<16} {value + 0.0:.12g}"
+        yield "Both are zero where a walker may walk on slopes near zero; `gaitsweep tune` shows the nearest that is."

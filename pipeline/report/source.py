@@ -91,6 +91,17 @@ class Source:
         return " ".join(line.lstrip("# ").strip() for line in lines)
 
     @property
+    def walker_files(self) -> list[str]:
+        """Files the study's walkers are read from."""
+        given = self.study.get("walker")
+        return [str(w) for w in (given if isinstance(given, list) else [given]) if str(w).endswith(".toml")]
+
+    @property
+    def file(self) -> str:
+        """A name for the study's file that is none of its walkers'."""
+        return f"{self.slug}-study.toml" if f"{self.slug}.toml" in self.walker_files else f"{self.slug}.toml"
+
+    @property
     def whole(self) -> str:
         """What a status is about: a point of a grid, or a line that was followed."""
         return "point" if "gait" in self.grid.dims else "line"
@@ -159,7 +170,7 @@ class Source:
             # What is no number cannot be set on the command line; the study's own file is a walker's too.
             own = {k: v for k, v in table.items() if k != "base"}
             settable = "base" in table and all(type(v) in (int, float) for v in own.values())
-            walker, given = (str(table["base"]), own | given) if settable else (f"{self.slug}.toml", given)
+            walker, given = (str(table["base"]), own | given) if settable else (self.file, given)
         words = ["gaitsweep", "solve", "--walker", walker]
         for key, value in given.items():
             words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]

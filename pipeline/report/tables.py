@@ -152,7 +152,8 @@ def fits(source: Source) -> list[Table]:
                     columns={"quantity": "law"})
             note = f"{len(table) - len(shown)} more rows are in the archive." if len(shown) < len(found_some) else ""
             if len(found_some) < len(table) and not note:
-                note = f"{len(table) - len(found_some)} more fits found no range where a power law holds."
+                note = f"{len(table) - len(found_some)} {'more ' if len(found_some) else ''}fits found no range" \
+                    " where a power law holds."
             found.append(from_frame(f"Fit: {name.removeprefix('fits/').replace('_', ' ')}", shown, note))
     return found
 

@@ -1,0 +1,73 @@
+"""What the README and docs show is true: links, options, studies, walkers and the output printed beside them."""
+
+import re
+import subprocess
+import sys
+import textwrap
+import tomllib
+
+import pytest
+
+from conftest import ROOT
+from pipeline import cli, study
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def blocks(page, language):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    fenced = re.findall(r"^ *```(\w*)\n(.*?)^ *```$", text, re.S | re.M)
+    return [textwrap.dedent(block) for tongue, block in fenced if tongue == language]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_to_a_file(page):
+    for link in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
+        assert (page.parent / link).exists(), link
+
+
+def test_every_command_and_option_exists():
+    subparsers = cli.parser()._subparsers._group_actions[0].choices
+    commands = {name: command.format_help() for name, command in subparsers.items()}
+    seen = 0
+    for page in PAGES:
+        for line in re.findall(r"`(gaitsweep [^`]+)`|^(?:\$ )?(gaitsweep .*)$", page.read_text(encoding="utf-8"), re.M):
+            words = "".join(line).split("#")[0].split()
+            assert words[1].rstrip(",.;") in commands, line
+            for option in (w.partition("=")[0] for w in words if w.startswith("--")):
+                assert option in commands[words[1]], line
+            seen += 1
+    assert seen > 15
+
+
+def test_the_studies_shown_can_be_run(tmp_path):
+    (walker, sweep) = blocks("docs/your-own-walker.md", "toml")
+    (tmp_path / "mine.toml").write_text(walker)
+    (tmp_path / "mine-study.toml").write_text(sweep)
+    mine = study.read(tmp_path / "mine-study.toml")
+    assert mine.checks[0]["kneed"] and mine.checks[0]["si"] and mine.points == 900
+    (readme,) = blocks("README.md", "toml")
+    assert study.parse(tomllib.loads(readme), readme, tmp_path / "s.toml").points == 400
+
+
+def test_the_readme_shows_what_the_command_prints(capsys):
+    (shell,) = [b for b in blocks("README.md", "") if "$ gaitsweep solve" in b]
+    command, *shown = shell[shell.index("$ gaitsweep solve"):].splitlines()
+    assert cli.main(command.split()[2:]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    for line in shown:
+        if line.strip() == "...":
+            break
+        (found,) = [p for p in printed[:20] if p.split()[:1] == line.split()[:1]][:1]
+        # The last digits are the machine's own.
+        numbers = [[float(n) for n in re.findall(r"-?\d+\.\d+", text)] for text in (line, found)]
+        assert numbers[0] == pytest.approx(numbers[1], rel=1e-12), (line, found)
+
+
+def test_the_python_shown_is_python():
+    for page in PAGES:
+        for block in blocks(page.relative_to(ROOT), "python"):
+            compile(block, str(page), "exec")
+    code = "import pipeline; print(pipeline.run.__name__, pipeline.load.__name__, pipeline.solve.__name__)"
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.split() == ["run", "load", "solve"]
