@@ -73,7 +73,7 @@ class Progress:
                 self.counts[about["outcome"]] += about["lost"]
         self._log(event, about)
         if self.verbose or event == "engine":
-            self.say(f"{event}: " + ", ".join(f"{k} {_told(v)}" for k, v in about.items() if v not in ("", 0)))
+            self.say(f"{event}: " + ", ".join(f"{k} {_told(v)}" for k, v in about.items() if v not in ("", 0, None)))
 
     def say(self, text: str) -> None:
         """Print a line on stderr."""

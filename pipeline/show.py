@@ -121,4 +121,4 @@ def walkers(found: Iterable[dict[str, Any]], whole: bool) -> Iterator[str]:
         yield ""
         for key, value in one["statics"].items():
             yield f"{key:<16} {value + 0.0:.12g}"
-        yield "Both are zero where a walker may walk on slopes near zero; `gaitsweep tune` shows the nearest that is."
+        yield "Zero where a walker may walk on slopes near zero; `gaitsweep tune` shows the nearest that is."

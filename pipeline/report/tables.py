@@ -46,7 +46,7 @@ _HEADS = {
     "slope_transition": "γ transition",
     "spectral_radius": "max |λ|",
     "stance_rate": "θ̇*",
-    "error_bound": "error bound",
+    **{key: key for key in ("l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "m_h", "eps_T")},
 }
 
 #: Laws that are fitted.
