@@ -173,7 +173,7 @@ def test_a_study_of_another_kind_gives_tables(toy):
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("n", [15_000, 22_000, 40_000])
+@pytest.mark.parametrize("n", [10_000, 11_500, 15_000, 40_000])
 def test_a_full_disk_stops_cleanly(toy, tmp_path, tell, n):
     """8 MB: full while the archive is written, or the journal; with room again the same command finishes."""
     small = tmp_path / "small"
