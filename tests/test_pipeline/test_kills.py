@@ -5,12 +5,17 @@ import random
 import shutil
 import signal
 import sqlite3
+import subprocess
+import sys
 import time
 from collections import Counter
 
 import pytest
 
-from conftest import Toy
+from conftest import ROOT, STUDY, Toy
+from pipeline import archive, study
+from pipeline.journal import Journal
+from pipeline.plan import Plan
 from processes import alive, beside, descendants, wait_for_points
 
 SLOW = {"TOY_SECONDS": "0.002"}
@@ -60,6 +65,29 @@ def test_two_hundred_random_kills(toy, whole, tell):
     assert toy.bytes() == whole
     tell(f"{dict(sorted(killed.items()))}; exit codes {dict(sorted(ends.items()))}: {ends[0] + 1} whole archives, all "
          "of equal bytes; no process left after 3 s")
+
+
+def test_a_second_interrupt_is_hard():
+    """The first waits for what must not be cut in two; the second does not."""
+    program = ("import os, signal; from pipeline.run import Signals; signals = Signals()\n"
+               "def interrupt(): os.kill(os.getpid(), signal.SIGINT)\n"
+               "with signals.caught():\n"
+               "    with signals: interrupt(); print('held', flush=True); interrupt(); print('soft', flush=True)\n")
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", program], text=True, capture_output=True,
+                          env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert (done.returncode, done.stdout) == (130, "held\n")
+
+
+def test_an_archive_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
+    (tmp_path / "s.toml").write_text(STUDY)
+    journal, steps = Journal(tmp_path / "j"), []
+    fsync, replace = os.fsync, os.replace
+    monkeypatch.setattr(os, "fsync", lambda fd: (steps.append(os.readlink(f"/proc/self/fd/{fd}")), fsync(fd)))
+    monkeypatch.setattr(os, "replace", lambda a, b: (steps.append((str(a), str(b))), replace(a, b)))
+    archive.write(Plan(study.read(tmp_path / "s.toml"), journal), tmp_path / "s.nc")
+    journal.close()
+    draft, place = str(tmp_path / f"s.nc.tmp.{os.getpid()}"), str(tmp_path / "s.nc")
+    assert steps == [draft, (draft, place), str(tmp_path)]
 
 
 @pytest.mark.parametrize("cuts", [1, pytest.param(60, marks=pytest.mark.soak)])
