@@ -49,6 +49,7 @@ class Cell:
             with contextlib.suppress(OSError):
                 fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[arg-type]
         self.threads = 1
+        self.lock = threading.Lock()  # held while it is asked something
         _alive.add(self)
 
     def close(self) -> int:
@@ -85,6 +86,12 @@ class Cell:
         if outcome == b"out_of_memory":
             return "out_of_memory", f"It needed more than {_size(memory)} of memory."
         return outcome.decode(), f"It raised {parts[1].decode()}."
+
+    def leave(self) -> None:
+        """End the process if nothing is asked of it."""
+        if self.lock.acquire(blocking=False):
+            self.close()
+            self.lock.release()
 
     def _answer(self, seconds: float, memory: int | None = None) -> list[bytes]:
         stream, deadline = self.process.stdout, time.monotonic() + seconds
@@ -144,11 +151,14 @@ def members() -> list[dict[str, int]]:
 
 
 def _ask(job: dict[str, Any], params: dict[str, Any]) -> tuple[str, Any]:
-    cell = getattr(_own, "cell", None)
-    if cell is None or cell not in _alive:
-        cell = _own.cell = Cell()
     request = pack.dump({**{k: job[k] for k in ("function", "points", "memory")}, "params": params})
-    return cell.ask(request, job["inputs"], job["seconds"], job["memory"])
+    while True:
+        cell = getattr(_own, "cell", None)
+        if cell is None or cell not in _alive:
+            cell = _own.cell = Cell()
+        with cell.lock:
+            if cell in _alive:  # it may have left meanwhile
+                return cell.ask(request, job["inputs"], job["seconds"], job["memory"])
 
 
 def run(job: dict[str, Any]) -> dict[str, Any]:
@@ -157,8 +167,9 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     job : dict
-        `function`, `params`, `inputs` (packed), `points` (whether it is a block of points), and the limits
-        `seconds` and `memory` [byte] of one point, or of the whole job where it is no block.
+        `function`, `params`, `inputs` (packed), `points` (whether it is a block of points), the limits
+        `seconds` and `memory` [byte] of one point, or of the whole job where it is no block, and `idle`: for how
+        many seconds the process may wait for another job, None for as long as this one lives.
 
     Returns
     -------
@@ -167,6 +178,8 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
         `outcome` and `data` (packed result) or `reason`.
     """
     began = time.perf_counter()
+    if timer := getattr(_own, "timer", None):
+        timer.cancel()
     if job["points"]:
         done: dict[str, Any] = {"rows": _block(job, np.asarray(job["params"]["slope"]))}
     else:
@@ -175,6 +188,10 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
             outcome, found = _ask(job, job["params"])
         done = {"outcome": outcome, "data": found[1], "reason": ""} if outcome == "ok" else {
             "outcome": outcome, "data": b"", "reason": found}
+    if job["idle"] is not None and (cell := getattr(_own, "cell", None)):
+        timer = _own.timer = threading.Timer(job["idle"], cell.leave)
+        timer.daemon = True
+        timer.start()
     return {**done, "seconds": time.perf_counter() - began, "pid": os.getpid()}
 
 

@@ -35,6 +35,7 @@ _AHEAD, _AHEAD_POINTS = 32, 1_000_000  # lines at work at a time, and points on 
 _LONG = 10.0  # s of a line from which it is probed
 _WHOLE = 60  # a task over a whole line or study may take as many times a point's seconds
 _OUT = 4  # jobs out or not yet read, for each worker
+_LINGER = 2.0  # s a process on a cluster waits for more: nobody there knows when the run is over, or gone
 _NOTHING, _IDLE = -1, 0.05  # number of a job of nothing, and how long it lasts [s]
 _READ = 200_000  # slopes of a line that a task over the study is given, evenly taken
 _TRIES = 3  # times in a row that a broken engine is built anew
@@ -258,6 +259,7 @@ class Loop:
             params |= {"slope": self.study.slope[task.places], "want": self.plan.variables, "gaits": self.study.gaits}
         return {"function": layer.task.function, "params": params, "inputs": list(task.inputs),
                 "points": task.places is not None, "memory": limits.memory,
+                "idle": None if self.engine.address is None else _LINGER,
                 "seconds": limits.seconds * (_WHOLE if task.places is None else 1)}
 
     def record(self, task: Task, result: dict[str, Any]) -> list[Task]:

@@ -11,6 +11,7 @@ import time
 import pytest
 
 from conftest import ROOT, STUDY, TOYS, Toy
+from processes import alive, descendants, wait_for_points
 
 pytest.importorskip("distributed")
 
@@ -127,6 +128,25 @@ def test_a_killed_scheduler_is_exit_3_and_the_run_resumes(toy, whole, cluster, t
     toy("run", "toy.toml")
     assert toy.bytes() == whole
     tell("the scheduler killed during a run: exit 3; run again without it: equal bytes")
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("signum", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("local", [True, False])
+def test_a_stopped_run_leaves_no_process_on_a_cluster(toy, whole, cluster, tell, local, signum):
+    """On a cluster of someone else's its workers stay, but not what they started."""
+    cluster.add_worker(**SLOW)
+    process = toy.start("run", "toy.toml", "--cluster", "local:2" if local else cluster.address, "--chunk", 10, **SLOW)
+    wait_for_points(toy, 2)
+    ours = descendants(process.pid if local else cluster.workers[0].pid)
+    assert len(ours) >= 1
+    process.send_signal(signum)
+    process.communicate(timeout=30)
+    assert not alive(ours, 3.0)
+    toy("run", "toy.toml")
+    assert toy.bytes() == whole
+    tell(f"{signum.name} to a run on {'a cluster of its own' if local else 'a running scheduler'}: none of {len(ours)}"
+         " processes left after 3 s")
 
 
 @pytest.mark.soak
