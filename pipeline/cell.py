@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import platform
 import resource
 import select
 import signal
@@ -145,9 +146,13 @@ def close_all() -> None:
     _closing.clear()
 
 
-def members() -> list[dict[str, int]]:
-    """Process id, resident memory [byte] and threads of every worker process of this process."""
-    return [{"pid": c.process.pid, "memory": c.resident(), "threads": c.threads} for c in list(_alive)]
+def members() -> list[dict[str, Any]]:
+    """Host, process id, resident memory [byte] and threads of every worker process of this process."""
+    return [_member(c) for c in list(_alive)]
+
+
+def _member(cell: Cell) -> dict[str, Any]:
+    return {"host": platform.node(), "pid": cell.process.pid, "memory": cell.resident(), "threads": cell.threads}
 
 
 def _ask(job: dict[str, Any], params: dict[str, Any]) -> tuple[str, Any]:
@@ -175,7 +180,7 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     -------
     dict
         `seconds` taken and `rows` of a block, each (slopes, packed states, packed variables); of another job
-        `outcome` and `data` (packed result) or `reason`.
+        `outcome` and `data` (packed result) or `reason`. And `worker`, which process did it.
     """
     began = time.perf_counter()
     if timer := getattr(_own, "timer", None):
@@ -188,7 +193,10 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
             outcome, found = _ask(job, job["params"])
         done = {"outcome": outcome, "data": found[1], "reason": ""} if outcome == "ok" else {
             "outcome": outcome, "data": b"", "reason": found}
-    if job["idle"] is not None and (cell := getattr(_own, "cell", None)):
+    cell = getattr(_own, "cell", None)
+    if cell:
+        done["worker"] = _member(cell)
+    if cell and job["idle"] is not None:
         timer = _own.timer = threading.Timer(job["idle"], cell.leave)
         timer.daemon = True
         timer.start()

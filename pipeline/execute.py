@@ -265,7 +265,7 @@ class Loop:
     def record(self, task: Task, result: dict[str, Any]) -> list[Task]:
         """Keep a result; the tasks that it makes ready."""
         event = {"task": task.name, "line": task.work.number if task.work else None, "seconds": result["seconds"],
-                 "pid": result["pid"]}
+                 "pid": result["pid"], "worker": result.get("worker")}
         if task.places is not None:
             n, each = len(task.places), result["seconds"] / len(task.places)
             counts: Counter[str] = Counter()

@@ -37,6 +37,7 @@ class Progress:
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
         self.cached_tasks = [name for name, n in todo.cached.items() if n]
         self.loop: Loop | None = None
+        self.elsewhere: dict[tuple[str, int], tuple[float, dict[str, Any]]] = {}
         self.done: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
         self.counts: Counter[str] = Counter()
@@ -63,6 +64,9 @@ class Progress:
 
     def __call__(self, event: str, about: dict[str, Any]) -> None:
         """Take note of an event."""
+        worker = about.pop("worker", None)
+        if worker and self.loop and self.loop.engine.address:
+            self.elsewhere[worker["host"], worker["pid"]] = time.time(), worker
         if event in ("chunk", "task") and "seconds" in about:
             n = about.get("points", 1)
             self.done[about["task"]] += n
@@ -97,7 +101,11 @@ class Progress:
         return {"elapsed": round(elapsed, 1), "points": self.total, "cached": self.cached, "done": self.done["points"],
                 "todo": self.todo.get("points", 0), "tasks": dict(self.done), "counts": dict(self.counts),
                 "share": round(share, 4), "rate": round(self.done["points"] / elapsed, 1) if elapsed > 0 else 0.0,
-                "eta": round(left / at_once, 1), "memory": memory, "workers": cell.members()}
+                "eta": round(left / at_once, 1), "memory": memory, "workers": cell.members() or self._lately()}
+
+    def _lately(self) -> list[dict[str, Any]]:
+        """Workers of other processes that have answered in the last minute, as they were then."""
+        return [worker for when, worker in list(self.elsewhere.values()) if time.time() - when < _SLOW]
 
     def _log(self, event: str, about: dict[str, Any]) -> None:
         with self.lock:

@@ -69,6 +69,8 @@ def test_a_cluster_gives_the_same_bytes(toy, whole, cluster):
     cluster.add_worker()
     toy("run", "toy.toml", "--cluster", cluster.address, "--chunk", 50)
     assert toy.bytes() == whole
+    (state,) = json.loads(toy("status", "--json").stdout)
+    assert 1 <= len(state["workers"]) <= 2 and all(w["memory"] > 1 << 24 for w in state["workers"])
 
 
 @pytest.mark.soak
