@@ -49,7 +49,8 @@ def packed(values: np.ndarray) -> bytes:
     n = len(data) // size
     planes = np.ascontiguousarray(data[:n * size].reshape(n, size).T)
     check, stream = 1, [b"\x78\x01"]  # RFC 1950
-    for worth, run in itertools.groupby(zip(_worth(planes), planes, strict=True), key=lambda pair: pair[0]):
+    worthy = _worth(planes) if values.dtype.kind == "f" else [True] * size
+    for worth, run in itertools.groupby(zip(worthy, planes, strict=True), key=lambda pair: pair[0]):
         deflate = zlib.compressobj(int(worth), zlib.DEFLATED, -15)
         for _, plane in run:
             check = zlib.adler32(plane, check)

@@ -13,7 +13,7 @@ from pipeline.study import Study
 from pipeline.worker import resolve
 from tasks.registry import SI_UNITS
 
-CHUNK, REGION = 4096, 65536  # points in a chunk of the file, and in a box that is put together in memory
+CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box that is put together in memory
 Box = tuple[slice, ...]
 
 

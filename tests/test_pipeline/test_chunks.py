@@ -6,7 +6,7 @@ import pytest
 
 from pipeline import chunks, grid
 
-SMOOTH = np.cbrt(np.linspace(1e-4, 0.1, 3 * 5000)).reshape(3, 5000)
+SMOOTH = np.cbrt(np.linspace(1e-4, 0.1, 3 * 9000)).reshape(3, 9000)
 PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 
 
@@ -20,13 +20,13 @@ def _file(path, values, extent):
 
 
 @pytest.mark.parametrize("values", [
-    np.stack([SMOOTH, SMOOTH**2], -1), np.full((3, 5000, 2), np.nan), (SMOOTH * 90).astype(np.int8)[..., None],
+    np.stack([SMOOTH, SMOOTH**2], -1), np.full((3, 9000, 2), np.nan), (SMOOTH * 90).astype(np.int8)[..., None],
     (SMOOTH * 9e3).astype(np.int16)[..., None], (SMOOTH * 9e8).astype(np.int32)[..., None], np.zeros((1, 1, 1)),
-    np.random.default_rng(1).random((2, 4096, 3)),
+    np.random.default_rng(1).random((2, 9000, 3)),
 ], ids=["smooth", "nan", "i1", "i2", "i4", "one", "noise"])
 def test_netcdf_reads_back_what_was_packed(tmp_path, values):
     sizes = {"line": values.shape[0], "slope": values.shape[1]}
-    extent = (*grid.cut(sizes, 4096), values.shape[2])
+    extent = (*grid.cut(sizes, grid.CHUNK), values.shape[2])
     ours, theirs = (_file(tmp_path / name, values, extent) for name in ("ours.nc", "theirs.nc"))
     with netCDF4.Dataset(theirs, "a") as file:
         file["v"][:] = values
@@ -40,7 +40,7 @@ def test_netcdf_reads_back_what_was_packed(tmp_path, values):
 
 
 def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
-    path = _file(tmp_path / "v.nc", SMOOTH, (1, 5000))
+    path = _file(tmp_path / "v.nc", SMOOTH, (1, 9000))
     data = bytearray(chunks.packed(SMOOTH[:1].copy()))
     data[len(data) // 2] ^= 1
     with chunks.Chunks(path) as out:
