@@ -11,8 +11,9 @@ from tasks import status
 from tasks.gait import atlas as atlases
 from tasks.gait.continuation import lipschitz
 from tasks.gait.fixed_point import Problem, search, starts
+from tasks.gait.settle import UNKNOWN
 from tasks.registry import GAITS, VARIABLES
-from tasks.solve import UNKNOWN, points, solve
+from tasks.solve import points, solve
 from tasks.walkers.parameters import resolve
 
 #: Variables measured for one point; the amounts of violations stay in archives.

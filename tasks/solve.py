@@ -9,11 +9,10 @@ import numpy as np
 
 from tasks import status
 from tasks.gait import atlas as atlases
-from tasks.gait import extended
 from tasks.gait.branch import Branch
-from tasks.gait.fixed_point import EPS, Problem, gait_ratio, judged, newton_step, rounding, starts
+from tasks.gait.fixed_point import Problem, gait_ratio, starts
+from tasks.gait.settle import UNKNOWN, Settled, settle
 from tasks.gait.stability import multipliers
-from tasks.gait.stride import Stride, apply
 from tasks.measures import violations
 from tasks.measures.energy import heelstrike_losses, kneestrike_loss
 from tasks.measures.motion import step_length, travel
@@ -23,12 +22,6 @@ from tasks.walkers.parameters import Walker, resolve
 Arrays = dict[str, np.ndarray]
 #: Lanes solved at a time: enough to hide the calls, few enough for the cache.
 BLOCK = 4096
-#: Where the atlas cannot vouch for a point's verdict.
-UNKNOWN = -1
-#: Newton steps a point may take from the atlas; nearly all take one.
-MOST_STEPS = 8
-#: Relative distance from the fixed point at which multipliers are as good as at it.
-NEAR = 2e-12
 
 
 def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -130,35 +123,12 @@ def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndar
     passes : ndarray, shape (n,)
         How often the legs pass, where the atlas has shown the stride to be a step; elsewhere UNKNOWN.
     """
-    m = problem.m
-    n = len(slope)
-    stride, scale, w = _polish(problem, np.delete(Z, m, axis=0), slope, lipschitz)
-    eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
-    y = stride.y + stride.newton
-    times = stride.times + apply(stride.times_by_y, stride.newton)
-    # What is measured at the impacts is carried to the fixed point, as the times are.
-    stride.impact = stride.impact + apply(stride.impact_by_y, stride.newton)
-    if stride.knee is not None and stride.knee_by_y is not None:
-        stride.knee = stride.knee + apply(stride.knee_by_y, stride.newton)
-    bound = _bound(problem, stride, y, times, slope, scale, lipschitz, eta)
-    converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
-    for lane in np.nonzero((bound > extended.ESCALATE) & (bound < 1e-3))[0]:
-        y[:, lane], times[:, lane], stride.impact[:, lane], bound[lane] = extended.refine(
-            problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane])
-        converged[lane] = bound[lane] < extended.ESCALATE_AGAIN
-    begin = problem.map.start(y, problem.parameters(slope, scale))
-    state = begin[: problem.map.start_size]
-    step = (stride.closing < 0) & (np.diff(stride.times, axis=0, prepend=0) > 0).all(axis=0)
-    lanes = np.nonzero(passes == UNKNOWN)[0]
-    if len(lanes):
-        _, verdict = judged(problem, w[:, lanes], np.log(slope[lanes]))
-        step[lanes], passes = verdict.step, passes.copy()
-        passes[lanes] = verdict.passes
-    code = np.where(converged & step, status.CONVERGED, status.NOT_CONVERGED)
-    found = {"status": code, "reason": np.where(converged, np.where(step, 0, 4), 3),
-             "residual": np.abs((stride.image - stride.y) / stride.y).max(axis=0), "error_bound": bound,
-             "anthropomorphic": ~step | (passes == 1), "passes": passes}
-    found |= _measure(problem, stride, y * scale, state * scale, times, scale, slope, want, friction_limit)
+    at = settle(problem, Z, slope, lipschitz, passes)
+    code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
+    found = {"status": code, "reason": np.where(at.converged, np.where(at.step, 0, 4), 3),
+             "residual": np.abs((at.stride.image - at.stride.y) / at.stride.y).max(axis=0), "error_bound": at.bound,
+             "anthropomorphic": ~at.step | (at.passes == 1), "passes": at.passes}
+    found |= _measure(problem, at, slope, want, friction_limit)
     bad = code != status.CONVERGED
     for name, value in found.items():
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
@@ -166,53 +136,11 @@ def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndar
     return found
 
 
-def _bound(problem: Problem, stride: Stride, y: np.ndarray, times: np.ndarray, slope: np.ndarray, scale: np.ndarray,
-           lipschitz: np.ndarray, eta: np.ndarray) -> np.ndarray:
-    """Bound on the largest relative error of angle, rates and period, shape (n,).
-
-    Rounding of the stride map carried to the fixed point, and what Newton's last step leaves (Newton-Kantorovich).
-    """
-    m, n = y.shape
-    size = problem.map.start_size
-    begin = problem.map.start(y, problem.parameters(slope, scale))
-    state, by_y = begin[:size], np.abs(begin[size:].reshape(size, m, n))
-    error = (rounding(stride) + 2 * lipschitz * eta**2) * np.abs(y)
-    rows = [0, *range(size // 2, size)]
-    relative = list(apply(by_y[rows], error) / np.abs(state[rows]) + EPS)
-    guard = 4 * EPS * np.abs(y[0]) / np.abs(stride.closing)
-    relative.append((apply(np.abs(stride.times_by_y[-1:]), error)[0] + guard) / times[-1] + EPS)
-    return np.max(relative, axis=0)
-
-
-def _polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray
-            ) -> tuple[Stride, np.ndarray, np.ndarray]:
-    """Strides at guesses close enough that one more Newton step is exact to rounding.
-
-    Lanes that are close already are not touched again, so a lane's bits do not depend on the others.
-    """
-    q = np.log(slope)
-    w, before = w.copy(), np.full(len(q), np.inf)
-    stride, scale = problem.stride(w, q)
-    for _ in range(MOST_STEPS):
-        step = newton_step(stride, w)
-        eta = np.abs(step).max(axis=0)
-        # Far: Newton's next step would still leave an error, or what is measured on this stride would show it.
-        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.3 * rounding(stride).max(axis=0))) | (eta > NEAR)
-        lanes = np.nonzero(far & np.isfinite(eta) & (eta < 0.1) & (eta < 0.5 * before))[0]
-        if not len(lanes):
-            break
-        before = np.zeros(len(q))
-        before[lanes] = eta[lanes]
-        w[:, lanes] += step[:, lanes]
-        again, scale[lanes] = problem.stride(w[:, lanes], q[lanes])
-        stride.put(lanes, again)
-    return stride, scale, w
-
-
-def _measure(problem: Problem, stride: Stride, y: np.ndarray, state: np.ndarray, times: np.ndarray, scale: np.ndarray,
-             slope: np.ndarray, want: Sequence[str], friction_limit: float) -> Arrays:
+def _measure(problem: Problem, at: Settled, slope: np.ndarray, want: Sequence[str],
+             friction_limit: float) -> Arrays:
     """Wanted variables in the walker's units."""
-    walker = problem.walker
+    walker, stride, scale = problem.walker, at.stride, at.scale
+    y, state, times = at.y * scale, at.state * scale, at.times
     second = np.sqrt(walker.leg / walker.g)
     half = problem.map.start_size // 2
     angle, period = y[0], times[-1] * second

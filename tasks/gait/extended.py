@@ -7,6 +7,7 @@ There the residual is evaluated in long double or in 128 bits; Newton keeps the 
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from typing import Any
 
 import heyoka as hy
@@ -29,7 +30,7 @@ class Extended:
     """The stride map of one structure, one lane at a time, in a wider number; no derivatives."""
 
     def __init__(self, structure: Structure, number: Any, unit: float):
-        self.structure, self.number = structure, number
+        self.structure, self.number, self.missed = structure, number, 0.1 * unit**0.5
         self.m, self.kneed = structure.dimension, structure.kneed
         flows = [True, False] if self.kneed else [False]
         systems = [system(structure, free, 0, False) for free in flows]
@@ -77,21 +78,27 @@ class Extended:
         """Fly to where a guard closes: the state, its time, and what the guard's function says there."""
         total = duration
         state = self._flow(k, state, parameters, duration)
+        said = self._call(guard, state, parameters)
         for _ in range(4):
-            said = self._call(guard, state, parameters)
             shift = -said[0] / said[1]
-            if abs(float(shift)) < 1e-17 * (1.0 if self.number is np.longdouble else 1e-14):
-                break
             state = self._flow(k, state, parameters, shift)
             total = total + shift
+            said = self._call(guard, state, parameters)
+            # What is left is the square of what was missed.
+            if not abs(float(shift)) > self.missed:
+                break
         return state, total, said
 
     def _call(self, function: Any, values: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         return function(np.concatenate([values, parameters]))
 
+    def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """State just after heelstrike at y."""
+        return self._call(self._start, y, parameters)
+
     def __call__(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Image of y, the event times, and the rates just before heelstrike, all in this number."""
-        state = self._call(self._start, y, parameters)
+        state = self.start(y, parameters)
         begun, ends = self.number(0.0), []
         if self.kneed:
             state, begun, said = self._to_guard(0, state, parameters, times[0], self._knee)
@@ -104,6 +111,56 @@ class Extended:
 @functools.lru_cache(maxsize=16)
 def _map(structure: Structure, tier: int) -> Extended:
     return Extended(structure, *TIERS[tier])
+
+
+@dataclass
+class Wide:
+    """One gait in a wider number: scaled section, event times, rates just before heelstrike, state just after.
+
+    `left` is the relative size of the last Newton step, the only error but the wider number's own rounding.
+    """
+
+    y: np.ndarray
+    times: np.ndarray
+    impact: np.ndarray
+    state: np.ndarray
+    left: float
+
+
+def solved(problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np.ndarray, slope: float, scale: float,
+           tier: int) -> Wide:
+    """A gait near (y, times) by Newton's method, its residual in the tier's number, its derivative the double's.
+
+    Parameters
+    ----------
+    stride : Stride
+        The double's stride.
+    y : ndarray, shape (m,)
+    times : ndarray, shape (phases,)
+    tier : int
+        Index into `TIERS`.
+    """
+    number, _ = TIERS[tier]
+    exact = _map(problem.structure, tier)
+    constants = lump(problem.walker_of(lane), number)
+    parameters = np.array([number(slope), number(scale), *(constants[k] for k in problem.structure.constants)], dtype=number)
+    wide, wide_times = np.array([number(v) for v in y], dtype=number), np.array([number(v) for v in times], dtype=number)
+    inverse = stride.inverse[:, :, lane]
+    before = size = np.inf
+    for _ in range(MOST_STEPS):
+        image, wide_times, impact = exact(wide, wide_times, parameters)
+        miss = np.array([float(v) for v in image - wide])
+        step = inverse @ miss
+        shift = stride.times_by_y[:, :, lane] @ step
+        size = float(max(np.max(np.abs(step / y)), np.max(np.abs(shift / times))))
+        if not size <= 0.5 * before:
+            break
+        wide = wide + np.array([number(v) for v in step], dtype=number)
+        wide_times = wide_times + np.array([number(v) for v in shift], dtype=number)
+        before = size
+        if size < EPS / 64:
+            break
+    return Wide(wide, wide_times, impact, exact.start(wide, parameters), min(before, size))
 
 
 def refine(problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np.ndarray, slope: float, scale: float,
@@ -126,28 +183,10 @@ def refine(problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np
     bound : float
     """
     tier = 0 if bound < ESCALATE_AGAIN else 1
-    number, unit = TIERS[tier]
-    exact = _map(problem.structure, tier)
-    constants = lump(problem.walker, number)
-    parameters = np.array([number(slope), number(scale), *(constants[k] for k in problem.structure.constants)], dtype=number)
-    wide, wide_times = np.array([number(v) for v in y], dtype=number), np.array([number(v) for v in times], dtype=number)
-    inverse = stride.inverse[:, :, lane]
-    before = np.inf
-    for _ in range(MOST_STEPS):
-        image, wide_times, impact = exact(wide, wide_times, parameters)
-        miss = np.array([float(v) for v in image - wide])
-        step = inverse @ miss
-        size = float(np.max(np.abs(step / y)))
-        if size > 0.5 * before:
-            break
-        wide = wide + np.array([number(v) for v in step], dtype=number)
-        wide_times = wide_times + np.array([number(v) for v in stride.times_by_y[:, :, lane] @ step], dtype=number)
-        before = size
-        if size < EPS / 64:
-            break
-    left = min(before, size) + bound * unit / EPS
+    found = solved(problem, lane, stride, y, times, slope, scale, tier)
 
     def narrow(values: np.ndarray) -> np.ndarray:
         return np.array([float(v) for v in values])
 
-    return narrow(wide), narrow(wide_times), narrow(impact), left + 4 * EPS
+    left = found.left + bound * TIERS[tier][1] / EPS
+    return narrow(found.y), narrow(found.times), narrow(found.impact), left + 4 * EPS

@@ -94,6 +94,11 @@ def verify(motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray, str
         bent = np.maximum.accumulate(inner > 0, axis=0)
         straight_again = (bent[:-1] & (inner[1:] <= 0)).any(axis=0)
         step = step & bent.any(axis=0) & ~straight_again & (inner[-1] > 0)
+        # The foot could come down before the knee has struck.
+        sum_, closing_in = three[:, 0] + three[:, 1], three[:, 3] + three[:, 4]
+        step &= ~((sum_[1:] <= 0) & (sum_[:-1] > 0) & (three[1:, 0] < 0)).any(axis=0)
+        behind = np.minimum(three[:-1, 0], three[1:, 0]) - stray < 0
+        doubt |= (behind & _unclear(sum_, closing_in, stray)).any(axis=0)
         # The knee starts straight: that first touch is no strike.
         doubt |= _unclear(flexion, rate, stray)[1:].any(axis=0)
     return Verdict(step, passes, doubt & np.isfinite(closing), hyperextends)

@@ -17,14 +17,13 @@ import numpy as np
 
 from tasks.gait.branch import Branch
 from tasks.gait.continuation import Point, linearised
-from tasks.gait.fixed_point import Problem
+from tasks.gait.fixed_point import Lanes, Problem
 from tasks.gait.special_points import located
 from tasks.gait.stride import Stride
 from tasks.ledger.lab import Line, line
 from tasks.ledger.printed import HALF_UNITS
 from tasks.mechanics.equations import Symbols
 from tasks.mechanics.impacts import heelstrike
-from tasks.mechanics.lumped import constants_of
 from tasks.walkers.catalogue import _exactly_tuned
 from tasks.walkers.parameters import Walker
 
@@ -32,17 +31,6 @@ from tasks.walkers.parameters import Walker
 #: the masses matter beside the angle).
 STEP = 2e-4
 Test = Callable[[Stride, np.ndarray], np.ndarray]
-
-
-class Lanes(Problem):
-    """The stride map with a walker of its own in every lane."""
-
-    def __init__(self, walkers: list[Walker]):
-        super().__init__(walkers[0])
-        self.constants = np.array([constants_of(w, self.structure) for w in walkers]).T
-
-    def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
-        return np.vstack([slope, scale, self.constants])
 
 
 def _square(stride: Stride, X: np.ndarray) -> np.ndarray:

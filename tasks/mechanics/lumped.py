@@ -133,6 +133,6 @@ def structure_of(walker: Walker) -> Structure:
 
 
 def constants_of(walker: Walker, structure: Structure) -> np.ndarray:
-    """Values of the structure's runtime constants, shape (len(structure.constants),)."""
-    lumped = lump(walker)
-    return np.array([lumped[k] for k in structure.constants])
+    """Values of the structure's runtime constants, shape (len(structure.constants),), each rounded but once."""
+    lumped = lump(walker, np.longdouble)
+    return np.array([float(lumped[k]) for k in structure.constants])

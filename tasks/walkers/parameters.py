@@ -16,6 +16,8 @@ KEYS = {
     "R": "length", "eps_T": "angle", "m_h": "mass", "g": "acceleration", "knees": "flag", "units": "text",
 }
 NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
+#: Sizes a number may have beside 0, and a length over the leg: squares and quotients of them stay doubles.
+LEAST_SIZE, MOST_SIZE, MOST_LEGS = 1e-50, 1e50, 1e4
 
 
 class WalkerError(ValueError):
@@ -62,8 +64,12 @@ class Walker:
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, (int, float)):
                 raise WalkerError(key, repr(value), "must be a number")
-            if math.isnan(value) or (math.isinf(value) and key != "m_t"):
+            if value != value or (abs(value) == math.inf and key != "m_t"):
                 raise WalkerError(key, value, "must be finite")
+            if value and not LEAST_SIZE <= abs(value) <= MOST_SIZE and abs(value) != math.inf:
+                # A whole number may be too long to be shown.
+                shown = value if isinstance(value, float) else f"a number of {value.bit_length()} bits"
+                raise WalkerError(key, shown, f"must be 0 or of a size from {LEAST_SIZE:g} to {MOST_SIZE:g}")
         if self.units not in ("1", "SI"):
             raise WalkerError("units", repr(self.units), 'must be "SI" or "1"')
         if not isinstance(self.knees, bool):
@@ -90,12 +96,17 @@ class Walker:
                               f"must satisfy |l_t sin eps_T| <= |l_s - R| = {abs(d):g} or the leg cannot close")
         if self.l <= 0:
             raise WalkerError("R", self.R, "must leave the hip above the foot's centre")
+        for key in (k for k, kind in KEYS.items() if kind == "length"):
+            if abs(getattr(self, key)) > MOST_LEGS * self.leg:
+                raise WalkerError(key, getattr(self, key), f"must be at most {MOST_LEGS:g} legs l + R = {self.leg:g}")
         if self.knees and self.m_s == 0:
             raise WalkerError("m_s", self.m_s, "must be > 0 with a free knee")
         if self.knees and self.shank_inertia == 0:
             raise WalkerError("r_s", self.r_s, "must leave the shank some inertia about its knee")
         if not self.knees and self.massless_leg and not self.point_foot:
             raise WalkerError("m_s", self.m_s, "may vanish only for a point foot: the swing leg has no inertia")
+        if not self.massless_leg and self.leg_inertia < 1e-100 * self.total_mass * self.leg**2:
+            raise WalkerError("m_s", self.m_s, "must leave the leg some inertia about the hip")
 
     @property
     def total_mass(self) -> float:
@@ -136,6 +147,12 @@ class Walker:
     def shank_inertia(self) -> float:
         """Inertia of the shank about its knee."""
         return self.m_s * (self.r_s**2 + abs(self.shank_centre) ** 2)
+
+    @property
+    def leg_inertia(self) -> float:
+        """Inertia of the extended leg about the hip."""
+        thigh = self.m_t * (self.r_t**2 + abs(self.thigh_centre) ** 2)
+        return thigh + self.m_s * (self.r_s**2 + abs(self.knee + self.shank_centre) ** 2)
 
     @property
     def massless_leg(self) -> bool:

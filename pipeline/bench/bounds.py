@@ -1,0 +1,123 @@
+"""The error bound of random gaits beside their true error, by more digits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.bench.extended import converted
+from pipeline.bench.stress import random_walker
+from tasks import solve
+from tasks.gait import atlas as atlases
+from tasks.gait import extended
+from tasks.gait.fixed_point import Problem
+from tasks.gait.settle import settle
+from tasks.walkers.catalogue import CATALOGUE
+from tasks.walkers.parameters import Walker
+
+#: Below this slope a double's residual is too coarse for most gaits, and the references are dear.
+SMALL = 1e-7
+LEAST, MOST = 1e-12, 0.3
+#: Share of gaits below it.
+SHARE = 0.03
+WANT = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "error_bound", "status")
+#: Families of random walkers besides the catalogue's, and how many of each.
+RANDOM, EACH_FAMILY = ("point feet", "round feet", "straight, any", "straight, tuned", "kneed, near"), 6
+
+
+@dataclass
+class Bounds:
+    """Gaits with their slope, bound, condition number, true error, and the tier that solved them (0: doubles)."""
+
+    walker: list[str]
+    slope: np.ndarray
+    bound: np.ndarray
+    error: np.ndarray
+    condition: np.ndarray
+    tier: np.ndarray
+
+    @property
+    def violations(self) -> int:
+        return int((self.error > self.bound).sum())
+
+    def rows(self) -> list[dict[str, float | str]]:
+        """One row a walker and one for all."""
+        names = np.array(self.walker)
+        found = []
+        for name in [*dict.fromkeys(self.walker), "all"]:
+            of = np.ones(len(names), bool) if name == "all" else names == name
+            ratio = self.bound[of] / np.maximum(self.error[of], 1e-18)
+            found.append({"walker": name, "gaits": float(of.sum()), "violations": float((ratio < 1).sum()),
+                          "median error": float(np.median(self.error[of])), "greatest error": float(self.error[of].max()),
+                          "median bound": float(np.median(self.bound[of])), "greatest bound": float(self.bound[of].max()),
+                          "median bound/error": float(np.median(ratio)), "least bound/error": float(ratio.min()),
+                          "greatest error/(4e-16 condition)": float((self.error[of] / (4e-16 * self.condition[of])).max())})
+        return found
+
+
+def bounds(each: int, seed: int = 3, walkers: Sequence[tuple[str, Walker]] | None = None,
+           say: Callable[[str], None] | None = None) -> Bounds:
+    """Bounds and errors of gaits at `each` random slopes of every walker.
+
+    Notes
+    -----
+    A gait solved in doubles is solved again in long double: its rounding is 2000 times finer, so that of the reference
+    is below 1/2000 of the bound. One whose bound asked for long double is solved in 128 bits. Where 128 bits were
+    asked for, the same digits come again, and what is compared is their narrowing to a double alone.
+    """
+    if walkers is None:
+        drawn = [(f, random_walker(f, 10 * seed + k)) for f in RANDOM for k in range(EACH_FAMILY)]
+        walkers = [*CATALOGUE.items(), *drawn]
+    random = np.random.default_rng(seed)
+    rows: list[tuple[str, float, float, float, float, int]] = []
+    for name, walker in walkers:
+        problem = Problem(walker)
+        small = int(np.ceil(SHARE * each))
+        slope = np.exp(np.concatenate([random.uniform(np.log(SMALL), np.log(MOST), each - small),
+                                       random.uniform(np.log(LEAST), np.log(SMALL), small)]))
+        for branch in atlases.survey(problem):
+            for index, Z, segment in branch.guesses(np.log(slope)):
+                lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
+                passes = np.where(branch.safe[segment], branch.passes[segment], -1)
+                rows += [(name, *row) for row in _compared(problem, Z.T, slope[index], lipschitz, passes)]
+        if say:
+            say(f"{name}: {len(rows)} gaits so far")
+    columns = [np.array(c) for c in zip(*[row[1:] for row in rows], strict=True)]
+    return Bounds([row[0] for row in rows], *columns)
+
+
+def _compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, passes: np.ndarray
+              ) -> list[tuple[float, float, float, float, int]]:
+    """Slope, bound, error, condition number and tier of each converged gait."""
+    product = solve.solve(problem, Z, slope, lipschitz, WANT, passes)
+    at = settle(problem, Z, slope, lipschitz, passes)
+    second, rows = _second(problem.walker), []
+    size = np.abs(at.stride.y)
+    begin = problem.map.start(at.y, problem.parameters(slope, at.scale))[problem.map.start_size:]
+    for lane in np.nonzero(product["status"] == 0)[0]:
+        doubles = at.doubles[lane]
+        tier = 0 if doubles <= extended.ESCALATE else 1 if doubles < extended.ESCALATE_AGAIN else 2
+        exact = extended.solved(problem, lane, at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane],
+                                min(tier, 1))
+        state, half = converted(exact.state, np.longdouble) * at.scale[lane], len(exact.state) // 2
+        period = converted(exact.times[-1:], np.longdouble) * second
+        rates = state[half:] / second
+        true = [state[0], rates[0], rates[1], rates[-1], period[0]]
+        names = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period")
+        error = max(abs(float((np.longdouble(product[k][lane]) - x) / x)) for k, x in zip(names, true, strict=True))
+        moved = np.abs(at.stride.inverse[:, :, lane]) @ size[:, lane]
+        by_y = np.abs(begin[:, lane].reshape(-1, problem.m))[[0, *range(len(at.state) // 2, len(at.state))]]
+        scaled = np.abs(at.state[[0, *range(len(at.state) // 2, len(at.state))], lane])
+        worst = max((by_y @ moved / scaled).max(), np.abs(at.stride.times_by_y[-1, :, lane]) @ moved / at.times[-1, lane])
+        rows.append((float(slope[lane]), float(product["error_bound"][lane]), error, float(max(1.0, worst)), tier))
+    return rows
+
+
+def _second(walker: Walker) -> np.longdouble:
+    """The unit of time sqrt(leg/g), in long double."""
+    wide = {k: np.longdouble(v) for k, v in walker.table().items() if isinstance(v, float | int)}
+    d, sine = wide["l_s"] - wide["R"], wide["l_t"] * np.sin(wide["eps_T"])
+    leg = wide["l_t"] * np.cos(wide["eps_T"]) + np.sign(d) * np.sqrt(d * d - sine * sine) + wide["R"]
+    return np.sqrt(leg / wide["g"])

@@ -1,0 +1,122 @@
+"""From guesses to settled gaits: Newton's last steps, the error bound, more digits where needed, and the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tasks.gait import extended
+from tasks.gait.fixed_point import EPS, Problem, judged, newton_step, rounding
+from tasks.gait.stride import Stride, apply
+
+#: Where the atlas cannot vouch for a point's verdict.
+UNKNOWN = -1
+#: Newton steps a point may take from the atlas; nearly all take one.
+MOST_STEPS = 8
+#: Relative distance from the fixed point at which multipliers are as good as at it.
+NEAR = 2e-12
+
+
+@dataclass
+class Settled:
+    """Gaits of n lanes, scaled by `scale` (n,).
+
+    `y` (m, n) section; `state` (a, n) just after heelstrike; `times` (phases, n) [sqrt(leg/g)]; `stride` the last one
+    flown, its impacts carried to the fixed point; `bound` (n,) of the relative error of angle, rates and period, and
+    `doubles` what it was before more digits were asked for;
+    `converged`, `step` (n,) whether Newton settled, and on a step that really happens; `passes` (n,) of the legs.
+    """
+
+    y: np.ndarray
+    state: np.ndarray
+    times: np.ndarray
+    scale: np.ndarray
+    stride: Stride
+    bound: np.ndarray
+    doubles: np.ndarray
+    converged: np.ndarray
+    step: np.ndarray
+    passes: np.ndarray
+
+
+def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, passes: np.ndarray) -> Settled:
+    """Polish guesses and verify them.
+
+    Parameters
+    ----------
+    Z : ndarray, shape (m + 1 + phases, n)
+        Guesses as a branch's nodes hold them.
+    slope, lipschitz : ndarray, shape (n,)
+    passes : ndarray, shape (n,)
+        How often the legs pass, where the atlas has shown the stride to be a step; elsewhere UNKNOWN.
+    """
+    m, n = problem.m, len(slope)
+    stride, scale, w = polish(problem, np.delete(Z, m, axis=0), slope, lipschitz)
+    eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
+    y = stride.y + stride.newton
+    times = stride.times + apply(stride.times_by_y, stride.newton)
+    # What is measured at the impacts is carried to the fixed point, as the times are.
+    stride.impact = stride.impact + apply(stride.impact_by_y, stride.newton)
+    if stride.knee is not None and stride.knee_by_y is not None:
+        stride.knee = stride.knee + apply(stride.knee_by_y, stride.newton)
+    bound = error_bound(problem, stride, y, times, slope, scale, lipschitz, eta)
+    doubles = bound.copy()
+    converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
+    for lane in np.nonzero((bound > extended.ESCALATE) & (bound < 1e-3))[0]:
+        y[:, lane], times[:, lane], stride.impact[:, lane], bound[lane] = extended.refine(
+            problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane])
+        converged[lane] = bound[lane] < extended.ESCALATE_AGAIN
+    state = problem.map.start(y, problem.parameters(slope, scale))[: problem.map.start_size]
+    step = (stride.closing < 0) & (np.diff(stride.times, axis=0, prepend=0) > 0).all(axis=0)
+    lanes = np.nonzero(passes == UNKNOWN)[0]
+    if len(lanes):
+        _, verdict = judged(problem.some(lanes), w[:, lanes], np.log(slope[lanes]))
+        step[lanes], passes = verdict.step, passes.copy()
+        passes[lanes] = verdict.passes
+    return Settled(y, state, times, scale, stride, bound, doubles, converged, step, passes)
+
+
+def error_bound(problem: Problem, stride: Stride, y: np.ndarray, times: np.ndarray, slope: np.ndarray,
+                scale: np.ndarray, lipschitz: np.ndarray, eta: np.ndarray) -> np.ndarray:
+    """Bound on the largest relative error of angle, rates and period, shape (n,).
+
+    Rounding of the stride map carried to the fixed point, and what Newton's last step leaves (Newton-Kantorovich).
+    """
+    m, n = y.shape
+    size = problem.map.start_size
+    begin = problem.map.start(y, problem.parameters(slope, scale))
+    state, by_y = begin[:size], np.abs(begin[size:].reshape(size, m, n))
+    error = (rounding(stride) + 2 * lipschitz * eta**2) * np.abs(y)
+    # Heelstrike rounds as if its own start were off by rounding.
+    struck = error + 2 * EPS * np.abs(y)
+    rows = [0, *range(size // 2, size)]
+    relative = list(apply(by_y[rows], struck) / np.abs(state[rows]) + EPS)
+    guard = 4 * EPS * np.abs(y).max(axis=0) / np.abs(stride.closing)
+    relative.append((apply(np.abs(stride.times_by_y[-1:]), error)[0] + guard) / times[-1] + EPS)
+    return np.max(relative, axis=0)
+
+
+def polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray
+           ) -> tuple[Stride, np.ndarray, np.ndarray]:
+    """Strides at guesses close enough that one more Newton step is exact to rounding.
+
+    Lanes that are close already are not touched again, so a lane's bits do not depend on the others.
+    """
+    q = np.log(slope)
+    w, before = w.copy(), np.full(len(q), np.inf)
+    stride, scale = problem.stride(w, q)
+    for _ in range(MOST_STEPS):
+        step = newton_step(stride, w)
+        eta = np.abs(step).max(axis=0)
+        # Far: Newton's next step would still leave an error, or what is measured on this stride would show it.
+        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.3 * rounding(stride).max(axis=0))) | (eta > NEAR)
+        lanes = np.nonzero(far & np.isfinite(eta) & (eta < 0.1) & (eta < 0.5 * before))[0]
+        if not len(lanes):
+            break
+        before = np.zeros(len(q))
+        before[lanes] = eta[lanes]
+        w[:, lanes] += step[:, lanes]
+        again, scale[lanes] = problem.some(lanes).stride(w[:, lanes], q[lanes])
+        stride.put(lanes, again)
+    return stride, scale, w
