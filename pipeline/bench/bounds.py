@@ -45,7 +45,7 @@ class Bounds:
     def rows(self) -> list[dict[str, float | str]]:
         """One row a walker and one for all."""
         names = np.array(self.walker)
-        found = []
+        found: list[dict[str, float | str]] = []
         for name in [*dict.fromkeys(self.walker), "all"]:
             of = np.ones(len(names), bool) if name == "all" else names == name
             ratio = self.bound[of] / np.maximum(self.error[of], 1e-18)
@@ -99,7 +99,7 @@ def _compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.
     for lane in np.nonzero(product["status"] == 0)[0]:
         doubles = at.doubles[lane]
         tier = 0 if doubles <= extended.ESCALATE else 1 if doubles < extended.ESCALATE_AGAIN else 2
-        exact = extended.solved(problem, lane, at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane],
+        exact = extended.solved(problem, int(lane), at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane],
                                 min(tier, 1))
         state, half = converted(exact.state, np.longdouble) * at.scale[lane], len(exact.state) // 2
         period = converted(exact.times[-1:], np.longdouble) * second

@@ -20,7 +20,7 @@ from tasks.mechanics.impacts import heelstrike, kneestrike
 from tasks.mechanics.lumped import Structure, lump
 
 #: Bounds of a double's fixed point above which long double is asked, and 128 bits.
-ESCALATE, ESCALATE_AGAIN = 4e-12, 4e-9
+ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
 #: Each tier's number and its rounding unit.
 TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1.93e-34))
 MOST_STEPS = 6
