@@ -94,18 +94,23 @@ class Progress:
                 each = self.seconds[name] / self.done[name] if self.done[name] else self.plan.layers[name].task.seconds
                 left += each * max(0, whole - self.done[name])
         at_once = self.loop.engine.jobs if self.loop else 1
-        spent = sum(self.seconds.values())
-        share = spent / (spent + left) if spent + left else 1.0
         with open("/proc/self/statm") as file:
             memory = int(file.read().split()[1]) * 4096
         return {"elapsed": round(elapsed, 1), "points": self.total, "cached": self.cached, "done": self.done["points"],
                 "todo": self.todo.get("points", 0), "tasks": dict(self.done), "counts": dict(self.counts),
-                "share": round(share, 4), "rate": round(self.done["points"] / elapsed, 1) if elapsed > 0 else 0.0,
+                "stages": self._stages(),
+                "rate": round(self.done["points"] / elapsed, 1) if elapsed > 0 else 0.0,
                 "eta": round(left / at_once, 1), "memory": memory, "workers": cell.members() or self._lately()}
 
     def _lately(self) -> list[dict[str, Any]]:
         """Workers of other processes that have answered in the last minute, as they were then."""
         return [worker for when, worker in list(self.elsewhere.values()) if time.time() - when < _SLOW]
+
+    def _stages(self) -> dict[str, dict[str, float]]:
+        """How far each task is; seconds to go, for one worker, where it has begun and a guess can be made."""
+        return {name: {"done": self.done[name], "todo": whole, "eta": round(
+            self.seconds[name] / self.done[name] * max(0, whole - self.done[name]) if self.done[name] else 0.0, 1)}
+            for name, whole in self.todo.items() if whole}
 
     def _log(self, event: str, about: dict[str, Any]) -> None:
         with self.lock:
@@ -137,7 +142,8 @@ def notebook_bar() -> Callable[[dict[str, Any]], None] | None:
     from IPython.display import display
 
     def shown(state: dict[str, Any]) -> dict[str, str]:
-        part = (state["cached"] + state["done"]) / state["points"] if state["points"] else state["share"]
+        done, todo = (sum(stage[k] for stage in state["stages"].values()) for k in ("done", "todo"))
+        part = min(1.0, (state["cached"] + done) / (state["cached"] + todo or 1)) if todo else 1.0
         text = sentence(state)
         return {"text/plain": text, "text/html": f'<progress value="{part:.4f}" max="1"></progress> {text}'}
 
@@ -159,12 +165,16 @@ def sentence(state: dict[str, Any]) -> str:
     if state["points"]:
         done = state["cached"] + state["done"]
         parts.append(f"{done:,} of {state['points']:,} points ({100 * done / state['points']:.0f} %)")
-        parts.append(f"{state['rate']:,.0f} a second")
-    others = {k: n for k, n in state["tasks"].items() if k != "points"}
-    parts += [f"{name} {n:,}" for name, n in others.items()]
+        parts.append(f"{state['rate']:,.0f} a second{_left(state['stages'].get('points'))}")
+    parts += [f"{name} {stage['done']:,} of {stage['todo']:,}{_left(stage)}"
+              for name, stage in state["stages"].items() if name != "points"]
     parts += [f"{name} {n:,}" for name, n in sorted(failed.items())]
     parts.append(f"{duration(state['eta'])} to go")
     return ", ".join(parts)
+
+
+def _left(stage: dict[str, Any] | None) -> str:
+    return f" ({duration(stage['eta'])})" if stage and stage["eta"] else ""
 
 
 def duration(seconds: float) -> str:

@@ -140,6 +140,15 @@ def test_a_notebook_shows_a_bar_that_ends_full(monkeypatch, tmp_path, capsys):
     assert "mine: 2 points" in capsys.readouterr().err
 
 
+def test_a_state_tells_rate_and_time_to_go_of_every_stage():
+    stages = {"atlas": {"done": 2, "todo": 3, "eta": 4.0}, "points": {"done": 240, "todo": 900, "eta": 15.7},
+              "scaling": {"done": 1, "todo": 1, "eta": 0.0}}
+    state = {"points": 1000, "cached": 100, "done": 240, "rate": 42.0, "counts": {"converged": 239, "timed_out": 1},
+             "stages": stages, "eta": 19.7}
+    assert progress.sentence(state) == ("340 of 1,000 points (34 %), 42 a second (15.7 s), atlas 2 of 3 (4 s),"
+                                        " scaling 1 of 1, timed_out 1, 19.7 s to go")
+
+
 def test_a_terminal_has_no_bar_of_a_notebook(monkeypatch):
     assert progress.notebook_bar() is None
     _in_a_notebook(monkeypatch, types.SimpleNamespace())
