@@ -99,9 +99,8 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     """Attributes of a column. A column that nobody has described is called by its name."""
     study, si = plan.study, grid.si(plan.study)
     kind, meaning = COLUMNS.get(f"{group}/{name}") or COLUMNS.get(name) or ("number", name.replace("_", " "))
-    about = {**registry.VARIABLES, **getattr(registry, "COLUMNS", {})}.get(name)
-    if f"{group}/{name}" not in COLUMNS and about is not None:
-        kind, meaning = about.kind, about.long_name
+    if f"{group}/{name}" not in COLUMNS and name in registry.VARIABLES:
+        kind, meaning = registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
     elif name not in COLUMNS and name in (keys := resolve("tasks.walkers.parameters:KEYS")):
         kind, meaning = keys[name], f"walker's {name}"
     elif name == "slope":
