@@ -10,7 +10,7 @@ import numpy as np
 
 from tasks.gait import atlas as atlases
 from tasks.gait.branch import Branch
-from tasks.gait.curves import SCALARS, Curve, Point, follow, turning
+from tasks.gait.curves import ENDS, SCALARS, Curve, Point, equations_of, follow, turning
 from tasks.gait.fixed_point import Problem
 from tasks.gait.special_points import special_points
 from tasks.walkers.parameters import Walker, WalkerError, resolve
@@ -66,10 +66,11 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     seen: list[tuple[str, np.ndarray]] = []
     number = 0
     for kind, U, times in _seeds(problem, atlases.from_arrays(inputs[0]), params.get("kinds", KINDS), window):
-        equations = Curve(kind, walker_at, float(own), high - low)
-        border = np.zeros(len(U) + 1)
+        equations = equations_of(kind, walker_at, float(own), high - low)
+        U = equations.begin(U, times, float(own))
+        border = np.zeros(len(U))
         border[-1] = 1.0
-        first = equations.correct(np.append(U, own / (high - low)), times, border)
+        first = equations.correct(U, times, border)
         if not first.ok or any(k == kind and np.abs(first.U - p).max() < 1e-3 for k, p in seen):
             continue
         points = _both_ways(equations, first, window)
@@ -81,7 +82,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             for a, b in itertools.pairwise(points):
                 found = turning(equations, a, b, component)
                 if found is not None and found.ok:
-                    _add(turns, (number, kind, turn, *_place(equations, found, key, second), 1e-9 + found.error))
+                    _add(turns, (number, kind, turn, *_place(equations, found, key, second), found.error))
         number += 1
     return {f"curves/{k}": np.array(v) for k, v in rows.items()} | {
         f"turnings/{k}": np.array(v) for k, v in turns.items()}
@@ -109,7 +110,7 @@ def _seeds(problem: Problem, branches: list[Branch], kinds: Any,
     for branch in branches:
         for point in special_points(problem, branch):
             q = np.log(float(point["slope"]))
-            if point["kind"] not in kinds or point["kind"] not in SCALARS:
+            if point["kind"] not in kinds or point["kind"] not in (*SCALARS, *ENDS):
                 continue
             if not window["q"][0] <= q <= window["q"][1]:
                 continue

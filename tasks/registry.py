@@ -113,7 +113,7 @@ TASKS = {t.name: t for t in (
     Task("orbit", "tasks.orbit:orbit", 1, needs=("atlas",), seconds=30.0),
     Task("cascade", "tasks.cascade:cascade", 2, needs=("atlas",), seconds=3.0),
     Task("basin", "tasks.basin:basin", 1, needs=("atlas",), seconds=5.0),
-    Task("curve", "tasks.curve:curve", 1, needs=("atlas",), seconds=5.0),
+    Task("curve", "tasks.curve:curve", 2, needs=("atlas",), seconds=5.0),
     Task("design", "tasks.design:design", 1, needs=("atlas",), seconds=0.1),
     Task("census", "tasks.census:census", 2, seconds=10.0),
     Task("scaling", "tasks.fit:scaling", 1, needs=("points",)),

@@ -5,9 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
-from lines import _atlas
+from lines import _atlas, branches
 from tasks.curve import curve
+from tasks.gait import curves
 from tasks.gait.curves import Curve, follow, turning
+from tasks.gait.special_points import special_points
 from tasks.walkers.parameters import WalkerError, resolve
 
 LINE = {"walker": "C", "set": {}}
@@ -17,7 +19,7 @@ FOLD = np.array([-0.76050299, -1.55377883, -0.47724619, -2.05756334, 0.76301856]
 TIMES = np.array([1.69557706, 2.31306058])
 
 
-def test_branches_re_pair_where_the_curve_of_folds_turns():
+def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
     folds = Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[-1], 1.0)
     key = np.append(np.zeros(4), 1.0)
     points = follow(folds, folds.correct(FOLD, TIMES, key), -1.0, WINDOW)
@@ -27,6 +29,13 @@ def test_branches_re_pair_where_the_curve_of_folds_turns():
     assert found[0].U[-1] == pytest.approx(0.72386360373, abs=1e-9)
     assert np.exp(found[0].U[-2]) == pytest.approx(0.1001868636, abs=1e-9)
     assert all(p.ok for p in points)
+    # A bound that is measured, on the slope; differences over other steps move the turning by less.
+    assert 1e-15 < found[0].error < 1e-8
+    monkeypatch.setattr(curves, "DIFFERENCE", 3e-5)
+    monkeypatch.setattr(Curve.system, "__defaults__", (3e-5,))
+    pair = next((a, b) for a, b in itertools.pairwise(points) if a.tangent[-1] * b.tangent[-1] < 0)
+    other = turning(folds, *pair, -1)
+    assert abs(other.U[-2] - found[0].U[-2]) < other.error + found[0].error
     assert folds.walks(found[0])
 
 
@@ -42,6 +51,49 @@ def test_flips_agree_with_those_located_line_by_line():
     # The slope of the flip is least a little off the tuned walker.
     assert found["turnings/turn"].tolist() == ["slope"]
     assert found["turnings/value"][0] == pytest.approx(0.053798, abs=1e-5)
+
+
+def followed(walker, key, low, high, kind, **overrides):
+    """One curve of ends: its key values, slopes and whether they are the edge of walking."""
+    line = {"walker": walker, "set": overrides}
+    found = curve({"line": line, "slope": np.array([1e-3, 0.3]), "key": key, "from": low, "to": high, "kinds": [kind]},
+                  [_atlas(walker, tuple(overrides.items()))])
+    first = found["curves/curve"] == 0
+    return tuple(found[f"curves/{k}"][first] for k in ("value", "slope", "walks"))
+
+
+def end_at(walker, kind, **overrides):
+    """The same end located on the branch of one line."""
+    problem, found = branches(walker, **overrides)
+    return min(p["slope"] for b in found for p in special_points(problem, b) if p["kind"] == kind)
+
+
+def at(value, x, y):
+    """y at x = value by the polynomial through the six nearest points."""
+    near = np.argsort(np.abs(x - value))[:6]
+    return np.polyfit(x[near] - value, y[near], 5)[-1]
+
+
+def test_ends_at_no_rate_are_followed():
+    kind = "end_tangential_heelstrike"
+    value, slope, walks = followed("physical-straight", "c_t", 0.07, 0.112, kind)
+    # Point 2 of figure 6, read off polynomials beside it on the branch of its own line.
+    assert at(0.091, value, slope) == pytest.approx(end_at("physical-straight", kind), rel=1e-10)
+    assert at(0.105, value, slope) == pytest.approx(end_at("physical-straight", kind, c_t=0.105), rel=1e-8)
+    assert value.min() < 0.07 and value.max() > 0.112
+    assert walks.all()
+
+
+def test_ends_at_kneestrike_are_followed_past_where_heelstrike_is_at_no_rate():
+    """The short step of the detuned walker ends at kneestrike at 0.2, but heelstrike turns tangential first at 0.05."""
+    kind = "end_kneestrike_at_heelstrike"
+    value, slope, walks = followed("C", "detuning", 0.0, 1.1, kind, detuning=1.0)
+    assert value.min() < 0.05
+    # Point 1 of the paper's figure 6.
+    assert at(1.0, value, slope) == pytest.approx(end_at("physical", kind), rel=1e-9)
+    assert at(0.2, value, slope) == pytest.approx(end_at("C", kind, detuning=0.2), rel=1e-7)
+    assert walks[value > 0.2].all()
+    assert not walks[value < 0.06].any()
 
 
 def test_a_range_that_is_none_is_refused():
