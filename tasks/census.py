@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tasks.gait.fixed_point import Problem, gait_ratio, judged, newton
+from tasks.gait.fixed_point import Problem, gait_ratio, judged, newton, newton_step
 from tasks.gait.stability import multipliers
 from tasks.gait.starts import scattered
 from tasks.gait.strides import STRUCK, stride
@@ -24,10 +24,13 @@ CROSSING = (-4.0, -0.7)
 SWING = (-1.6, 1.6)
 #: Solutions nearer than this in similarity coordinates are one.
 SAME = 1e-5
+#: Deflated Newton: steps a start may take, passes over all starts, and how near and how far from known solutions an
+#: end must lie to be polished.
+MOST_STEPS, PASSES, NEAR, AWAY = 15, 3, 1e-3, 1e-2
 GAITS = ("slope", "gait", "anthropomorphic", "passes", "stance_angle", "stance_rate", "period", "spectral_radius",
          "hits")
 COVER = ("slope", "starts", "struck", "converged", "gaits", "anthropomorphic", "non_anthropomorphic", "not_steps",
-         "found_once", "unseen")
+         "found_once", "unseen", "deflated", "found_deflated")
 
 
 def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -45,14 +48,17 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         Tables `census` (a row per distinct gait: slope, gait, anthropomorphic, passes, stance_angle, stance_rate,
         period, spectral_radius, hits) and `coverage` (slope, starts, struck, converged, gaits, anthropomorphic,
-        non_anthropomorphic, not_steps, found_once, unseen).
+        non_anthropomorphic, not_steps, found_once, unseen, deflated, found_deflated).
 
     Notes
     -----
     Starts fill the box of stance angle (evenly in its logarithm), stance rate over angle and swing rate over stance
     rate by an additive recurrence. A start is flown to its strikes, which gives Newton its event times. `unseen` is
-    Good's and Turing's estimate of the share of converging starts that would lead to a gait not found yet: solutions found
-    exactly once, over starts that converged (at least one is assumed, so it is never zero).
+    Good's and Turing's estimate of the share of converging starts that would lead to a gait not found yet: solutions
+    found exactly once, over starts that converged (at least one is assumed, so it is never zero). Then all starts that struck
+    go again (`deflated`, counted each time) by Newton on the residual times 1 + 1/r^2 for the distance r to each known
+    solution (Farrell, Birkisson and Funke 2015), which keeps them from those and leads some elsewhere
+    (`found_deflated`; such a gait has no `hits`). A start that never strikes is not tried: its gait, if any, is not covered.
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
@@ -63,7 +69,9 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         y = starts(problem, float(slope), int(params.get("starts", OPTIONS["starts"])))
         flown = stride(problem, y, np.full(y.shape[1], slope), exact=False)
         struck = flown.outcome == STRUCK
-        w, hits, converged = _solved(problem, y[:, struck], flown.times[:, struck], float(slope))
+        begin = np.vstack([np.log(y[0]), y[1:] / y[0], flown.times])[:, struck]
+        w, hits, converged = _solved(problem, begin, float(slope))
+        w, hits, tried, more = _deflated(problem, begin, w, hits, float(slope))
         counts = {"anthropomorphic": 0, "non_anthropomorphic": 0, "not_steps": 0}
         if w.shape[1]:
             at, verdict = judged(problem, w, np.full(w.shape[1], np.log(slope)))
@@ -79,7 +87,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     rows[key].append(value)
         once = int((hits == 1).sum())
         values = (slope, y.shape[1], int(struck.sum()), converged, w.shape[1] - counts["not_steps"], *counts.values(),
-                  once, max(once, 1) / max(converged, 1))
+                  once, max(once, 1) / max(converged, 1), tried, more)
         for key, value in zip(COVER, values, strict=True):
             cover[key].append(value)
     found = {f"census/{k}": np.array(v) for k, v in rows.items()}
@@ -97,10 +105,9 @@ def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
     return np.vstack([angle, rate, -rate * (SWING[0] + (SWING[1] - SWING[0]) * unit[2])])
 
 
-def _solved(problem: Problem, y: np.ndarray, times: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray, int]:
+def _solved(problem: Problem, w: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray, int]:
     """Distinct fixed points, how many starts led to each, and how many converged at all."""
     q = np.log(slope)
-    w = np.vstack([np.log(y[0]), y[1:] / y[0], times])
     if problem.phases == 2:
         # Three links are dear: every start flies roughly, and only distinct ends are flown exactly.
         near = newton(problem, w, np.full(w.shape[1], q), rough=True)
@@ -113,6 +120,57 @@ def _solved(problem: Problem, y: np.ndarray, times: np.ndarray, slope: float) ->
         converged = int(exact.converged.sum())
     w, hits = _distinct(exact.w[:, exact.converged], hits[exact.converged], SAME)
     return w, hits, converged
+
+
+def _deflated(problem: Problem, begin: np.ndarray, known: np.ndarray, hits: np.ndarray,
+              slope: float) -> tuple[np.ndarray, np.ndarray, int, int]:
+    """Known solutions with what deflated Newton adds, their hits, how many starts it tried, and how many it added."""
+    first, tried = known.shape[1], 0
+    for _ in range(PASSES):
+        before = known.shape[1]
+        if not before or not begin.shape[1]:
+            break
+        tried += begin.shape[1]
+        ends = deflated(problem, begin, known, slope)
+        found = newton(problem, ends, np.full(ends.shape[1], np.log(slope)))
+        both = np.hstack([known, found.w[:, found.converged]])
+        counts = np.concatenate([hits, np.zeros(both.shape[1] - before, int)])
+        known, hits = _distinct(both, counts, SAME)
+        if known.shape[1] == before:
+            break
+    return known, hits, tried, known.shape[1] - first
+
+
+def deflated(problem: Problem, begin: np.ndarray, known: np.ndarray, slope: float) -> np.ndarray:
+    """Where Newton leads that is kept from known solutions, shape (m + phases, n); only ends near a solution.
+
+    Notes
+    -----
+    With M the product of 1 + 1/r^2 over the known solutions, Newton's step for M F is its step s for F over
+    1 - s.grad ln M (Sherman and Morrison), so it costs nothing.
+    """
+    w, q = begin.copy(), np.log(slope)
+    active, arrived = np.arange(w.shape[1]), np.zeros(w.shape[1], bool)
+    for _ in range(MOST_STEPS):
+        if not len(active):
+            break
+        here = w[:, active]
+        at, _ = problem.stride(here, np.full(len(active), q), rough=problem.phases == 2)
+        step = newton_step(at, here)
+        away = here[:, None] - known[:, :, None]
+        square = (away**2).sum(axis=0)
+        with np.errstate(all="ignore"):
+            towards = (-2 * away * step[:, None]).sum(axis=0) / (square**2 + square)
+            size = np.abs(step).max(axis=0)
+            new = size < NEAR
+            arrived[active[new & (square.min(axis=0) > AWAY**2)]] = True
+            step = step / (1 - towards.sum(axis=0))
+            longest = np.abs(step).max(axis=0)
+            w[:, active] = here + step * np.minimum(1.0, 0.5 / np.maximum(longest, 1e-300))
+        sane = np.isfinite(w[:, active]).all(axis=0) & (np.abs(w[1:problem.m, active]) < 50).all(axis=0)
+        sane &= (w[problem.m:, active] > 0.05).all(axis=0) & (w[-1, active] < 12) & (w[0, active] < 0.4)
+        active = active[sane & ~new]
+    return w[:, arrived]
 
 
 def _distinct(w: np.ndarray, hits: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:

@@ -115,7 +115,7 @@ TASKS = {t.name: t for t in (
     Task("basin", "tasks.basin:basin", 1, needs=("atlas",), seconds=5.0),
     Task("curve", "tasks.curve:curve", 2, needs=("atlas",), seconds=5.0),
     Task("design", "tasks.design:design", 1, needs=("atlas",), seconds=0.1),
-    Task("census", "tasks.census:census", 2, seconds=10.0),
+    Task("census", "tasks.census:census", 3, seconds=10.0),
     Task("scaling", "tasks.fit:scaling", 1, needs=("points",)),
     Task("transition", "tasks.fit:transition", 1, needs=("points",)),
     Task("claims", "tasks.claims:claims", 2, needs=("points", "atlas"), seconds=30.0),

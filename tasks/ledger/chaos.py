@@ -92,8 +92,8 @@ def period_three() -> Finding:
     first, first_end = doublings("D", "1", "accumulation")["slope"][0], end("D", "1")[0]
     beside = at[0] < flips("D", "1")[0]
     four, four_at = doublings("D", "4"), flips("D", "4")
-    more = (f"; period four (Li & Yang 2012) likewise, from its fold at {four['slope'][four['kind'] == 'fold'][0]:.10f} "
-            f"to its flip at {four_at[0]:.10f}" if len(four_at) else "")
+    more = (f"; period four (Li & Yang 2012) likewise, from its fold at "
+            f"{four['slope'][four['kind'] == 'fold'][0]:.10f} to its flip at {four_at[0]:.10f}" if len(four_at) else "")
     apart = limit["slope"][0] < high < first < first_end
     return Finding(f"stable from the fold at {fold:.10f} to its flip at {at[0]:.10f}, where period one is stable too; "
                    f"doubled on at {', '.join(f'{s:.9f}' for s in at[1:])}, accumulating at {limit['slope'][0]:.9f}; "
@@ -195,10 +195,12 @@ def never_more() -> Finding:
     starts, lines = (sum(int(n) for n in counts) for counts in (
         [f["starts"].sum() for f in found.values()], [len(f["slope"]) for f in found.values()]))
     unseen = max(float(f["unseen"][f["converged"] > 0].max()) for f in found.values() if (f["converged"] > 0).any())
+    more = sum(int(f["found_deflated"].sum()) for f in found.values())
     others = {w: int(f["non_anthropomorphic"].sum()) for w, f in found.items() if f["non_anthropomorphic"].any()}
     return Finding(f"at most {most} in {starts} starts over {len(found)} walkers and {lines} slopes of them; of "
-                   f"those that converged at most {unseen:.3f} may lead to gaits not seen; gaits whose legs pass "
-                   f"more than once are counted apart: {numbers(others)}", verdict(most <= 2), float(most))
+                   f"those that converged at most {unseen:.3f} may lead to gaits not seen; kept from those found, the "
+                   f"starts lead to {more} more, which are counted; gaits whose legs pass more than once are counted "
+                   f"apart: {numbers(others)}", verdict(most <= 2), float(most))
 
 
 @functools.lru_cache(maxsize=8)

@@ -5,8 +5,9 @@ import pytest
 
 from lines import _atlas
 from tasks.basin import basin
-from tasks.census import census, starts
-from tasks.gait.fixed_point import Problem
+from tasks.census import census, deflated, starts
+from tasks.gait.fixed_point import Problem, newton
+from tasks.gait.strides import STRUCK, stride
 from tasks.walkers.parameters import resolve
 
 
@@ -59,6 +60,31 @@ def test_there_are_two_gaits_that_walk_like_people(name):
     assert found["coverage/non_anthropomorphic"].tolist() == [0, 0]
     assert (found["census/hits"] > 1).all()
     assert (found["coverage/unseen"] < 0.1).all()
+
+
+def test_deflation_leads_to_the_gait_that_plain_newton_misses():
+    """One start of thirty strikes at all; plain Newton takes it to one gait of E, deflated Newton to the other."""
+    found = census({"line": {"walker": "E", "set": {}}, "slope": np.array([0.01]), "starts": 30}, [])
+    assert found["coverage/converged"].tolist() == [1]
+    assert found["coverage/found_deflated"].tolist() == [1]
+    assert sorted(found["census/hits"]) == [0, 1]
+    many = census({"line": {"walker": "E", "set": {}}, "slope": np.array([0.01]), "starts": 600}, [])
+    assert found["census/stance_angle"] == pytest.approx(many["census/stance_angle"], rel=1e-12)
+    assert many["coverage/found_deflated"].tolist() == [0]
+
+
+def test_deflated_newton_keeps_away_from_what_is_known():
+    problem, slope = Problem(resolve("E")), 0.01
+    y = starts(problem, slope, 600)
+    flown = stride(problem, y, np.full(600, slope), exact=False)
+    begin = np.vstack([np.log(y[0]), y[1:] / y[0], flown.times])[:, flown.outcome == STRUCK]
+    solved = newton(problem, begin, np.full(begin.shape[1], np.log(slope)))
+    both = [solved.w[:, solved.converged][:, k] for k in (np.argmin(solved.w[0]), np.argmax(solved.w[0]))]
+    for mine, other in (both, both[::-1]):
+        ends = deflated(problem, begin, mine[:, None], slope)
+        assert ends.shape[1] > 0
+        assert np.abs(ends - other[:, None]).max() < 2e-3
+    assert deflated(problem, begin, np.array(both).T, slope).shape[1] == 0
 
 
 def test_starts_fill_the_section():

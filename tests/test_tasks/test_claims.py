@@ -205,7 +205,8 @@ def test_the_count_of_gaits_is_read_from_the_study(no_tables, monkeypatch):
     for most, said in ((2, "reproduced"), (3, "not reproduced")):
         monkeypatch.setattr(lab, "_TABLES", {})
         found = read("G1", "E", coverage__slope=[0.01], coverage__starts=[100], coverage__anthropomorphic=[most],
-                     coverage__converged=[9], coverage__unseen=[0.1], coverage__non_anthropomorphic=[1])
+                     coverage__converged=[9], coverage__unseen=[0.1], coverage__non_anthropomorphic=[1],
+                     coverage__found_deflated=[0])
         assert (found["verdict"], found["value"]) == (said, most)
 
 
