@@ -31,8 +31,10 @@ def test_every_command_and_option_exists():
     commands = {name: command.format_help() for name, command in subparsers.items()}
     seen = 0
     for page in PAGES:
-        for line in re.findall(r"`(gaitsweep [^`]+)`|^(?:\$ )?(gaitsweep .*)$", page.read_text(encoding="utf-8"), re.M):
-            words = "".join(line).split("#")[0].split()
+        inline = re.findall(r"(?<!`)`(gaitsweep [^`]+)`", page.read_text(encoding="utf-8"))
+        fenced = re.findall(r"^(?:\$ )?(gaitsweep .*)$", "".join(blocks(page.relative_to(ROOT), "")), re.M)
+        for line in inline + fenced:
+            words = line.split("#")[0].split()
             assert words[1].rstrip(",.;") in commands, line
             for option in (w.partition("=")[0] for w in words if w.startswith("--")):
                 assert option in commands[words[1]], line

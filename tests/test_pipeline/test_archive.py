@@ -134,6 +134,39 @@ def test_diff_tells_variables_and_statuses_apart(made, copy):
     assert check.diff(made, copy, rtol=1e-8) == ["`status`: 3 were converged and are worker_died"]
 
 
+def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
+    def change(file):
+        file["stance_angle"][3, 1, 0] *= 1 + 1e-9
+        file["spectral_radius"][3, 1, 0] *= 1 + 1e-6
+        file["fits/scaling/exponent"][1] *= 1 + 1e-6
+        file["residual"][3, 1, 0] = 1.0
+    _edit(copy, change)
+
+    def differing(*tolerances):
+        code = cli.main(["diff", str(made), str(copy), *(f"--rtol={t}" for t in tolerances)])
+        out, err = capsys.readouterr()
+        return code, [line.split("`")[1] for line in out.splitlines() if "`" in line], err
+
+    assert differing("1e-8")[:2] == (1, ["spectral_radius", "fits/scaling/exponent"])
+    assert differing("1e-8", "spectral_radius=1e-5")[:2] == (1, ["fits/scaling/exponent"])
+    assert differing("1e-8", "spectral_radius=1e-5", "fits/scaling/exponent=1e-5")[:2] == (0, [])
+    assert differing("1e-8", "residual=1e-3")[1][0] == "residual"
+    code, _, err = differing("spectral=1e-5")
+    assert code == 2 and err.count("\n") == 1 and "holds `spectral`." in err
+    assert differing("2")[0] == 2
+
+
+def test_tables_are_compared_on_the_lines_both_archives_have(tmp_path):
+    toy = Toy(tmp_path)
+    for name, values in (("a", "[0.0, 0.25]"), ("b", "[0.0, 0.1, 0.25]")):
+        toy.write(f'name = "{name}"\nkind = "orbit"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\nw_t = {values}\n')
+        toy("run", "toy.toml")
+    a, b = (tmp_path / "data" / "archive" / f"{name}.nc" for name in "ab")
+    assert check.diff(a, b) == [f"1 of 3 values of `w_t` are only in {b}"]
+    _edit(b, lambda file: file["orbits/period"].__setitem__(5, 9.0))
+    assert check.diff(a, b)[1:] == ["`orbits/period`: 1 of 4 differ, by up to 1 of their size"]
+
+
 def test_diff_aligns_by_coordinates(made, tmp_path):
     toy = Toy(tmp_path)
     toy.write(EVERYTHING.replace("[0.0, 0.25]", "[0.5, 0.25]"))
@@ -166,36 +199,3 @@ def test_mangled_archives_end_in_one_line(made, copy, capsys, files):
         assert err.count("\n") == (1 if code == 2 else 0), err
         assert code in (0, 1, 2)
     print(f"{files} mangled archives, by exit code: {dict(codes)}")
-
-
-def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
-    def change(file):
-        file["stance_angle"][3, 1, 0] *= 1 + 1e-9
-        file["spectral_radius"][3, 1, 0] *= 1 + 1e-6
-        file["fits/scaling/exponent"][1] *= 1 + 1e-6
-        file["residual"][3, 1, 0] = 1.0
-    _edit(copy, change)
-
-    def differing(*tolerances):
-        code = cli.main(["diff", str(made), str(copy), *(f"--rtol={t}" for t in tolerances)])
-        out, err = capsys.readouterr()
-        return code, [line.split("`")[1] for line in out.splitlines() if "`" in line], err
-
-    assert differing("1e-8")[:2] == (1, ["spectral_radius", "fits/scaling/exponent"])
-    assert differing("1e-8", "spectral_radius=1e-5")[:2] == (1, ["fits/scaling/exponent"])
-    assert differing("1e-8", "spectral_radius=1e-5", "fits/scaling/exponent=1e-5")[:2] == (0, [])
-    assert differing("1e-8", "residual=1e-3")[1][0] == "residual"
-    code, _, err = differing("spectral=1e-5")
-    assert code == 2 and err.count("\n") == 1 and "holds `spectral`." in err
-    assert differing("2")[0] == 2
-
-
-def test_tables_are_compared_on_the_lines_both_archives_have(tmp_path):
-    toy = Toy(tmp_path)
-    for name, values in (("a", "[0.0, 0.25]"), ("b", "[0.0, 0.1, 0.25]")):
-        toy.write(f'name = "{name}"\nkind = "orbit"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\nw_t = {values}\n')
-        toy("run", "toy.toml")
-    a, b = (tmp_path / "data" / "archive" / f"{name}.nc" for name in "ab")
-    assert check.diff(a, b) == [f"1 of 3 values of `w_t` are only in {b}"]
-    _edit(b, lambda file: file["orbits/period"].__setitem__(5, 9.0))
-    assert check.diff(a, b)[1:] == ["`orbits/period`: 1 of 4 differ, by up to 1 of their size"]
