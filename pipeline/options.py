@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from tasks.registry import GAITS, OPTIONS
+from tasks.registry import FOLLOWED, GAITS, OPTIONS
 
 if TYPE_CHECKING:
     from pipeline.study import Place
 
 _MOST = 10**6
-_KINDS = ("fold", "flip")
 
 
 def check(options: Any, kind: str, axes: tuple[str, ...], place: Place) -> dict[str, Any]:
@@ -48,9 +47,9 @@ def _check(value: Any, what: str, axes: tuple[str, ...], place: Place) -> None:
     if what == "range":
         if not isinstance(value, list) or len(value) != 2 or not place.number(value[0]) < place.number(value[1]):
             raise place.wrong("must be two numbers that rise", value)
-    names = {"gait": GAITS, "key": tuple(a for a in axes if a != "slope"), "kinds": _KINDS}.get(what, ())
+    names = {"gait": GAITS, "key": tuple(a for a in axes if a != "slope"), "kinds": FOLLOWED}.get(what, ())
     if what == "kinds" and (not isinstance(value, list) or not value):
-        raise place.wrong(f"must be a list of {' and '.join(_KINDS)}", value)
+        raise place.wrong(f"must be a list of {', '.join(FOLLOWED)}", value)
     for name in value if what == "kinds" else [value] if names else []:
         if name not in names:
             raise place.unknown(str(name), names)

@@ -147,6 +147,9 @@ OPTIONS = {
     "census": {"starts": "count"},
 }
 
+#: Points whose curves a study of kind `curve` follows.
+FOLLOWED = ("fold", "flip", "end_kneestrike_at_heelstrike", "end_tangential_heelstrike")
+
 #: Figures that only one kind of study can show.
 SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin", "design": "design"}
 

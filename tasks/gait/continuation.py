@@ -61,6 +61,8 @@ def _times_by_X(stride: Stride, X: np.ndarray) -> np.ndarray:
     return np.concatenate([by_first, by_rest, (stride.times_by_slope * np.exp(X[m]))[:, None]], axis=1)
 
 
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore", over="ignore")
 def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray | None,
             most: int = 8) -> Point:
     """Bordered Newton: the solution in the plane through X normal to `border` (None: at fixed slope).

@@ -180,6 +180,8 @@ def _branching(problem: Problem, point: Point, way: np.ndarray) -> np.ndarray:
     return np.linalg.det(np.concatenate([derivative, tangent.T[:, None]], axis=1))
 
 
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore")
 def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | str]]:
     """Every special point of a branch in its order, ends included.
 

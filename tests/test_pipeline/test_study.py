@@ -151,6 +151,7 @@ def test_the_registry_names_every_option_and_claim_of_the_tasks():
         if kind not in ("curve", "grid"):  # which read their options one by one
             assert set(known) == set(resolve(f"tasks.{kind}:OPTIONS")), kind
     assert set(registry.CLAIMS) == set(resolve("tasks.ledger:CLAIMS"))
+    assert registry.FOLLOWED == (*resolve("tasks.gait.curves:SCALARS"), *resolve("tasks.gait.curves:ENDS"))
 
 
 def test_a_study_that_is_no_toml_is_shown_its_line(write):

@@ -79,7 +79,8 @@ def test_deflated_newton_keeps_away_from_what_is_known():
     flown = stride(problem, y, np.full(600, slope), exact=False)
     begin = np.vstack([np.log(y[0]), y[1:] / y[0], flown.times])[:, flown.outcome == STRUCK]
     solved = newton(problem, begin, np.full(begin.shape[1], np.log(slope)))
-    both = [solved.w[:, solved.converged][:, k] for k in (np.argmin(solved.w[0]), np.argmax(solved.w[0]))]
+    w = solved.w[:, solved.converged]
+    both = [w[:, k] for k in (np.argmin(w[0]), np.argmax(w[0]))]
     for mine, other in (both, both[::-1]):
         ends = deflated(problem, begin, mine[:, None], slope)
         assert ends.shape[1] > 0
