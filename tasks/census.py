@@ -55,10 +55,11 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Starts fill the box of stance angle (evenly in its logarithm), stance rate over angle and swing rate over stance
     rate by an additive recurrence. A start is flown to its strikes, which gives Newton its event times. `unseen` is
     Good's and Turing's estimate of the share of converging starts that would lead to a gait not found yet: solutions
-    found exactly once, over starts that converged (at least one is assumed, so it is never zero). Then all starts that struck
-    go again (`deflated`, counted each time) by Newton on the residual times 1 + 1/r^2 for the distance r to each known
+    found exactly once, over starts that converged (at least one is assumed, so it is never zero). Then all starts that
+    struck go again (`deflated`, counted each time) by Newton on the residual times 1 + 1/r^2 for the distance r to each known
     solution (Farrell, Birkisson and Funke 2015), which keeps them from those and leads some elsewhere
-    (`found_deflated`; such a gait has no `hits`). A start that never strikes is not tried: its gait, if any, is not covered.
+    (`found_deflated`; such a gait has no `hits`). A start that never strikes is not tried: its gait, if any, is not
+    covered.
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)

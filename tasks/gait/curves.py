@@ -1,12 +1,12 @@
 """Curves of special points in two parameters: folds, flips and ends of walking in slope and one walker key.
 
 A point of a fold or a flip is U = (w, q, k): similarity coordinates of the section, q = ln slope and the key over its
-scale. It solves P(y) = y together with one smooth scalar g: det(I - A) for a fold, det(I + A) for a flip. Derivatives of
-P by y and slope are exact, all others are central differences, flown as further lanes of one call.
+scale. It solves P(y) = y together with one smooth scalar g: det(I - A) for a fold, det(I + A) for a flip. Derivatives
+of P by y and slope are exact, all others are central differences, flown as further lanes of one call.
 
 Where walking ends heelstrike may be at no rate, and its time is no function of the rest. So there it is an unknown,
-U = (w, T, q, k), beside the height of the foot, and g is that rate. Where heelstrike comes with kneestrike, the height of
-the foot at kneestrike is g. Nothing is singular where the two ends meet. Curves are followed by pseudo-arclength.
+U = (w, T, q, k), beside the height of the foot, and g is that rate. Where heelstrike comes with kneestrike, the height
+of the foot at kneestrike is g. Nothing is singular where the two ends meet. Curves are followed by pseudo-arclength.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ ENDS = ("end_kneestrike_at_heelstrike", "end_tangential_heelstrike")
 
 @dataclass
 class Point:
-    """A point of a curve: U, its event times (k,), the curve's tangent there, whether it was found and Newton's last step."""
+    """A point of a curve: U, event times (k,), the curve's tangent, whether it was found, and Newton's last step."""
 
     U: np.ndarray
     times: np.ndarray

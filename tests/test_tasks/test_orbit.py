@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 
 from lines import _atlas
+from tasks import basin as basins
+from tasks import orbit as orbits
+from tasks.gait.atlas import from_arrays
+from tasks.gait.fixed_point import Problem
 from tasks.gait.lyapunov import Exponents, estimate, orthogonalised
+from tasks.gait.starts import gaits_at, scattered
+from tasks.gait.strides import stride
 from tasks.orbit import orbit
+from tasks.walkers.parameters import resolve
 
 D = {"walker": "D", "set": {}}
 SHORT = {"starts": 4, "transient": 120, "strides": 80, "shown": 40}
@@ -86,3 +93,41 @@ def test_an_orbit_keeps_its_bits_in_any_company():
     assert np.array_equal(together["lyapunov/exponent"][mine], alone["lyapunov/exponent"])
     fewer = walked([0.0189], starts=2)
     assert np.array_equal(fewer["orbits/stance_angle"], alone["orbits/stance_angle"][alone["orbits/start"] < 2])
+
+
+@pytest.mark.parametrize("walker", ["D", "C"])
+def test_lanes_and_their_blocks_change_no_bit(walker, monkeypatch):
+    """Each lane is flown alone, in another order, and in blocks of another width."""
+    slope = {"D": 0.0189, "C": 0.0945}[walker]
+    problem = Problem(resolve(walker))
+    _, gait = gaits_at(problem, from_arrays(_atlas(walker, ())), np.array([slope]), "long")
+    y = gait * (1 + 0.01 * (2 * scattered(problem.m, 9) - 1))
+    order = np.random.default_rng(3).permutation(9)
+    for exact in (True, False):
+        straight = stride(problem, y, np.full(9, slope), exact)
+        mixed = stride(problem, y[:, order], np.full(9, slope), exact)
+        single = [stride(problem, y[:, k:k + 1], np.array([slope]), exact) for k in range(9)]
+        for name in ("image", "times", "outcome", *(["jacobian"] if exact else [])):
+            whole = getattr(straight, name)
+            assert np.array_equal(whole[..., order], getattr(mixed, name), equal_nan=whole.dtype.kind == "f")
+            alone = np.concatenate([getattr(s, name) for s in single], axis=-1)
+            assert np.array_equal(whole, alone, equal_nan=whole.dtype.kind == "f")
+    line = {"line": {"walker": walker, "set": {}}, "slope": np.array([0.98, 1.0]) * slope, "starts": 5, "transient": 8,
+            "strides": 24, "shown": 10}
+    wide = orbits.orbit(line, [_atlas(walker, ())])
+    monkeypatch.setattr(orbits, "LANES", 3)
+    narrow = orbits.orbit(line, [_atlas(walker, ())])
+    assert wide.keys() == narrow.keys()
+    for name, column in wide.items():
+        assert np.array_equal(column, narrow[name], equal_nan=column.dtype.kind == "f"), name
+
+
+def test_blocks_of_a_basin_change_no_bit(monkeypatch):
+    line = {"line": D, "slope": np.array([0.0126]), "size": 24, "strides": 60, "stance_angle": [0.18, 0.3],
+            "stance_rate": [-0.3, -0.18]}
+    wide = basins.basin(line, [_atlas("D", ())])
+    monkeypatch.setattr(basins, "LANES", 37)
+    narrow = basins.basin(line, [_atlas("D", ())])
+    assert len(set(wide["basin/outcome"])) > 3
+    for name, column in wide.items():
+        assert np.array_equal(column, narrow[name]), name
