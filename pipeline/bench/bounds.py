@@ -96,7 +96,7 @@ def _compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.
     second, rows = _second(problem.walker), []
     size = np.abs(at.stride.y)
     begin = problem.map.start(at.y, problem.parameters(slope, at.scale))[problem.map.start_size:]
-    for lane in np.nonzero(product["status"] == 0)[0]:
+    for lane in map(int, np.flatnonzero(product["status"] == 0)):
         doubles = at.doubles[lane]
         tier = 0 if doubles <= extended.ESCALATE else 1 if doubles < extended.ESCALATE_AGAIN else 2
         exact = extended.solved(problem, int(lane), at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane],

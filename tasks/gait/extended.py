@@ -117,7 +117,8 @@ def _map(structure: Structure, tier: int) -> Extended:
 class Wide:
     """One gait in a wider number: scaled section, event times, rates just before heelstrike, state just after.
 
-    `left` is the relative size of the last Newton step, the only error but the wider number's own rounding.
+    `left` is the relative size of the last Newton step, `rounding` the error besides: of the number itself, and of
+    narrowing it.
     """
 
     y: np.ndarray
@@ -125,6 +126,7 @@ class Wide:
     impact: np.ndarray
     state: np.ndarray
     left: float
+    rounding: float = 0.0
 
 
 def solved(problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np.ndarray, slope: float, scale: float,
@@ -164,8 +166,8 @@ def solved(problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np
 
 
 def refine(problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np.ndarray, slope: float, scale: float,
-           bound: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """One gait to a double's last digits.
+           bound: float) -> Wide:
+    """One gait to a double's last digits, narrowed to doubles; long double where that will do, else 128 bits.
 
     Parameters
     ----------
@@ -175,12 +177,6 @@ def refine(problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np
     times : ndarray, shape (phases,)
     bound : float
         The double's error bound.
-
-    Returns
-    -------
-    y, times, impact : ndarray
-        As doubles; `impact` are the rates just before heelstrike.
-    bound : float
     """
     tier = 0 if bound < ESCALATE_AGAIN else 1
     found = solved(problem, lane, stride, y, times, slope, scale, tier)
@@ -188,5 +184,5 @@ def refine(problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np
     def narrow(values: np.ndarray) -> np.ndarray:
         return np.array([float(v) for v in values])
 
-    left = found.left + bound * TIERS[tier][1] / EPS
-    return narrow(found.y), narrow(found.times), narrow(found.impact), left + 4 * EPS
+    return Wide(narrow(found.y), narrow(found.times), narrow(found.impact), narrow(found.state), found.left,
+                bound * TIERS[tier][1] / EPS + 4 * EPS)

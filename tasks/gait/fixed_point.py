@@ -110,9 +110,11 @@ def rounding(stride: Stride) -> np.ndarray:
     size = np.abs(stride.y)
     # Off balance, a short step is flown by forces and rates that dwarf its section; their rounding adds up on the way.
     most = size.max(axis=0)
-    beyond = 16 * np.maximum(0, np.maximum(np.abs(stride.impact).max(axis=0), np.abs(stride.start).max(axis=0)) - 2 * most)
-    landed = size + np.abs(stride.image)
-    landed[0] = np.maximum(landed[0], landed.max(axis=0))
+    beyond = 48 * np.maximum(0, np.maximum(np.abs(stride.impact).max(axis=0), np.abs(stride.start).max(axis=0)) - 2 * most)
+    # Angles become rates on the way and rates angles: the largest of them rounds them all. A point foot's motion has
+    # few constants; that of others many, each of them rounded, and several times the operations.
+    share = 0.5 if len(size) == 2 else 3.0
+    landed = np.broadcast_to(share * (size + np.abs(stride.image)).max(axis=0), size.shape)
     through = np.abs(stride.inverse - np.eye(len(size))[:, :, None])
     return EPS * (apply(np.abs(stride.inverse), landed + beyond) + apply(through, size + beyond)) / size
 

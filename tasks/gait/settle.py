@@ -60,14 +60,22 @@ def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.nda
     stride.impact = stride.impact + apply(stride.impact_by_y, stride.newton)
     if stride.knee is not None and stride.knee_by_y is not None:
         stride.knee = stride.knee + apply(stride.knee_by_y, stride.newton)
-    bound = error_bound(problem, stride, y, times, slope, scale, lipschitz, eta)
+    begin = problem.map.start(y, problem.parameters(slope, scale))
+    size = problem.map.start_size
+    state, by_y = begin[:size], np.abs(begin[size:].reshape(size, m, n))
+    error = (rounding(stride) + 2 * lipschitz * eta**2) * np.abs(y)
+    # Heelstrike rounds as if its own start were off by rounding.
+    guard = 4 * EPS * np.abs(y).max(axis=0) / np.abs(stride.closing)
+    bound = np.maximum(_shown(stride, state, by_y, error + 2 * EPS * np.abs(y), np.zeros(n), times),
+                       _shown(stride, state, by_y, error, guard, times)) + 2 * EPS
     doubles = bound.copy()
     converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
+    spread = _shown(stride, state, by_y, np.abs(y), np.zeros(n), times)
     for lane in np.nonzero((bound > extended.ESCALATE) & (bound < 1e-3))[0]:
-        y[:, lane], times[:, lane], stride.impact[:, lane], bound[lane] = extended.refine(
-            problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane])
+        wide = extended.refine(problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane])
+        y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
+        bound[lane] = wide.left * max(1.0, spread[lane]) + wide.rounding
         converged[lane] = bound[lane] < extended.ESCALATE_AGAIN
-    state = problem.map.start(y, problem.parameters(slope, scale))[: problem.map.start_size]
     step = (stride.closing < 0) & (np.diff(stride.times, axis=0, prepend=0) > 0).all(axis=0)
     lanes = np.nonzero(passes == UNKNOWN)[0]
     if len(lanes):
@@ -77,23 +85,12 @@ def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.nda
     return Settled(y, state, times, scale, stride, bound, doubles, converged, step, passes)
 
 
-def error_bound(problem: Problem, stride: Stride, y: np.ndarray, times: np.ndarray, slope: np.ndarray,
-                scale: np.ndarray, lipschitz: np.ndarray, eta: np.ndarray) -> np.ndarray:
-    """Bound on the largest relative error of angle, rates and period, shape (n,).
-
-    Rounding of the stride map carried to the fixed point, and what Newton's last step leaves (Newton-Kantorovich).
-    """
-    m, n = y.shape
-    size = problem.map.start_size
-    begin = problem.map.start(y, problem.parameters(slope, scale))
-    state, by_y = begin[:size], np.abs(begin[size:].reshape(size, m, n))
-    error = (rounding(stride) + 2 * lipschitz * eta**2) * np.abs(y)
-    # Heelstrike rounds as if its own start were off by rounding.
-    struck = error + 2 * EPS * np.abs(y)
-    rows = [0, *range(size // 2, size)]
-    relative = list(apply(by_y[rows], struck) / np.abs(state[rows]) + EPS)
-    guard = 4 * EPS * np.abs(y).max(axis=0) / np.abs(stride.closing)
-    relative.append((apply(np.abs(stride.times_by_y[-1:]), error)[0] + guard) / times[-1] + EPS)
+def _shown(stride: Stride, state: np.ndarray, by_y: np.ndarray, error: np.ndarray, late: np.ndarray,
+           times: np.ndarray) -> np.ndarray:
+    """Largest relative error of angle, rates and period an error of the section (m, n) and of the event makes, (n,)."""
+    rows = [0, *range(len(state) // 2, len(state))]
+    relative = list(apply(by_y[rows], error) / np.abs(state[rows]))
+    relative.append((apply(np.abs(stride.times_by_y[-1:]), error)[0] + late) / times[-1])
     return np.max(relative, axis=0)
 
 
