@@ -37,7 +37,7 @@ _WHOLE = 60  # a task over a whole line or study may take as many times a point'
 _OUT = 4  # jobs out or not yet read, for each worker
 _LINGER = 2.0  # s a process on a cluster waits for more: nobody there knows when the run is over, or gone
 _NOTHING, _IDLE = -1, 0.05  # number of a job of nothing, and how long it lasts [s]
-_READ = 2_000  # slopes of a line that a task over the study is given, evenly taken: some fits compare all with all
+_READ = 20_000  # slopes of a line that a task over the study is given, evenly taken
 _TRIES = 3  # times in a row that a broken engine is built anew
 
 Listen = Callable[[str, dict[str, Any]], None]

@@ -67,6 +67,8 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "cascade/period": ("number", "steps of the periodic gait"),
     "ratio": ("number", "ratio of successive distances between flips"),
     "flips": ("number", "flips found"),
+    "deflated": ("number", "Newton's searches from starts with the known gaits deflated"),
+    "found_deflated": ("number", "gaits that only deflation led to"),
     "low": ("angle", "lower end of the slope's interval"),
     "high": ("angle", "upper end of the slope's interval"),
     "area": ("number", "area of the section that leads there, stance angle times stance rate in units of sqrt(g/leg)"),

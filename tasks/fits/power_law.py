@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,18 +61,24 @@ def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[t
     """
     p = local_exponents(x, y)
     runs, start = [], 0
-    low = high = p[0] if len(p) else 0.0
-    for i in range(1, len(p) + 1):
-        if i < len(p) and max(high, p[i]) - min(low, p[i]) < flatness:
-            low, high = min(low, p[i]), max(high, p[i])
-            continue
-        runs.append((start, i))
-        # The next run may reach back over points that agree with it.
-        start = i
-        if i < len(p):
-            low = high = p[i]
-            while start > 0 and max(high, p[start - 1]) - min(low, p[start - 1]) < flatness:
-                start -= 1
-                low, high = min(low, p[start]), max(high, p[start])
+    # Places of the largest and the smallest exponents of the run and of all that may become so, in order.
+    high: deque[int] = deque()
+    low: deque[int] = deque()
+    for i, value in enumerate(p):
+        while high and p[high[-1]] <= value:
+            high.pop()
+        while low and p[low[-1]] >= value:
+            low.pop()
+        high.append(i)
+        low.append(i)
+        if p[high[0]] - p[low[0]] >= flatness:
+            runs.append((start, i))
+        # The next run reaches back over points that agree with it.
+        while p[high[0]] - p[low[0]] >= flatness:
+            start += 1
+            for extremes in (high, low):
+                if extremes[0] < start:
+                    extremes.popleft()
+    runs.append((start, len(p)))
     good = [(a, b) for a, b in runs if b - a + 1 >= LEAST_POINTS and np.log10(x[b] / x[a]) >= LEAST_DECADES]
     return sorted(good, key=lambda r: np.log(x[r[0]] / x[r[1]]))

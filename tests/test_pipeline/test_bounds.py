@@ -41,7 +41,7 @@ def peaks(toy, *arguments):
 
 
 def test_a_point_costs_the_parent_less_memory_than_its_results(toy):
-    few, many = 70_000, 270_000
+    few, many = 150_000, 500_000  # below, what is held once is not full yet
     parent = []
     for n in (few, many):
         toy.write(STUDY.format(n=n))

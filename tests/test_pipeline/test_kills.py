@@ -69,7 +69,7 @@ def test_two_hundred_random_kills(toy, whole, tell):
 
 def test_a_second_interrupt_is_hard():
     """The first waits for what must not be cut in two; the second does not."""
-    program = ("import os, signal; from pipeline.run import Signals; signals = Signals()\n"
+    program = ("import os, signal; from pipeline.runner import Signals; signals = Signals()\n"
                "def interrupt(): os.kill(os.getpid(), signal.SIGINT)\n"
                "with signals.caught():\n"
                "    with signals: interrupt(); print('held', flush=True); interrupt(); print('soft', flush=True)\n")
