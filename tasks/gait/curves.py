@@ -15,10 +15,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from tasks.gait.continuation import linearised
 from tasks.gait.fixed_point import Problem
+from tasks.gait.root import bracketed_root
 from tasks.gait.stride import Stride, StrideMap, stride_map
 from tasks.gait.strides import STRUCK, scanner
 from tasks.gait.strides import stride as flown
@@ -274,7 +274,7 @@ def turning(curve: Curve, a: Point, b: Point, component: int) -> Point | None:
     ends = [at(0.0), at(length)]
     if not all(p.ok for p in ends) or ends[0].tangent[component] * ends[1].tangent[component] >= 0:
         return None
-    found = at(brentq(lambda s: at(s).tangent[component], 0.0, length, xtol=1e-11 * length, maxiter=50))
+    found = at(bracketed_root(lambda s: at(s).tangent[component], 0.0, length, 1e-11 * length))
     bends = abs(ends[1].tangent[component] - ends[0].tangent[component]) / length
     again = _null(curve.system(found.U, found.times, 2 * DIFFERENCE)[1], found.tangent)
     moved = abs(again[component] - found.tangent[component]) / bends + 1e-11 * length

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from tasks.gait.fixed_point import Problem
+from tasks.gait.root import bracketed_root
 from tasks.gait.strides import STRUCK
 from tasks.gait.strides import stride as flown
 
@@ -199,7 +199,7 @@ class Path:
         return False
 
     def located(self, test: Test) -> Cycle:
-        """The root of a test function between the last two points (Brent's method, the corrector in the loop)."""
+        """The root of a test function between the last two points (the corrector in the loop)."""
         a, b = self.points[-2:]
         length = np.linalg.norm(b.Z - a.Z)
         way = (b.Z - a.Z) / length
@@ -210,7 +210,7 @@ class Path:
                  + b.Z * h * h * (3 - 2 * h) + length * b.tangent * h * h * (h - 1))
             return _along(correct(self.problem, Z, a.times * (1 - h) + b.times * h, way), way)
 
-        root = brentq(lambda s: test(at(s)), 0.0, length, xtol=3e-13 * length, rtol=8.9e-16, maxiter=60)
+        root = bracketed_root(lambda s: test(at(s)), 0.0, length, 3e-13 * length)
         return at(root)
 
 

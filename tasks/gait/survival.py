@@ -48,8 +48,8 @@ def lasting(problem: Problem, starts: np.ndarray, slope: np.ndarray, strides: in
     return last
 
 
-def lost(problem: Problem, starts: np.ndarray, low: float, high: float, strides: int, at_once: int = 12,
-         rounds: int = 2) -> tuple[float, float]:
+def lost(problem: Problem, starts: np.ndarray, low: float, high: float, strides: int, at_once: int = 4,
+         rounds: int = 3) -> tuple[float, float]:
     """The slopes between which an attractor is lost.
 
     Parameters
