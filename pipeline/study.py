@@ -206,12 +206,14 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
         raise top.at("kind").unknown(kind, kinds())
     gaits = _names(table.get("gaits", list(GAITS)), GAITS, top.at("gaits"))
     want: dict[str, Any] = dict(_want(table.get("want", {}), kind, top.at("want")))
+    axes, tolerance = _axes(table.get("axes"), top.at("axes"), kind)
+    chosen = options.check(table.get("options", {}), kind, _keys(), top.at("options"))
     study = Study(name=name, text=text, kind=kind, path=path,
-                  options=options.check(table.get("options", {}), kind, _keys(), top.at("options")),
+                  options={**chosen, "adaptive": tolerance} if tolerance else chosen,
                   walker_axis=isinstance(table.get("walker"), list),
                   gaits=tuple(g for g in GAITS if g in gaits), limits=_limits(table, top),
                   walkers=_walkers(table.get("walker"), path, top.at("walker")),
-                  axes=_axes(table.get("axes"), top.at("axes")), **want)
+                  axes=axes, **want)
     if study.points > MOST_POINTS:
         raise top.at("axes").error(f"The grid has {study.points:.3g} points, more than {MOST_POINTS:.0e}")
     return _checked(study, top)
@@ -273,7 +275,8 @@ def _keys() -> tuple[str, ...]:
     return (*EXTRA_AXES, *worker.resolve("tasks.walkers.parameters:NUMBERS"))
 
 
-def _axes(value: object, place: Place) -> tuple[Axis, ...]:
+def _axes(value: object, place: Place, kind: str) -> tuple[tuple[Axis, ...], float]:
+    """The axes, and the tolerance of an adaptive slope axis (0: none)."""
     if not isinstance(value, dict) or not value:
         raise place.error("A study needs axes, at least `slope`")
     for key in value:
@@ -281,12 +284,26 @@ def _axes(value: object, place: Place) -> tuple[Axis, ...]:
             raise place.unknown(key, _keys())
     if "slope" not in value:
         raise place.error("A study needs the axis `slope`")
-    axes = tuple(Axis(key, _values(v, place.at(key))) for key, v in value.items())
+    slope, tolerance = value["slope"], 0.0
+    if isinstance(slope, dict) and "adaptive" in slope:
+        tolerance, slope = _adaptive(slope, place.at("slope"), kind)
+    axes = tuple(Axis(key, _values(slope if key == "slope" else v, place.at(key))) for key, v in value.items())
     for axis in axes:
         if axis.name == "slope" and not (axis.values.min() > 0 and axis.values.max() < 0.5):
             worst = axis.values.min() if axis.values.min() <= 0 else axis.values.max()
             raise place.at("slope").wrong("must lie in (0, 0.5) rad", float(worst))
-    return axes
+    return axes, tolerance
+
+
+def _adaptive(slope: dict[str, Any], place: Place, kind: str) -> tuple[float, dict[str, Any]]:
+    """The tolerance of an adaptive slope axis, and its window as an axis of two values."""
+    if kind != "branch":
+        raise place.at("adaptive").error('`adaptive` is for studies of kind "branch", whose points follow the gaits')
+    window = _table(slope, ("from", "to", "adaptive"), place)
+    tolerance = place.at("adaptive").number(window["adaptive"])
+    if not 1e-6 <= tolerance <= 0.1:
+        raise place.at("adaptive").wrong("must lie in [1e-6, 0.1]", tolerance)
+    return tolerance, {**{k: v for k, v in window.items() if k != "adaptive"}, "n": 2}
 
 
 def _values(value: object, place: Place) -> np.ndarray:

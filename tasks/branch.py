@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tasks.gait import atlas as atlases
+from tasks.gait.adaptive import chosen
 from tasks.gait.branch import Branch
 from tasks.gait.fixed_point import Problem, gait_ratio
 from tasks.gait.special_points import special_points
@@ -21,7 +22,8 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     Parameters
     ----------
     params : mapping
-        `line`; `slope_from`, `slope_to` [rad], the window; `n`, the least number of points of a branch in it.
+        `line`; `slope_from`, `slope_to` [rad], the window; `n`, the least number of points of a branch in it, or
+        `adaptive`, the tolerance of straight lines between them.
     inputs : list
         The line's atlas.
 
@@ -35,11 +37,12 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     problem = Problem(walker)
     second = np.sqrt(walker.leg / walker.g)
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
+    tolerance = float(params.get("adaptive", 0.0))
     rows: dict[str, list[np.ndarray]] = {k: [] for k in (
         "branch", "slope", "stance_angle", "period", "kneestrike_time", "spectral_radius", "stable", "gait")}
     points: list[dict[str, Any]] = []
     for number, found in enumerate(atlases.from_arrays(inputs[0])):
-        Z = _dense(found, low, high, least)
+        Z = chosen(problem, found, low, high, tolerance) if tolerance else _dense(found, low, high, least)
         if not len(Z):
             continue
         m = found.m

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import gc
 import time
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from pipeline.bench import problems
 from tasks import solve
+from tasks.gait import extended, settle
 from tasks.gait.stride import StrideMap
+from tasks.measures import violations
 from tasks.mechanics.kernel import Flow
-from tasks.registry import GAITS
+from tasks.registry import ALWAYS, GAITS, VARIABLES
 
 
 def flows() -> list[Flow]:
@@ -44,6 +47,74 @@ class Clock:
     def __exit__(self, *_: object) -> None:
         for (owner, name), kept in zip(self.methods, self._kept, strict=True):
             setattr(owner, name, kept)
+
+
+#: Studies that want less and less: a name, the variables, and the gaits.
+STUDIES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
+    ("everything", tuple(VARIABLES), GAITS),
+    ("all but violations", problems.GRID_WANT, GAITS),
+    ("angle and multipliers", ("stance_angle", "multiplier_real", "multiplier_imag"), GAITS),
+    ("angle", ("stance_angle",), GAITS),
+    ("angle of the long gait", ("stance_angle",), ("long",)))
+
+
+class Calls:
+    """Counts lanes handed to some functions of modules while it is running."""
+
+    def __init__(self, *watched: tuple[Any, str, Callable[..., int]]):
+        self.watched, self.lanes = watched, {name: 0 for _, name, _ in watched}
+        self._kept: list[Any] = []
+
+    def __enter__(self) -> Calls:
+        for owner, name, size in self.watched:
+            kept = getattr(owner, name)
+            self._kept.append(kept)
+
+            def counting(*args: Any, kept: Any = kept, name: str = name, size: Any = size, **kwargs: Any) -> Any:
+                self.lanes[name] += size(*args)
+                return kept(*args, **kwargs)
+            setattr(owner, name, counting)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for (owner, name, _size), original in zip(self.watched, self._kept, strict=True):
+            setattr(owner, name, original)
+
+
+def work(name: str, atlas: dict[str, np.ndarray], slopes: np.ndarray, want: Sequence[str],
+         gaits: Sequence[str] = GAITS) -> dict[str, float]:
+    """What the points of one line cost, counted.
+
+    Returns
+    -------
+    dict
+        `gaits` found; `strides` flown, each with its Jacobian; `event checks`, strides whose guards were sampled;
+        `eigenvalue problems`; `strides for violations`; `more digits`, gaits refined; `idle lanes`, that filled SIMD
+        groups; `bytes` of what is wanted.
+    """
+    params = {"line": {"walker": name, "set": {}}, "slope": slopes, "want": want, "gaits": gaits}
+    solve.points({**params, "slope": slopes[:1]}, [atlas])
+    for flow in flows():
+        flow.evaluations = flow.idle = 0
+    with Calls((settle, "judged", lambda problem, w, q: w.shape[1]),
+               (solve, "multipliers", lambda jacobian, width: jacobian.shape[2]),
+               (violations, "measure", lambda walker, motion, impact, times, slope: len(slope)),
+               (extended, "refine", lambda *args: 1)) as calls:
+        found = solve.points(params, [atlas])
+    flown = [flow for flow in flows() if flow.evaluations]
+    kept = [v for v in VARIABLES if v in want or v in ALWAYS]
+    return {"gaits": float((found["status"] == 0).sum()),
+            "strides": float(sum(flow.evaluations for flow in flown if flow.angles == 4)),
+            "event checks": float(calls.lanes["judged"]), "eigenvalue problems": float(calls.lanes["multipliers"]),
+            "strides for violations": float(calls.lanes["measure"]), "more digits": float(calls.lanes["refine"]),
+            "idle lanes": float(sum(flow.idle for flow in flown)),
+            "bytes": float(sum(found[v].nbytes for v in kept))}
+
+
+def less_and_less(f: problems.Family, n: int) -> list[dict[str, float | str]]:
+    """The counted work of studies of one line that want less and less."""
+    slopes = np.geomspace(1e-3, f.slope * 3, n)
+    return [{"study": name, **work(f.name, f.atlas, slopes, want, gaits)} for name, want, gaits in STUDIES]
 
 
 def line(f: problems.Family, n: int) -> dict[str, float]:

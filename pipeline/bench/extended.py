@@ -51,7 +51,7 @@ class Precise:
     def __init__(self, structure: Structure, kind: Any):
         self.kind, self.m, self.kneed = kind, structure.dimension, structure.kneed
         self.algebra = _Algebra(structure, kind)
-        self.locked = self._integrator(structure, False, self.m + self.kneed)
+        self.locked = self._integrator(structure, False, self.m)
         self.free = self._integrator(structure, True, self.m) if self.kneed else None
 
     def _integrator(self, structure: Structure, free: bool, directions: int) -> Any:
@@ -79,18 +79,19 @@ class Precise:
         begin = self.algebra.begin(np.concatenate([y, parameters]))
         size = self.algebra.start_size
         start, D = begin[:size], begin[size:].reshape(size, m)
-        duration, first, first_by = times[0], None, None
+        duration, first, first_by, parts = times[0], None, None, self.array([])
         if self.kneed:
             final = self._fly(self.free, start, D, parameters, times[0])
             D = np.ascontiguousarray(final[6:].reshape(m, 6).T)
             assert self.algebra.lock is not None
             out = self.algebra.lock(np.concatenate([final[:6], D.reshape(-1), parameters]))
-            start, D = out[:4], out[4:8 + 4 * m].reshape(4, m + 1)
-            first, first_by = out[8 + 4 * m], out[9 + 4 * m:9 + 5 * m]
+            start, parts, first, first_by, _ = np.split(out, np.cumsum([4, 4 * (m + 1), 1, m]))
+            first = first[0]
+            D = self.array(np.eye(4, m, -1).ravel()).reshape(4, m)
             duration = times[1] - times[0]
         final = self._fly(self.locked, start, D, parameters, duration)
         D = np.ascontiguousarray(final[4:].reshape(-1, 4).T)
-        out = self.algebra.finish(np.concatenate([y, final[:4], D.reshape(-1), parameters]))
+        out = self.algebra.finish(np.concatenate([y, final[:4], D.reshape(-1), parts, parameters]))
         cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m, 2]))
         after, after_by = times[-1] + cut[4][0], cut[5][None]
         if first is None or first_by is None:

@@ -37,7 +37,7 @@ def _insert(problem: Problem, branch: Branch, segments: np.ndarray, x: np.ndarra
     new_Z = np.vstack([point.X, point.times]).T
     new_T = np.vstack([point.tangent, point.times_tangent]).T * sign
     # Below the rounding of the fixed point itself no split would help.
-    keep = point.ok & (moved > np.maximum(TOLERANCE, 20 * rounding(point.stride).max(axis=0)))
+    keep = point.ok & (moved > np.maximum(TOLERANCE, 7 * rounding(point.stride).max(axis=0)))
     at = segments[keep] + 1
     return replace(branch, Z=np.insert(branch.Z, at, new_Z[keep], axis=0),
                    tangent=np.insert(branch.tangent, at, new_T[keep], axis=0)), moved

@@ -43,7 +43,7 @@ def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
 class Flow:
     """A flow over given times, with its variations, for any number of lanes.
 
-    Work is counted in `evaluations` (lanes advanced). Every lane runs the same code at its own pace, so a lane's
+    Work is counted in `evaluations` (lanes advanced) and `idle` (lanes that fill a group). Every lane runs the same code at its own pace, so a lane's
     bits do not depend on its neighbours; a group with a lost lane is run again lane by lane to keep that true.
     """
 
@@ -52,7 +52,7 @@ class Flow:
         self.size, self.angles = len(flown.equations), (6 if free_knee else 4)
         # Without a foot mass the links do not couple: so few terms are left that two registers a step pay.
         self.lanes = 2 * LANES if ("eps", 0.0) in structure.units else LANES
-        self.evaluations = 0
+        self.evaluations = self.idle = 0
         self._ta = hy.taylor_adaptive_batch(
             flown.equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE)
         self._parameters = flown.parameters()
@@ -94,6 +94,7 @@ class Flow:
                         if motion is not None:
                             motion[:, :, lane] = np.nan
         self.evaluations += n
+        self.idle += flown - n
         return final[:, :n], motion if motion is None else motion[:, :, :n]
 
     def _group(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray, lanes: slice | list[int],

@@ -1,0 +1,78 @@
+"""Work that is counted: nothing is computed that a study does not want, and no more than it takes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline import cell, graph
+from pipeline.bench.counted import STUDIES, work
+from pipeline.run import Options, run
+from pipeline.study import read
+from tasks.registry import ALWAYS
+from tasks.solve import atlas
+
+
+@pytest.fixture(scope="module", params=["D", "B"])
+def counts(request):
+    found = atlas({"line": {"walker": request.param, "set": {}}}, [])
+    slopes = np.geomspace(1e-3, 0.1, 300)
+    return {name: work(request.param, found, slopes, want, gaits) for name, want, gaits in STUDIES}
+
+
+def test_a_gait_takes_one_newton_step_and_leaves_few_lanes_idle(counts):
+    for name, of in counts.items():
+        assert of["gaits"] == (300 if "long" in name else 600)
+        # One stride is one Newton step; the polynomials of the atlas leave no more to do.
+        assert of["strides"] - of["event checks"] - of["strides for violations"] <= 1.02 * of["gaits"]
+        assert of["event checks"] <= 0.1 * of["gaits"]
+        # A call fills its last groups of lanes: there are as many calls as branches, and those for what is in doubt.
+        assert of["idle lanes"] < 0.2 * of["gaits"]
+        assert of["more digits"] == 0
+
+
+def test_what_is_not_wanted_is_not_computed(counts):
+    rows = list(counts.values())
+    for key in ("strides", "eigenvalue problems", "strides for violations", "bytes"):
+        assert all(more[key] >= less[key] for more, less in zip(rows[:-1], rows[1:], strict=True)), key
+    everything, most, multipliers, angle, long = rows
+    assert everything["strides for violations"] == 600 and most["strides for violations"] == 0
+    assert multipliers["eigenvalue problems"] == 600 and angle["eigenvalue problems"] == 0
+    assert long["strides"] < 0.6 * angle["strides"]
+    assert angle["bytes"] < 0.3 * most["bytes"] < 0.3 * everything["bytes"]
+
+
+STUDY = """name = "one"
+walker = "E"
+[axes]
+slope = { from = 0.01, to = 0.02, n = 4 }
+[want]
+variables = ["stance_angle"]
+figures = ["loglog"]
+"""
+
+
+def test_one_figure_asks_for_its_inputs_alone(tmp_path):
+    (tmp_path / "one.toml").write_text(STUDY)
+    study = read(tmp_path / "one.toml")
+    assert set(graph.layers(study)) == {"atlas", "points"}
+    assert set(graph.variables(study)) == {"stance_angle", "spectral_radius", *ALWAYS}
+
+
+def test_a_cached_rerun_starts_no_worker_and_so_integrates_nothing(tmp_path, monkeypatch):
+    # Workers find the packages where this process does.
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    (tmp_path / "one.toml").write_text(STUDY)
+    study, archive = read(tmp_path / "one.toml"), tmp_path / "one.nc"
+    assert run(study, archive, Options(jobs=1, quiet=True)) == 0
+    before = archive.read_bytes()
+
+    def refuse(*_):
+        raise AssertionError("a worker was started")
+    monkeypatch.setattr(cell.Cell, "__init__", refuse)
+    assert run(study, archive, Options(jobs=1, quiet=True)) == 0
+    assert archive.read_bytes() == before
+    # One more slope wants a worker again: the guard above does guard.
+    (tmp_path / "one.toml").write_text(STUDY.replace("n = 4", "n = 5"))
+    with pytest.raises(Exception, match="a worker was started"):
+        run(read(tmp_path / "one.toml"), archive, Options(jobs=1, quiet=True))
