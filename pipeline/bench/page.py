@@ -41,6 +41,17 @@ right-hand side is compiled by {% if numba %}numba{% else %}nothing here, for nu
 <h2>A line of slopes</h2>
 <p>A grid point holds every gait there is, with multipliers, energy and error bound.</p>
 {{ table(work) }}
+<h2>What a study does not want</h2>
+<p>The same line for studies that want less and less. A stride carries its Jacobian; an event check samples a stride's
+guards, where the atlas has not settled it for good; bytes are those of the variables wanted.</p>
+{{ table(less) }}
+<h2>Random walkers</h2>
+<p>Walkers, slopes from 1e-12 to 0.3 and starts drawn at random, one of each a lane, and what became of them. Most starts
+lead nowhere, and most walkers drawn do not walk.</p>
+{{ table(outcomes) }}
+<h2>Error bounds</h2>
+<p>Gaits at random slopes, their bounds beside their true errors by more digits.</p>
+{{ table(bounds) }}
 <h2>The Taylor step and the machine's peak</h2>
 <p>Operations are estimated from the u-variables of the decomposition and the order; a step is timed through one call
 from Python, so short steps are underrated.</p>
@@ -76,6 +87,8 @@ def write(found: Found, path: Path) -> None:
         machine=found.machine, kind=found.kind, quick=found.quick, lanes=LANES, families=families,
         numba=found.machine["numba"] != "not installed", table=lambda rows: Markup(_table(rows)),
         work=[{"walker": k, **v} for k, v in found.work.items()],
+        less=[{"walker": k, **v} for k, of in found.less.items() for v in of], outcomes=found.outcomes,
+        bounds=found.bounds,
         flows=[{"walker": k, **v} for k, of in found.flows.items() for v in of])
     path.write_text(text, encoding="utf-8")
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from tasks.gait.fixed_point import Problem
-from tasks.mechanics.equations import Symbols
+from tasks.mechanics.equations import Symbols, system
 from tasks.mechanics.impacts import heelstrike, kneestrike
 from tasks.mechanics.lumped import lump
 
@@ -193,6 +193,46 @@ def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
         return float(found.t_events[0][0]), found.y_events[0][0]
 
     return fly
+
+
+class Scalar:
+    """heyoka's scalar integrator with terminal events, one for each tolerance and number of links."""
+
+    def __init__(self, problem: Problem):
+        self.problem, self._built = problem, {}  # type: ignore[var-annotated]
+
+    def _integrator(self, kind: int, tolerance: float) -> Any:
+        if (kind, tolerance) not in self._built:
+            flown = system(self.problem.structure, bool(kind), 0, False)
+            q: list[Any] = [name for name, _ in flown.equations]
+            guard = q[1] - q[2] if kind else q[0] + q[1]
+            # The guard is zero at a phase's start: only a fall after that ends it.
+            event = hy.t_event(guard, direction=hy.event_direction.negative)
+            flow = hy.taylor_adaptive(flown.equations, np.zeros(len(q)), tol=max(tolerance, 2.3e-16), t_events=[event])
+            self._built[kind, tolerance] = flow, flown.parameters()
+        return self._built[kind, tolerance]
+
+    def __call__(self, rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int,
+                 tolerance: float) -> tuple[float, np.ndarray]:
+        """A flight to its event; the walker's constants are the structure's, the right-hand side its own."""
+        if not np.isfinite(state).all():
+            return math.nan, state
+        flow, held = self._integrator(kind, tolerance)
+        # States over the step's angle: the integrator's tolerance is absolute below one.
+        scale = 2.0 ** math.floor(math.log2(abs(state[0])))
+        parameters = self.problem.parameters(constants[:1], np.array([scale]))[:, 0]
+        flow.time = 0.0
+        flow.reset_cooldowns()
+        flow.state[:] = state / scale
+        flow.pars[:] = held(np.ascontiguousarray(parameters))
+        while True:
+            outcome = flow.propagate_until(EARLY if flow.time < EARLY else LONGEST, max_steps=200)[0]
+            if int(outcome) == -1 and flow.time < EARLY:
+                continue
+            if int(outcome) == -1:
+                return float(flow.time), flow.state * scale
+            if outcome != hy.taylor_outcome.time_limit or flow.time >= LONGEST:
+                return math.nan, np.full_like(state, math.nan)
 
 
 @functools.cache

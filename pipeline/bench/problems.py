@@ -26,7 +26,9 @@ EPS = float(np.finfo(float).eps)
 OURS = (EPS, 1e-13, 1e-10, 1e-7, 1e-4)
 THEIRS = {"scipy DOP853": (1e-13, 1e-10, 1e-7, 1e-4), "scipy RK45": (1e-11, 1e-8, 1e-5),
           "scipy LSODA": (1e-12, 1e-9, 1e-6), "scipy Radau": (1e-9, 1e-6, 1e-4),
-          "numba DOP853": (1e-14, 1e-11, 1e-8, 1e-5)}
+          "numba DOP853": (1e-14, 1e-11, 1e-8, 1e-5), "heyoka scalar": (EPS, 1e-11, 1e-7)}
+#: Peers that also solve fixed points, a line of slopes, and walk along a branch.
+SOLVERS = ("scipy DOP853", "numba DOP853", "heyoka scalar")
 GRID_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
 
 
@@ -141,11 +143,13 @@ class Lanes:
         return self.f.algebra.image(np.vstack([state, self.parameters]))
 
 
-def _peer_flights() -> dict[str, Any]:
+def _peer_flights(f: Family) -> dict[str, Any]:
     """Every peer's flight; numba compiles once a process."""
     found = {name: peers.by_scipy(name.split()[1]) for name in THEIRS if name.startswith("scipy")}
     if peers.HAS_NUMBA and "numba DOP853" in THEIRS:
         found["numba DOP853"] = peers.by_numba()
+    if "heyoka scalar" in THEIRS:
+        found["heyoka scalar"] = peers.Scalar(f.problem)
     return found
 
 
@@ -165,7 +169,7 @@ def strides(f: Family, quick: bool) -> list[Case]:
         case.error = largest_error(run()[:, 0], exact)
         cases.append(case)
     y = f.y[:, 0] * f.scale[0]
-    for name, fly in _peer_flights().items():
+    for name, fly in _peer_flights(f).items():
         for tolerance in _tolerances(name, quick):
             peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
             case = Case(f.name, "stride", name, tolerance, lambda peer=peer: peer.stride(y))  # type: ignore[misc]
@@ -197,8 +201,8 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
         case.error = float("nan") if kind == f.kind else largest_error(widened(), exact)
         cases.append(case)
     y = f.y[:, 0] * f.scale[0]
-    for name, fly in _peer_flights().items():
-        if name not in ("scipy DOP853", "numba DOP853"):
+    for name, fly in _peer_flights(f).items():
+        if name not in SOLVERS:
             continue
         for tolerance in _tolerances(name, quick, newton=True):
             peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
@@ -248,8 +252,8 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
     case.error = largest_error(polished(), exact)
     cases.append(case)
     y = f.y[:, 0] * f.scale[0] * np.exp(1e-3) * np.where(np.arange(m) == 0, 1.0, 0.999)
-    for name, fly in _peer_flights().items():
-        if name not in ("scipy DOP853", "numba DOP853"):
+    for name, fly in _peer_flights(f).items():
+        if name not in SOLVERS:
             continue
         for tolerance in _tolerances(name, quick, newton=True):
             peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
@@ -280,11 +284,38 @@ def grid(f: Family, n: int) -> list[Case]:
     exact = float(abs(f.exact_y[0])) * f.scale[0]
     case.error = float(np.nanmin(np.abs(angles / exact - 1)))
     case.work = float((last["status"] == 0).sum() / n)
-    return [case]
+    return [case, *_peers_along(f, "grid", f.slope * np.geomspace(1.0, 1.1, 4))]
+
+
+def _peers_along(f: Family, problem: str, slopes: np.ndarray) -> list[Case]:
+    """Peers on the long gait alone, each slope from the last one's solution; time of one gait, error at the first."""
+    m, cases = f.problem.m, []
+    first = f.y[:, 0] * f.scale[0]
+    for name, fly in _peer_flights(f).items():
+        if name not in SOLVERS:
+            continue
+        tolerance = THEIRS[name][0]
+
+        def run(fly: Any = fly, tolerance: float = tolerance) -> np.ndarray:
+            y, found = first * np.exp(1e-3), []
+            for slope in slopes:
+                # From slope to slope a gait scales by the cube root, near enough for Newton's method.
+                solution = peers.Peer(f.algebra, float(slope), fly, tolerance).fixed_point(y)[:m]
+                found.append(solution)
+                y = solution * (slopes[1] / slopes[0]) ** (1 / 3)
+            return found[0]
+        case = Case(f.name, problem, f"{name}, differences", tolerance, run, len(slopes))
+        case.error = largest_error(run(), f.exact_y * f.precise.kind(f.scale[0]))
+        case.work = 1.0
+        cases.append(case)
+    return cases
 
 
 def branches(f: Family) -> list[Case]:
     """Every branch of the walker, with its folds and ends: what one line of a study costs before its points."""
     def run() -> np.ndarray:
         return np.array([len(b.Z) for b in atlases.survey(f.problem)], float)
-    return [Case(f.name, "branch", "ours", EPS, run, 1, np.nan, float(f.atlas["lengths"].sum()))]
+    nodes = int(f.atlas["lengths"].sum())
+    # A node of the peers costs a fixed point; theirs have no folds, ends or tangents.
+    return [Case(f.name, "branch", "ours, whole", EPS, run, nodes, np.nan, float(nodes)),
+            *_peers_along(f, "branch", f.slope * np.geomspace(1.0, 0.8, 4))]

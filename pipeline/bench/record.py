@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,9 @@ def write(found: Found, path: Path) -> None:
     xr.Dataset(data, attrs=about).to_netcdf(path, mode="w", engine="netcdf4")
     counts = [{"family": name, **work} for name, work in found.work.items()]
     flows = [{"family": name, **flow} for name, of in found.flows.items() for flow in of]
-    for group, table in (("counts", counts), ("flows", flows)):
-        columns = {k.replace(" ", "_").replace("/", "_per_"): ("row", np.array(
+    less = [{"family": name, **row} for name, of in found.less.items() for row in of]
+    for group, table in (("counts", counts), ("flows", flows), ("less", less), ("outcomes", found.outcomes),
+                         ("bounds", found.bounds)):
+        columns = {re.sub(r"\W+", "_", k.replace("/", " per ")).strip("_"): ("row", np.array(
             [row[k] for row in table], dtype=object if isinstance(table[0][k], str) else float)) for k in table[0]}
         xr.Dataset(columns).to_netcdf(path, mode="a", engine="netcdf4", group=group)

@@ -8,8 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.bench import FAMILIES, counted, machine, problems
+from pipeline.bench import FAMILIES, bounds, counted, machine, problems, stress
 from pipeline.bench.harness import Case, interleaved
+from tasks.walkers.parameters import resolve
+
+#: Random lanes, and random slopes a walker, of a full and of a quick run; `make soak` takes a million and more.
+RANDOM_LANES, RANDOM_SLOPES = {False: 20_000, True: 200}, {False: 300, True: 20}
 
 
 @dataclass
@@ -20,6 +24,9 @@ class Found:
     cases: list[Case] = field(default_factory=list)
     work: dict[str, dict[str, float]] = field(default_factory=dict)
     flows: dict[str, list[dict[str, float | str]]] = field(default_factory=dict)
+    less: dict[str, list[dict[str, float | str]]] = field(default_factory=dict)
+    outcomes: list[dict[str, float | str]] = field(default_factory=list)
+    bounds: list[dict[str, float | str]] = field(default_factory=list)
     kind: str = ""
     quick: bool = False
 
@@ -56,4 +63,9 @@ def measured(quick: bool, families: Sequence[str], grid: int | None, say: Callab
         found.cases += small + large
         found.work[name] = counted.line(f, n)
         found.flows[name] = counted.roofline(f, peak)
+        found.less[name] = counted.less_and_less(f, n)
+    say("random walkers and bounds")
+    found.outcomes = stress.lanes(RANDOM_LANES[quick]).rows()
+    each = RANDOM_SLOPES[quick]
+    found.bounds = bounds.bounds(each, walkers=[(name, resolve(name, {})) for name in families]).rows()
     return found
