@@ -134,7 +134,10 @@ class Stepper:
             before = state
             state, impulse, loss = self.kneestrike(before)
             knee = (time, before, state, impulse, loss)
-            if state[0] < 0 and state[0] + state[1] <= 0:
+            # A step ends where the guard, once positive, falls to zero: one not yet positive is no strike.
+            angles = np.hstack([sol(np.linspace(a, b, 2000))[:2] for a, b, _, sol in pieces])
+            guard = angles[0] + angles[1]
+            if ((guard[1:] <= 0) & (guard[:-1] > 0) & (angles[0, 1:] < 0)).any():
                 raise StepFailed("The knee strikes after the leg has passed the heelstrike angle.")
         if state[0] >= 0:  # crossings before the stance leg is upright are no heelstrikes
             advance(lambda y: y[0], -1, True)
