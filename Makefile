@@ -22,7 +22,7 @@ paper: $(READY)
 	$(BIN)/gaitsweep report data/archive/*.nc -o reports
 
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 bench: $(READY)
 	$(BIN)/gaitsweep bench -o reports

@@ -8,12 +8,16 @@ from typing import Any
 import numpy as np
 
 from tasks.gait import atlas as atlases
-from tasks.gait.adaptive import chosen
+from tasks.gait.adaptive import chosen, within
 from tasks.gait.branch import Branch
 from tasks.gait.fixed_point import Problem, gait_ratio
 from tasks.gait.special_points import special_points
 from tasks.gait.stability import multipliers
 from tasks.walkers.parameters import resolve
+
+
+#: Places between two nodes beyond which a window is too narrow for more.
+MOST_PARTS = 65536
 
 
 def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -65,16 +69,10 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
 
 
 def _dense(found: Branch, low: float, high: float, least: int) -> np.ndarray:
-    """The branch's nodes inside the window, with points between them where there are too few."""
-    inside = (found.q >= np.log(low)) & (found.q <= np.log(high))
-    segments = np.nonzero(inside[1:] & inside[:-1])[0]
-    if not len(segments):
-        return found.Z[inside]
-    parts = max(1, int(np.ceil(least / len(segments))))
-    rows = []
-    for k in range(parts):
-        a, b = found.Z[segments, found.axis[segments]], found.Z[segments + 1, found.axis[segments]]
-        rows.append(found.evaluate(segments, a + (b - a) * k / parts))
-    between = np.stack(rows, axis=1).reshape(-1, found.Z.shape[1])
-
-    return np.vstack([between, found.Z[segments[-1] + 1]])
+    """The branch within the window, at its nodes and at so many places between that there are enough."""
+    parts = 1
+    while True:
+        _, rows = within(found, np.log(low), np.log(high), parts)
+        if not len(rows) or len(rows) >= least or parts >= MOST_PARTS:
+            return rows
+        parts *= 2

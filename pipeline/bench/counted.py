@@ -98,7 +98,7 @@ def work(name: str, atlas: dict[str, np.ndarray], slopes: np.ndarray, want: Sequ
         flow.evaluations = flow.idle = 0
     with Calls((settle, "judged", lambda problem, w, q: w.shape[1]),
                (solve, "multipliers", lambda jacobian, width: jacobian.shape[2]),
-               (violations, "measure", lambda walker, motion, impact, times, slope: len(slope)),
+               (violations, "measure", lambda walker, motion, impact, times, slope, limit: len(slope)),
                (extended, "refine", lambda *args: 1)) as calls:
         found = solve.points(params, [atlas])
     flown = [flow for flow in flows() if flow.evaluations]

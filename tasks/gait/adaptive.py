@@ -10,6 +10,8 @@ from tasks.gait.stability import multipliers
 
 #: Rounds in which points are added where stability bends or changes.
 MOST_ROUNDS = 16
+#: Places between two points, in parts of their distance, at which the spectral radius is looked at.
+PROBES = (0.33, 0.67)
 
 
 def chosen(problem: Problem, found: Branch, low: float, high: float, tolerance: float) -> np.ndarray:
@@ -27,9 +29,9 @@ def chosen(problem: Problem, found: Branch, low: float, high: float, tolerance: 
     -----
     Candidates lie on the atlas's polynomials so densely that they bend by less than the tolerance; lines as long as it
     allows are drawn through them one after another, ends and folds kept. Strides are flown only for those chosen and
-    for one between any two.
+    for two between any two.
     """
-    place, rows = _candidates(found, np.log(low), np.log(high), tolerance)
+    place, rows = within(found, np.log(low), np.log(high), int(np.clip(np.ceil(0.25 / np.sqrt(tolerance)), 4, 512)))
     if not len(rows):
         return rows
     # A branch may leave the window and come back: lines do not cross the gap.
@@ -53,9 +55,8 @@ def _radius(problem: Problem, rows: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.abs(multipliers(stride.jacobian, m)).max(axis=1), nan=np.inf)
 
 
-def _candidates(found: Branch, low: float, high: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places along the branch (segment and part of it) within the window, and the rows there."""
-    parts = int(np.clip(np.ceil(0.25 / np.sqrt(tolerance)), 4, 512))
+def within(found: Branch, low: float, high: float, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Places along the branch (segment and part of it) within a window of ln slope, its edges too, and the rows there."""
     segments = np.repeat(np.arange(len(found.Z) - 1), parts)
     part = np.tile(np.arange(parts) / parts, len(found.Z) - 1)
     a, b = (found.Z[segments + i, found.axis[segments]] for i in (0, 1))
@@ -124,14 +125,18 @@ def _with_radius(problem: Problem, found: Branch, places: np.ndarray, tolerance:
         asked = asked[np.linalg.norm(points[asked + 1] - points[asked], axis=1) > tolerance]
         if not len(asked):
             break
-        middle = 0.5 * (places[asked] + places[asked + 1])
-        rows = _rows(found, middle)
-        at, there = _radius(problem, rows), plane(rows, problem.m)
-        near, far = (np.linalg.norm(there - points[asked + i], axis=1) for i in (0, 1))
+        # Two places between any two: at one alone a corner and a bend may cancel.
+        pair = asked[None] + np.zeros((2, 1), int)
+        middle = places[pair] + np.array(PROBES)[:, None] * (places[pair + 1] - places[pair])
+        rows = _rows(found, middle.ravel())
+        at, there = _radius(problem, rows).reshape(middle.shape), plane(rows, problem.m).reshape(*middle.shape, 3)
+        near, far = (np.linalg.norm(there - points[pair + i], axis=2) for i in (0, 1))
         with np.errstate(invalid="ignore"):
-            line = (radius[asked] * far + radius[asked + 1] * near) / np.maximum(near + far, 1e-300)
-            wanted = ~(np.abs(at - line) <= tolerance * np.maximum(1.0, at))
-        wanted |= (radius[asked] < 1) != (radius[asked + 1] < 1)
+            line = (radius[pair] * far + radius[pair + 1] * near) / np.maximum(near + far, 1e-300)
+            off = np.nan_to_num(np.abs(at - line) / np.maximum(1.0, at), nan=np.inf)
+        worse = off.argmax(axis=0), np.arange(len(asked))
+        middle, at, there = middle[worse], at[worse], there[worse]
+        wanted = (off[worse] > 0.5 * tolerance) | ((radius[asked] < 1) != (radius[asked + 1] < 1))
         after = asked[wanted] + 1
         places, radius = np.insert(places, after, middle[wanted]), np.insert(radius, after, at[wanted])
         points = np.insert(points, after, there[wanted], axis=0)

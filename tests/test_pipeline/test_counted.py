@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pipeline.run import Options, run
 
 from pipeline import cell, graph
 from pipeline.bench.counted import STUDIES, work
+from pipeline.runner import Options, run
 from pipeline.study import read
 from tasks.registry import ALWAYS
 from tasks.solve import atlas
