@@ -15,7 +15,6 @@ from tasks.gait.special_points import special_points
 from tasks.gait.stability import multipliers
 from tasks.walkers.parameters import resolve
 
-
 #: Places between two nodes beyond which a window is too narrow for more.
 MOST_PARTS = 65536
 
