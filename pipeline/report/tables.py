@@ -110,14 +110,14 @@ class Family:
     verdicts: list[Verdict] = field(default_factory=list)
 
 
-def cell(value: Any, counted: bool = False) -> Cell:
+def cell(value: Any, counted: bool = False, digits: int = 6) -> Cell:
     """A cell of a value: numbers are rounded for the eye and kept exactly."""
     if isinstance(value, (bool, np.bool_)):
         return Cell("yes" if value else "no")
     if isinstance(value, (int, np.integer)):
         return Cell(str(int(value)).replace("-", "−"), int(value), counted)
     if isinstance(value, (float, np.floating)):
-        return Cell("–") if np.isnan(value) else Cell(plain(float(value), 6), float(value), counted)
+        return Cell("–") if np.isnan(value) else Cell(plain(float(value), digits), float(value), counted)
     return Cell(str(value))
 
 
@@ -126,14 +126,34 @@ def head(column: str) -> str:
 
 
 def from_frame(caption: str, frame: pd.DataFrame, note: str = "") -> Table:
-    """A table of every column that varies or is worth repeating."""
+    """A table of every column that varies or is worth repeating; slopes with the digits their error leaves."""
+    counts = frame.columns[[kind.kind in "iu" for kind in frame.dtypes]]
+    digits = _digits(frame)
     return Table(
         caption,
-        [_with_unit(head(str(c)), frame.attrs.get("units", {}).get(c, "")) for c in frame.columns],
-        [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)],
+        [_with_unit("strides" if c == "period" and c in counts else head(str(c)),
+                    frame.attrs.get("units", {}).get(c, "")) for c in frame.columns],
+        [[cell(v, digits=n if c in _LOCATED else 6) for c, v in zip(frame.columns, row, strict=True)]
+         for n, row in zip(digits, frame.itertuples(index=False, name=None), strict=True)],
         note,
         [frame.attrs.get("meanings", {}).get(c, "") for c in frame.columns],
     )
+
+
+#: Columns of a located point whose error a table knows.
+_LOCATED = ("slope", "value", "low", "high")
+
+
+def _digits(frame: pd.DataFrame) -> list[int]:
+    """Digits worth showing of each row's located numbers: as many as its error bound or its interval leaves."""
+    if "error_bound" in frame:
+        error = frame["error_bound"].to_numpy(float)
+    elif {"low", "high", "slope"} <= set(frame.columns):
+        error = 0.01 * ((frame["high"] - frame["low"]) / frame["slope"]).to_numpy(float)  # both ends tell apart
+    else:
+        return [6] * len(frame)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.clip(np.nan_to_num(-np.log10(error), nan=6.0), 6, 15).astype(int).tolist()
 
 
 def _with_unit(name: str, unit: str) -> str:
