@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 import shlex
 import tomllib
@@ -37,6 +38,10 @@ SYMBOLS = {
 ANSWERS = ("converged", "no_gait", "fell")
 
 
+#: Points of a grid (a point a gait) that are read to be drawn and listed; of the others only the status.
+MOST_POINTS = 500_000
+
+
 @dataclass(frozen=True)
 class Line:
     """One walker with every axis but `slope` fixed, and what the archive holds along it."""
@@ -61,10 +66,11 @@ class Line:
 
 @dataclass(frozen=True)
 class Source:
-    """One archive, read once."""
+    """One archive, read once: the grid as it is drawn, and the `fates` of all its points."""
 
     path: Path
     grid: xr.Dataset
+    fates: xr.Dataset
     tables: dict[str, pd.DataFrame]
     provenance: dict[str, Any]
     study: dict[str, Any]
@@ -218,6 +224,8 @@ def read(path: Path) -> Source:
     except (OSError, ValueError) as error:
         raise ArchiveError(f"{path} is not a netCDF archive that can be read.") from error
     try:
+        fates = groups["/"][[name for name in ("status", "reason") if name in groups["/"]]].load()
+        groups["/"] = _thinned(groups["/"])
         loaded = {name: dataset.load() for name, dataset in groups.items()}
     finally:
         for dataset in groups.values():
@@ -229,7 +237,14 @@ def read(path: Path) -> Source:
     except (KeyError, TypeError, ValueError) as error:
         raise ArchiveError(f"{path} is not an archive of gaitsweep: it has no study in its provenance.") from error
     tables = {name.strip("/"): _table(dataset) for name, dataset in loaded.items() if dataset.variables}
-    return Source(path, grid, tables, provenance, study, _run(path))
+    return Source(path, grid, fates, tables, provenance, study, _run(path))
+
+
+def _thinned(grid: xr.Dataset) -> xr.Dataset:
+    """A grid at every so manieth slope, where it has more than `MOST_POINTS` points."""
+    points = math.prod(n for name, n in grid.sizes.items() if name in grid.coords)
+    step = -(-points // MOST_POINTS)
+    return grid.isel(slope=slice(None, None, step)) if step > 1 and "slope" in grid.dims else grid
 
 
 def _name(walker: Any, place: int) -> str:

@@ -192,7 +192,7 @@ def special_points(source: Source) -> Table | None:
 
 def points(source: Source) -> pd.DataFrame:
     """Every grid point that did not converge: coordinates, gait, status and the sentence why."""
-    grid = source.grid
+    grid = source.fates
     if "status" not in grid:
         return pd.DataFrame()
     status = grid["status"] if grid["status"].ndim else grid["status"].expand_dims("study")
@@ -207,9 +207,9 @@ def points(source: Source) -> pd.DataFrame:
 
 def statuses(source: Source) -> list[tuple[str, int, float]]:
     """Count and share of every status that occurs, in the order of the flags."""
-    if "status" not in source.grid:
+    if "status" not in source.fates:
         return []
-    values, counts = np.unique(source.grid["status"].values, return_counts=True)
+    values, counts = np.unique(source.fates["status"].values, return_counts=True)
     total = counts.sum()
     return [
         (source.statuses.get(int(v), str(v)), int(c), float(c / total)) for v, c in zip(values, counts, strict=True)

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from pipeline.errors import ArchiveError
-from pipeline.report import page
+from pipeline.report import page, source, tables
 from pipeline.report.figures.style import plain
 from pipeline.report.source import read
 from test_report import synthetic
@@ -260,3 +260,14 @@ def _contrast(one: str, other: str) -> float:
 
     high, low = sorted((luminance(one), luminance(other)), reverse=True)
     return (high + 0.05) / (low + 0.05)
+
+
+def test_of_a_large_grid_a_part_is_drawn_and_every_fate_is_told(tmp_path, monkeypatch):
+    archive = synthetic.transition(tmp_path, slopes=3000)
+    whole = source.read(archive)
+    monkeypatch.setattr(source, "MOST_POINTS", 1000)
+    part = source.read(archive)
+    assert part.grid.sizes["slope"] * part.grid.sizes["gait"] <= 1000 * 2
+    assert np.isin(part.grid.slope, whole.grid.slope).all()
+    assert tables.statuses(part) == tables.statuses(whole)
+    assert tables.points(part).equals(tables.points(whole))
