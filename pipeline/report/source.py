@@ -14,6 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import netCDF4
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -38,6 +39,7 @@ SYMBOLS = {
 ANSWERS = ("converged", "no_gait", "fell")
 
 
+_CACHE = 1 << 20  # byte
 #: Points of a grid (a point a gait) that are read to be drawn and listed; of the others only the status.
 MOST_POINTS = 500_000
 
@@ -219,6 +221,8 @@ def read(path: Path) -> Source:
     path = Path(path)
     if not path.is_file():
         raise ArchiveError(f"There is no archive {path}.")
+    # Every variable is read once, from end to end: the library's 64 MiB of cache for each would only add up.
+    netCDF4.set_chunk_cache(_CACHE)
     try:
         groups = xr.open_groups(path, engine="netcdf4", mask_and_scale=False, decode_times=False)
     except (OSError, ValueError) as error:

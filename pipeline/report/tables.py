@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -198,11 +198,22 @@ def points(source: Source) -> pd.DataFrame:
     status = grid["status"] if grid["status"].ndim else grid["status"].expand_dims("study")
     at = np.nonzero(status.values)
     sentences, names = source.reasons, source.statuses
-    frame = pd.DataFrame({str(d): grid[d].values[i] for d, i in zip(status.dims, at, strict=True) if d in grid.coords})
-    frame["status"] = [names.get(int(s), str(s)) for s in status.values[at]]
+    frame = pd.DataFrame({str(d): _named(i, grid[d].values) for d, i in zip(status.dims, at, strict=True)
+                          if d in grid.coords})
+    values, codes = np.unique(status.values[at], return_inverse=True)
+    frame["status"] = _named(codes, [names.get(int(s), str(s)) for s in values])
     index = np.atleast_1d(grid["reason"].values)[at] if "reason" in grid else np.full(len(at[0]), -1)
-    frame["reason"] = [sentences[i] if 0 <= i < len(sentences) else "" for i in index]
+    values, codes = np.unique(index, return_inverse=True)
+    frame["reason"] = _named(codes, [sentences[i] if 0 <= i < len(sentences) else "" for i in values])
     return frame
+
+
+def _named(codes: np.ndarray, values: Sequence[Any] | np.ndarray) -> Any:
+    """Values by their places: words once, however many rows have them."""
+    if getattr(values, "dtype", None) is not None and values.dtype.kind not in "OU":  # type: ignore[union-attr]
+        return np.asarray(values)[codes]
+    words = list(dict.fromkeys(map(str, values)))
+    return pd.Categorical.from_codes(np.array([words.index(str(v)) for v in values], np.int16)[codes], words)
 
 
 def statuses(source: Source) -> list[tuple[str, int, float]]:
@@ -227,7 +238,7 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
         for name, count, _ in found
         if name == "converged"
     ]
-    for (status, reason), group in absent.groupby(["status", "reason"], sort=False):
+    for (status, reason), group in absent.groupby(["status", "reason"], sort=False, observed=True):
         rows.append(
             [
                 Cell(status.replace("_", " ")),
