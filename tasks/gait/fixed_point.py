@@ -105,7 +105,7 @@ def rounding(stride: Stride) -> np.ndarray:
     -----
     With J = I - DP, rounding of the image moves the fixed point by J^-1, and rounding of the start, carried through
     the stride, by J^-1 DP = J^-1 - I, which is far smaller than |J^-1| |DP|. What is rounded on the way lies between
-    the two. Calibrated against extended precision (tests/test_tasks/test_error_bound.py).
+    the two. Calibrated against extended precision (tests/test_tasks/test_stress.py).
     """
     size = np.abs(stride.y)
     # Off balance, a short step is flown by forces and rates that dwarf its section; their rounding adds up on the way.
