@@ -20,6 +20,8 @@ LONGEST_STEP, SHORTEST_STEP = 0.5, 1e-7
 #: Acceptance of a step: largest predictor error and turning angle.
 MOST_ERROR, MOST_TURN = 0.02, 0.3
 MOST_NODES = 1500
+#: A change of side over a longer step than this is a jump to a branch nearby; over a shorter one branches cross.
+CROSSING = 1e-4
 #: Points after which a branch is asked whether it still describes steps.
 CHECK_EVERY = 12
 
@@ -123,6 +125,7 @@ class Track:
     tangent: list[np.ndarray] = field(default_factory=list)
     times_tangent: list[np.ndarray] = field(default_factory=list)
     step: float = 0.05
+    side: float = 0.0
     stopped: str = ""
 
     def append(self, point: Point, lane: int, orientation: np.ndarray) -> None:
@@ -197,7 +200,10 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
         for lane, track in enumerate(active):
             error = np.linalg.norm(point.X[:, lane] - guess[:, lane])
             turn = abs(point.tangent[:, lane] @ track.tangent[-1])
-            if point.ok[lane] and error < MOST_ERROR and turn > np.cos(MOST_TURN):
+            fair = point.ok[lane] and error < MOST_ERROR and turn > np.cos(MOST_TURN)
+            side = _side(point, lane, track.tangent[-1]) if fair else 0.0
+            if fair and not (track.side * side < 0 and track.step > CROSSING):
+                track.side = side
                 track.append(point, lane, track.tangent[-1])
                 track.stopped = track.judge(m)
                 if not track.stopped and len(track.X) % CHECK_EVERY == 0 and not _steps(problem, track):
@@ -208,6 +214,14 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
                 track.step *= 0.3
                 if track.step < SHORTEST_STEP:
                     track.stopped = "no further point"
+
+
+@np.errstate(invalid="ignore")
+def _side(point: Point, lane: int, way: np.ndarray) -> float:
+    """Sign of det [J - I; slope column | tangent]: the same all along a branch, and another on one that almost touches it."""
+    _, derivative = linearised(point.stride, point.X)
+    tangent = point.tangent[:, lane] * np.sign(point.tangent[:, lane] @ way)
+    return float(np.nan_to_num(np.sign(np.linalg.det(np.vstack([derivative[lane], tangent])))))
 
 
 def _steps(problem: Problem, track: Track) -> bool:

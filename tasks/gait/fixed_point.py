@@ -185,6 +185,8 @@ def settled(problem: Problem, stride: Stride, w: np.ndarray, log_slope: np.ndarr
     return verdict
 
 
+# Where heelstrike is tangential to the last digit its rates have no value.
+@np.errstate(invalid="ignore", divide="ignore")
 def gait_ratio(stride: Stride) -> np.ndarray:
     """u = (swing rate - stance rate)/|stance rate| just before heelstrike: below 1/2 a gait is long."""
     return (stride.impact[1] - stride.impact[0]) / np.abs(stride.impact[0])

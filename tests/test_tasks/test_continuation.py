@@ -120,3 +120,13 @@ def test_a_tangential_end_agrees_with_other_spacings_within_its_bound(monkeypatc
     for factor in (0.25, 2.5):
         monkeypatch.setattr(special, "SPACING", factor * real)
         assert abs(end()["slope"] / first["slope"] - 1) < first["error_bound"]
+
+
+@pytest.mark.parametrize(("detuning", "ends"), [
+    # On either side of where two branches touch, at detuning 0.723863604 and slope 0.100186864 (claim T6).
+    (0.72386, [("kneestrike_at_heelstrike", "kneestrike_at_heelstrike"), ("tangential_heelstrike", "window")]),
+    (0.7239, [("kneestrike_at_heelstrike", "tangential_heelstrike"), ("kneestrike_at_heelstrike", "window")])])
+def test_no_branch_jumps_to_one_it_almost_touches(detuning, ends):
+    _, found = branches("C", detuning=detuning)
+    why = [tuple(sorted(end.replace("end of the ", "").removeprefix("end_") for end in b.why)) for b in found]
+    assert sorted(why) == ends
