@@ -99,3 +99,12 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
         width = max(len(name) for name, _, _ in told)
         for name, found, seconds in told:
             terminalreporter.write_line(f"{name:<{width}}  {seconds:7.1f} s  {found}")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Bytes of an undisturbed run."""
+    toy = Toy(tmp_path_factory.mktemp("whole"))
+    toy.write()
+    toy("run", "toy.toml")
+    return toy.bytes()

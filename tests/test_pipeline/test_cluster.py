@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from conftest import ROOT, STUDY, TOYS, Toy
+from conftest import ROOT, STUDY, TOYS
 from processes import alive, descendants, wait_for_points
 
 pytest.importorskip("distributed")
@@ -54,14 +54,6 @@ def cluster(tmp_path):
     found = Cluster(tmp_path)
     yield found
     found.close()
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    toy = Toy(tmp_path_factory.mktemp("whole"))
-    toy.write()
-    toy("run", "toy.toml")
-    return toy.bytes()
 
 
 def test_a_cluster_gives_the_same_bytes(toy, whole, cluster):

@@ -12,7 +12,7 @@ from collections import Counter
 
 import pytest
 
-from conftest import ROOT, STUDY, Toy
+from conftest import ROOT, STUDY
 from pipeline import archive, study
 from pipeline.journal import Journal
 from pipeline.plan import Plan
@@ -21,15 +21,6 @@ from processes import alive, beside, descendants, wait_for_points
 SLOW = {"TOY_SECONDS": "0.002"}
 ENDS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 PAGE = 4096
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """Bytes of an undisturbed run."""
-    toy = Toy(tmp_path_factory.mktemp("whole"))
-    toy.write()
-    toy("run", "toy.toml")
-    return toy.bytes()
 
 
 def _clear(toy):

@@ -16,15 +16,6 @@ from processes import beside as journal
 SLOW = {"TOY_SECONDS": "0.002"}
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """Bytes of an undisturbed run."""
-    toy = Toy(tmp_path_factory.mktemp("whole"))
-    toy.write()
-    toy("run", "toy.toml")
-    return toy.bytes()
-
-
 @pytest.mark.parametrize(("jobs", "chunk"), [(1, 7), (3, 64), *(
     pytest.param(jobs, chunk, marks=pytest.mark.soak) for jobs in (1, 2, 3) for chunk in (1, 7, 64, 1000))])
 def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, tell, jobs, chunk):
