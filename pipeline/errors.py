@@ -2,9 +2,13 @@
 
 
 class GaitsweepError(Exception):
-    """An error a user can act on; `str` is one sentence and `exit_code` what the command ends with."""
+    """An error a user can act on; `str` is one sentence on one line and `exit_code` what the command ends with."""
 
     exit_code = 2
+
+    def __init__(self, message: str = ""):
+        # A name in a file from elsewhere may hold a line's end, or what a terminal obeys.
+        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
 
 
 class StudyError(GaitsweepError):

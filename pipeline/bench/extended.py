@@ -19,8 +19,8 @@ class _Algebra(StrideMap):
         self.structure, self.m, self.kneed, self.kind = structure, structure.dimension, structure.kneed, kind
         self.start_size = 6 if self.kneed else 4
         self.begin = self._compile_start()
-        self.lock = self._compile_knee(False) if self.kneed else None
-        self.finish = self._compile_finish(False)
+        self.lock = self._compile_knee() if self.kneed else None
+        self.finish = self._compile_finish()
 
     def _function(self, outputs: list[Any], variables: list[Any]) -> Any:
         return hy.cfunc(outputs, vars=variables, compact_mode=True, fp_type=self.kind)
@@ -73,6 +73,10 @@ class Precise:
         flow.propagate_until(duration)
         return flow.state.copy()
 
+    def _padded(self, flat: np.ndarray, size: int) -> np.ndarray:
+        """Directions as the algebra takes them, that of the slope zero."""
+        return np.concatenate([flat.reshape(-1, size), [self.array([0.0] * size)]]).T.reshape(-1)
+
     def stride(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> dict[str, np.ndarray]:
         """Image, Jacobian, Newton step and corrected event times of one stride, as `tasks.gait.stride` defines them."""
         m = self.m
@@ -82,23 +86,21 @@ class Precise:
         duration, first, first_by, parts = times[0], None, None, self.array([])
         if self.kneed:
             final = self._fly(self.free, start, D, parameters, times[0])
-            D = np.ascontiguousarray(final[6:].reshape(m, 6).T)
             assert self.algebra.lock is not None
-            out = self.algebra.lock(np.concatenate([final[:6], D.reshape(-1), parameters]))
-            start, parts, first, first_by, _ = np.split(out, np.cumsum([4, 4 * (m + 1), 1, m]))
+            out = self.algebra.lock(np.concatenate([final[:6], self._padded(final[6:], 6), parameters]))
+            start, parts, first, first_by, _ = np.split(out, np.cumsum([4, 4 * (m + 2), 1, m + 1]))
             first = first[0]
             D = self.array(np.eye(4, m, -1).ravel()).reshape(4, m)
             duration = times[1] - times[0]
         final = self._fly(self.locked, start, D, parameters, duration)
-        D = np.ascontiguousarray(final[4:].reshape(-1, 4).T)
-        out = self.algebra.finish(np.concatenate([y, final[:4], D.reshape(-1), parts, parameters]))
-        cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m, 2]))
-        after, after_by = times[-1] + cut[4][0], cut[5][None]
+        out = self.algebra.finish(np.concatenate([y, final[:4], self._padded(final[4:], 4), parts, parameters]))
+        cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + 1, 2]))
+        after, after_by = times[-1] + cut[4][0], cut[5][None, :m]
         if first is None or first_by is None:
             times, by = np.array([after], dtype=self.kind), after_by
         else:
             times = np.array([times[0] + first, after + first], dtype=self.kind)
-            by = np.stack([first_by, after_by[0] + first_by])
+            by = np.stack([first_by[:m], after_by[0] + first_by[:m]])
         return {"image": cut[0], "jacobian": cut[1].reshape(m, m), "newton": cut[3], "times": times, "times_by_y": by}
 
     def settled_stride(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray,

@@ -13,7 +13,7 @@ import numpy as np
 
 from tasks.gait.branch import Branch
 from tasks.gait.continuation import Track, correct, follow, lipschitz
-from tasks.gait.fixed_point import Problem, gait_ratio, judged, rounding, search
+from tasks.gait.fixed_point import Problem, found_at, gait_ratio, judged, rounding
 from tasks.gait.special_points import end_of, located, oriented, row, row_tangent
 from tasks.gait.stride import SAMPLES
 from tasks.gait.verify import verify
@@ -25,9 +25,10 @@ TOLERANCE = 2e-13
 MOST_ROUNDS = 5
 
 
-def _insert(problem: Problem, branch: Branch, segments: np.ndarray, x: np.ndarray) -> tuple[Branch, np.ndarray]:
-    """Correct points at places x of some segments; returns the branch with them and how far each moved."""
+def _insert(problem: Problem, branch: Branch, segments: np.ndarray) -> tuple[Branch, np.ndarray]:
+    """Correct the middles of some segments and split those that moved; the branch, and its segments that changed."""
     m = branch.m
+    x = 0.5 * (branch.Z[segments, branch.axis[segments]] + branch.Z[segments + 1, branch.axis[segments]])
     Z = branch.evaluate(segments, x)
     border = branch.tangent[segments][:, : m + 1] + branch.tangent[segments + 1][:, : m + 1]
     border /= np.linalg.norm(border, axis=1, keepdims=True)
@@ -39,8 +40,10 @@ def _insert(problem: Problem, branch: Branch, segments: np.ndarray, x: np.ndarra
     # Below the rounding of the fixed point itself no split would help.
     keep = point.ok & (moved > np.maximum(TOLERANCE, 7 * rounding(point.stride).max(axis=0)))
     at = segments[keep] + 1
-    return replace(branch, Z=np.insert(branch.Z, at, new_Z[keep], axis=0),
-                   tangent=np.insert(branch.tangent, at, new_T[keep], axis=0)), moved
+    fresh = np.insert(np.zeros(len(branch.Z), bool), at, True)
+    branch = replace(branch, Z=np.insert(branch.Z, at, new_Z[keep], axis=0),
+                     tangent=np.insert(branch.tangent, at, new_T[keep], axis=0))
+    return branch, np.nonzero(fresh[branch.window].any(axis=1))[0]
 
 
 def _joined(m: int, pair: list[Track]) -> tuple[Branch, int]:
@@ -77,12 +80,10 @@ def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
     if len(Z) < 4:
         return None
     branch = _with_folds(problem, Branch(m, Z, T, np.zeros(len(Z)), (why[0], why[1]), (errors[0], errors[1])))
+    segments = np.arange(len(branch.Z) - 1)
     for _ in range(MOST_ROUNDS):
-        segments = np.arange(len(branch.Z) - 1)
-        x = 0.5 * (branch.Z[segments, branch.axis] + branch.Z[segments + 1, branch.axis])
-        before = len(branch.Z)
-        branch, _ = _insert(problem, branch, segments, x)
-        if len(branch.Z) == before:
+        branch, segments = _insert(problem, branch, segments)
+        if not len(segments):
             break
     return _measured(problem, branch)
 
@@ -91,7 +92,7 @@ def _measured(problem: Problem, branch: Branch) -> Branch:
     """The branch with its Lipschitz estimates, gait ratios, and which segments need no verdict of their own."""
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1:].T
-    branch.lipschitz = lipschitz(problem, X, times)
+    branch.lipschitz = _lipschitz(problem, X, times)
     stride, scale = problem.stride(np.vstack([X[:m], times]), X[m], samples=8 * SAMPLES)
     branch.ratio = gait_ratio(stride)
     assert stride.motion is not None
@@ -110,6 +111,17 @@ def _measured(problem: Problem, branch: Branch) -> Branch:
     return branch
 
 
+def _lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Lipschitz estimates at a branch's nodes: of every other one, and between them the larger of both."""
+    n = X.shape[1]
+    # At its ends they may change by orders of magnitude from node to node.
+    some = np.unique(np.r_[0:min(n, 4), 0:n:2, max(0, n - 4):n])
+    found = np.full(n, -np.inf)
+    found[some] = lipschitz(problem, X[:, some], times[:, some])
+    left, right = np.append(found[:1], found[:-1]), np.append(found[1:], found[-1:])
+    return np.where(np.isneginf(found), np.maximum(left, right), found)
+
+
 def _with_folds(problem: Problem, branch: Branch) -> Branch:
     """Put a node on every fold, where the slope turns."""
     m = branch.m
@@ -124,10 +136,10 @@ def survey(problem: Problem) -> list[Branch]:
     """Every branch of a walker's anthropomorphic gaits that the anchors lead to."""
     branches: list[Branch] = []
     m = problem.m
-    for slope in ANCHORS:
-        w, _, verdict = search(problem, slope)
-        if verdict is None:
+    for slope, w in zip(ANCHORS, found_at(problem, ANCHORS)):
+        if not w.shape[1]:
             continue
+        _, verdict = judged(problem, w, np.full(w.shape[1], np.log(slope)))
         fresh = [i for i in np.nonzero(verdict.anthropomorphic)[0] if not _known(branches, m, w[:, i], np.log(slope))]
         if not fresh:
             continue

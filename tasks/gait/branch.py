@@ -38,7 +38,7 @@ class Branch:
         n = len(self.Z)
         count = min(4, n)
         left = np.clip(np.arange(n - 1) - 1, 0, n - count)
-        window = left[:, None] + np.arange(count)
+        window = self.window = left[:, None] + np.arange(count)
         Z, T = self.Z[window], self.tangent[window]
         unit = np.abs(T) / np.linalg.norm(T[..., : self.m + 1], axis=-1, keepdims=True)
         same = (np.sign(T) == np.sign(T[:, :1])).all(axis=1)

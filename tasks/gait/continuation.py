@@ -28,7 +28,10 @@ CHECK_EVERY = 12
 
 @dataclass
 class Point:
-    """Corrected points of n branches: X (m + 1, n), times (k, n), tangents of both, and whether Newton converged."""
+    """Corrected points of n branches: X (m + 1, n), times (k, n), tangents of both, and whether Newton converged.
+
+    `stride` is the last one flown, one Newton step away, and `derivative` (n, m, m + 1) that of its P(y) - y by X.
+    """
 
     X: np.ndarray
     times: np.ndarray
@@ -36,6 +39,7 @@ class Point:
     times_tangent: np.ndarray
     ok: np.ndarray
     stride: Stride
+    derivative: np.ndarray
 
 
 def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -51,7 +55,7 @@ def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     by_q = stride.by_slope * np.exp(X[m])
     # Rows over the angle: of order one on any slope.
     full = np.concatenate([by_w, by_q[:, None]], axis=1) / stride.y[0]
-    return np.moveaxis((stride.image - stride.y) / stride.y[0], -1, 0), np.moveaxis(full, -1, 0)
+    return ((stride.image - stride.y) / stride.y[0]).T, full.transpose(2, 0, 1)
 
 
 def _times_by_X(stride: Stride, X: np.ndarray) -> np.ndarray:
@@ -102,10 +106,11 @@ def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarr
         last = size
         if (ok | over).all():
             break
-    _, _, V = np.linalg.svd(np.nan_to_num(derivative))
+    derivative = np.nan_to_num(derivative)
+    _, _, V = np.linalg.svd(derivative)
     tangent = V[:, -1].T
     by_X = np.nan_to_num(by_X)
-    return Point(X, times, tangent, apply(by_X, tangent), ok, stride)
+    return Point(X, times, tangent, apply(by_X, tangent), ok, stride, derivative)
 
 
 def _noise(matrix: np.ndarray, stride: Stride) -> np.ndarray:
@@ -197,13 +202,13 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
         times = np.array([t.predict_times() for t in active]).T
         border = np.array([t.tangent[-1] for t in active]).T
         point = correct(problem, guess, times, border)
+        sides = np.sign(branching(point, border))
         for lane, track in enumerate(active):
             error = np.linalg.norm(point.X[:, lane] - guess[:, lane])
             turn = abs(point.tangent[:, lane] @ track.tangent[-1])
             fair = point.ok[lane] and error < MOST_ERROR and turn > np.cos(MOST_TURN)
-            side = _side(point, lane, track.tangent[-1]) if fair else 0.0
-            if fair and not (track.side * side < 0 and track.step > CROSSING):
-                track.side = side
+            if fair and not (track.side * sides[lane] < 0 and track.step > CROSSING):
+                track.side = sides[lane]
                 track.append(point, lane, track.tangent[-1])
                 track.stopped = track.judge(m)
                 if not track.stopped and len(track.X) % CHECK_EVERY == 0 and not _steps(problem, track):
@@ -216,12 +221,13 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
                     track.stopped = "no further point"
 
 
-@np.errstate(invalid="ignore")
-def _side(point: Point, lane: int, way: np.ndarray) -> float:
-    """Sign of det [J - I; slope column | tangent]: the same all along a branch, and another on one that almost touches it."""
-    _, derivative = linearised(point.stride, point.X)
-    tangent = point.tangent[:, lane] * np.sign(point.tangent[:, lane] @ way)
-    return float(np.nan_to_num(np.sign(np.linalg.det(np.vstack([derivative[lane], tangent])))))
+def branching(point: Point, way: np.ndarray) -> np.ndarray:
+    """Determinant of [J - I; slope column | tangent], (n,), tangents pointing along `way`: zero where branches cross.
+
+    Its sign is the same all along a branch, and another on one that almost touches it.
+    """
+    tangent = point.tangent * np.sign((point.tangent * way).sum(axis=0))
+    return np.linalg.det(np.concatenate([point.derivative, tangent.T[:, None]], axis=1))
 
 
 def _steps(problem: Problem, track: Track) -> bool:

@@ -16,9 +16,11 @@ EPS = np.finfo(float).eps
 #: Newton steps a start may take; an honest one takes 2 to 8.
 MOST_ITERATIONS = 25
 #: The same for a rough flight: what is not near by then hardly ever arrives.
-MOST_ROUGH = 8
-#: Starts still this far away after three rough steps are given up: hardly one arrives, and scores of others do.
-HOPELESS = 4.0
+MOST_ROUGH = 10
+#: Rough starts this far away at their first, second, ... step are given up: hardly one arrives, and others do.
+HOPELESS = (20.0, 6.0, 4.0, 3.0)
+#: Rough starts that are this near each other after two steps arrive at one gait: the nearest to it goes on.
+MERGED = 0.1
 
 
 class Problem:
@@ -128,7 +130,7 @@ class Solved:
 
 
 def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool = False,
-           hopeless: float = 1e6) -> Solved:
+           hopeless: Sequence[float] = (1e6,), merge: float = 0.0) -> Solved:
     """Damped Newton on every lane; finished lanes leave the batch.
 
     Parameters
@@ -138,8 +140,10 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool =
     log_slope : ndarray, shape (n,)
     rough : bool
         Only to the search's tolerance.
-    hopeless : float
-        Size of a step that ends a lane's search after the third.
+    hopeless : sequence of float
+        Size of the first, second, ... step that ends a lane's search; the last holds from there on.
+    merge : float
+        After two steps, of lanes at one slope that share a cell of this size, only that with the least step goes on.
     """
     w = w.copy()
     n = w.shape[1]
@@ -153,7 +157,7 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool =
         step = newton_step(stride, w[:, active])
         size = np.abs(step).max(axis=0)
         noise = np.nan_to_num(rounding(stride).max(axis=0), nan=np.inf)
-        alive = np.isfinite(size) & (size < (hopeless if taken > 2 else 1e6))
+        alive = np.isfinite(size) & (size < hopeless[min(taken, len(hopeless) - 1)])
         step[:, alive] *= np.minimum(1.0, 0.5 / np.maximum(size[alive], 1e-300))
         w[:, active[alive]] += step[:, alive]
         # Done when the step is rounding, or has become small and stopped shrinking.
@@ -163,6 +167,10 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool =
         converged[active[done & sane]] = True
         last[active] = size
         active = active[alive & sane & ~done]
+        if merge and taken > 1:
+            active = active[np.argsort(last[active], kind="stable")]
+            cells = np.vstack([log_slope[active], np.round(w[:, active] / merge)])
+            active = np.sort(active[np.unique(cells, axis=1, return_index=True)[1]])
     return Solved(w, converged)
 
 
@@ -227,25 +235,32 @@ def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, V
     stride, verdict
         Their strides and what those are; None where nothing was found.
     """
-    w = starts(problem, slope)
-    log_slope = np.full(w.shape[1], np.log(slope))
-    if problem.phases == 2:
-        # Three links are dear: the search flies roughly, and only what it finds is flown exactly.
-        near = newton(problem, w, log_slope, rough=True, hopeless=HOPELESS)
-        w = _distinct(near.w[:, near.converged], 1e-3)
-    solved = newton(problem, w, np.full(w.shape[1], np.log(slope)))
-    w = _distinct(solved.w[:, solved.converged], 1e-5)
+    w = found_at(problem, [slope])[0]
     if not w.shape[1]:
         return w, None, None
-    stride, verdict = judged(problem, w, np.full(w.shape[1], np.log(slope)))
-    return w, stride, verdict
+    return w, *judged(problem, w, np.full(w.shape[1], np.log(slope)))
 
 
-def _distinct(w: np.ndarray, apart: float) -> np.ndarray:
-    """Columns of w in a fixed order, without those nearer than `apart` to one kept."""
-    w = w[:, np.lexsort(np.round(w, 6)[::-1])]
+def found_at(problem: Problem, slopes: Sequence[float]) -> list[np.ndarray]:
+    """Fixed points, steps or not, that the lattice of starts leads to at each of some slopes, shapes (m + phases, found)."""
+    lattice = [starts(problem, slope) for slope in slopes]
+    at = np.repeat(np.arange(len(slopes)), [w.shape[1] for w in lattice])
+    w, log_slope = np.hstack(lattice), np.log(np.asarray(slopes))
+    if problem.phases == 2:
+        # Three links are dear: the search flies roughly, and only what it finds is flown exactly.
+        near = newton(problem, w, log_slope[at], rough=True, hopeless=HOPELESS, merge=MERGED)
+        w, at = _distinct(near.w[:, near.converged], at[near.converged], 1e-3)
+    solved = newton(problem, w, log_slope[at])
+    w, at = _distinct(solved.w[:, solved.converged], at[solved.converged], 1e-5)
+    return [w[:, at == i] for i in range(len(slopes))]
+
+
+def _distinct(w: np.ndarray, at: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of w in a fixed order, without those nearer than `apart` to one kept that shares their `at`."""
+    order = np.lexsort([*np.round(w, 6)[::-1], at])
+    w, at = w[:, order], at[order]
     keep: list[int] = []
     for i in range(w.shape[1]):
-        if all(np.abs(w[:, i] - w[:, j]).max() > apart for j in keep):
+        if all(at[i] != at[j] or np.abs(w[:, i] - w[:, j]).max() > apart for j in keep):
             keep.append(i)
-    return w[:, keep]
+    return w[:, keep], at[keep]

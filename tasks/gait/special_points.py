@@ -7,11 +7,12 @@ tangential, an earlier strike cuts in; and the release of the knee, where the br
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from tasks.gait.branch import Branch
-from tasks.gait.continuation import Point, correct, linearised
+from tasks.gait.continuation import Point, branching, correct
 from tasks.gait.fixed_point import EPS, Problem, judged, rounding
 from tasks.gait.root import bracketed_root
 
@@ -80,8 +81,8 @@ def _at_tangency(problem: Problem, branch: Branch, segment: int) -> tuple[Point,
     point, way = points[2]
     m, k = branch.m, len(point.times)
     size = m + 1 + k
-    found_point = Point(found[: m + 1, None], found[m + 1:size, None], found[size:size + m + 1, None],
-                        found[size + m + 1:-1, None], point.ok, point.stride)
+    found_point = replace(point, X=found[: m + 1, None], times=found[m + 1:size, None],
+                          tangent=found[size:size + m + 1, None], times_tangent=found[size + m + 1:-1, None])
     return found_point, way, abs(float(inner[m] - found[m]))
 
 
@@ -173,13 +174,6 @@ def _release(point: Point) -> np.ndarray:
     return (point.stride.start[4] - point.stride.start[5]) / point.stride.y[0]
 
 
-def _branching(problem: Problem, point: Point, way: np.ndarray) -> np.ndarray:
-    """Determinant of [I - A; slope column | tangent], over the branch's direction: zero where branches cross."""
-    _, derivative = linearised(point.stride, point.X)
-    tangent = point.tangent * np.sign((point.tangent * way).sum(axis=0))
-    return np.linalg.det(np.concatenate([derivative, tangent.T[:, None]], axis=1))
-
-
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore")
 def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | str]]:
@@ -199,7 +193,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
         "fold": (branch.tangent[:, m], lambda p, w: float(oriented(p, w)[m])),
         "flip": (np.linalg.det(A + np.eye(m)), lambda p, w: float(np.linalg.det(_matrix(p) + np.eye(m))[0])),
         "neimark_sacker": (_eigen_products(A), lambda p, w: float(_eigen_products(_matrix(p))[0])),
-        "branch_point": (_branching(problem, nodes, way), lambda p, w: float(_branching(problem, p, w[:, None])[0])),
+        "branch_point": (branching(nodes, way), lambda p, w: float(branching(p, w[:, None])[0])),
     }
     if problem.phases == 2:
         tests["release_hyperextension"] = (_release(nodes), lambda p, w: float(_release(p)[0]))

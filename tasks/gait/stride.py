@@ -85,7 +85,8 @@ def _inverse(J: list[list[Sym]]) -> list[list[Sym]]:
 
 def _directions(rows_by: list[Sym], q: list[Sym], D: list[list[Sym]]) -> list[list[Sym]]:
     """Gradient of each row by q, times the directions D."""
-    return [[sum((hy.diff(r, x) * D[i][d] for i, x in enumerate(q)), ZERO) for d in range(len(D[0]))] for r in rows_by]
+    gradients = [[hy.diff(r, x) for x in q] for r in rows_by]
+    return [[sum((g * D[i][d] for i, g in enumerate(row)), ZERO) for d in range(len(D[0]))] for row in gradients]
 
 
 def apply(A: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -105,8 +106,8 @@ class StrideMap:
         self.start_size = 6 if self.kneed else 4
         self._start = self._compile_start()
         if self.kneed:
-            self._knee = {slope: self._compile_knee(slope) for slope in (False, True)}
-        self._finish = {slope: self._compile_finish(slope) for slope in (False, True)}
+            self._knee = self._compile_knee()
+        self._finish = self._compile_finish()
 
     def _function(self, outputs: list[Sym], variables: list[Sym]) -> hy.cfunc:
         return hy.cfunc(outputs, vars=variables, compact_mode=False)
@@ -123,15 +124,15 @@ class StrideMap:
             state = [y[0], -y[0], y[1], y[2]]
         return self._function(state + _flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
 
-    def _compile_knee(self, slope: bool) -> hy.cfunc:
-        """From the end of three links to the start of two, with directions (y, defect[, slope]).
+    def _compile_knee(self) -> hy.cfunc:
+        """From the end of three links to the start of two, with directions (y, defect, slope).
 
         After it, two links fly along the field and three unit vectors beside it, whatever the directions: what lies
         along the field is only a shift of time, which the next event takes up. So each direction is given by its
         four parts, the field's first.
         """
         p = Symbols(self.structure)
-        m = self.m + slope
+        m = self.m + 1
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
         D = _matrix("d", 6, m)
         q, rate = x[:3], x[3:]
@@ -152,24 +153,24 @@ class StrideMap:
         strike = [x[i] + defect[i] for i in range(6)] + _flat([moved[i][:self.m] for i in range(6)])
         return self._function(lock + _flat(parts) + [shift, *shift_by, *strike], [*x, *_flat(D), *p.variables])
 
-    def _compile_finish(self, slope: bool) -> hy.cfunc:
+    def _compile_finish(self) -> hy.cfunc:
         """From the end of two links to the image on the section, its derivatives and the Newton step."""
         p = Symbols(self.structure)
         m, defect = self.m, int(self.kneed)
         y = list(hy.make_vars(*(f"y{i}" for i in range(m))))
         x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-        flown = D = _matrix("d", 4, 3 + slope if self.kneed else m + slope)
-        parts: list[list[Sym]] = _matrix("c", 4, m + 1 + slope) if self.kneed else []
+        flown = D = _matrix("d", 4, 4 if self.kneed else m + 1)
+        parts: list[list[Sym]] = _matrix("c", 4, m + 2) if self.kneed else []
         if self.kneed:
             D = [[sum((parts[1 + k][d] * flown[i][k] for k in range(3)), flown[i][3] if d > m else ZERO)
-                  for d in range(m + 1 + slope)] for i in range(4)]
+                  for d in range(m + 2)] for i in range(4)]
         M, f = rows(p, x[:2], x[2:], False)
         field = [x[2], x[3], *Solver(M)(f)]
         closing = x[2] + x[3]
         base = [(defect and D[i][m]) or ZERO for i in range(4)]
         shift = -(x[0] + x[1] + base[0] + base[1]) / closing
-        shift_by = [-(D[0][d] + D[1][d]) / closing for d in range(m + defect + slope)]
-        keep = [d for d in range(m + defect + slope) if not (defect and d == m)]
+        shift_by = [-(D[0][d] + D[1][d]) / closing for d in range(m + defect + 1)]
+        keep = [d for d in range(m + defect + 1) if not (defect and d == m)]
         columns = [[D[i][d] + field[i] * shift_by[d] for d in keep] + [base[i] + field[i] * shift] for i in range(4)]
         if self.kneed:
             image = [x[1], x[2], x[3]]
@@ -185,7 +186,7 @@ class StrideMap:
         if parts:
             shift, shift_by = shift - parts[0][m], [a - b for a, b in zip(shift_by, parts[0])]
         outputs = [*moved, *_flat(jacobian), *_flat(inverse), *newton, shift, *(shift_by[d] for d in keep), *impact,
-                   *columns[2][:m], *columns[3][:m], closing, *([row[m] for row in out] if slope else [])]
+                   *columns[2][:m], *columns[3][:m], closing, *(row[m] for row in out)]
         return self._function(outputs, [*y, *x, *_flat(flown), *_flat(parts), *p.variables])
 
     def _apply(self, function: hy.cfunc, inputs: np.ndarray) -> np.ndarray:
@@ -231,9 +232,8 @@ class StrideMap:
             run = flow(self.structure, True, m + slope, slope, rough)
             final, moved = run(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             sampled.append(moved)
-            out = self._apply(self._knee[slope], np.vstack([final[:6], _unlanes(final[6:], 6), parameters]))
-            start2, parts, knee_shift, strike = np.split(
-                out, np.cumsum([4, 4 * (m + 1 + slope), 1 + m + slope]))
+            out = self._apply(self._knee, np.vstack([final[:6], _unlanes(final[6:], 6, m + 1), parameters]))
+            start2, parts, knee_shift, strike = np.split(out, np.cumsum([4, 4 * (m + 2), 2 + m]))
             knee, knee_by_y = strike[:6], strike[6:].reshape(6, m, n)
             D = np.broadcast_to(np.eye(4, 3 + slope, -1)[:, :, None], (4, 3 + slope, n))
             duration = times[1] - times[0]
@@ -242,13 +242,14 @@ class StrideMap:
         run = flow(self.structure, False, D.shape[1], slope, rough)
         final, moved = run(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
         sampled.append(moved)
-        out = self._apply(self._finish[slope], np.vstack([y, final[:4], _unlanes(final[4:], 4), parts, parameters]))
-        cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + slope, 2, 2 * m, 1]))
+        directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)
+        out = self._apply(self._finish, np.vstack([y, final[:4], directions, parts, parameters]))
+        cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + 1, 2, 2 * m, 1]))
         image, jacobian, inverse, newton, shift, shift_by, impact, impact_by_y, closing, by_slope = cut
         all_times, all_by = times[-1:] + shift, shift_by[None]
         if self.kneed:
             first = times[:1] + knee_shift[:1]
-            first_by = knee_shift[1:1 + m + slope][None]
+            first_by = knee_shift[1:][None]
             # Heelstrike is counted from the start of the step; its flow began at kneestrike.
             all_times = np.vstack([first, all_times + knee_shift[:1]])
             all_by = np.concatenate([first_by, all_by + first_by])
@@ -259,13 +260,15 @@ class StrideMap:
 
 def _lanes(D: np.ndarray) -> np.ndarray:
     """Directions (size, d, n) in the order of the flow's states: angles, then rates, one direction after another."""
-    return np.moveaxis(D, 1, 0).reshape(-1, D.shape[2])
+    return D.transpose(1, 0, 2).reshape(-1, D.shape[2])
 
 
-def _unlanes(flat: np.ndarray, size: int) -> np.ndarray:
-    """Back from the flow's order to rows of (size, d)."""
+def _unlanes(flat: np.ndarray, size: int, directions: int) -> np.ndarray:
+    """Back from the flow's order to rows of (size, directions); the slope's direction is zero where none was flown."""
     n = flat.shape[1]
-    return np.moveaxis(flat.reshape(-1, size, n), 0, 1).reshape(-1, n)
+    rows = np.zeros((size, directions, n))
+    rows[:, :len(flat) // size] = flat.reshape(-1, size, n).transpose(1, 0, 2)
+    return rows.reshape(-1, n)
 
 
 @functools.lru_cache(maxsize=64)

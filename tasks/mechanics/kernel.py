@@ -82,7 +82,7 @@ class Flow:
         flown = len(duration)
         final = np.empty((self.size, flown))
         motion = np.empty((samples + 1, self.angles, flown)) if samples else None
-        fractions = np.linspace(0.0, 1.0, samples + 1)[:, None]
+        fractions = np.linspace(0.0, 1.0, samples + 1)[:, None] if samples else None
         for k in range(0, flown, self.lanes):
             group = slice(k, k + self.lanes)
             if not self._group(state[:, group], parameters[:, group], duration[group], group, fractions, final, motion):
@@ -98,7 +98,7 @@ class Flow:
         return final[:, :n], motion if motion is None else motion[:, :, :n]
 
     def _group(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray, lanes: slice | list[int],
-               fractions: np.ndarray, final: np.ndarray, motion: np.ndarray | None) -> bool:
+               fractions: np.ndarray | None, final: np.ndarray, motion: np.ndarray | None) -> bool:
         """Advance one group; False where any of its lanes was lost."""
         ta: Any = self._ta
         ta.set_time(0.0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from pipeline import study
@@ -205,6 +205,7 @@ def _fuzz(path, table):
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(table=_STUDIES)
+@example(table={"walker": {"\n": None}})
 def test_no_table_gets_past_the_reader_as_a_traceback(tmp_path, table):
     _fuzz(tmp_path / "s.toml", table)
 
