@@ -10,7 +10,7 @@ import numpy as np
 from tasks import status
 from tasks.gait import atlas as atlases
 from tasks.gait.continuation import lipschitz
-from tasks.gait.fixed_point import Problem, search, starts
+from tasks.gait.fixed_point import Problem, noise, search, starts
 from tasks.gait.settle import UNKNOWN
 from tasks.registry import GAITS, VARIABLES
 from tasks.solve import points, solve
@@ -67,7 +67,8 @@ def _elsewhere(problem: Problem, slope: float, known: list[float]) -> tuple[list
     q = np.full((1, w.shape[1]), np.log(slope))
     X = np.vstack([w[:m], q])
     unknown = np.full(w.shape[1], UNKNOWN)
-    solved = solve(problem, np.vstack([X, w[m:]]), np.exp(q[0]), lipschitz(problem, X, w[m:]), WANT, unknown)
+    solved = solve(problem, np.vstack([X, w[m:]]), np.exp(q[0]), lipschitz(problem, X, w[m:]),
+                   noise(problem, w, q[0], near=8), WANT, unknown)
     records = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]

@@ -81,11 +81,12 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             asked = _asked(branch, segment, wanted)
             index, Z, segment = index[asked], Z[asked], segment[asked]
             lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
+            noise = branch.noise[segment]
             passes = np.where(branch.safe[segment], branch.passes[segment], UNKNOWN)
             for k in range(0, len(index), BLOCK):
                 part = slice(k, k + BLOCK)
                 block = index[part]
-                solved = solve(problem, Z[part].T, slope[block], lipschitz[part], want, passes[part],
+                solved = solve(problem, Z[part].T, slope[block], lipschitz[part], noise[part].T, want, passes[part],
                                params.get("friction_limit", violations.FRICTION_LIMIT))
                 label = (~(solved["heelstrike_rate_ratio"] < 0.5)).astype(int)
                 slot = np.where(free[block, label], label, np.where(free[block, 2], 2, 3))
@@ -110,8 +111,8 @@ def _asked(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarray:
     return ((low < 0.6) & ("long" in wanted)) | ((high > 0.4) & ("short" in wanted))
 
 
-def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, want: Sequence[str],
-          passes: np.ndarray, friction_limit: float = violations.FRICTION_LIMIT) -> Arrays:
+def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray,
+          want: Sequence[str], passes: np.ndarray, friction_limit: float = violations.FRICTION_LIMIT) -> Arrays:
     """Polish guesses, verify them and measure what is wanted; every array has the lane first.
 
     Parameters
@@ -119,11 +120,13 @@ def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndar
     Z : ndarray, shape (m + 1 + phases, n)
         Guesses as a branch's nodes hold them.
     slope, lipschitz : ndarray, shape (n,)
+    noise : ndarray, shape (o, n)
+        What rounding does to angle, rates and period.
     want : sequence of str
     passes : ndarray, shape (n,)
         How often the legs pass, where the atlas has shown the stride to be a step; elsewhere UNKNOWN.
     """
-    at = settle(problem, Z, slope, lipschitz, passes)
+    at = settle(problem, Z, slope, lipschitz, noise, passes)
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
     found = {"status": code, "reason": np.where(at.converged, np.where(at.step, 0, 4), 3),
              "residual": np.abs((at.stride.image - at.stride.y) / at.stride.y).max(axis=0), "error_bound": at.bound,

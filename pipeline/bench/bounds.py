@@ -80,19 +80,21 @@ def bounds(each: int, seed: int = 3, walkers: Sequence[tuple[str, Walker]] | Non
         for branch in atlases.survey(problem):
             for index, Z, segment in branch.guesses(np.log(slope)):
                 lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
+                noise = branch.noise[segment].T
                 passes = np.where(branch.safe[segment], branch.passes[segment], -1)
-                rows += [(name, *row) for row in _compared(problem, Z.T, slope[index], lipschitz, passes)]
+                rows += [(name, *row) for row in _compared(problem, Z.T, slope[index], lipschitz, noise, passes)]
         if say:
             say(f"{name}: {len(rows)} gaits so far")
     columns = [np.array(c) for c in zip(*[row[1:] for row in rows], strict=True)]
     return Bounds([row[0] for row in rows], *columns)
 
 
-def _compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, passes: np.ndarray
+def _compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray,
+              passes: np.ndarray
               ) -> list[tuple[float, float, float, float, int]]:
     """Slope, bound, error, condition number and tier of each converged gait."""
-    product = solve.solve(problem, Z, slope, lipschitz, WANT, passes)
-    at = settle(problem, Z, slope, lipschitz, passes)
+    product = solve.solve(problem, Z, slope, lipschitz, noise, WANT, passes)
+    at = settle(problem, Z, slope, lipschitz, noise, passes)
     second, rows = _second(problem.walker), []
     size = np.abs(at.stride.y)
     begin = problem.map.start(at.y, problem.parameters(slope, at.scale))[problem.map.start_size:]

@@ -11,7 +11,7 @@ import numpy as np
 
 from tasks import solve
 from tasks.gait.continuation import lipschitz
-from tasks.gait.fixed_point import Lanes, gait_ratio, newton
+from tasks.gait.fixed_point import Lanes, gait_ratio, newton, noise
 from tasks.gait.settle import UNKNOWN, settle
 from tasks.gait.stability import multipliers
 from tasks.mechanics.kernel import flow
@@ -190,7 +190,8 @@ def _lanes(family: str, problem: Lanes, random: Random, found: Outcomes) -> None
         some, slope, w = problem.some(there), slope[there], solved.w[:, there]
         X = np.vstack([w[:m], np.log(slope)])
         estimate = lipschitz(some, X, w[m:])
-        at = settle(some, np.vstack([X, w[m:]]), slope, estimate, np.full(len(there), UNKNOWN))
+        at = settle(some, np.vstack([X, w[m:]]), slope, estimate, noise(some, w, np.log(slope), near=4),
+                    np.full(len(there), UNKNOWN))
         ratio, largest = gait_ratio(at.stride), np.abs(multipliers(at.stride.jacobian, m)).max(axis=1)
         for i in range(len(there)):
             outcome = _outcome(bool(at.converged[i]), bool(at.step[i]), int(at.passes[i]), float(ratio[i]))

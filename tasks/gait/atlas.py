@@ -13,7 +13,7 @@ import numpy as np
 
 from tasks.gait.branch import Branch
 from tasks.gait.continuation import Track, correct, follow, lipschitz
-from tasks.gait.fixed_point import Problem, found_at, gait_ratio, judged, rounding
+from tasks.gait.fixed_point import Problem, found_at, gait_ratio, judged, noise, rounding
 from tasks.gait.special_points import end_of, located, oriented, row, row_tangent
 from tasks.gait.stride import SAMPLES
 from tasks.gait.verify import verify
@@ -23,6 +23,8 @@ ANCHORS = (0.01, 0.03, 0.1, 0.001, 0.2)
 #: Largest change Newton may still make at a segment's middle before the segment is split.
 TOLERANCE = 2e-13
 MOST_ROUNDS = 5
+#: Nodes either way whose rounding speaks for a segment's.
+NEAR_BY = 4
 
 
 def _insert(problem: Problem, branch: Branch, segments: np.ndarray) -> tuple[Branch, np.ndarray]:
@@ -92,7 +94,7 @@ def _measured(problem: Problem, branch: Branch) -> Branch:
     """The branch with its Lipschitz estimates, gait ratios, and which segments need no verdict of their own."""
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1:].T
-    branch.lipschitz = _lipschitz(problem, X, times)
+    branch.lipschitz, branch.noise = _roughness(problem, X, times)
     stride, scale = problem.stride(np.vstack([X[:m], times]), X[m], samples=8 * SAMPLES)
     branch.ratio = gait_ratio(stride)
     assert stride.motion is not None
@@ -111,15 +113,25 @@ def _measured(problem: Problem, branch: Branch) -> Branch:
     return branch
 
 
-def _lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Lipschitz estimates at a branch's nodes: of every other one, and between them the larger of both."""
-    n = X.shape[1]
+def _roughness(problem: Problem, X: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lipschitz estimates at a branch's nodes (n,), and the noise of the strides after each (n, o).
+
+    Measured at every other node. Between two of them Newton's map is as rough as at the rougher; noise is chance, and
+    that of a segment the mean square of the nodes near by.
+    """
+    m, n = problem.m, X.shape[1]
     # At its ends they may change by orders of magnitude from node to node.
     some = np.unique(np.r_[0:min(n, 4), 0:n:2, max(0, n - 4):n])
-    found = np.full(n, -np.inf)
-    found[some] = lipschitz(problem, X[:, some], times[:, some])
-    left, right = np.append(found[:1], found[:-1]), np.append(found[1:], found[-1:])
-    return np.where(np.isneginf(found), np.maximum(left, right), found)
+    rough = np.full(n, -np.inf)
+    rough[some] = lipschitz(problem, X[:, some], times[:, some])
+    left, right = np.append(rough[:1], rough[:-1]), np.append(rough[1:], rough[-1:])
+    square = noise(problem, np.vstack([X[:m], times])[:, some], X[m, some]) ** 2
+    first, last = np.searchsorted(some, np.arange(n) - NEAR_BY), np.searchsorted(some, np.arange(n) + NEAR_BY + 1)
+    count = np.cumsum(np.append(np.zeros((len(square), 1)), np.isfinite(square), axis=1), axis=1)
+    total = np.cumsum(np.append(np.zeros((len(square), 1)), np.nan_to_num(square, posinf=0.0), axis=1), axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.sqrt((total[:, last] - total[:, first]) / (count[:, last] - count[:, first]))
+    return np.where(np.isneginf(rough), np.maximum(left, right), rough), np.nan_to_num(mean, nan=np.inf).T
 
 
 def _with_folds(problem: Problem, branch: Branch) -> Branch:
@@ -170,7 +182,7 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
             **{name: np.concatenate([getattr(b, name) for b in branches]) for name in _BY_NODE}}
 
 
-_BY_NODE = ("Z", "tangent", "lipschitz", "ratio", "passes", "safe")
+_BY_NODE = ("Z", "tangent", "lipschitz", "noise", "ratio", "passes", "safe")
 
 
 def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:

@@ -12,7 +12,8 @@ class Branch:
     """One branch: nodes, tangents and Lipschitz estimates.
 
     `Z` (n, c) holds X = (section, q) in its first m + 1 columns, then the event times; `tangent` its derivative along
-    the branch; `why` says what each end is, `end_errors` how far off its ln slope may be beyond rounding. `ratio` is the gait ratio at the nodes; `safe` says of the segment after
+    the branch; `why` says what each end is, `end_errors` how far off its ln slope may be beyond rounding. `noise` (n, o) is that of strides on the
+    segment after each node, `ratio` the gait ratio at the nodes; `safe` says of the segment after
     each node that every stride on it is a step whose legs pass `passes` times, by the nodes' own motions.
     """
 
@@ -22,6 +23,7 @@ class Branch:
     lipschitz: np.ndarray
     why: tuple[str, str]
     end_errors: tuple[float, float] = (0.0, 0.0)
+    noise: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     ratio: np.ndarray = field(default_factory=lambda: np.zeros(0))
     passes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     safe: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))

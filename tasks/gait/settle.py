@@ -7,13 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.gait import extended
-from tasks.gait.fixed_point import EPS, Problem, judged, newton_step, rounding
+from tasks.gait.fixed_point import EPS, Problem, arrival, judged, newton_step, rounding
 from tasks.gait.stride import Stride, apply
 
 #: Where the atlas cannot vouch for a point's verdict.
 UNKNOWN = -1
 #: Newton steps a point may take from the atlas; nearly all take one.
 MOST_STEPS = 8
+#: Standard deviations of the measured rounding a gait may be off, besides half a rounding of its image: that of the
+#: constants, which no change of units shows.
+SURE = 16.0
 #: Relative distance from the fixed point at which multipliers are as good as at it.
 NEAR = 2e-12
 
@@ -40,7 +43,8 @@ class Settled:
     passes: np.ndarray
 
 
-def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, passes: np.ndarray) -> Settled:
+def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray,
+           passes: np.ndarray) -> Settled:
     """Polish guesses and verify them.
 
     Parameters
@@ -48,29 +52,25 @@ def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.nda
     Z : ndarray, shape (m + 1 + phases, n)
         Guesses as a branch's nodes hold them.
     slope, lipschitz : ndarray, shape (n,)
+    noise : ndarray, shape (o, n)
+        What rounding does to angle, rates and period.
     passes : ndarray, shape (n,)
         How often the legs pass, where the atlas has shown the stride to be a step; elsewhere UNKNOWN.
     """
     m, n = problem.m, len(slope)
     stride, scale, w = polish(problem, np.delete(Z, m, axis=0), slope, lipschitz)
     eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
-    y = stride.y + stride.newton
-    times = stride.times + apply(stride.times_by_y, stride.newton)
     # What is measured at the impacts is carried to the fixed point, as the times are.
     stride.impact = stride.impact + apply(stride.impact_by_y, stride.newton)
     if stride.knee is not None and stride.knee_by_y is not None:
         stride.knee = stride.knee + apply(stride.knee_by_y, stride.newton)
-    begin = problem.map.start(y, problem.parameters(slope, scale))
-    size = problem.map.start_size
-    state, by_y = begin[:size], np.abs(begin[size:].reshape(size, m, n))
-    error = (rounding(stride) + 2 * lipschitz * eta**2) * np.abs(y)
-    # Heelstrike rounds as if its own start were off by rounding.
-    guard = 4 * EPS * np.abs(y).max(axis=0) / np.abs(stride.closing)
-    bound = np.maximum(_shown(stride, state, by_y, error + 2 * EPS * np.abs(y), np.zeros(n), times),
-                       _shown(stride, state, by_y, error, guard, times)) + 2 * EPS
+    at = arrival(problem, stride, problem.parameters(slope, scale))
+    y, times, state, by_y = at.y, at.times, at.state, np.abs(at.by_y)
+    error = at.reach * (SURE * noise + EPS / 2) + apply(by_y, 2 * lipschitz * eta**2 * np.abs(y))
+    bound = (error / np.abs(at.values)).max(axis=0) + 2 * EPS
     doubles = bound.copy()
     converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
-    spread = _shown(stride, state, by_y, np.abs(y), np.zeros(n), times)
+    spread = (apply(by_y, np.abs(y)) / np.abs(at.values)).max(axis=0)
     for lane in np.nonzero((bound > extended.ESCALATE) & (bound < 1e-3))[0]:
         wide = extended.refine(problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane])
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
@@ -83,15 +83,6 @@ def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.nda
         step[lanes], passes = verdict.step, passes.copy()
         passes[lanes] = verdict.passes
     return Settled(y, state, times, scale, stride, bound, doubles, converged, step, passes)
-
-
-def _shown(stride: Stride, state: np.ndarray, by_y: np.ndarray, error: np.ndarray, late: np.ndarray,
-           times: np.ndarray) -> np.ndarray:
-    """Largest relative error of angle, rates and period an error of the section (m, n) and of the event makes, (n,)."""
-    rows = [0, *range(len(state) // 2, len(state))]
-    relative = list(apply(by_y[rows], error) / np.abs(state[rows]))
-    relative.append((apply(np.abs(stride.times_by_y[-1:]), error)[0] + late) / times[-1])
-    return np.max(relative, axis=0)
 
 
 def polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray
