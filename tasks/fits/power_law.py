@@ -41,7 +41,10 @@ def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
     log_x, log_y = np.log(x), np.log(y)
     line = stats.linregress(log_x, log_y)
     local = local_exponents(x, y)
-    spread = stats.t.ppf(0.975, len(x) - 2) * line.stderr
+    # From the residuals themselves: through 1 - r^2, as linregress has it, a good fit's error is rounding.
+    residual = log_y - (line.intercept + line.slope * log_x)
+    error = np.sqrt(residual @ residual / (len(x) - 2) / np.sum((log_x - log_x.mean()) ** 2))
+    spread = stats.t.ppf(0.975, len(x) - 2) * error
     return PowerLaw(line.slope, min(line.slope - spread, local.min()), max(line.slope + spread, local.max()),
                     float(np.exp(line.intercept)), float(x[0]), float(x[-1]), len(x))
 

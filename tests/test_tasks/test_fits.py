@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from tasks.fit import transition as transition_table
 from tasks.fits import power_law, transition
 
 
@@ -14,6 +17,37 @@ def test_a_pure_power_is_found_to_rounding():
     assert law.amplitude == pytest.approx(3.5, rel=1e-12)
     assert law.low <= 0.25 <= law.high
     assert law.n == 60
+
+
+@settings(max_examples=150, deadline=None)
+@given(exponent=st.floats(-4, 4), log_amplitude=st.floats(-20, 20), log_from=st.floats(-12, 0),
+       decades=st.floats(0.5, 12), n=st.integers(3, 3000))
+def test_a_fit_is_that_of_data_off_by_a_few_roundings(exponent, log_amplitude, log_from, decades, n):
+    """Backward error: how far known data had to be moved, in ulps of its logarithm, for the law found to be theirs."""
+    x = np.geomspace(10**log_from, 10 ** (log_from + decades), n)
+    y = np.exp(log_amplitude) * x**exponent
+    law = power_law.fit(x, y)
+    size = 2.3e-16 * (1 + np.abs(np.log(y)).max() + abs(exponent) * np.abs(np.log(x)).max())
+    assert np.abs(np.log(law.amplitude) + law.exponent * np.log(x) - np.log(y)).max() < 8 * size
+    # What data off by that much leave open of the exponent.
+    assert abs(law.exponent - exponent) < 16 * size / np.log(10**decades)
+    assert 0 <= law.high - law.low < 1e3 * n * size / np.log(10**decades)
+    assert law.low <= law.exponent <= law.high
+
+
+def test_the_transition_of_known_laws_is_found_with_its_power():
+    """Angles that solve slope = c rho angle + (angle/B)^3: both laws and their crossing (B c rho)^(3/2) are exact."""
+    slope, factor = np.geomspace(1e-12, 1e-1, 220), 0.37
+    lines, inputs = [], []
+    for ratio in (1e-1, 1e-2, 1e-3, 1e-4):
+        angle = np.array([next(float(r.real) for r in np.roots([transition.CUBE_ROOT**-3, 0, factor * ratio, -s])
+                               if abs(r.imag) < 1e-9 * abs(r) and r.real > 0) for s in slope])
+        lines.append({"walker": "E", "set": {"foot_mass_ratio": ratio}})
+        inputs.append({"slope": slope, "stance_angle": np.stack([angle * np.nan, angle], axis=1)})
+    table = transition_table({"lines": lines}, inputs)
+    known = (transition.CUBE_ROOT * factor * table["fits/transition/foot_mass_ratio"]) ** 1.5
+    np.testing.assert_allclose(table["fits/transition/slope_transition"], known, rtol=3e-5)
+    np.testing.assert_allclose(table["fits/transition/local_exponent"][:-1], 1.5, rtol=1e-5)
 
 
 def test_a_bend_splits_the_range():

@@ -69,7 +69,7 @@ def test_a_random_line_of_the_product_says_what_became_of_every_point():
 
 @pytest.mark.parametrize("each,walkers", [
     (24, [("D", CATALOGUE["D"]), ("B", CATALOGUE["B"]), ("tuned", random_walker("straight, tuned", 34))]),
-    pytest.param(1500, None, marks=pytest.mark.soak)])
+    pytest.param(2300, None, marks=pytest.mark.soak)])
 def test_every_bound_holds_and_is_no_hundred_times_too_wide(each, walkers):
     found = bounds(each, walkers=walkers)
     for row in found.rows():
