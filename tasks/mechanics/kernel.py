@@ -56,6 +56,9 @@ class Flow:
         self._ta = hy.taylor_adaptive_batch(
             flown.equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE)
         self._parameters = flown.parameters()
+        # Views of the integrator's own memory.
+        ta: Any = self._ta
+        self._state, self._pars, self._time = ta.state, ta.pars, ta.time
 
     def __call__(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray,
                  samples: int = 0) -> tuple[np.ndarray, np.ndarray | None]:
@@ -80,44 +83,40 @@ class Flow:
         state, duration = whole_groups(state, self.lanes), whole_groups(duration, self.lanes)
         parameters = self._parameters(whole_groups(parameters, self.lanes))
         flown = len(duration)
-        final = np.empty((self.size, flown))
+        final, reached = np.empty((self.size, flown)), np.full(flown, np.nan)
         motion = np.empty((samples + 1, self.angles, flown)) if samples else None
         fractions = np.linspace(0.0, 1.0, samples + 1)[:, None] if samples else None
+
+        def fly(lanes: slice | list[int], to: slice) -> None:
+            """Advance a group; what is put down of it is its lanes `to`."""
+            ta, kept = self._ta, slice(to.stop - to.start)
+            ta.set_time(0.0)
+            self._state[:], self._pars[:] = state[:, lanes], parameters[:, lanes]
+            try:
+                if motion is None:
+                    ta.propagate_until(duration[lanes], max_steps=MOST_STEPS)
+                else:
+                    dense = ta.propagate_grid(fractions * duration[lanes], max_steps=MOST_STEPS)[1]
+                    motion[:, :, to] = dense[:, : self.angles, kept]
+            except ValueError:
+                # heyoka refuses durations that are not finite.
+                return
+            final[:, to], reached[to] = self._state[:, kept], self._time[kept]
+
         for k in range(0, flown, self.lanes):
-            group = slice(k, k + self.lanes)
-            if not self._group(state[:, group], parameters[:, group], duration[group], group, fractions, final, motion):
-                for lane in range(k, k + self.lanes):
-                    alone = [lane] * self.lanes
-                    if not self._group(state[:, alone], parameters[:, alone], duration[alone], alone, fractions,
-                                       final, motion):
-                        final[:, lane] = np.nan
-                        if motion is not None:
-                            motion[:, :, lane] = np.nan
+            fly(slice(k, k + self.lanes), slice(k, k + self.lanes))
+        lost = np.nonzero(reached.reshape(-1, self.lanes) != duration.reshape(-1, self.lanes))[0]
+        for k in np.unique(lost) * self.lanes:
+            for lane in range(k, k + self.lanes):
+                reached[lane] = np.nan
+                fly([lane] * self.lanes, slice(lane, lane + 1))
+                if reached[lane] != duration[lane]:
+                    final[:, lane] = np.nan
+                    if motion is not None:
+                        motion[:, :, lane] = np.nan
         self.evaluations += n
         self.idle += flown - n
         return final[:, :n], motion if motion is None else motion[:, :, :n]
-
-    def _group(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray, lanes: slice | list[int],
-               fractions: np.ndarray | None, final: np.ndarray, motion: np.ndarray | None) -> bool:
-        """Advance one group; False where any of its lanes was lost."""
-        ta: Any = self._ta
-        ta.set_time(0.0)
-        ta.state[:] = state
-        ta.pars[:] = parameters
-        try:
-            if motion is None:
-                ta.propagate_until(duration, max_steps=MOST_STEPS)
-            else:
-                dense = ta.propagate_grid(fractions * duration, max_steps=MOST_STEPS)[1]
-        except ValueError:
-            # heyoka refuses durations that are not finite.
-            return False
-        if not (ta.time == duration).all():
-            return False
-        final[:, lanes] = ta.state
-        if motion is not None:
-            motion[:, :, lanes] = dense[:, : self.angles]
-        return True
 
 
 @functools.lru_cache(maxsize=64)
