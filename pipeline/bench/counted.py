@@ -124,7 +124,7 @@ def line(f: problems.Family, n: int) -> dict[str, float]:
     solve.points(params, [f.atlas])
     for flow in flows():
         flow.evaluations = 0
-    with Clock((Flow, "_group"), (StrideMap, "_apply")) as clock:
+    with Clock((Flow, "_advance"), (StrideMap, "_apply")) as clock:
         start = time.perf_counter()
         found = solve.points(params, [f.atlas])
         wall = time.perf_counter() - start

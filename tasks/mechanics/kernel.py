@@ -89,19 +89,16 @@ class Flow:
 
         def fly(lanes: slice | list[int], to: slice) -> None:
             """Advance a group; what is put down of it is its lanes `to`."""
-            ta, kept = self._ta, slice(to.stop - to.start)
-            ta.set_time(0.0)
+            kept = slice(to.stop - to.start)
             self._state[:], self._pars[:] = state[:, lanes], parameters[:, lanes]
             try:
-                if motion is None:
-                    ta.propagate_until(duration[lanes], max_steps=MOST_STEPS)
-                else:
-                    dense = ta.propagate_grid(fractions * duration[lanes], max_steps=MOST_STEPS)[1]
-                    motion[:, :, to] = dense[:, : self.angles, kept]
+                dense = self._advance(duration[lanes], fractions)
             except ValueError:
                 # heyoka refuses durations that are not finite.
                 return
             final[:, to], reached[to] = self._state[:, kept], self._time[kept]
+            if motion is not None and dense is not None:
+                motion[:, :, to] = dense[:, : self.angles, kept]
 
         for k in range(0, flown, self.lanes):
             fly(slice(k, k + self.lanes), slice(k, k + self.lanes))
@@ -117,6 +114,15 @@ class Flow:
         self.evaluations += n
         self.idle += flown - n
         return final[:, :n], motion if motion is None else motion[:, :, :n]
+
+    def _advance(self, duration: np.ndarray, fractions: np.ndarray | None) -> np.ndarray | None:
+        """Let heyoka fly a group, all of its time or to fractions of it; the states there."""
+        ta: Any = self._ta
+        ta.set_time(0.0)
+        if fractions is None:
+            ta.propagate_until(duration, max_steps=MOST_STEPS)
+            return None
+        return ta.propagate_grid(fractions * duration, max_steps=MOST_STEPS)[1]
 
 
 @functools.lru_cache(maxsize=64)
