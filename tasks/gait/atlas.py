@@ -23,15 +23,25 @@ ANCHORS = (0.01, 0.03, 0.1, 0.001, 0.2)
 #: Largest change Newton may still make at a segment's middle before the segment is split.
 TOLERANCE = 2e-13
 MOST_ROUNDS = 5
+#: A split that leaves more than this of the change shows rounding: the next would show it again.
+HELPED = 0.25
 #: Nodes either way whose rounding speaks for a segment's.
 NEAR_BY = 4
 
 
-def _insert(problem: Problem, branch: Branch, segments: np.ndarray) -> tuple[Branch, np.ndarray]:
-    """Correct the middles of some segments and split those that moved; the branch, and its segments that changed."""
+def _insert(problem: Problem, branch: Branch, segments: np.ndarray,
+            before: np.ndarray) -> tuple[Branch, np.ndarray, np.ndarray]:
+    """Correct the middles of some segments and split those that moved.
+
+    `before` (n - 1,) is how far the middle moved of the segment that each was split from. Returned are the branch, its
+    segments that changed, and `before` for them all.
+    """
     m = branch.m
     x = 0.5 * (branch.Z[segments, branch.axis[segments]] + branch.Z[segments + 1, branch.axis[segments]])
-    Z = branch.evaluate(segments, x)
+    # Where a node is all but singular its polynomial may lead anywhere.
+    a, b = branch.Z[segments], branch.Z[segments + 1]
+    apart = np.abs(b - a)
+    Z = np.clip(branch.evaluate(segments, x), np.minimum(a, b) - apart, np.maximum(a, b) + apart)
     border = branch.tangent[segments][:, : m + 1] + branch.tangent[segments + 1][:, : m + 1]
     border /= np.linalg.norm(border, axis=1, keepdims=True)
     point = correct(problem, Z[:, : m + 1].T, Z[:, m + 1:].T, border.T)
@@ -39,13 +49,16 @@ def _insert(problem: Problem, branch: Branch, segments: np.ndarray) -> tuple[Bra
     sign = np.sign((point.tangent.T * border).sum(axis=1))[:, None]
     new_Z = np.vstack([point.X, point.times]).T
     new_T = np.vstack([point.tangent, point.times_tangent]).T * sign
-    # Below the rounding of the fixed point itself no split would help.
+    # Below the rounding of the fixed point itself no split helps: by its estimate, or where the last one has not.
     keep = point.ok & (moved > np.maximum(TOLERANCE, 7 * rounding(point.stride).max(axis=0)))
+    keep &= moved < HELPED * before[segments]
     at = segments[keep] + 1
+    before[segments[keep]] = moved[keep]
+    before = np.insert(before, at, moved[keep])
     fresh = np.insert(np.zeros(len(branch.Z), bool), at, True)
     branch = replace(branch, Z=np.insert(branch.Z, at, new_Z[keep], axis=0),
                      tangent=np.insert(branch.tangent, at, new_T[keep], axis=0))
-    return branch, np.nonzero(fresh[branch.window].any(axis=1))[0]
+    return branch, np.nonzero(fresh[branch.window].any(axis=1))[0], before
 
 
 def _joined(m: int, pair: list[Track]) -> tuple[Branch, int]:
@@ -83,8 +96,9 @@ def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
         return None
     branch = _with_folds(problem, Branch(m, Z, T, np.zeros(len(Z)), (why[0], why[1]), (errors[0], errors[1])))
     segments = np.arange(len(branch.Z) - 1)
+    before = np.full(len(segments), np.inf)
     for _ in range(MOST_ROUNDS):
-        branch, segments = _insert(problem, branch, segments)
+        branch, segments, before = _insert(problem, branch, segments, before)
         if not len(segments):
             break
     return _measured(problem, branch)

@@ -13,6 +13,8 @@ from tasks.mechanics.lumped import Structure, constants_of, structure_of
 from tasks.walkers.parameters import Walker
 
 EPS = np.finfo(float).eps
+#: Periods beyond are a fall: the stance leg has all but come to stand upright [sqrt(leg/g)].
+LONGEST_PERIOD = 12.0
 #: Newton steps a start may take; an honest one takes 2 to 8.
 MOST_ITERATIONS = 25
 #: The same for a rough flight: what is not near by then hardly ever arrives.
@@ -219,7 +221,7 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool =
         # Done when the step is rounding, or has become small and stopped shrinking.
         done = alive & ((size < (1e-5 if rough else noise)) | ((size < 1e-6) & (size > 0.3 * last[active])))
         sane = (np.abs(w[1:problem.m, active]) < 50).all(axis=0) & (w[problem.m:, active] > 0.05).all(axis=0)
-        sane &= (w[-1, active] < 12) & (w[0, active] < 0.4)
+        sane &= (w[-1, active] < LONGEST_PERIOD) & (w[0, active] < 0.4)
         converged[active[done & sane]] = True
         last[active] = size
         active = active[alive & sane & ~done]

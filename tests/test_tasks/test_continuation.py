@@ -1,5 +1,6 @@
 """Branches, their folds, flips and ends, against what was computed before and against themselves."""
 
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -10,10 +11,11 @@ from lines import branches
 from tasks.gait import special_points as special
 from tasks.gait.atlas import survey
 from tasks.gait.continuation import correct, follow
-from tasks.gait.fixed_point import Problem
+from tasks.gait.fixed_point import LONGEST_PERIOD, Problem
 from tasks.gait.root import bracketed_root
 from tasks.gait.special_points import special_points
 from tasks.walkers.catalogue import CATALOGUE
+from tasks.walkers.parameters import Walker
 
 
 def points_of(walker, **overrides):
@@ -130,3 +132,21 @@ def test_no_branch_jumps_to_one_it_almost_touches(detuning, ends):
     _, found = branches("C", detuning=detuning)
     why = [tuple(sorted(end.replace("end of the ", "").removeprefix("end_") for end in b.why)) for b in found]
     assert sorted(why) == ends
+
+
+def test_a_branch_ends_where_the_stance_leg_comes_to_stand_still():
+    first = survey(Problem(replace(CATALOGUE["B"], R=0.3533, m_s=1.0)))[0]
+    assert first.why[1] == "a fall"
+    # There the period diverges with the logarithm of the slope's distance; rounding must not split segments for ever.
+    assert LONGEST_PERIOD < first.Z[-1, -1] < LONGEST_PERIOD + 0.1
+    assert len(first.Z) < 700
+
+
+def test_a_singular_derivative_ends_no_survey():
+    """Heelstrike turns tangential between two nodes, where the map's derivative is one column to the last digit."""
+    (branch,) = survey(Problem(Walker(
+        l_t=0.4076273331582905, w_t=0.09347589723409368, m_t=0.036760265359138074, r_t=0.11703360199179433,
+        c_t=0.21177644858915898, l_s=0.5923726668417095, w_s=-0.08270528673840194, m_s=0.019289748290847984,
+        r_s=0.16422574634352305, c_s=-0.12107330029517688, R=0.48477183884406094, eps_T=-0.12415307211285737,
+        m_h=0.031433349548861844, g=1.0, knees=False)))
+    assert branch.why == ("a fall", "end_tangential_heelstrike")

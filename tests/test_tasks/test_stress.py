@@ -25,12 +25,12 @@ def off(gait):
 
 
 def sample(found, count):
-    """Accepted gaits, as many of each family."""
+    """Accepted gaits, as many of each family; the second derivation adds angles of one to a step's."""
     random = np.random.default_rng(0)
     families = list(dict.fromkeys(gait.family for gait in found.accepted))
     chosen = []
     for family in families:
-        of = [gait for gait in found.accepted if gait.family == family]
+        of = [gait for gait in found.accepted if gait.family == family and gait.angle > 1e-8]
         chosen += [of[i] for i in random.permutation(len(of))[:max(1, count // len(families))]]
     return chosen
 
