@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import functools
-import os
-from pathlib import Path
 from typing import Any
 
 import heyoka as hy
 import numpy as np
 
 from tasks.mechanics.equations import system
+from tasks.mechanics.kept import kept
 from tasks.mechanics.lumped import Structure
 
 #: Steps a flow may take before it counts as lost; an honest stride takes 5 to 40.
@@ -20,14 +18,6 @@ LANES = hy.recommended_simd_size()
 FINE = 1.75e-15
 #: Tolerance of a search's flows, which only lead to where the exact ones begin.
 ROUGH = 1e-7
-
-_cache = os.environ.get("GAITSWEEP_CACHE")
-if _cache:
-    # A cache on a network disk is slower than compiling; a local one may be named.
-    Path(_cache).mkdir(parents=True, exist_ok=True)
-    hy.llvm_state.set_diskcache_path(_cache)
-hy.llvm_state.set_diskcache_enabled(True)
-hy.set_nthreads(1)
 
 
 def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
@@ -56,9 +46,19 @@ class Flow:
         self._ta = hy.taylor_adaptive_batch(
             flown.equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE)
         self._parameters = flown.parameters()
-        # Views of the integrator's own memory.
+        self._view()
+
+    def _view(self) -> None:
+        """Look into the integrator's own memory."""
         ta: Any = self._ta
         self._state, self._pars, self._time = ta.state, ta.pars, ta.time
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if k not in ("_state", "_pars", "_time")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._view()
 
     def __call__(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray,
                  samples: int = 0) -> tuple[np.ndarray, np.ndarray | None]:
@@ -125,8 +125,8 @@ class Flow:
         return ta.propagate_grid(fractions * duration, max_steps=MOST_STEPS)[1]
 
 
-@functools.lru_cache(maxsize=64)
+@kept
 def flow(structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False,
          rough: bool = False) -> Flow:
-    """The compiled flow of a structure; compiled once a process, kept in heyoka's disk cache between them."""
+    """The compiled flow of a structure."""
     return Flow(structure, free_knee, directions, with_slope, rough)
