@@ -6,6 +6,7 @@ There the residual is evaluated in long double or in 128 bits; Newton keeps the 
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,6 @@ from tasks.gait.fixed_point import EPS, Problem
 from tasks.gait.stride import Stride
 from tasks.mechanics.equations import Symbols, system
 from tasks.mechanics.impacts import heelstrike, kneestrike
-from tasks.mechanics.kept import kept
 from tasks.mechanics.lumped import Structure, lump
 
 #: Bounds of a double's fixed point above which long double is asked, and 128 bits.
@@ -108,8 +108,8 @@ class Extended:
         return said[2:2 + self.m], np.array([*ends, begun + last], dtype=self.number), said[2 + self.m:]
 
 
-@kept
-def extended_map(structure: Structure, tier: int) -> Extended:
+@functools.lru_cache(maxsize=16)
+def _map(structure: Structure, tier: int) -> Extended:
     return Extended(structure, *TIERS[tier])
 
 
@@ -143,7 +143,7 @@ def solved(problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np
         Index into `TIERS`.
     """
     number, _ = TIERS[tier]
-    exact = extended_map(problem.structure, tier)
+    exact = _map(problem.structure, tier)
     constants = lump(problem.walker_of(lane), number)
     parameters = np.array([number(slope), number(scale), *(constants[k] for k in problem.structure.constants)], dtype=number)
     wide, wide_times = np.array([number(v) for v in y], dtype=number), np.array([number(v) for v in times], dtype=number)

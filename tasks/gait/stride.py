@@ -10,6 +10,7 @@ the saltation terms exactly and the event times quadratically.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import heyoka as hy
@@ -17,7 +18,6 @@ import numpy as np
 
 from tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
 from tasks.mechanics.impacts import heelstrike, kneestrike
-from tasks.mechanics.kept import kept
 from tasks.mechanics.kernel import LANES, flow, whole_groups
 from tasks.mechanics.lumped import Structure
 
@@ -271,7 +271,7 @@ def _unlanes(flat: np.ndarray, size: int, directions: int) -> np.ndarray:
     return rows.reshape(-1, n)
 
 
-@kept
+@functools.lru_cache(maxsize=64)
 def stride_map(structure: Structure) -> StrideMap:
     """The compiled stride map of a structure."""
     return StrideMap(structure)

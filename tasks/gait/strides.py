@@ -9,6 +9,7 @@ alone.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import heyoka as hy
@@ -18,7 +19,6 @@ from tasks.gait.fixed_point import Problem
 from tasks.gait.stride import Stride
 from tasks.mechanics.equations import ZERO, Solver, Symbols, rows
 from tasks.mechanics.impacts import heelstrike, kneestrike
-from tasks.mechanics.kept import kept
 from tasks.mechanics.kernel import LANES
 from tasks.mechanics.lumped import Structure
 
@@ -210,7 +210,7 @@ def _crossing(free: bool, x: np.ndarray, new: np.ndarray, h: float) -> np.ndarra
     return tau
 
 
-@kept
+@functools.lru_cache(maxsize=16)
 def scanner(structure: Structure) -> Scanner:
     """The compiled scanner of a structure."""
     return Scanner(structure)

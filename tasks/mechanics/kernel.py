@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import os
+from pathlib import Path
 from typing import Any
 
 import heyoka as hy
 import numpy as np
 
 from tasks.mechanics.equations import system
-from tasks.mechanics.kept import kept
 from tasks.mechanics.lumped import Structure
 
 #: Steps a flow may take before it counts as lost; an honest stride takes 5 to 40.
@@ -18,6 +21,17 @@ LANES = hy.recommended_simd_size()
 FINE = 1.75e-15
 #: Tolerance of a search's flows, which only lead to where the exact ones begin.
 ROUGH = 1e-7
+
+# heyoka reads its cache through when it opens it: one of our own, kept small, opens ten times as fast as one shared with
+# all its users. On a network disk it is slower than compiling; a local one may be named.
+_cache = Path(os.environ.get("GAITSWEEP_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
+with contextlib.suppress(OSError, RuntimeError):
+    _cache = _cache.expanduser()
+    _cache.mkdir(parents=True, exist_ok=True)
+    hy.llvm_state.set_diskcache_path(str(_cache))
+    hy.llvm_state.set_diskcache_limit(256 << 20)
+hy.llvm_state.set_diskcache_enabled(True)
+hy.set_nthreads(1)
 
 
 def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
@@ -46,19 +60,9 @@ class Flow:
         self._ta = hy.taylor_adaptive_batch(
             flown.equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE)
         self._parameters = flown.parameters()
-        self._view()
-
-    def _view(self) -> None:
-        """Look into the integrator's own memory."""
+        # Views of the integrator's own memory.
         ta: Any = self._ta
         self._state, self._pars, self._time = ta.state, ta.pars, ta.time
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in vars(self).items() if k not in ("_state", "_pars", "_time")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)
-        self._view()
 
     def __call__(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray,
                  samples: int = 0) -> tuple[np.ndarray, np.ndarray | None]:
@@ -125,8 +129,8 @@ class Flow:
         return ta.propagate_grid(fractions * duration, max_steps=MOST_STEPS)[1]
 
 
-@kept
+@functools.lru_cache(maxsize=64)
 def flow(structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False,
          rough: bool = False) -> Flow:
-    """The compiled flow of a structure."""
+    """The compiled flow of a structure; compiled once a process, kept on disk between them."""
     return Flow(structure, free_knee, directions, with_slope, rough)

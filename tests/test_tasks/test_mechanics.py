@@ -5,9 +5,6 @@ import pytest
 
 from oracle import Oracle, SimplestWalker
 from tasks.gait.fixed_point import Problem, search
-from tasks.mechanics import kept
-from tasks.mechanics.kernel import Flow
-from tasks.mechanics.lumped import constants_of, structure_of
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.parameters import Walker
 
@@ -127,38 +124,3 @@ def test_a_lost_lane_costs_only_itself():
     assert np.isnan(mixed.image[:, 2]).all()
     keep = [0, 1, 3, 4, 5]
     assert np.array_equal(mixed.image[:, keep], good.image[:, keep])
-
-
-def test_what_was_compiled_is_kept_and_what_is_damaged_is_built_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(kept, "_folder", tmp_path / "new")
-    built = []
-
-    def flow_of(*what):
-        built.append(what)
-        return Flow(*what)
-
-    what = (structure_of(CATALOGUE["B"]), False, 3, False, False)
-    state, parameters = np.linspace(0.1, 0.9, 16)[:, None], constants_of(CATALOGUE["B"], what[0])
-    parameters = np.array([0.01, 1.0, *parameters])[:, None]
-
-    def flown():
-        flow = kept.kept(flow_of)(*what)  # as another process would: nothing of it in memory yet
-        return flow(state[:flow.size], parameters, np.array([1.5]))[0]
-
-    first = flown()
-    (file,) = (tmp_path / "new").iterdir()
-    assert np.isfinite(first).all() and flown().tobytes() == first.tobytes() and len(built) == 1
-    for damage in (b"", file.read_bytes()[:-1000], b"no pickle"):
-        file.write_bytes(damage)
-        assert flown().tobytes() == first.tobytes()
-    assert len(built) == 4
-    # Where nothing can be kept everything still works.
-    monkeypatch.setattr(kept, "_folder", file)
-    assert flown().tobytes() == first.tobytes()
-
-
-def test_another_source_or_processor_finds_nothing_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(kept, "_folder", tmp_path)
-    for origin in (("source", "7.0"), ("other source", "7.0"), ("source", "7.1")):
-        monkeypatch.setattr(kept, "_origin", lambda source, origin=origin: origin)
-        assert kept.kept(lambda origin=origin: origin)() == origin
