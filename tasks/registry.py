@@ -106,8 +106,8 @@ class Task:
 
 
 TASKS = {t.name: t for t in (
-    Task("atlas", "tasks.solve:atlas", 8, seconds=1.0),
-    Task("points", "tasks.solve:points", 4, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
+    Task("atlas", "tasks.solve:atlas", 9, seconds=1.0),
+    Task("points", "tasks.solve:points", 5, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
     Task("trace", "tasks.trace:trace", 1, needs=("atlas",), seconds=0.2),
     Task("branch", "tasks.branch:branch", 2, needs=("atlas",), seconds=0.3),
     Task("orbit", "tasks.orbit:orbit", 1, needs=("atlas",), seconds=30.0),

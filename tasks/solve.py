@@ -121,7 +121,7 @@ def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndar
         Guesses as a branch's nodes hold them.
     slope, lipschitz : ndarray, shape (n,)
     noise : ndarray, shape (o, n)
-        What rounding does to angle, rates and period.
+        Standard deviation that rounding gives angle, rates and period, over their `reach`.
     want : sequence of str
     passes : ndarray, shape (n,)
         How often the legs pass, where the atlas has shown the stride to be a step; elsewhere UNKNOWN.

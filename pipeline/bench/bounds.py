@@ -13,7 +13,7 @@ from tasks import solve
 from tasks.gait import atlas as atlases
 from tasks.gait import extended
 from tasks.gait.fixed_point import Problem
-from tasks.gait.settle import settle
+from tasks.gait.settle import UNKNOWN, settle
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.parameters import Walker
 
@@ -81,15 +81,15 @@ def bounds(each: int, seed: int = 3, walkers: Sequence[tuple[str, Walker]] | Non
             for index, Z, segment in branch.guesses(np.log(slope)):
                 lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
                 noise = branch.noise[segment].T
-                passes = np.where(branch.safe[segment], branch.passes[segment], -1)
-                rows += [(name, *row) for row in _compared(problem, Z.T, slope[index], lipschitz, noise, passes)]
+                passes = np.where(branch.safe[segment], branch.passes[segment], UNKNOWN)
+                rows += [(name, *row) for row in compared(problem, Z.T, slope[index], lipschitz, noise, passes)]
         if say:
             say(f"{name}: {len(rows)} gaits so far")
     columns = [np.array(c) for c in zip(*[row[1:] for row in rows], strict=True)]
     return Bounds([row[0] for row in rows], *columns)
 
 
-def _compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray,
+def compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray,
               passes: np.ndarray
               ) -> list[tuple[float, float, float, float, int]]:
     """Slope, bound, error, condition number and tier of each converged gait."""

@@ -211,9 +211,8 @@ def _lanes(family: str, problem: Lanes, random: Random, found: Outcomes) -> None
 
 
 def _strides(problem: Lanes) -> int:
-    """Strides flown so far by the search's and the exact flows of a structure; each ends with locked knees."""
-    directions = 3 if problem.phases == 2 else problem.m
-    return sum(flow(problem.structure, False, directions, False, rough).evaluations for rough in (False, True))
+    """Strides flown so far by a structure's exact flow; each ends with locked knees."""
+    return flow(problem.structure, False, 3 if problem.phases == 2 else problem.m, False).evaluations
 
 
 def _outcome(converged: bool, step: bool, passes: int, ratio: float) -> str:

@@ -18,7 +18,7 @@ def asymptotic(ratio: np.ndarray) -> np.ndarray:
 
 
 def linear_amplitude(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float, float, int]:
-    """Limit of angle/slope as slope -> 0, its standard error, the largest slope used and the number of points.
+    """Limit of angle/slope as slope -> 0, its relative standard error, the largest slope used and the number of points.
 
     Notes
     -----

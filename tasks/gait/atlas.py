@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from tasks.gait.branch import Branch
-from tasks.gait.continuation import Track, correct, follow, lipschitz
+from tasks.gait.continuation import Track, correct, fallen, follow, lipschitz
 from tasks.gait.fixed_point import Problem, found_at, gait_ratio, judged, noise, rounding
 from tasks.gait.special_points import end_of, located, oriented, row, row_tangent
 from tasks.gait.stride import SAMPLES
@@ -23,7 +23,7 @@ ANCHORS = (0.01, 0.03, 0.1, 0.001, 0.2)
 #: Largest change Newton may still make at a segment's middle before the segment is split.
 TOLERANCE = 2e-13
 MOST_ROUNDS = 5
-#: A split that leaves more than this of the change shows rounding: the next would show it again.
+#: A split that leaves more than this of the change may show rounding: one more is tried, and no other.
 HELPED = 0.25
 #: Nodes either way whose rounding speaks for a segment's.
 NEAR_BY = 4
@@ -33,14 +33,14 @@ def _insert(problem: Problem, branch: Branch, segments: np.ndarray,
             before: np.ndarray) -> tuple[Branch, np.ndarray, np.ndarray]:
     """Correct the middles of some segments and split those that moved.
 
-    `before` (n - 1,) is how far the middle moved of the segment that each was split from. Returned are the branch, its
-    segments that changed, and `before` for them all.
+    `before` (n - 1,) is how far the middle moved of the segment that each was split from, 0 where it is split for the
+    last time. Returned are the branch, its segments that changed, and `before` for them all.
     """
     m = branch.m
     x = 0.5 * (branch.Z[segments, branch.axis[segments]] + branch.Z[segments + 1, branch.axis[segments]])
     # Where a node is all but singular its polynomial may lead anywhere.
     a, b = branch.Z[segments], branch.Z[segments + 1]
-    apart = np.abs(b - a)
+    apart = np.abs(b - a).max(axis=1, keepdims=True)
     Z = np.clip(branch.evaluate(segments, x), np.minimum(a, b) - apart, np.maximum(a, b) + apart)
     border = branch.tangent[segments][:, : m + 1] + branch.tangent[segments + 1][:, : m + 1]
     border /= np.linalg.norm(border, axis=1, keepdims=True)
@@ -51,10 +51,11 @@ def _insert(problem: Problem, branch: Branch, segments: np.ndarray,
     new_T = np.vstack([point.tangent, point.times_tangent]).T * sign
     # Below the rounding of the fixed point itself no split helps: by its estimate, or where the last one has not.
     keep = point.ok & (moved > np.maximum(TOLERANCE, 7 * rounding(point.stride).max(axis=0)))
-    keep &= moved < HELPED * before[segments]
+    keep &= before[segments] > 0
     at = segments[keep] + 1
-    before[segments[keep]] = moved[keep]
-    before = np.insert(before, at, moved[keep])
+    part = np.where(moved < HELPED * before[segments], moved, 0.0)[keep]
+    before[segments[keep]] = part
+    before = np.insert(before, at, part)
     fresh = np.insert(np.zeros(len(branch.Z), bool), at, True)
     branch = replace(branch, Z=np.insert(branch.Z, at, new_Z[keep], axis=0),
                      tangent=np.insert(branch.tangent, at, new_T[keep], axis=0))
@@ -85,7 +86,7 @@ def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
         return None
     low = start - np.argmin(np.append(good[start::-1], False)) + 1
     high = start + np.argmin(np.append(good[start:], False)) - 1
-    Z, T, why, errors = raw.Z[low:high + 1], raw.tangent[low:high + 1], list(raw.why), [0.0, 0.0]
+    Z, T, why, errors = raw.Z[low:high + 1].copy(), raw.tangent[low:high + 1].copy(), list(raw.why), [0.0, 0.0]
     if low > 0:
         why[0], point, way, errors[0] = end_of(problem, raw, low - 1, start)
         Z, T = np.vstack([row(point), Z]), np.vstack([row_tangent(point, way), T])
@@ -94,6 +95,10 @@ def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
         Z, T = np.vstack([Z, row(point)]), np.vstack([T, row_tangent(point, way)])
     if len(Z) < 4:
         return None
+    for end, segment in ((0, 0), (-1, len(raw.Z) - 2)):
+        if why[end] == "a fall":
+            point, way = located(problem, raw, segment, lambda point, way: fallen(point.X[:, 0], point.times[:, 0]))
+            Z[end], T[end] = row(point), row_tangent(point, way)
     branch = _with_folds(problem, Branch(m, Z, T, np.zeros(len(Z)), (why[0], why[1]), (errors[0], errors[1])))
     segments = np.arange(len(branch.Z) - 1)
     before = np.full(len(segments), np.inf)
@@ -139,12 +144,15 @@ def _roughness(problem: Problem, X: np.ndarray, times: np.ndarray) -> tuple[np.n
     rough = np.full(n, -np.inf)
     rough[some] = lipschitz(problem, X[:, some], times[:, some])
     left, right = np.append(rough[:1], rough[:-1]), np.append(rough[1:], rough[-1:])
-    square = noise(problem, np.vstack([X[:m], times])[:, some], X[m, some]) ** 2
-    first, last = np.searchsorted(some, np.arange(n) - NEAR_BY), np.searchsorted(some, np.arange(n) + NEAR_BY + 1)
-    count = np.cumsum(np.append(np.zeros((len(square), 1)), np.isfinite(square), axis=1), axis=1)
-    total = np.cumsum(np.append(np.zeros((len(square), 1)), np.nan_to_num(square, posinf=0.0), axis=1), axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.sqrt((total[:, last] - total[:, first]) / (count[:, last] - count[:, first]))
+    # The ends themselves are left out: at a tangential one the map has no derivative to measure by.
+    inner = some[(some > 0) & (some < n - 1)]
+    measured = noise(problem, np.vstack([X[:m], times])[:, inner], X[m, inner])
+    square = np.full((len(measured), n + 2 * NEAR_BY), np.nan)
+    square[:, NEAR_BY + inner] = measured**2
+    around = np.lib.stride_tricks.sliding_window_view(square, 2 * NEAR_BY + 1, axis=1)
+    known = np.isfinite(around)
+    with np.errstate(invalid="ignore"):
+        mean = np.sqrt(np.where(known, around, 0.0).sum(axis=-1) / known.sum(axis=-1))
     return np.where(np.isneginf(rough), np.maximum(left, right), rough), np.nan_to_num(mean, nan=np.inf).T
 
 

@@ -12,9 +12,10 @@ class Branch:
     """One branch: nodes, tangents and Lipschitz estimates.
 
     `Z` (n, c) holds X = (section, q) in its first m + 1 columns, then the event times; `tangent` its derivative along
-    the branch; `why` says what each end is, `end_errors` how far off its ln slope may be beyond rounding. `noise` (n, o) is that of strides on the
-    segment after each node, `ratio` the gait ratio at the nodes; `safe` says of the segment after
-    each node that every stride on it is a step whose legs pass `passes` times, by the nodes' own motions.
+    the branch; `why` says what each end is, `end_errors` how far off its ln slope may be beyond rounding. `noise` (n, o)
+    is the standard deviation that rounding gives angle, rates and period on the segment after each node, over their
+    `reach`; `ratio` the gait ratio at the nodes; `safe` says of the segment after each node that every stride on it is a
+    step whose legs pass `passes` times, by the nodes' own motions.
     """
 
     m: int

@@ -16,6 +16,8 @@ from tasks.gait.stride import Stride, apply
 
 #: Slopes a branch is followed over [rad]; below, double precision no longer resolves a gait's tangent.
 LEAST_SLOPE, MOST_SLOPE = 1e-13, 0.7
+#: Largest ln of a stance angle that is no fall.
+HIGHEST = 0.5
 LONGEST_STEP, SHORTEST_STEP = 0.5, 1e-7
 #: Acceptance of a step: largest predictor error and turning angle.
 MOST_ERROR, MOST_TURN = 0.02, 0.3
@@ -30,7 +32,7 @@ CHECK_EVERY = 12
 class Point:
     """Corrected points of n branches: X (m + 1, n), times (k, n), tangents of both, and whether Newton converged.
 
-    `stride` is the last one flown, one Newton step away, and `derivative` (n, m, m + 1) that of its P(y) - y by X.
+    `stride` is the last one flown, at the point or a Newton step away; `derivative` (n, m, m + 1) of its P(y) - y by X.
     """
 
     X: np.ndarray
@@ -108,8 +110,7 @@ def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarr
         last = size
         if (ok | over).all():
             break
-    derivative = np.nan_to_num(derivative)
-    _, _, V = np.linalg.svd(derivative)
+    _, _, V = np.linalg.svd(np.nan_to_num(derivative))
     tangent = V[:, -1].T
     by_X = np.nan_to_num(by_X)
     return Point(X, times, tangent, apply(by_X, tangent), ok, stride, derivative)
@@ -160,13 +161,18 @@ class Track:
             return "end of the window"
         if X[0] < -40:
             return "zero step length"
-        if X[0] > 0.5 or times[-1] > LONGEST_PERIOD:
+        if fallen(X, times) > 0:
             return "a fall"
         if np.abs(X[1:m]).max() > 30:
             return "zero step length"
         if len(times) == 2 and times[1] < times[0] - 0.5:
             return "heelstrike before kneestrike"
         return "too many points" if len(self.X) > MOST_NODES else ""
+
+
+def fallen(X: np.ndarray, times: np.ndarray) -> float:
+    """Positive where a gait's angle or period is beyond those of a fall."""
+    return float(max(X[0] - HIGHEST, times[-1] - LONGEST_PERIOD))
 
 
 def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[Track]]:
@@ -185,6 +191,9 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
     """
     m, n = problem.m, w.shape[1]
     first = correct(problem, np.vstack([w[:m], log_slope]), w[m:], None)
+    upwards = np.zeros((m + 1, n))
+    upwards[m] = 1.0
+    sides = np.sign(branching(first, upwards))
     pairs: list[list[Track]] = []
     for lane in range(n):
         pair = [Track(), Track()]
@@ -192,6 +201,7 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
             orientation = np.zeros(m + 1)
             orientation[m] = way
             track.append(first, lane, orientation)
+            track.side = sides[lane] * way
             if not first.ok[lane]:
                 track.stopped = "no start"
         pairs.append(pair)
@@ -223,6 +233,8 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
                     track.stopped = "no further point"
 
 
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore", over="ignore")
 def branching(point: Point, way: np.ndarray) -> np.ndarray:
     """Determinant of [J - I; slope column | tangent], (n,), tangents pointing along `way`: zero where branches cross.
 

@@ -21,7 +21,7 @@ MOST_ITERATIONS = 25
 MOST_ROUGH = 10
 #: Rough starts this far away at their first, second, ... step are given up: hardly one arrives, and others do.
 HOPELESS = (20.0, 6.0, 4.0, 3.0)
-#: Rough starts that are this near each other after two steps arrive at one gait: the nearest to it goes on.
+#: Rough starts in one cell of this size after three steps arrive at one gait: the nearest to it goes on.
 MERGED = 0.1
 
 
@@ -129,7 +129,7 @@ def noise(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: int = 1)
     Measured: one stride is flown in units that round every operation on the way anew, from `near` starts side by side.
     NaN where there is no stride.
     """
-    m, slope, variance = problem.m, np.exp(log_slope), 0.0
+    m, slope, variances = problem.m, np.exp(log_slope), []
     for turn in range(near):
         angle = np.exp(w[0] + 1e-8 * turn)
         scale = np.exp2(np.floor(np.log2(angle)))
@@ -142,8 +142,9 @@ def noise(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: int = 1)
             seen.append(np.vstack([found.values[:-1] * unit, found.values[-1:]]))
         # Units do not change what is measured in them.
         reach = np.vstack([found.reach[:-1] * unit, found.reach[-1:]])
-        variance = variance + np.var(seen, axis=0, ddof=1) / reach**2
-    return np.sqrt(variance / near)
+        variances.append(np.var(seen, axis=0, ddof=1) / reach**2)
+    known = np.isfinite(variances)
+    return np.sqrt(np.where(known, variances, 0.0).sum(axis=0) / known.sum(axis=0))
 
 
 def similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
@@ -165,7 +166,7 @@ def rounding(stride: Stride) -> np.ndarray:
     -----
     With J = I - DP, rounding of the image moves the fixed point by J^-1, and rounding of the start, carried through
     the stride, by J^-1 DP = J^-1 - I, which is far smaller than |J^-1| |DP|. What is rounded on the way lies between
-    the two. An estimate, by which Newton knows that it is done; what is published is measured (`noise`).
+    the two. An estimate, by which Newton knows that it is done, and of special points; that of gaits is measured (`noise`).
     """
     size = np.abs(stride.y)
     # Off balance, a short step is flown by forces and rates that dwarf its section; their rounding adds up on the way.
@@ -201,7 +202,7 @@ def newton(problem: Problem, w: np.ndarray, log_slope: np.ndarray, rough: bool =
     hopeless : sequence of float
         Size of the first, second, ... step that ends a lane's search; the last holds from there on.
     merge : float
-        After two steps, of lanes at one slope that share a cell of this size, only that with the least step goes on.
+        After three steps, of lanes at one slope that share a cell of this size, only that with the least step goes on.
     """
     w = w.copy()
     n = w.shape[1]

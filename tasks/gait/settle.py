@@ -17,6 +17,8 @@ MOST_STEPS = 8
 #: Standard deviations of the measured rounding a gait may be off, besides half a rounding of its image: that of the
 #: constants, which no change of units shows.
 SURE = 16.0
+#: Where not even the third digit is sure Newton's derivative leads more digits nowhere.
+MOST_BOUND = 1e-3
 #: Relative distance from the fixed point at which multipliers are as good as at it.
 NEAR = 2e-12
 
@@ -53,7 +55,7 @@ def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.nda
         Guesses as a branch's nodes hold them.
     slope, lipschitz : ndarray, shape (n,)
     noise : ndarray, shape (o, n)
-        What rounding does to angle, rates and period.
+        Standard deviation that rounding gives angle, rates and period, over their `reach`.
     passes : ndarray, shape (n,)
         How often the legs pass, where the atlas has shown the stride to be a step; elsewhere UNKNOWN.
     """
@@ -69,9 +71,9 @@ def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.nda
     error = at.reach * (SURE * noise + EPS / 2) + apply(by_y, 2 * lipschitz * eta**2 * np.abs(y))
     bound = (error / np.abs(at.values)).max(axis=0) + 2 * EPS
     doubles = bound.copy()
-    converged = np.isfinite(bound) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
+    converged = (bound < MOST_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
     spread = (apply(by_y, np.abs(y)) / np.abs(at.values)).max(axis=0)
-    for lane in np.nonzero((bound > extended.ESCALATE) & (bound < 1e-3))[0]:
+    for lane in np.nonzero((bound > extended.ESCALATE) & (bound < MOST_BOUND))[0]:
         wide = extended.refine(problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane])
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
         bound[lane] = wide.left * max(1.0, spread[lane]) + wide.rounding

@@ -24,11 +24,12 @@ ROUGH = 1e-7
 
 # heyoka reads its cache through when it opens it: one of our own, kept small, opens ten times as fast as one shared with
 # all its users. On a network disk it is slower than compiling; a local one may be named.
-_cache = Path(os.environ.get("GAITSWEEP_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
-with contextlib.suppress(OSError, RuntimeError):
-    _cache = _cache.expanduser()
-    _cache.mkdir(parents=True, exist_ok=True)
-    hy.llvm_state.set_diskcache_path(str(_cache))
+_named = os.environ.get("GAITSWEEP_CACHE")
+_folder = Path(_named or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
+with contextlib.suppress(*() if _named else (OSError, RuntimeError)):
+    _folder = _folder.expanduser()
+    _folder.mkdir(parents=True, exist_ok=True)
+    hy.llvm_state.set_diskcache_path(str(_folder))
     hy.llvm_state.set_diskcache_limit(256 << 20)
 hy.llvm_state.set_diskcache_enabled(True)
 hy.set_nthreads(1)

@@ -8,11 +8,13 @@ import pytest
 from scipy.optimize import brentq
 
 from lines import branches
+from pipeline.bench.bounds import compared
 from tasks.gait import special_points as special
 from tasks.gait.atlas import survey
 from tasks.gait.continuation import correct, follow
 from tasks.gait.fixed_point import LONGEST_PERIOD, Problem
 from tasks.gait.root import bracketed_root
+from tasks.gait.settle import UNKNOWN
 from tasks.gait.special_points import special_points
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.parameters import Walker
@@ -138,8 +140,22 @@ def test_a_branch_ends_where_the_stance_leg_comes_to_stand_still():
     first = survey(Problem(replace(CATALOGUE["B"], R=0.3533, m_s=1.0)))[0]
     assert first.why[1] == "a fall"
     # There the period diverges with the logarithm of the slope's distance; rounding must not split segments for ever.
-    assert LONGEST_PERIOD < first.Z[-1, -1] < LONGEST_PERIOD + 0.1
+    assert first.Z[-1, -1] == pytest.approx(LONGEST_PERIOD, abs=1e-11)
     assert len(first.Z) < 700
+
+
+def test_bounds_hold_and_are_of_use_beside_a_tangential_end():
+    """At the end itself rounding cannot be measured; that must not spread to its neighbours."""
+    problem, found = branches("physical-straight")
+    ((branch, end),) = [(b, np.exp(b.q[0])) for b in found if b.why[0] == "end_tangential_heelstrike"]
+    beside = np.geomspace(1e-4, 1e-2, 20)
+    rows = []
+    for index, Z, segment in branch.guesses(np.log(end * (1 + beside))):
+        rough = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
+        unknown = np.full(len(index), UNKNOWN)
+        rows += compared(problem, Z.T, end * (1 + beside[index]), rough, branch.noise[segment].T, unknown)
+    assert len(rows) == 20
+    assert all(error < bound < 1e-9 for _, bound, error, _, _ in rows)
 
 
 def test_a_singular_derivative_ends_no_survey():
