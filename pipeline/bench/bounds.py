@@ -12,7 +12,7 @@ from pipeline.bench.stress import random_walker
 from tasks import solve
 from tasks.gait import atlas as atlases
 from tasks.gait import extended
-from tasks.gait.fixed_point import Problem
+from tasks.gait.fixed_point import Problem, arrival
 from tasks.gait.settle import UNKNOWN, settle
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.parameters import Walker
@@ -90,14 +90,13 @@ def bounds(each: int, seed: int = 3, walkers: Sequence[tuple[str, Walker]] | Non
 
 
 def compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray,
-              passes: np.ndarray
-              ) -> list[tuple[float, float, float, float, int]]:
-    """Slope, bound, error, condition number and tier of each converged gait."""
+             passes: np.ndarray) -> list[tuple[float, float, float, float, int]]:
+    """Slope [rad], bound, error, condition number and tier of each gait that converges; arguments as `settle`'s."""
     product = solve.solve(problem, Z, slope, lipschitz, noise, WANT, passes)
     at = settle(problem, Z, slope, lipschitz, noise, passes)
     second, rows = _second(problem.walker), []
-    size = np.abs(at.stride.y)
-    begin = problem.map.start(at.y, problem.parameters(slope, at.scale))[problem.map.start_size:]
+    there = arrival(problem, at.stride, problem.parameters(slope, at.scale))
+    condition = np.maximum(1.0, (there.reach / np.abs(there.values)).max(axis=0) - 1.0)
     for lane in map(int, np.flatnonzero(product["status"] == 0)):
         doubles = at.doubles[lane]
         tier = 0 if doubles <= extended.ESCALATE else 1 if doubles < extended.ESCALATE_AGAIN else 2
@@ -109,11 +108,7 @@ def compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.n
         true = [state[0], rates[0], rates[1], rates[-1], period[0]]
         names = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period")
         error = max(abs(float((np.longdouble(product[k][lane]) - x) / x)) for k, x in zip(names, true, strict=True))
-        moved = np.abs(at.stride.inverse[:, :, lane]) @ size[:, lane]
-        by_y = np.abs(begin[:, lane].reshape(-1, problem.m))[[0, *range(len(at.state) // 2, len(at.state))]]
-        scaled = np.abs(at.state[[0, *range(len(at.state) // 2, len(at.state))], lane])
-        worst = max((by_y @ moved / scaled).max(), np.abs(at.stride.times_by_y[-1, :, lane]) @ moved / at.times[-1, lane])
-        rows.append((float(slope[lane]), float(product["error_bound"][lane]), error, float(max(1.0, worst)), tier))
+        rows.append((float(slope[lane]), float(product["error_bound"][lane]), error, float(condition[lane]), tier))
     return rows
 
 
