@@ -19,11 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import chunks, gather, grid, tables
+from pipeline import check, chunks, gather, grid, tables
 from pipeline.check import SCHEMA
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.plan import Plan
 from pipeline.provenance import provenance
+from pipeline.study import Study
 from pipeline.worker import ALL_STATUSES, ANSWERS
 from tasks.registry import GAITS, STATUSES, VARIABLES, VIOLATIONS, Variable
 
@@ -105,8 +106,7 @@ def _head(file: Any, plan: Plan, writer: _Points | _Lines) -> None:
     for name, size in writer.grid.sizes.items():
         file.createDimension(name, size)
         if name == "walker":
-            names = [w if isinstance(w, str) else "walker" for w in study.walkers]
-            _strings(file, name, name, names, "walker")
+            _strings(file, name, name, list(study.names), "walker")
             _strings(file, "walker_units", name, ["SI" if c["si"] else "1" for c in study.checks],
                      "units of each walker: SI, or 1 for any consistent ones")
             continue
@@ -121,7 +121,8 @@ def _head(file: Any, plan: Plan, writer: _Points | _Lines) -> None:
 
 def _seal(file: Any, sums: Counter[str]) -> None:
     """Write the checksum of every variable; `sums` holds those of the large ones."""
-    whole = {name: grid.checksum(np.ma.getdata(v[...])) for name, v in file.variables.items() if name not in sums}
+    small = [name for name in (*file.variables, *check.columns(file)) if name not in sums]
+    whole = {name: grid.checksum(np.ma.getdata(file[name][...])) for name in small}
     file.checksums = json.dumps({name: n % 2**32 for name, n in {**whole, **sums}.items()}, sort_keys=True)
 
 
@@ -145,10 +146,9 @@ def _describe(variable: Any, about: Variable, si: bool, mixed: bool) -> None:
         variable.comment = "in the units of each walker: see walker_units"
 
 
-def _spot(line: dict[str, Any]) -> str:
+def _spot(study: Study, number: int) -> str:
     """A line as a user would name it."""
-    walker = line["walker"] if isinstance(line["walker"], str) else "walker"
-    return " ".join([walker, *(f"{key}={value!r}" for key, value in line["set"].items())])
+    return " ".join([study.name_of(number), *(f"{key}={value!r}" for key, value in study.line(number)["set"].items())])
 
 
 class _Points:
@@ -184,7 +184,7 @@ class _Points:
         reasons = reason[rows, failed[rows].argmax(axis=1)]
         for k in np.unique(reasons):
             those = rows[reasons == k]
-            self.written.fail(str(found["reasons"][k]), len(those), f"{_spot(self.study.line(number))}"
+            self.written.fail(str(found["reasons"][k]), len(those), f"{_spot(self.study, number)}"
                               f" slope={float(found['slope'][those[0]])!r}")
 
     def _lines(self, box: grid.Box, names: tuple[str, ...]
@@ -263,7 +263,7 @@ class _Lines:
         self.written = Written(Counter(status for status, _ in ends))
         for i, (status, reason) in enumerate(ends):
             if ALL_STATUSES[status] not in ANSWERS:
-                self.written.fail(reason, 1, _spot(plan.study.line(i)))
+                self.written.fail(reason, 1, _spot(plan.study, i))
 
     def _end(self, keys: dict[str, tuple[str, str]]) -> tuple[str, str]:
         for name in ("atlas", self.study.kind):

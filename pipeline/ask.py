@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline import study, worker
 from pipeline.errors import StudyError
+from pipeline.place import Place
 
 
 def ask(call: str, params: dict[str, Any]) -> Any:
@@ -35,5 +36,5 @@ def solve(one: str | dict[str, Any], slope: float, keys: Mapping[str, float], ev
         If there is no such walker, key or slope.
     """
     if not 0 < slope < 0.5:
-        raise study.Place("", "slope").wrong("must lie in (0, 0.5) rad", slope)
+        raise Place("", "slope").wrong("must lie in (0, 0.5) rad", slope)
     return ask("solve", {"walker": study.walker(one, Path()), "slope": slope, "set": dict(keys), "all": every})

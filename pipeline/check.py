@@ -24,7 +24,7 @@ _ROWS = 1 << 20  # values read at a time
 Pair = tuple[np.ndarray, np.ndarray]
 _ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references", "provenance", "study", "kind",
                "checksums")
-#: Variables that measure rounding: they differ wherever last bits do, so a tolerance leaves them out.
+#: Variables that measure rounding, relative to what they speak of: a tolerance is held against their difference.
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")
 
 
@@ -178,6 +178,11 @@ def _states(file: Any) -> Iterator[str]:
 def _values(file: Any) -> Iterator[str]:
     """Read every value, so that every checksum is checked; a number stands only where something converged."""
     sums = json.loads(getattr(file, "checksums", "{}"))
+    held = {*file.variables, *columns(file)}
+    yield from (f"`{name}` is missing." for name in sums if name not in held)
+    for name in columns(file):
+        if grid.checksum(np.ma.getdata(file[name][...])) % 2**32 != sums.get(name) and name in sums:
+            yield f"`{name}` is not as it was written."
     for name, variable in file.variables.items():
         about, sizes = VARIABLES.get(name), dict(zip(variable.dimensions, variable.shape, strict=True))
         wrong = total = 0
@@ -198,7 +203,6 @@ def _values(file: Any) -> Iterator[str]:
 def _groups(place: Any, path: str = "") -> Iterator[str]:
     for name, group in place.groups.items():
         for column, variable in group.variables.items():
-            variable[...]
             if "units" not in variable.ncattrs() or "long_name" not in variable.ncattrs():
                 yield f"`{path}/{name}/{column}` has no units or long_name."
         yield from _groups(group, f"{path}/{name}")
@@ -212,18 +216,18 @@ class Tolerance:
     own: Mapping[str, float]
 
     def of(self, name: str) -> float | None:
-        """Tolerance of a variable; None where it is not to be compared."""
+        """Relative tolerance of a variable; None where it is one of its own size, as `rtol` is."""
         if name in self.own:
             return self.own[name]
-        return None if self.rtol and name.rpartition("/")[2] in _ROUNDING else self.rtol
+        return None if name.rpartition("/")[2] in _ROUNDING else self.rtol
 
 
 def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = None) -> list[str]:
     """How archive `b` differs from `a`, one sentence each, aligned by coordinates.
 
     Numbers are equal if they differ by at most `rtol` times the larger, or `own[name]` where a variable or a column
-    "group/column" has a tolerance of its own; parts of an eigenvalue are held against its magnitude. With a tolerance
-    the variables that only measure rounding are left out, unless they have one of their own.
+    "group/column" has a tolerance of its own; parts of an eigenvalue are held against its magnitude, and what measures
+    rounding, itself relative, against one.
 
     Raises
     ------
@@ -274,6 +278,9 @@ def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], within: 
     dims = left.variables[name].dimensions
     if right.variables[name].dimensions != dims:
         return [f"`{name}` has other dimensions"]
+    units = [getattr(file.variables[name], "units", None) for file in (left, right)]
+    if units[0] != units[1]:
+        return [f"`{name}` is in {units[0]} and in {units[1]}"]
     x, y = (np.ma.getdata(file.variables[name][...])[np.ix_(*(places[d][k] for d in dims))]
             for k, file in enumerate((left, right)))
     if name == "reason":
@@ -302,10 +309,10 @@ def _different(name: str, x: np.ndarray, y: np.ndarray, within: Tolerance, scale
         unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
         return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
     rtol = within.of(name)
-    if rtol is None:
-        return []
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.maximum(np.abs(x), np.abs(y)) if scale is None else scale
+        if rtol is None:
+            rtol, size = within.rtol, np.ones(x.shape)
         gap = np.abs(x - y)
         unequal = ~((gap <= rtol * size) | (x == y) | (np.isnan(x) & np.isnan(y)))
         worst = np.max(np.where(unequal & np.isfinite(gap) & (size > 0), gap / size, 0.0), initial=0.0)

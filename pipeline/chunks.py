@@ -74,8 +74,8 @@ def _worth(planes: np.ndarray) -> list[bool]:
 
 
 def fletcher32(data: np.ndarray) -> int:
-    """HDF5's checksum of bytes, an even number of them."""
-    words = data.view(">u2").astype(np.int64)
+    """HDF5's checksum of bytes; to an odd number of them belongs a zero."""
+    words = np.append(data, np.zeros(len(data) % 2, np.uint8)).view(">u2").astype(np.int64)
     one, two = int(words.sum()), int(words @ np.arange(len(words), 0, -1))
     return (two % 65535 or 65535 * (two > 0)) << 16 | (one % 65535 or 65535 * (one > 0))
 

@@ -7,11 +7,12 @@ import json
 import os
 import sys
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pipeline.errors import GaitsweepError, StudyError
+from pipeline.errors import ArchiveError, GaitsweepError, StudyError, unwritten
 
 
 class _Parser(argparse.ArgumentParser):
@@ -39,11 +40,11 @@ def _tolerance(text: str) -> tuple[str, float]:
     return name, number
 
 
-def _setting(text: str) -> tuple[str, float]:
+def _setting(text: str) -> tuple[str, float | bool]:
     key, _, value = text.partition("=")
     if not key or not value:
         raise argparse.ArgumentTypeError(f"must be KEY=VALUE; got {text}")
-    return key, _number(value)
+    return key, {"true": True, "false": False}[value] if value in ("true", "false") else _number(value)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -115,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return options.function(options)
     except GaitsweepError as error:
         if "--debug" in given:
-            raise
+            traceback.print_exc()
         print(f"gaitsweep: {error}", file=sys.stderr)
         return error.exit_code
     except BrokenPipeError:
@@ -126,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
     except Exception as error:
         if "--debug" in given:
-            raise
+            traceback.print_exc()
         print(f"gaitsweep: Internal error, {type(error).__name__}: {' '.join(str(error).split())[:300]}; "
               "--debug shows where.", file=sys.stderr)
         return 2
@@ -198,7 +199,7 @@ def _report(options: argparse.Namespace) -> int:
     try:
         index = page.write(options.archives, options.out)
     except OSError as error:
-        raise StudyError(f"{options.out} cannot be written: {error.strerror}.") from error
+        raise unwritten(options.out, error) from error
     print(index)
     return 0
 
@@ -253,8 +254,13 @@ def _tune(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from pipeline import check
 
-    check.probe([options.archive])
-    found = check.verify(options.archive)
+    try:
+        check.probe([options.archive])
+        found = check.verify(options.archive)
+    except ArchiveError as error:
+        if not options.archive.is_file():
+            raise
+        found = [str(error)]
     print("\n".join(found) if found else f"{options.archive} is whole, complete and of this schema.")
     return 1 if found else 0
 

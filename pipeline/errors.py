@@ -1,5 +1,8 @@
 """Everything that can go wrong, as one tree: each branch is one exit code of the command line."""
 
+import errno
+from pathlib import Path
+
 
 class GaitsweepError(Exception):
     """An error a user can act on; `str` is one sentence on one line and `exit_code` what the command ends with."""
@@ -29,6 +32,12 @@ class DiskFullError(GaitsweepError):
     """The disk is full; what was finished is kept."""
 
     exit_code = 4
+
+
+def unwritten(path: Path, error: OSError) -> GaitsweepError:
+    """The error of a file or folder that cannot be written."""
+    kind = DiskFullError if error.errno in (errno.ENOSPC, errno.EDQUOT) else ArchiveError
+    return kind(f"{path} cannot be written: {error.strerror}.")
 
 
 class BusyError(GaitsweepError):

@@ -81,7 +81,7 @@ def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, A
 
 def study_params(study: Study, name: str) -> dict[str, Any]:
     """Parameters of a task over the whole study."""
-    params: dict[str, Any] = {"lines": [study.line(i) for i in range(study.lines)]}
+    params: dict[str, Any] = {"lines": [{**study.line(i), "name": study.name_of(i)} for i in range(study.lines)]}
     if name == "claims":
         params["ids"] = list(study.claims)
     return params

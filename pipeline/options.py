@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pipeline.place import Place
 from tasks.registry import FOLLOWED, GAITS, OPTIONS
-
-if TYPE_CHECKING:
-    from pipeline.study import Place
 
 _MOST = 10**6
 

@@ -51,11 +51,12 @@ class Progress:
         self.thread.start()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self.over.set()
         self.thread.join()
         self._log("state", self.state())
-        self._log("end", {})
+        if kind is None:
+            self._log("end", {})
         if self.bar:
             self.bar(self.state())
         if self.tty and not self.quiet:

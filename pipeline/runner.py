@@ -18,7 +18,7 @@ from typing import Any
 
 from pipeline import archive, cell, check
 from pipeline.compact import compact
-from pipeline.errors import ArchiveError, BusyError, GaitsweepError, StoppedError
+from pipeline.errors import ArchiveError, BusyError, GaitsweepError, StoppedError, unwritten
 from pipeline.execute import Engine, Loop
 from pipeline.journal import Journal, TornError, mend
 from pipeline.plan import Plan, summary
@@ -139,7 +139,7 @@ def run(study: Study, path: Path, options: Options) -> int:
                 check.ours(path)
             return _run(study, path, options)
     except OSError as error:
-        raise ArchiveError(f"{path.parent} cannot be written: {error.strerror}.") from error
+        raise unwritten(path.parent, error) from error
 
 
 def _run(study: Study, path: Path, options: Options) -> int:

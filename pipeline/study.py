@@ -6,7 +6,6 @@ the nearest known key), the file and the place in it.
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import math
 import re
@@ -20,6 +19,7 @@ import numpy as np
 
 from pipeline import options, worker
 from pipeline.errors import StudyError
+from pipeline.place import Place, clip
 from tasks.registry import ALWAYS, CLAIMS, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
 #: Tasks that no study is named after.
@@ -29,7 +29,6 @@ EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
 #: Longest axis and largest grid that are taken for meant.
 MOST_VALUES, MOST_POINTS = 10_000_000, 10**12
 MOST_BYTES = 1 << 20
-_LISTED = 20  # names told where one is unknown
 _UNITS = {"": 1, "B": 1, **{f"{p}B": 1000**i for i, p in enumerate("kMGT", 1)},
           **{f"{p}iB": 1024**i for i, p in enumerate("KMGT", 1)}}
 
@@ -55,7 +54,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Study:
-    """A checked study. `walkers` are names or plain tables; `axes` are as written, `slope` among them.
+    """A checked study. `walkers` are names or plain tables, `names` what they are called; `axes` are as written.
 
     `walker_axis` says whether the walkers are a dimension; `checks` is what `tasks` says of each of them.
     """
@@ -74,6 +73,7 @@ class Study:
     options: Mapping[str, Any] = field(default_factory=dict)
     path: Path = Path()
     walker_axis: bool = False
+    names: tuple[str, ...] = ("walker",)
     checks: tuple[dict[str, Any], ...] = ()
 
     @property
@@ -109,47 +109,9 @@ class Study:
             values[axis.name] = float(axis.values[k])
         return {"walker": self.walkers[number], "set": {a.name: values[a.name] for a in self.line_axes}}
 
-
-class Place:
-    """Where in a study something stands; makes the errors."""
-
-    def __init__(self, file: str, *keys: str):
-        self.file, self.keys = file, keys
-
-    def at(self, *keys: str) -> Place:
-        return Place(self.file, *self.keys, *keys)
-
-    def error(self, sentence: str) -> StudyError:
-        where = ", ".join(filter(None, (self.file, ".".join(self.keys) if self.file else "")))
-        return StudyError(f"{sentence.rstrip('.')} ({where})." if where else f"{sentence.rstrip('.')}.")
-
-    def wrong(self, bound: str, value: object) -> StudyError:
-        return self.error(f"`{self.keys[-1]}` {bound}; got {_show(value)}")
-
-    def unknown(self, key: str, known: Iterable[str]) -> StudyError:
-        known = list(known)
-        near = difflib.get_close_matches(key, known, 1)
-        hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known[:_LISTED])}"
-        return self.error(f"`{_clip(key)}` is not known here, {hint}")
-
-    def number(self, value: object) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.wrong("must be a number", value)
-        if not math.isfinite(value) or abs(value) > 1e300:
-            raise self.wrong("must be finite", value)
-        return float(value)
-
-
-def _clip(text: str, most: int = 60) -> str:
-    text = "".join(c if c.isprintable() else "?" for c in text)
-    return text if len(text) <= most else text[:most - 3] + "..."
-
-
-def _show(value: object) -> str:
-    try:
-        return _clip(repr(value))
-    except (ValueError, RecursionError):
-        return "something that cannot be shown"
+    def name_of(self, number: int) -> str:
+        """What the walker of a line is called."""
+        return self.names[number * len(self.walkers) // self.lines]
 
 
 def kinds() -> tuple[str, ...]:
@@ -171,7 +133,7 @@ def read(path: str | Path) -> Study:
 
 
 def _toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
-    shown = _clip(shown, 200)
+    shown = clip(shown, 200)
     try:
         if not path.is_file():
             raise StudyError(f"{shown} is not a file." if path.exists() else f"There is no file {shown}.")
@@ -182,7 +144,7 @@ def _toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
     except (OSError, ValueError) as error:
         # A TOML error may quote control characters or a path with a null byte.
         detail = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
-        raise StudyError(f"{shown} cannot be read: {_clip(str(detail), 120)}.") from error
+        raise StudyError(f"{shown} cannot be read: {clip(str(detail), 120)}.") from error
     except RecursionError as error:
         raise StudyError(f"{shown} is nested too deeply.") from error
 
@@ -208,12 +170,14 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     want: dict[str, Any] = dict(_want(table.get("want", {}), kind, top.at("want")))
     axes, tolerance = _axes(table.get("axes"), top.at("axes"), kind)
     chosen = options.check(table.get("options", {}), kind, _keys(), top.at("options"))
+    walkers = _walkers(table.get("walker"), path, top.at("walker"))
+    listed = isinstance(table.get("walker"), list)
     study = Study(name=name, text=text, kind=kind, path=path,
                   options={**chosen, "adaptive": tolerance} if tolerance else chosen,
-                  walker_axis=isinstance(table.get("walker"), list),
+                  walker_axis=listed,
+                  names=tuple(table["walker"] if listed else (w if isinstance(w, str) else "walker" for w in walkers)),
                   gaits=tuple(g for g in GAITS if g in gaits), limits=_limits(table, top),
-                  walkers=_walkers(table.get("walker"), path, top.at("walker")),
-                  axes=axes, **want)
+                  walkers=walkers, axes=axes, **want)
     if study.points > MOST_POINTS:
         raise top.at("axes").error(f"The grid has {study.points:.3g} points, more than {MOST_POINTS:.0e}")
     return _checked(study, top)
@@ -266,7 +230,7 @@ def walker(value: str | dict[str, Any], folder: Path, place: Place | None = None
     except StudyError as error:
         raise place.error(str(error)) from error
     if not isinstance(table.get("walker"), dict):
-        raise place.error(f"{_clip(value)} has no [walker] table")
+        raise place.error(f"{clip(value)} has no [walker] table")
     return table["walker"]
 
 

@@ -47,9 +47,7 @@ def _runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any
         yield {}, plan.study_keys()[name][0]
         return
     for i in range(plan.study.lines):
-        line = plan.study.line(i)
-        walker = line["walker"] if isinstance(line["walker"], str) else "walker"
-        yield {"walker": walker, **line["set"]}, plan.line_keys(i)[name][0]
+        yield {"walker": plan.study.name_of(i), **plan.study.line(i)["set"]}, plan.line_keys(i)[name][0]
 
 
 def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:

@@ -36,7 +36,7 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Table `claims`: id, printed, source, computed, value, interval_low, interval_high, verdict, figure, command;
+        Table `claims`: id, printed, source, computed, value, interval, interval_low, interval_high, verdict, figure, command;
         with claim P1 `rounding`, with Z6 `figure9` and `figure10`, with T7 `offsets`.
 
     Raises
@@ -74,5 +74,6 @@ def _found(claim: Claim) -> Finding:
 
 def _row(claim: Claim, found: Finding) -> dict[str, Any]:
     return {"id": claim.id, "printed": claim.printed, "source": claim.source, "computed": found.computed,
-            "value": float(found.value), "interval_low": float(found.low), "interval_high": float(found.high),
+            "value": float(found.value), "interval": f"{found.low:.12g} to {found.high:.12g}" if found.low <= found.high else "",
+            "interval_low": float(found.low), "interval_high": float(found.high),
             "verdict": found.verdict, "figure": claim.figure, "command": claim.command}

@@ -122,8 +122,7 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 
 def _coordinates(line: Mapping[str, Any]) -> dict[str, Any]:
-    walker = line["walker"]
-    return {"walker": walker if isinstance(walker, str) else walker.get("name", walker.get("base", "walker")), **line["set"]}
+    return {"walker": line.get("name", line["walker"]), **line["set"]}
 
 
 def _table(group: str, rows: list[dict[str, Any]]) -> Arrays:

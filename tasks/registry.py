@@ -107,18 +107,18 @@ class Task:
 
 TASKS = {t.name: t for t in (
     Task("atlas", "tasks.solve:atlas", 9, seconds=1.0),
-    Task("points", "tasks.solve:points", 5, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
+    Task("points", "tasks.solve:points", 6, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
     Task("trace", "tasks.trace:trace", 1, needs=("atlas",), seconds=0.2),
-    Task("branch", "tasks.branch:branch", 2, needs=("atlas",), seconds=0.3),
+    Task("branch", "tasks.branch:branch", 3, needs=("atlas",), seconds=0.3),
     Task("orbit", "tasks.orbit:orbit", 1, needs=("atlas",), seconds=30.0),
     Task("cascade", "tasks.cascade:cascade", 3, needs=("atlas",), seconds=3.0),
     Task("basin", "tasks.basin:basin", 1, needs=("atlas",), seconds=5.0),
-    Task("curve", "tasks.curve:curve", 2, needs=("atlas",), seconds=5.0),
+    Task("curve", "tasks.curve:curve", 3, needs=("atlas",), seconds=5.0),
     Task("design", "tasks.design:design", 1, needs=("atlas",), seconds=0.1),
     Task("census", "tasks.census:census", 3, seconds=10.0),
     Task("scaling", "tasks.fit:scaling", 1, needs=("points",)),
     Task("transition", "tasks.fit:transition", 1, needs=("points",)),
-    Task("claims", "tasks.claims:claims", 2, needs=("points", "atlas"), seconds=30.0),
+    Task("claims", "tasks.claims:claims", 3, needs=("points", "atlas"), seconds=30.0),
 )}
 
 #: Every figure and fit, and the point variables and tasks it reads; the plan adds them to what a study wants.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -49,15 +50,15 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     said = [f"{starts(problem, s).shape[1]} starts at slope {s:g}" for s in atlases.ANCHORS]
     said.append(f"{len(branches)} branches followed over {sum(len(b.Z) for b in branches)} points")
     if params.get("all") or not gaits:
-        others, tried, nearest = _elsewhere(problem, slope, [g["stance_angle"] for g in gaits])
+        others, tried, nearest = _elsewhere(problem, slope, gaits)
         said.append(tried)
         gaits += [o for o in others if params.get("all") or o["gait"] in GAITS]
         if not gaits:
-            said += [str(found["reasons"][1]), nearest]
+            said += [str(found["reasons"][1]), str(found["reasons"][5]), nearest]
     return {"gaits": gaits, "search": said}
 
 
-def _elsewhere(problem: Problem, slope: float, known: list[float]) -> tuple[list[dict[str, Any]], str, str]:
+def _elsewhere(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str, str]:
     """Gaits a search at this very slope finds besides the known ones, what was tried, and the nearest miss."""
     w, _, verdict = search(problem, slope)
     tried = f"{starts(problem, slope).shape[1]} starts at slope {slope:g}"
@@ -72,11 +73,13 @@ def _elsewhere(problem: Problem, slope: float, known: list[float]) -> tuple[list
     records = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]
-        if any(abs(angle - k) < 1e-8 * abs(k) for k in known) or not np.isfinite(angle):
+        if any(abs(angle - g["stance_angle"]) < 1e-8 * abs(angle) for g in gaits) or not np.isfinite(angle):
             continue
-        once = verdict.passes[lane] == 1
-        label = ("long" if solved["heelstrike_rate_ratio"][lane] < 0.5 else "short") if once else \
-            f"passes_{verdict.passes[lane]}_times"
+        label = f"passes_{verdict.passes[lane]}_times"
+        if verdict.passes[lane] == 1:
+            own = "long" if solved["heelstrike_rate_ratio"][lane] < 0.5 else "short"
+            taken = {g["gait"] for g in (*gaits, *records)}
+            label = next(name for name in (own, *(f"other{k}" for k in itertools.count(1))) if name not in taken)
         records.append(_record(label, slope, {k: solved[k][lane] for k in WANT if k in solved}))
     misses = np.nonzero(~verdict.step)[0]
     nearest = "Nearest miss: none." if not len(misses) else (

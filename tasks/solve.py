@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,15 +65,13 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         shape = (n, len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
         kind = VARIABLES[name].dtype
         out[name] = np.full(shape, np.nan if kind == "f8" else 0, kind)
-    spans = [(float(np.exp(b.q[[i, j]].min())), float(np.exp(b.q[[i, j]].max())))
-             for b in branches for i, j in b.pieces()]
     searched = (f"{starts(problem, atlases.ANCHORS[0]).shape[1]} starts at each of the slopes "
                 + ", ".join(f"{s:g}" for s in atlases.ANCHORS))
-    reasons = [status.SETTLED, status.outside(spans, searched), status.NO_FURTHER, status.NEWTON_LOST,
-               status.NOT_A_STEP]
+    long, short = (status.outside(label, [s for b in branches for s in _spans(b, label)], searched) for label in GAITS[:2])
+    reasons = [status.SETTLED, long, status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP, short]
     if "status" in out:
         out["status"][:] = status.NO_GAIT
-        out["reason"][:, :2], out["reason"][:, 2:] = 1, 2
+        out["reason"][:] = [1, 5, 2, 2]
     free = np.ones((n, len(GAITS)), bool)
     q = np.log(slope)
     for branch in branches:
@@ -90,12 +88,23 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                                params.get("friction_limit", violations.FRICTION_LIMIT))
                 label = (~(solved["heelstrike_rate_ratio"] < 0.5)).astype(int)
                 slot = np.where(free[block, label], label, np.where(free[block, 2], 2, 3))
-                keep = np.array([GAITS[s] in wanted for s in slot], bool) & solved["anthropomorphic"]
+                keep = np.array([GAITS[s] in wanted for s in slot], bool) & solved["anthropomorphic"] & free[block, slot]
                 free[block[keep], slot[keep]] = False
                 for name in want:
                     out[name][block[keep], slot[keep]] = solved[name][keep]
     out["reasons"] = np.array(reasons)
     return out
+
+
+def _spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
+    """Least and largest slopes of the runs of a branch's gaits of one label [rad]."""
+    mine = ((branch.ratio < 0.5) == (label == "long")) & (branch.passes == 1)
+    for first, last in branch.pieces():
+        nodes = np.arange(first, last + 1)
+        for run in np.split(nodes, np.nonzero(np.diff(mine[nodes]))[0] + 1):
+            if mine[run[0]]:
+                slopes = np.exp(branch.q[run])
+                yield float(slopes.min()), float(slopes.max())
 
 
 def _walker(line: Mapping[str, Any]) -> Walker:

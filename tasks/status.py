@@ -11,9 +11,9 @@ NEWTON_LOST = "Newton's method did not settle from the atlas's guess."
 NOT_A_STEP = "The solution is not a step: a guard is crossed before the event solved for."
 
 
-def outside(pieces: list[tuple[float, float]], searched: str) -> str:
-    """Why no branch reaches a slope."""
+def outside(label: str, pieces: list[tuple[float, float]], searched: str) -> str:
+    """Why no branch has a gait of that label at a slope."""
     if not pieces:
-        return f"No gait found: {searched}."
+        return f"No {label} gait found: {searched}."
     spans = "; ".join(f"{low:.6g} to {high:.6g}" for low, high in pieces)
-    return f"No gait: the branches found cover slopes {spans} only ({searched})."
+    return f"No {label} gait: those found cover slopes {spans} only ({searched})."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from pipeline.errors import StudyError
+from pipeline.errors import unwritten
 
 #: Slope of each walker's timed gait [rad]; the grid runs from 1e-3 to three times it.
 FAMILIES = {"D": 0.005, "E": 0.005, "B": 0.01, "C": 0.01}
@@ -33,7 +33,7 @@ def main(quick: bool, out: Path, families: tuple[str, ...] | None = None, grid: 
         record.write(found, out / "bench.nc")
         page.write(found, out / "bench.html")
     except OSError as error:
-        raise StudyError(f"{out} cannot be written: {error.strerror}.") from error
+        raise unwritten(out, error) from error
     print(out / "bench.html")
     return 0
 

@@ -239,8 +239,17 @@ def _is(kind: str, point: Point) -> bool:
     return True
 
 
+def _at_fold(point: Point, lane: int) -> float:
+    """Error of ln slope at a fold: rounding of the residual, seen along the only direction no section's change undoes."""
+    by = point.derivative[lane]
+    least = np.linalg.svd(by[:, :-1])[0][:, -1]
+    rounded = 3 * EPS * np.abs(np.vstack([point.stride.y[:, lane], point.stride.image[:, lane]])).sum(axis=0)
+    return float(np.abs(least) @ rounded / point.stride.y[0, lane] / abs(least @ by[:, -1]))
+
+
 def _record(kind: str, problem: Problem, point: Point, lane: int) -> dict[str, float | str]:
-    noise = float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max()) if kind != "fold" else 64 * EPS
+    noise = _at_fold(point, lane) if kind == "fold" else float(
+        np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
     return {"kind": kind, "slope": float(np.exp(point.X[problem.m, lane])),
             "stance_angle": float(np.exp(point.X[0, lane])), "period": float(point.times[-1, lane]),
             "error_bound": noise + 8 * EPS}

@@ -214,8 +214,8 @@ def named(name: object, catalogue: Mapping[str, Walker] | None = None) -> Walker
     return catalogue[name]
 
 
-def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float] | None = None) -> Walker:
-    """A walker from its name or table and a line's axis values, incl. `foot_mass_ratio` and `detuning`.
+def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | bool] | None = None) -> Walker:
+    """A walker from its name or table and a line's axis values, incl. `foot_mass_ratio` and `detuning`, or `knees`.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float] | No
     if ratio is not None:
         found = with_foot_mass_ratio(found, float(ratio))
     for key in overrides:
-        if key not in NUMBERS:
+        if key not in NUMBERS and not (key == "knees" and isinstance(overrides[key], bool)):
             near = difflib.get_close_matches(key, [*NUMBERS, "foot_mass_ratio", "detuning", "slope"], 1)
             raise WalkerError(key, overrides[key], "is not a walker key" + (f" (did you mean `{near[0]}`?)" if near else ""))
     return replace(found, **overrides) if overrides else found

@@ -21,9 +21,10 @@ def _file(path, values, extent):
 
 @pytest.mark.parametrize("values", [
     np.stack([SMOOTH, SMOOTH**2], -1), np.full((3, 9000, 2), np.nan), (SMOOTH * 90).astype(np.int8)[..., None],
+    np.ones((1, 3, 1), np.int8), np.ones((1, 1, 3), np.int8),
     (SMOOTH * 9e3).astype(np.int16)[..., None], (SMOOTH * 9e8).astype(np.int32)[..., None], np.zeros((1, 1, 1)),
     np.random.default_rng(1).random((2, 9000, 3)),
-], ids=["smooth", "nan", "i1", "i2", "i4", "one", "noise"])
+], ids=["smooth", "nan", "i1", "odd", "columns", "i2", "i4", "one", "noise"])
 def test_netcdf_reads_back_what_was_packed(tmp_path, values):
     sizes = {"line": values.shape[0], "slope": values.shape[1]}
     extent = (*grid.cut(sizes, grid.CHUNK), values.shape[2])

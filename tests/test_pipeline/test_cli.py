@@ -1,14 +1,19 @@
 """What a user types: quick, one line for an error, the promised exit codes."""
 
+import errno
 import json
 import os
+import shutil
 import subprocess
 import sys
+from unittest.mock import Mock
 
+import netCDF4
 import pytest
 
 from conftest import ROOT, STUDY
 from pipeline import cli
+from pipeline.errors import StudyError
 
 
 def gaitsweep(*arguments, cwd=None):
@@ -133,9 +138,58 @@ def test_verify_and_diff_exit_with_1(toy):
     other.write_bytes(archive.read_bytes())
     toy("verify", archive)
     assert toy("diff", archive, other).stdout == "They agree.\n"
-    import netCDF4
-
     with netCDF4.Dataset(other, "a") as file:
         file["status"][0] = 7
     assert "not_attempted" in toy("verify", other, expect=1).stdout
+    other.write_bytes(archive.read_bytes()[:5000])
+    assert toy("verify", other, expect=1).stdout == f"{other} is no netCDF file that can be read.\n"
+    toy("diff", archive, other, expect=2)
+    shutil.copy(archive, other)
+    with netCDF4.Dataset(other, "a") as file:
+        file["status"][0] = 7
     assert "`status`" in toy("diff", archive, other, expect=1).stdout
+
+
+def test_debug_shows_where_and_changes_no_exit_code(capsys):
+    for arguments in (["solve", "--walker", "X", "--slope", "0.01"], ["verify", "none.nc"]):
+        assert cli.main(["--debug", *arguments]) == cli.main(arguments) == 2
+    assert capsys.readouterr().err.count("Traceback") == 2
+
+
+def test_a_walker_loses_its_knees_by_a_key(tmp_path):
+    found = [gaitsweep("solve", "--walker", "physical", "--slope", "0.03", "--json", *more, cwd=tmp_path)
+             for more in (("--set", "knees=false"), ())]
+    straight, kneed = (json.loads(f.stdout) for f in found)
+    assert {g["kneestrike_time"] for g in straight} == {None} and all(g["kneestrike_time"] for g in kneed)
+
+
+def test_a_full_disk_is_said_wherever_it_is_met(toy, monkeypatch, capsys):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    monkeypatch.chdir(toy.folder)
+    toy("run", "toy.toml")
+    monkeypatch.setattr("pipeline.runner.locked", full)
+    monkeypatch.setattr("pipeline.report.page.write", full)
+    for arguments in (["run", "toy.toml"], ["report", "data/archive/toy.nc"]):
+        assert cli.main(arguments) == 4
+        assert capsys.readouterr().err.endswith("cannot be written: No space left on device.\n")
+
+
+def test_a_run_that_broke_off_is_not_finished(toy, monkeypatch, capsys):
+    monkeypatch.chdir(toy.folder)
+    monkeypatch.setattr("pipeline.archive.write", Mock(side_effect=StudyError("No.")))
+    assert cli.main(["run", "toy.toml", "--jobs", "1"]) == 2
+    cli.main(["status", "toy.toml"])
+    assert "toy.nc: stopped; " in capsys.readouterr().out
+
+
+def test_walkers_from_files_keep_their_names(toy):
+    for name, mass in (("light", 0.5), ("heavy", 2.0)):
+        table = dict(dict.fromkeys(("w_t", "r_t", "c_t", "w_s", "r_s", "c_s", "R", "eps_T"), 0.0),
+                     l_t=0.5, l_s=0.5, m_t=1.0, m_s=mass)
+        (toy.folder / f"{name}.toml").write_text("[walker]\n" + "".join(f"{k} = {v}\n" for k, v in table.items()))
+    toy.write(STUDY.replace('walker = "E"', 'walker = ["light.toml", "heavy.toml", "E"]').replace("200", "5"))
+    toy("run", "toy.toml")
+    with netCDF4.Dataset(toy.folder / "data" / "archive" / "toy.nc") as file:
+        assert file["walker"][:].tolist() == ["light.toml", "heavy.toml", "E"]
+        assert set(file["fits/scaling/walker"][:]) == {"light.toml", "heavy.toml", "E"}

@@ -71,7 +71,7 @@ def _trouble(slope, kinds):
 def fit(params, inputs):
     """Mean angle of the long gait of every line."""
     means = [float(np.nanmean(i["stance_angle"][:, 0])) for i in inputs]
-    names = [line["walker"] if isinstance(line["walker"], str) else "walker" for line in params["lines"]]
+    names = [line["name"] for line in params["lines"]]
     return {"fits/scaling/walker": np.array(names), "fits/scaling/exponent": np.array(means)}
 
 
