@@ -10,9 +10,10 @@ import numpy as np
 from tasks.gait import atlas as atlases
 from tasks.gait.adaptive import chosen, within
 from tasks.gait.branch import Branch
-from tasks.gait.fixed_point import Problem, gait_ratio
-from tasks.gait.special_points import special_points
+from tasks.gait.fixed_point import EPS, Problem, gait_ratio
+from tasks.gait.special_points import located, special_points
 from tasks.gait.stability import multipliers
+from tasks.measures import violations
 from tasks.walkers.parameters import resolve
 
 #: Places between two nodes beyond which a window is too narrow for more.
@@ -58,13 +59,45 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
                            ("spectral_radius", radius), ("stable", (radius < 1).astype("i1")),
                            ("gait", np.where(gait_ratio(stride) < 0.5, "long", "short"))):
             rows[key].append(value)
-        for point in special_points(problem, found):
+        for point in special_points(problem, found) + contact_lost(problem, found, low, high):
             if low <= float(point["slope"]) <= high and point["kind"] != "window":
                 points.append({"branch": number, **point, "period": float(point["period"]) * second})
     out = {f"branches/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in rows.items()}
     for key in ("branch", "kind", "slope", "stance_angle", "period", "error_bound"):
         out[f"special_points/{key}"] = np.array([p[key] for p in points])
     return out
+
+
+def contact_lost(problem: Problem, found: Branch, low: float, high: float) -> list[dict[str, float | str]]:
+    """Where in a window of slopes the least normal force of the ground over a step vanishes: the foot would let go.
+
+    Returns
+    -------
+    list of dict
+        As `special_points`, of kind `end_contact_lost`; the map knows nothing of it, and the branch goes on.
+    """
+    m = found.m
+
+    def least(X: np.ndarray, times: np.ndarray, samples: int = violations.SAMPLES) -> np.ndarray:
+        stride, scale = problem.stride(np.vstack([X[:m], times]), X[m], samples=samples)
+        assert stride.motion is not None
+        return violations.measure(problem.walker, [part * scale for part in stride.motion], stride.impact * scale, times,
+                                  np.exp(X[m]))["least_normal_force"]
+
+    inside = (found.q >= np.log(low)) & (found.q <= np.log(high))
+    near = np.nonzero(np.convolve(inside, np.ones(3), "same"))[0]  # and a node either side
+    force = np.full(len(inside), np.nan)
+    force[near] = least(found.Z[near, : m + 1].T, found.Z[near, m + 1:].T)
+    records: list[dict[str, float | str]] = []
+    for segment in np.nonzero(force[1:] * force[:-1] < 0)[0]:
+        point, _ = located(problem, found, int(segment), lambda point, way: float(least(point.X, point.times)[0]))
+        # Closer samples tell how far off the least of a sampled force is.
+        off = least(point.X, point.times, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
+        error = abs(float(off * (found.q[segment + 1] - found.q[segment])))
+        records.append({"kind": "end_contact_lost", "slope": float(np.exp(point.X[m, 0])),
+                        "stance_angle": float(np.exp(point.X[0, 0])), "period": float(point.times[-1, 0]),
+                        "error_bound": error + 64 * EPS})
+    return records
 
 
 def _dense(found: Branch, low: float, high: float, least: int) -> np.ndarray:

@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 
 import oracle
+from lines import branches
+from tasks.branch import contact_lost
 from tasks.measures import violations
 from tasks.mechanics.contact import Chain
 from tasks.registry import GAITS, VARIABLES, VIOLATIONS
+from tasks.single import solve_one
 from tasks.solve import atlas, points
+from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.parameters import Walker, resolve
 from tasks.walkers.tuning import statics
 
@@ -318,3 +322,18 @@ def test_a_study_sets_the_friction_limit():
         worst = max(amounts[name][0, 0] for name in want[1:])
         found = points({**base, "friction_limit": factor * worst}, [_atlases["physical"]])
         assert ("friction" in flags(found["violations"][0, 0])) == flagged
+
+
+@pytest.mark.parametrize("name", ["E", "C"])
+def test_where_contact_is_lost_the_second_derivation_finds_no_force_left(name):
+    problem, found = branches(name)
+    points = [p for b in found for p in contact_lost(problem, b, 0.2, 0.4)]
+    assert points and all(p["error_bound"] < 1e-10 for p in points)
+    for point in points:
+        gaits = solve_one({"walker": name, "slope": point["slope"]})["gaits"]
+        gait = min(gaits, key=lambda g: abs(g["stance_angle"] - point["stance_angle"]))
+        assert gait["stance_angle"] == pytest.approx(point["stance_angle"], rel=1e-9)
+        model = oracle.Oracle(CATALOGUE[name].table())
+        rates = [gait["stance_rate"], gait["thigh_rate"], gait["shank_rate"]][:3 if model.knees else 2]
+        force = model.step(gait["stance_angle"], rates, point["slope"], samples=4001).force[:, 1]
+        assert abs(force.min()) < 1e-6 * problem.walker.total_mass * problem.walker.g
