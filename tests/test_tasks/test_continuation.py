@@ -166,3 +166,13 @@ def test_a_singular_derivative_ends_no_survey():
         r_s=0.16422574634352305, c_s=-0.12107330029517688, R=0.48477183884406094, eps_T=-0.12415307211285737,
         m_h=0.031433349548861844, g=1.0, knees=False)))
     assert branch.why == ("a fall", "end_tangential_heelstrike")
+
+
+def test_a_folds_bound_holds_in_other_units():
+    """Lengths in other units round everything anew and change no slope."""
+    lengths, walker, slopes = ("l_t", "w_t", "r_t", "c_t", "l_s", "w_s", "r_s", "c_s", "R"), CATALOGUE["physical-straight"], []
+    for unit in (1.0, 3.0, 0.7):
+        problem = Problem(replace(walker, **{key: unit * getattr(walker, key) for key in lengths}))
+        (fold,) = pick([p for b in survey(problem) for p in special_points(problem, b)], "fold")
+        slopes.append(fold["slope"])
+    assert 0 < np.ptp(slopes) / slopes[0] < fold["error_bound"] < 3e-14
