@@ -170,7 +170,8 @@ def test_a_singular_derivative_ends_no_survey():
 
 def test_a_folds_bound_holds_in_other_units():
     """Lengths in other units round everything anew and change no slope."""
-    lengths, walker, slopes = ("l_t", "w_t", "r_t", "c_t", "l_s", "w_s", "r_s", "c_s", "R"), CATALOGUE["physical-straight"], []
+    lengths = ("l_t", "w_t", "r_t", "c_t", "l_s", "w_s", "r_s", "c_s", "R")
+    walker, slopes = CATALOGUE["physical-straight"], []
     for unit in (1.0, 3.0, 0.7):
         problem = Problem(replace(walker, **{key: unit * getattr(walker, key) for key in lengths}))
         (fold,) = pick([p for b in survey(problem) for p in special_points(problem, b)], "fold")
