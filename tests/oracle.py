@@ -62,6 +62,7 @@ class Stepper:
 
     knees = False
     time_unit = 1.0
+    longest_step = 0.05  # in units of time; a guard that closes twice within one is not seen
 
     def integrate(self, state, slope, locked, guard: Callable, direction, start, rtol, atol):
         """Integrate to the next crossing of `guard`, polishing away the interpolant's error."""
@@ -76,7 +77,7 @@ class Stepper:
         event.terminal, event.direction, fallen.terminal = True, direction, True
         options = {"method": "DOP853", "rtol": rtol, "atol": atol}
         run = solve_ivp(rhs, (start, start + 20 * self.time_unit), state, events=(event, fallen),
-                        max_step=0.05 * self.time_unit, dense_output=True, **options)
+                        max_step=self.longest_step * self.time_unit, dense_output=True, **options)
         if not run.t_events[0].size:
             raise StepFailed(f"No crossing before t = {run.t[-1]:.3g}.")
         time, end = run.t[-1], run.y[:, -1]
@@ -142,8 +143,9 @@ class Stepper:
         if state[0] >= 0:  # crossings before the stance leg is upright are no heelstrikes
             advance(lambda y: y[0], -1, True)
         advance(lambda y: y[0] + y[1], -1, True)
-        if state[0] >= 0:
-            raise StepFailed("The stance leg has come back.")
+        while state[0] >= 0:  # the stance leg has come back: that was no heelstrike, the next may be
+            advance(lambda y: y[0] + y[1], 1, True)
+            advance(lambda y: y[0] + y[1], -1, True)
         after, impulse, loss = self.heelstrike(state)
         return Step(after[0], after[3:], time, *knee[:3], state, knee[3], impulse, knee[4], loss,
                     *self._sample(pieces, slope, samples))
