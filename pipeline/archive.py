@@ -184,8 +184,8 @@ class _Points:
         reasons = reason[rows, failed[rows].argmax(axis=1)]
         for k in np.unique(reasons):
             those = rows[reasons == k]
-            self.written.fail(str(found["reasons"][k]), len(those), f"{_spot(self.study, number)}"
-                              f" slope={float(found['slope'][those[0]])!r}")
+            self.written.fail(str(found["reasons"][k]), len(those),
+                              f"{_spot(self.study, number)} slope={float(found['slope'][those[0]])!r}")
 
     def _lines(self, box: grid.Box, names: tuple[str, ...]
                ) -> Iterator[tuple[tuple[int, ...], int, dict[str, Any]]]:

@@ -178,9 +178,10 @@ def _states(file: Any) -> Iterator[str]:
 def _values(file: Any) -> Iterator[str]:
     """Read every value, so that every checksum is checked; a number stands only where something converged."""
     sums = json.loads(getattr(file, "checksums", "{}"))
-    held = {*file.variables, *columns(file)}
+    tabled = list(columns(file))
+    held = {*file.variables, *tabled}
     yield from (f"`{name}` is missing." for name in sums if name not in held)
-    for name in columns(file):
+    for name in tabled:
         if grid.checksum(np.ma.getdata(file[name][...])) % 2**32 != sums.get(name) and name in sums:
             yield f"`{name}` is not as it was written."
     for name, variable in file.variables.items():
