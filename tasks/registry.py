@@ -80,7 +80,7 @@ VARIABLES = {v.name: v for v in (
     Variable("penetration_depth", _G, "length", "depth the released foot sinks just after heelstrike", "violations"),
     Variable("trailing_impulse", _G, "impulse", "impulse two contacts would need at the trailing foot", "violations"),
     Variable("residual", _G, "number", "largest residual of the fixed-point equations"),
-    Variable("error_bound", _G, "number", "bound on the largest relative error of angle, rates and period"),
+    Variable("error_bound", _G, "number", "bound on the relative errors of angle and period and on the rates' errors over the largest rate"),
     Variable("status", _G, "number", "what became of the solve", dtype="i1"),
     Variable("reason", _G, "number", "index into the table of reasons", dtype="i2"),
 )}
@@ -106,8 +106,8 @@ class Task:
 
 
 TASKS = {t.name: t for t in (
-    Task("atlas", "tasks.solve:atlas", 9, seconds=1.0),
-    Task("points", "tasks.solve:points", 6, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
+    Task("atlas", "tasks.solve:atlas", 10, seconds=1.0),
+    Task("points", "tasks.solve:points", 7, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
     Task("trace", "tasks.trace:trace", 1, needs=("atlas",), seconds=0.2),
     Task("branch", "tasks.branch:branch", 3, needs=("atlas",), seconds=0.3),
     Task("orbit", "tasks.orbit:orbit", 1, needs=("atlas",), seconds=30.0),

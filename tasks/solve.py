@@ -10,7 +10,7 @@ import numpy as np
 from tasks import status
 from tasks.gait import atlas as atlases
 from tasks.gait.branch import Branch
-from tasks.gait.fixed_point import Problem, gait_ratio, starts
+from tasks.gait.fixed_point import Problem, gait_ratio, sizes, starts
 from tasks.gait.settle import UNKNOWN, Settled, settle
 from tasks.gait.stability import multipliers
 from tasks.measures import violations
@@ -138,7 +138,7 @@ def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndar
     at = settle(problem, Z, slope, lipschitz, noise, passes)
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
     found = {"status": code, "reason": np.where(at.converged, np.where(at.step, 0, 4), 3),
-             "residual": np.abs((at.stride.image - at.stride.y) / at.stride.y).max(axis=0), "error_bound": at.bound,
+             "residual": np.abs((at.stride.image - at.stride.y) / sizes(at.stride.y)).max(axis=0), "error_bound": at.bound,
              "anthropomorphic": ~at.step | (at.passes == 1), "passes": at.passes}
     found |= _measure(problem, at, slope, want, friction_limit)
     bad = code != status.CONVERGED

@@ -96,7 +96,7 @@ def compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.n
     at = settle(problem, Z, slope, lipschitz, noise, passes)
     second, rows = _second(problem.walker), []
     there = arrival(problem, at.stride, problem.parameters(slope, at.scale))
-    condition = np.maximum(1.0, (there.reach / np.abs(there.values)).max(axis=0) - 1.0)
+    condition = np.maximum(1.0, (there.reach / there.size).max(axis=0) - 1.0)
     for lane in map(int, np.flatnonzero(product["status"] == 0)):
         doubles = at.doubles[lane]
         tier = 0 if doubles <= extended.ESCALATE else 1 if doubles < extended.ESCALATE_AGAIN else 2
@@ -105,9 +105,11 @@ def compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.n
         state, half = converted(exact.state, np.longdouble) * at.scale[lane], len(exact.state) // 2
         period = converted(exact.times[-1:], np.longdouble) * second
         rates = state[half:] / second
-        true = [state[0], rates[0], rates[1], rates[-1], period[0]]
-        names = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period")
-        error = max(abs(float((np.longdouble(product[k][lane]) - x) / x)) for k, x in zip(names, true, strict=True))
+        true = {"stance_angle": state[0], "stance_rate": rates[0], "thigh_rate": rates[1], "shank_rate": rates[-1],
+                "period": period[0]}
+        fastest = max(abs(rate) for rate in rates)
+        error = max(abs(float((np.longdouble(product[k][lane]) - x) / (fastest if k.endswith("rate") else x)))
+                    for k, x in true.items())
         rows.append((float(slope[lane]), float(product["error_bound"][lane]), error, float(condition[lane]), tier))
     return rows
 

@@ -38,14 +38,7 @@ def chosen(problem: Problem, found: Branch, low: float, high: float, tolerance: 
     runs = np.split(np.arange(len(rows)), np.nonzero(np.diff(place) > 1.0)[0] + 1)
     parts = [_with_radius(problem, found, place[run][_thinned(plane(rows[run], found.m), np.isin(
         place[run], _turns(found)), tolerance)], tolerance) for run in runs]
-    return _rows(found, np.concatenate(parts))
-
-
-def _rows(found: Branch, place: np.ndarray) -> np.ndarray:
-    """Rows at places along the branch."""
-    segment = np.minimum(place.astype(int), len(found.Z) - 2)
-    a, b = (found.Z[segment + i, found.axis[segment]] for i in (0, 1))
-    return found.evaluate(segment, a + (b - a) * (place - segment))
+    return found.at(np.concatenate(parts))
 
 
 def _radius(problem: Problem, rows: np.ndarray) -> np.ndarray:
@@ -117,8 +110,8 @@ def _thinned(points: np.ndarray, fixed: np.ndarray, tolerance: float) -> np.ndar
 
 def _with_radius(problem: Problem, found: Branch, places: np.ndarray, tolerance: float) -> np.ndarray:
     """Places with those added that the spectral radius asks for, where it bends or a gait's stability changes."""
-    points = plane(_rows(found, places), problem.m)
-    radius = _radius(problem, _rows(found, places))
+    points = plane(found.at(places), problem.m)
+    radius = _radius(problem, found.at(places))
     asked = np.arange(len(places) - 1)
     for _ in range(MOST_ROUNDS):
         # Points as near as the tolerance show no bend, not even a corner's.
@@ -128,7 +121,7 @@ def _with_radius(problem: Problem, found: Branch, places: np.ndarray, tolerance:
         # Two places between any two: at one alone a corner and a bend may cancel.
         pair = asked[None] + np.zeros((2, 1), int)
         middle = places[pair] + np.array(PROBES)[:, None] * (places[pair + 1] - places[pair])
-        rows = _rows(found, middle.ravel())
+        rows = found.at(middle.ravel())
         at, there = _radius(problem, rows).reshape(middle.shape), plane(rows, problem.m).reshape(*middle.shape, 3)
         near, far = (np.linalg.norm(there - points[pair + i], axis=2) for i in (0, 1))
         with np.errstate(invalid="ignore"):

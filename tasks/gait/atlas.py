@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from tasks.gait.branch import Branch
-from tasks.gait.continuation import Track, correct, fallen, follow, lipschitz
+from tasks.gait.continuation import Point, Track, correct, fallen, follow, lipschitz
 from tasks.gait.fixed_point import Problem, found_at, gait_ratio, judged, noise, rounding
-from tasks.gait.special_points import end_of, located, oriented, row, row_tangent
+from tasks.gait.special_points import corrected, end_of, is_step, located, narrowed, oriented, row, row_tangent
 from tasks.gait.stride import SAMPLES
-from tasks.gait.verify import verify
+from tasks.gait.verify import margin, verify
 
 #: Slopes searched from nothing for gaits to follow [rad].
 ANCHORS = (0.01, 0.03, 0.1, 0.001, 0.2)
@@ -45,6 +45,8 @@ def _insert(problem: Problem, branch: Branch, segments: np.ndarray,
     border = branch.tangent[segments][:, : m + 1] + branch.tangent[segments + 1][:, : m + 1]
     border /= np.linalg.norm(border, axis=1, keepdims=True)
     point = correct(problem, Z[:, : m + 1].T, Z[:, m + 1:].T, border.T)
+    # Newton may have jumped to another branch: a middle lies between its neighbours, or is none.
+    point.ok &= branch.lies_between(segments, point.X, point.times)
     moved = np.where(point.ok, np.abs(point.X.T - Z[:, : m + 1]).max(axis=1), np.inf)
     sign = np.sign((point.tangent.T * border).sum(axis=1))[:, None]
     new_Z = np.vstack([point.X, point.times]).T
@@ -57,8 +59,7 @@ def _insert(problem: Problem, branch: Branch, segments: np.ndarray,
     before[segments[keep]] = part
     before = np.insert(before, at, part)
     fresh = np.insert(np.zeros(len(branch.Z), bool), at, True)
-    branch = replace(branch, Z=np.insert(branch.Z, at, new_Z[keep], axis=0),
-                     tangent=np.insert(branch.tangent, at, new_T[keep], axis=0))
+    branch = branch.inserted(at, new_Z[keep], new_T[keep])
     return branch, np.nonzero(fresh[branch.window].any(axis=1))[0], before
 
 
@@ -73,52 +74,139 @@ def _joined(m: int, pair: list[Track]) -> tuple[Branch, int]:
     return Branch(m, Z, T, np.zeros(len(Z)), (down.stopped, up.stopped)), len(down.X) - 1
 
 
-def _from_tracks(problem: Problem, pair: list[Track]) -> Branch | None:
+def _from_tracks(problem: Problem, pair: list[Track]) -> list[Branch]:
     """Join both directions, keep what are steps up to the located ends, refine, and measure."""
-    m = problem.m
-    raw, start = _joined(m, pair)
+    raw, start = _joined(problem.m, pair)
     if len(raw.Z) < 4:
-        return None
-    X, times = raw.Z[:, : m + 1].T, raw.Z[:, m + 1:].T
+        return []
+    steps = _steps_at(problem, raw)
+    if not steps[start]:
+        return []
+    branches: list[Branch] = []
+    for first, last in _runs(steps):
+        branch = _with_ends(problem, raw, first, last)
+        if branch is not None:
+            branches += _without_gaps(problem, _refined(problem, _with_folds(problem, branch)))
+    return branches
+
+
+def _steps_at(problem: Problem, branch: Branch) -> np.ndarray:
+    """Which nodes are steps, shape (n,)."""
+    m = branch.m
+    X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1:].T
     _, verdict = judged(problem, np.vstack([X[:m], times]), X[m])
-    good = verdict.step
-    if not good[start]:
+    return verdict.step
+
+
+def _runs(true: np.ndarray) -> list[tuple[int, int]]:
+    """First and last index of every run of true values."""
+    edges = np.diff(np.concatenate([[0], true.astype(int), [0]]))
+    return list(zip(np.nonzero(edges == 1)[0].tolist(), (np.nonzero(edges == -1)[0] - 1).tolist(), strict=True))
+
+
+def _with_ends(problem: Problem, raw: Branch, first: int, last: int) -> Branch | None:
+    """A run of nodes that are steps, up to where it ends between nodes; None where that leaves no branch."""
+    why, errors, nodes = list(raw.why), list(raw.end_errors), len(raw.Z)
+    whole, ends = (first == 0, last == nodes - 1), {}
+    if not whole[1]:
+        raw, last = narrowed(problem, raw, last, lambda point, way: is_step(problem, point))
+        why[1], *ends[1], errors[1] = end_of(problem, raw, last, last + 1)
+    if not whole[0]:
+        before = len(raw.Z)
+        raw, segment = narrowed(problem, raw, first - 1, lambda point, way: not is_step(problem, point))
+        first, last = segment + 1, last + len(raw.Z) - before
+        why[0], *ends[0], errors[0] = end_of(problem, raw, first, segment)
+    for side, segment in ((0, 0), (1, len(raw.Z) - 2)):
+        if whole[side] and why[side] == "a fall":
+            ends[side] = located(problem, raw, segment, lambda point, way: fallen(point.X[:, 0], point.times[:, 0]))
+            first, last = first + (side == 0), last - (side == 1)
+    branch = raw.part(first, last)
+    if 0 in ends:
+        branch = branch.inserted(0, row(ends[0][0]), row_tangent(*ends[0]))
+    if 1 in ends:
+        branch = branch.inserted(len(branch.Z), row(ends[1][0]), row_tangent(*ends[1]))
+    if len(branch.Z) < 3:
         return None
-    low = start - np.argmin(np.append(good[start::-1], False)) + 1
-    high = start + np.argmin(np.append(good[start:], False)) - 1
-    Z, T, why, errors = raw.Z[low:high + 1].copy(), raw.tangent[low:high + 1].copy(), list(raw.why), [0.0, 0.0]
-    if low > 0:
-        why[0], point, way, errors[0] = end_of(problem, raw, low - 1, start)
-        Z, T = np.vstack([row(point), Z]), np.vstack([row_tangent(point, way), T])
-    if high < len(raw.Z) - 1:
-        why[1], point, way, errors[1] = end_of(problem, raw, high, start)
-        Z, T = np.vstack([Z, row(point)]), np.vstack([T, row_tangent(point, way)])
-    if len(Z) < 4:
-        return None
-    for end, segment in ((0, 0), (-1, len(raw.Z) - 2)):
-        if why[end] == "a fall":
-            point, way = located(problem, raw, segment, lambda point, way: fallen(point.X[:, 0], point.times[:, 0]))
-            Z[end], T[end] = row(point), row_tangent(point, way)
-    branch = _with_folds(problem, Branch(m, Z, T, np.zeros(len(Z)), (why[0], why[1]), (errors[0], errors[1])))
+    return replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
+
+
+def _refined(problem: Problem, branch: Branch) -> Branch:
+    """The branch with so many nodes that its polynomials lead Newton to rounding in one step."""
     segments = np.arange(len(branch.Z) - 1)
     before = np.full(len(segments), np.inf)
     for _ in range(MOST_ROUNDS):
         branch, segments, before = _insert(problem, branch, segments, before)
         if not len(segments):
             break
-    return _measured(problem, branch)
+    return branch
 
 
-def _measured(problem: Problem, branch: Branch) -> Branch:
-    """The branch with its Lipschitz estimates, gait ratios, and which segments need no verdict of their own."""
+def _without_gaps(problem: Problem, branch: Branch) -> list[Branch]:
+    """The measured branch; where an earlier strike cuts in on the way, what lies on either side of it."""
+    near, steps = _measured(problem, branch)
+    steps[[0, -1]] = True
+    gaps = _gaps(problem, branch, near, steps)
+    if steps.all() and not gaps:
+        return [branch]
+    for place in sorted(gaps, reverse=True):
+        segment = int(place)
+        a, b = branch.Z[segment:segment + 2, branch.axis[segment]]
+        point, way = corrected(problem, branch, segment, a + (b - a) * (place - segment))
+        branch = branch.inserted(segment + 1, row(point), row_tangent(point, way))
+        steps = np.insert(steps, segment + 1, False)
+    parts = [_with_ends(problem, branch, first, last) for first, last in _runs(steps)]
+    branches = [_refined(problem, part) for part in parts if part is not None]
+    for part in branches:
+        _measured(problem, part)
+    return branches
+
+
+def _gaps(problem: Problem, branch: Branch, near: np.ndarray, steps: np.ndarray) -> list[float]:
+    """Places of a branch, segment and part of it, where an earlier strike cuts in between nodes that are steps.
+
+    Parameters
+    ----------
+    near, steps : ndarray, shape (n,)
+        How far the nodes are from an earlier strike, and whether they are steps: `_measured`.
+    """
+    m, found = branch.m, []
+    with np.errstate(invalid="ignore"):
+        bend = near[:-2] - 2 * near[1:-1] + near[2:]
+        near = np.where(steps, near, np.nan)
+        least = (near[1:-1] <= near[:-2]) & (near[1:-1] <= near[2:]) & ~(near[1:-1] > bend)
+    for i in np.nonzero(least & np.isfinite(near[1:-1]) & ~(branch.safe[:-2] & branch.safe[1:-1]))[0] + 1:
+        low, high = i - 1.0, i + 1.0
+        for _ in range(MOST_ROUNDS):
+            place = np.linspace(low, high, 9)
+            rows = branch.at(place)
+            w = np.delete(rows, m, axis=1).T
+            stride, _ = problem.stride(w, rows[:, m], samples=8 * SAMPLES)
+            away = margin(stride.scaled_motion(), stride.times)
+            k = int(np.argmin(away[1:-1])) + 1
+            if away[k] < 0 and not judged(problem, w[:, k:k + 1], rows[k:k + 1, m])[1].step[0]:
+                found.append(float(place[k]))
+                break
+            if away[k] > max(away[k - 1], away[k + 1]) - away[k]:
+                break
+            low, high = place[k - 1], place[k + 1]
+    return found
+
+
+def _measured(problem: Problem, branch: Branch) -> tuple[np.ndarray, np.ndarray]:
+    """Measure Lipschitz estimates, gait ratios, and which segments need no verdict of their own.
+
+    Returns
+    -------
+    near, steps : ndarray, shape (n,)
+        How far the nodes are from an earlier strike (`margin`), and whether they are steps.
+    """
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1:].T
-    branch.lipschitz, branch.noise = _roughness(problem, X, times)
-    stride, scale = problem.stride(np.vstack([X[:m], times]), X[m], samples=8 * SAMPLES)
+    folds = np.array([first for first, _ in branch.pieces()[1:]], int)
+    branch.lipschitz, branch.noise = _roughness(problem, X, times, folds)
+    stride, _ = problem.stride(np.vstack([X[:m], times]), X[m], samples=8 * SAMPLES)
     branch.ratio = gait_ratio(stride)
-    assert stride.motion is not None
-    # Angles and rates over the stance angle, so that neighbours' motions may be compared.
-    motion = [part / stride.y[0] for part in stride.motion]
+    motion = stride.scaled_motion()
     n = len(branch.Z)
     stray = np.zeros(n)
     apart = np.max([np.abs(np.diff(part, axis=-1)).max(axis=(0, 1)) for part in motion], axis=0)
@@ -129,20 +217,22 @@ def _measured(problem: Problem, branch: Branch) -> Branch:
     calm = verdict.step & ~verdict.doubt
     branch.passes = verdict.passes
     branch.safe = np.append(calm[1:] & calm[:-1] & (verdict.passes[1:] == verdict.passes[:-1]), False)
-    return branch
+    return margin(motion, stride.times), verdict.step
 
 
-def _roughness(problem: Problem, X: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _roughness(problem: Problem, X: np.ndarray, times: np.ndarray, folds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lipschitz estimates at a branch's nodes (n,), and the noise of the strides after each (n, o).
 
     Measured at every other node. Between two of them Newton's map is as rough as at the rougher; noise is chance, and
-    that of a segment the mean square of the nodes near by.
+    that of a segment the mean square of the nodes near by. At a fold the map at fixed slope is singular, its estimate
+    infinite.
     """
     m, n = problem.m, X.shape[1]
     # At its ends they may change by orders of magnitude from node to node.
-    some = np.unique(np.r_[0:min(n, 4), 0:n:2, max(0, n - 4):n])
+    some = np.unique(np.r_[0:min(n, 4), 0:n:2, max(0, n - 4):n, folds - 1, folds + 1])
     rough = np.full(n, -np.inf)
     rough[some] = lipschitz(problem, X[:, some], times[:, some])
+    rough[folds] = np.inf
     left, right = np.append(rough[:1], rough[:-1]), np.append(rough[1:], rough[-1:])
     # The ends themselves are left out: at a tangential one the map has no derivative to measure by.
     inner = some[(some > 0) & (some < n - 1)]
@@ -159,10 +249,15 @@ def _roughness(problem: Problem, X: np.ndarray, times: np.ndarray) -> tuple[np.n
 def _with_folds(problem: Problem, branch: Branch) -> Branch:
     """Put a node on every fold, where the slope turns."""
     m = branch.m
+
+    def direction(point: Point, way: np.ndarray) -> float:
+        return float(oriented(point, way)[m])
+
     for segment in np.nonzero(np.diff(np.sign(branch.tangent[:, m])) != 0)[0][::-1]:
-        point, way = located(problem, branch, segment, lambda point, way: oriented(point, way)[m])
-        branch = replace(branch, Z=np.insert(branch.Z, segment + 1, row(point), axis=0),
-                         tangent=np.insert(branch.tangent, segment + 1, row_tangent(point, way), axis=0))
+        sign = np.sign(branch.tangent[segment, m])
+        branch, at = narrowed(problem, branch, int(segment), lambda point, way, sign=sign: direction(point, way) * sign > 0)
+        point, way = located(problem, branch, at, direction)
+        branch = branch.inserted(at + 1, row(point), row_tangent(point, way))
     return branch
 
 
@@ -178,10 +273,11 @@ def survey(problem: Problem) -> list[Branch]:
         if not fresh:
             continue
         for pair in follow(problem, w[:, fresh], np.full(len(fresh), np.log(slope))):
-            branch = _from_tracks(problem, pair)
-            start = np.append(pair[0].X[0][:m], pair[0].times[0])
-            if branch is not None and not _known(branches, m, start, np.log(slope)):
-                branches.append(branch)
+            if not _known(branches, m, np.append(pair[0].X[0][:m], pair[0].times[0]), np.log(slope)):
+                for branch in _from_tracks(problem, pair):
+                    middle = branch.Z[len(branch.Z) // 2]
+                    if not _known(branches, m, np.delete(middle, m), middle[m]):
+                        branches.append(branch)
     return branches
 
 

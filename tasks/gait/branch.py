@@ -64,6 +64,33 @@ class Branch:
             coefficients.append(table[:, 0])
         self.nodes, self.coefficients = x, np.stack(coefficients, axis=1)
 
+    def inserted(self, at: np.ndarray | int, Z: np.ndarray, tangent: np.ndarray) -> Branch:
+        """The branch's nodes with more among them, each before the one at its index; nothing is measured on them yet."""
+        Z, tangent = np.insert(self.Z, at, Z, axis=0), np.insert(self.tangent, at, tangent, axis=0)
+        return Branch(self.m, Z, tangent, np.zeros(len(Z)), self.why, self.end_errors)
+
+    def part(self, first: int, last: int) -> Branch:
+        """The nodes from first to last, by themselves."""
+        nodes = slice(first, last + 1)
+        return Branch(self.m, self.Z[nodes], self.tangent[nodes], np.zeros(last + 1 - first), self.why, self.end_errors)
+
+    def lies_between(self, segment: np.ndarray, X: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """True where points lie between their segments' nodes, nearer the chord than half its length, shape (n,).
+
+        Parameters
+        ----------
+        X, times : ndarray, shape (m + 1, n) and (k, n)
+            Event times may besides leave their chord by as much as they change along it.
+        """
+        a, b = self.Z[segment].T, self.Z[segment + 1].T
+        chord, times_chord = np.split(b - a, [self.m + 1])
+        length = np.linalg.norm(chord, axis=0)
+        along = ((X - a[: self.m + 1]) * chord).sum(axis=0) / length**2
+        off = np.linalg.norm(X - a[: self.m + 1] - along * chord, axis=0)
+        late = np.abs(times - a[self.m + 1:] - along * times_chord)
+        near = (off < 0.5 * length) & (late < 0.5 * length + np.abs(times_chord)).all(axis=0)
+        return (along > 0) & (along < 1) & near
+
     def evaluate(self, segment: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Z at places x of the segments' own coordinates, shape (n, c)."""
         nodes, c = self.nodes[segment], self.coefficients[segment]
@@ -71,6 +98,12 @@ class Branch:
         for k in reversed(range(c.shape[1] - 1)):
             value = value * (x - nodes[:, k])[:, None] + c[:, k]
         return value
+
+    def at(self, place: np.ndarray) -> np.ndarray:
+        """Z at places along the branch, each a segment and the part of it, shape (n, c)."""
+        segment = np.minimum(place.astype(int), len(self.Z) - 2)
+        a, b = (self.Z[segment + i, self.axis[segment]] for i in (0, 1))
+        return self.evaluate(segment, a + (b - a) * (place - segment))
 
     def place(self, segment: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Where on their segments the slopes lie, by bisection where the coordinate is not the slope itself."""

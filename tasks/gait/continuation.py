@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tasks.gait.fixed_point import EPS, LONGEST_PERIOD, Problem, judged
+from tasks.gait.fixed_point import EPS, LONGEST_PERIOD, Problem, judged, sizes
 from tasks.gait.stride import Stride, apply
 
 #: Slopes a branch is followed over [rad]; below, double precision no longer resolves a gait's tangent.
@@ -265,7 +265,7 @@ def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
         stride, scale = problem.stride(moved, X[m])
         # Both in the base point's relative coordinates; a changed scale would only rescale rows and columns alike.
         change = (stride.jacobian - base.jacobian) / h
-        size = np.abs(base.y)
+        size = sizes(base.y)
         weighted = np.einsum("ijn,jkn->ikn", base.inverse, change) * size[None] / size[:, None]
         worst = np.maximum(worst, np.abs(weighted).sum(axis=1).max(axis=0))
     return worst

@@ -13,7 +13,7 @@ from typing import Any
 import heyoka as hy
 import numpy as np
 
-from tasks.gait.fixed_point import EPS, Problem
+from tasks.gait.fixed_point import EPS, Problem, sizes
 from tasks.gait.stride import Stride
 from tasks.mechanics.equations import Symbols, system
 from tasks.mechanics.impacts import heelstrike, kneestrike
@@ -148,13 +148,14 @@ def solved(problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np
     parameters = np.array([number(slope), number(scale), *(constants[k] for k in problem.structure.constants)], dtype=number)
     wide, wide_times = np.array([number(v) for v in y], dtype=number), np.array([number(v) for v in times], dtype=number)
     inverse = stride.inverse[:, :, lane]
+    measure = sizes(y[:, None])[:, 0]
     before = size = np.inf
     for _ in range(MOST_STEPS):
         image, wide_times, impact = exact(wide, wide_times, parameters)
         miss = np.array([float(v) for v in image - wide])
         step = inverse @ miss
         shift = stride.times_by_y[:, :, lane] @ step
-        size = float(max(np.max(np.abs(step / y)), np.max(np.abs(shift / times))))
+        size = float(max(np.max(np.abs(step / measure)), np.max(np.abs(shift / times))))
         if not size <= 0.5 * before:
             break
         wide = wide + np.array([number(v) for v in step], dtype=number)

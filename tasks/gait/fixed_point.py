@@ -95,6 +95,7 @@ class Arrival:
     """Where a stride's Newton step leads: `y` (m, n) section, `times` (k, n), `state` (a, n) just after heelstrike.
 
     `values` (o, n) are what a gait is known by, its angle, rates and period, and `by_y` (o, m, n) their derivatives;
+    `size` (o, n) is what their errors are measured by: rates by the largest of them, which alone cannot vanish;
     `reach` (o, n) is how far an image wrong by all of itself would move them.
     """
 
@@ -102,6 +103,7 @@ class Arrival:
     times: np.ndarray
     state: np.ndarray
     values: np.ndarray
+    size: np.ndarray
     by_y: np.ndarray
     reach: np.ndarray
 
@@ -114,8 +116,15 @@ def arrival(problem: Problem, stride: Stride, parameters: np.ndarray) -> Arrival
     begin, shown = problem.map.start(y, parameters), [0, *range(size // 2, size)]
     state, by_y = begin[:size], begin[size:].reshape(size, *y.shape)
     values, by_y = np.vstack([state[shown], times[-1:]]), np.concatenate([by_y[shown], stride.times_by_y[-1:]])
-    reach = np.abs(values) + apply(np.abs(by_y), apply(np.abs(stride.inverse), np.abs(y)))
-    return Arrival(y, times, state, values, by_y, reach)
+    measure = np.vstack([sizes(values[:-1]), np.abs(values[-1:])])
+    reach = measure + apply(np.abs(by_y), apply(np.abs(stride.inverse), sizes(y)))
+    return Arrival(y, times, state, values, measure, by_y, reach)
+
+
+def sizes(y: np.ndarray) -> np.ndarray:
+    """What errors of (angle, rates...) are measured by: the angle, and the largest rate for every rate, shape (m, n)."""
+    rates = y[1:]
+    return np.vstack([np.abs(y[:1]), np.broadcast_to(np.abs(rates).max(axis=0), rates.shape)])
 
 
 #: Units a stride is flown in to see how it rounds; a number divisible by fifteen is exact in each.
@@ -168,7 +177,7 @@ def rounding(stride: Stride) -> np.ndarray:
     the stride, by J^-1 DP = J^-1 - I, which is far smaller than |J^-1| |DP|. What is rounded on the way lies between
     the two. An estimate, by which Newton knows that it is done, and of special points; that of gaits is measured (`noise`).
     """
-    size = np.abs(stride.y)
+    size = sizes(stride.y)
     # Off balance, a short step is flown by forces and rates that dwarf its section; their rounding adds up on the way.
     most = size.max(axis=0)
     beyond = 48 * np.maximum(0, np.maximum(np.abs(stride.impact).max(axis=0), np.abs(stride.start).max(axis=0)) - 2 * most)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.gait import extended
-from tasks.gait.fixed_point import EPS, Problem, arrival, judged, newton_step, rounding
+from tasks.gait.continuation import lipschitz as lipschitz_at
+from tasks.gait.fixed_point import EPS, Problem, arrival, judged, newton_step, rounding, sizes
 from tasks.gait.stride import Stride, apply
 
 #: Where the atlas cannot vouch for a point's verdict.
@@ -19,6 +20,8 @@ MOST_STEPS = 8
 SURE = 16.0
 #: Where not even the third digit is sure Newton's derivative leads more digits nowhere.
 MOST_BOUND = 1e-3
+#: Share of Newton's radius of convergence up to which the estimate of a segment's nodes serves its points.
+VOUCHED = 0.1
 #: Relative distance from the fixed point at which multipliers are as good as at it.
 NEAR = 2e-12
 
@@ -62,17 +65,18 @@ def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.nda
     m, n = problem.m, len(slope)
     stride, scale, w = polish(problem, np.delete(Z, m, axis=0), slope, lipschitz)
     eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
+    lipschitz = _at_points(problem, w, slope, lipschitz, eta)
     # What is measured at the impacts is carried to the fixed point, as the times are.
     stride.impact = stride.impact + apply(stride.impact_by_y, stride.newton)
     if stride.knee is not None and stride.knee_by_y is not None:
         stride.knee = stride.knee + apply(stride.knee_by_y, stride.newton)
     at = arrival(problem, stride, problem.parameters(slope, scale))
     y, times, state, by_y = at.y, at.times, at.state, np.abs(at.by_y)
-    error = at.reach * (SURE * noise + EPS / 2) + apply(by_y, 2 * lipschitz * eta**2 * np.abs(y))
-    bound = (error / np.abs(at.values)).max(axis=0) + 2 * EPS
+    error = at.reach * (SURE * noise + EPS / 2) + apply(by_y, 2 * lipschitz * eta**2 * sizes(y))
+    bound = (error / at.size).max(axis=0) + 2 * EPS
     doubles = bound.copy()
     converged = (bound < MOST_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
-    spread = (apply(by_y, np.abs(y)) / np.abs(at.values)).max(axis=0)
+    spread = (apply(by_y, sizes(y)) / at.size).max(axis=0)
     for lane in np.nonzero((bound > extended.ESCALATE) & (bound < MOST_BOUND))[0]:
         wide = extended.refine(problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane])
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
@@ -85,6 +89,19 @@ def settle(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.nda
         step[lanes], passes = verdict.step, passes.copy()
         passes[lanes] = verdict.passes
     return Settled(y, state, times, scale, stride, bound, doubles, converged, step, passes)
+
+
+def _at_points(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, eta: np.ndarray) -> np.ndarray:
+    """Lipschitz estimates (n,), measured at the point itself where that of its segment's nodes does not vouch for it.
+
+    At a fold the map at fixed slope is singular, and beside it ever less so: the node there says nothing of the segment.
+    """
+    lanes = np.nonzero(2 * lipschitz * eta > VOUCHED)[0]
+    if len(lanes):
+        X = np.vstack([w[:problem.m, lanes], np.log(slope[lanes])])
+        lipschitz = lipschitz.copy()
+        lipschitz[lanes] = lipschitz_at(problem.some(lanes), X, w[problem.m:, lanes])
+    return lipschitz
 
 
 def polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray
@@ -100,7 +117,7 @@ def polish(problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.nda
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)
         # Far: Newton's next step would still leave an error, or what is measured on this stride would show it.
-        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.3 * rounding(stride).max(axis=0))) | (eta > NEAR)
+        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.01 * rounding(stride).max(axis=0))) | (eta > NEAR)
         lanes = np.nonzero(far & np.isfinite(eta) & (eta < 0.1) & (eta < 0.5 * before))[0]
         if not len(lanes):
             break

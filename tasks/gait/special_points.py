@@ -15,8 +15,12 @@ from tasks.gait.branch import Branch
 from tasks.gait.continuation import Point, branching, correct
 from tasks.gait.fixed_point import EPS, Problem, judged, rounding
 from tasks.gait.root import bracketed_root
+from tasks.gait.stride import SAMPLES
+from tasks.gait.verify import margin
 
-Test = Callable[[Point, np.ndarray], float]
+Test = Callable[[Point, np.ndarray], float | bool]
+#: Splits of a segment on which an end or a fold lies, and how far off, over its length, the branch may be predicted.
+MOST_SPLITS, LED = 12, 1e-3
 #: Distance, over the segment, of the points a tangential end is read off.
 SPACING = 4e-3
 
@@ -97,7 +101,8 @@ def row_tangent(point: Point, way: np.ndarray) -> np.ndarray:
     return tangent if point.tangent[:, 0] @ way >= 0 else -tangent
 
 
-def _is_step(problem: Problem, point: Point) -> bool:
+def is_step(problem: Problem, point: Point) -> bool:
+    """True where a corrected point is a step that really happens."""
     m = problem.m
     _, verdict = judged(problem, np.vstack([point.X[:m], point.times]), point.X[m])
     return bool(verdict.step[0])
@@ -110,8 +115,41 @@ ENDS: dict[str, Test] = {
 }
 
 
-def end_of(problem: Problem, branch: Branch, segment: int, start: int) -> tuple[str, Point, np.ndarray, float]:
-    """What ends walking on a segment with one node that is a step and one that is none, and where.
+def narrowed(problem: Problem, branch: Branch, segment: int, like_left: Test) -> tuple[Branch, int]:
+    """Split a segment where something changes until its polynomial leads to the branch and to no other.
+
+    Parameters
+    ----------
+    like_left : callable
+        Of a point and the branch's direction there: true where it is like the segment's left node.
+
+    Returns
+    -------
+    Branch, int
+        The branch with the nodes put in, and the segment of it on which the change lies.
+    """
+    for _ in range(MOST_SPLITS):
+        alone = branch.part(segment, segment + 1)
+        # By all four nodes around; by its own two, where those farther off lead astray.
+        for part, at, share in ((branch, segment, 0.5), (alone, 0, 0.5), (alone, 0, 0.25), (alone, 0, 0.75)):
+            x = part.Z[at:at + 2, part.axis[at]] @ [1 - share, share]
+            guess = part.evaluate(np.array([at]), np.array([x]))[0, : branch.m + 1]
+            point, way = corrected(problem, part, at, x)
+            chord = np.linalg.norm(np.diff(part.Z[at:at + 2, : branch.m + 1], axis=0))
+            near = bool(np.linalg.norm(point.X[:, 0] - guess) < LED * chord)
+            if point.ok[0] and part.lies_between(np.array([at]), point.X, point.times)[0]:
+                break
+        else:
+            return branch, segment
+        if near and part is branch:
+            break
+        branch = branch.inserted(segment + 1, row(point), row_tangent(point, way))
+        segment += bool(like_left(point, way))
+    return branch, segment
+
+
+def end_of(problem: Problem, branch: Branch, good: int, bad: int) -> tuple[str, Point, np.ndarray, float]:
+    """What ends walking between two neighbouring nodes, one a step and one none, and where.
 
     Returns
     -------
@@ -122,13 +160,14 @@ def end_of(problem: Problem, branch: Branch, segment: int, start: int) -> tuple[
     error : float
         Of ln slope, beyond rounding.
     """
-    good, bad = (segment, segment + 1) if segment >= start else (segment + 1, segment)
+    segment = min(good, bad)
+    axis = branch.axis[segment]
+    nodes = [corrected(problem, branch, segment, branch.Z[i, axis]) for i in (good, bad)]
     found: list[tuple[float, str, Point, np.ndarray, float]] = []
     for kind, test in ENDS.items():
         if kind == "end_kneestrike_at_heelstrike" and problem.phases == 1:
             continue
-        values = [test(*corrected(problem, branch, segment, branch.Z[i, branch.axis[segment]])) for i in (good, bad)]
-        if values[0] * values[1] < 0:
+        if test(*nodes[0]) * test(*nodes[1]) < 0:
             error = 0.0
             if kind == "end_tangential_heelstrike":
                 point, way, error = _at_tangency(problem, branch, segment)
@@ -138,18 +177,46 @@ def end_of(problem: Problem, branch: Branch, segment: int, start: int) -> tuple[
             found.append((apart, kind, point, way, error))
     if found:
         return min(found, key=lambda f: f[0])[1:]
-    # A strike appears earlier in the step (its guard has a double root): bisect on the verdict itself.
+    return "end_earlier_strike", *_at_earlier_strike(problem, branch, segment, good, bad)
+
+
+def _at_earlier_strike(problem: Problem, branch: Branch, segment: int, good: int,
+                       bad: int) -> tuple[Point, np.ndarray, float]:
+    """Where an earlier strike cuts in on a segment: a guard's minimum on the way touches zero."""
     axis = branch.axis[segment]
     a, b = branch.Z[good, axis], branch.Z[bad, axis]
-    for _ in range(45):
+
+    def away(point: Point, way: np.ndarray, samples: int = 16 * SAMPLES) -> float:
+        m = problem.m
+        stride, _ = problem.stride(np.vstack([point.X[:m], point.times]), point.X[m], samples=samples)
+        return float(margin(stride.scaled_motion(), stride.times)[0])
+
+    # The verdict tells where; near there the guard's minimum tells how near.
+    for _ in range(8):
         middle = 0.5 * (a + b)
         point, way = corrected(problem, branch, segment, middle)
-        if point.ok[0] and _is_step(problem, point):
+        if point.ok[0] and is_step(problem, point):
             a = middle
         else:
             b = middle
-    point, way = corrected(problem, branch, segment, a)
-    return "end_earlier_strike", point, way, 0.0
+    ends = [away(*corrected(problem, branch, segment, x)) for x in (a, b)]
+    if np.isfinite(ends).all() and ends[0] * ends[1] < 0:
+        root = bracketed_root(lambda x: away(*corrected(problem, branch, segment, x)), a, b, 1e-15 * max(1.0, abs(a)))
+        point, way = corrected(problem, branch, segment, root)
+        # Half as many samples tell how far off the cubic's minimum is.
+        error = abs(away(point, way, 8 * SAMPLES) / (ends[1] - ends[0]) * (b - a))
+    else:
+        for _ in range(40):
+            middle = 0.5 * (a + b)
+            point, way = corrected(problem, branch, segment, middle)
+            if point.ok[0] and is_step(problem, point):
+                a = middle
+            else:
+                b = middle
+        point, way = corrected(problem, branch, segment, a)
+        error = 0.0
+    tangent = oriented(point, way)
+    return point, way, abs(error * float(tangent[branch.m] / tangent[axis])) if axis <= branch.m else error
 
 
 def _eigen_products(A: np.ndarray) -> np.ndarray:

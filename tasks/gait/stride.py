@@ -53,6 +53,11 @@ class Stride:
     knee_by_y: np.ndarray | None
     motion: list[np.ndarray] | None
 
+    def scaled_motion(self) -> list[np.ndarray]:
+        """Samples of each phase over the stance angle, so that those of neighbours on a branch compare."""
+        assert self.motion is not None
+        return [phase / self.y[0] for phase in self.motion]
+
     def put(self, lanes: np.ndarray, other: Stride) -> None:
         """Take some lanes from another stride."""
         for name, mine in vars(self).items():

@@ -49,6 +49,79 @@ def _unclear(g: np.ndarray, rate: np.ndarray, stray: float | np.ndarray) -> np.n
     return (low < _slack(g) + stray) & ~steady
 
 
+# Where a motion was lost its guards have no values.
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def margin(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
+    """How far a stride is from an earlier strike, shape (n,): negative where a foot or a knee strikes earlier.
+
+    Parameters
+    ----------
+    motion : list of ndarray, shape (samples + 1, angles, n)
+        As `verify` takes it.
+    times : ndarray, shape (phases, n)
+
+    Returns
+    -------
+    ndarray
+        Infinite where no guard turns on its way. It is continuous as long as the same extremes exist.
+
+    Notes
+    -----
+    A guard strikes earlier where it has been positive and then is not: where a minimum lies below zero and a maximum
+    before it above. So the distance at a minimum is the larger of its value and minus the highest value before.
+    """
+    durations = np.diff(times, axis=0, prepend=0)
+    sums, behind = [], []
+    for phase, duration in zip(motion, durations, strict=True):
+        half = phase.shape[1] // 2
+        rate = duration / (len(phase) - 1) * (phase[:, half] + phase[:, half + 1])
+        sums.append((phase[:, 0] + phase[:, 1], rate))
+        behind.append(phase[:, 0] < 0)
+    least = _least_distance(sums, behind)
+    if len(motion) == 2:
+        three = motion[0]
+        rate = durations[0] / (len(three) - 1) * (three[:, 4] - three[:, 5])
+        # The knee starts straight, and may first move against its stop: only maxima tell that it has flexed.
+        least = np.fmin(least, _least_distance([(three[:, 1] - three[:, 2], rate)], [np.zeros(rate.shape, bool)], True))
+    return least
+
+
+def _least_distance(phases: list[tuple[np.ndarray, np.ndarray]], counts: list[np.ndarray],
+                    always: bool = False) -> np.ndarray:
+    """Least distance (n,) of a guard from an earlier strike; values and rates per interval of each phase.
+
+    `counts` tells at which samples the guard counts for itself, and with `always` its extremes count everywhere.
+    """
+    least = np.full(phases[0][0].shape[1], np.inf)
+    highest, before = np.full(len(least), -np.inf), None
+    for (g, rate), own in zip(phases, counts, strict=True):
+        low, high = _extremes(g, rate)
+        if before is not None:
+            # Rates jump at kneestrike: a guard may turn there.
+            least = np.fmin(least, np.where((before < 0) & (rate[0] >= 0) & own[0], np.maximum(g[0], -highest), np.inf))
+        for i in range(len(low)):
+            highest = np.where(own[i], np.maximum(highest, g[i]), highest)
+            least = np.where(own[i + 1] | always, np.fmin(least, np.maximum(low[i], -highest)), least)
+            highest = np.where(own[i + 1] | always, np.maximum(highest, high[i]), highest)
+        before = rate[-1]
+    return least
+
+
+def _extremes(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Minimum and maximum within each interval, (intervals, n), of the cubic through values and rates at its ends.
+
+    Infinite, and minus infinite, where it has none.
+    """
+    a, b, da, db = g[:-1], g[1:], rate[:-1], rate[1:]
+    second, third = 3 * (b - a) - 2 * da - db, da + db - 2 * (b - a)
+    root = np.sqrt(np.maximum(second**2 - 3 * third * da, 0.0))
+    found = []
+    for sign, turns, none in ((1.0, (da < 0) & (db >= 0), np.inf), (-1.0, (da > 0) & (db <= 0), -np.inf)):
+        s = -da / (second + sign * root)
+        found.append(np.where(turns, a + s * (da + s * (second + s * third)), none))
+    return found[0], found[1]
+
+
 def verify(motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray, stray: float | np.ndarray = 0.0) -> Verdict:
     """Judge a stride by samples of its motion.
 

@@ -1,0 +1,193 @@
+"""Points beside folds, at vanishing rates and in gaps of a branch: each settles, with a bound that holds."""
+
+import numpy as np
+import pytest
+
+from lines import branches, solved
+from oracle import Oracle, StepFailed
+from pipeline.bench.bounds import compared
+from tasks.gait.fixed_point import judged, newton, noise
+from tasks.gait.settle import UNKNOWN
+from tasks.gait.special_points import special_points
+from tasks.gait.verify import margin
+from tasks.registry import GAITS, STATUSES
+from tasks.walkers.parameters import resolve
+
+GAP = {"m_t": 2.39806, "m_s": 0.892079, "r_t": 0.15408, "r_s": 0.13542, "c_t": 0.0961052, "c_s": 0.153447, "R": 0.174245,
+       "eps_T": 0.102999}
+#: Walker, keys, slope, and the label of a gait that an earlier version reported as not converged.
+BESIDE_FOLDS = [
+    ("physical", {"m_t": 2.19373, "m_s": 1.01723, "r_t": 0.101467, "r_s": 0.194855, "c_t": 0.0792168, "c_s": 0.185457,
+                  "R": 0.178123, "eps_T": 0.0807192}, 0.08319180030204733, "short"),
+    ("physical-straight", {"m_t": 2.45706, "m_s": 1.14417, "r_t": 0.097367, "r_s": 0.230449, "c_t": 0.105479,
+                           "c_s": 0.144793, "R": 0.199286, "eps_T": 0.0991235}, 0.018271205432375957, "long"),
+    ("A", {"detuning": 0.861916}, 0.013045939233011155, "long"),
+    ("physical-straight", {"m_t": 1.97907, "m_s": 1.21517, "r_t": 0.107085, "r_s": 0.214593, "c_t": 0.098876,
+                           "c_s": 0.18027, "R": 0.167897, "eps_T": 0.0885691}, 0.018271205432375957, "other1"),
+    ("A", {"detuning": 1.105346294}, 0.017201447354440028, "other1"),
+    ("physical", {}, 0.019129048414023374, "other1"),
+    ("physical-straight", {}, 0.015386310517529214, "other1")]
+FAILURES = [code for name, code in STATUSES.items() if name not in ("converged", "no_gait")]
+
+
+def of_label(out, label):
+    g = GAITS.index(label)
+    return {k: v[0, g] for k, v in out.items() if k != "reasons"}
+
+
+def repeats(walker, overrides, slope, found):
+    """How far a step of the second derivation, with scipy's events, lands from a gait, relative."""
+    rates = np.array([found["stance_rate"], found["thigh_rate"], found["shank_rate"]])
+    model = Oracle(resolve(walker, overrides).table())
+    rates = rates if model.knees else rates[:2]
+    step = model.step(found["stance_angle"], rates, slope, rtol=1e-11, atol=1e-12)
+    moved = np.abs(step.rates[:len(rates)] - rates).max() / np.abs(rates).max()
+    return max(abs(step.theta / found["stance_angle"] - 1), moved, abs(step.period / found["period"] - 1))
+
+
+@pytest.mark.parametrize(("walker", "overrides", "slope", "label"), BESIDE_FOLDS)
+def test_a_point_beside_a_fold_settles(walker, overrides, slope, label):
+    out = solved(walker, slope, **overrides)
+    assert not np.isin(out["status"], FAILURES).any()
+    found = of_label(out, label)
+    assert found["status"] == STATUSES["converged"] and found["error_bound"] < 1e-11
+    assert repeats(walker, overrides, slope, found) < 1e-6
+
+
+@pytest.mark.parametrize(("walker", "overrides"), [("physical-straight", {}), ("C", {"detuning": 0.3})])
+def test_bounds_hold_as_near_a_fold_as_its_slope_is_known(walker, overrides):
+    problem, found = branches(walker, **overrides)
+    for branch in found:
+        for fold in (p for p in special_points(problem, branch) if p["kind"] == "fold"):
+            at = int(np.argmin(np.abs(branch.q - np.log(fold["slope"])) + np.abs(branch.Z[:, 0] - np.log(fold["stance_angle"]))))
+            side = np.sign(branch.q[at + 1] - branch.q[at])
+            slope = fold["slope"] * (1 + side * np.geomspace(1e-2, 1e-13, 12))
+            rows = []
+            for index, Z, segment in branch.guesses(np.log(slope)):
+                beside = np.abs(segment - at) < 40
+                index, Z, segment = index[beside], Z[beside], segment[beside]
+                rough = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
+                rows += compared(problem, Z.T, slope[index], rough, branch.noise[segment].T, np.full(len(index), UNKNOWN))
+            # Both gaits at every distance.
+            assert len(rows) == 24
+            assert all(error <= bound < 1e-9 for _, bound, error, _, _ in rows)
+
+
+def test_a_gait_is_kept_where_a_rate_passes_zero():
+    for slope in 0.102715733395058 * (1 + np.array([-1e-7, 0.0, 3e-12, 1e-8])):
+        found = of_label(solved("C", slope), "long")
+        assert found["status"] == STATUSES["converged"]
+        assert abs(found["thigh_rate"]) < 1e-6 < abs(found["stance_rate"])
+        # In doubles, as beside that slope: there is nothing ill-conditioned about it.
+        assert found["error_bound"] < 1e-12 and found["residual"] < 1e-11
+        assert repeats("C", {}, slope, found) < 1e-8
+
+
+def test_no_extended_precision_is_asked_for_where_a_rate_passes_zero(monkeypatch):
+    from tasks.gait import extended
+
+    monkeypatch.setattr(extended, "refine", None)
+    assert of_label(solved("C", 0.102715733395058), "long")["status"] == STATUSES["converged"]
+
+
+def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
+    out = solved("C", [0.00415, 0.00418, 0.0042, 0.004185432668024417, 0.00428, 0.0043], **GAP)
+    short = GAITS.index("short")
+    gone = STATUSES["no_gait"]
+    np.testing.assert_array_equal(out["status"][:, short], [0, gone, gone, gone, gone, 0])
+    problem, found = branches("C", **GAP)
+    ends = sorted(p["slope"] for b in found for p in special_points(problem, b) if p["kind"] == "end_earlier_strike")
+    assert ends == [pytest.approx(0.004173662, rel=1e-6), pytest.approx(0.004285163, rel=1e-6)]
+    # The same fixed point inside the gap: in the second derivation the foot strikes before the knee.
+    low, high = [b for b in found if "end_earlier_strike" in b.why]
+    q = np.log([0.0042])
+    w = np.delete(0.5 * (low.Z[-1] + high.Z[0]), problem.m)[:, None]
+    solution = newton(problem, w, q)
+    assert solution.converged.all()
+    stride, scale = problem.stride(solution.w, q)
+    state = stride.start[:, 0] * scale[0]
+    time_unit = np.sqrt(problem.walker.leg / problem.walker.g)
+    with pytest.raises(StepFailed, match="after the leg has passed the heelstrike angle"):
+        Oracle(problem.walker.table()).step(state[0], state[3:] / time_unit, 0.0042, rtol=1e-10, atol=1e-12)
+
+
+def test_a_gap_between_two_nodes_is_found():
+    """Nodes so far apart that none lies in the gap: the guard's minimum between them tells."""
+    from tasks.gait import atlas
+
+    problem, found = branches("C", **GAP)
+    low, high = [b for b in found if "end_earlier_strike" in b.why]
+    joined = atlas.Branch(low.m, np.vstack([low.Z[:-1], high.Z[1:]]), np.vstack([low.tangent[:-1], high.tangent[1:]]),
+                          np.zeros(len(low.Z) + len(high.Z) - 2), (low.why[0], high.why[1]))
+    wide = np.exp(joined.q)
+    assert not ((wide > 0.004174) & (wide < 0.004285)).any()
+    assert [b.why for b in atlas._without_gaps(problem, joined)] == [low.why, high.why]
+
+
+def test_the_distance_from_an_earlier_strike_vanishes_where_one_cuts_in():
+    problem, found = branches("C", **GAP)
+    (branch,) = [b for b in found if b.why[1] == "end_earlier_strike"]
+    m = branch.m
+    w, q = np.delete(branch.Z[-5:], m, axis=1).T, branch.q[-5:]
+    stride, _ = problem.stride(w, q, samples=256)
+    away = margin(stride.scaled_motion(), stride.times)
+    assert (np.diff(away) < 0).all() and abs(away[-1]) < 1e-9 < away[-2]
+
+
+def test_no_branch_is_split_where_newton_jumps():
+    """Its last segment before kneestrike meets heelstrike was split at points of other branches."""
+    ends = {}
+    for detuning in (0.11, 0.1111111111111111, 0.112):
+        problem, found = branches("C", detuning=detuning)
+        (branch,) = [b for b in found if "end_kneestrike_at_heelstrike" in b.why]
+        chords = np.linalg.norm(np.diff(branch.Z[:, : branch.m + 1], axis=0), axis=1)
+        along = (np.diff(branch.Z[:, : branch.m + 1], axis=0) * branch.tangent[:-1, : branch.m + 1]).sum(axis=1)
+        size = np.linalg.norm(branch.tangent[:-1, : branch.m + 1], axis=1)
+        assert (along / size > 0.9 * chords).all()
+        assert branch.Z[-1, -1] == pytest.approx(branch.Z[-1, -2], rel=1e-12)
+        ends[detuning] = np.exp(branch.q[-1])
+    values = list(ends.values())
+    assert values[0] > values[1] > values[2] > 0.48
+    out = solved("C", np.geomspace(1e-3, 0.15, 20), detuning=0.1111111111111111)
+    assert not np.isin(out["status"], FAILURES).any()
+
+
+def test_a_point_is_measured_where_its_segment_does_not_vouch_for_it():
+    """Beside a fold the estimate of its own node, infinite, says nothing of a point; that of a far one too little."""
+    problem, found = branches("physical-straight")
+    branch = next(b for b in found if len(b.pieces()) > 1)
+    fold = branch.pieces()[0][1]
+    assert np.isinf(branch.lipschitz[fold]) and np.isfinite(np.delete(branch.lipschitz, fold)).all()
+    q = branch.q[fold] + np.sign(branch.q[fold + 1] - branch.q[fold]) * 1e-8
+    (_, Z, _), *_ = (g for g in branch.guesses(np.array([q])))
+    w = np.delete(Z, problem.m, axis=1).T
+    ((_, bound, error, _, _),) = compared(problem, Z.T, np.exp([q]), np.array([np.inf]), noise(problem, w, np.array([q]), near=8),
+                                          np.array([UNKNOWN]))
+    assert error <= bound < 1e-12
+
+
+@pytest.mark.parametrize("count", [4, pytest.param(500, marks=pytest.mark.soak)])
+def test_no_point_of_a_random_line_fails(count):
+    """Walkers near A, C and the physical one, masses, lengths and offsets off by a fifth, or detuned."""
+    from tasks.walkers.catalogue import CATALOGUE
+
+    keys, failed = ("m_t", "m_s", "r_t", "r_s", "c_t", "c_s", "R", "eps_T", "l_t", "l_s"), []
+    for k in range(count):
+        random, walker = np.random.default_rng(k), ("A", "C", "physical", "physical-straight")[k % 4]
+        if walker in ("A", "C") and random.random() < 0.5:
+            overrides = {"detuning": random.uniform(-0.3, 1.4)}
+        else:
+            table = CATALOGUE[walker].table()
+            overrides = {key: table[key] * (1 + random.uniform(-0.2, 0.2)) for key in keys}
+        slope = np.exp(random.uniform(np.log(1e-3), np.log(0.15), 25))
+        out = solved(walker, slope, want=("stance_angle", "status", "reason"), **overrides)
+        for i, g in np.argwhere(np.isin(out["status"], FAILURES)):
+            failed.append((walker, overrides, slope[i], out["reasons"][out["reason"][i, g]]))
+    assert not failed
+
+
+def test_a_kept_point_is_a_step_by_its_own_motion():
+    problem, found = branches("C", **GAP)
+    for branch in found:
+        inner = np.delete(branch.Z[1:-1], branch.m, axis=1).T
+        assert judged(problem, inner, branch.q[1:-1])[1].step.all()
