@@ -13,8 +13,8 @@ from tasks.gait.verify import margin
 from tasks.registry import GAITS, STATUSES
 from tasks.walkers.parameters import resolve
 
-GAP = {"m_t": 2.39806, "m_s": 0.892079, "r_t": 0.15408, "r_s": 0.13542, "c_t": 0.0961052, "c_s": 0.153447, "R": 0.174245,
-       "eps_T": 0.102999}
+GAP = {"m_t": 2.39806, "m_s": 0.892079, "r_t": 0.15408, "r_s": 0.13542, "c_t": 0.0961052, "c_s": 0.153447,
+       "R": 0.174245, "eps_T": 0.102999}
 #: Walker, keys, slope, and the label of a gait that an earlier version reported as not converged.
 BESIDE_FOLDS = [
     ("physical", {"m_t": 2.19373, "m_s": 1.01723, "r_t": 0.101467, "r_s": 0.194855, "c_t": 0.0792168, "c_s": 0.185457,
@@ -59,7 +59,8 @@ def test_bounds_hold_as_near_a_fold_as_its_slope_is_known(walker, overrides):
     problem, found = branches(walker, **overrides)
     for branch in found:
         for fold in (p for p in special_points(problem, branch) if p["kind"] == "fold"):
-            at = int(np.argmin(np.abs(branch.q - np.log(fold["slope"])) + np.abs(branch.Z[:, 0] - np.log(fold["stance_angle"]))))
+            off = branch.Z[:, [branch.m, 0]] - np.log([fold["slope"], fold["stance_angle"]])
+            at = int(np.argmin(np.abs(off).sum(axis=1)))
             side = np.sign(branch.q[at + 1] - branch.q[at])
             slope = fold["slope"] * (1 + side * np.geomspace(1e-2, 1e-13, 12))
             rows = []
@@ -67,7 +68,8 @@ def test_bounds_hold_as_near_a_fold_as_its_slope_is_known(walker, overrides):
                 beside = np.abs(segment - at) < 40
                 index, Z, segment = index[beside], Z[beside], segment[beside]
                 rough = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
-                rows += compared(problem, Z.T, slope[index], rough, branch.noise[segment].T, np.full(len(index), UNKNOWN))
+                unknown = np.full(len(index), UNKNOWN)
+                rows += compared(problem, Z.T, slope[index], rough, branch.noise[segment].T, unknown)
             # Both gaits at every distance.
             assert len(rows) == 24
             assert all(error <= bound < 1e-9 for _, bound, error, _, _ in rows)
@@ -161,8 +163,8 @@ def test_a_point_is_measured_where_its_segment_does_not_vouch_for_it():
     q = branch.q[fold] + np.sign(branch.q[fold + 1] - branch.q[fold]) * 1e-8
     (_, Z, _), *_ = (g for g in branch.guesses(np.array([q])))
     w = np.delete(Z, problem.m, axis=1).T
-    ((_, bound, error, _, _),) = compared(problem, Z.T, np.exp([q]), np.array([np.inf]), noise(problem, w, np.array([q]), near=8),
-                                          np.array([UNKNOWN]))
+    rounding = noise(problem, w, np.array([q]), near=8)
+    ((_, bound, error, _, _),) = compared(problem, Z.T, np.exp([q]), np.array([np.inf]), rounding, np.array([UNKNOWN]))
     assert error <= bound < 1e-12
 
 
