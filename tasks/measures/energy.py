@@ -7,16 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.mechanics.lumped import lump
+from tasks.mechanics.contact import Chain
 from tasks.walkers.parameters import Walker
-
-
-def _turned(S: complex, angle: np.ndarray) -> np.ndarray:
-    return S * np.exp(1j * angle)
-
-
-def _pair(c: dict[str, float], name: str) -> complex:
-    return complex(c[f"{name}_re"], c[f"{name}_im"])
 
 
 def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
@@ -38,30 +30,14 @@ def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
     Bodies move as the contact does plus what the joint rates add, so M = 1 - L Q^-1 L^T with Q the mass matrix of
     the walker pivoting on the contact and L = sum m dV/dq'. With a massless leg, M = n n^T along the leg.
     """
-    c = lump(walker)
-    n = len(angle)
-    R, l, eps = c["R"], c["l"], c["eps"]
-    along = 1j * np.exp(1j * angle)
-    if eps == 0:
-        normal = np.stack([along.real, along.imag], axis=-1)
+    chain = Chain(walker)
+    if chain.massless:
+        normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
         return normal[:, :, None] * normal[:, None, :]
-    S_a = _pair(c, "S_a")
-    links = [(_pair(c, "S_b"), c["C_bb"])] + ([(_pair(c, "S_c"), c["C_cc"])] if walker.knees else [])
-    size = 1 + len(links)
-    Q, L = np.zeros((n, size, size)), np.zeros((n, size, 2))
-    a, b = angle, -angle
-    stance = _turned(S_a, a)
-    Q[:, 0, 0] = c["C_aa"] + 2 * R * stance.imag
-    lever = -R + 1j * stance
-    L[:, 0] = np.stack([lever.real, lever.imag], axis=-1)
-    for j, (S, C) in enumerate(links, start=1):
-        own = _turned(S, b)
-        Q[:, 0, j] = Q[:, j, 0] = eps * (R * own.imag + (-1j * l * S * np.exp(1j * (b - a))).real)
-        Q[:, j, j] = eps * C
-        L[:, j] = eps * np.stack([-own.imag, own.real], axis=-1)
-    if walker.knees:
-        Q[:, 1, 2] = Q[:, 2, 1] = eps * c["H_re"]
-    return np.eye(2) - np.swapaxes(L, 1, 2) @ np.linalg.solve(Q, L)
+    q = np.stack([angle, angle, -angle, -angle])
+    lever = chain.levers(q)
+    taken = np.array(chain.compliance(q, [lever.real, lever.imag], chain.kneed))
+    return np.eye(2) - np.moveaxis(taken, -1, 0)
 
 
 def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -82,10 +58,10 @@ def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> t
     -----
     v from equation 12 with the sign of its first line mended; there the stance angle is minus `angle`.
     """
-    c = lump(walker)
-    velocity = np.stack([-(c["R"] + c["l"] * np.cos(angle)) * (rates[0] - rates[1]),
-                         c["l"] * np.sin(angle) * (rates[0] + rates[1])], axis=-1)
-    if c["eps"] == 0:
+    chain = Chain(walker)
+    velocity = np.stack([-(chain.R + chain.l * np.cos(angle)) * (rates[0] - rates[1]),
+                         chain.l * np.sin(angle) * (rates[0] + rates[1])], axis=-1)
+    if chain.massless:
         along = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
         return 0.5 * (along * velocity).sum(axis=-1) ** 2, np.zeros(len(angle))
     M = contact_mass(walker, angle)
@@ -113,16 +89,6 @@ def kneestrike_loss(walker: Walker, state: np.ndarray) -> np.ndarray:
     -----
     1/2 (closing rate)^2 / (n M^-1 n^T) with n = (0, 1, -1) the direction the lock takes away.
     """
-    c = lump(walker)
-    a, b = state[0], state[1]
-    n = len(a)
-    eps, R, l = c["eps"], c["R"], c["l"]
-    M = np.zeros((n, 3, 3))
-    M[:, 0, 0] = c["C_aa"] + 2 * R * _turned(_pair(c, "S_a"), a).imag
-    for j, (S, C) in enumerate(((_pair(c, "S_b"), c["C_bb"]), (_pair(c, "S_c"), c["C_cc"])), start=1):
-        M[:, 0, j] = M[:, j, 0] = eps * (R * _turned(S, b).imag + (-1j * l * S * np.exp(1j * (b - a))).real)
-        M[:, j, j] = eps * C
-    M[:, 1, 2] = M[:, 2, 1] = eps * c["H_re"]
-    lock = np.array([0.0, 1.0, -1.0])
-    yielding = np.linalg.solve(M, np.broadcast_to(lock[:, None], (n, 3, 1)))[:, :, 0] @ lock
+    lock = np.broadcast_to(np.array([0.0, 0.0, 1.0, -1.0])[:, None], (4, state.shape[1]))
+    ((yielding,),) = Chain(walker).compliance(state[[0, 0, 1, 2]], [lock], True)
     return 0.5 * (state[4] - state[5]) ** 2 / yielding

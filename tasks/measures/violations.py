@@ -143,7 +143,7 @@ def _released(chain: Chain, first: Phase, slope: np.ndarray) -> Arrays:
     sinks = np.where(down, np.maximum(greatest(depth, under)[0], 0.0), 0.0)
     impulse = np.zeros_like(velocity)
     if not chain.massless:
-        impulse = np.where(~still & (velocity < 0), -velocity / chain.yielding(q, rise, first.free_knee), 0.0)
+        impulse = np.where(~still & (velocity < 0), -velocity / chain.compliance(q, [rise], first.free_knee)[0][0], 0.0)
     found = {"penetration_depth": sinks, "trailing_impulse": impulse, "release_penetrates": down}
     if chain.kneed:
         over = first.q[3] - first.q[2]

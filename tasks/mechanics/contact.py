@@ -87,8 +87,13 @@ class Chain:
 
     def momentum(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Linear momentum, complex."""
+        lever = self.levers(q)
+        return total(rate[j] * lever[j] for j in range(4))
+
+    def levers(self, q: np.ndarray) -> np.ndarray:
+        """Linear momentum, complex, that a unit rate of each link gives."""
         e = np.exp(1j * q)
-        return -self.R * rate[0] + total(1j * rate[j] * self.S[j] * e[j] for j in range(4))
+        return np.stack([1j * self.S[0] * e[0] - self.R, *(1j * self.S[j] * e[j] for j in (1, 2, 3))])
 
     def ground_force(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """Force of the ground on the stance foot, complex, over weight."""
@@ -101,12 +106,12 @@ class Chain:
         M, f = self.matrix(q), self.force(q, rate, slope)
         return total(M[THIGH][j] * acceleration[j] for j in range(4)) - f[THIGH]
 
-    def yielding(self, q: np.ndarray, row: np.ndarray, free_knee: bool) -> np.ndarray:
-        """Rate along a row of four for a unit impulse along it, stance knee locked."""
+    def compliance(self, q: np.ndarray, rows: list[np.ndarray], free_knee: bool) -> list[list[np.ndarray]]:
+        """Rates along each of some rows of four for a unit impulse along each, stance knee locked: r M^-1 r^T."""
         groups = self.groups(free_knee)
-        r = [total(row[i] for i in g) for g in groups]
-        x = _solve(_grouped(self.matrix(q), groups), r)
-        return total(r[k] * x[k] for k in range(len(r)))
+        M, own = _grouped(self.matrix(q), groups), [[total(r[i] for i in g) for g in groups] for r in rows]
+        moved = [_solve(M, r) for r in own]
+        return [[total(a * b for a, b in zip(r, x, strict=True)) for x in moved] for r in own]
 
     def height(self, q: np.ndarray) -> np.ndarray:
         """Height of the swing foot's lowest point, without cancellation for short steps."""
