@@ -17,6 +17,7 @@ from tasks.gait.fixed_point import EPS, Problem, sizes
 from tasks.gait.stride import Stride
 from tasks.mechanics.equations import Symbols, system
 from tasks.mechanics.impacts import heelstrike, kneestrike
+from tasks.mechanics.kernel import prepare_compiler
 from tasks.mechanics.lumped import Structure, lump
 
 #: Bounds of a double's fixed point above which long double is asked, and 128 bits.
@@ -110,6 +111,7 @@ class Extended:
 
 @functools.lru_cache(maxsize=16)
 def _map(structure: Structure, tier: int) -> Extended:
+    prepare_compiler()
     return Extended(structure, *TIERS[tier])
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
 from tasks.mechanics.impacts import heelstrike, kneestrike
-from tasks.mechanics.kernel import LANES, flow, whole_groups
+from tasks.mechanics.kernel import LANES, flow, prepare_compiler, whole_groups
 from tasks.mechanics.lumped import Structure
 
 #: Intervals at whose ends the motion is sampled to verify a step.
@@ -279,4 +279,5 @@ def _unlanes(flat: np.ndarray, size: int, directions: int) -> np.ndarray:
 @functools.lru_cache(maxsize=64)
 def stride_map(structure: Structure) -> StrideMap:
     """The compiled stride map of a structure."""
+    prepare_compiler()
     return StrideMap(structure)

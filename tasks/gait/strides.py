@@ -19,7 +19,7 @@ from tasks.gait.fixed_point import Problem
 from tasks.gait.stride import Stride
 from tasks.mechanics.equations import ZERO, Solver, Symbols, rows
 from tasks.mechanics.impacts import heelstrike, kneestrike
-from tasks.mechanics.kernel import LANES
+from tasks.mechanics.kernel import LANES, prepare_compiler
 from tasks.mechanics.lumped import Structure
 
 #: What becomes of a stride. Everything but STRUCK is a fall.
@@ -213,6 +213,7 @@ def _crossing(free: bool, x: np.ndarray, new: np.ndarray, h: float) -> np.ndarra
 @functools.lru_cache(maxsize=16)
 def scanner(structure: Structure) -> Scanner:
     """The compiled scanner of a structure."""
+    prepare_compiler()
     return Scanner(structure)
 
 

@@ -22,17 +22,25 @@ FINE = 1.75e-15
 #: Tolerance of a search's flows, which only lead to where the exact ones begin.
 ROUGH = 1e-7
 
-# heyoka reads its cache through when it opens it: one of our own, kept small, opens ten times as fast as one shared with
-# all its users. On a network disk it is slower than compiling; a local one may be named.
-_named = os.environ.get("GAITSWEEP_CACHE")
-_folder = Path(_named or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
-with contextlib.suppress(*() if _named else (OSError, RuntimeError)):
-    _folder = _folder.expanduser()
-    _folder.mkdir(parents=True, exist_ok=True)
-    hy.llvm_state.set_diskcache_path(str(_folder))
-    hy.llvm_state.set_diskcache_limit(256 << 20)
-hy.llvm_state.set_diskcache_enabled(True)
-hy.set_nthreads(1)
+
+
+@functools.cache
+def prepare_compiler() -> None:
+    """Set heyoka's compile cache and threads for this process; every factory of compiled code calls it first.
+
+    Notes
+    -----
+    heyoka reads its cache through when it opens it: one of our own, kept small, opens ten times as fast as one shared
+    with all its users. On a network disk it is slower than compiling; `GAITSWEEP_CACHE` names a local one.
+    """
+    named = os.environ.get("GAITSWEEP_CACHE")
+    with contextlib.suppress(*() if named else (OSError, RuntimeError)):
+        folder = Path(named or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep")).expanduser()
+        folder.mkdir(parents=True, exist_ok=True)
+        hy.llvm_state.set_diskcache_path(str(folder))
+        hy.llvm_state.set_diskcache_limit(256 << 20)
+    hy.llvm_state.set_diskcache_enabled(True)
+    hy.set_nthreads(1)
 
 
 def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
@@ -134,4 +142,5 @@ class Flow:
 def flow(structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False,
          rough: bool = False) -> Flow:
     """The compiled flow of a structure; compiled once a process, kept on disk between them."""
+    prepare_compiler()
     return Flow(structure, free_knee, directions, with_slope, rough)
