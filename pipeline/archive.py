@@ -6,7 +6,6 @@ is written region by region, so its size is not bounded by memory.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
 import os
@@ -19,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import check, chunks, gather, grid, tables
+from pipeline import check, chunks, drafts, gather, grid, tables
 from pipeline.check import SCHEMA
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.plan import Plan
@@ -55,7 +54,7 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
     ArchiveError, DiskFullError
         If it cannot be written. What was at `path` stays.
     """
-    draft = path.with_name(f"{path.name}.tmp.{os.getpid()}")
+    draft = drafts.of(path)
     try:
         written = _write(plan, draft, threads)
         with open(draft, "rb") as file:
@@ -70,8 +69,7 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
             raise DiskFullError(f"The disk is full: {path} stays as it was; what was finished is kept.") from error
         raise ArchiveError(f"{path} cannot be written: {error}.") from error
     finally:
-        with contextlib.suppress(OSError):
-            draft.unlink()
+        drafts.discard(path)
     return written
 
 

@@ -53,7 +53,7 @@ def missing(journal: Journal, line: str, want: frozenset[str], slopes: np.ndarra
             retry: bool = False) -> np.ndarray:
     """Positions of the slopes no block of that line holds; with `retry` also of those that failed."""
     order, there = Order(slopes), np.zeros(len(slopes), bool)
-    for block in journal.blocks(line, order.sorted[0], order.sorted[-1]):
+    for block in journal.blocks(line):  # all of them: where a row is damaged so may be the range it tells
         if want <= block.variables:
             inside, place = order.find(block.slopes)
             there[place] = ~bad(block.states, gaits)[inside] if retry else True

@@ -1,13 +1,14 @@
 """The journal of a run: every finished result, in SQLite, safe against whatever ends the run.
 
 A point is found by its line's key and its slope; slopes are compared as arrays, so a grid may be cut into
-chunks in any way and made denser later. Where a point was computed twice the later result counts. Rows carry
-a checksum: a torn journal loses the rows that are torn and no other.
+chunks in any way and made denser later. Where a point was computed twice the later result counts. Everything a
+row holds is under its checksum, which is looked at first: a torn journal loses the rows that are torn and no other.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import functools
 import os
 import sqlite3
@@ -18,37 +19,47 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, NoReturn
 from urllib.parse import quote
 
 import numpy as np
 
-from pipeline import pack
+from pipeline import drafts, pack, salvage
 from pipeline.errors import ArchiveError, DiskFullError
 
 _SCHEMA = (
-    "CREATE TABLE points (id INTEGER PRIMARY KEY AUTOINCREMENT, line TEXT, kin TEXT, variables TEXT,"
-    " low REAL, high REAL, n INTEGER, seconds REAL, sum INTEGER, slopes BLOB, states BLOB, data BLOB)",
-    "CREATE TABLE results (id INTEGER PRIMARY KEY AUTOINCREMENT, key TEXT, kin TEXT, outcome TEXT,"
-    " reason TEXT, seen INTEGER, seconds REAL, sum INTEGER, data BLOB)",
+    "CREATE TABLE points (id INTEGER PRIMARY KEY, line TEXT, kin TEXT, variables TEXT, low REAL, high REAL,"
+    " n INTEGER, seconds REAL, data_sum INTEGER, sum INTEGER, slopes BLOB, states BLOB, data BLOB)",
+    "CREATE TABLE results (id INTEGER PRIMARY KEY, key TEXT, kin TEXT, outcome TEXT, reason TEXT, seen INTEGER,"
+    " seconds REAL, data_sum INTEGER, sum INTEGER, data BLOB)",
     "CREATE TABLE notes (key TEXT PRIMARY KEY, value TEXT)",
     "CREATE INDEX points_line ON points (line)",
     "CREATE INDEX points_kin ON points (kin)",
     "CREATE INDEX results_key ON results (key)",
     "CREATE INDEX results_kin ON results (kin)",
 )
-_COLUMNS = {"points": "line, kin, variables, low, high, n, seconds, sum, slopes, states, data",
-            "results": "key, kin, outcome, reason, seen, seconds, sum, data"}
-_LATEST = "FROM results WHERE key = ? ORDER BY id DESC LIMIT 1"
+#: Columns of each table after its id. `sum` is the checksum of all the others but `data`, which has its own.
+_COLUMNS = {"points": ("line", "kin", "variables", "low", "high", "n", "seconds", "data_sum", "sum", "slopes", "states",
+                       "data"),
+            "results": ("key", "kin", "outcome", "reason", "seen", "seconds", "data_sum", "sum", "data")}
+_REAL = ("low", "high", "seconds")
+_MARK = 0x67735732  # in the header of a journal of this version
 _SYNC = 0.5  # s: how much finished work a power cut may cost
 _MANY, _FEW = 64, 1000  # blocks of a line, and points in one, from which they are put together
 #: Size of a page [byte], and of one where so many points come in blocks of megabytes: every page costs.
 _PAGE, _LARGE_PAGE, _LARGE = 4096, 32768, 100_000
-_GIVE_UP = 5000  # lost rows in a row after which a torn table is taken to end
+#: What SQLite says where the disk is full, and what is no fault of the file's; anything else is.
+_FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
+_INNOCENT = (sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_NOMEM,
+             sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_AUTH)
+_UNREAD = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
 
 
 class TornError(ArchiveError):
-    """A row of the journal does not hold what was written; `mend` and plan again."""
+    """The journal does not hold what was written; `mend` it and plan again."""
+
+    def __init__(self, path: Path):
+        super().__init__(f"{path} is damaged; the next run mends it.")
 
 
 @dataclass(frozen=True)
@@ -80,16 +91,13 @@ class Journal:
     def __init__(self, path: Path, write: bool = True, points: int = 0):
         self.path, self._lock, self._synced = path, threading.RLock(), 0.0
         self._recent: OrderedDict[int, dict[str, np.ndarray]] = OrderedDict()
+        self._last: dict[str, int] = {}
         try:
             there = path.exists() and path.stat().st_size > 0
-            if there:
-                with open(path, "rb") as file:
-                    if file.read(16) != b"SQLite format 3\0":
-                        raise ArchiveError(f"{path} is not a journal of gaitsweep; move it away.")
-            if write and there and _is_torn(path):
-                mend(path)
-            self._db = _connect(str(path) if there or write else ":memory:", write or not there,
-                                _LARGE_PAGE if points >= _LARGE else _PAGE)
+            if there and not _is_ours(path):
+                raise ArchiveError(f"{path} is not a journal of this version of gaitsweep; move it away.")
+            page = 0 if there else _LARGE_PAGE if points >= _LARGE else _PAGE
+            self._db = _connect(path if there or write else None, write, page)
         except (sqlite3.Error, OSError) as error:
             _fail(error, path)
 
@@ -104,8 +112,28 @@ class Journal:
         try:
             with self._lock:
                 return self._db.execute(sql, values).fetchall()
-        except sqlite3.Error as error:
+        except (sqlite3.Error, OverflowError) as error:
             _fail(error, self.path)
+
+    def _rows(self, table: str, where: str, *values: Any) -> list[tuple[Any, ...]]:
+        """Rows without their data, from the id on, whose checksum was looked at."""
+        found = self._read(f"SELECT id, {', '.join(_COLUMNS[table][:-1])} FROM {table} WHERE {where}", *values)
+        if not all(_is_whole(table, row) for row in found):
+            raise TornError(self.path)
+        return found
+
+    def _data(self, table: str, number: int) -> bytes:
+        for check, data in self._read(f"SELECT data_sum, data FROM {table} WHERE id = ?", number):
+            if isinstance(data, bytes) and check == zlib.crc32(data):
+                return data
+        raise TornError(self.path)
+
+    def _add(self, table: str, *row: Any) -> None:
+        with self._lock:
+            if table not in self._last:
+                self._last[table] = self._read(f"SELECT ifnull(max(id), 0) FROM {table}")[0][0]
+            self._last[table] += 1
+            self._write(_insert(table), *_summed(table, self._last[table], *row))
 
     def _write(self, sql: str, *values: Any) -> None:
         """One durable statement: against a crash of the run at once, of the machine within `_SYNC`."""
@@ -119,54 +147,44 @@ class Journal:
     def add_points(self, line: str, kin: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes],
                    seconds: float) -> None:
         """Keep a block of points (slopes, packed states, packed variables) of the line with that key."""
-        slopes = np.frombuffer(row[0])
-        self._write(f"INSERT INTO points ({_COLUMNS['points']}) VALUES (?,?,?,?,?,?,?,?,?,?,?)",
-                    line, kin, " ".join(sorted(variables)), slopes.min(), slopes.max(), len(slopes), seconds,
-                    _sum(line, *row), *row)
+        self._add("points", line, *_points(kin, variables, row, seconds))
 
     def add_result(self, key: str, kin: str, result: Result, seconds: float) -> None:
         """Keep the result of a task that is no block of points."""
-        self._write(f"INSERT INTO results ({_COLUMNS['results']}) VALUES (?,?,?,?,?,?,?,?)", key, kin, result.outcome,
-                    result.reason, result.seen, seconds, _sum(key, result.data), result.data)
+        self._add("results", key, kin, result.outcome, result.reason, result.seen, float(seconds), result.data)
+
+    def _latest(self, key: str) -> tuple[Any, ...] | None:
+        found = self._rows("results", "key = ? ORDER BY id DESC LIMIT 1", key)
+        return found[0] if found else None
 
     def result(self, key: str) -> Result | None:
         """The latest result of that key."""
-        rows = self._read(f"SELECT outcome, reason, seen, data, sum {_LATEST}", key)
-        if not rows:
+        found = self._latest(key)
+        if not found:
             return None
-        *values, check = rows[0]
-        if check != _sum(key, values[3]):
-            raise TornError(f"{self.path} is torn.")
-        return Result(*values)
+        number, _, _, outcome, reason, seen, *_ = found
+        return Result(outcome, reason, seen, self._data("results", number))
 
     def outcome(self, key: str) -> tuple[str, str, int] | None:
         """How the latest result of that key ended, the reason, and the last block it had seen."""
-        rows = self._read(f"SELECT outcome, reason, seen {_LATEST}", key)
-        return rows[0] if rows else None
+        found = self._latest(key)
+        return found[3:6] if found else None  # type: ignore[return-value]
 
     def blocks(self, line: str, low: float = -np.inf, high: float = np.inf) -> Iterator[Block]:
         """Blocks of the line with that key and slopes in [low, high], earliest first."""
         found_in = "FROM points WHERE line = ? AND high >= ? AND low <= ? ORDER BY id"
         for (number,) in self._read(f"SELECT id {found_in}", line, low, high):
-            ((variables, n, slopes, states),) = self._read(
-                "SELECT variables, n, slopes, states FROM points WHERE id = ?", number)
-            try:
-                found = pack.load(states)
-                if len(slopes) != 8 * n or len(found["status"]) != n:
-                    raise ValueError
-            except (ValueError, KeyError, TypeError) as error:
-                raise TornError(f"{self.path} is torn.") from error
-            yield Block(number, _words(variables), np.frombuffer(slopes), found)
+            found = self._rows("points", "id = ? AND line = ?", number, line)
+            if not found:
+                raise TornError(self.path)
+            yield Block(number, _words(found[0][3]), np.frombuffer(found[0][10]), pack.load(found[0][11]))
 
     def variables(self, block: int) -> dict[str, np.ndarray]:
-        """Variables of one block, checked; the last two are kept at hand."""
+        """Variables of one block; the last two are kept at hand."""
         if block in self._recent:
             self._recent.move_to_end(block)
             return self._recent[block]
-        ((line, check, *row),) = self._read("SELECT line, sum, slopes, states, data FROM points WHERE id = ?", block)
-        if check != _sum(line, *row):
-            raise TornError(f"{self.path} is torn.")
-        self._recent[block] = pack.load(row[2])
+        self._recent[block] = pack.load(self._data("points", block))
         while len(self._recent) > 2:
             self._recent.popitem(last=False)
         return self._recent[block]
@@ -199,14 +217,11 @@ class Journal:
         """Put one block in the place of several: all of it or nothing."""
         numbers = sorted(numbers)
         kin, seconds = self._read(f"SELECT max(kin), sum(seconds) FROM points WHERE id IN ({_list(numbers)})")[0]
-        slopes = np.frombuffer(row[0])
         self._recent.clear()
         with self._lock:
             self._write("BEGIN IMMEDIATE")
             self._read(f"DELETE FROM points WHERE id IN ({_list(numbers)})")
-            self._read(f"INSERT INTO points (id, {_COLUMNS['points']}) VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", numbers[-1],
-                       line, kin, " ".join(sorted(variables)), slopes.min(), slopes.max(), len(slopes), seconds,
-                       _sum(line, *row), *row)
+            self._read(_insert("points"), *_summed("points", numbers[-1], line, *_points(kin, variables, row, seconds)))
             self._read("COMMIT")
 
     def shrink(self) -> None:
@@ -234,91 +249,117 @@ def _list(numbers: Iterable[int]) -> str:
     return ",".join(str(int(n)) for n in numbers)
 
 
-def _sum(key: str, *blobs: bytes) -> int:
-    return functools.reduce(lambda check, blob: zlib.crc32(blob, check), blobs, zlib.crc32(key.encode()))
+def _points(kin: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes], seconds: float) -> tuple[Any, ...]:
+    """What a block of points holds beside its line, checksums left out."""
+    slopes = np.frombuffer(row[0])
+    return kin, " ".join(sorted(variables)), float(slopes.min()), float(slopes.max()), len(slopes), float(seconds), *row
 
 
-def _connect(path: str, write: bool = True, page: int = _PAGE) -> sqlite3.Connection:
+def _insert(table: str, how: str = "") -> str:
+    columns = ("id", *_COLUMNS[table])
+    return f"INSERT {how} INTO {table} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
+
+
+def _summed(table: str, number: int, *row: Any) -> tuple[Any, ...]:
+    """A row with its checksums."""
+    k = _COLUMNS[table].index("data_sum")
+    head = (number, *row[:k], zlib.crc32(row[-1]))
+    return (*head, _sum(head, row[k:-1]), *row[k:])
+
+
+def _sum(head: tuple[Any, ...], blobs: Iterable[bytes]) -> int:
+    return functools.reduce(lambda check, blob: zlib.crc32(blob, check), blobs, zlib.crc32(repr(head).encode()))
+
+
+def _is_whole(table: str, row: tuple[Any, ...]) -> bool:
+    """Whether everything in a row from its id to before its data is as it was written."""
+    k = 1 + _COLUMNS[table].index("sum")
+    return all(isinstance(blob, bytes) for blob in row[k + 1:]) and row[k] == _sum(row[:k], row[k + 1:])
+
+
+def _connect(path: Path | None, write: bool = True, page: int = 0) -> sqlite3.Connection:
+    """Open a journal, or make one with pages of that size; without a path in memory."""
     options: dict[str, Any] = {"timeout": 10, "isolation_level": None, "check_same_thread": False}
-    if not write and not os.access(Path(path).parent, os.W_OK):
+    if path and not write and not os.access(path.parent, os.W_OK):
         # SQLite shares a lock file even to read; where it cannot, nobody else writes.
-        db = sqlite3.connect(f"file:{quote(path)}?immutable=1", uri=True, **options)
+        db = sqlite3.connect(f"file:{quote(str(path))}?immutable=1", uri=True, **options)
     else:
-        db = sqlite3.connect(path, **options)
-        db.execute(f"PRAGMA page_size={page}")
-        db.execute("PRAGMA journal_mode=WAL")
-    for pragma in ("trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192"):
-        db.execute(f"PRAGMA {pragma}")
-    if write and not db.execute("SELECT 1 FROM sqlite_master LIMIT 1").fetchone():
-        db.execute("BEGIN IMMEDIATE")
-        for statement in _SCHEMA:
-            db.execute(statement)
-        db.execute("COMMIT")
-    found = {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
-    if found - {"CREATE TABLE sqlite_sequence(name,seq)"} != set(_SCHEMA):
+        db = sqlite3.connect(path or ":memory:", **options)
+    try:
+        if page:
+            db.execute(f"PRAGMA page_size={page}")
+            db.execute(f"PRAGMA application_id={_MARK}")
+        if write:
+            db.execute("PRAGMA journal_mode=WAL")
+        for pragma in ("trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192"):
+            db.execute(f"PRAGMA {pragma}")
+        if page:
+            db.execute("BEGIN IMMEDIATE")
+            for statement in _SCHEMA:
+                db.execute(statement)
+            db.execute("COMMIT")
+        found = {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
+        # An index that misses rows would hide them; to read a journal through is little beside what comes of it.
+        if found != set(_SCHEMA) or (write and db.execute("PRAGMA integrity_check(1)").fetchone() != ("ok",)):
+            raise sqlite3.DatabaseError("malformed")
+    except BaseException:
         db.close()
-        raise ArchiveError(f"{path} is not a journal of this version of gaitsweep; move it away.")
+        raise
     return db
 
 
-def _is_torn(path: Path) -> bool:
+def _is_ours(path: Path) -> bool:
+    """Whether a file is a journal of this version: it has the mark of one, or a row."""
     with open(path, "rb") as file:
-        page, pages = _layout(file)
-    return page * pages > path.stat().st_size
+        file.seek(68)
+        mark = file.read(4)
+    return mark == _MARK.to_bytes(4, "big") or any(True for _ in _whole_rows(path))
 
 
-def _layout(file: BinaryIO) -> tuple[int, int]:
-    """Size [byte] and number of the pages a database says it has."""
-    header = file.read(32)
-    return int.from_bytes(header[16:18], "big"), int.from_bytes(header[28:32], "big")
+def _whole_rows(path: Path) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Every row of a journal, and its table, that is as it was written, whatever became of the rest."""
+    def whole(number: int, values: list[Any]) -> tuple[str, tuple[Any, ...]] | None:
+        for table, columns in _COLUMNS.items():
+            if len(values) == 1 + len(columns):
+                # SQLite keeps whole numbers as such in any column.
+                row = (number, *(float(v) if name in _REAL and isinstance(v, int) else v
+                                 for name, v in zip(columns, values[1:], strict=True)))
+                check = row[1 + columns.index("data_sum")]
+                if _is_whole(table, row[:-1]) and isinstance(row[-1], bytes) and zlib.crc32(row[-1]) == check:
+                    return table, row
+        return None
+
+    for size in (_PAGE, _LARGE_PAGE):
+        yield from salvage.rows(path, size, whole)
 
 
 def mend(path: Path) -> None:
-    """Write the journal anew with every row that can still be read and whose checksum holds."""
-    fresh = path.with_name(path.name + ".mending")
-    for suffix in ("", "-wal", "-shm"):
-        fresh.with_name(fresh.name + suffix).unlink(missing_ok=True)
-    with open(path, "r+b") as file:
-        page, pages = _layout(file)
-        # SQLite refuses a file shorter than its header says; rows in the missing pages fail one by one.
-        file.truncate(max(os.fstat(file.fileno()).st_size, page * pages))
-    new = _connect(str(fresh), page=page if page in (_PAGE, _LARGE_PAGE) else _PAGE)
-    new.execute("BEGIN")
-    with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(path)) as old:
-        old.execute("PRAGMA trusted_schema=OFF")
-        for table, columns in _COLUMNS.items():
-            _salvage(old, new, table, columns)
-        for key, value in old.execute("SELECT key, value FROM notes").fetchall():
-            new.execute("INSERT OR REPLACE INTO notes VALUES (?, ?)", (key, value))
-    new.execute("COMMIT")
-    new.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    new.close()
-    for suffix in ("-wal", "-shm"):
-        path.with_name(path.name + suffix).unlink(missing_ok=True)
-    os.replace(fresh, path)
-
-
-def _salvage(old: sqlite3.Connection, new: sqlite3.Connection, table: str, columns: str) -> None:
-    names = columns.split(", ")
-    number = lost = 0
-    while lost < _GIVE_UP:
-        number += 1
-        try:
-            row = old.execute(f"SELECT {columns} FROM {table} WHERE id = ?", (number,)).fetchone()
-            blobs = row[names.index("sum") + 1:]
-            if row[names.index("sum")] != _sum(row[0], *blobs):
-                raise ValueError
-        except (sqlite3.Error, TypeError, ValueError, AttributeError):
-            lost += 1
-            continue
-        lost = 0
-        new.execute(f"INSERT INTO {table} (id, {columns}) VALUES ({','.join('?' * (1 + len(names)))})", (number, *row))
+    """Write the journal anew with every row that is whole."""
+    fresh = drafts.of(path)
+    drafts.discard(path)
+    try:
+        page = _LARGE_PAGE if path.stat().st_size > 1 << 24 else _PAGE
+        with contextlib.closing(_connect(fresh, page=page)) as new:
+            for table, row in _whole_rows(path):
+                if table == "points":  # what took the place of several has the number of the last, and more points
+                    new.execute("DELETE FROM points WHERE id = ? AND n < ?", (row[0], row[6]))
+                new.execute(_insert(table, "OR IGNORE"), row)
+            new.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        for suffix in ("-wal", "-shm"):
+            path.with_name(path.name + suffix).unlink(missing_ok=True)
+        os.replace(fresh, path)
+    except (sqlite3.Error, OSError) as error:
+        _fail(error, path)
+    finally:
+        drafts.discard(path)
 
 
 def _fail(error: Exception, path: Path) -> NoReturn:
-    text = str(error)
-    if "disk is full" in text or "No space left" in text or "disk I/O error" in text:
+    if isinstance(error, sqlite3.ProgrammingError):
+        raise error
+    code = getattr(error, "sqlite_errorcode", 0)
+    if (code & 0xFF in _FULL and code not in _UNREAD) or getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT):
         raise DiskFullError(f"The disk is full: {path} cannot grow; what was finished is kept.") from error
-    if "malformed" in text or "not a database" in text or "corrupt" in text:
-        raise TornError(f"{path} is torn.") from error
-    raise ArchiveError(f"{path} cannot be used: {text}.") from error
+    if code & 0xFF in _INNOCENT or isinstance(error, OSError):
+        raise ArchiveError(f"{path} cannot be used: {error}.") from error
+    raise TornError(path) from error

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from pipeline import archive, cell, check
+from pipeline import archive, cell, check, drafts
 from pipeline.compact import compact
 from pipeline.errors import ArchiveError, BusyError, GaitsweepError, StoppedError, unwritten
 from pipeline.execute import Engine, Loop
@@ -48,7 +48,7 @@ class Options:
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold an archive; a lock dies with its process.
+    """Hold an archive; a lock dies with its process, and what it left half done is removed.
 
     Raises
     ------
@@ -59,26 +59,36 @@ def locked(path: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise BusyError(f"{path} is held by another run: {_holder(file)}.") from error
+            who = _holder(file)
+            known = {"pid", "host", "started"} <= who.keys()
+            raise BusyError(f"{path} is held by another run: " + (
+                f"process {who['pid']} on {who['host']}, started {who['started']}." if known else
+                "its name is not known yet.")) from error
+        for place in (path, beside(path, ".journal"), beside(path, ".run.json")):
+            drafts.discard(place, _holder(file).get("drafts"))
         file.seek(0)
         file.truncate()
         started = time.strftime("%Y-%m-%d %H:%M:%S")
-        json.dump({"pid": os.getpid(), "host": platform.node(), "started": started}, file)
+        json.dump({"pid": os.getpid(), "host": platform.node(), "started": started, "drafts": drafts.SECRET}, file)
         file.flush()
         yield
 
 
-def _holder(file: Any) -> str:
+def _holder(file: Any) -> dict[str, Any]:
+    """Who holds a lock, or held it last, as far as is known."""
     try:
         file.seek(0)
         who = json.load(file)
-        return f"process {who['pid']} on {who['host']}, started {who['started']}"
-    except (ValueError, KeyError, TypeError):
-        return "its name is not known yet"
+        return who if isinstance(who, dict) else {}
+    except (ValueError, RecursionError):
+        return {}
 
 
 class Signals:
-    """INT, TERM and HUP stop a run at once, but not between a result and its journal; a second one is hard."""
+    """INT, TERM and HUP stop a run at once, but not between a result and its journal; a second one is hard.
+
+    One that was ignored when the run began, as `nohup` has it, stays ignored.
+    """
 
     def __init__(self) -> None:
         self.held, self.got = False, 0
@@ -89,7 +99,8 @@ class Signals:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        kept = {s: signal.signal(s, self._handle) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+        kept = {s: signal.signal(s, self._handle) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+                if signal.getsignal(s) not in (signal.SIG_IGN, None)}
         try:
             yield
         except StoppedError:
@@ -143,8 +154,6 @@ def run(study: Study, path: Path, options: Options) -> int:
 
 
 def _run(study: Study, path: Path, options: Options) -> int:
-    for draft in path.parent.glob(f"{path.name}.tmp.*"):
-        draft.unlink(missing_ok=True)
     place = beside(path, ".journal")
     if options.fresh:
         for suffix in ("", "-wal", "-shm"):
@@ -168,14 +177,11 @@ def _run(study: Study, path: Path, options: Options) -> int:
 
 def _attempts(study: Study, path: Path, place: Path, options: Options, record: dict[str, Any]) -> int:
     for _ in range(3):
-        journal = Journal(place, points=study.points)
         try:
-            return _once(Plan(study, journal, options.retry_failed), path, options, record)
+            with contextlib.closing(Journal(place, points=study.points)) as journal:
+                return _once(Plan(study, journal, options.retry_failed), path, options, record)
         except TornError:
-            journal.close()
             mend(place)
-        finally:
-            journal.close()
     raise ArchiveError(f"{place} cannot be mended; run again with --fresh.")
 
 
@@ -193,6 +199,8 @@ def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> i
                 progress.loop.run()
             record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
             written = archive.write(plan, path, min(options.jobs, os.cpu_count() or 1))
+            if written.counts["not_attempted"]:  # what was kept is not found again
+                raise TornError(plan.journal.path)
             compact(plan.journal)
         finally:
             record |= {"state": progress.state()}
@@ -261,9 +269,8 @@ def _summarise(plan: Plan, progress: Progress, written: archive.Written, failed:
 
 
 def _write_record(path: Path, record: dict[str, Any]) -> None:
-    draft = path.with_name(f"{path.name}.tmp.{os.getpid()}")
     try:
-        draft.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
-        os.replace(draft, path)
+        drafts.of(path).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        os.replace(drafts.of(path), path)
     finally:
-        draft.unlink(missing_ok=True)
+        drafts.discard(path)

@@ -21,6 +21,15 @@ def row(slopes, value, status=0):
     return slopes.tobytes(), pack.dump(states), pack.dump({"stance_angle": np.full((n, 1), value)})
 
 
+def reopened(path):
+    """A journal as the next run has it."""
+    try:
+        return Journal(path)
+    except TornError:
+        mend(path)
+        return Journal(path)
+
+
 @pytest.fixture
 def journal(tmp_path):
     found = Journal(tmp_path / "j")
@@ -89,7 +98,7 @@ def test_a_journal_cut_anywhere_keeps_its_beginning(tmp_path, part):
     journal.close()
     size = os.path.getsize(tmp_path / "j")
     os.truncate(tmp_path / "j", int(part * size))
-    journal = Journal(tmp_path / "j")
+    journal = reopened(tmp_path / "j")
     kept = 20000 - len(gather.missing(journal, "L", WANT, slopes))
     assert kept >= 20000 * part - 2500
     journal.close()

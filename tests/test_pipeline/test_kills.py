@@ -13,7 +13,7 @@ from collections import Counter
 import pytest
 
 from conftest import ROOT, STUDY
-from pipeline import archive, study
+from pipeline import archive, drafts, study
 from pipeline.journal import Journal
 from pipeline.plan import Plan
 from processes import alive, beside, descendants, wait_for_points
@@ -77,7 +77,7 @@ def test_an_archive_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypat
     monkeypatch.setattr(os, "replace", lambda a, b: (steps.append((str(a), str(b))), replace(a, b)))
     archive.write(Plan(study.read(tmp_path / "s.toml"), journal), tmp_path / "s.nc")
     journal.close()
-    draft, place = str(tmp_path / f"s.nc.tmp.{os.getpid()}"), str(tmp_path / "s.nc")
+    draft, place = str(drafts.of(tmp_path / "s.nc")), str(tmp_path / "s.nc")
     assert steps == [draft, (draft, place), str(tmp_path)]
 
 

@@ -179,7 +179,7 @@ def test_a_full_disk_stops_cleanly(toy, tmp_path, tell, n):
         assert "disk is full" in done.stderr and "Traceback" not in done.stderr
         assert not re.search("HDF5|Error", done.stderr)
         assert (small / "toy.nc").read_bytes() == old
-        assert not list(small.glob("*.tmp.*"))
+        assert not list(small.glob(".*"))
         kept = (small / "toy.events.jsonl").read_text().count('"chunk"')
         subprocess.run(["mount", "-o", "remount,size=64m", small], check=True)
         toy("run", "toy.toml", "--archive", small / "toy.nc")
