@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 from pipeline.errors import ArchiveError, GaitsweepError, StudyError, unwritten
+
+#: Exit codes of several studies: the first of these that one of them ends with is that of all.
+_GRAVEST = (143, 130, 129, 4, 3, 2, 5, 1, 0)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -110,36 +114,47 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    try:
+    given, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
+    with _told(codes, "--debug" in given):
         options = parser().parse_args(given)
-        return options.function(options)
+        codes.append(options.function(options))
+    return codes[-1]
+
+
+@contextlib.contextmanager
+def _told(codes: list[int], debug: bool) -> Iterator[None]:
+    """Tell an error in one line, and add its exit code to those there are."""
+    try:
+        yield
     except GaitsweepError as error:
-        if "--debug" in given:
+        if debug:
             traceback.print_exc()
         print(f"gaitsweep: {error}", file=sys.stderr)
-        return error.exit_code
+        codes.append(error.exit_code)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        codes.append(1)
     except KeyboardInterrupt:
         print("gaitsweep: Stopped.", file=sys.stderr)
-        return 130
+        codes.append(130)
     except Exception as error:
-        if "--debug" in given:
+        if debug:
             traceback.print_exc()
         print(f"gaitsweep: Internal error, {type(error).__name__}: {' '.join(str(error).split())[:300]}; "
               "--debug shows where.", file=sys.stderr)
-        return 2
+        codes.append(2)
 
 
-def _archives(options: argparse.Namespace) -> list[tuple[Any, Path]]:
-    """Each study, read and checked, and its archive."""
+def _archives(options: argparse.Namespace, codes: list[int] | None = None) -> list[tuple[Any, Path]]:
+    """Each study, read and checked, and its archive; with `codes` those that are wrong are told and left out."""
     from pipeline import study
 
     if options.archive and len(options.studies) > 1:
         raise StudyError("`--archive` names one file, but there are several studies.")
-    studies = [study.read(path) for path in options.studies]
+    studies = []
+    for path in options.studies:
+        with contextlib.nullcontext() if codes is None else _told(codes, options.debug):
+            studies.append(study.read(path))
     found = [(s, options.archive or Path("data", "archive", f"{s.name}.nc")) for s in studies]
     for i, (one, path) in enumerate(found):
         if any(path == other for _, other in found[:i]):
@@ -148,16 +163,24 @@ def _archives(options: argparse.Namespace) -> list[tuple[Any, Path]]:
 
 
 def _run(options: argparse.Namespace) -> int:
-    studies = _archives(options)
+    codes: list[int] = []
+    studies = _archives(options, codes)
     from pipeline import runner, show
 
     how = runner.Options(options.jobs, options.cluster, options.fresh, options.retry_failed, options.chunk,
                          options.quiet, options.verbose, options.snapshot)
-    began = time.monotonic()
-    code = max([runner.run(study, path, how) for study, path in studies])
+    began, ended = time.monotonic(), {}
+    for study, path in studies:
+        with _told(codes, options.debug):
+            codes.append(runner.run(study, path, how))
+            ended[study.path] = path
+        if codes[-1] > 128:  # a signal is meant for all of them
+            break
     if not options.quiet:
-        print(show.after([path for _, path in studies], time.monotonic() - began), file=sys.stderr)
-    return code
+        others = [str(path) for path in options.studies if path not in ended]
+        for line in show.after(list(ended.values()), others, time.monotonic() - began):
+            print(line, file=sys.stderr)
+    return min(codes, key=_GRAVEST.index)
 
 
 def _plan(options: argparse.Namespace) -> int:

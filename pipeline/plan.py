@@ -58,7 +58,9 @@ class Plan:
                     why[name] = "new" if fresh else self._why_points(key, kin, len(absent))
             elif name != "atlas" and not failed and (fresh or self._stale(key)):
                 why[name] = "new" if fresh else self._why(kin)
-        if "atlas" in keys and any("atlas" in self.layers[name].needs for name in why):
+        # Tasks over the study read it again: where its row was lost, points alone do not do.
+        readers = [*why, *(name for name, layer in self.layers.items() if not layer.per_line)]
+        if "atlas" in keys and any("atlas" in self.layers[name].needs for name in readers):
             key, kin = keys["atlas"]
             if fresh or self._stale(key):
                 why["atlas"] = "new" if fresh else self._why(kin)

@@ -35,19 +35,23 @@ def plan(found: Plan, counts: Summary, path: Path) -> Iterator[str]:
     yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
 
 
-def after(archives: list[Path], seconds: float) -> str:
-    """What a run ends with: how it went over all its studies, and how to see it."""
+def after(archives: list[Path], others: list[str], seconds: float) -> Iterator[str]:
+    """What a run ends with: how its studies went, which `others` did not come to their end, and how to see it."""
     counts: Counter[str] = Counter()
     for path in archives:
         try:
             counts.update(json.loads(beside(path, ".run.json").read_text(encoding="utf-8"))["counts"])
         except (OSError, ValueError, KeyError):
             continue
-    whole = f"{len(archives)} studies in {duration(seconds)}: " + ", ".join(f"{k} {n:,}" for k, n in counts.items())
-    folder = archives[0].parent / "*.nc" if len(archives) > 1 and len({p.parent for p in archives}) == 1 else None
-    shown = str(folder) if folder else " ".join(shlex.quote(str(path)) for path in archives)
-    see = f"To see it: gaitsweep report {shown}  (makes {Path('reports', 'index.html')})"
-    return f"{whole}\n{see}" if len(archives) > 1 else see
+    if len(archives) + len(others) > 1:
+        ended = f"{len(archives)} of {len(archives) + len(others)}" if others else f"{len(archives)}"
+        told = [", ".join(f"{k} {n:,}" for k, n in counts.items())] if counts else []
+        told += [f"not run to the end: {', '.join(others)}"] if others else []
+        yield f"{ended} studies in {duration(seconds)}: {'; '.join(told)}"
+    if archives:
+        folder = archives[0].parent / "*.nc" if len(archives) > 1 and len({p.parent for p in archives}) == 1 else None
+        shown = str(folder) if folder else " ".join(shlex.quote(str(path)) for path in archives)
+        yield f"To see it: gaitsweep report {shown}  (makes {Path('reports', 'index.html')})"
 
 
 def state(path: Path) -> dict[str, Any] | None:

@@ -1,5 +1,7 @@
-"""Watching a run from outside: its files, its event log, its processes."""
+"""Watching a run from outside: its files, its event log, its processes; and damaging what it left."""
 
+import contextlib
+import signal
 import time
 from pathlib import Path
 
@@ -46,3 +48,34 @@ def _running(pids):
         if state != "Z":
             found.append(pid)
     return found
+
+
+@contextlib.contextmanager
+def ignored(signum):
+    """Processes that are started inside ignore that signal, as `nohup` has it."""
+    kept = signal.signal(signum, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signum, kept)
+
+
+def damaged(data, dice):
+    """The same bytes with a random fault: single bits and bytes, whole regions, pages in the wrong place, a cut."""
+    data, n = bytearray(data), len(data)
+    place, size = dice.randrange(n), dice.randint(2, 9000)
+    kind = dice.choice(["bit", "byte", "bytes", "head", "noise", "zeros", "ones", "page", "cut"])
+    if kind == "bit":
+        data[place] ^= 1 << dice.randrange(8)
+    elif kind in ("byte", "bytes", "head"):
+        for _ in range(dice.randint(2, 30) if kind == "bytes" else 1):
+            data[dice.randrange(min(n, 1200) if kind == "head" else n)] = dice.randrange(256)
+    elif kind == "page":
+        here, there = (4096 * dice.randrange(max(1, n // 4096)) for _ in range(2))
+        data[here:here + 4096] = data[there:there + 4096]
+    elif kind == "cut":
+        del data[place:]
+    else:
+        size = min(size, n - place)
+        data[place:place + size] = {"noise": dice.randbytes, "zeros": bytes, "ones": lambda m: b"\xff" * m}[kind](size)
+    return bytes(data)

@@ -1,6 +1,7 @@
 """What a user types: quick, one line for an error, the promised exit codes."""
 
 import errno
+import fcntl
 import json
 import os
 import shutil
@@ -13,7 +14,7 @@ import pytest
 
 from conftest import ROOT, STUDY
 from pipeline import cli
-from pipeline.errors import StudyError
+from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError
 
 
 def gaitsweep(*arguments, cwd=None):
@@ -127,6 +128,51 @@ def test_several_studies_end_with_one_account_of_them_all(toy):
     said = toy("run", "toy.toml", "other.toml").stderr.splitlines()
     assert said[-2].startswith("2 studies in ") and said[-2].endswith(": converged 800")
     assert said[-1].startswith("To see it: gaitsweep report data/archive/*.nc")
+
+
+def refused(toy):
+    """Studies of which one is wrong, one is held by another run and one has a foreign journal."""
+    folder = toy.folder / "data" / "archive"
+    folder.mkdir(parents=True)
+    for name in ("a", "busy", "foreign", "z"):
+        toy.write(STUDY.replace('"toy"', f'"{name}"').replace("n = 200", "n = 20"), f"{name}.toml")
+    toy.write("nonsense = 1", "wrong.toml")
+    (folder / "foreign.journal").write_text("not ours")
+    lock = (folder / "busy.lock").open("w")
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    return lock, [f"{name}.toml" for name in ("a", "wrong", "busy", "foreign", "z")]
+
+
+def test_a_study_that_is_refused_does_not_end_the_list(toy):
+    lock, studies = refused(toy)
+    with lock:
+        said = toy("run", *studies, expect=2).stderr
+        assert toy("run", "a.toml", "busy.toml", "z.toml", "--quiet", expect=5).stderr.count("\n") == 1
+    assert [line for line in said.splitlines() if line.startswith("2 of 5 studies in ") and line.endswith(
+        ": converged 80; not run to the end: wrong.toml, busy.toml, foreign.toml")]
+    for words in ("`nonsense` is not known here", "busy.nc is held by another run", "foreign.journal is not a journal"):
+        assert said.count(words) == 1
+    for name in ("a", "z"):
+        toy("verify", f"data/archive/{name}.nc")
+
+
+@pytest.mark.parametrize(("ends", "code", "runs"), [
+    ([0, 1, 0], 1, 3), ([1, BusyError("b"), 0], 5, 3), ([BusyError("b"), ArchiveError("a"), 1], 2, 3),
+    ([ValueError(), WorkerError("w"), BusyError("b")], 3, 3), ([DiskFullError("d"), WorkerError("w"), 0], 4, 3),
+    ([DiskFullError("d"), StoppedError(2, "s"), 0], 130, 2), ([1, StoppedError(15, "s"), 0], 143, 2),
+    ([KeyboardInterrupt(), 0, 0], 130, 1)])
+def test_several_studies_end_with_the_gravest_code(toy, monkeypatch, capsys, ends, code, runs):
+    monkeypatch.chdir(toy.folder)
+    names = ["a", "b", "c"]
+    for name in names:
+        toy.write(STUDY.replace('"toy"', f'"{name}"'), f"{name}.toml")
+    run = Mock(side_effect=ends)
+    monkeypatch.setattr("pipeline.runner.run", run)
+    assert cli.main(["run", *(f"{name}.toml" for name in names)]) == code
+    assert run.call_count == runs
+    left = [f"{name}.toml" for name, end in zip(names, ends, strict=True) if end not in (0, 1)]
+    left += [f"{name}.toml" for name in names[runs:] if f"{name}.toml" not in left]
+    assert (f"not run to the end: {', '.join(left)}\n" in capsys.readouterr().err) == bool(left)
 
 
 def test_verbose_tells_of_every_chunk_in_words(toy):

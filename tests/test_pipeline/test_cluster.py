@@ -1,5 +1,6 @@
 """The same graph on a Dask cluster: equal bytes, nobody blamed for a node that is lost."""
 
+import fcntl
 import json
 import os
 import random
@@ -11,7 +12,7 @@ import time
 import pytest
 
 from conftest import ROOT, STUDY, TOYS
-from processes import alive, descendants, wait_for_points
+from processes import alive, descendants, ignored, wait_for_points
 
 pytest.importorskip("distributed")
 
@@ -63,6 +64,33 @@ def test_a_cluster_gives_the_same_bytes(toy, whole, cluster):
     assert toy.bytes() == whole
     (state,) = json.loads(toy("status", "--json").stdout)
     assert 1 <= len(state["workers"]) <= 2 and all(w["memory"] > 1 << 24 for w in state["workers"])
+
+
+@pytest.mark.parametrize("signum", [signal.SIGHUP, pytest.param(signal.SIGINT, marks=pytest.mark.soak)])
+def test_a_signal_ignored_from_the_start_stays_ignored_on_a_cluster(toy, whole, signum):
+    """Whoever logs out ends neither the run nor the dask workers that are in its group."""
+    with ignored(signum):
+        process = toy.start("run", "toy.toml", "--cluster", "local:2", "--chunk", 20, **SLOW)
+    wait_for_points(toy, 2)
+    group = [pid for pid in (process.pid, *descendants(process.pid)) if os.getpgid(pid) == os.getpgid(process.pid)]
+    assert len(group) > 2
+    for pid in group:
+        os.kill(pid, signum)
+    _, err = process.communicate(timeout=100)
+    assert process.returncode == 0, err
+    assert toy.bytes() == whole
+
+
+def test_a_study_that_is_refused_does_not_end_a_list_on_a_cluster(toy):
+    folder = toy.folder / "data" / "archive"
+    folder.mkdir(parents=True)
+    for name in ("busy", "z"):
+        toy.write(STUDY.replace('"toy"', f'"{name}"').replace("n = 200", "n = 20"), f"{name}.toml")
+    with (folder / "busy.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        said = toy("run", "busy.toml", "z.toml", "--cluster", "local:2", expect=5).stderr
+    assert ": converged 40; not run to the end: busy.toml" in said
+    toy("verify", "data/archive/z.nc")
 
 
 @pytest.mark.soak

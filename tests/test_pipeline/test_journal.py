@@ -1,6 +1,8 @@
 """The journal gives back what was written, or says that it is torn."""
 
+import contextlib
 import os
+import random
 import sqlite3
 
 import numpy as np
@@ -10,6 +12,7 @@ from pipeline import gather, pack
 from pipeline.compact import compact
 from pipeline.errors import ArchiveError
 from pipeline.journal import Journal, Result, TornError, mend
+from processes import damaged
 
 WANT = gather.needed(["stance_angle"], ["long"])
 
@@ -104,12 +107,133 @@ def test_a_journal_cut_anywhere_keeps_its_beginning(tmp_path, part):
     journal.close()
 
 
-def test_a_database_with_other_tables_is_foreign(tmp_path):
-    with sqlite3.connect(tmp_path / "j") as db:
-        db.execute("CREATE TABLE points (id)")
-    db.close()
-    with pytest.raises(ArchiveError, match="not a journal of this version"):
+def sql(path, *statements):
+    """What somebody else does to a journal."""
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        for statement in statements:
+            db.execute(statement)
+        db.commit()
+
+
+#: How the columns of a row may be damaged; what a row holds beside its checksums.
+OTHER = {"id": "id + 40", "n": "n + 1", "seen": "9", "low": "low / 2", "high": "'x'", "seconds": "seconds + 1",
+         "kin": "'other'", "line": "'M'", "key": "'other'", "variables": "CAST(x'ff' AS TEXT)", "outcome": "'raised'",
+         "reason": "CAST(x'c328' AS TEXT)", "slopes": "zeroblob(length(slopes))", "states": "x'00'", "data": "NULL",
+         "sum": "sum + 1", "data_sum": "NULL"}
+
+
+@pytest.mark.parametrize(("table", "column"), [
+    *(("points", c) for c in ("id", "line", "kin", "variables", "low", "high", "n", "seconds", "data_sum", "sum",
+                              "slopes", "states", "data")),
+    *(("results", c) for c in ("key", "kin", "outcome", "reason", "seen", "seconds", "data_sum", "sum", "data"))])
+def test_whatever_is_damaged_in_a_row_costs_that_row_alone(tmp_path, table, column):
+    slopes = np.linspace(0.1, 0.4, 9)
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        for k in range(3):
+            journal.add_points("L", "k", WANT, row(slopes[k::3], float(k)), 0.1)
+            journal.add_result(f"r{k}", "r", Result("ok", "none", k, b"data"), 0.1)
+    sql(tmp_path / "j", f"UPDATE {table} SET {column} = {OTHER[column]} WHERE id = 2")
+
+    def read(journal):
+        found = values(journal, slopes)[1], [journal.result(f"r{k}") for k in range(3)]
+        return found[0][[0, 2]].tolist(), np.isnan(found[0][1::3]).all(), found[1]
+
+    if (table, column) not in (("points", "line"), ("results", "key")):  # which are not found, and so not read
+        with pytest.raises(TornError), contextlib.closing(Journal(tmp_path / "j")) as journal:
+            read(journal)
+    mend(tmp_path / "j")
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        rest, lost, results = read(journal)
+    assert rest == [0, 2] and lost == (table == "points")
+    assert results == [Result("ok", "none", k, b"data") if k != 1 or table == "points" else None for k in range(3)]
+
+
+def test_mending_keeps_every_whole_row_whatever_gaps_there_are(tmp_path):
+    slopes = np.linspace(0.1, 0.4, 5200)
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        for k in range(5200):
+            journal.add_points("L", "k", WANT, row(slopes[k:k + 1], float(k)), 0.1)
+        journal.add_result("a", "a", Result("ok", "", 0, b"x"), 0.1)
+        compact(journal)
+        assert journal.last_block("L") == 5200
+    sql(tmp_path / "j", "UPDATE results SET data = x'00'")
+    mend(tmp_path / "j")
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        np.testing.assert_array_equal(values(journal, slopes)[1], np.arange(5200))
+        assert journal.result("a") is None and journal.last_block("L") == 5200
+
+
+@pytest.mark.parametrize("where", [slice(0, 16), slice(16, 100), slice(100, 4096)])
+def test_a_damaged_first_page_costs_no_row(tmp_path, where):
+    slopes = np.linspace(0.1, 0.4, 200)
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        for k in range(50):
+            journal.add_points("L", "k", WANT, row(slopes[k::50], float(k)), 0.1)
+    data = bytearray((tmp_path / "j").read_bytes())
+    data[where] = bytes(len(data[where]))
+    (tmp_path / "j").write_bytes(data)
+    with contextlib.closing(reopened(tmp_path / "j")) as journal:
+        assert not len(gather.missing(journal, "L", WANT, slopes))
+
+
+def test_an_index_that_hides_rows_is_seen_before_anything_is_computed(tmp_path):
+    slopes = np.linspace(0.1, 0.4, 40)
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        for k in range(20):
+            journal.add_points("the line", "k", WANT, row(slopes[k::20], float(k)), 0.1)
+    data = (tmp_path / "j").read_bytes()
+    pages = [data[k:k + 4096] for k in range(0, len(data), 4096)]
+    (index,) = (k for k, page in enumerate(pages) if page[0] == 10 and b"the line" in page)
+    pages[index] = pages[index].replace(b"the line", b"the lime", 12)
+    (tmp_path / "j").write_bytes(b"".join(pages))
+    with pytest.raises(TornError):
         Journal(tmp_path / "j")
+    mend(tmp_path / "j")
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        assert not len(gather.missing(journal, "the line", WANT, slopes))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_a_damaged_journal_gives_is_what_was_written(tmp_path, seed):
+    """At a random place, in the file or the log beside it, before and after rows were put together."""
+    dice, slopes, lost = random.Random(seed), np.linspace(0.1, 0.4, 600), 0
+    journal = Journal(tmp_path / "whole")
+    for k in range(300):
+        journal.add_points("L", "k", WANT, row(slopes[2 * k:2 * k + 2], float(k)), 0.1)
+        if k == 200 and seed % 2:
+            compact(journal)
+    files = {suffix: (tmp_path / f"whole{suffix}").read_bytes() for suffix in ("", "-wal")}
+    journal.close()
+    if seed < 2:
+        files = {"": (tmp_path / "whole").read_bytes()}
+    for _ in range(20):
+        hurt = dice.choice([suffix for suffix in files if files[suffix]])
+        for suffix, data in files.items():
+            (tmp_path / f"j{suffix}").write_bytes(damaged(data, dice) if suffix == hurt else data)
+        try:
+            with contextlib.closing(Journal(tmp_path / "j")) as journal:
+                found = values(journal, slopes)[1]
+        except TornError:
+            mend(tmp_path / "j")
+            with contextlib.closing(Journal(tmp_path / "j")) as journal:
+                found = values(journal, slopes)[1]
+        there = ~np.isnan(found)
+        np.testing.assert_array_equal(found[there], np.arange(600)[there] // 2)
+        lost += np.count_nonzero(~there)
+        for file in tmp_path.glob("j*"):
+            file.unlink()
+    assert lost < 20 * 600 / 3
+
+
+def test_a_file_of_somebody_else_is_told_and_not_touched(tmp_path):
+    """An earlier version's journal, too."""
+    sql(tmp_path / "j", "CREATE TABLE points (id INTEGER PRIMARY KEY AUTOINCREMENT, line TEXT)",
+        "CREATE TABLE notes (key TEXT PRIMARY KEY, value TEXT)", "INSERT INTO notes VALUES ('a', 'b')")
+    before = (tmp_path / "j").read_bytes()
+    for write in (True, False):
+        with pytest.raises(ArchiveError, match="not a journal of this version of gaitsweep; move it away"):
+            Journal(tmp_path / "j", write)
+    assert (tmp_path / "j").read_bytes() == before and [f.name for f in tmp_path.iterdir()] == ["j"]
 
 
 def test_reading_a_journal_that_is_not_there_makes_none(tmp_path):

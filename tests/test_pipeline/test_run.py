@@ -1,16 +1,22 @@
 """A run survives what ends it, and gives the same bytes however it went."""
 
+import contextlib
 import json
 import os
+import random
 import re
 import signal
+import sqlite3
 import subprocess
 import time
+from collections import Counter
 
 import pytest
 
 from conftest import STUDY, Toy
-from processes import alive, descendants, wait_for_points
+from pipeline import drafts, runner
+from pipeline.errors import BusyError
+from processes import alive, damaged, descendants, ignored, wait_for_points
 from processes import beside as journal
 
 SLOW = {"TOY_SECONDS": "0.002"}
@@ -50,6 +56,18 @@ def test_a_stopped_run_leaves_no_process_and_resumes_to_the_same_bytes(toy, whol
     toy("run", "toy.toml", "--chunk", 20)
     assert toy.bytes() == whole
     assert journal(toy, ".events.jsonl").read_text().count('"chunk"') <= 20 + 2 and kept >= 2
+
+
+@pytest.mark.parametrize("signum", [signal.SIGHUP, signal.SIGINT])
+def test_a_signal_that_was_ignored_from_the_start_stays_ignored(toy, whole, signum):
+    """`nohup gaitsweep run`, and a job that a script has put into the background."""
+    with ignored(signum):
+        process = toy.start("run", "toy.toml", "--chunk", 20, **SLOW)
+    wait_for_points(toy, 2)
+    process.send_signal(signum)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert toy.bytes() == whole
 
 
 def test_a_killed_worker_process_costs_nothing(toy, whole):
@@ -123,6 +141,88 @@ def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, tell,
     again = text[text.rindex('"begin"'):].count('"chunk"')
     assert again <= 40 * (1 - part) + 8
     tell(f"journal cut to {part:.0%}: {again} of 40 chunks computed again, equal bytes")
+
+
+@pytest.mark.parametrize("times", [2, pytest.param(300, marks=pytest.mark.soak)])
+def test_a_damaged_journal_gives_the_same_bytes(toy, whole, tell, times):
+    """Whatever was damaged, compacted or not: one run mends the journal, the next has nothing to do."""
+    dice, kinds, again = random.Random(times), Counter(), 0
+    made = {}
+    for chunk in (1, 10):
+        toy("run", "toy.toml", "--chunk", chunk, "--fresh")
+        made[chunk] = journal(toy).read_bytes()
+    for k in range(times):
+        journal(toy).write_bytes(damaged(made[chunk := (1, 10)[k % 2]], dice))
+        for what in (".events.jsonl", ".nc"):
+            journal(toy, what).unlink()
+        toy("run", "toy.toml")
+        assert toy.bytes() == whole
+        with contextlib.closing(sqlite3.connect(journal(toy))) as db:
+            assert db.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+        kinds["compacted" if chunk == 1 else "as computed"] += 1
+        again += '"chunk"' in journal(toy, ".events.jsonl").read_text()
+        toy("run", "toy.toml")
+        log = journal(toy, ".events.jsonl").read_text()
+        assert toy.bytes() == whole and '"chunk"' not in log[log.rindex('"begin"'):]
+    tell(f"{times} damaged journals ({dict(kinds)}): equal bytes after each, {again} with points computed again")
+
+
+def test_an_index_that_misses_points_is_mended_and_nothing_computed_again(toy, whole):
+    toy("run", "toy.toml", "--chunk", 10)
+    data = journal(toy).read_bytes()
+    pages = [data[k:k + 4096] for k in range(0, len(data), 4096)]
+    with contextlib.closing(sqlite3.connect(journal(toy))) as db:
+        ((root,),) = db.execute("SELECT rootpage FROM sqlite_master WHERE name = 'points_line'").fetchall()
+    pages[root - 1] = pages[root - 1].replace(b"points-", b"points+")
+    journal(toy).write_bytes(b"".join(pages))
+    journal(toy, ".events.jsonl").unlink()
+    toy("run", "toy.toml")
+    assert toy.bytes() == whole
+    assert '"chunk"' not in journal(toy, ".events.jsonl").read_text()
+
+
+def test_a_lost_atlas_is_made_again_for_who_reads_it(toy):
+    toy.write(STUDY.replace('["scaling"]', '["transition"]'))
+    toy("run", "toy.toml")
+    first = toy.bytes()
+    with contextlib.closing(sqlite3.connect(journal(toy))) as db:
+        db.execute("DELETE FROM results")
+        db.commit()
+    toy("run", "toy.toml")
+    assert toy.bytes() == first
+
+
+def test_a_run_touches_no_file_of_another(toy):
+    """Whatever studies are called, and whatever a user keeps beside them."""
+    folder = toy.folder / "data" / "archive"
+    folder.mkdir(parents=True)
+    others = [folder / name for name in ("toy.nc.tmp.5.nc", "toy.nc.tmp.5.journal", "toy.nc.tmp.backup", "b.nc.tmp.7",
+                                         f".toy.nc.{32 * '0'}", f".toy.journal.{32 * 'f'}")]
+    for file in others:
+        file.write_text("mine")
+    toy.write(STUDY.replace("n = 200", "n = 3"))
+    toy("run", "toy.toml")
+    toy("run", "toy.toml", "--archive", "data/archive/*.nc")
+    assert [file.read_text() for file in others] == ["mine"] * len(others)
+
+
+def test_drafts_are_removed_once_their_process_is_gone(tmp_path):
+    path, gone, alive = tmp_path / "toy.nc", "0" * 32, "1" * 32
+    mine = [drafts.of(tmp_path / name, gone) for name in ("toy.nc", "toy.journal", "toy.run.json")]
+    others = [drafts.of(tmp_path / "toy.nc", alive), drafts.of(tmp_path / "toy2.nc", gone), tmp_path / "toy.nc.tmp.5"]
+    for file in (*mine, *others):
+        file.touch()
+    (tmp_path / "toy.lock").write_text(json.dumps({"pid": 1, "host": "here", "started": "now", "drafts": gone}))
+    with runner.locked(path):
+        assert not [file for file in mine if file.exists()] and all(file.exists() for file in others)
+        drafts.of(path).touch()
+        with pytest.raises(BusyError), runner.locked(path):
+            pass
+        assert drafts.of(path).exists()
+    for text in ("", "[]", '{"drafts": 3}', '{"drafts": "../toy2.nc"}', "\0\xff"):
+        (tmp_path / "toy.lock").write_text(text)
+        with runner.locked(path):
+            assert all(file.exists() for file in others)
 
 
 def test_a_foreign_file_is_not_touched(toy):

@@ -75,6 +75,12 @@ def fit(params, inputs):
     return {"fits/scaling/walker": np.array(names), "fits/scaling/exponent": np.array(means)}
 
 
+def fit_atlas(params, inputs):
+    """What every line's atlas says."""
+    return {"fits/transition/walker": np.array([line["name"] for line in params["lines"]]),
+            "fits/transition/exponent": np.concatenate([i["scale"] for i in inputs])}
+
+
 def orbit(params, inputs):
     """A table per line."""
     return {"orbits/slope": params["slope"], "orbits/period": params["slope"] * 2}
