@@ -93,9 +93,7 @@ class Journal:
         self._recent: OrderedDict[int, dict[str, np.ndarray]] = OrderedDict()
         self._last: dict[str, int] = {}
         try:
-            there = path.exists() and path.stat().st_size > 0
-            if there and not _is_ours(path):
-                raise ArchiveError(f"{path} is not a journal of this version of gaitsweep; move it away.")
+            there = _is_ours(path)
             page = 0 if there else _LARGE_PAGE if points >= _LARGE else _PAGE
             self._db = _connect(path if there or write else None, write, page)
         except (sqlite3.Error, OSError) as error:
@@ -309,11 +307,21 @@ def _connect(path: Path | None, write: bool = True, page: int = 0) -> sqlite3.Co
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether a file is a journal of this version: it has the mark of one, or a row."""
+    """Whether there is a journal of this version at `path`: it has the mark of one, or a row.
+
+    Raises
+    ------
+    ArchiveError
+        If there is anything else.
+    """
+    if not path.exists() or not path.stat().st_size:
+        return False
     with open(path, "rb") as file:
         file.seek(68)
         mark = file.read(4)
-    return mark == _MARK.to_bytes(4, "big") or any(True for _ in _whole_rows(path))
+    if mark != _MARK.to_bytes(4, "big") and not any(True for _ in _whole_rows(path)):
+        raise ArchiveError(f"{path} is not a journal of this version of gaitsweep; move it away.")
+    return True
 
 
 def _whole_rows(path: Path) -> Iterator[tuple[str, tuple[Any, ...]]]:
@@ -333,6 +341,17 @@ def _whole_rows(path: Path) -> Iterator[tuple[str, tuple[Any, ...]]]:
         yield from salvage.rows(path, size, whole)
 
 
+def forget(path: Path) -> None:
+    """Remove a journal, but no file of somebody else's."""
+    if _is_ours(path):
+        _remove(path)
+
+
+def _remove(path: Path, *suffixes: str) -> None:
+    for suffix in suffixes or ("", "-wal", "-shm"):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
 def mend(path: Path) -> None:
     """Write the journal anew with every row that is whole."""
     fresh = drafts.of(path)
@@ -345,8 +364,7 @@ def mend(path: Path) -> None:
                     new.execute("DELETE FROM points WHERE id = ? AND n < ?", (row[0], row[6]))
                 new.execute(_insert(table, "OR IGNORE"), row)
             new.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-        for suffix in ("-wal", "-shm"):
-            path.with_name(path.name + suffix).unlink(missing_ok=True)
+        _remove(path, "-wal", "-shm")
         os.replace(fresh, path)
     except (sqlite3.Error, OSError) as error:
         _fail(error, path)

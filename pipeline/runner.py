@@ -8,6 +8,7 @@ import json
 import os
 import platform
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -20,7 +21,7 @@ from pipeline import archive, cell, check, drafts
 from pipeline.compact import compact
 from pipeline.errors import ArchiveError, BusyError, GaitsweepError, StoppedError, unwritten
 from pipeline.execute import Engine, Loop
-from pipeline.journal import Journal, TornError, mend
+from pipeline.journal import Journal, TornError, forget, mend
 from pipeline.plan import Plan, summary
 from pipeline.progress import Progress, duration
 from pipeline.provenance import code_digest, cpu_features, version
@@ -156,8 +157,7 @@ def run(study: Study, path: Path, options: Options) -> int:
 def _run(study: Study, path: Path, options: Options) -> int:
     place = beside(path, ".journal")
     if options.fresh:
-        for suffix in ("", "-wal", "-shm"):
-            place.with_name(place.name + suffix).unlink(missing_ok=True)
+        forget(place)
     record: dict[str, Any] = {"study": study.name, "archive": path.name, "began": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
                               "host": platform.node(), "jobs": options.jobs, "cluster": options.cluster,
                               "cpu": cpu_features(), "version": version("gaitsweep")}
@@ -182,6 +182,8 @@ def _attempts(study: Study, path: Path, place: Path, options: Options, record: d
                 return _once(Plan(study, journal, options.retry_failed), path, options, record)
         except TornError:
             mend(place)
+            if not options.quiet:
+                print(f"{place} was damaged; it is mended, and what is lost is computed again.", file=sys.stderr)
     raise ArchiveError(f"{place} cannot be mended; run again with --fresh.")
 
 

@@ -229,8 +229,9 @@ def test_a_foreign_file_is_not_touched(toy):
     journal(toy).parent.mkdir(parents=True)
     for what in (".journal", ".nc"):
         journal(toy, what).write_text("not ours\n")
-        assert "move it away" in toy("run", "toy.toml", expect=2).stderr
-        assert journal(toy, what).read_text() == "not ours\n"
+        for options in ((), ("--fresh",)):
+            assert "move it away" in toy("run", "toy.toml", *options, expect=2).stderr
+            assert journal(toy, what).read_text() == "not ours\n"
         journal(toy, what).unlink()
 
 
