@@ -54,22 +54,23 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
     ArchiveError, DiskFullError
         If it cannot be written. What was at `path` stays.
     """
-    draft = drafts.of(path)
+    place = path.resolve()  # what a link leads to is replaced, not the link
+    draft = drafts.of(place)
     try:
         written = _write(plan, draft, threads)
         with open(draft, "rb") as file:
             os.fsync(file.fileno())
-        os.replace(draft, path)
-        folder = os.open(path.parent, os.O_RDONLY)
+        os.replace(draft, place)
+        folder = os.open(place.parent, os.O_RDONLY)
         os.fsync(folder)
         os.close(folder)
     except (OSError, RuntimeError) as error:
-        free = os.statvfs(path.parent)
+        free = os.statvfs(place.parent)
         if getattr(error, "errno", None) == 28 or free.f_bavail * free.f_frsize < 1 << 20:
             raise DiskFullError(f"The disk is full: {path} stays as it was; what was finished is kept.") from error
         raise ArchiveError(f"{path} cannot be written: {error}.") from error
     finally:
-        drafts.discard(path)
+        drafts.discard(place)
     return written
 
 

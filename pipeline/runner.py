@@ -65,7 +65,7 @@ def locked(path: Path) -> Iterator[None]:
             raise BusyError(f"{path} is held by another run: " + (
                 f"process {who['pid']} on {who['host']}, started {who['started']}." if known else
                 "its name is not known yet.")) from error
-        for place in (path, beside(path, ".journal"), beside(path, ".run.json")):
+        for place in (path.resolve(), beside(path, ".journal"), beside(path, ".run.json")):
             drafts.discard(place, _holder(file).get("drafts"))
         file.seek(0)
         file.truncate()

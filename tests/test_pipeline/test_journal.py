@@ -1,6 +1,7 @@
 """The journal gives back what was written, or says that it is torn."""
 
 import contextlib
+import errno
 import os
 import random
 import sqlite3
@@ -10,7 +11,7 @@ import pytest
 
 from pipeline import gather, pack
 from pipeline.compact import compact
-from pipeline.errors import ArchiveError
+from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.journal import Journal, Result, TornError, mend
 from processes import damaged
 
@@ -223,6 +224,22 @@ def test_what_a_damaged_journal_gives_is_what_was_written(tmp_path, seed):
         for file in tmp_path.glob("j*"):
             file.unlink()
     assert lost < 20 * 600 / 3
+
+
+def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypatch):
+    slopes = np.linspace(0.1, 0.4, 9)
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        journal.add_points("L", "k", WANT, row(slopes, 1.0), 0.1)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch, pytest.raises(DiskFullError, match="The disk is full"):
+        patch.setattr(os, "replace", full)
+        mend(tmp_path / "j")
+    assert [f.name for f in tmp_path.iterdir()] == ["j"]
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        assert not len(gather.missing(journal, "L", WANT, slopes))
 
 
 def test_a_file_of_somebody_else_is_told_and_not_touched(tmp_path):

@@ -1,5 +1,6 @@
 """Whatever ends a run, and whenever: the same command again finishes with the same bytes."""
 
+import contextlib
 import os
 import random
 import shutil
@@ -79,6 +80,15 @@ def test_an_archive_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypat
     journal.close()
     draft, place = str(drafts.of(tmp_path / "s.nc")), str(tmp_path / "s.nc")
     assert steps == [draft, (draft, place), str(tmp_path)]
+
+
+def test_an_archive_that_is_a_link_stays_one(tmp_path):
+    (tmp_path / "s.toml").write_text(STUDY)
+    (tmp_path / "far").mkdir()
+    (tmp_path / "s.nc").symlink_to(tmp_path / "far" / "away.nc")
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        archive.write(Plan(study.read(tmp_path / "s.toml"), journal), tmp_path / "s.nc")
+    assert (tmp_path / "s.nc").is_symlink() and [f.name for f in (tmp_path / "far").iterdir()] == ["away.nc"]
 
 
 @pytest.mark.parametrize("cuts", [1, pytest.param(60, marks=pytest.mark.soak)])
