@@ -26,7 +26,7 @@ from pipeline import pack, worker
 from pipeline.errors import WorkerError
 from tasks.registry import GAITS
 
-_LOOK = 0.1  # s between looks at a worker's memory
+_LOOK, _LATE = 0.1, 0.5  # s between looks at a worker, and at most charged to it for one
 _START = 300.0  # s a worker may take to load its task
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
 _PIECES = 16  # a bad block is cut into as many
@@ -95,13 +95,16 @@ class Cell:
             self.lock.release()
 
     def _answer(self, seconds: float, memory: int | None = None) -> list[bytes]:
-        stream, deadline = self.process.stdout, time.monotonic() + seconds
+        stream, looked = self.process.stdout, time.monotonic()
         poll = select.poll()
         poll.register(stream, select.POLLIN)  # type: ignore[arg-type]
-        while not poll.poll(1000 * min(_LOOK, max(0.0, deadline - time.monotonic()))):
+        while not poll.poll(1000 * min(_LOOK, max(0.0, seconds))):
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.")
-            if time.monotonic() >= deadline:
+            # Who looks so late was stopped itself, as a scheduler may do, and the worker with it.
+            now = time.monotonic()
+            seconds, looked = seconds - min(_LATE, now - looked), now
+            if seconds <= 0:
                 raise TimeoutError
             if memory is not None and self.resident() > memory:
                 raise MemoryError

@@ -1,10 +1,15 @@
 """One bad point costs one point."""
 
+import os
+import signal
+import time
+
 import numpy as np
 import pytest
 import xarray as xr
 
 from conftest import STUDY
+from processes import descendants, wait_for_points
 
 #: Trouble, the status it ends with, and words of its reason.
 TROUBLES = {
@@ -49,6 +54,23 @@ def test_a_bad_point_gets_a_status_and_all_others_keep_their_bits(toy, innocent,
         np.testing.assert_array_equal(found[name][~bad], innocent[name][~bad])
         if name != "status":
             assert np.isnan(found[name][bad]).all()
+
+
+def test_a_run_that_was_suspended_blames_no_point(toy):
+    """All of its processes stopped for longer than a point may take, as a scheduler does; the worker wakes last."""
+    toy.write(ONE_LINE.replace("n = 191", "n = 3").replace("= 0.5", "= 2"))
+    process = toy.start("run", "toy.toml", "--chunk", 1, "--jobs", 1, TOY_SECONDS="0.8")
+    wait_for_points(toy, 1)
+    group = [process.pid, *descendants(process.pid)]
+    for pid in group:
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(2.5)
+    for pid in group:
+        os.kill(pid, signal.SIGCONT)
+        time.sleep(0.3)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert (opened(toy).status.sel(gait="long") == 0).all()
 
 
 def test_failed_points_are_kept_until_retried(toy):

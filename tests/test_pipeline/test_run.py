@@ -143,7 +143,7 @@ def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, tell,
     tell(f"journal cut to {part:.0%}: {again} of 40 chunks computed again, equal bytes")
 
 
-@pytest.mark.parametrize("times", [2, pytest.param(300, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("times", [2, pytest.param(100, marks=pytest.mark.soak)])
 def test_a_damaged_journal_gives_the_same_bytes(toy, whole, tell, times):
     """Whatever was damaged, compacted or not: one run mends the journal, the next has nothing to do."""
     dice, kinds, again = random.Random(times), Counter(), 0
