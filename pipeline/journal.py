@@ -24,25 +24,9 @@ from urllib.parse import quote
 
 import numpy as np
 
-from pipeline import drafts, pack, salvage
+from pipeline import drafts, pack, rows, salvage
 from pipeline.errors import ArchiveError, DiskFullError
 
-_SCHEMA = (
-    "CREATE TABLE points (id INTEGER PRIMARY KEY, line TEXT, kin TEXT, variables TEXT, low REAL, high REAL,"
-    " n INTEGER, seconds REAL, data_sum INTEGER, sum INTEGER, slopes BLOB, states BLOB, data BLOB)",
-    "CREATE TABLE results (id INTEGER PRIMARY KEY, key TEXT, kin TEXT, outcome TEXT, reason TEXT, seen INTEGER,"
-    " seconds REAL, data_sum INTEGER, sum INTEGER, data BLOB)",
-    "CREATE TABLE notes (key TEXT PRIMARY KEY, value TEXT)",
-    "CREATE INDEX points_line ON points (line)",
-    "CREATE INDEX points_kin ON points (kin)",
-    "CREATE INDEX results_key ON results (key)",
-    "CREATE INDEX results_kin ON results (kin)",
-)
-#: Columns of each table after its id. `sum` is the checksum of all the others but `data`, which has its own.
-_COLUMNS = {"points": ("line", "kin", "variables", "low", "high", "n", "seconds", "data_sum", "sum", "slopes", "states",
-                       "data"),
-            "results": ("key", "kin", "outcome", "reason", "seen", "seconds", "data_sum", "sum", "data")}
-_REAL = ("low", "high", "seconds")
 _MARK = 0x67735732  # in the header of a journal of this version
 _SYNC = 0.5  # s: how much finished work a power cut may cost
 _MANY, _FEW = 64, 1000  # blocks of a line, and points in one, from which they are put together
@@ -115,8 +99,8 @@ class Journal:
 
     def _rows(self, table: str, where: str, *values: Any) -> list[tuple[Any, ...]]:
         """Rows without their data, from the id on, whose checksum was looked at."""
-        found = self._read(f"SELECT id, {', '.join(_COLUMNS[table][:-1])} FROM {table} WHERE {where}", *values)
-        if not all(_is_whole(table, row) for row in found):
+        found = self._read(f"SELECT id, {', '.join(rows.COLUMNS[table][:-1])} FROM {table} WHERE {where}", *values)
+        if not all(rows.is_whole(table, row) for row in found):
             raise TornError(self.path)
         return found
 
@@ -131,7 +115,7 @@ class Journal:
             if table not in self._last:
                 self._last[table] = self._read(f"SELECT ifnull(max(id), 0) FROM {table}")[0][0]
             self._last[table] += 1
-            self._write(_insert(table), *_summed(table, self._last[table], *row))
+            self._write(rows.insert(table), *rows.summed(table, self._last[table], *row))
 
     def _write(self, sql: str, *values: Any) -> None:
         """One durable statement: against a crash of the run at once, of the machine within `_SYNC`."""
@@ -193,11 +177,11 @@ class Journal:
 
     def knows(self, kin: str) -> bool:
         """Whether there is anything from any version of that task with those parameters."""
-        return any(self._read(f"SELECT 1 FROM {table} WHERE kin = ? LIMIT 1", kin) for table in _COLUMNS)
+        return any(self._read(f"SELECT 1 FROM {table} WHERE kin = ? LIMIT 1", kin) for table in rows.COLUMNS)
 
     def empty(self) -> bool:
         """Whether there is nothing at all."""
-        return not any(self._read(f"SELECT 1 FROM {table} LIMIT 1") for table in _COLUMNS)
+        return not any(self._read(f"SELECT 1 FROM {table} LIMIT 1") for table in rows.COLUMNS)
 
     def seconds_per_point(self) -> float | None:
         """Mean measured cost of the latest thousand blocks."""
@@ -219,7 +203,8 @@ class Journal:
         with self._lock:
             self._write("BEGIN IMMEDIATE")
             self._read(f"DELETE FROM points WHERE id IN ({_list(numbers)})")
-            self._read(_insert("points"), *_summed("points", numbers[-1], line, *_points(kin, variables, row, seconds)))
+            whole = rows.summed("points", numbers[-1], line, *_points(kin, variables, row, seconds))
+            self._read(rows.insert("points"), *whole)
             self._read("COMMIT")
 
     def shrink(self) -> None:
@@ -230,8 +215,8 @@ class Journal:
 
     def note(self, key: str) -> str | None:
         """A note kept beside the results."""
-        rows = self._read("SELECT value FROM notes WHERE key = ?", key)
-        return rows[0][0] if rows else None
+        found = self._read("SELECT value FROM notes WHERE key = ?", key)
+        return found[0][0] if found else None
 
     def set_note(self, key: str, value: str) -> None:
         """Keep a note beside the results."""
@@ -253,28 +238,6 @@ def _points(kin: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes],
     return kin, " ".join(sorted(variables)), float(slopes.min()), float(slopes.max()), len(slopes), float(seconds), *row
 
 
-def _insert(table: str, how: str = "") -> str:
-    columns = ("id", *_COLUMNS[table])
-    return f"INSERT {how} INTO {table} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
-
-
-def _summed(table: str, number: int, *row: Any) -> tuple[Any, ...]:
-    """A row with its checksums."""
-    k = _COLUMNS[table].index("data_sum")
-    head = (number, *row[:k], zlib.crc32(row[-1]))
-    return (*head, _sum(head, row[k:-1]), *row[k:])
-
-
-def _sum(head: tuple[Any, ...], blobs: Iterable[bytes]) -> int:
-    return functools.reduce(lambda check, blob: zlib.crc32(blob, check), blobs, zlib.crc32(repr(head).encode()))
-
-
-def _is_whole(table: str, row: tuple[Any, ...]) -> bool:
-    """Whether everything in a row from its id to before its data is as it was written."""
-    k = 1 + _COLUMNS[table].index("sum")
-    return all(isinstance(blob, bytes) for blob in row[k + 1:]) and row[k] == _sum(row[:k], row[k + 1:])
-
-
 def _connect(path: Path | None, write: bool = True, page: int = 0) -> sqlite3.Connection:
     """Open a journal, or make one with pages of that size; without a path in memory."""
     options: dict[str, Any] = {"timeout": 10, "isolation_level": None, "check_same_thread": False}
@@ -293,12 +256,12 @@ def _connect(path: Path | None, write: bool = True, page: int = 0) -> sqlite3.Co
             db.execute(f"PRAGMA {pragma}")
         if page:
             db.execute("BEGIN IMMEDIATE")
-            for statement in _SCHEMA:
+            for statement in rows.SCHEMA:
                 db.execute(statement)
             db.execute("COMMIT")
         found = {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
         # An index that misses rows would hide them; to read a journal through is little beside what comes of it.
-        if found != set(_SCHEMA) or (write and db.execute("PRAGMA integrity_check(1)").fetchone() != ("ok",)):
+        if found != set(rows.SCHEMA) or (write and db.execute("PRAGMA integrity_check(1)").fetchone() != ("ok",)):
             raise sqlite3.DatabaseError("malformed")
     except BaseException:
         db.close()
@@ -326,19 +289,8 @@ def _is_ours(path: Path) -> bool:
 
 def _whole_rows(path: Path) -> Iterator[tuple[str, tuple[Any, ...]]]:
     """Every row of a journal, and its table, that is as it was written, whatever became of the rest."""
-    def whole(number: int, values: list[Any]) -> tuple[str, tuple[Any, ...]] | None:
-        for table, columns in _COLUMNS.items():
-            if len(values) == 1 + len(columns):
-                # SQLite keeps whole numbers as such in any column.
-                row = (number, *(float(v) if name in _REAL and isinstance(v, int) else v
-                                 for name, v in zip(columns, values[1:], strict=True)))
-                check = row[1 + columns.index("data_sum")]
-                if _is_whole(table, row[:-1]) and isinstance(row[-1], bytes) and zlib.crc32(row[-1]) == check:
-                    return table, row
-        return None
-
     for size in (_PAGE, _LARGE_PAGE):
-        yield from salvage.rows(path, size, whole)
+        yield from salvage.rows(path, size, rows.found)
 
 
 def forget(path: Path) -> None:
@@ -362,7 +314,7 @@ def mend(path: Path) -> None:
             for table, row in _whole_rows(path):
                 if table == "points":  # what took the place of several has the number of the last, and more points
                     new.execute("DELETE FROM points WHERE id = ? AND n < ?", (row[0], row[6]))
-                new.execute(_insert(table, "OR IGNORE"), row)
+                new.execute(rows.insert(table, "OR IGNORE"), row)
             new.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         _remove(path, "-wal", "-shm")
         os.replace(fresh, path)
