@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline import pack
 from pipeline.journal import Block, Journal
+from tasks.registry import VARIABLES
 
 _MOST = 32768  # points in a block
 
@@ -49,16 +50,17 @@ def _joined(journal: Journal, group: list[Block]) -> tuple[bytes, bytes, bytes]:
               "reason": np.concatenate(reason)[keep].astype(np.int32), "reasons": np.array(list(sentences) or [""])}
     parts = [journal.variables(b.id) for b in group]
     names = sorted({name for part in parts for name in part})
-    data = {name: _stacked([(part.get(name), len(b.slopes)) for part, b in zip(parts, group, strict=True)])[keep]
+    data = {name: _stacked([(part.get(name), len(b.slopes)) for part, b in zip(parts, group, strict=True)],
+                           VARIABLES[name].absent)[keep]
             for name in names}
     return slopes[keep].tobytes(), pack.dump(states), pack.dump(data)
 
 
-def _stacked(parts: list[tuple[np.ndarray | None, int]]) -> np.ndarray:
-    """Blocks of one variable under each other, as wide as the widest; NaN or 0 where one has no such gait."""
+def _stacked(parts: list[tuple[np.ndarray | None, int]], absent: float) -> np.ndarray:
+    """Blocks of one variable under each other, as wide as the widest; `absent` where one has no such gait."""
     there = [p for p, _ in parts if p is not None]
     shape = tuple(max(p.shape[k] for p in there) for k in range(1, there[0].ndim))
-    values = np.full((sum(n for _, n in parts), *shape), np.nan if there[0].dtype.kind == "f" else 0, there[0].dtype)
+    values = np.full((sum(n for _, n in parts), *shape), absent, there[0].dtype)
     start = 0
     for part, n in parts:
         if part is not None:

@@ -122,8 +122,8 @@ def _numbers(block: Block, sentences: dict[str, int]) -> np.ndarray:
 
 def fill(journal: Journal, names: Iterable[str], sources: Iterable[Source], n: int, multipliers: int,
          gaits: int = len(GAITS)) -> dict[str, np.ndarray]:
-    """Variables over `n` slopes of one line; NaN, or 0 for whole numbers, where there is none."""
-    empty = {name: np.nan if VARIABLES[name].dtype == "f8" else 0 for name in names}
+    """Variables over `n` slopes of one line; where there is no gait as the registry says."""
+    empty = {name: VARIABLES[name].absent for name in names}
     extra = {name: (multipliers,) if "multiplier" in VARIABLES[name].dims else () for name in empty}
     values = {name: np.full((n, gaits, *extra[name]), empty[name], VARIABLES[name].dtype) for name in empty}
     for block, inside, place in sources:

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable
 from typing import Any, BinaryIO
 
-from tasks.registry import CALLS, STATUSES
+from tasks.registry import CALLS, STATUSES, VARIABLES
 
 #: How a point ended for its worker; how a solve ended is in `tasks.registry`.
 ENDINGS = {"worker_died": 4, "timed_out": 5, "out_of_memory": 6, "not_attempted": 7, "raised": 8}
@@ -180,7 +180,8 @@ def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
 
     def empty(g: int) -> bool:
         return bool(np.all(status[:, g] == STATUSES["no_gait"])) and all(
-            np.all(np.isnan(a[:, g])) if a.dtype.kind == "f" else not a[:, g].any() for a in columns.values())
+            np.array_equal(a[:, g], np.full_like(a[:, g], VARIABLES[name].absent), equal_nan=a.dtype.kind == "f")
+            for name, a in columns.items())
 
     while live and empty(live - 1):
         live -= 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ from tasks.fits import transition as laws
 from tasks.registry import GAITS
 
 Arrays = dict[str, np.ndarray]
+#: A piece of a branch, by the numbers of both, and the points of it over which the local exponent stands still.
+_Run = tuple[tuple[int, int], np.ndarray, np.ndarray]
 #: How the fitted quantities depend on each other: name, abscissa, ordinate.
 QUANTITIES = (("stance_angle", "slope", "stance_angle"), ("speed", "slope", "speed"), ("power_speed", "speed", "power"))
 
@@ -19,18 +21,20 @@ QUANTITIES = (("stance_angle", "slope", "stance_angle"), ("speed", "slope", "spe
 def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """Power laws of both gaits of every line, at vanishing and at larger slopes (section 6.2 of the paper).
 
+    A law never goes across two branches, nor through a fold: each is fitted on one piece of one branch.
+
     Parameters
     ----------
     params : mapping
         `lines`.
     inputs : list
-        One dict a line: `slope` (n,), `stance_angle`, `speed`, `power` (n, gaits).
+        One dict a line: `slope` (n,), `stance_angle`, `speed`, `power`, `branch`, `piece` (n, gaits).
 
     Returns
     -------
     dict
-        Table `fits/scaling`, a row per line, gait, quantity and regime; where there is no plateau the numbers are
-        NaN and `n` is 0.
+        Table `fits/scaling`, a row per line, gait, quantity and regime, with the branch and the piece it was fitted on;
+        where there is no plateau the numbers are NaN, `n` is 0 and both are -1.
     """
     rows: list[dict[str, Any]] = []
     for line, data in zip(params["lines"], inputs):
@@ -39,35 +43,53 @@ def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 x = data["slope"] if abscissa == "slope" else data[abscissa][:, g]
                 y = data[ordinate][:, g]
                 good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-                order = np.argsort(x[good])
-                rows += _laws(line, gait, quantity, x[good][order], y[good][order])
+                curves = {key: _sorted(x[mine], y[mine]) for key, mine in _curves(data, g, good).items()}
+                rows += _laws({**_coordinates(line), "gait": gait, "quantity": quantity}, curves)
     return _table("fits/scaling", rows)
 
 
-def _laws(line: Mapping[str, Any], gait: str, quantity: str, x: np.ndarray, y: np.ndarray) -> list[dict[str, Any]]:
-    """The law at the smallest abscissae, and the one at the largest if it is another."""
-    head = {**_coordinates(line), "gait": gait, "quantity": quantity}
-    runs = power_law.plateaus(x, y) if len(x) > power_law.LEAST_POINTS else []
-    small = min(runs, default=None)
+def _curves(data: Arrays, g: int, good: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
+    """Where a gait's good points lie on each piece of a branch, by the numbers of both."""
+    place = list(zip(data["branch"][:, g].tolist(), data["piece"][:, g].tolist()))
+    return {key: good & np.array([p == key for p in place]) for key in sorted({p for p, ok in zip(place, good) if ok})}
+
+
+def _sorted(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    order = np.argsort(x)
+    return x[order], y[order]
+
+
+def _laws(head: dict[str, Any], curves: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]) -> list[dict[str, Any]]:
+    """The law at the smallest abscissae, and the one at the largest if it is another, each of one curve."""
+    small = min(_plateaus(curves, power_law.FLATNESS), key=_start, default=None)
     # Above the transition the law only comes close to a power, so the rule is looser there.
-    loose = power_law.plateaus(x, y, 5 * power_law.FLATNESS) if len(x) > power_law.LEAST_POINTS else []
-    large = max(loose, default=None)
-    if small and large and (large[0] < small[1] or abs(_exponent(x, y, large) - _exponent(x, y, small)) < 0.1):
+    large = max(_plateaus(curves, 5 * power_law.FLATNESS), key=_start, default=None)
+    if small and large and small[0] == large[0] and (
+            _start(large) < small[1][-1] or abs(_exponent(*large[1:]) - _exponent(*small[1:])) < 0.1):
         large = None
     rows = []
     for regime, run in (("small", small), ("large", large)):
-        law = power_law.fit(x[run[0]:run[1] + 1], y[run[0]:run[1] + 1]) if run else None
-        if law is None:
-            rows.append({**head, "regime": regime, **dict.fromkeys(("exponent", "exponent_low", "exponent_high", "amplitude", "from", "to"), np.nan), "n": 0})
-        else:
-            rows.append({**head, "regime": regime, "exponent": law.exponent, "exponent_low": law.low,
-                         "exponent_high": law.high, "amplitude": law.amplitude, "from": law.x_from, "to": law.x_to,
-                         "n": law.n})
+        law = power_law.fit(*run[1:]) if run else None
+        (branch, piece), values = (-1, -1), (*[np.nan] * 6, 0)
+        if run and law:
+            (branch, piece), values = run[0], (law.exponent, law.low, law.high, law.amplitude, law.x_from, law.x_to, law.n)
+        names = ("exponent", "exponent_low", "exponent_high", "amplitude", "from", "to", "n")
+        rows.append({**head, "regime": regime, "branch": branch, "piece": piece, **dict(zip(names, values))})
     return rows
 
 
-def _exponent(x: np.ndarray, y: np.ndarray, run: tuple[int, int]) -> float:
-    return float(np.log(y[run[1]] / y[run[0]]) / np.log(x[run[1]] / x[run[0]]))
+def _plateaus(curves: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]], flatness: float) -> Iterator[_Run]:
+    for key, (x, y) in curves.items():
+        runs = power_law.plateaus(x, y, flatness) if len(x) > power_law.LEAST_POINTS else []
+        yield from ((key, x[first:last + 1], y[first:last + 1]) for first, last in runs)
+
+
+def _start(run: _Run) -> float:
+    return float(run[1][0])
+
+
+def _exponent(x: np.ndarray, y: np.ndarray) -> float:
+    return float(np.log(y[-1] / y[0]) / np.log(x[-1] / x[0]))
 
 
 def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -78,12 +100,13 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `lines`, each with a `foot_mass_ratio` (or walkers E and F).
     inputs : list
-        One dict a line: `slope` (n,), `stance_angle` (n, gaits).
+        One dict a line: `slope` (n,), `stance_angle`, `branch`, `piece` (n, gaits).
 
     Returns
     -------
     dict
-        Table `fits/transition`, a row per ratio, heaviest first: amplitude of the linear law, crossing of the exact
+        Table `fits/transition`, a row per ratio, heaviest first, all of it from the piece of a branch that comes to the
+        smallest slope: its numbers, amplitude of the linear law, crossing of the exact
         asymptotes, crossing of fitted lines, the asymptotic formula, and the local exponent
         d ln slope_transition / d ln ratio towards the next lighter foot.
     """
@@ -93,15 +116,15 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         ratio = line["set"].get("foot_mass_ratio", {"E": 0.1, "F": 0.05}.get(line["walker"], np.nan))
         if not ratio > 0:
             continue
-        good = np.isfinite(data["stance_angle"][:, g])
-        order = np.argsort(data["slope"][good])
-        slope, angle = data["slope"][good][order], data["stance_angle"][good, g][order]
+        curves = _curves(data, g, np.isfinite(data["stance_angle"][:, g]))
+        (branch, piece), mine = min(curves.items(), key=lambda c: data["slope"][c[1]].min(), default=((-1, -1), []))
+        slope, angle = _sorted(data["slope"][mine], data["stance_angle"][mine, g])
         if len(slope) < 4:
             continue
         linear, error, to, n = laws.linear_amplitude(slope, angle)
         exact = laws.crossing(linear, laws.CUBE_ROOT)
         fitted, low, high = laws.fitted_crossing(slope, angle, exact)
-        rows.append({"foot_mass_ratio": ratio, "amplitude_linear": linear, "amplitude_linear_error": error,
+        rows.append({"foot_mass_ratio": ratio, "branch": branch, "piece": piece, "amplitude_linear": linear, "amplitude_linear_error": error,
                      "linear_to": to, "n": n, "amplitude_cube_root": laws.CUBE_ROOT, "slope_transition": exact,
                      "slope_transition_fitted": fitted, "fitted_below": low, "fitted_above": high,
                      "asymptotic": float(laws.asymptotic(np.array(ratio)))})

@@ -7,7 +7,7 @@ parameters) that makes a stored result stale.
 
 from dataclasses import dataclass
 
-#: Labels of the gait dimension. `other1`, ... hold a second gait under the same label.
+#: Labels of the gait dimension. `other1`, ... hold the further gaits of a label, by falling angle.
 GAITS = ("long", "short", "other1", "other2")
 
 #: What can become of a solve (CF flag values). How a run ended for a worker is added by the pipeline.
@@ -23,7 +23,7 @@ SI_UNITS = {
 
 @dataclass(frozen=True)
 class Variable:
-    """One archive variable: its name, dimensions after the axes, kind of quantity and meaning."""
+    """One archive variable: its name, dimensions after the axes, kind of quantity, meaning, and what is where no gait is."""
 
     name: str
     dims: tuple[str, ...]
@@ -31,6 +31,7 @@ class Variable:
     long_name: str
     group: str = ""
     dtype: str = "f8"
+    absent: float = float("nan")
 
     def units(self, si: bool) -> str:
         """CF units of this variable for a walker in SI (`si`) or in consistent units."""
@@ -60,7 +61,7 @@ VARIABLES = {v.name: v for v in (
     Variable("energy_imbalance", _G, "number", "losses minus drop of potential energy, over that drop", "energy"),
     Variable("heelstrike_rate_ratio", _G, "number",
              "(thigh rate - stance rate)/|stance rate| just before heelstrike; below 1/2 a gait is long"),
-    Variable("violations", _G, "number", "physical assumptions a gait violates", "violations", "i4"),
+    Variable("violations", _G, "number", "physical assumptions a gait violates", "violations", "i4", 0),
     Variable("scuff_depth", _G, "length", "greatest depth of the swing foot below the ground", "violations"),
     Variable("unlocking_torque", _G, "torque",
              "worst torque that would flex the stance knee (negative: its stop holds)", "violations"),
@@ -81,8 +82,11 @@ VARIABLES = {v.name: v for v in (
     Variable("trailing_impulse", _G, "impulse", "impulse two contacts would need at the trailing foot", "violations"),
     Variable("residual", _G, "number", "largest residual of the fixed-point equations"),
     Variable("error_bound", _G, "number", "bound on the relative errors of angle and period and on the rates' errors over the largest rate"),
-    Variable("status", _G, "number", "what became of the solve", dtype="i1"),
-    Variable("reason", _G, "number", "index into the table of reasons", dtype="i2"),
+    Variable("branch", _G, "number", "branch of its line a gait lies on, by rank; -1 where there is no gait", dtype="i2",
+             absent=-1),
+    Variable("piece", _G, "number", "piece of its branch between folds; -1 where there is no gait", dtype="i2", absent=-1),
+    Variable("status", _G, "number", "what became of the solve", dtype="i1", absent=STATUSES["no_gait"]),
+    Variable("reason", _G, "number", "index into the table of reasons", dtype="i2", absent=0),
 )}
 
 #: Bits of `violations`, lowest first (PHYSICS: Appendix A of the paper).
@@ -90,7 +94,7 @@ VIOLATIONS = ("scuff", "stance_knee_unlocks", "contact_tension", "friction", "re
               "release_penetrates", "trailing_foot_pulls")
 
 #: Always archived, whatever a study wants.
-ALWAYS = ("residual", "error_bound", "status", "reason")
+ALWAYS = ("residual", "error_bound", "branch", "piece", "status", "reason")
 
 
 @dataclass(frozen=True)
@@ -108,23 +112,23 @@ class Task:
 TASKS = {t.name: t for t in (
     Task("atlas", "tasks.solve:atlas", 10, seconds=1.0),
     Task("points", "tasks.solve:points", 7, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
-    Task("trace", "tasks.trace:trace", 1, needs=("atlas",), seconds=0.2),
-    Task("branch", "tasks.branch:branch", 3, needs=("atlas",), seconds=0.3),
-    Task("orbit", "tasks.orbit:orbit", 1, needs=("atlas",), seconds=30.0),
-    Task("cascade", "tasks.cascade:cascade", 3, needs=("atlas",), seconds=3.0),
-    Task("basin", "tasks.basin:basin", 1, needs=("atlas",), seconds=5.0),
+    Task("trace", "tasks.trace:trace", 2, needs=("atlas",), seconds=0.2),
+    Task("branch", "tasks.branch:branch", 4, needs=("atlas",), seconds=0.3),
+    Task("orbit", "tasks.orbit:orbit", 2, needs=("atlas",), seconds=30.0),
+    Task("cascade", "tasks.cascade:cascade", 4, needs=("atlas",), seconds=3.0),
+    Task("basin", "tasks.basin:basin", 2, needs=("atlas",), seconds=5.0),
     Task("curve", "tasks.curve:curve", 3, needs=("atlas",), seconds=5.0),
     Task("design", "tasks.design:design", 1, needs=("atlas",), seconds=0.1),
     Task("census", "tasks.census:census", 3, seconds=10.0),
-    Task("scaling", "tasks.fit:scaling", 1, needs=("points",)),
-    Task("transition", "tasks.fit:transition", 1, needs=("points",)),
-    Task("claims", "tasks.claims:claims", 3, needs=("points", "atlas"), seconds=30.0),
+    Task("scaling", "tasks.fit:scaling", 2, needs=("points",)),
+    Task("transition", "tasks.fit:transition", 2, needs=("points",)),
+    Task("claims", "tasks.claims:claims", 4, needs=("points", "atlas"), seconds=30.0),
 )}
 
 #: Every figure and fit, and the point variables and tasks it reads; the plan adds them to what a study wants.
 READS = {
-    "scaling": ("stance_angle", "period", "speed", "power"),
-    "transition": ("stance_angle",),
+    "scaling": ("stance_angle", "period", "speed", "power", "branch", "piece"),
+    "transition": ("stance_angle", "branch", "piece"),
     "loglog": ("stance_angle", "spectral_radius"),
     "linear": ("stance_angle", "spectral_radius"),
     "transition_ladder": ("stance_angle",),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,6 +11,7 @@ from tasks import status
 from tasks.gait import atlas as atlases
 from tasks.gait.continuation import lipschitz
 from tasks.gait.fixed_point import Problem, noise, search, starts
+from tasks.gait.labels import places
 from tasks.gait.settle import UNKNOWN
 from tasks.registry import GAITS, VARIABLES
 from tasks.solve import points, solve
@@ -45,17 +45,27 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     problem = Problem(resolve(line["walker"], line["set"]))
     branches = atlases.survey(problem)
     found = points({"line": line, "slope": np.array([slope]), "want": WANT}, [atlases.to_arrays(branches)])
-    gaits = [_record(label, slope, {k: found[k][0, g] for k in WANT if k in found})
-             for g, label in enumerate(GAITS) if found["status"][0, g] == status.CONVERGED]
+    gaits = [{k: found[k][0, g] for k in WANT} for g in range(len(GAITS)) if found["status"][0, g] == status.CONVERGED]
+    strange: list[dict[str, Any]] = []
     said = [f"{starts(problem, s).shape[1]} starts at slope {s:g}" for s in atlases.ANCHORS]
     said.append(f"{len(branches)} branches followed over {sum(len(b.Z) for b in branches)} points")
     if params.get("all") or not gaits:
         others, tried, nearest = _elsewhere(problem, slope, gaits)
         said.append(tried)
-        gaits += [o for o in others if params.get("all") or o["gait"] in GAITS]
+        gaits += [other for other in others if other["passes"] == 1]
+        strange = [other for other in others if other["passes"] != 1 and params.get("all")]
         if not gaits:
             said += [str(found["reasons"][1]), str(found["reasons"][5]), nearest]
-    return {"gaits": gaits, "search": said}
+    angle, ratio = (np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in ("stance_angle", "heelstrike_rate_ratio"))
+    place = places(angle, ratio)[:, 0]
+    records = [_record(_name(place[i]), slope, gaits[i]) for i in np.argsort(place)]
+    records += [_record(f"passes_{gait['passes']}_times", slope, gait) for gait in strange]
+    return {"gaits": records, "search": said}
+
+
+def _name(place: int) -> str:
+    """A label by its place; a search may find more than archives have room for."""
+    return GAITS[place] if place < 2 else f"other{place - 1}"
 
 
 def _elsewhere(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str, str]:
@@ -70,21 +80,16 @@ def _elsewhere(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -> t
     unknown = np.full(w.shape[1], UNKNOWN)
     solved = solve(problem, np.vstack([X, w[m:]]), np.exp(q[0]), lipschitz(problem, X, w[m:]),
                    noise(problem, w, q[0], near=8), WANT, unknown)
-    records = []
+    others = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]
         if any(abs(angle - g["stance_angle"]) < 1e-8 * abs(angle) for g in gaits) or not np.isfinite(angle):
             continue
-        label = f"passes_{verdict.passes[lane]}_times"
-        if verdict.passes[lane] == 1:
-            own = "long" if solved["heelstrike_rate_ratio"][lane] < 0.5 else "short"
-            taken = {g["gait"] for g in (*gaits, *records)}
-            label = next(name for name in (own, *(f"other{k}" for k in itertools.count(1))) if name not in taken)
-        records.append(_record(label, slope, {k: solved[k][lane] for k in WANT if k in solved}))
+        others.append({**{k: solved[k][lane] for k in WANT if k in solved}, "passes": verdict.passes[lane]})
     misses = np.nonzero(~verdict.step)[0]
     nearest = "Nearest miss: none." if not len(misses) else (
         f"Nearest miss: a solution at stance angle {np.exp(w[0, misses[0]]):.6g} whose guards are crossed too early.")
-    return records, tried, nearest
+    return others, tried, nearest
 
 
 def _record(label: str, slope: float, value: dict[str, Any]) -> dict[str, Any]:
@@ -96,7 +101,7 @@ def _record(label: str, slope: float, value: dict[str, Any]) -> dict[str, Any]:
     return {"gait": label, "slope": slope, **{k: plain[k] for k in names}, "multipliers": pairs.tolist(),
             "stable": bool(plain["spectral_radius"] < 1), "speed": plain["speed"], **{k: plain[k] for k in losses},
             "violations": _flags(value.get("violations")), "status": "converged", "residual": plain["residual"],
-            "error_bound": plain["error_bound"]}
+            "error_bound": plain["error_bound"], "branch": plain.get("branch"), "piece": plain.get("piece")}
 
 
 def _flags(bits: Any) -> list[str] | None:

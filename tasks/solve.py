@@ -11,6 +11,7 @@ from tasks import status
 from tasks.gait import atlas as atlases
 from tasks.gait.branch import Branch
 from tasks.gait.fixed_point import Problem, gait_ratio, sizes, starts
+from tasks.gait.labels import places
 from tasks.gait.settle import UNKNOWN, Settled, settle
 from tasks.gait.stability import multipliers
 from tasks.measures import violations
@@ -63,35 +64,43 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     out: Arrays = {}
     for name in want:
         shape = (n, len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
-        kind = VARIABLES[name].dtype
-        out[name] = np.full(shape, np.nan if kind == "f8" else 0, kind)
+        out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
     searched = (f"{starts(problem, atlases.ANCHORS[0]).shape[1]} starts at each of the slopes "
                 + ", ".join(f"{s:g}" for s in atlases.ANCHORS))
     long, short = (status.outside(label, [s for b in branches for s in _spans(b, label)], searched) for label in GAITS[:2])
     reasons = [status.SETTLED, long, status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP, short]
-    if "status" in out:
-        out["status"][:] = status.NO_GAIT
-        out["reason"][:] = [1, 5, 2, 2]
-    free = np.ones((n, len(GAITS)), bool)
+    out["reason"][:] = [1, 5, 2, 2]
     q = np.log(slope)
-    for branch in branches:
+    angle, ratio, parts = [], [], []
+    for number, branch in enumerate(branches):
         for index, Z, segment in branch.guesses(q):
             asked = _asked(branch, segment, wanted)
             index, Z, segment = index[asked], Z[asked], segment[asked]
             lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
             noise = branch.noise[segment]
             passes = np.where(branch.safe[segment], branch.passes[segment], UNKNOWN)
+            piece = branch.piece(segment)
+            angle.append(np.full(n, np.nan))
+            ratio.append(np.full(n, np.nan))
             for k in range(0, len(index), BLOCK):
                 part = slice(k, k + BLOCK)
                 block = index[part]
                 solved = solve(problem, Z[part].T, slope[block], lipschitz[part], noise[part].T, want, passes[part],
                                params.get("friction_limit", violations.FRICTION_LIMIT))
-                label = (~(solved["heelstrike_rate_ratio"] < 0.5)).astype(int)
-                slot = np.where(free[block, label], label, np.where(free[block, 2], 2, 3))
-                keep = np.array([GAITS[s] in wanted for s in slot], bool) & solved["anthropomorphic"] & free[block, slot]
-                free[block[keep], slot[keep]] = False
-                for name in want:
-                    out[name][block[keep], slot[keep]] = solved[name][keep]
+                solved["branch"], solved["piece"] = np.full(len(block), number), piece[part]
+                # What has not converged still is the gait its branch has there.
+                nodes = 0.5 * (branch.ratio[segment[part]] + branch.ratio[segment[part] + 1])
+                good = solved["status"] == status.CONVERGED
+                angle[-1][block] = np.where(solved["anthropomorphic"], Z[part, 0], np.nan)
+                ratio[-1][block] = np.where(good, solved["heelstrike_rate_ratio"], nodes)
+                parts.append((len(angle) - 1, block, {name: solved[name] for name in want}))
+    label = places(np.reshape(angle, (len(angle), n)), np.reshape(ratio, (len(angle), n)))
+    kept = np.array([gait in wanted for gait in GAITS] + [False])  # and of more gaits than labels none
+    for row, block, solved in parts:
+        slot = np.minimum(label[row, block], len(GAITS))
+        keep = (slot >= 0) & kept[slot]
+        for name in want:
+            out[name][block[keep], slot[keep]] = solved[name][keep]
     out["reasons"] = np.array(reasons)
     return out
 
@@ -112,12 +121,15 @@ def _walker(line: Mapping[str, Any]) -> Walker:
 
 
 def _asked(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarray:
-    """Segments that may hold a gait the study asks for; a gait under a label already taken may be any."""
+    """Segments that may hold a gait the study asks for: which gait has a label depends on none of the other kind.
+
+    The others are of either kind. Where heelstrike is tangential a node has no ratio, and its segments may hold any.
+    """
     if wanted & set(GAITS[2:]):
         return np.ones(len(segment), bool)
-    low = np.fmin(branch.ratio[segment], branch.ratio[segment + 1])
-    high = np.fmax(branch.ratio[segment], branch.ratio[segment + 1])
-    return ((low < 0.6) & ("long" in wanted)) | ((high > 0.4) & ("short" in wanted))
+    low = np.minimum(branch.ratio[segment], branch.ratio[segment + 1])
+    high = np.maximum(branch.ratio[segment], branch.ratio[segment + 1])
+    return (~(low > 0.6) & ("long" in wanted)) | (~(high < 0.4) & ("short" in wanted))
 
 
 def solve(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray,

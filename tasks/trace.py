@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from tasks import status
 from tasks.gait import atlas as atlases
-from tasks.gait.fixed_point import Problem, gait_ratio, newton_step
+from tasks.gait.fixed_point import Problem, newton_step
 from tasks.registry import GAITS
+from tasks.solve import points
 from tasks.walkers.parameters import resolve
 
 #: Intervals each phase is drawn in.
@@ -19,7 +21,7 @@ MOST_SLOPES = 6
 
 
 def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Joint coordinates of every gait of a line at a few of the given slopes.
+    """Joint coordinates of every gait of a line at a few of the given slopes, under the labels `points` gives them.
 
     Parameters
     ----------
@@ -36,28 +38,27 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
-    wanted = set(params.get("gaits") or GAITS)
     second = np.sqrt(walker.leg / walker.g)
     columns: dict[str, list[np.ndarray]] = {k: [] for k in (
         "gait", "slope", "time", "theta_st", "theta_th", "theta_sh", "foot_x")}
     slope = np.unique(np.asarray(params["slope"], float))
     slope = slope[np.unique(np.linspace(0, len(slope) - 1, MOST_SLOPES).round().astype(int))]
-    for branch in atlases.from_arrays(inputs[0]):
-        for index, Z, _ in branch.guesses(np.log(slope)):
+    known = points({**params, "slope": slope, "want": ()}, inputs)
+    for number, branch in enumerate(atlases.from_arrays(inputs[0])):
+        for index, Z, segment in branch.guesses(np.log(slope)):
+            here = (known["branch"][index] == number) & (known["piece"][index] == branch.piece(segment)[:, None]) \
+                & (known["status"][index] == status.CONVERGED)
             w, q = np.delete(Z, problem.m, axis=1).T, np.log(slope[index])
             for _ in range(2):
                 stride, _ = problem.stride(w, q)
                 w = w + newton_step(stride, w)
             stride, scale = problem.stride(w, q, samples=SAMPLES)
             assert stride.motion is not None
-            for lane in range(len(index)):
-                gait = GAITS[int(not gait_ratio(stride)[lane] < 0.5)]
-                if gait not in wanted:
-                    continue
+            for lane, g in np.argwhere(here):
                 times, angles = _cycle(stride.motion, stride.times[:, lane], lane)
                 a, b, c = angles * scale[lane]
                 n = len(times)
-                for key, value in (("gait", np.full(n, gait)), ("slope", np.full(n, slope[index[lane]])),
+                for key, value in (("gait", np.full(n, GAITS[g])), ("slope", np.full(n, slope[index[lane]])),
                                    ("time", times * second), ("theta_st", a), ("theta_th", b), ("theta_sh", c),
                                    ("foot_x", -walker.R * a)):
                     columns[key].append(value)

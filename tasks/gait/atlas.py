@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from tasks.gait.branch import Branch
-from tasks.gait.continuation import Point, Track, correct, fallen, follow, lipschitz
+from tasks.gait.continuation import LEAST_SLOPE, Point, Track, correct, fallen, follow, lipschitz
 from tasks.gait.fixed_point import Problem, found_at, gait_ratio, judged, noise, rounding
 from tasks.gait.special_points import corrected, end_of, is_step, located, narrowed, oriented, row, row_tangent
 from tasks.gait.stride import SAMPLES
@@ -278,7 +278,19 @@ def survey(problem: Problem) -> list[Branch]:
                     middle = branch.Z[len(branch.Z) // 2]
                     if not _known(branches, m, np.delete(middle, m), middle[m]):
                         branches.append(branch)
-    return branches
+    return ranked(branches)
+
+
+def ranked(branches: list[Branch]) -> list[Branch]:
+    """Branches in the order of their numbers: by their lowest ln slope, then by ln angle there.
+
+    How far below `LEAST_SLOPE` a branch was followed is chance: those that come to it are equal in the first.
+    """
+    def place(branch: Branch) -> tuple[float, float]:
+        q = max(float(branch.q.min()), np.log(LEAST_SLOPE))
+        return q, min(float(Z[0, 0]) for _, Z, _ in branch.guesses(np.array([q])))
+
+    return sorted(branches, key=place)
 
 
 def _known(branches: list[Branch], m: int, w: np.ndarray, q: float) -> bool:

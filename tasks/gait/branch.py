@@ -130,6 +130,12 @@ class Branch:
         cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
         return list(zip(cuts[:-1], cuts[1:]))
 
+    def piece(self, segment: np.ndarray) -> np.ndarray:
+        """Numbers of the pieces that segments lie on, counted along the branch from its end at the lower slope."""
+        firsts = [first for first, _ in self.pieces()]
+        number = np.searchsorted(firsts, segment, side="right") - 1
+        return number if self.q[0] <= self.q[-1] else len(firsts) - 1 - number
+
     def guesses(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """For each piece, which slopes it covers: (index into q, Z there, the segments they lie on)."""
         found = []

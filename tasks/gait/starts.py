@@ -6,6 +6,8 @@ import numpy as np
 
 from tasks.gait.branch import Branch
 from tasks.gait.fixed_point import Problem, gait_ratio, newton_step
+from tasks.gait.labels import places
+from tasks.registry import GAITS
 
 #: Generalised golden ratios: the roots of x^(m + 1) = x + 1, by the dimension m.
 _RATIO = {2: 1.32471795724474602596, 3: 1.22074408460575947536}
@@ -33,17 +35,19 @@ def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label:
     y : ndarray, shape (m, len(index))
         Their section coordinates [rad, rad/sqrt(leg/g)].
     """
-    m = problem.m
-    found: dict[int, np.ndarray] = {}
+    m, n = problem.m, len(slope)
+    # ln angle, ratio of rates and section of every piece's gaits, a row a piece.
+    angle, ratio, sections = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, m, n))
     for branch in branches:
-        for index, Z, _ in branch.guesses(np.log(slope)):
-            w, q = np.delete(Z, m, axis=1).T, np.log(slope[index])
+        for index, Z, segment in branch.guesses(np.log(slope)):
+            once = branch.passes[segment] == 1
+            index, w = index[once], np.delete(Z[once], m, axis=1).T
             for _ in range(3):
-                at, _ = problem.stride(w, q)
+                at, _ = problem.stride(w, np.log(slope[index]))
                 w = w + newton_step(at, w)
-            wanted = (gait_ratio(at) < 0.5) == (label == "long")
-            y = np.vstack([np.exp(w[0]), np.exp(w[0]) * w[1:m]])
-            for lane in np.nonzero(wanted & np.isfinite(y).all(axis=0))[0]:
-                found.setdefault(int(index[lane]), y[:, lane])
-    index = np.array(sorted(found), int)
-    return index, np.array([found[i] for i in index]).T.reshape(m, len(index))
+            row = np.full((m + 2, n), np.nan)
+            row[:, index] = np.vstack([w[:1], gait_ratio(at)[None], np.exp(w[:1]), np.exp(w[0]) * w[1:m]])
+            angle, ratio = np.vstack([angle, row[:1]]), np.vstack([ratio, row[1:2]])
+            sections = np.concatenate([sections, row[None, 2:]])
+    index, row = np.nonzero((places(angle, ratio) == GAITS.index(label)).T)
+    return index, sections[row, :, index].T

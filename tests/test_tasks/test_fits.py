@@ -43,7 +43,8 @@ def test_the_transition_of_known_laws_is_found_with_its_power():
         angle = np.array([next(float(r.real) for r in np.roots([transition.CUBE_ROOT**-3, 0, factor * ratio, -s])
                                if abs(r.imag) < 1e-9 * abs(r) and r.real > 0) for s in slope])
         lines.append({"walker": "E", "set": {"foot_mass_ratio": ratio}})
-        inputs.append({"slope": slope, "stance_angle": np.stack([angle * np.nan, angle], axis=1)})
+        inputs.append({"slope": slope, "stance_angle": np.stack([angle * np.nan, angle], axis=1),
+                       **dict.fromkeys(("branch", "piece"), np.zeros((len(slope), 2), int))})
     table = transition_table({"lines": lines}, inputs)
     known = (transition.CUBE_ROOT * factor * table["fits/transition/foot_mass_ratio"]) ** 1.5
     np.testing.assert_allclose(table["fits/transition/slope_transition"], known, rtol=3e-5)
@@ -97,7 +98,7 @@ def test_light_feet_reach_the_three_halves_power():
     for ratio in (1e-3, 1e-4):
         out = solved("E", slope, want=("stance_angle",), foot_mass_ratio=ratio)
         lines.append({"walker": "E", "set": {"foot_mass_ratio": ratio}})
-        inputs.append({"slope": slope, "stance_angle": out["stance_angle"]})
+        inputs.append({"slope": slope, **{k: out[k] for k in ("stance_angle", "branch", "piece")}})
     table = fit_transition({"lines": lines}, inputs)
     assert table["fits/transition/local_exponent"][0] == pytest.approx(1.5, abs=3e-3)
     found = table["fits/transition/slope_transition"]
