@@ -54,14 +54,29 @@ class Line:
     data: xr.Dataset
     command: str
 
-    def frame(self, gait: str, *variables: str) -> pd.DataFrame:
-        """Columns `slope`, the wanted variables that exist, and `stable` (1, 0 or NaN) of one gait.
+    def curves(self, *variables: str) -> Iterator[pd.DataFrame]:
+        """A frame for each piece of a branch: `slope`, the wanted variables that exist, `stable` (1, 0 or NaN), `gait`.
 
-        Slopes without that gait are left in, as NaN: a gap in the curve is a gap in the picture.
+        Labels jump from branch to branch, and a branch passes a slope once on each side of a fold: curves follow
+        pieces, and `gait` is the label of each point. Slopes between without a gait of the piece are left in, as NaN: a
+        gap in the curve is a gap in the picture. Archives that tell no branches have a curve a label.
         """
-        here = self.data.sel(gait=gait)
-        names = [v for v in dict.fromkeys((*variables, "spectral_radius")) if v in here and here[v].dims == ("slope",)]
-        frame = pd.DataFrame({"slope": here["slope"].values, **{v: here[v].values for v in names}})
+        names = [v for v in dict.fromkeys((*variables, "spectral_radius"))
+                 if v in self.data and self.data[v].dims == ("slope", "gait")]
+        every = pd.concat([self._column(place, names).assign(gait=str(gait))
+                           for place, gait in enumerate(self.data["gait"].values)])
+        for (branch, piece), rows in every[every["branch"] >= 0].groupby(["branch", "piece"]):
+            slopes = self.data["slope"].values
+            there = np.flatnonzero(np.isin(slopes, rows["slope"]))
+            frame = rows.set_index("slope").reindex(slopes[there[0]:there[-1] + 1]).rename_axis("slope").reset_index()
+            yield frame.assign(branch=branch, piece=piece, gait=frame["gait"].fillna(""))
+
+    def _column(self, place: int, names: list[str]) -> pd.DataFrame:
+        """One label's column of the grid."""
+        here = self.data.isel(gait=place)
+        frame = pd.DataFrame({"slope": here["slope"].values, **{v: here[v].values for v in names},
+                              **{v: here[v].values if v in here else default
+                                 for v, default in (("branch", place), ("piece", 0))}})
         radius = frame.get("spectral_radius", pd.Series(np.nan, frame.index))
         return frame.assign(stable=np.where(np.isnan(radius), np.nan, (radius < 1).astype(float)))
 

@@ -17,6 +17,7 @@ from pipeline.report.figures.style import (
     colour,
     curve,
     heading,
+    named,
     plain,
     thin,
 )
@@ -101,18 +102,17 @@ def locus(source: Source) -> Sketch | None:
 
 def _branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame]:
     pieces = []
-    for branch, rows in frame.groupby("branch", sort=False) if "branch" in frame else [(0, frame)]:
-        rows = thin(rows, 500)
-        gaits = rows["gait"].unique() if "gait" in rows else [""]
-        for gait in gaits:
-            angle = rows["stance_angle"]
-            if gait:
-                # One point beyond, so that a branch has no gap where its gait changes name.
-                here = rows["gait"] == gait
-                angle = angle.where(here | here.shift(fill_value=False))
-            stable = rows["stable"] if "stable" in rows else pd.Series(np.nan, rows.index)
-            curve(axes, rows["slope"], angle, stable, colour(str(gait)), k)
-        pieces.append(rows.assign(branch=branch))
+    edges = frame["slope"].min(), frame["slope"].max()
+    for branch, whole in frame.groupby("branch", sort=False) if "branch" in frame else [(0, frame)]:
+        # A branch that leaves the window comes back at the same edge: no line joins the two.
+        at = np.array([np.isclose(whole["slope"], edge, rtol=1e-9, atol=0) for edge in edges])
+        for _, run in whole.groupby(np.cumsum((at & np.roll(at, 1, axis=1)).any(axis=0))):
+            rows = thin(run, 500)
+            for gait in rows["gait"].unique() if "gait" in rows else [""]:
+                angle = named(rows, gait) if gait else rows["stance_angle"]
+                stable = rows["stable"] if "stable" in rows else pd.Series(np.nan, rows.index)
+                curve(axes, rows["slope"], angle, stable, colour(str(gait)), k)
+            pieces.append(rows.assign(branch=branch))
     return pieces
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -19,6 +21,7 @@ from pipeline.report.figures.style import (
     end_labels,
     heading,
     log_axis,
+    named,
     plain,
     thin,
 )
@@ -49,16 +52,19 @@ def _families(source: Source, scale: str) -> Sketch | None:
     marks: list[Marks] = []
     labels = []
     for k, line in enumerate(lines):
+        curves = [thin(c, max(60, 3 * SAMPLES // len(lines))) for c in line.curves("stance_angle", "period")]
         for gait in source.gaits:
-            frame = thin(line.frame(gait, "stance_angle", "period"), max(60, 3 * SAMPLES // len(lines)))
-            there = frame[frame["stance_angle"].notna()]
-            if there.empty:
-                continue
-            curve(axes, frame["slope"], frame["stance_angle"], frame["stable"], colour(gait), k)
-            first = there.iloc[0]
-            labels.append((first["slope"], first["stance_angle"], line.label, colour(gait)))
-            marks.append(_marks(axes, there, f"{gait} step · {line.label}", line.command))
-            pieces.append(there.assign(line=line.label, gait=gait))
+            starts = []
+            for frame in curves:
+                there = frame[(frame["gait"] == gait) & frame["stance_angle"].notna()]
+                if there.empty:
+                    continue
+                curve(axes, frame["slope"], named(frame, gait), frame["stable"], colour(gait), k)
+                starts.append(tuple(there.loc[there["slope"].idxmin(), ["slope", "stance_angle"]]))
+                marks.append(_marks(axes, there, f"{gait} step · {line.label}", line.command))
+                pieces.append(there.assign(line=line.label))
+            if starts:
+                labels.append((*min(starts), line.label, colour(gait)))
     if not pieces:
         return None
     data = pd.concat(pieces, ignore_index=True)
@@ -120,14 +126,19 @@ def fits_of(source: Source, line: Line, gait: str) -> pd.DataFrame:
     return table[keep & np.isfinite(table["exponent"]) & np.isfinite(table["amplitude"])]
 
 
+def _same_curve(rows: pd.DataFrame) -> bool:
+    """Whether all laws are of one piece of one branch."""
+    return all(rows[column].nunique() == 1 for column in ("branch", "piece") if column in rows)
+
+
 def _power_laws(source: Source, axes: Axes, lines: list[Line]) -> bool:
-    """Fitted lines; a gait's two regimes are carried on to their crossing, as in figure 5."""
+    """Fitted lines; the two regimes of one curve are carried on to their crossing, as in figure 5."""
     drawn = False
     for line in lines:
         for gait in source.gaits:
             rows = fits_of(source, line, gait)
             ends = [[r.slope_from, r.slope_to] for r in rows.itertuples()]
-            if len(rows) == 2 and abs(np.diff(rows["exponent"])[0]) > 0.1:
+            if len(rows) == 2 and _same_curve(rows) and abs(np.diff(rows["exponent"])[0]) > 0.1:
                 (p, q), (a, b) = rows["exponent"], rows["amplitude"]
                 cross = (b / a) ** (1 / (p - q))
                 ends = [[min(lo, cross), max(hi, cross)] for lo, hi in ends]
@@ -162,19 +173,20 @@ def _legend(figure, data: pd.DataFrame, fitted: bool, lines: list[Line]) -> None
 
 def residuals(source: Source) -> Sketch | None:
     """How far the curves lie from the fitted power laws, over the range each was fitted on."""
+    if "stance_angle" not in source.grid:
+        return None
     figure = canvas(210)
     axes = figure.add_subplot()
     pieces = []
     marks = []
     for k, line in enumerate(source.lines):
+        curves = list(line.curves("stance_angle"))
         for gait in source.gaits:
-            frame = line.frame(gait, "stance_angle")
-            if "stance_angle" not in frame:
-                return None
-            for row in fits_of(source, line, gait).itertuples():
-                used = thin(
-                    frame[frame["slope"].between(row.slope_from, row.slope_to)].dropna(subset="stance_angle"), 80
-                )
+            for row, used in itertools.product(fits_of(source, line, gait).itertuples(), curves):
+                if any(getattr(row, c, used[c].iloc[0]) != used[c].iloc[0] for c in ("branch", "piece")):
+                    continue
+                here = (used["gait"] == gait) & used["slope"].between(row.slope_from, row.slope_to)
+                used = thin(used[here].dropna(subset="stance_angle"), 80)
                 if used.empty:
                     continue
                 law = row.amplitude * used["slope"] ** row.exponent
@@ -194,7 +206,7 @@ def residuals(source: Source) -> Sketch | None:
                         used["slope"].to_numpy(),
                     )
                 )
-                pieces.append(used.assign(line=line.label, gait=gait, regime=regime))
+                pieces.append(used.assign(line=line.label, regime=regime))
     if not pieces:
         return None
     data = pd.concat(pieces, ignore_index=True)

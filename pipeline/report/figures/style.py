@@ -154,6 +154,12 @@ def curve(axes: Axes, x: pd.Series, y: pd.Series, stable: pd.Series, ink: str, k
     axes.plot(x, y.where(settled), color=ink, lw=2.6, ls=thick)
 
 
+def named(frame: pd.DataFrame, gait: str) -> pd.Series:
+    """Stance angles of a curve where it has that label, and one point beyond: no gap opens where its label changes."""
+    here = frame["gait"] == gait
+    return frame["stance_angle"].where(here | here.shift(fill_value=False))
+
+
 def heading(axes: Axes, text: str) -> None:
     """The name of the vertical axis, written level above its end."""
     axes.set_title(text, loc="left", pad=7)
