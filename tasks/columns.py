@@ -10,7 +10,6 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "walker": ("number", "walker of the row, by its name in the study"),
     "gait": ("number", "gait by its character"),
     "detuning": ("number", "mixture of the exactly tuned walker (0) and the physical one (1)"),
-    "branch": ("number", "number of the branch, from 0"),
     "special_points/error_bound": ("number", "largest relative error of the slope"),
     "turnings/error_bound": ("number", "largest relative error of the slope"),
     "kind": ("number", "kind of special point"),

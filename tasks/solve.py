@@ -70,39 +70,47 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     long, short = (status.outside(label, [s for b in branches for s in _spans(b, label)], searched) for label in GAITS[:2])
     reasons = [status.SETTLED, long, status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP, short]
     out["reason"][:] = [1, 5, 2, 2]
+    for k in range(0, n, BLOCK):
+        part = slice(k, k + BLOCK)
+        _fill({name: out[name][part] for name in want}, problem, branches, slope[part], wanted,
+              params.get("friction_limit", violations.FRICTION_LIMIT))
+    out["reasons"] = np.array(reasons)
+    return out
+
+
+def _fill(out: Arrays, problem: Problem, branches: list[Branch], slope: np.ndarray, wanted: set[str],
+          friction_limit: float) -> None:
+    """Solve every gait at some slopes and put the wanted ones where their labels say, rows (n, len(GAITS)) of `out`."""
     q = np.log(slope)
+    # Of every piece of a branch that comes to these slopes: angles, ratios, and where which variables are.
     angle, ratio, parts = [], [], []
     for number, branch in enumerate(branches):
         for index, Z, segment in branch.guesses(q):
             asked = _asked(branch, segment, wanted)
+            if not asked.any():
+                continue
             index, Z, segment = index[asked], Z[asked], segment[asked]
             lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
             noise = branch.noise[segment]
             passes = np.where(branch.safe[segment], branch.passes[segment], UNKNOWN)
-            piece = branch.piece(segment)
-            angle.append(np.full(n, np.nan))
-            ratio.append(np.full(n, np.nan))
-            for k in range(0, len(index), BLOCK):
-                part = slice(k, k + BLOCK)
-                block = index[part]
-                solved = solve(problem, Z[part].T, slope[block], lipschitz[part], noise[part].T, want, passes[part],
-                               params.get("friction_limit", violations.FRICTION_LIMIT))
-                solved["branch"], solved["piece"] = np.full(len(block), number), piece[part]
-                # What has not converged still is the gait its branch has there.
-                nodes = 0.5 * (branch.ratio[segment[part]] + branch.ratio[segment[part] + 1])
-                good = solved["status"] == status.CONVERGED
-                angle[-1][block] = np.where(solved["anthropomorphic"], Z[part, 0], np.nan)
-                ratio[-1][block] = np.where(good, solved["heelstrike_rate_ratio"], nodes)
-                parts.append((len(angle) - 1, block, {name: solved[name] for name in want}))
-    label = places(np.reshape(angle, (len(angle), n)), np.reshape(ratio, (len(angle), n)))
-    kept = np.array([gait in wanted for gait in GAITS] + [False])  # and of more gaits than labels none
-    for row, block, solved in parts:
-        slot = np.minimum(label[row, block], len(GAITS))
-        keep = (slot >= 0) & kept[slot]
-        for name in want:
-            out[name][block[keep], slot[keep]] = solved[name][keep]
-    out["reasons"] = np.array(reasons)
-    return out
+            solved = solve(problem, Z.T, slope[index], lipschitz, noise.T, tuple(out), passes, friction_limit)
+            solved["branch"], solved["piece"] = np.full(len(index), number), branch.piece(segment)
+            angle.append(np.full(len(slope), np.nan))
+            angle[-1][index] = np.where(solved["anthropomorphic"], Z[:, 0], np.nan)
+            # What has not converged still is the gait its branch has there.
+            nodes = 0.5 * (branch.ratio[segment] + branch.ratio[segment + 1])
+            ratio.append(np.full(len(slope), np.nan))
+            ratio[-1][index] = np.where(solved["status"] == status.CONVERGED, solved["heelstrike_rate_ratio"], nodes)
+            parts.append((index, solved))
+    if not parts:
+        return
+    kept = np.array([gait in wanted for gait in GAITS] + [False])  # there may be more gaits than labels
+    for (index, solved), place in zip(parts, places(np.array(angle), np.array(ratio))):
+        slot = np.minimum(place[index], len(GAITS))
+        keep = np.flatnonzero((slot >= 0) & kept[slot])
+        row, slot = index[keep], slot[keep]
+        for name, values in out.items():
+            values[row, slot] = solved[name][keep]
 
 
 def _spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:

@@ -24,13 +24,14 @@ def places(angle: np.ndarray, ratio: np.ndarray) -> np.ndarray:
         0 (`long`) or 1 (`short`) for the largest angle of each, 2 and on for the others by falling angle, -1 where
         there is no gait.
     """
-    order = np.argsort(-angle, axis=0, kind="stable")
-    there = np.isfinite(np.take_along_axis(angle, order, axis=0))
-    long = np.take_along_axis(ratio, order, axis=0) < LONG_BELOW
-    first = np.zeros_like(there)
-    for mine in (there & long, there & ~long):
-        first |= mine & (np.cumsum(mine, axis=0) == 1)
-    place = np.where(first, (~long).astype(int), 1 + np.cumsum(there & ~first, axis=0))
-    found = np.empty_like(place)
-    np.put_along_axis(found, order, np.where(there, place, -1), axis=0)
+    there, long = np.isfinite(angle), ratio < LONG_BELOW
+    found = np.where(there, np.where(long, 0, 1), -1)
+    crowded = np.flatnonzero(((there & long).sum(axis=0) > 1) | ((there & ~long).sum(axis=0) > 1))
+    order = np.argsort(-angle[:, crowded], axis=0, kind="stable")
+    place = np.take_along_axis(found[:, crowded], order, axis=0)
+    first = np.zeros(place.shape, bool)
+    for label in (0, 1):
+        first |= (place == label) & (np.cumsum(place == label, axis=0) == 1)
+    place = np.where(first | (place < 0), place, 1 + np.cumsum(~first, axis=0))
+    found[order, crowded] = place
     return found

@@ -55,6 +55,8 @@ class Line:
     def exponent(self, gait: int, slope: float, ordinate: str = "stance_angle", abscissa: str = "slope") -> float:
         """Local exponent d ln ordinate/d ln abscissa, from slopes a twentieth to either side."""
         found = self.at(slope * np.array([0.95, 1.05]))
+        if any(np.diff(found[name][:, gait])[0] for name in ("branch", "piece")):
+            raise ValueError(f"the {GAITS[gait]} gaits around slope {slope:g} lie on two curves")
         x = found["slope"] if abscissa == "slope" else found[abscissa][:, gait]
         return float(np.diff(np.log(found[ordinate][:, gait]))[0] / np.diff(np.log(x))[0])
 
