@@ -287,8 +287,10 @@ def ranked(branches: list[Branch]) -> list[Branch]:
     How far below `LEAST_SLOPE` a branch was followed is chance: those that come to it are equal in the first.
     """
     def place(branch: Branch) -> tuple[float, float]:
-        q = max(float(branch.q.min()), np.log(LEAST_SLOPE))
-        return q, min(float(Z[0, 0]) for _, Z, _ in branch.guesses(np.array([q])))
+        lowest = int(branch.q.argmin())
+        q = max(float(branch.q[lowest]), np.log(LEAST_SLOPE))
+        there = (float(Z[0, 0]) for _, Z, _ in branch.guesses(np.array([q])))
+        return q, min(there, default=float(branch.Z[lowest, 0]))
 
     return sorted(branches, key=place)
 

@@ -37,11 +37,13 @@ def points(params, inputs):
         if name in found:
             continue
         shape = (n, g) + ((3,) if "multiplier" in about.dims else ())
-        values = np.full(shape, np.nan) if about.dtype == "f8" else np.zeros(shape, about.dtype)
+        values = np.full(shape, about.absent, about.dtype)
         if about.dtype == "f8":
             for k in range(2):
                 there = status[:, k] == 0
                 values[there, k] = (np.cbrt(slope) * scale * (k + 1))[there].reshape((-1,) + (1,) * (values.ndim - 2))
+        if name == "branch":
+            values[:] = np.where(status == 0, np.arange(g), -1)
         found[name] = values
     return found
 

@@ -1,0 +1,151 @@
+"""Labels at one slope, and the branches and pieces that curves follow from slope to slope."""
+
+import itertools
+import tomllib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conftest import ROOT
+from lines import WANT, _atlas, branches, gait, solved
+from tasks import single
+from tasks.branch import branch as follow
+from tasks.gait.continuation import LEAST_SLOPE
+from tasks.gait.labels import places
+from tasks.gait.starts import gaits_at
+from tasks.registry import GAITS
+from tasks.solve import atlas, points
+from tasks.trace import trace
+
+#: Slopes of the machine's branches, folds at 0.0191 and 0.0530 and ends on the way included.
+SLOPES = np.linspace(0.018, 0.2, 140)
+
+
+def by_the_words(angle, ratio):
+    """Labels of the gaits at one slope, as the docs put it."""
+    order = sorted((k for k in range(len(angle)) if np.isfinite(angle[k])), key=lambda k: -angle[k])
+    found, taken, others = np.full(len(angle), -1), set(), itertools.count(2)
+    for k in order:
+        own = 0 if ratio[k] < 0.5 else 1
+        found[k] = next(others) if own in taken else own
+        taken.add(own)
+    return found
+
+
+@given(st.lists(st.lists(st.tuples(st.sampled_from([0.1, 0.2, 0.3, 0.4, np.nan]), st.floats(-1, 2) | st.just(np.nan)),
+                         min_size=5, max_size=5), min_size=1, max_size=4))
+def test_the_largest_angle_has_the_label_and_the_others_follow(table):
+    angle, ratio = np.array(table).T
+    # Equal angles are no case of ours.
+    angle = angle + 1e-3 * np.arange(5)[:, None]
+    expected = np.array([by_the_words(a, r) for a, r in zip(angle.T, ratio.T, strict=True)]).T
+    np.testing.assert_array_equal(places(angle, ratio), expected)
+
+
+def test_of_two_long_gaits_the_one_with_the_larger_angle_is_long():
+    found = solved("physical", SLOPES)
+    long, other = (found["stance_angle"][:, GAITS.index(label)] for label in ("long", "other1"))
+    both = np.isfinite(other) & (found["heelstrike_rate_ratio"][:, GAITS.index("other1")] < 0.5)
+    assert both.any() and (long[both] > other[both]).all()
+
+
+def test_a_gait_keeps_its_label_whichever_are_wanted():
+    whole = solved("physical", SLOPES)
+    for n in range(1, len(GAITS)):
+        for wanted in itertools.combinations(GAITS, n):
+            part = points({"line": {"walker": "physical", "set": {}}, "slope": SLOPES, "want": WANT, "gaits": wanted},
+                          [_atlas("physical", ())])
+            for g, label in enumerate(GAITS):
+                for name in ("branch", "piece", "stance_angle"):
+                    expected = whole[name][:, g] if label in wanted else np.full(len(SLOPES), whole[name][0, 3])
+                    np.testing.assert_array_equal(part[name][:, g], expected)
+
+
+@pytest.mark.parametrize(("walker", "keys"), [("A", {"detuning": 0.1}), ("physical", {}), ("D", {})])
+def test_branches_are_ranked_by_their_lowest_slope_then_their_angle(walker, keys):
+    _, found = branches(walker, **keys)
+    least = np.log(LEAST_SLOPE)
+    rank = [(max(b.q.min(), least), np.interp(max(b.q.min(), least), *b.Z[:3, [b.m, 0]].T) if b.q.min() < least
+             else b.Z[b.q.argmin(), 0]) for b in found]
+    assert len(rank) == 2 and rank == sorted(rank)
+
+
+def test_a_gait_names_the_branch_and_piece_it_lies_on():
+    _, found = branches("physical")
+    grid = solved("physical", SLOPES)
+    seen = set()
+    for number, branch in enumerate(found):
+        order = branch.pieces() if branch.q[0] <= branch.q[-1] else branch.pieces()[::-1]
+        for piece, (first, last) in enumerate(order):
+            mine = (grid["branch"] == number) & (grid["piece"] == piece)
+            low, high = np.sort(branch.q[[first, last]])
+            inside = (np.log(SLOPES) > low) & (np.log(SLOPES) < high)
+            # One gait of each piece at every slope it covers, whatever its label there.
+            np.testing.assert_array_equal(mine.sum(axis=1), inside)
+            nodes = np.arange(first, last + 1)[np.argsort(branch.q[first:last + 1])]
+            near = np.interp(np.log(SLOPES[inside]), branch.q[nodes], branch.Z[nodes, 0])
+            np.testing.assert_allclose(np.log(grid["stance_angle"][mine]), near, atol=0.02)
+            if inside.any():
+                seen.add((number, piece))
+    assert seen == {(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)}
+    nothing = grid["status"] == 1
+    assert (grid["branch"][nothing] == -1).all() and (grid["piece"][nothing] == -1).all()
+    assert grid["branch"].dtype == np.int16
+
+
+def test_the_stable_gait_of_the_docs_walker_is_one_curve_under_one_label():
+    table = tomllib.loads((ROOT / "docs/your-own-walker.md").read_text().split("```toml")[1].split("```")[0].replace(
+        "\n   ", "\n"))["walker"]
+    line = {"line": {"walker": table, "set": {"m_h": 2.0}}}
+    slopes = np.linspace(0.005, 0.08, 300)
+    found = points({**line, "slope": slopes, "want": WANT}, [atlas(line, [])])
+    stable = found["spectral_radius"] < 1
+    # The one stable gait is long wherever it is, beside a tiny unstable one too.
+    assert stable[:, 0].any() and not stable[:, 1:].any()
+    for curve in ((0, 0), (0, 1), (1, 0)):
+        row, g = np.nonzero((found["branch"] == curve[0]) & (found["piece"] == curve[1]))
+        assert len(row) == len(set(row)) > 5
+        assert np.abs(np.diff(np.log(found["stance_angle"][row, g]))).max() < 0.5
+    assert {tuple(p) for p in np.stack([found["branch"][:, 0], found["piece"][:, 0]], axis=1)} == {(-1, -1), (0, 1)}
+
+
+def test_followed_branches_have_the_numbers_of_the_grid():
+    found = follow({"line": {"walker": "A", "set": {"detuning": 0.1}}, "slope_from": 0.002, "slope_to": 0.1, "n": 20},
+                   [_atlas("A", (("detuning", 0.1),))])
+    slopes = found["branches/slope"]
+    inner = (slopes > 0.0051) & (slopes < 0.09)
+    grid = solved("A", slopes[inner], detuning=0.1)
+    gap = np.abs(np.log(grid["stance_angle"] / found["branches/stance_angle"][inner, None]))
+    g = np.nanargmin(gap, axis=1)
+    rows = np.arange(len(g))
+    assert gap[rows, g].max() < 1e-9
+    np.testing.assert_array_equal(grid["branch"][rows, g], found["branches/branch"][inner])
+    assert set(grid["branch"][rows, g].tolist()) == {0, 1}
+
+
+def test_orbits_and_traces_take_the_gaits_that_have_the_labels():
+    at = {label: gait("physical", 0.0195, label)["stance_angle"] for label in ("long", "other1")}
+    problem, found = branches("physical")
+    for label, angle in at.items():
+        index, y = gaits_at(problem, found, np.array([0.01, 0.0195]), label)
+        assert index.tolist() == [1] and y[0, 0] == pytest.approx(angle, rel=1e-9)
+    drawn = trace({"line": {"walker": "physical", "set": {}}, "slope": np.array([0.0195]), "gaits": GAITS},
+                  [_atlas("physical", ())])
+    for label, angle in at.items():
+        mine = drawn["trace/gait"] == label
+        assert drawn["trace/theta_st"][mine][0] == pytest.approx(angle, rel=1e-9)
+        assert (np.diff(drawn["trace/time"][mine]) >= 0).all()
+
+
+def test_solve_tells_branch_and_piece_and_labels_what_a_search_adds(monkeypatch):
+    long, other = single.solve_one({"walker": "physical", "slope": 0.0195})["gaits"]
+    assert (long["gait"], long["branch"], long["piece"]) == ("long", 0, 1)
+    assert (other["gait"], other["branch"], other["piece"]) == ("other1", 0, 0)
+    # A branch that the atlas misses: the search finds its gait, which is on no branch known and has its label.
+    survey = single.atlases.survey
+    monkeypatch.setattr(single.atlases, "survey", lambda problem: survey(problem)[:1])
+    short, long = sorted(single.solve_one({"walker": "D", "slope": 0.009, "all": True})["gaits"],
+                         key=lambda found: found["stance_angle"])
+    assert (short["gait"], short["branch"]) == ("short", 0) and (long["gait"], long["branch"]) == ("long", None)
