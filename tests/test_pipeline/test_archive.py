@@ -43,6 +43,8 @@ def test_plain_xarray_opens_it(made):
         np.testing.assert_array_equal(angle, np.cbrt(found.slope) * 1.25)
         short = found.stance_angle.sel(gait="short")
         assert (np.isfinite(short) == (found.status.sel(gait="short") == 0)).all()
+        assert found.branch.dtype == np.int16 and (found.branch.sel(gait="long") == 0).all()
+        np.testing.assert_array_equal(found.branch.sel(gait="short"), np.where(np.isfinite(short), 1, -1))
         reasons = found.reason_text.values[found.reason.sel(gait="short")]
         assert set(reasons[found.slope.values > 0.1].ravel()) == {"The branch ends below this slope."}
     with xr.open_dataset(made, group="fits/scaling") as fits:

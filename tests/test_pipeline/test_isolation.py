@@ -54,6 +54,8 @@ def test_a_bad_point_gets_a_status_and_all_others_keep_their_bits(toy, innocent,
         np.testing.assert_array_equal(found[name][~bad], innocent[name][~bad])
         if name != "status":
             assert np.isnan(found[name][bad]).all()
+    np.testing.assert_array_equal(found.branch[~bad], innocent.branch[~bad])
+    assert (found.branch[bad] == -1).all()
 
 
 def test_a_run_that_was_suspended_blames_no_point(toy):

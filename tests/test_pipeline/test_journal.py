@@ -108,6 +108,22 @@ def test_a_journal_cut_anywhere_keeps_its_beginning(tmp_path, part):
     journal.close()
 
 
+def test_whole_numbers_keep_what_stands_for_no_gait_when_blocks_are_put_together(journal):
+    slopes = np.linspace(0.1, 0.4, 300)
+    want = gather.needed(["branch"], ["long"])
+    for k in range(300):
+        # Some blocks have one gait, some two, and one was lost with its worker.
+        data = pack.dump({"branch": np.zeros((1, 1 + k % 2), np.int16)} if k != 5 else {})
+        journal.add_points("L", "k", want, (*row(slopes[k:k + 1], 0.0)[:2], data), 0.1)
+    expected = np.full((300, 3), -1)
+    expected[:, 0], expected[1::2, 1], expected[5] = 0, 0, -1
+    for _ in range(2):
+        sources = gather.states(journal, "L", want, slopes)[3]
+        np.testing.assert_array_equal(gather.fill(journal, ["branch"], sources, 300, 3, gaits=3)["branch"], expected)
+        compact(journal)
+    assert len(list(journal.blocks("L"))) == 1
+
+
 def sql(path, *statements):
     """What somebody else does to a journal."""
     with contextlib.closing(sqlite3.connect(path)) as db:

@@ -6,11 +6,11 @@ import pytest
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.motion import animation, strides
-from pipeline.report.figures.style import plain
+from pipeline.report.figures.style import GAIT_COLOURS, MUTED, plain
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
 from test_report import synthetic
-from test_report.shape import KNEED, POINT
+from test_report.shape import KNEED, POINT, write
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +50,50 @@ def test_marks_lie_on_the_curve_and_carry_the_command_of_their_point(sources):
     assert np.isclose(rows[:, 2], sources["transition"].grid["slope"].values[:, None]).any(axis=0).all()
     assert rows[:, 0].max() <= drawing.width
     assert rows[:, 1].max() <= drawing.height
+
+
+def _drawn(sketch):
+    """Slopes and angles of every line drawn of gaits: unbroken runs of points."""
+    for drawn in sketch.figure.axes[0].lines:
+        x, y = drawn.get_data()
+        there = np.isfinite(x) & np.isfinite(y)
+        for run in np.split(np.arange(len(x)), np.flatnonzero(np.diff(there)) + 1):
+            if there[run[0]] and drawn.get_color() in GAIT_COLOURS.values():
+                yield np.asarray(x)[run], np.asarray(y)[run]
+
+
+@pytest.mark.parametrize("name", ["linear", "loglog", "residuals"])
+def test_no_line_joins_two_branches_or_two_pieces_of_one(tmp_path, name):
+    source = read(synthetic.jumping(tmp_path))
+    sketch = FIGURES[name](source)
+    runs = list(_drawn(sketch))
+    assert all(np.abs(np.diff(y)).max(initial=0) < (0.02 if name != "residuals" else 5) for _, y in runs)
+    if name != "residuals":
+        # The curve that changes its label at 0.02 has no gap there.
+        assert any((x.min() < 0.0201) & (x.max() > 0.02) & (len(x) > 20) for x, _ in runs)
+        assert set(sketch.data["gait"]) == {"long", "other1", "other2"}
+        last = next(x for x, y in runs if y[0] == pytest.approx(0.11))
+        assert last[-1] == pytest.approx(0.0205)
+
+
+def test_fitted_laws_of_two_branches_are_not_carried_on_to_a_crossing(tmp_path):
+    axes = FIGURES["loglog"](read(synthetic.jumping(tmp_path))).figure.axes[0]
+    ends = [tuple(line.get_xdata()) for line in axes.lines if line.get_color() == MUTED and len(line.get_xdata()) == 2]
+    assert sorted(ends) == [(0.005, 0.03), (0.03, 0.08)]
+
+
+@pytest.mark.parametrize(("edge", "parts"), [(0.04, 2), (0.06, 1)])
+def test_a_locus_that_leaves_its_window_is_not_joined_where_it_comes_back(tmp_path, edge, parts):
+    way = np.linspace(-1, 1, 201)  # through a fold at slope 0.05, and through 0.04 on the way there and back
+    slope, angle = 0.05 - 0.04 * way**2, 0.2 + 0.1 * way
+    kept = slope <= edge + 1e-12
+    rows = {"branch": np.zeros(kept.sum(), int), "slope": slope[kept], "stance_angle": angle[kept]}
+    text = f'name = "window"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, {edge}]'
+    archive = write(tmp_path / "w.nc", text, {}, {}, {"C": KNEED}, {"branches": rows})
+    axes = FIGURES["locus"](read(archive)).figure.axes[0]
+    runs = [y for y in (np.asarray(line.get_ydata(), float) for line in axes.lines) if np.isfinite(y).any()]
+    assert len(runs) == parts and sum(map(len, runs)) == kept.sum()
+    assert max(np.abs(np.diff(y)).max() for y in runs) < 0.002
 
 
 def test_a_walker_table_gives_a_command_with_its_base_and_keys(sources):

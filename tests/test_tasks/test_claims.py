@@ -248,3 +248,10 @@ def test_what_is_said_of_chaos_is_not_said_of_a_stable_gait():
     value, error, slope = chaos.exponent("D", np.array([0.012, 0.016]), 4)
     assert value < -4 * error
     assert slope in (0.012, 0.016)
+
+
+def test_an_exponent_is_not_taken_across_two_curves():
+    # The machine's short step lies on one side of its fold at 0.0475 and on the other at 0.0525.
+    with pytest.raises(ValueError, match="short gaits around slope 0.05 lie on two curves"):
+        line("physical").exponent(lab.SHORT, 0.05)
+    assert line("physical").exponent(lab.LONG, 0.04) > 0

@@ -5,6 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lines import solved
+from tasks.fit import scaling
 from tasks.fit import transition as transition_table
 from tasks.fits import power_law, transition
 
@@ -51,6 +53,51 @@ def test_the_transition_of_known_laws_is_found_with_its_power():
     np.testing.assert_allclose(table["fits/transition/local_exponent"][:-1], 1.5, rtol=1e-5)
 
 
+def _jumping(slope, jump=1e-3):
+    """A line whose long gait goes from branch 1 to piece 1 of branch 0 at a slope, both following nearly one law."""
+    angle = np.where(slope < jump, 1.0, 1.0005) * slope ** (1 / 3)
+    branch = np.where(slope < jump, 1, 0)
+    both = {"stance_angle": angle, "speed": angle, "power": angle**4, "branch": branch, "piece": 1 - branch}
+    return {"slope": slope, **{k: np.stack([v, v], axis=1) for k, v in both.items()}}
+
+
+def test_a_law_is_of_one_piece_of_one_branch_and_says_which():
+    data = _jumping(np.geomspace(1e-6, 0.2, 200))
+    table = scaling({"lines": [{"walker": "E", "set": {}}]}, [data])
+    rows = [{k.rpartition("/")[2]: v[i] for k, v in table.items()} for i in range(len(table["fits/scaling/n"]))]
+    small, large = (next(r for r in rows if (r["gait"], r["quantity"], r["regime"]) == ("long", "stance_angle", regime))
+                    for regime in ("small", "large"))
+    assert (small["branch"], small["piece"], large["branch"], large["piece"]) == (1, 0, 0, 1)
+    assert small["to"] < 1e-3 < large["from"]
+    # Each is its branch's own, to rounding.
+    assert small["amplitude"] == pytest.approx(1, rel=1e-12) and large["amplitude"] == pytest.approx(1.0005, rel=1e-12)
+    nothing = scaling({"lines": [{"walker": "E", "set": {}}]}, [_jumping(np.geomspace(5e-4, 2e-3, 200))])
+    assert (nothing["fits/scaling/n"] == 0).all() and (nothing["fits/scaling/branch"] == -1).all()
+
+
+def test_two_pieces_of_one_branch_are_two_curves():
+    data = _jumping(np.geomspace(1e-6, 0.2, 200))
+    data["branch"] = np.zeros_like(data["branch"])
+    table = scaling({"lines": [{"walker": "E", "set": {}}]}, [data])
+    assert not ((table["fits/scaling/from"] < 1e-3) & (table["fits/scaling/to"] > 1e-3)).any()
+
+
+def test_a_transition_is_read_from_the_curve_that_comes_to_the_smallest_slope():
+    slope = np.geomspace(1e-11, 0.05, 200)
+    out = solved("E", slope, want=("stance_angle",))
+    lines, known = [{"walker": "E", "set": {}}], {k: out[k] for k in ("stance_angle", "branch", "piece")}
+    whole = transition_table({"lines": lines}, [{"slope": slope, **known}])
+    # From 0.02 on the label goes to another branch.
+    beyond = slope > 0.02
+    jumps = {"stance_angle": np.where(beyond[:, None], 2 * known["stance_angle"], known["stance_angle"]),
+             "branch": np.where(beyond[:, None], 7, known["branch"]), "piece": known["piece"]}
+    found = transition_table({"lines": lines}, [{"slope": slope, **jumps}])
+    kept = transition_table({"lines": lines}, [{"slope": slope[~beyond], **{k: v[~beyond] for k, v in known.items()}}])
+    assert found.keys() == kept.keys() == whole.keys() and found["fits/transition/branch"] == [0]
+    for name in found:
+        np.testing.assert_array_equal(found[name], kept[name])
+
+
 def test_a_bend_splits_the_range():
     x = np.geomspace(1e-8, 1e4, 240)
     y = 1 / (1 / x + 1 / x ** (1 / 3))
@@ -90,16 +137,13 @@ def test_the_asymptotic_law_is_three_halves():
 
 
 def test_light_feet_reach_the_three_halves_power():
-    from lines import solved
-    from tasks.fit import transition as fit_transition
-
     slope = np.geomspace(1e-10, 1e-2, 90)
     lines, inputs = [], []
     for ratio in (1e-3, 1e-4):
         out = solved("E", slope, want=("stance_angle",), foot_mass_ratio=ratio)
         lines.append({"walker": "E", "set": {"foot_mass_ratio": ratio}})
         inputs.append({"slope": slope, **{k: out[k] for k in ("stance_angle", "branch", "piece")}})
-    table = fit_transition({"lines": lines}, inputs)
+    table = transition_table({"lines": lines}, inputs)
     assert table["fits/transition/local_exponent"][0] == pytest.approx(1.5, abs=3e-3)
     found = table["fits/transition/slope_transition"]
     np.testing.assert_allclose(found, table["fits/transition/asymptotic"], rtol=5e-3)
