@@ -61,24 +61,24 @@ class Line:
         pieces, and `gait` is the label of each point. Slopes between without a gait of the piece are left in, as NaN: a
         gap in the curve is a gap in the picture. Archives that tell no branches have a curve a label.
         """
-        names = [v for v in dict.fromkeys((*variables, "spectral_radius"))
-                 if v in self.data and self.data[v].dims == ("slope", "gait")]
-        every = pd.concat([self._column(place, names).assign(gait=str(gait))
-                           for place, gait in enumerate(self.data["gait"].values)])
-        for (branch, piece), rows in every[every["branch"] >= 0].groupby(["branch", "piece"]):
-            slopes = self.data["slope"].values
-            there = np.flatnonzero(np.isin(slopes, rows["slope"]))
-            frame = rows.set_index("slope").reindex(slopes[there[0]:there[-1] + 1]).rename_axis("slope").reset_index()
-            yield frame.assign(branch=branch, piece=piece, gait=frame["gait"].fillna(""))
-
-    def _column(self, place: int, names: list[str]) -> pd.DataFrame:
-        """One label's column of the grid."""
-        here = self.data.isel(gait=place)
-        frame = pd.DataFrame({"slope": here["slope"].values, **{v: here[v].values for v in names},
-                              **{v: here[v].values if v in here else default
-                                 for v, default in (("branch", place), ("piece", 0))}})
-        radius = frame.get("spectral_radius", pd.Series(np.nan, frame.index))
-        return frame.assign(stable=np.where(np.isnan(radius), np.nan, (radius < 1).astype(float)))
+        data, dims = self.data, ("slope", "gait")
+        names = [v for v in dict.fromkeys((*variables, "spectral_radius")) if v in data and data[v].dims == dims]
+        slopes, gaits = data["slope"].values, data["gait"].values.astype(str)
+        shape = len(slopes), len(gaits)
+        branch = data["branch"].values if "branch" in data else np.broadcast_to(np.arange(len(gaits)), shape)
+        piece = data["piece"].values if "piece" in data else np.zeros(shape, int)
+        for number, part in sorted(set(zip(branch[branch >= 0].tolist(), piece[branch >= 0].tolist(), strict=True))):
+            row, column = np.nonzero((branch == number) & (piece == part))
+            place = row - row[0]
+            frame = {"slope": slopes[row[0]:row[-1] + 1]}
+            for name in names:
+                frame[name] = np.full(len(frame["slope"]), np.nan)
+                frame[name][place] = data[name].values[row, column]
+            label = np.full(len(frame["slope"]), "", object)
+            label[place] = gaits[column]
+            radius = frame.get("spectral_radius", np.full(len(label), np.nan))
+            stable = np.where(np.isnan(radius), np.nan, (radius < 1).astype(float))
+            yield pd.DataFrame({**frame, "stable": stable, "gait": label, "branch": number, "piece": part})
 
 
 @dataclass(frozen=True)

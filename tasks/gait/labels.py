@@ -1,4 +1,4 @@
-"""Labels of the gaits at one slope: `long` or `short`, and `other1`, ... for all but the one of each with the largest angle."""
+"""Labels of the gaits at one slope."""
 
 from __future__ import annotations
 

@@ -41,6 +41,8 @@ def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label:
     for branch in branches:
         for index, Z, segment in branch.guesses(np.log(slope)):
             once = branch.passes[segment] == 1
+            if not once.any():
+                continue
             index, w = index[once], np.delete(Z[once], m, axis=1).T
             for _ in range(3):
                 at, _ = problem.stride(w, np.log(slope[index]))
