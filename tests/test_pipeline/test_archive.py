@@ -189,6 +189,19 @@ def test_diff_aligns_by_coordinates(made, tmp_path):
     assert not [f for f in found if f.startswith("`") and "status" in f or "stance" in f]
 
 
+def test_a_bug_is_not_called_damage(made, copy, monkeypatch, capsys):
+    def slip(*_):
+        return {}["x"]
+    monkeypatch.setattr("pipeline.check._aligned", slip)
+    assert cli.main(["diff", str(made), str(made)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("gaitsweep: Internal error, KeyError") and "damaged" not in said
+    # In a file that is not as it was written anything may follow from that.
+    _edit(copy, lambda file: file["stance_angle"].__setitem__((0, 0, 0), 1.0))
+    assert cli.main(["diff", str(copy), str(made)]) == 2
+    assert capsys.readouterr().err == f"gaitsweep: {copy} is damaged: `stance_angle` is not as it was written.\n"
+
+
 def _junk(path, original, dice):
     data = bytearray(original)
     for _ in range(dice.randint(1, 4)):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pipeline
+from pipeline import check
 
 #: The smallest study of each kind, and one over walkers of different units.
 STUDIES = {
@@ -59,6 +60,11 @@ def test_the_checker_of_the_conventions_finds_nothing(archives, tmp_path):
     # The checker takes differences of text coordinates, where it stumbles; it says so, and finds nothing by it.
     stumbles = [line for line in done.stdout.splitlines() if line.startswith("cf:1.11.")]
     assert all("strict_monotonicity" in line and "'str'" in line for line in stumbles)
+
+
+def test_no_archive_differs_from_itself(archives):
+    for name, archive in archives.items():
+        assert check.diff(archive, archive) == [], name
 
 
 def _variables(group, path=""):
