@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from tasks.walkers.parameters import NUMBERS, Walker, WalkerError, from_table, named
+from tasks.walkers.parameters import NUMBERS, Walker, WalkerError, from_table, named, owned
 
 #: What `detuning` = 1 means for each tuned walker (paper, section 5.2 and figure 8).
 PARTNERS = {"A": "physical-straight", "C": "physical"}
@@ -31,16 +31,19 @@ def is_tuned(walker: Walker) -> bool:
     return all(abs(x) < 1e-14 * walker.leg for x in statics(walker).values())
 
 
+def ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
+    """The tuned walker of the catalogue and its physical partner, between which `detuning` mixes."""
+    name = walker if isinstance(walker, str) else str(walker.get("base"))
+    return named(name), named(PARTNERS[name])
+
+
 def detuned(walker: str | Mapping[str, Any], amount: float) -> Walker:
-    """Mix every parameter linearly from the tuned walker (0) to the physical one (1); beyond is allowed."""
-    name = walker if isinstance(walker, str) else walker.get("base")
-    if name not in PARTNERS:
+    """Mix what differs linearly from the tuned walker (0) to the physical one (1); beyond is allowed."""
+    if (walker if isinstance(walker, str) else walker.get("base")) not in PARTNERS:
         raise WalkerError("detuning", amount, "needs walker A or C")
-    tuned = named(name) if isinstance(walker, str) else from_table(walker)
-    physical = named(PARTNERS[name])
-    if amount == 0:
-        return tuned
-    return replace(tuned, **{k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in NUMBERS})
+    tuned, physical = ends(walker)
+    mixed = {k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in owned("detuning", walker)}
+    return replace(tuned if isinstance(walker, str) else from_table(walker), **mixed if amount else {})
 
 
 def tune(params: Mapping[str, Any]) -> dict[str, Any]:

@@ -82,6 +82,8 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
     (["solve", "--walker", "D", "--slope", "0.7"], "`slope` must lie in (0, 0.5) rad; got 0.7."),
     (["solve", "--walker", "Q", "--slope", "0.1"], "`Q` is not known here, known: A, B, C, D, E, F,"
      " physical, physical-straight, A-printed, C-printed, or a file FILE.toml."),
+    (["solve", "--walker", "E", "--slope", "0.01", "--set", "foot_mass_ratio=0.1", "--set", "m_h=1"],
+     "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 1.0."),
     (["frobnicate"], None),
 ])
 def test_bad_input_is_one_line_and_exit_2(tmp_path, monkeypatch, capsys, arguments, said):

@@ -13,7 +13,7 @@ from pipeline.errors import ArchiveError, StudyError
 
 STUDY = {
     "name": "mine",
-    "walker": {"base": "E", "m_h": 0.25},
+    "walker": {"base": "E", "l_t": 0.6},
     "axes": {"slope": np.geomspace(0.004, 0.05, 4), "foot_mass_ratio": [0.1, 0.05]},
     "want": {"variables": ["stance_angle", "period", "violations", "multipliers"], "fits": ["scaling"]},
 }

@@ -45,10 +45,14 @@ WRONG = {
         'walker = "none.toml"': "There is no file none.toml (s.toml, walker).",
         'walker = { base = "E", m_s = -1.0 }': "`m_s` must be >= 0; got -1.0 (s.toml, walker).",
         'walker = { base = "E", c_tt = 1 }': "`c_tt` is not a walker key (did you mean `c_t`?); got 1 (s.toml, walker).",
+        'walker = { base = "E", m_h = 1 }':
+            "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 1 (s.toml, walker).",
         'walker = "A"': "`foot_mass_ratio` needs a point-foot walker (D, E or F); got 0.05 (s.toml, axes.foot_mass_ratio).",
     },
     "foot_mass_ratio = [0.1, 0.05]": {
         "foot_mass_ratio = [0.7]": "`foot_mass_ratio` must lie in [0, 0.5); got 0.7 (s.toml, axes.foot_mass_ratio).",
+        "foot_mass_ratio = [0.1]\nm_h = [0.0, 1.0]":
+            "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 0.0 (s.toml, axes.m_h).",
         "foot_mass_ratio = []": "`foot_mass_ratio` must hold at least one value; got [] (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = [0.1, nan]": "`foot_mass_ratio` must be finite; got nan (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = [0.1, 0.2, 0.1]":
