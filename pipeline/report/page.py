@@ -146,7 +146,7 @@ def _slugs(sources: list[Source]) -> list[str]:
 
 def _rest(source: Source) -> dict[str, Any]:
     """Provenance without what the page shows elsewhere."""
-    return {key: value for key, value in source.provenance.items() if key not in ("study", "walkers")}
+    return {key: value for key, value in source.provenance.items() if key not in ("study", "walkers", "varied")}
 
 
 def _tally(ledger: list[tables.Family]) -> dict[str, int]:

@@ -273,13 +273,25 @@ def failed_tasks(source: Source) -> Table | None:
 
 
 def walkers(source: Source) -> Table | None:
-    """Parameters of the study's walkers, a column each."""
-    found = dict(list(source.walkers.items())[:8])
+    """Parameters of the study's walkers, a column each; of a key that the study varies the values it is given."""
+    found = source.walkers
     if not found:
         return None
+    given = {axis: _given(source.grid[axis].values) for axis in source.varied.values() if axis in source.grid.coords}
+    moved = {key: given.get(axis, Cell("varied")) if axis == key else Cell(f"by {axis}")
+             for key, axis in source.varied.items()}
     keys = list(dict.fromkeys(key for table in found.values() for key in table))
-    rows = [[Cell(key), *(cell(table.get(key, "–")) for table in found.values())] for key in keys]
+    rows = [[Cell(key), *(moved.get(key) or cell(table.get(key, "–")) for table in found.values())] for key in keys]
+    rows += [[Cell(axis), *[values] * len(found)] for axis, values in given.items() if axis not in keys]
     return Table("Parameters", ["key", *found], rows)
+
+
+def _given(values: np.ndarray) -> Cell:
+    """The values of an axis, in one cell."""
+    if len(values) == 1:
+        return cell(float(values[0]))
+    shown = [plain(float(v), 6) for v in values]
+    return Cell(", ".join(shown) if len(shown) < 5 else f"{shown[0]} … {shown[-1]} ({len(shown)} values)")
 
 
 def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:

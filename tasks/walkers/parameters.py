@@ -266,6 +266,12 @@ def with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
 
 
 def check(params: Mapping[str, Any]) -> dict[str, Any]:
-    """What a study needs to know of a walker before anything runs; raises WalkerError where it cannot be."""
-    walker = resolve(params["walker"], params.get("set"))
-    return {"si": walker.si, "kneed": walker.knees, "multipliers": 4 if walker.knees else 3, "table": walker.table()}
+    """What a study needs to know of a walker before anything runs; raises WalkerError where it cannot be.
+
+    `table` is the walker as it is before `set`, and `varied` says which key of `set` moves each of its own.
+    """
+    given = params.get("set") or {}
+    walker = resolve(params["walker"], given)
+    varied = {key: owner for owner in given for key in (owned(owner, params["walker"]) if owner in DERIVED else [owner])}
+    return {"si": walker.si, "kneed": walker.knees, "multipliers": 4 if walker.knees else 3,
+            "table": resolve(params["walker"]).table(), "varied": varied}

@@ -1,5 +1,8 @@
 """A study is checked whole before anything runs, and every mistake gets one line that helps."""
 
+import json
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
@@ -7,6 +10,8 @@ from hypothesis import strategies as st
 
 from pipeline import study
 from pipeline.errors import StudyError
+from pipeline.provenance import provenance
+from tasks.walkers.catalogue import CATALOGUE
 
 GOOD = """name = "s"
 walker = "E"
@@ -173,6 +178,14 @@ def test_a_walker_file_is_read_beside_the_study(write, tmp_path):
     found = study.read(write(GOOD.replace('"E"', '"mine.toml"').replace("foot_mass_ratio = [0.1, 0.05]", "")))
     assert found.walkers == ({"base": "E", "R": 0.1},)
     assert found.checks[0]["table"]["R"] == 0.1
+
+
+def test_a_walker_is_archived_as_it_is_before_axes_move_it(write):
+    axes = "slope = [0.01]\ndetuning = [0.0, 1.0]\nm_h = [1.0, 2.0]"
+    found = study.read(write(f'name = "s"\nwalker = ["C", "A"]\n[axes]\n{axes}\n'))
+    about = json.loads(provenance(SimpleNamespace(study=found, layers={})))
+    assert about["walkers"] == [CATALOGUE[name].table() for name in "CA"]
+    assert about["varied"] == {"m_h": "m_h", **dict.fromkeys(("w_t", "r_t", "c_t", "w_s", "r_s"), "detuning")}
 
 
 def test_a_list_of_walkers_is_a_dimension(write):

@@ -114,6 +114,22 @@ def test_tables_of_results_stand_on_the_page_of_their_study(tmp_path):
     assert "Section 7: doublings and falls." in Page(tmp_path / "index.html").text
 
 
+def test_the_walkers_table_is_whole_and_tells_what_varies(tmp_path):
+    names = [f"walker-{i}" for i in range(11)]
+    text = f'name = "s"\nwalker = {json.dumps(names)}\n[axes]\nslope = [0.01]\nR = [0.15, 0.3]\nm_h = [2.5]\n'
+    status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
+    coords = {"R": np.array([0.15, 0.3]), "m_h": np.array([2.5]), "detuning": np.array([0.0, 0.1, 0.2, 0.3, 1.0])}
+    varied = {"R": "R", "m_h": "m_h", "w_t": "detuning", "r_t": "detuning"}
+    made = write(tmp_path / "s.nc", text, status, coords, dict.fromkeys(names, KNEED), varied=varied)
+    table = tables.walkers(read(made))
+    assert table.heads == ["key", *names]
+    rows = {row[0].text: {cell.text for cell in row[1:]} for row in table.rows}
+    assert rows["R"] == {"0.15, 0.3"} and rows["m_h"] == {"2.5"} and rows["c_t"] == {"0.084"}
+    assert rows["w_t"] == rows["r_t"] == {"by detuning"} and rows["detuning"] == {"0 … 1 (5 values)"}
+    page.write([made], tmp_path)
+    assert all(name in Page(tmp_path / "s.html").text for name in names)
+
+
 def test_numbered_figures_come_first_and_in_order(tmp_path):
     def study(name, angle=True):
         grid = {"stance_angle": (("slope", "gait"), np.full((2, 1), 0.2))} if angle else {}
