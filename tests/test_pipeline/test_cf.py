@@ -22,8 +22,10 @@ STUDIES = {
               "options": {"starts": 2, "transient": 20, "strides": 60, "shown": 8}},
     "cascade": {"walker": "D", "axes": {"slope": [0.012, 0.018]}, "options": {"periods": 2, "starts": 20}},
     "basin": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"size": 8, "strides": 20}},
-    "curve": {"walker": "E", "axes": {"slope": [0.005, 0.05]},
-              "options": {"key": "foot_mass_ratio", "from": 0.08, "to": 0.12, "kinds": ["flip"]}},
+    "curve": {"walker": "F", "axes": {"slope": [0.005, 0.05]},
+              "options": {"key": "foot_mass_ratio", "from": 0.04, "to": 0.06, "kinds": ["flip"]}},
+    "no curve": {"walker": "E", "axes": {"slope": [0.005, 0.05]},
+                 "options": {"key": "foot_mass_ratio", "from": 0.08, "to": 0.12, "kinds": ["flip"]}},
     "census": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"starts": 60}},
 }
 
@@ -42,8 +44,8 @@ def archives(tmp_path_factory):
     """An archive of each study."""
     folder = tmp_path_factory.mktemp("cf")
     for name, study in STUDIES.items():
-        kind = "grid" if name == "walkers" else name
-        pipeline.run({"name": name, "kind": kind, **study}, jobs=1, archive=folder / f"{name}.nc", quiet=True)
+        kind = {"walkers": "grid", "no curve": "curve"}.get(name, name)
+        pipeline.run({"name": kind, "kind": kind, **study}, jobs=1, archive=folder / f"{name}.nc", quiet=True)
     return {name: folder / f"{name}.nc" for name in STUDIES}
 
 
@@ -65,6 +67,12 @@ def test_the_checker_of_the_conventions_finds_nothing(archives, tmp_path):
 def test_no_archive_differs_from_itself(archives):
     for name, archive in archives.items():
         assert check.diff(archive, archive) == [], name
+
+
+def test_a_curve_that_could_not_begin_says_so(archives):
+    with netCDF4.Dataset(archives["curve"]) as found, netCDF4.Dataset(archives["no curve"]) as none:
+        assert len(found["curves/slope"]) and "followed" in str(found["reason_text"][0])
+        assert not len(none["curves/slope"]) and str(none["reason_text"][0]).startswith("None of the points to follow")
 
 
 def _variables(group, path=""):

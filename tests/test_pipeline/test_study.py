@@ -114,6 +114,10 @@ WRONG_OPTIONS = [
     ("basin", "stance_rate = [0.2, 0.1]", "`stance_rate` must be two numbers that rise; got [0.2, 0.1]"
                                           " (s.toml, options.stance_rate)."),
     ("curve", 'key = "detunning"', "`detunning` is not known here, did you mean `detuning`? (s.toml, options.key)."),
+    ("curve", 'key = "R"\nfrom = 0.2\nto = 0.1', "`from` must be less than `to` = 0.1; got 0.2 (s.toml, options.from)."),
+    ("curve", 'key = "R"\nfrom = 2', "`from` must be less than `to` = 1.0; got 2 (s.toml, options.from)."),
+    ("curve", 'key = "R"\nfrom = -0.1\nto = 0.1', "`R` must be >= 0; got -0.1 (s.toml, options.from)."),
+    ("curve", "to = 0.5", "`detuning` needs walker A or C; got 0.0 (s.toml, options.key)."),
     ("curve", 'kinds = ["folds"]', "`folds` is not known here, did you mean `fold`? (s.toml, options.kinds)."),
 ]
 
@@ -150,6 +154,14 @@ def test_a_wrong_option_is_answered_in_one_helpful_line(write, kind, option, sai
     with pytest.raises(StudyError) as error:
         study.read(write(f'name = "s"\nkind = "{kind}"\nwalker = "E"\n[axes]\nslope = [0.01]\n[options]\n{option}\n'))
     assert str(error.value) == said
+
+
+def test_a_key_that_leaves_no_walker_to_follow_is_refused(write):
+    options = '[options]\nkey = "R"\nfrom = 0.0\nto = 0.3\n'
+    with pytest.raises(StudyError) as error:
+        study.read(write(f'name = "s"\nkind = "curve"\nwalker = "D"\n[axes]\nslope = [0.001, 0.1]\n{options}'))
+    assert str(error.value) == ("`R` = 0.3 leaves no walker: `m_s` may vanish only for a point foot: the swing leg has no"
+                                " inertia; got 0.0 (s.toml, options.to).")
 
 
 def test_the_registry_names_every_option_and_claim_of_the_tasks():
