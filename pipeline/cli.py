@@ -247,7 +247,7 @@ def _tune(options: argparse.Namespace) -> int:
         return 0
     from pipeline import show
 
-    print("\n".join(show.table("walker", found["walker"])))
+    print("\n".join(show.tuned(found)))
     return 0
 
 

@@ -89,6 +89,17 @@ def table(name: str, values: dict[str, Any]) -> Iterator[str]:
         yield f"{key} = {json.dumps(value)}"
 
 
+def tuned(found: dict[str, Any]) -> Iterator[str]:
+    """The nearest tuned walker as a TOML table; what moved and what the conditions miss stand above it as comments."""
+    if not found["moved"]:
+        yield "# It meets the zero-slope conditions as it is; nothing was moved."
+    for key, (old, new) in found["moved"].items():
+        yield f"# {key} moved from {old!r} to {new!r}"
+    for name, before in found["before"].items():
+        yield f"# {name.replace('_', ' ')}: {before + 0.0:.3g} before, {found['after'][name] + 0.0:.3g} after"
+    yield from table("walker", found["walker"])
+
+
 def gaits(found: Iterable[dict[str, Any]]) -> Iterator[str]:
     """Gaits at one point, a paragraph each."""
     nothing = True

@@ -104,6 +104,15 @@ def test_tables_are_in_the_walkers_units(archives):
         assert counted["cascade/period"].long_name == "steps of the periodic gait"
 
 
+def test_the_ranges_of_the_fitted_lines_are_slopes(archives):
+    with netCDF4.Dataset(archives["grid"]) as file:
+        table = file["fits/transition"]
+        for name, factor in (("fitted_below", 0.1), ("fitted_above", 3.0)):
+            np.testing.assert_allclose(table[name][...], factor * table["slope_transition"][...])
+            assert table[name].units == table["slope_transition"].units == "rad"
+            assert "slope" in table[name].long_name and "exponent" not in table[name].long_name
+
+
 def test_flags_decode_with_netcdf4_alone(archives):
     with netCDF4.Dataset(archives["grid"]) as file:
         status, violations = file["status"], file["violations"]

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from unittest.mock import Mock
 
 import netCDF4
@@ -166,6 +167,15 @@ def test_a_walker_loses_its_knees_by_a_key(tmp_path):
              for more in (("--set", "knees=false"), ())]
     straight, kneed = (json.loads(f.stdout) for f in found)
     assert {g["kneestrike_time"] for g in straight} == {None} and all(g["kneestrike_time"] for g in kneed)
+
+
+def test_tune_says_what_moved_above_a_table_ready_to_paste(capsys):
+    assert cli.main(["tune", "--walker", "D"]) == 0
+    assert capsys.readouterr().out.startswith("# It meets the zero-slope conditions as it is; nothing was moved.\n")
+    assert cli.main(["tune", "--walker", "C-printed"]) == 0
+    told = capsys.readouterr().out
+    assert "# w_t moved from -0.023 to -0.02288" in told and "# shank offset: -0.000351 before, 0 after" in told
+    assert tomllib.loads(told)["walker"]["w_s"] == pytest.approx(0.0223541, abs=5e-8)
 
 
 def test_a_full_disk_is_said_wherever_it_is_met(toy, monkeypatch, capsys):

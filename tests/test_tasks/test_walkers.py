@@ -35,6 +35,20 @@ def test_tune_finds_the_exact_offsets_from_the_printed_ones():
     assert is_tuned(from_table(found))
 
 
+@pytest.mark.parametrize("name", ["D", "E", "C"])
+def test_a_walker_that_meets_the_conditions_is_left_as_it_is(name):
+    found = tune({"walker": name})
+    assert found["walker"] == CATALOGUE[name].table() and found["moved"] == {}
+    assert found["before"] == found["after"] == statics(CATALOGUE[name])
+
+
+def test_tune_says_what_moved():
+    found = tune({"walker": "C-printed", "free": ["w_t", "w_s", "w_t"]})
+    assert found["moved"] == {k: [getattr(CATALOGUE["C-printed"], k), found["walker"][k]] for k in ("w_t", "w_s")}
+    assert found["before"] == statics(CATALOGUE["C-printed"])
+    assert max(map(abs, found["after"].values())) < 1e-15 < min(map(abs, found["before"].values()))
+
+
 def test_tune_says_when_freed_keys_cannot():
     with pytest.raises(WalkerError, match="free another key"):
         tune({"walker": "physical", "free": ["m_h"]})
