@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import check, chunks, gather, grid, pack, tables
+from pipeline import PAPER, check, chunks, gather, grid, pack, tables
 from pipeline.check import SCHEMA
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.plan import Plan
@@ -100,8 +100,7 @@ def _head(file: Any, plan: Plan, writer: _Points | _Lines) -> None:
     file.setncatts({
         "Conventions": "CF-1.11", "title": f"gaitsweep study {study.name}", "institution": "gaitsweep developers",
         "source": "gaitsweep: passive dynamic walking in two dimensions, solved numerically",
-        "history": "written by gaitsweep run", "references": "Garcia, Chatterjee and Ruina: Efficiency, speed, and"
-        " scaling of two-dimensional passive-dynamic walking, Dynamics and Stability of Systems 15 (2000) 75-99",
+        "history": "written by gaitsweep run", "references": PAPER,
         "gaitsweep_schema": np.int32(SCHEMA), "study": study.name, "kind": study.kind,
         "not_attempted": np.int64(writer.written.counts["not_attempted"]), "figures": " ".join(study.figures),
         "provenance": provenance(plan)})

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pipeline import PAPER
 from pipeline.errors import ArchiveError
 from pipeline.report import page, source, tables
 from pipeline.report.figures.style import plain
@@ -159,6 +160,11 @@ def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
     again = page.write(archives, tmp_path).parent
     for path in report.iterdir():
         assert path.read_bytes() == (again / path.name).read_bytes(), path.name
+
+
+def test_every_page_names_the_paper(report):
+    for path in report.glob("*.html"):
+        assert PAPER in " ".join(Page(path).text.split()), path.name
 
 
 def test_figures_have_alt_text_and_follow_the_pages_colours(report):
