@@ -184,7 +184,8 @@ def _environment() -> jinja2.Environment:
     script = (_TEMPLATES / "report.js").read_text(encoding="utf-8").strip()
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment.globals.update(
-        style=(_TEMPLATES / "report.css").read_text(encoding="utf-8"), script=script, digest=digest, known=list(FIGURES), paper=PAPER
+        style=(_TEMPLATES / "report.css").read_text(encoding="utf-8"), script=script, digest=digest,
+        known=list(FIGURES), paper=PAPER,
     )
     environment.filters.update(plain=plain, grouped=lambda n: f"{n:,}".replace(",", "\u202f"))
     return environment
