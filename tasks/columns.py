@@ -63,6 +63,9 @@ COLUMNS: dict[str, tuple[str, str]] = {
     # orbits, cascades, basins, census
     "index": ("number", "number of the exponent, largest first"),
     "lyapunov/exponent": ("number", "Lyapunov exponent per stride"),
+    "lyapunov/reason": ("number", "why there is no exponent; empty where there is one"),
+    "orbits/error_bound": ("number", "bound on the relative error of where the step leads and of its period"),
+    "repeats_to": ("number", "largest relative change of the orbit's angles after its best period of up to 64 strides"),
     "falls": ("number", "starts that fell"),
     "lifetime": ("number", "mean number of strides before a fall"),
     "family": ("number", "first period of the family of gaits"),

@@ -110,7 +110,7 @@ TASKS = {t.name: t for t in (
     Task("points", "tasks.solve:points", 6, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
     Task("trace", "tasks.trace:trace", 1, needs=("atlas",), seconds=0.2),
     Task("branch", "tasks.branch:branch", 3, needs=("atlas",), seconds=0.3),
-    Task("orbit", "tasks.orbit:orbit", 1, needs=("atlas",), seconds=30.0),
+    Task("orbit", "tasks.orbit:orbit", 2, needs=("atlas",), seconds=30.0),
     Task("cascade", "tasks.cascade:cascade", 3, needs=("atlas",), seconds=3.0),
     Task("basin", "tasks.basin:basin", 1, needs=("atlas",), seconds=5.0),
     Task("curve", "tasks.curve:curve", 4, needs=("atlas",), seconds=5.0),
