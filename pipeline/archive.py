@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import PAPER, check, chunks, gather, grid, pack, tables
+from pipeline import check, chunks, gather, grid, pack, tables
 from pipeline.check import SCHEMA
 from pipeline.errors import ArchiveError, DiskFullError
+from pipeline.paper import PAPER
 from pipeline.plan import Plan
 from pipeline.provenance import provenance
 from pipeline.study import Study

@@ -20,6 +20,14 @@ class _Parser(argparse.ArgumentParser):
         raise StudyError(f"{message[:1].upper()}{message[1:]} ({self.prog} --help).")
 
 
+class _Version(argparse.Action):
+    def __call__(self, *_: Any) -> NoReturn:
+        from pipeline.provenance import version
+
+        print(f"gaitsweep {version('gaitsweep')}")
+        sys.exit(0)
+
+
 def _natural(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 10**9:
         raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; got {text}")
@@ -51,6 +59,7 @@ def parser() -> argparse.ArgumentParser:
     """Every command and its options."""
     top = _Parser(prog="gaitsweep", description="Gaits of passive walkers, swept over grids and kept as CF netCDF.")
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    top.add_argument("--version", action=_Version, nargs=0, help="show the version")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
     def add(function: Callable[[argparse.Namespace], int], about: str) -> argparse.ArgumentParser:
@@ -102,6 +111,8 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("b", type=Path, metavar="B.nc")
     c.add_argument("--rtol", type=_tolerance, action="append", default=[], metavar="R|NAME=R",
                    help="relative tolerance (default 0), or that of one variable")
+    c = add(_completion, "a script that completes commands in a shell")
+    c.add_argument("shell", choices=("bash", "zsh"))
     c = add(_bench, "run time against error, with the peers")
     c.add_argument("--quick", action="store_true")
     c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR")
@@ -215,7 +226,7 @@ def _solve(options: argparse.Namespace) -> int:
         return 0
     from pipeline import show
 
-    print("\n".join(show.gaits(found["gaits"])))
+    print("\n".join(show.gaits(found["gaits"], found["units"])))
     return 0
 
 
@@ -273,6 +284,13 @@ def _diff(options: argparse.Namespace) -> int:
     found = check.diff(options.a, options.b, own.pop("", 0.0), own)
     print("\n".join(found) if found else "They agree.")
     return 1 if found else 0
+
+
+def _completion(options: argparse.Namespace) -> int:
+    from pipeline import completion
+
+    print(completion.script(parser(), options.shell), end="")
+    return 0
 
 
 def _bench(options: argparse.Namespace) -> int:

@@ -95,7 +95,8 @@ class Progress:
                 "todo": self.todo.get("points", 0), "tasks": dict(self.done), "counts": dict(self.counts),
                 "stages": stages,
                 "rate": round(self.done["points"] / elapsed, 1) if elapsed > 0 else 0.0,
-                "eta": round(sum(stage["eta"] for stage in stages.values()), 1), "memory": memory, "workers": cell.members() or self._lately()}
+                "eta": round(sum(stage["eta"] for stage in stages.values()), 1), "memory": memory,
+                "workers": cell.members() or self._lately()}
 
     def _lately(self) -> list[dict[str, Any]]:
         """Workers of other processes that have answered in the last minute, as they were then."""

@@ -100,8 +100,8 @@ def tuned(found: dict[str, Any]) -> Iterator[str]:
     yield from table("walker", found["walker"])
 
 
-def gaits(found: Iterable[dict[str, Any]]) -> Iterator[str]:
-    """Gaits at one point, a paragraph each."""
+def gaits(found: Iterable[dict[str, Any]], units: dict[str, str]) -> Iterator[str]:
+    """Gaits at one point, a paragraph each; numbers with their units, where they have any."""
     nothing = True
     for gait in found:
         nothing = False
@@ -112,7 +112,7 @@ def gaits(found: Iterable[dict[str, Any]]) -> Iterator[str]:
             if key == "multipliers":
                 value = ", ".join(f"{re:.12g}{im:+.12g}j" if im else f"{re:.12g}" for re, im in value)
             elif isinstance(value, float):
-                value = f"{value:.15g}"
+                value = f"{value:.15g} {units.get(key, '1')}".removesuffix(" 1")
             elif isinstance(value, list):
                 value = ", ".join(map(str, value)) or "none"
             yield f"  {key:<16} {value}"

@@ -33,7 +33,8 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `gaits`, a list with one dict a gait, and `search`, sentences on how they were sought.
+        `gaits`, a list with one dict a gait; `units` of what they hold; and `search`, sentences on how they were
+        sought.
 
     Raises
     ------
@@ -55,7 +56,8 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
         gaits += [o for o in others if params.get("all") or o["gait"] in GAITS]
         if not gaits:
             said += [str(found["reasons"][1]), str(found["reasons"][5]), nearest]
-    return {"gaits": gaits, "search": said}
+    units = {"slope": "rad", **{k: VARIABLES[k].units(problem.walker.si) for k in WANT}}
+    return {"gaits": gaits, "units": units, "search": said}
 
 
 def _elsewhere(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str, str]:

@@ -9,7 +9,8 @@ import tomllib
 import pytest
 
 from conftest import ROOT
-from pipeline import PAPER, cli, study
+from pipeline import cli, study
+from pipeline.paper import PAPER
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 

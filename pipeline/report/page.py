@@ -14,7 +14,7 @@ from typing import Any
 import jinja2
 import pandas as pd
 
-from pipeline import PAPER
+from pipeline.paper import PAPER
 from pipeline.report import results, tables
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.motion import animation

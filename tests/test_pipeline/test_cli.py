@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -154,6 +155,53 @@ def test_verify_and_diff_exit_with_1(toy):
     with netCDF4.Dataset(other, "a") as file:
         file["status"][0] = 7
     assert "`status`" in toy("diff", archive, other, expect=1).stdout
+
+
+def test_solve_tells_units_where_a_walker_has_any(capsys):
+    assert cli.main(["solve", "--walker", "A", "--slope", "0.03"]) == 0
+    told = capsys.readouterr().out
+    for name, unit in (("slope", "rad"), ("stance_angle", "rad"), ("thigh_rate", "rad s-1"), ("period", "s"),
+                       ("speed", "m s-1"), ("loss_normal", "J"), ("residual", ""), ("error_bound", "")):
+        assert re.search(rf"^  {name} +[-+.e\d]+{' ' * bool(unit)}{unit}$", told, re.M), name
+    assert cli.main(["solve", "--walker", "D", "--slope", "0.009"]) == 0
+    told = capsys.readouterr().out
+    assert re.search(r"^  stance_angle +0\.2003\d+ rad$", told, re.M)
+    assert re.search(r"^  period +3\.882\d+$", told, re.M)
+
+
+def test_the_version_is_told(capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.main(["--version"])
+    assert end.value.code == 0 and re.fullmatch(r"gaitsweep \d+\.\d+\S*\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(("typed", "found"), [
+    ("gaitsweep so", ["solve"]),
+    ("gaitsweep --debug ver", ["verify"]),
+    ("gaitsweep run --ret", ["--retry-failed"]),
+    ("gaitsweep run st", ["study.toml"]),
+    ("gaitsweep solve --walker physical-", ["physical-straight"]),
+    ("gaitsweep solve --set m_", ["m_t=", "m_s=", "m_h="]),
+    ("gaitsweep tune --free l_", ["l_t", "l_s"]),
+    ("gaitsweep completion z", ["zsh"]),
+])
+def test_a_shell_completes_what_is_typed(tmp_path, capsys, typed, found):
+    assert cli.main(["completion", "bash"]) == 0
+    (tmp_path / "study.toml").touch()
+    words = typed.split()
+    program = (f"{capsys.readouterr().out}\nCOMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
+               'complete -p gaitsweep >/dev/null || exit 1; _gaitsweep; printf "%s\\n" "${COMPREPLY[@]}"')
+    done = subprocess.run(["bash", "-c", program], cwd=tmp_path, text=True, capture_output=True)
+    assert done.stdout.split() == found and done.stderr == ""
+
+
+def test_zsh_runs_the_function_of_bash(capsys):
+    scripts = {}
+    for shell in ("bash", "zsh"):
+        assert cli.main(["completion", shell]) == 0
+        scripts[shell] = capsys.readouterr().out
+    head, _, body = scripts["zsh"].partition("bashcompinit && bashcompinit\n")
+    assert head.startswith("# zsh") and body == scripts["bash"].partition("\n")[2]
 
 
 def test_debug_shows_where_and_changes_no_exit_code(capsys):

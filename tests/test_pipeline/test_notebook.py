@@ -147,8 +147,8 @@ def test_a_state_tells_rate_and_one_time_to_go():
               "scaling": {"done": 1, "todo": 1, "eta": 0.0}}
     state = {"points": 1000, "cached": 100, "done": 240, "rate": 42.0, "counts": {"converged": 239, "timed_out": 1},
              "stages": stages, "eta": 19.7}
-    assert progress.sentence(state) == ("340 of 1,000 points (34 %), 42 a second, atlas 2 of 3, scaling 1 of 1, timed_out 1,"
-                                        " 19.7 s to go")
+    assert progress.sentence(state) == ("340 of 1,000 points (34 %), 42 a second, atlas 2 of 3, scaling 1 of 1,"
+                                        " timed_out 1, 19.7 s to go")
 
 
 def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline import PAPER
 from pipeline.errors import ArchiveError
+from pipeline.paper import PAPER
 from pipeline.report import page, source, tables
 from pipeline.report.figures.style import plain
 from pipeline.report.source import read
