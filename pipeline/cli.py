@@ -90,7 +90,10 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--json", action="store_true", help="for machines")
     c = add(_report, "HTML from archives alone")
     c.add_argument("archives", nargs="+", metavar="ARCHIVE.nc", type=Path)
-    c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR")
+    c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR",
+                   help="where pages are added (default reports)")
+    c.add_argument("--only", action="store_true", help="take other pages there away")
+    c.add_argument("--open", action="store_true", help="show the index in a browser")
     c = add(_solve, "every gait at one point")
     c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
     c.add_argument("--slope", required=True, type=_number, metavar="S", help="rad")
@@ -208,10 +211,15 @@ def _report(options: argparse.Namespace) -> int:
     from pipeline.report import page
 
     try:
-        index = page.write(options.archives, options.out)
+        index = page.write(options.archives, options.out, options.only)
     except OSError as error:
         raise unwritten(options.out, error) from error
     print(index)
+    if options.open:
+        import webbrowser
+
+        if not webbrowser.open(index.resolve().as_uri()):
+            print("gaitsweep: No browser could be opened.", file=sys.stderr)
     return 0
 
 

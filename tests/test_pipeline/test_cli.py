@@ -226,6 +226,24 @@ def test_tune_says_what_moved_above_a_table_ready_to_paste(capsys):
     assert tomllib.loads(told)["walker"]["w_s"] == pytest.approx(0.0223541, abs=5e-8)
 
 
+def test_report_adds_leaves_only_and_opens(toy, monkeypatch, capsys):
+    monkeypatch.chdir(toy.folder)
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or len(opened) < 2)
+    toy.write(STUDY.replace('"toy"', '"other"'), "other.toml")
+    toy("run", "toy.toml", "other.toml", "--quiet")
+
+    def pages():
+        return {path.stem for path in (toy.folder / "reports").glob("*.html")} - {"index", "ledger"}
+
+    assert cli.main(["report", "data/archive/toy.nc"]) == 0 and not opened
+    assert cli.main(["report", "data/archive/other.nc", "--open"]) == 0
+    assert pages() == {"toy", "other"} and opened == [(toy.folder / "reports" / "index.html").as_uri()]
+    assert capsys.readouterr().err == ""
+    assert cli.main(["report", "data/archive/other.nc", "--only", "--open"]) == 0
+    assert pages() == {"other"} and capsys.readouterr().err == "gaitsweep: No browser could be opened.\n"
+
+
 def test_a_full_disk_is_said_wherever_it_is_met(toy, monkeypatch, capsys):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
