@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import check, chunks, drafts, gather, grid, tables
+from pipeline import check, chunks, drafts, gather, grid, pack, tables
 from pipeline.check import SCHEMA
 from pipeline.errors import ArchiveError, DiskFullError
+from pipeline.paper import PAPER
 from pipeline.plan import Plan
 from pipeline.provenance import provenance
 from pipeline.study import Study
@@ -28,6 +29,8 @@ from pipeline.worker import ALL_STATUSES, ANSWERS
 from tasks.registry import GAITS, STATUSES, VARIABLES, VIOLATIONS, Variable
 
 _PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
+#: What is said of a line on which a curve could not begin.
+NO_CURVE = "None of the points to follow was found, neither at the walker's own value nor at the range's ends."
 _LONG_NAMES = {"slope": "slope of the ground", "foot_mass_ratio": "mass of each foot over the total mass",
                "detuning": "mixture of the exactly tuned walker (0) and the physical one (1)"}
 
@@ -97,8 +100,7 @@ def _head(file: Any, plan: Plan, writer: _Points | _Lines) -> None:
     file.setncatts({
         "Conventions": "CF-1.11", "title": f"gaitsweep study {study.name}", "institution": "gaitsweep developers",
         "source": "gaitsweep: passive dynamic walking in two dimensions, solved numerically",
-        "history": "written by gaitsweep run", "references": "Garcia, Chatterjee and Ruina: Efficiency, speed, and"
-        " scaling of two-dimensional passive-dynamic walking, Dynamics and Stability of Systems 15 (2000) 75-99",
+        "history": "written by gaitsweep run", "references": PAPER,
         "gaitsweep_schema": np.int32(SCHEMA), "study": study.name, "kind": study.kind,
         "not_attempted": np.int64(writer.written.counts["not_attempted"]), "figures": " ".join(study.figures),
         "provenance": provenance(plan)})
@@ -271,6 +273,10 @@ class _Lines:
                 return "not_attempted", gather.NOT_ATTEMPTED
             if found[0] != "ok":
                 return found[0], f"{'The atlas of the line: ' if name == 'atlas' else ''}{found[1]}"
+        if self.study.kind == "curve":
+            result = self.plan.journal.result(keys["curve"][0])
+            if result is not None and not len(pack.load(result.data)["curves/slope"]):
+                return "converged", NO_CURVE
         return "converged", "The line was followed; what was found is in the groups."
 
     def define(self, file: Any) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import grid
-from pipeline.errors import ArchiveError
+from pipeline.errors import ArchiveError, GaitsweepError
 from pipeline.worker import ALL_STATUSES
 from tasks.registry import ALWAYS, GAITS, VARIABLES
 
@@ -51,11 +51,44 @@ def opened(path: Path) -> Iterator[Any]:
             raise ArchiveError(f"{path} is not an archive of gaitsweep (schema {SCHEMA}).")
         try:
             yield file
-        except (OSError, RuntimeError, IndexError, KeyError, AttributeError, UnicodeDecodeError) as error:
-            raise ArchiveError(f"{path} is damaged: {_line(error)}.") from error
+        except GaitsweepError:
+            raise
+        except Exception as error:
+            # Where the file is as it was written, whatever else goes wrong is a bug of ours.
+            found = _line(error) if _unread(error) else next(_torn(file), "")
+            if not found:
+                raise
+            raise ArchiveError(f"{path} is damaged: {found.rstrip('.')}.") from error
     finally:
         with contextlib.suppress(RuntimeError):
             file.close()
+
+
+def _unread(error: Exception) -> bool:
+    """Whether an exception is the netCDF library's: it could not read, or what it read is no text."""
+    return isinstance(error, OSError | UnicodeDecodeError) or str(error).startswith("NetCDF:")
+
+
+def _torn(file: Any) -> Iterator[str]:
+    """What is not as its checksum says, one sentence each; empty where the file is as it was written."""
+    try:
+        sums = json.loads(file.checksums)
+        for name in sums:
+            try:
+                if _checksum(file[name]) != sums[name]:
+                    yield f"`{name}` is not as it was written."
+            except (IndexError, KeyError):
+                yield f"`{name}` is missing."
+    except Exception as error:
+        yield f"its checksums cannot be checked, {_line(error)}."
+
+
+def _checksum(variable: Any) -> int:
+    """Checksum of a variable as the archive keeps it: the sum of its boxes'."""
+    sizes = dict(zip(variable.dimensions, variable.shape, strict=True))
+    large = "gait" in sizes and len(sizes) > 1
+    boxes = grid.boxes({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
+    return sum(grid.checksum(np.ma.getdata(variable[box] if large else variable[...]), box) for box in boxes) % 2**32
 
 
 def tables(place: Any, path: str = "") -> Iterator[str]:
@@ -130,10 +163,7 @@ def not_attempted(path: Path) -> int | None:
 def verify(path: Path) -> list[str]:
     """What is wrong with an archive, one sentence each; empty if it is whole, complete and of this schema."""
     with opened(path) as file:
-        try:
-            return [*_heads(file), *_states(file), *_values(file), *_groups(file)]
-        except (TypeError, ValueError) as error:
-            return [f"It cannot be checked: {_line(error)}."]
+        return [*_heads(file), *_states(file), *_values(file), *_groups(file)]
 
 
 def _heads(file: Any) -> Iterator[str]:
@@ -255,7 +285,8 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
                 found.append(f"`{name}` is only in {a if name in left.variables else b}")
             elif set(left.variables[name].dimensions) <= set(places):
                 found += _compare(name, left, right, places, within)
-        found += _compare_groups(left, right, within, places, a, b)
+        shared = {name: np.ma.getdata(left.variables[name][...])[pair[0]] for name, pair in places.items()}
+        found += _compare_groups(left, right, within, shared, a, b)
         known = {name for file in (left, right) for name in (*file.variables, *columns(file))}
         for name in within.own:
             if name not in known:
@@ -284,6 +315,7 @@ def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], within: 
         return [f"`{name}` is in {units[0]} and in {units[1]}"]
     x, y = (np.ma.getdata(file.variables[name][...])[np.ix_(*(places[d][k] for d in dims))]
             for k, file in enumerate((left, right)))
+    x, y = np.atleast_1d(x), np.atleast_1d(y)  # of a single line: numbers
     if name == "reason":
         x, y = (np.ma.getdata(f.variables["reason_text"][...]).astype(str)[v] for f, v in ((left, x), (right, y)))
     elif name == "status":
@@ -322,8 +354,9 @@ def _different(name: str, x: np.ndarray, y: np.ndarray, within: Tolerance, scale
     return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, by up to {worst:.2g} of their size"]
 
 
-def _compare_groups(left: Any, right: Any, within: Tolerance, places: dict[str, Pair], a: Path, b: Path,
+def _compare_groups(left: Any, right: Any, within: Tolerance, shared: dict[str, np.ndarray], a: Path, b: Path,
                     path: str = "") -> list[str]:
+    """How the tables differ on the lines both archives have; `shared` holds the coordinates of those."""
     found = []
     for name in sorted(set(left.groups) | set(right.groups)):
         place = f"{path}/{name}"
@@ -331,29 +364,25 @@ def _compare_groups(left: Any, right: Any, within: Tolerance, places: dict[str, 
             found.append(f"the group {place} is only in {a if name in left.groups else b}")
             continue
         one, two = left.groups[name], right.groups[name]
-        rows = _rows_of_both(one, two, places, left, right)
+        rows = [_rows_of(group, shared) for group in (one, two)]
         for column in sorted(set(one.variables) | set(two.variables)):
             if column not in one.variables or column not in two.variables:
                 found.append(f"`{place}/{column}` is only in {a if column in one.variables else b}")
             else:
                 x, y = (np.ma.getdata(g.variables[column][...])[kept] for g, kept in zip((one, two), rows, strict=True))
                 found += _different(f"{place}/{column}".lstrip("/"), x, y, within)
-        found += _compare_groups(one, two, within, places, a, b, place)
+        found += _compare_groups(one, two, within, shared, a, b, place)
     return found
 
 
-def _rows_of_both(one: Any, two: Any, places: dict[str, Pair], left: Any, right: Any) -> tuple[Any, Any]:
-    """Rows of a table in either archive whose line both archives have."""
-    kept = []
-    for group, file, k in ((one, left, 0), (two, right, 1)):
-        rows = np.ones(len(group.dimensions["row"]) if "row" in group.dimensions else 0, bool)
-        for name, pair in places.items():
-            # A column `slope` may hold slopes of its own: along a branch, of a fold.
-            if name in group.variables and name not in ("slope", "gait", "multiplier"):
-                shared = np.ma.getdata(file.variables[name][...])[pair[k]]
-                rows &= np.isin(np.ma.getdata(group.variables[name][...]).astype(shared.dtype), shared)
-        kept.append(rows)
-    return kept[0], kept[1]
+def _rows_of(group: Any, shared: dict[str, np.ndarray]) -> np.ndarray:
+    """Rows of a table whose line both archives have."""
+    rows = np.ones(len(group.dimensions["row"]) if "row" in group.dimensions else 0, bool)
+    for name, values in shared.items():
+        # A column `slope` may hold slopes of its own: along a branch, of a fold.
+        if name in group.variables and name not in ("slope", "gait", "multiplier"):
+            rows &= np.isin(np.ma.getdata(group.variables[name][...]).astype(values.dtype), values)
+    return rows
 
 
 if __name__ == "__main__":

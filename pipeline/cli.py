@@ -24,6 +24,14 @@ class _Parser(argparse.ArgumentParser):
         raise StudyError(f"{message[:1].upper()}{message[1:]} ({self.prog} --help).")
 
 
+class _Version(argparse.Action):
+    def __call__(self, *_: Any) -> NoReturn:
+        from pipeline.provenance import version
+
+        print(f"gaitsweep {version('gaitsweep')}")
+        sys.exit(0)
+
+
 def _natural(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 10**9:
         raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; got {text}")
@@ -55,6 +63,7 @@ def parser() -> argparse.ArgumentParser:
     """Every command and its options."""
     top = _Parser(prog="gaitsweep", description="Gaits of passive walkers, swept over grids and kept as CF netCDF.")
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    top.add_argument("--version", action=_Version, nargs=0, help="show the version")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
     def add(function: Callable[[argparse.Namespace], int], about: str) -> argparse.ArgumentParser:
@@ -85,7 +94,10 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--json", action="store_true", help="for machines")
     c = add(_report, "HTML from archives alone")
     c.add_argument("archives", nargs="+", metavar="ARCHIVE.nc", type=Path)
-    c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR")
+    c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR",
+                   help="where pages are added (default reports)")
+    c.add_argument("--only", action="store_true", help="take other pages there away")
+    c.add_argument("--open", action="store_true", help="show the index in a browser")
     c = add(_solve, "every gait at one point")
     c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
     c.add_argument("--slope", required=True, type=_number, metavar="S", help="rad")
@@ -106,6 +118,8 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("b", type=Path, metavar="B.nc")
     c.add_argument("--rtol", type=_tolerance, action="append", default=[], metavar="R|NAME=R",
                    help="relative tolerance (default 0), or that of one variable")
+    c = add(_completion, "a script that completes commands in a shell")
+    c.add_argument("shell", choices=("bash", "zsh"))
     c = add(_bench, "run time against error, with the peers")
     c.add_argument("--quick", action="store_true")
     c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR")
@@ -220,10 +234,15 @@ def _report(options: argparse.Namespace) -> int:
     from pipeline.report import page
 
     try:
-        index = page.write(options.archives, options.out)
+        index = page.write(options.archives, options.out, options.only)
     except OSError as error:
         raise unwritten(options.out, error) from error
     print(index)
+    if options.open:
+        import webbrowser
+
+        if not webbrowser.open(index.resolve().as_uri()):
+            print("gaitsweep: No browser could be opened.", file=sys.stderr)
     return 0
 
 
@@ -238,7 +257,7 @@ def _solve(options: argparse.Namespace) -> int:
         return 0
     from pipeline import show
 
-    print("\n".join(show.gaits(found["gaits"])))
+    print("\n".join(show.gaits(found["gaits"], found["units"])))
     return 0
 
 
@@ -270,7 +289,7 @@ def _tune(options: argparse.Namespace) -> int:
         return 0
     from pipeline import show
 
-    print("\n".join(show.table("walker", found["walker"])))
+    print("\n".join(show.tuned(found)))
     return 0
 
 
@@ -296,6 +315,13 @@ def _diff(options: argparse.Namespace) -> int:
     found = check.diff(options.a, options.b, own.pop("", 0.0), own)
     print("\n".join(found) if found else "They agree.")
     return 1 if found else 0
+
+
+def _completion(options: argparse.Namespace) -> int:
+    from pipeline import completion
+
+    print(completion.script(parser(), options.shell), end="")
+    return 0
 
 
 def _bench(options: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.place import Place
-from tasks.registry import FOLLOWED, GAITS, OPTIONS
+from tasks.registry import CURVE, FOLLOWED, GAITS, OPTIONS
 
 _MOST = 10**6
 
@@ -28,7 +28,10 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Place) -> dict[
         if name not in known:
             raise place.unknown(name, known)
         _check(value, known[name], axes, place.at(name))
-    return dict(options)
+    found = dict(options)
+    if kind == "curve" and not (low := {**CURVE, **found}["from"]) < (high := {**CURVE, **found}["to"]):
+        raise place.at("from").wrong(f"must be less than `to` = {high!r}", low)
+    return found
 
 
 def _check(value: Any, what: str, axes: tuple[str, ...], place: Place) -> None:

@@ -8,8 +8,6 @@ from collections.abc import Iterable
 
 from pipeline.errors import StudyError
 
-_LISTED = 20  # names told where one is unknown
-
 
 class Place:
     """Where in a study something stands; makes the errors."""
@@ -30,7 +28,7 @@ class Place:
     def unknown(self, key: str, known: Iterable[str]) -> StudyError:
         known = list(known)
         near = difflib.get_close_matches(key, known, 1)
-        hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known[:_LISTED])}"
+        hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known)}"
         return self.error(f"`{clip(key)}` is not known here, {hint}")
 
     def number(self, value: object) -> float:

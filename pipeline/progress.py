@@ -88,30 +88,31 @@ class Progress:
 
     def state(self) -> dict[str, Any]:
         """Where the run stands: counts, rate, seconds to go, memory and workers."""
-        elapsed = time.time() - self.began
-        left = self.loop.costs.left() if self.loop else 0.0
-        for name, whole in self.todo.items():
-            if name != "points":
-                each = self.seconds[name] / self.done[name] if self.done[name] else self.plan.layers[name].task.seconds
-                left += each * max(0, whole - self.done[name])
-        at_once = self.loop.engine.jobs if self.loop else 1
+        elapsed, stages = time.time() - self.began, self._stages()
         with open("/proc/self/statm") as file:
             memory = int(file.read().split()[1]) * 4096
         return {"elapsed": round(elapsed, 1), "points": self.total, "cached": self.cached, "done": self.done["points"],
                 "todo": self.todo.get("points", 0), "tasks": dict(self.done), "counts": dict(self.counts),
-                "stages": self._stages(),
+                "stages": stages,
                 "rate": round(self.done["points"] / elapsed, 1) if elapsed > 0 else 0.0,
-                "eta": round(left / at_once, 1), "memory": memory, "workers": cell.members() or self._lately()}
+                "eta": round(sum(stage["eta"] for stage in stages.values()), 1), "memory": memory,
+                "workers": cell.members() or self._lately()}
 
     def _lately(self) -> list[dict[str, Any]]:
         """Workers of other processes that have answered in the last minute, as they were then."""
         return [worker for when, worker in list(self.elsewhere.values()) if time.time() - when < _SLOW]
 
     def _stages(self) -> dict[str, dict[str, float]]:
-        """How far each task is; seconds to go, for one worker, where it has begun and a guess can be made."""
-        return {name: {"done": self.done[name], "todo": whole, "eta": round(
-            self.seconds[name] / self.done[name] * max(0, whole - self.done[name]) if self.done[name] else 0.0, 1)}
-            for name, whole in self.todo.items() if whole}
+        """How far each task is, and its seconds to go on all workers."""
+        at_once, found = self.loop.engine.jobs if self.loop else 1, {}
+        for name, whole in self.todo.items():
+            each = self.seconds[name] / self.done[name] if self.done[name] else self.plan.layers[name].task.seconds
+            left = each * max(0, whole - self.done[name])
+            if name == "points":
+                left = self.loop.costs.left() if self.loop else 0.0
+            if whole:
+                found[name] = {"done": self.done[name], "todo": whole, "eta": round(left / at_once, 1)}
+        return found
 
     def _log(self, event: str, about: dict[str, Any]) -> None:
         with self.lock:
@@ -166,16 +167,12 @@ def sentence(state: dict[str, Any]) -> str:
     if state["points"]:
         done = state["cached"] + state["done"]
         parts.append(f"{done:,} of {state['points']:,} points ({100 * done / state['points']:.0f} %)")
-        parts.append(f"{state['rate']:,.0f} a second{_left(state['stages'].get('points'))}")
-    parts += [f"{name} {stage['done']:,} of {stage['todo']:,}{_left(stage)}"
+        parts.append(f"{state['rate']:,.0f} a second")
+    parts += [f"{name} {stage['done']:,} of {stage['todo']:,}"
               for name, stage in state["stages"].items() if name != "points"]
     parts += [f"{name} {n:,}" for name, n in sorted(failed.items())]
     parts.append(f"{duration(state['eta'])} to go")
     return ", ".join(parts)
-
-
-def _left(stage: dict[str, Any] | None) -> str:
-    return f" ({duration(stage['eta'])})" if stage and stage["eta"] else ""
 
 
 def duration(seconds: float) -> str:

@@ -25,7 +25,8 @@ def provenance(plan: Plan) -> str:
     study = plan.study
     return json.dumps({
         "study": study.text,
-        "walkers": [check.get("table", walker) for walker, check in zip(study.walkers, study.checks, strict=True)],
+        "walkers": [check["table"] for check in study.checks],
+        "varied": {key: axis for check in study.checks for key, axis in check["varied"].items()},
         "tasks": {name: layer.task.version for name, layer in plan.layers.items()},
         "packages": {name: version(name) for name in _PACKAGES},
         "python": platform.python_version(),

@@ -93,8 +93,19 @@ def table(name: str, values: dict[str, Any]) -> Iterator[str]:
         yield f"{key} = {json.dumps(value)}"
 
 
-def gaits(found: Iterable[dict[str, Any]]) -> Iterator[str]:
-    """Gaits at one point, a paragraph each."""
+def tuned(found: dict[str, Any]) -> Iterator[str]:
+    """The nearest tuned walker as a TOML table; what moved and what the conditions miss stand above it as comments."""
+    if not found["moved"]:
+        yield "# It meets the zero-slope conditions as it is; nothing was moved."
+    for key, (old, new) in found["moved"].items():
+        yield f"# {key} moved from {old!r} to {new!r}"
+    for name, before in found["before"].items():
+        yield f"# {name.replace('_', ' ')}: {before + 0.0:.3g} before, {found['after'][name] + 0.0:.3g} after"
+    yield from table("walker", found["walker"])
+
+
+def gaits(found: Iterable[dict[str, Any]], units: dict[str, str]) -> Iterator[str]:
+    """Gaits at one point, a paragraph each; numbers with their units, where they have any."""
     nothing = True
     for gait in found:
         nothing = False
@@ -105,7 +116,7 @@ def gaits(found: Iterable[dict[str, Any]]) -> Iterator[str]:
             if key == "multipliers":
                 value = ", ".join(f"{re:.12g}{im:+.12g}j" if im else f"{re:.12g}" for re, im in value)
             elif isinstance(value, float):
-                value = f"{value:.15g}"
+                value = f"{value:.15g} {units.get(key, '1')}".removesuffix(" 1")
             elif isinstance(value, list):
                 value = ", ".join(map(str, value)) or "none"
             yield f"  {key:<16} {value}"

@@ -20,7 +20,7 @@ import numpy as np
 from pipeline import options, worker
 from pipeline.errors import StudyError
 from pipeline.place import Place, clip
-from tasks.registry import ALWAYS, CLAIMS, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
+from tasks.registry import ALWAYS, CLAIMS, CURVE, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
 #: Tasks that no study is named after.
 _SERVANTS = ("atlas", "points", "trace")
@@ -352,12 +352,27 @@ def _checked(study: Study, top: Place) -> Study:
     checks = []
     for one in study.walkers:
         for corner in itertools.islice(itertools.product(*ends), 256):
+            given = dict(zip(names, corner, strict=True))
             try:
-                found = worker.call("check_walker", {"walker": one, "set": dict(zip(names, corner, strict=True))})
+                found = worker.call("check_walker", {"walker": one, "set": given})
             except ValueError as error:
                 key = getattr(error, "key", "walker")
                 place = top.at("axes", key) if key in names else top.at("walker")
                 raise place.error(str(error)) from error
+            if study.kind == "curve":
+                _followed(study, one, given, top.at("options"))
         checks.append(found)
     object.__setattr__(study, "checks", tuple(checks))
     return study
+
+
+def _followed(study: Study, walker: str | dict[str, Any], given: dict[str, float], place: Place) -> None:
+    """Check a walker at both ends of the range of the key that curves are followed over."""
+    options = {**CURVE, **study.options}
+    for end in ("from", "to"):
+        try:
+            worker.call("check_walker", {"walker": walker, "set": {**given, options["key"]: options[end]}})
+        except ValueError as error:
+            value = getattr(error, "key", "") == options["key"]
+            sentence = str(error) if value else f"`{options['key']}` = {options[end]!r} leaves no walker: {error}"
+            raise place.at(end if end in study.options else "key").error(sentence) from error

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from tasks.gait import atlas as atlases
 from tasks.gait.branch import Branch
-from tasks.gait.curves import ENDS, SCALARS, Curve, Point, equations_of, follow, turning
+from tasks.gait.curves import DIFFERENCE, ENDS, SCALARS, Curve, Point, equations_of, follow, turning
 from tasks.gait.fixed_point import Problem
 from tasks.gait.special_points import special_points
+from tasks.registry import CURVE
 from tasks.walkers.parameters import Walker, WalkerError, resolve
 
 Arrays = dict[str, np.ndarray]
-#: Kinds of points that are followed where a study is silent.
-KINDS = ("fold", "flip")
 COLUMNS = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "walks")
 TURNS = ("curve", "kind", "turn", "slope", "key", "value", "stance_angle", "period", "error_bound")
 
@@ -28,8 +27,10 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`, where the curves begin; `slope`, ndarray [rad], whose ends are the window; and the study's options:
-        `key` (a walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range, and `kinds` of points.
+        `line`, where the curves begin if its own value of the key lies in the range and any of the points are there,
+        else at an end of the range, the nearer first; `slope`, ndarray [rad], whose ends are the window; and the
+        study's options: `key` (a walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range, and `kinds`
+        of points.
     inputs : list
         The line's atlas.
 
@@ -45,47 +46,67 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     WalkerError
         If the key is none of the walker's, or the range is empty.
     """
-    line, key = params["line"], str(params.get("key", "detuning"))
-    low, high = float(params.get("from", 0.0)), float(params.get("to", 1.0))
+    line, options = params["line"], {**CURVE, **{k: params[k] for k in CURVE if k in params}}
+    key, low, high = str(options["key"]), float(options["from"]), float(options["to"])
     if not low < high:
         raise WalkerError("from", low, f"must be less than `to` = {high!r}")
 
     def walker_at(value: float) -> Walker:
         return resolve(line["walker"], {**line.get("set", {}), key: value})
 
-    walker_at(0.5 * (low + high))
+    # Off any special value: what equations hold there hold all over the range.
+    usual = low + 0.4871 * (high - low)
+    walker_at(usual)
     here = resolve(line["walker"], line.get("set"))
-    own = line.get("set", {}).get(key, 0.0 if key == "detuning" else _ratio(here) if key == "foot_mass_ratio"
-                                  else getattr(here, key))
-    problem = Problem(here)
-    second = np.sqrt(here.leg / here.g)
+    own = float(line.get("set", {}).get(key, 0.0 if key == "detuning" else _ratio(here) if key == "foot_mass_ratio"
+                                        else getattr(here, key)))
     slope = np.asarray(params["slope"], float)
     window = {"q": (np.log(slope.min()), np.log(slope.max())), "key": (low, high)}
     rows: dict[str, list[Any]] = {k: [] for k in COLUMNS}
     turns: dict[str, list[Any]] = {k: [] for k in TURNS}
-    seen: list[tuple[str, np.ndarray]] = []
-    number = 0
-    for kind, U, times in _seeds(problem, atlases.from_arrays(inputs[0]), params.get("kinds", KINDS), window):
-        equations = equations_of(kind, walker_at, float(own), high - low)
-        U = equations.begin(U, times, float(own))
-        border = np.zeros(len(U))
-        border[-1] = 1.0
-        first = equations.correct(U, times, border)
-        if not first.ok or any(k == kind and np.abs(first.U - p).max() < 1e-3 for k, p in seen):
-            continue
-        points = _both_ways(equations, first, window)
-        # A curve that comes back to the line it began on passes through another of its points.
-        seen += [(kind, p.U) for p in _back_at(equations, points, first)]
-        for p in points:
-            _add(rows, (number, kind, *_place(equations, p, key, second), int(equations.walks(p))))
-        for component, turn in ((-1, "key"), (-2, "slope")):
-            for a, b in itertools.pairwise(points):
-                found = turning(equations, a, b, component)
-                if found is not None and found.ok:
-                    _add(turns, (number, kind, turn, *_place(equations, found, key, second), found.error))
-        number += 1
+    for begin in _beginnings(own, low, high):
+        if not _ordinary(walker_at, begin, usual, DIFFERENCE * (high - low)):
+            begin += 1e-3 * (usual - begin)
+        problem = Problem(walker_at(begin))
+        branches = atlases.from_arrays(inputs[0]) if begin == own else atlases.survey(problem)
+        seeds = _seeds(problem, branches, options["kinds"], window)
+        seen: list[tuple[str, np.ndarray]] = []
+        for kind, U, times in seeds:
+            equations = equations_of(kind, walker_at, usual, high - low)
+            U = equations.begin(U, times, begin)
+            border = np.zeros(len(U))
+            border[-1] = 1.0
+            first = equations.correct(U, times, border)
+            if not first.ok or any(k == kind and np.abs(first.U - p).max() < 1e-3 for k, p in seen):
+                continue
+            points = _both_ways(equations, first, window)
+            # A curve that comes back to the line it began on passes through another of its points.
+            seen += [(kind, p.U) for p in _back_at(equations, points, first)]
+            number = len(set(rows["curve"]))
+            for p in points:
+                _add(rows, (number, kind, *_place(equations, p, key, window), int(equations.walks(p))))
+            for component, turn in ((-1, "key"), (-2, "slope")):
+                for a, b in itertools.pairwise(points):
+                    found = turning(equations, a, b, component)
+                    if found is not None and found.ok:
+                        _add(turns, (number, kind, turn, *_place(equations, found, key, window), found.error))
+        if seen:
+            break
     return {f"curves/{k}": np.array(v) for k, v in rows.items()} | {
         f"turnings/{k}": np.array(v) for k, v in turns.items()}
+
+
+def _beginnings(own: float, low: float, high: float) -> list[float]:
+    """Where curves may begin: at the walker's own value, or the end of the range nearest to it; then at the ends."""
+    return list(dict.fromkeys([min(max(own, low), high), *sorted((low, high), key=lambda end: abs(end - own))]))
+
+
+def _ordinary(walker_at: Callable[[float], Walker], value: float, usual: float, h: float) -> bool:
+    """Whether a curve can begin at a value: walkers beside it exist, and its map has the dimension of a usual one."""
+    try:
+        return all(walker_at(v).point_foot == walker_at(usual).point_foot for v in (value - h, value, value + h))
+    except WalkerError:
+        return False
 
 
 def _add(table: dict[str, list[Any]], row: tuple[Any, ...]) -> None:
@@ -93,9 +114,12 @@ def _add(table: dict[str, list[Any]], row: tuple[Any, ...]) -> None:
         column.append(value)
 
 
-def _place(equations: Curve, p: Point, key: str, second: float) -> tuple[Any, ...]:
+def _place(equations: Curve, p: Point, key: str, window: Mapping[str, tuple[float, float]]) -> tuple[Any, ...]:
     """Slope, key, its value, stance angle and period of a point, in the walker's units."""
-    return float(np.exp(p.U[-2])), key, float(p.U[-1] * equations.scale), float(np.exp(p.U[0])), p.times[-1] * second
+    walker = equations.walker(p.U)
+    slope, value = np.exp(np.clip(p.U[-2], *window["q"])), np.clip(p.U[-1] * equations.scale, *window["key"])
+    period = p.times[-1] * np.sqrt(walker.leg / walker.g)
+    return float(slope), key, float(value), float(np.exp(p.U[0])), float(period)
 
 
 def _ratio(walker: Walker) -> float:

@@ -114,10 +114,10 @@ TASKS = {t.name: t for t in (
     Task("points", "tasks.solve:points", 7, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
     Task("trace", "tasks.trace:trace", 2, needs=("atlas",), seconds=0.2),
     Task("branch", "tasks.branch:branch", 4, needs=("atlas",), seconds=0.3),
-    Task("orbit", "tasks.orbit:orbit", 2, needs=("atlas",), seconds=30.0),
+    Task("orbit", "tasks.orbit:orbit", 3, needs=("atlas",), seconds=30.0),
     Task("cascade", "tasks.cascade:cascade", 4, needs=("atlas",), seconds=3.0),
     Task("basin", "tasks.basin:basin", 2, needs=("atlas",), seconds=5.0),
-    Task("curve", "tasks.curve:curve", 3, needs=("atlas",), seconds=5.0),
+    Task("curve", "tasks.curve:curve", 4, needs=("atlas",), seconds=5.0),
     Task("design", "tasks.design:design", 1, needs=("atlas",), seconds=0.1),
     Task("census", "tasks.census:census", 3, seconds=10.0),
     Task("scaling", "tasks.fit:scaling", 2, needs=("points",)),
@@ -153,6 +153,9 @@ OPTIONS = {
 
 #: Points whose curves a study of kind `curve` follows.
 FOLLOWED = ("fold", "flip", "end_kneestrike_at_heelstrike", "end_tangential_heelstrike")
+
+#: What a study of kind `curve` follows where it is silent.
+CURVE = {"key": "detuning", "from": 0.0, "to": 1.0, "kinds": ("fold", "flip")}
 
 #: Figures that only one kind of study can show.
 SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin", "design": "design"}

@@ -33,7 +33,8 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `gaits`, a list with one dict a gait, and `search`, sentences on how they were sought.
+        `gaits`, a list with one dict a gait; `units` of what they hold; and `search`, sentences on how they were
+        sought.
 
     Raises
     ------
@@ -60,7 +61,8 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     place = places(angle, ratio)[:, 0]
     records = [_record(_name(place[i]), slope, gaits[i]) for i in np.argsort(place)]
     records += [_record(f"passes_{gait['passes']}_times", slope, gait) for gait in strange]
-    return {"gaits": records, "search": said}
+    units = {"slope": "rad", **{k: VARIABLES[k].units(problem.walker.si) for k in WANT}}
+    return {"gaits": records, "units": units, "search": said}
 
 
 def _name(place: int) -> str:

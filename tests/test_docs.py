@@ -10,6 +10,7 @@ import pytest
 
 from conftest import ROOT
 from pipeline import cli, study
+from pipeline.paper import PAPER
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 
@@ -24,6 +25,14 @@ def blocks(page, language):
 def test_every_link_leads_to_a_file(page):
     for link in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
         assert (page.parent / link).exists(), link
+
+
+def test_the_paper_is_cited_alike_everywhere():
+    for name in ("README.md", "CITATION.cff", "docs/physics.md", "data/reference/published.toml"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        assert "10.1080/713603737" in text and "2000" in text, name
+        assert not re.search(r"\(1999\)|[ =]1999\b", text), name
+    assert all(words in PAPER for words in ("Garcia", "Chatterjee", "Ruina", "15(2), 75-99, 2000", "10.1080/713603737"))
 
 
 def test_every_command_and_option_exists():

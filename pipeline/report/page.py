@@ -5,16 +5,17 @@ from __future__ import annotations
 import base64
 import hashlib
 import os
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import pandas as pd
 
-from pipeline.report import results, tables
+from pipeline.paper import PAPER
+from pipeline.report import entry, results, tables
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.motion import animation
 from pipeline.report.figures.style import plain
@@ -48,26 +49,35 @@ class Page:
     statuses: list[tuple[str, int, float]]
     absent: pd.DataFrame
 
-    @property
-    def title(self) -> str:
-        return self.source.title
+    @cached_property
+    def files(self) -> dict[str, str]:
+        """Data beside the page, by file name."""
+        found = {f"{self.slug}-{drawing.name}.csv": _csv(drawing.data) for drawing in self.drawings}
+        absent = {f"{self.slug}-absent.csv": _csv(self.absent.head(_MOST_ABSENT))} if len(self.absent) else {}
+        return found | absent
 
     @property
-    def order(self) -> tuple[bool, bool, list[tuple[int, str]]]:
-        """Place in the index: pages with pictures first, numbered ones before others, figure 3 before figure 11."""
-        parts = re.findall(r"\d+|\D+", self.source.name.lower())
-        return not self.drawings, not parts[-1].isdigit(), [(int(p), "") if p.isdigit() else (0, p) for p in parts]
+    def entry(self) -> dict[str, Any]:
+        """What the page carries of itself for the index and the ledger; its first picture is read off the page."""
+        source, first = self.source, self.drawings[0] if self.drawings else None
+        return {"slug": self.slug, "study": source.slug, "name": source.name, "title": source.title,
+                "about": source.about, "whole": source.whole, "statuses": self.statuses,
+                "figures": [drawing.name for drawing in self.drawings], "claims": tables.claims(source),
+                "files": list(self.files), "thumbnail": first.small if first and first.small != first.svg else ""}
 
 
-def write(archives: Iterable[Path], out: Path) -> Path:
-    """Write the report of some archives into a folder.
+def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
+    """Write the report of some archives into a folder: their pages, and the index and ledger of all pages in it.
 
     Parameters
     ----------
     archives : iterable of Path
         Archives as `gaitsweep run` leaves them; nothing else is read but the `NAME.run.json` beside each.
     out : Path
-        Folder of the pages, made if missing. A page and the data of its figures are named after the study.
+        Folder of the pages, made if missing. A page and the data of its figures are named after the study; the same
+        study again takes its place.
+    only : bool
+        Take other pages that a report has left there away.
 
     Returns
     -------
@@ -84,42 +94,42 @@ def write(archives: Iterable[Path], out: Path) -> Path:
     sources = [read(Path(archive)) for archive in archives]
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    pages = [_page(source, slug) for source, slug in zip(sources, _slugs(sources), strict=True)]
-    pages.sort(key=lambda page: page.order)
-    shown = {page.slug: f"{page.slug}.html" for page in pages}
-    shown |= {f"{p.source.slug}/{d.name}": f"{p.slug}.html#{d.name}" for p in pages for d in p.drawings}
-    ledger = tables.ledger(sources, shown)
     environment = _environment()
-    common = {"pages": pages, "ledger": ledger, "tally": _tally(ledger)}
+    pages = [_page(source, slug) for source, slug in zip(sources, _slugs(sources), strict=True)]
+    texts = {f"{page.slug}.html": _study(environment, page) for page in pages}
+    before, now = entry.standing(out), {name: entry.read(text) for name, text in texts.items()}
+    keep = {name: found for name, found in before.items() if name not in texts and not only} | now
+    entries = sorted((found for found in keep.values() if found), key=lambda found: found.order)
     for page in pages:
-        for drawing in page.drawings:
-            _publish(out / f"{page.slug}-{drawing.name}.csv", _csv(drawing.data))
-        if len(page.absent):
-            _publish(out / f"{page.slug}-absent.csv", _csv(page.absent.head(_MOST_ABSENT)))
-        _publish(
-            out / f"{page.slug}.html",
-            environment.get_template("study.html").render(
-                **common,
-                page=page,
-                fits=tables.fits(page.source),
-                special=tables.special_points(page.source),
-                results=results.tables(page.source),
-                outcomes=tables.outcomes(page.source, page.absent),
-                failures=tables.failures(page.absent),
-                failed_tasks=tables.failed_tasks(page.source),
-                walkers=tables.walkers(page.source),
-                run=tables.pairs({k: v for k, v in page.source.run.items() if k in _RUN}),
-                provenance=tables.pairs(_rest(page.source)),
-            ),
-        )
+        for name, text in page.files.items():
+            _publish(out / name, text)
+        _publish(out / f"{page.slug}.html", texts[f"{page.slug}.html"])
+    wanted = {*keep, *(name for found in entries for name in found.files)}
+    for found in before.values():
+        entry.remove(out, found, wanted)
+    ledger = tables.ledger(entries)
+    common = {"entries": entries, "ledger": ledger, "tally": _tally(ledger)}
     _publish(out / "ledger.html", environment.get_template("ledger.html").render(**common))
-    _publish(
-        out / "index.html",
-        environment.get_template("index.html").render(
-            **common, thumbnails=_thumbnails(pages), moves=next((p.moves[:2] for p in pages if p.moves), [])
-        ),
-    )
+    moves = next((found.moves for found in entries if found.moves), [])
+    index = environment.get_template("index.html")
+    _publish(out / "index.html", index.render(**common, thumbnails=_thumbnails(entries), moves=moves))
     return out / "index.html"
+
+
+def _study(environment: jinja2.Environment, page: Page) -> str:
+    """The page of one study; nothing in it depends on others."""
+    return environment.get_template("study.html").render(
+        page=page,
+        fits=tables.fits(page.source),
+        special=tables.special_points(page.source),
+        results=results.tables(page.source),
+        outcomes=tables.outcomes(page.source, page.absent),
+        failures=tables.failures(page.absent),
+        failed_tasks=tables.failed_tasks(page.source),
+        walkers=tables.walkers(page.source),
+        run=tables.pairs({k: v for k, v in page.source.run.items() if k in _RUN}),
+        provenance=tables.pairs(_rest(page.source)),
+    )
 
 
 def _page(source: Source, slug: str) -> Page:
@@ -146,7 +156,7 @@ def _slugs(sources: list[Source]) -> list[str]:
 
 def _rest(source: Source) -> dict[str, Any]:
     """Provenance without what the page shows elsewhere."""
-    return {key: value for key, value in source.provenance.items() if key not in ("study", "walkers")}
+    return {key: value for key, value in source.provenance.items() if key not in ("study", "walkers", "varied")}
 
 
 def _tally(ledger: list[tables.Family]) -> dict[str, int]:
@@ -154,14 +164,13 @@ def _tally(ledger: list[tables.Family]) -> dict[str, int]:
     return {sign: signs.count(sign) for sign in ("yes", "no", "open")} if signs else {}
 
 
-def _thumbnails(pages: list[Page]) -> dict[str, Drawing]:
+def _thumbnails(entries: list[entry.Entry]) -> dict[str, str]:
     """The first figure of each study, the smallest first, while the index has room for it."""
     room, found = _THUMBNAILS, {}
-    firsts = [(page.slug, drawing) for page in pages for drawing in page.drawings[:1]]
-    for slug, drawing in sorted(firsts, key=lambda first: len(first[1].small)):
-        room -= len(drawing.small)
+    for one in sorted((one for one in entries if one.thumbnail), key=lambda one: len(one.thumbnail)):
+        room -= len(one.thumbnail)
         if room > 0:
-            found[slug] = drawing
+            found[one.slug] = one.thumbnail
     return found
 
 
@@ -183,7 +192,8 @@ def _environment() -> jinja2.Environment:
     script = (_TEMPLATES / "report.js").read_text(encoding="utf-8").strip()
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment.globals.update(
-        style=(_TEMPLATES / "report.css").read_text(encoding="utf-8"), script=script, digest=digest, known=list(FIGURES)
+        style=(_TEMPLATES / "report.css").read_text(encoding="utf-8"), script=script, digest=digest,
+        known=list(FIGURES), paper=PAPER,
     )
     environment.filters.update(plain=plain, grouped=lambda n: f"{n:,}".replace(",", "\u202f"))
     return environment

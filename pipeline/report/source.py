@@ -137,10 +137,16 @@ class Source:
 
     @cached_property
     def walkers(self) -> dict[str, dict[str, Any]]:
-        """Parameters of each walker, by the name the study gives it."""
+        """Parameters of each walker before axes move them, by the name the study gives it."""
         given, stored = self.study.get("walker"), self.provenance.get("walkers", [])
         named = [_name(w, i) for i, w in enumerate(given if isinstance(given, list) else [given])]
         return {name: dict(w) for name, w in zip(named, stored, strict=False) if isinstance(w, dict)}
+
+    @property
+    def varied(self) -> dict[str, str]:
+        """Walker keys that the study varies, and the axis that moves each."""
+        found = self.provenance.get("varied")
+        return {str(key): str(axis) for key, axis in found.items()} if isinstance(found, dict) else {}
 
     @property
     def walker(self) -> str:

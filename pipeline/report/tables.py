@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pipeline.report.entry import Entry
 from pipeline.report.figures.style import plain
 from pipeline.report.source import ANSWERS, Source
 
@@ -273,13 +274,25 @@ def failed_tasks(source: Source) -> Table | None:
 
 
 def walkers(source: Source) -> Table | None:
-    """Parameters of the study's walkers, a column each."""
-    found = dict(list(source.walkers.items())[:8])
+    """Parameters of the study's walkers, a column each; of a key that the study varies the values it is given."""
+    found = source.walkers
     if not found:
         return None
+    given = {axis: _given(source.grid[axis].values) for axis in source.varied.values() if axis in source.grid.coords}
+    moved = {key: given.get(axis, Cell("varied")) if axis == key else Cell(f"by {axis}")
+             for key, axis in source.varied.items()}
     keys = list(dict.fromkeys(key for table in found.values() for key in table))
-    rows = [[Cell(key), *(cell(table.get(key, "–")) for table in found.values())] for key in keys]
+    rows = [[Cell(key), *(moved.get(key) or cell(table.get(key, "–")) for table in found.values())] for key in keys]
+    rows += [[Cell(axis), *[values] * len(found)] for axis, values in given.items() if axis not in keys]
     return Table("Parameters", ["key", *found], rows)
+
+
+def _given(values: np.ndarray) -> Cell:
+    """The values of an axis, in one cell."""
+    if len(values) == 1:
+        return cell(float(values[0]))
+    shown = [plain(float(v), 6) for v in values]
+    return Cell(", ".join(shown) if len(shown) < 5 else f"{shown[0]} … {shown[-1]} ({len(shown)} values)")
 
 
 def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
@@ -295,27 +308,34 @@ def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
     return found
 
 
-def ledger(sources: Iterable[Source], pages: dict[str, str]) -> list[Family]:
-    """Every claim in the archives by family; `pages` says where a figure "study/name" is shown."""
+def claims(source: Source) -> list[dict[str, Any]]:
+    """Rows of the ledger that an archive holds, as plain data."""
+    table = source.tables.get("claims")
+    rows = table.to_dict("records") if table is not None and "id" in table else []
+    return [{str(k): v.item() if isinstance(v, np.generic) else v for k, v in row.items()} for row in rows]
+
+
+def ledger(entries: Iterable[Entry]) -> list[Family]:
+    """Every claim of some pages by family, each with a link to the picture of it."""
+    entries = list(entries)
+    pages = {one.slug: f"{one.slug}.html" for one in entries}
+    pages |= {f"{one.study}/{figure}": f"{one.slug}.html#{figure}" for one in entries for figure in one.figures}
     families: dict[str, Family] = {}
-    for source in sources:
-        table = source.tables.get("claims")
-        if table is None or "id" not in table:
-            continue
-        for row in table.to_dict("records"):
+    for one in entries:
+        for row in one.claims:
             letter = str(row["id"])[:1].upper()
             title = FAMILIES.get(letter, "Others")
-            families.setdefault(title, Family(title)).verdicts.append(_verdict(row, source, pages))
+            families.setdefault(title, Family(title)).verdicts.append(_verdict(row, one, pages))
     order = [*FAMILIES.values(), "Others"]
     for family in families.values():
         family.verdicts.sort(key=lambda v: (v.id[:1], len(v.id), v.id))
     return sorted(families.values(), key=lambda f: order.index(f.title))
 
 
-def _verdict(row: dict[str, Any], source: Source, pages: dict[str, str]) -> Verdict:
+def _verdict(row: dict[str, Any], entry: Entry, pages: dict[str, str]) -> Verdict:
     words = str(row.get("verdict", ""))
     figure = str(row.get("figure", ""))
-    href = pages.get(figure) or pages.get(f"{source.slug}/{figure}") or pages.get(source.slug, "")
+    href = pages.get(figure) or pages.get(f"{entry.study}/{figure}") or pages.get(entry.slug, "")
     interval = [cell(row[k]) for k in ("interval_low", "interval_high") if k in row]
     if any(c.value is None for c in interval):
         interval = []
@@ -327,7 +347,7 @@ def _verdict(row: dict[str, Any], source: Source, pages: dict[str, str]) -> Verd
         interval,
         words.replace("_", " "),
         sign(words),
-        figure or source.name,
+        figure or entry.name,
         href,
         str(row.get("command", "")),
     )

@@ -65,8 +65,7 @@ class Curve:
 
     def __init__(self, kind: str, walker_at: Callable[[float], Walker], value: float, scale: float):
         self.kind, self.walker_at, self.scale = kind, walker_at, scale
-        # A value off any special one: constants that vanish only there stay parameters.
-        self.structure = structure_of(walker_at(value + 1e-3 * scale))
+        self.structure = structure_of(walker_at(value))
         self.map: StrideMap = stride_map(self.structure)
         self.m = self.map.m
 
@@ -198,7 +197,10 @@ class End(Curve):
 
 
 def equations_of(kind: str, walker_at: Callable[[float], Walker], value: float, scale: float) -> Curve:
-    """The equations of a kind of point over slope and a key that runs over about `scale` and is `value` at first."""
+    """The equations of a kind of point over slope and a key that runs over about `scale`.
+
+    `value` lies off any special one: constants that vanish only there stay parameters.
+    """
     return (End if kind in ENDS else Curve)(kind, walker_at, value, scale)
 
 
@@ -218,7 +220,7 @@ def _null(derivative: np.ndarray, border: np.ndarray) -> np.ndarray:
 
 def follow(curve: Curve, first: Point, way: float, window: Mapping[str, tuple[float, float]],
            step: float = 0.02) -> list[Point]:
-    """A curve from a point on it, towards rising (`way` = 1) or falling keys, to the window's edge.
+    """A curve from a point on it, towards rising (`way` = 1) or falling keys, up to the window's border.
 
     Parameters
     ----------
@@ -237,15 +239,35 @@ def follow(curve: Curve, first: Point, way: float, window: Mapping[str, tuple[fl
             times = times + (here.times - points[-2].times) * step / back
         new = curve.correct(guess, times, here.tangent)
         bend = np.linalg.norm(new.U - guess) / step if new.ok else np.inf
-        if bend < MOST_BEND and new.tangent @ here.tangent > 0.95:
+        good = bend < MOST_BEND and new.tangent @ here.tangent > 0.95
+        if good and (left := _left(curve, here, new, window)) is not None:
+            component, edge, share = left
+            if share < 1e-9:
+                break  # it begins on the border
+            guess, times = here.U + share * (new.U - here.U), here.times + share * (new.times - here.times)
+            guess[component] = edge
+            new = curve.correct(guess, times, np.eye(len(guess))[component])
+            if new.ok:
+                new.tangent *= np.sign(new.tangent @ here.tangent) or 1.0
+                return [*points, new]
+            good = False
+        if good:
             points.append(new)
-            key = new.U[-1] * curve.scale
-            if not (window["q"][0] <= new.U[-2] <= window["q"][1] and window["key"][0] <= key <= window["key"][1]):
-                break
             step = min(0.1, step * (1.5 if bend < 0.3 * MOST_BEND else 1.0))
         else:
             step *= 0.4
     return points
+
+
+def _left(curve: Curve, here: Point, new: Point, window: Mapping[str, tuple[float, float]]
+          ) -> tuple[int, float, float] | None:
+    """Where a step leaves the window: component of U, its border, and part of the step; None where it stays inside."""
+    found = []
+    for component, (low, high) in ((-2, window["q"]), (-1, np.array(window["key"]) / curve.scale)):
+        edge = float(np.clip(new.U[component], low, high))
+        if edge != new.U[component]:
+            found.append((component, edge, (edge - here.U[component]) / (new.U[component] - here.U[component])))
+    return min(found, key=lambda one: one[2], default=None)
 
 
 def turning(curve: Curve, a: Point, b: Point, component: int) -> Point | None:

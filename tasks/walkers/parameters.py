@@ -16,6 +16,8 @@ KEYS = {
     "R": "length", "eps_T": "angle", "m_h": "mass", "g": "acceleration", "knees": "flag", "units": "text",
 }
 NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
+#: Keys of a line that set several of a walker's.
+DERIVED = ("foot_mass_ratio", "detuning")
 #: Sizes a number may have beside 0, and a length over the leg: squares and quotients of them stay doubles.
 LEAST_SIZE, MOST_SIZE, MOST_LEGS = 1e-50, 1e50, 1e4
 
@@ -224,19 +226,33 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     """
     overrides = dict(overrides or {})
     found = named(walker) if isinstance(walker, str) else from_table(walker)
-    detuning = overrides.pop("detuning", None)
-    if detuning is not None:
-        from tasks.walkers.tuning import detuned
+    derived = {key: float(overrides.pop(key)) for key in DERIVED if overrides.get(key) is not None}
+    own = dict(walker) if isinstance(walker, Mapping) and "base" in walker else {}
+    for owner, value in derived.items():
+        if owner == "detuning":
+            from tasks.walkers.tuning import detuned
 
-        found = detuned(walker, float(detuning))
-    ratio = overrides.pop("foot_mass_ratio", None)
-    if ratio is not None:
-        found = with_foot_mass_ratio(found, float(ratio))
+            found = detuned(walker, value)
+        else:
+            found = with_foot_mass_ratio(found, value)
+        keys = owned(owner, walker)
+        for key in (k for k in (*own, *overrides) if k in keys):
+            raise WalkerError(key, overrides.get(key, own.get(key)), f"is set by `{owner}`, which owns {', '.join(keys)}")
     for key in overrides:
         if key not in NUMBERS and not (key == "knees" and isinstance(overrides[key], bool)):
             near = difflib.get_close_matches(key, [*NUMBERS, "foot_mass_ratio", "detuning", "slope"], 1)
             raise WalkerError(key, overrides[key], "is not a walker key" + (f" (did you mean `{near[0]}`?)" if near else ""))
     return replace(found, **overrides) if overrides else found
+
+
+def owned(derived: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
+    """Keys that a derived key sets: the masses, or those in which the tuned walker and the physical one differ."""
+    if derived == "foot_mass_ratio":
+        return tuple(key for key, kind in KEYS.items() if kind == "mass")
+    from tasks.walkers.tuning import ends
+
+    tuned, physical = ends(walker)
+    return tuple(key for key in NUMBERS if getattr(tuned, key) != getattr(physical, key))
 
 
 def with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
@@ -250,6 +266,12 @@ def with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
 
 
 def check(params: Mapping[str, Any]) -> dict[str, Any]:
-    """What a study needs to know of a walker before anything runs; raises WalkerError where it cannot be."""
-    walker = resolve(params["walker"], params.get("set"))
-    return {"si": walker.si, "kneed": walker.knees, "multipliers": 4 if walker.knees else 3, "table": walker.table()}
+    """What a study needs to know of a walker before anything runs; raises WalkerError where it cannot be.
+
+    `table` is the walker as it is before `set`, and `varied` says which key of `set` moves each of its own.
+    """
+    given = params.get("set") or {}
+    walker = resolve(params["walker"], given)
+    varied = {key: owner for owner in given for key in (owned(owner, params["walker"]) if owner in DERIVED else [owner])}
+    return {"si": walker.si, "kneed": walker.knees, "multipliers": 4 if walker.knees else 3,
+            "table": resolve(params["walker"]).table(), "varied": varied}

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from tasks.walkers.parameters import NUMBERS, Walker, WalkerError, from_table, named
+from tasks.walkers.parameters import NUMBERS, Walker, WalkerError, from_table, named, owned
 
 #: What `detuning` = 1 means for each tuned walker (paper, section 5.2 and figure 8).
 PARTNERS = {"A": "physical-straight", "C": "physical"}
+#: Residual over the leg at which the conditions are met.
+MET = 1e-12
 
 
 def statics(walker: Walker) -> dict[str, float]:
@@ -31,16 +33,19 @@ def is_tuned(walker: Walker) -> bool:
     return all(abs(x) < 1e-14 * walker.leg for x in statics(walker).values())
 
 
+def ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
+    """The tuned walker of the catalogue and its physical partner, between which `detuning` mixes."""
+    name = walker if isinstance(walker, str) else str(walker.get("base"))
+    return named(name), named(PARTNERS[name])
+
+
 def detuned(walker: str | Mapping[str, Any], amount: float) -> Walker:
-    """Mix every parameter linearly from the tuned walker (0) to the physical one (1); beyond is allowed."""
-    name = walker if isinstance(walker, str) else walker.get("base")
-    if name not in PARTNERS:
+    """Mix what differs linearly from the tuned walker (0) to the physical one (1); beyond is allowed."""
+    if (walker if isinstance(walker, str) else walker.get("base")) not in PARTNERS:
         raise WalkerError("detuning", amount, "needs walker A or C")
-    tuned = named(name) if isinstance(walker, str) else from_table(walker)
-    physical = named(PARTNERS[name])
-    if amount == 0:
-        return tuned
-    return replace(tuned, **{k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in NUMBERS})
+    tuned, physical = ends(walker)
+    mixed = {k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in owned("detuning", walker)}
+    return replace(tuned if isinstance(walker, str) else from_table(walker), **mixed if amount else {})
 
 
 def tune(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -54,20 +59,35 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `walker` (a table ready to paste), `change` (relative change by key), `statics` before and after.
+        `walker` (a table ready to paste), `moved` (old and new value by key; empty where the walker meets the
+        conditions as it is), `change` (relative change by key), `statics` before and after.
 
     Raises
     ------
     WalkerError
         If a key cannot be freed or no change of the freed keys meets the conditions.
     """
-    import numpy as np
-
     start = named(params["walker"]) if isinstance(params["walker"], str) else from_table(params["walker"])
-    free = list(params.get("free") or ("w_t", "w_s"))
+    free = list(dict.fromkeys(params.get("free") or ("w_t", "w_s")))
     for key in free:
         if key not in NUMBERS:
             raise WalkerError("free", key, f"must name walker keys ({', '.join(NUMBERS)})")
+    met = _worst(start) <= MET
+    found, change = (start, [0.0] * len(free)) if met else _nearest(start, free)
+    moved = {k: [getattr(start, k), getattr(found, k)] for k in free if getattr(found, k) != getattr(start, k)}
+    return {"walker": found.table(), "moved": moved, "change": dict(zip(free, change)),
+            "before": statics(start), "after": statics(found)}
+
+
+def _worst(walker: Walker) -> float:
+    """Largest residual of the conditions, over the leg."""
+    return max(map(abs, statics(walker).values())) / walker.leg
+
+
+def _nearest(start: Walker, free: list[str]) -> tuple[Walker, list[float]]:
+    """The nearest walker that meets the conditions, and the relative change of the freed keys."""
+    import numpy as np
+
     # Offsets near zero have no relative size of their own: the leg is their scale.
     scale = np.array([abs(getattr(start, k)) or start.leg for k in free])
 
@@ -92,8 +112,6 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
         change = target
         if np.abs(step).max() < 1e-15:
             break
-    if np.abs(residual(change)).max() > 1e-12:
+    if np.abs(residual(change)).max() > MET:
         raise impossible
-    found = at(change)
-    return {"walker": found.table(), "change": dict(zip(free, change.tolist())),
-            "before": statics(start), "after": statics(found)}
+    return at(change), change.tolist()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pipeline
+from pipeline import check
 
 #: The smallest study of each kind, and one over walkers of different units.
 STUDIES = {
@@ -21,8 +22,10 @@ STUDIES = {
               "options": {"starts": 2, "transient": 20, "strides": 60, "shown": 8}},
     "cascade": {"walker": "D", "axes": {"slope": [0.012, 0.018]}, "options": {"periods": 2, "starts": 20}},
     "basin": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"size": 8, "strides": 20}},
-    "curve": {"walker": "E", "axes": {"slope": [0.005, 0.05]},
-              "options": {"key": "foot_mass_ratio", "from": 0.08, "to": 0.12, "kinds": ["flip"]}},
+    "curve": {"walker": "F", "axes": {"slope": [0.005, 0.05]},
+              "options": {"key": "foot_mass_ratio", "from": 0.04, "to": 0.06, "kinds": ["flip"]}},
+    "no curve": {"walker": "E", "axes": {"slope": [0.005, 0.05]},
+                 "options": {"key": "foot_mass_ratio", "from": 0.08, "to": 0.12, "kinds": ["flip"]}},
     "census": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"starts": 60}},
 }
 
@@ -41,8 +44,8 @@ def archives(tmp_path_factory):
     """An archive of each study."""
     folder = tmp_path_factory.mktemp("cf")
     for name, study in STUDIES.items():
-        kind = "grid" if name == "walkers" else name
-        pipeline.run({"name": name, "kind": kind, **study}, jobs=1, archive=folder / f"{name}.nc", quiet=True)
+        kind = {"walkers": "grid", "no curve": "curve"}.get(name, name)
+        pipeline.run({"name": kind, "kind": kind, **study}, jobs=1, archive=folder / f"{name}.nc", quiet=True)
     return {name: folder / f"{name}.nc" for name in STUDIES}
 
 
@@ -59,6 +62,17 @@ def test_the_checker_of_the_conventions_finds_nothing(archives, tmp_path):
     # The checker takes differences of text coordinates, where it stumbles; it says so, and finds nothing by it.
     stumbles = [line for line in done.stdout.splitlines() if line.startswith("cf:1.11.")]
     assert all("strict_monotonicity" in line and "'str'" in line for line in stumbles)
+
+
+def test_no_archive_differs_from_itself(archives):
+    for name, archive in archives.items():
+        assert check.diff(archive, archive) == [], name
+
+
+def test_a_curve_that_could_not_begin_says_so(archives):
+    with netCDF4.Dataset(archives["curve"]) as found, netCDF4.Dataset(archives["no curve"]) as none:
+        assert len(found["curves/slope"]) and "followed" in str(found["reason_text"][0])
+        assert not len(none["curves/slope"]) and str(none["reason_text"][0]).startswith("None of the points to follow")
 
 
 def _variables(group, path=""):
@@ -88,6 +102,15 @@ def test_tables_are_in_the_walkers_units(archives):
         assert mixed["trace/theta_st"].units == "rad" and mixed["trace/time"].units == "1"
         assert mixed["trace/time"].comment.startswith("in the units of each walker")
         assert counted["cascade/period"].long_name == "steps of the periodic gait"
+
+
+def test_the_ranges_of_the_fitted_lines_are_slopes(archives):
+    with netCDF4.Dataset(archives["grid"]) as file:
+        table = file["fits/transition"]
+        for name, factor in (("fitted_below", 0.1), ("fitted_above", 3.0)):
+            np.testing.assert_allclose(table[name][...], factor * table["slope_transition"][...])
+            assert table[name].units == table["slope_transition"].units == "rad"
+            assert "slope" in table[name].long_name and "exponent" not in table[name].long_name
 
 
 def test_flags_decode_with_netcdf4_alone(archives):

@@ -4,9 +4,11 @@ import errno
 import fcntl
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from unittest.mock import Mock
 
 import netCDF4
@@ -83,6 +85,8 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
     (["solve", "--walker", "D", "--slope", "0.7"], "`slope` must lie in (0, 0.5) rad; got 0.7."),
     (["solve", "--walker", "Q", "--slope", "0.1"], "`Q` is not known here, known: A, B, C, D, E, F,"
      " physical, physical-straight, A-printed, C-printed, or a file FILE.toml."),
+    (["solve", "--walker", "E", "--slope", "0.01", "--set", "foot_mass_ratio=0.1", "--set", "m_h=1"],
+     "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 1.0."),
     (["frobnicate"], None),
 ])
 def test_bad_input_is_one_line_and_exit_2(tmp_path, monkeypatch, capsys, arguments, said):
@@ -198,6 +202,53 @@ def test_verify_and_diff_exit_with_1(toy):
     assert "`status`" in toy("diff", archive, other, expect=1).stdout
 
 
+def test_solve_tells_units_where_a_walker_has_any(capsys):
+    assert cli.main(["solve", "--walker", "A", "--slope", "0.03"]) == 0
+    told = capsys.readouterr().out
+    for name, unit in (("slope", "rad"), ("stance_angle", "rad"), ("thigh_rate", "rad s-1"), ("period", "s"),
+                       ("speed", "m s-1"), ("loss_normal", "J"), ("residual", ""), ("error_bound", "")):
+        assert re.search(rf"^  {name} +[-+.e\d]+{' ' * bool(unit)}{unit}$", told, re.M), name
+    assert cli.main(["solve", "--walker", "D", "--slope", "0.009"]) == 0
+    told = capsys.readouterr().out
+    assert re.search(r"^  stance_angle +0\.2003\d+ rad$", told, re.M)
+    assert re.search(r"^  period +3\.882\d+$", told, re.M)
+
+
+def test_the_version_is_told(capsys):
+    with pytest.raises(SystemExit) as end:
+        cli.main(["--version"])
+    assert end.value.code == 0 and re.fullmatch(r"gaitsweep \d+\.\d+\S*\n", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(("typed", "found"), [
+    ("gaitsweep so", ["solve"]),
+    ("gaitsweep --debug ver", ["verify"]),
+    ("gaitsweep run --ret", ["--retry-failed"]),
+    ("gaitsweep run st", ["study.toml"]),
+    ("gaitsweep solve --walker physical-", ["physical-straight"]),
+    ("gaitsweep solve --set m_", ["m_t=", "m_s=", "m_h="]),
+    ("gaitsweep tune --free l_", ["l_t", "l_s"]),
+    ("gaitsweep completion z", ["zsh"]),
+])
+def test_a_shell_completes_what_is_typed(tmp_path, capsys, typed, found):
+    assert cli.main(["completion", "bash"]) == 0
+    (tmp_path / "study.toml").touch()
+    words = typed.split()
+    program = (f"{capsys.readouterr().out}\nCOMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
+               'complete -p gaitsweep >/dev/null || exit 1; _gaitsweep; printf "%s\\n" "${COMPREPLY[@]}"')
+    done = subprocess.run(["bash", "-c", program], cwd=tmp_path, text=True, capture_output=True)
+    assert done.stdout.split() == found and done.stderr == ""
+
+
+def test_zsh_runs_the_function_of_bash(capsys):
+    scripts = {}
+    for shell in ("bash", "zsh"):
+        assert cli.main(["completion", shell]) == 0
+        scripts[shell] = capsys.readouterr().out
+    head, _, body = scripts["zsh"].partition("bashcompinit && bashcompinit\n")
+    assert head.startswith("# zsh") and body == scripts["bash"].partition("\n")[2]
+
+
 def test_debug_shows_where_and_changes_no_exit_code(capsys):
     for arguments in (["solve", "--walker", "X", "--slope", "0.01"], ["verify", "none.nc"]):
         assert cli.main(["--debug", *arguments]) == cli.main(arguments) == 2
@@ -209,6 +260,33 @@ def test_a_walker_loses_its_knees_by_a_key(tmp_path):
              for more in (("--set", "knees=false"), ())]
     straight, kneed = (json.loads(f.stdout) for f in found)
     assert {g["kneestrike_time"] for g in straight} == {None} and all(g["kneestrike_time"] for g in kneed)
+
+
+def test_tune_says_what_moved_above_a_table_ready_to_paste(capsys):
+    assert cli.main(["tune", "--walker", "D"]) == 0
+    assert capsys.readouterr().out.startswith("# It meets the zero-slope conditions as it is; nothing was moved.\n")
+    assert cli.main(["tune", "--walker", "C-printed"]) == 0
+    told = capsys.readouterr().out
+    assert "# w_t moved from -0.023 to -0.02288" in told and "# shank offset: -0.000351 before, 0 after" in told
+    assert tomllib.loads(told)["walker"]["w_s"] == pytest.approx(0.0223541, abs=5e-8)
+
+
+def test_report_adds_leaves_only_and_opens(toy, monkeypatch, capsys):
+    monkeypatch.chdir(toy.folder)
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or len(opened) < 2)
+    toy.write(STUDY.replace('"toy"', '"other"'), "other.toml")
+    toy("run", "toy.toml", "other.toml", "--quiet")
+
+    def pages():
+        return {path.stem for path in (toy.folder / "reports").glob("*.html")} - {"index", "ledger"}
+
+    assert cli.main(["report", "data/archive/toy.nc"]) == 0 and not opened
+    assert cli.main(["report", "data/archive/other.nc", "--open"]) == 0
+    assert pages() == {"toy", "other"} and opened == [(toy.folder / "reports" / "index.html").as_uri()]
+    assert capsys.readouterr().err == ""
+    assert cli.main(["report", "data/archive/other.nc", "--only", "--open"]) == 0
+    assert pages() == {"other"} and capsys.readouterr().err == "gaitsweep: No browser could be opened.\n"
 
 
 def test_a_full_disk_is_said_wherever_it_is_met(toy, monkeypatch, capsys):

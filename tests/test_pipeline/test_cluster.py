@@ -183,3 +183,15 @@ def test_what_a_chunk_costs_on_a_cluster(toy, tell):
     assert max(took.values()) < 0.05
     tell(f"a chunk costs {1e3 * took['--jobs']:.1f} ms here, {1e3 * took['--cluster']:.1f} ms on two dask workers,"
          " its place in the journal included")
+
+
+@pytest.mark.parametrize("wrong", [
+    'walker = "E"\n[axes]\nslope = [0.01]\nfoot_mass_ratio = [0.1]\nm_h = [1.0]\n',
+    'walker = "D"\nkind = "curve"\n[axes]\nslope = [0.01, 0.1]\n[options]\nkey = "R"\nfrom = 0.0\nto = 0.3\n',
+])
+def test_a_wrong_study_is_refused_before_a_cluster_is_asked(toy, wrong):
+    """The same line with workers of our own and with a scheduler that is not there."""
+    toy.write(f'name = "wrong"\n{wrong}', "wrong.toml")
+    said = [toy("run", "wrong.toml", *where, expect=2).stderr for where in ((), ("--cluster", "tcp://127.0.0.1:9"))]
+    assert said[0] == said[1] and said[0].count("\n") == 1 and "(wrong.toml, " in said[0]
+    assert not (toy.folder / "data").exists()

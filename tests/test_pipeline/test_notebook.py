@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 import pipeline
-from pipeline import cli, progress
+from pipeline import cli, graph, progress
 from pipeline.errors import ArchiveError, StudyError
+from pipeline.plan import Summary
+from tasks.registry import TASKS
 
 STUDY = {
     "name": "mine",
-    "walker": {"base": "E", "m_h": 0.25},
+    "walker": {"base": "E", "l_t": 0.6},
     "axes": {"slope": np.geomspace(0.004, 0.05, 4), "foot_mass_ratio": [0.1, 0.05]},
     "want": {"variables": ["stance_angle", "period", "violations", "multipliers"], "fits": ["scaling"]},
 }
@@ -140,13 +142,28 @@ def test_a_notebook_shows_a_bar_that_ends_full(monkeypatch, tmp_path, capsys):
     assert "mine: 2 points" in capsys.readouterr().err
 
 
-def test_a_state_tells_rate_and_time_to_go_of_every_stage():
+def test_a_state_tells_rate_and_one_time_to_go():
     stages = {"atlas": {"done": 2, "todo": 3, "eta": 4.0}, "points": {"done": 240, "todo": 900, "eta": 15.7},
               "scaling": {"done": 1, "todo": 1, "eta": 0.0}}
     state = {"points": 1000, "cached": 100, "done": 240, "rate": 42.0, "counts": {"converged": 239, "timed_out": 1},
              "stages": stages, "eta": 19.7}
-    assert progress.sentence(state) == ("340 of 1,000 points (34 %), 42 a second (15.7 s), atlas 2 of 3 (4 s),"
-                                        " scaling 1 of 1, timed_out 1, 19.7 s to go")
+    assert progress.sentence(state) == ("340 of 1,000 points (34 %), 42 a second, atlas 2 of 3, scaling 1 of 1,"
+                                        " timed_out 1, 19.7 s to go")
+
+
+def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
+    layers = {name: graph.Layer(TASKS[name], True, ()) for name in ("atlas", "points")}
+    plan = types.SimpleNamespace(study=types.SimpleNamespace(points=900), layers=layers)
+    todo = Summary({"atlas": {"new": 8}, "points": {"new": 900}}, {})
+    shown = progress.Progress(plan, todo, tmp_path / "log", quiet=True)
+    shown.loop = types.SimpleNamespace(costs=types.SimpleNamespace(left=lambda: 30.0),
+                                       engine=types.SimpleNamespace(jobs=3, address=None))
+    for _ in range(2):
+        shown("task", {"task": "atlas", "seconds": 5.0})
+    state = shown.state()
+    shown.file.close()
+    assert {name: stage["eta"] for name, stage in state["stages"].items()} == {"atlas": 10.0, "points": 10.0}
+    assert state["eta"] == 20.0
 
 
 def test_a_terminal_has_no_bar_of_a_notebook(monkeypatch):

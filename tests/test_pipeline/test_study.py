@@ -1,5 +1,8 @@
 """A study is checked whole before anything runs, and every mistake gets one line that helps."""
 
+import json
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
@@ -7,6 +10,9 @@ from hypothesis import strategies as st
 
 from pipeline import study
 from pipeline.errors import StudyError
+from pipeline.provenance import provenance
+from tasks.registry import CLAIMS, VARIABLES
+from tasks.walkers.catalogue import CATALOGUE
 
 GOOD = """name = "s"
 walker = "E"
@@ -45,10 +51,14 @@ WRONG = {
         'walker = "none.toml"': "There is no file none.toml (s.toml, walker).",
         'walker = { base = "E", m_s = -1.0 }': "`m_s` must be >= 0; got -1.0 (s.toml, walker).",
         'walker = { base = "E", c_tt = 1 }': "`c_tt` is not a walker key (did you mean `c_t`?); got 1 (s.toml, walker).",
+        'walker = { base = "E", m_h = 1 }':
+            "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 1 (s.toml, walker).",
         'walker = "A"': "`foot_mass_ratio` needs a point-foot walker (D, E or F); got 0.05 (s.toml, axes.foot_mass_ratio).",
     },
     "foot_mass_ratio = [0.1, 0.05]": {
         "foot_mass_ratio = [0.7]": "`foot_mass_ratio` must lie in [0, 0.5); got 0.7 (s.toml, axes.foot_mass_ratio).",
+        "foot_mass_ratio = [0.1]\nm_h = [0.0, 1.0]":
+            "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 0.0 (s.toml, axes.m_h).",
         "foot_mass_ratio = []": "`foot_mass_ratio` must hold at least one value; got [] (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = [0.1, nan]": "`foot_mass_ratio` must be finite; got nan (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = [0.1, 0.2, 0.1]":
@@ -105,6 +115,10 @@ WRONG_OPTIONS = [
     ("basin", "stance_rate = [0.2, 0.1]", "`stance_rate` must be two numbers that rise; got [0.2, 0.1]"
                                           " (s.toml, options.stance_rate)."),
     ("curve", 'key = "detunning"', "`detunning` is not known here, did you mean `detuning`? (s.toml, options.key)."),
+    ("curve", 'key = "R"\nfrom = 0.2\nto = 0.1', "`from` must be less than `to` = 0.1; got 0.2 (s.toml, options.from)."),
+    ("curve", 'key = "R"\nfrom = 2', "`from` must be less than `to` = 1.0; got 2 (s.toml, options.from)."),
+    ("curve", 'key = "R"\nfrom = -0.1\nto = 0.1', "`R` must be >= 0; got -0.1 (s.toml, options.from)."),
+    ("curve", "to = 0.5", "`detuning` needs walker A or C; got 0.0 (s.toml, options.key)."),
     ("curve", 'kinds = ["folds"]', "`folds` is not known here, did you mean `fold`? (s.toml, options.kinds)."),
 ]
 
@@ -143,6 +157,14 @@ def test_a_wrong_option_is_answered_in_one_helpful_line(write, kind, option, sai
     assert str(error.value) == said
 
 
+def test_a_key_that_leaves_no_walker_to_follow_is_refused(write):
+    options = '[options]\nkey = "R"\nfrom = 0.0\nto = 0.3\n'
+    with pytest.raises(StudyError) as error:
+        study.read(write(f'name = "s"\nkind = "curve"\nwalker = "D"\n[axes]\nslope = [0.001, 0.1]\n{options}'))
+    assert str(error.value) == ("`R` = 0.3 leaves no walker: `m_s` may vanish only for a point foot: the swing leg has no"
+                                " inertia; got 0.0 (s.toml, options.to).")
+
+
 def test_the_registry_names_every_option_and_claim_of_the_tasks():
     from pipeline.worker import resolve
     from tasks import registry
@@ -152,6 +174,14 @@ def test_the_registry_names_every_option_and_claim_of_the_tasks():
             assert set(known) == set(resolve(f"tasks.{kind}:OPTIONS")), kind
     assert set(registry.CLAIMS) == set(resolve("tasks.ledger:CLAIMS"))
     assert registry.FOLLOWED == (*resolve("tasks.gait.curves:SCALARS"), *resolve("tasks.gait.curves:ENDS"))
+
+
+def test_a_list_of_allowed_names_is_whole(write):
+    for line, wrong, known in (('variables = ["period", "multipliers"]', 'variables = ["qqqq"]', VARIABLES),
+                               ('variables = ["period", "multipliers"]', 'claims = ["qqqq"]', CLAIMS)):
+        with pytest.raises(StudyError) as error:
+            study.read(write(GOOD.replace(line, wrong)))
+        assert set(known) <= set(str(error.value).partition("known: ")[2].partition(" (s.toml")[0].split(", "))
 
 
 def test_a_study_that_is_no_toml_is_shown_its_line(write):
@@ -171,6 +201,14 @@ def test_a_walker_file_is_read_beside_the_study(write, tmp_path):
     assert found.checks[0]["table"]["R"] == 0.1
 
 
+def test_a_walker_is_archived_as_it_is_before_axes_move_it(write):
+    axes = "slope = [0.01]\ndetuning = [0.0, 1.0]\nm_h = [1.0, 2.0]"
+    found = study.read(write(f'name = "s"\nwalker = ["C", "A"]\n[axes]\n{axes}\n'))
+    about = json.loads(provenance(SimpleNamespace(study=found, layers={})))
+    assert about["walkers"] == [CATALOGUE[name].table() for name in "CA"]
+    assert about["varied"] == {"m_h": "m_h", **dict.fromkeys(("w_t", "r_t", "c_t", "w_s", "r_s"), "detuning")}
+
+
 def test_a_list_of_walkers_is_a_dimension(write):
     found = study.read(write(GOOD.replace('"E"', '["E", "F"]')))
     assert found.walker_axis and found.line_shape == (2, 2)
@@ -182,7 +220,7 @@ def _survives(path, text):
     try:
         study.read(path)
     except StudyError as error:
-        assert "\n" not in str(error) and len(str(error)) < 600
+        assert "\n" not in str(error) and len(str(error)) < 1000
 
 
 _VALUES = st.recursive(

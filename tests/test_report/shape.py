@@ -63,11 +63,13 @@ def write(
     walkers: dict[str, Any],
     tables: dict[str, dict[str, Any]] | None = None,
     run: dict[str, Any] | None = None,
+    varied: dict[str, str] | None = None,
 ) -> Path:
     """One archive: the grid's variables, and a group of columns for each table."""
     provenance = {
         "study": study,
         "walkers": list(walkers.values()),
+        "varied": varied or {},
         "packages": {"gaitsweep": "0.1.0", "numpy": "2.4.6"},
         "commit": "0123abcd",
         "cpu": ["avx2", "fma"],

@@ -153,3 +153,46 @@ def test_a_design_map_leads_to_its_walkers(sources):
     assert all("c_t=0.08" in words or "c_t=0.1" in words or "c_t=0.12" in words for words in labels)
     # Three walkers are never stable: no slope to solve them at.
     assert sum("--slope" in words for words in labels) == 24
+
+
+def _cube(tmp_path, heights):
+    """A map over radius and slope at several heights, each known by its speed."""
+    radius, slope = np.array([0.1, 0.2, 0.3]), np.array([0.01, 0.02])
+    speed = 10 * heights[:, None, None, None] + radius[:, None, None] + slope[:, None] + np.array([0.0, 0.5])
+    text = 'name = "cube"\nwalker = "B"\n[axes]\nslope = [0.01]\n[want]\nfigures = ["heatmap"]\n'
+    # The longest axes last: the map is over the first two.
+    grid = {"speed": (("R", "slope", "c_t", "gait"), np.moveaxis(speed, 0, 2))}
+    coords = {"R": radius, "slope": slope, "c_t": heights, "gait": np.array(["long", "short"], object)}
+    return draw(read(write(tmp_path / "cube.nc", text, grid, coords, {"B": POINT})), "heatmap", "test")
+
+
+def test_a_heatmap_of_three_axes_is_a_row_of_maps_for_each_value_of_the_third(tmp_path):
+    drawing = _cube(tmp_path, np.array([0.08, 0.1, 0.12]))
+    assert "Rows: c_t = 0.08; c_t = 0.1; c_t = 0.12." in drawing.caption
+    assert set(drawing.data["c_t"]) == {0.08, 0.1, 0.12} and len(drawing.data) == 36
+    np.testing.assert_allclose(
+        drawing.data["speed"] - 10 * drawing.data["c_t"] - drawing.data["R"] - drawing.data["slope"],
+        0.5 * (drawing.data["gait"] == "short"), atol=1e-12)
+    commands = [shlex.split(row[2]) for target in drawing.targets for row in target["rows"]]
+    assert {word for words in commands for word in words if word.startswith("c_t=")} == {
+        "c_t=0.08", "c_t=0.1", "c_t=0.12"}
+    assert drawing.svg.count("c_t = 0.1<") == 2
+
+
+def test_a_heatmap_of_many_values_says_which_it_draws(tmp_path):
+    drawing = _cube(tmp_path, np.linspace(0.05, 0.15, 11))
+    assert "Rows, 4 of 11: c_t = 0.05; c_t = 0.08; c_t = 0.12; c_t = 0.15." in drawing.caption
+
+
+def test_a_design_map_of_a_third_key_says_which_values_it_draws(tmp_path):
+    key, height, thigh = (np.ravel(a) for a in np.meshgrid([0.1, 0.2], [0.08, 0.1], [0.3, 0.4, 0.5], indexing="ij"))
+    best = {"R": key, "c_t": height, "l_t": thigh, "smallest_slope": thigh, "largest_stable_slope": thigh,
+            "fastest_froude_speed": thigh, "fastest_slope": thigh / 10}
+    axes = "R = [0.1]\nc_t = [0.1]\nl_t = [0.3]\nslope = [0.1]"
+    text = f'name = "d"\nwalker = "B"\n[axes]\n{axes}\n[want]\nfigures = ["design"]'
+    coords = {"R": np.unique(key), "c_t": np.unique(height), "l_t": np.unique(thigh)}
+    drawing = draw(read(write(tmp_path / "d.nc", text, {}, coords, {"B": POINT}, {"design": best})), "design", "test")
+    assert "Rows: l_t = 0.3; l_t = 0.4; l_t = 0.5." in drawing.caption and len(drawing.data) == 12
+    commands = [shlex.split(row[2]) for target in drawing.targets for row in target["rows"]]
+    assert len(commands) == 36 and {w for words in commands for w in words if w.startswith("l_t=")} == {
+        "l_t=0.3", "l_t=0.4", "l_t=0.5"}

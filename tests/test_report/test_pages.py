@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from pipeline.errors import ArchiveError
+from pipeline.paper import PAPER
 from pipeline.report import page, source, tables
 from pipeline.report.figures.style import plain
 from pipeline.report.source import read
@@ -114,6 +115,22 @@ def test_tables_of_results_stand_on_the_page_of_their_study(tmp_path):
     assert "Section 7: doublings and falls." in Page(tmp_path / "index.html").text
 
 
+def test_the_walkers_table_is_whole_and_tells_what_varies(tmp_path):
+    names = [f"walker-{i}" for i in range(11)]
+    text = f'name = "s"\nwalker = {json.dumps(names)}\n[axes]\nslope = [0.01]\nR = [0.15, 0.3]\nm_h = [2.5]\n'
+    status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
+    coords = {"R": np.array([0.15, 0.3]), "m_h": np.array([2.5]), "detuning": np.array([0.0, 0.1, 0.2, 0.3, 1.0])}
+    varied = {"R": "R", "m_h": "m_h", "w_t": "detuning", "r_t": "detuning"}
+    made = write(tmp_path / "s.nc", text, status, coords, dict.fromkeys(names, KNEED), varied=varied)
+    table = tables.walkers(read(made))
+    assert table.heads == ["key", *names]
+    rows = {row[0].text: {cell.text for cell in row[1:]} for row in table.rows}
+    assert rows["R"] == {"0.15, 0.3"} and rows["m_h"] == {"2.5"} and rows["c_t"] == {"0.084"}
+    assert rows["w_t"] == rows["r_t"] == {"by detuning"} and rows["detuning"] == {"0 … 1 (5 values)"}
+    page.write([made], tmp_path)
+    assert all(name in Page(tmp_path / "s.html").text for name in names)
+
+
 def test_numbered_figures_come_first_and_in_order(tmp_path):
     def study(name, angle=True):
         grid = {"stance_angle": (("slope", "gait"), np.full((2, 1), 0.2))} if angle else {}
@@ -143,6 +160,65 @@ def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
     again = page.write(archives, tmp_path).parent
     for path in report.iterdir():
         assert path.read_bytes() == (again / path.name).read_bytes(), path.name
+
+
+def test_a_report_adds_to_the_pages_that_stand_there(report, archives, tmp_path):
+    """One archive after the other, in any order, gives what all of them give at once."""
+    for archive in reversed(archives):
+        index = page.write([archive], tmp_path)
+    assert {path.name for path in report.iterdir()} == {path.name for path in tmp_path.iterdir()}
+    for path in report.iterdir():
+        assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
+    page.write([], tmp_path)
+    assert index.read_bytes() == (report / "index.html").read_bytes()
+
+
+def _small(folder, name, figures=("linear",)):
+    grid = {"stance_angle": (("slope", "gait"), np.full((2, 1), 0.2))}
+    text = f'name = "{name}"\nwalker = "D"\n[want]\nfigures = {json.dumps(figures)}'
+    coords = {"slope": [0.01, 0.02], "gait": np.array(["long"], object)}
+    claims = {"id": [f"D{len(name)}"], "printed": ["1"], "verdict": ["reproduced"], "figure": [f"{name}/linear"]}
+    return write(folder / f"{name}.nc", text, grid, coords, {"D": POINT}, {"claims": claims})
+
+
+def test_only_leaves_nothing_else_of_a_report_and_all_that_is_none(tmp_path):
+    (tmp_path / "bench.html").write_text("<p>Not of a report.</p>")
+    (tmp_path / "one-notes.csv").write_text("mine")
+    for name in ("one", "three"):
+        page.write([_small(tmp_path, name)], tmp_path)
+    ledger = Page(tmp_path / "ledger.html")
+    assert {"D3", "D5"} <= set(ledger.all("id")) and "one.html#linear" in ledger.all("href")
+    page.write([tmp_path / "three.nc"], tmp_path, only=True)
+    assert {path.name for path in tmp_path.iterdir() if path.suffix != ".nc"} == {
+        "index.html", "ledger.html", "three.html", "three-linear.csv", "bench.html", "one-notes.csv"}
+    assert "D3" not in Page(tmp_path / "ledger.html").all("id")
+    assert "one.html" not in Page(tmp_path / "index.html").all("href")
+
+
+def test_a_page_written_again_leaves_no_data_of_the_old_one(tmp_path):
+    page.write([_small(tmp_path, "s", ("linear", "loglog"))], tmp_path)
+    assert (tmp_path / "s-loglog.csv").is_file()
+    page.write([_small(tmp_path, "s")], tmp_path)
+    assert not (tmp_path / "s-loglog.csv").exists() and (tmp_path / "s-linear.csv").is_file()
+    assert (tmp_path / "index.html").read_text().count('<a href="s.html">') == 1
+
+
+def test_a_page_that_lies_about_itself_takes_nothing_away(tmp_path):
+    (tmp_path / "precious.csv").write_text("mine")
+    page.write([_small(tmp_path, "s")], tmp_path)
+    text = (tmp_path / "s.html").read_text()
+    lie = text.replace('"files": ["s-linear.csv"]', '"files": ["precious.csv", "../s.nc"]')
+    assert lie != text
+    (tmp_path / "s.html").write_text(lie)
+    (tmp_path / "torn.html").write_text(text.replace('"slug": "s"', '"slug": 3'))
+    page.write([_small(tmp_path, "t")], tmp_path / ".", only=True)
+    assert (tmp_path / "precious.csv").is_file() and (tmp_path / "torn.html").is_file()
+    assert not (tmp_path / "s.html").exists()
+
+
+def test_every_page_names_the_paper(report):
+    for path in report.glob("*.html"):
+        assert PAPER in " ".join(Page(path).text.split()), path.name
 
 
 def test_figures_have_alt_text_and_follow_the_pages_colours(report):

@@ -80,7 +80,8 @@ def test_ends_at_no_rate_are_followed():
     # Point 2 of figure 6, read off polynomials beside it on the branch of its own line.
     assert at(0.091, value, slope) == pytest.approx(end_at("physical-straight", kind), rel=1e-10)
     assert at(0.105, value, slope) == pytest.approx(end_at("physical-straight", kind, c_t=0.105), rel=1e-8)
-    assert value.min() < 0.07 and value.max() > 0.112
+    # Up to the borders of the range, and not beyond.
+    assert (value.min(), value.max()) == (pytest.approx(0.07, abs=1e-15), pytest.approx(0.112, abs=1e-15))
     assert walks.all()
 
 
@@ -101,3 +102,36 @@ def test_a_range_that_is_none_is_refused():
         curve({"line": LINE, "slope": np.array([0.1]), "from": 1.0, "to": 0.0}, [{}])
     with pytest.raises(WalkerError, match="not a walker key"):
         curve({"line": LINE, "slope": np.array([0.1]), "key": "l_x", "from": 0.0, "to": 1.0}, [{}])
+
+
+@pytest.mark.parametrize(("walker", "key", "low", "high", "slopes"), [
+    ("E", "R", 0.0, 0.3, (1e-4, 0.1)),  # its own foot is a point; flips are at the other end of the range
+    ("B", "R", 0.3, 0.4, (1e-4, 0.1)),  # its own value lies below the range
+    ("D", "foot_mass_ratio", 0.0, 0.08, (1e-3, 0.1)),  # beside its own value lies no walker
+])
+def test_a_curve_begins_where_it_can(walker, key, low, high, slopes):
+    line = {"walker": walker, "set": {}}
+    found = curve({"line": line, "slope": np.array(slopes), "key": key, "from": low, "to": high, "kinds": ["flip"]},
+                  [_atlas(walker, ())])
+    value, slope = found["curves/value"], found["curves/slope"]
+    assert len(value) > 8 and found["curves/walks"].all()
+    assert low <= value.min() and value.max() <= high and slope.max() <= slopes[1] * (1 + 1e-14)
+    assert max(slope.min() / slopes[0] - 1, value.min() - low - 1e-3 * (high - low)) > -1e-14
+    assert value.max() == pytest.approx(high, abs=1e-15)
+    near = 0.31 if key == "R" and low else 0.07 if low == 0.0 and key != "R" else 0.25
+    (there,) = {p["slope"] for p in flips(walker, **{key: near})}
+    assert at(near, value, slope) == pytest.approx(there, rel=1e-6)
+
+
+def flips(walker, **overrides):
+    """Flips located on the branches of one line."""
+    problem, found = branches(walker, **overrides)
+    return [p for b in found for p in special_points(problem, b) if p["kind"] == "flip"]
+
+
+def test_periods_along_a_curve_are_in_the_walkers_time():
+    """On a moon the flip is where it was; its step takes longer by the square root of gravity."""
+    found = curve({"line": LINE, "slope": np.array([0.05, 0.1]), "key": "g", "from": 1.0, "to": 9.81,
+                   "kinds": ["flip"]}, [_atlas("C", ())])
+    tempo = found["curves/period"] * np.sqrt(found["curves/value"])
+    assert np.ptp(found["curves/value"]) > 8 and np.ptp(tempo) < 1e-9

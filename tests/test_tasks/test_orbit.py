@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lines import _atlas
+from lines import _atlas, gait
+from oracle import Oracle, SimplestWalker
 from tasks import basin as basins
 from tasks import orbit as orbits
 from tasks.gait.atlas import from_arrays
@@ -69,6 +70,46 @@ def test_the_exponent_of_d_in_chaos():
     assert error < 0.004
     assert abs(first - 0.3691) < 4 * error
     assert first + second < -1
+
+
+@pytest.mark.parametrize(("walker", "slope"), [("D", 0.009), ("A", 0.05), ("C", 0.07)])
+def test_a_settled_orbit_is_the_gait(walker, slope):
+    """Its state is that just after heelstrike, kneed or not, and its errors are those of a gait."""
+    line = {"line": {"walker": walker, "set": {}}, "slope": np.array([slope]), **SHORT, "transient": 400}
+    found, known = orbit(line, [_atlas(walker, ())]), gait(walker, slope, "long")
+    for name in ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period"):
+        assert found[f"orbits/{name}"] == pytest.approx(known[name], rel=1e-12), name
+    assert found["orbits/repeats_to"].max() < 1e-12
+    assert 0 < found["orbits/error_bound"].min() and found["orbits/error_bound"].max() < 1e-12
+
+
+@pytest.mark.parametrize(("walker", "slope"), [("D", 0.0189), ("C", 0.0945)])
+def test_an_orbit_can_be_restarted_from_its_rows(walker, slope):
+    """A chaotic one, by the second derivation: from the state of each row to that of the next, in the row's period."""
+    line = {"line": {"walker": walker, "set": {}}, "slope": np.array([slope]), **SHORT, "starts": 1, "shown": 4}
+    found = orbit(line, [_atlas(walker, ())])
+    rows = np.array([found[f"orbits/{k}"] for k in ("stance_angle", "stance_rate", "thigh_rate", "shank_rate")]).T
+    assert np.ptp(rows[:, 0]) > 1e-3 and (found["orbits/repeats_to"] > 1e-3).all()
+    oracle = SimplestWalker() if walker == "D" else Oracle(resolve(walker).table())
+    for row, period, after in zip(rows, found["orbits/period"], rows[1:], strict=False):
+        step = oracle.step(row[0], row[1:], slope)
+        assert step.period == pytest.approx(period, rel=1e-9)
+        assert [step.theta, *step.rates] == pytest.approx(after, rel=1e-8)
+
+
+@pytest.mark.parametrize("strides", [10, 16, 23])
+def test_a_short_orbit_has_no_exponents_and_says_why(strides):
+    found = walked([0.009], strides=strides)
+    assert len(found["lyapunov/exponent"]) == 2 and np.isnan(found["lyapunov/exponent"]).all()
+    assert np.isnan(found["lyapunov/standard_error"]).all() and (found["lyapunov/strides"] == 0).all()
+    assert set(found["lyapunov/reason"]) == {
+        f"Exponents need at least 24 strides; these orbits have {strides}."}
+
+
+def test_the_shortest_orbit_with_exponents_has_them():
+    found = walked([0.009], strides=24)
+    assert found["lyapunov/exponent"].sum() / 2 == pytest.approx(np.log(0.5891), abs=0.01)
+    assert (found["lyapunov/strides"] == 32).all() and set(found["lyapunov/reason"]) == {""}
 
 
 def test_periods_double_and_walking_ends():

@@ -1,11 +1,12 @@
 """Walkers check themselves; statics and tuning follow from their parameters."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from tasks.walkers.catalogue import CATALOGUE, describe
-from tasks.walkers.parameters import WalkerError, check, from_table, resolve
+from tasks.walkers.parameters import WalkerError, check, from_table, owned, resolve
 from tasks.walkers.tuning import is_tuned, statics, tune
 
 
@@ -34,6 +35,20 @@ def test_tune_finds_the_exact_offsets_from_the_printed_ones():
     assert is_tuned(from_table(found))
 
 
+@pytest.mark.parametrize("name", ["D", "E", "C"])
+def test_a_walker_that_meets_the_conditions_is_left_as_it_is(name):
+    found = tune({"walker": name})
+    assert found["walker"] == CATALOGUE[name].table() and found["moved"] == {}
+    assert found["before"] == found["after"] == statics(CATALOGUE[name])
+
+
+def test_tune_says_what_moved():
+    found = tune({"walker": "C-printed", "free": ["w_t", "w_s", "w_t"]})
+    assert found["moved"] == {k: [getattr(CATALOGUE["C-printed"], k), found["walker"][k]] for k in ("w_t", "w_s")}
+    assert found["before"] == statics(CATALOGUE["C-printed"])
+    assert max(map(abs, found["after"].values())) < 1e-15 < min(map(abs, found["before"].values()))
+
+
 def test_tune_says_when_freed_keys_cannot():
     with pytest.raises(WalkerError, match="free another key"):
         tune({"walker": "physical", "free": ["m_h"]})
@@ -43,6 +58,28 @@ def test_detuning_runs_from_tuned_to_physical():
     assert resolve("C", {"detuning": 0.0}) == CATALOGUE["C"]
     assert resolve("C", {"detuning": 1.0}).table() == pytest.approx(CATALOGUE["physical"].table())
     assert resolve("A", {"detuning": 0.5}).r_t == pytest.approx((0.1882 + 0.099) / 2)
+
+
+def test_a_derived_key_moves_its_own_keys_only():
+    assert owned("detuning", "A") == owned("detuning", "C") == ("w_t", "r_t", "c_t", "w_s", "r_s")
+    assert set(owned("foot_mass_ratio", "E")) == {"m_t", "m_s", "m_h"}
+    heavy = {"base": "C", "m_h": 2.0}
+    for found in (resolve(heavy, {"detuning": 0.5}), resolve("C", {"detuning": 0.5, "m_h": 2.0})):
+        assert found == replace(resolve("C", {"detuning": 0.5}), m_h=2.0)
+    assert resolve("C", {"detuning": 0.1}).l_t == CATALOGUE["C"].l_t
+
+
+@pytest.mark.parametrize(("walker", "overrides", "key", "owner"), [
+    ("E", {"foot_mass_ratio": 0.1, "m_h": 1.0}, "m_h", "foot_mass_ratio"),
+    ("E", {"m_s": 0.2, "foot_mass_ratio": 0.0}, "m_s", "foot_mass_ratio"),
+    ({"base": "E", "m_h": 1.0}, {"foot_mass_ratio": 0.1}, "m_h", "foot_mass_ratio"),
+    ("C", {"detuning": 0.0, "w_t": 0.1}, "w_t", "detuning"),
+    ({"base": "A", "r_s": 0.1}, {"detuning": 0.5}, "r_s", "detuning"),
+])
+def test_a_key_that_a_derived_one_owns_is_refused(walker, overrides, key, owner):
+    value = {**(walker if isinstance(walker, dict) else {}), **overrides}[key]
+    with pytest.raises(WalkerError, match=rf"^`{key}` is set by `{owner}`, which owns .*{key}.*; got {value}\.$"):
+        resolve(walker, overrides)
 
 
 def test_foot_mass_ratio_keeps_the_total_mass():

@@ -97,6 +97,13 @@ def _bodies(source: Source) -> dict[str, tuple[Body, dict[str, Any]]]:
     return {name: (body, table) for name, (body, table) in found.items() if body is not None}
 
 
+def _which(source: Source, drawn: int) -> str:
+    """What a caption adds where a study has more walkers than are drawn, or varies their keys."""
+    more = f" {drawn} of {len(source.walkers)} walkers are drawn." if len(source.walkers) > drawn else ""
+    keys = list(source.varied)
+    return more + (f" The study varies {', '.join(keys)}; drawn is what it starts from." if keys else "")
+
+
 def _panels(figure: Figure, names: list[str]) -> list[Axes]:
     """A panel for each walker, under its name."""
     row = list(np.atleast_1d(figure.subplots(1, len(names))))
@@ -129,7 +136,8 @@ def walker(source: Source) -> Sketch | None:
         "The walkers" if several else "The walker",
         "Drawn to scale from the archive's parameters"
         + (", each to its own scale" if several else "")
-        + ". A disc is a mass, its area in proportion; a ring is its radius of gyration.",
+        + ". A disc is a mass, its area in proportion; a ring is its radius of gyration."
+        + _which(source, len(bodies)),
         "Side view of "
         + ", ".join(f"walker {name}" for name in bodies)
         + ": two legs joined at the hip, on the ground, with their masses as discs.",
@@ -227,7 +235,7 @@ def conditions(source: Source) -> Sketch | None:
         "Standing at zero slope",
         "Legs parallel, hip above the contact. Discs: centres of mass of thigh and shank; cross: of the whole "
         "walker. To walk at vanishing slopes the cross must lie on the dotted line, and with free knees the "
-        "dashed line from knee to shank's centre of mass must be parallel to it.",
+        "dashed line from knee to shank's centre of mass must be parallel to it." + _which(source, len(bodies)),
         "Side view of "
         + ", ".join(f"walker {name}" for name in bodies)
         + " standing on parallel legs: "

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pipeline.report.figures.style import brief, canvas, plain
+from pipeline.report.figures.style import brief, canvas, places, plain, rows_of, told
 from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
@@ -16,8 +18,8 @@ _SHOWN = {
     "largest_stable_slope": "largest stable γ",
     "fastest_froude_speed": "fastest stable Fr",
 }
-#: Walkers shown, a row of maps each.
-_MOST = 3
+#: Walkers, or places on other axes, that are shown, a row of maps each.
+_MOST = 4
 
 
 def design(source: Source) -> Sketch | None:
@@ -29,28 +31,29 @@ def design(source: Source) -> Sketch | None:
     if len(keys) < 2:
         return None
     down, along = keys
-    others = [c for c in source.line_columns(table) if c not in ("walker", *keys)]
-    for column in others:
-        table = table[table[column] == table[column].iloc[0]]
-    walkers = list(dict.fromkeys(table["walker"]))[:_MOST] if "walker" in table else [source.walker]
-    figure = canvas(60 + 130 * len(walkers))
-    panels = figure.subplots(len(walkers), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
+    others = [c for c in source.line_columns(table) if c not in keys]
+    every = table[others].drop_duplicates().to_dict("records") if others else [{}]
+    rows = rows_of(every, _MOST)
+    figure = canvas(60 + 130 * len(rows))
+    panels = figure.subplots(len(rows), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
     marks = []
-    for k, (row, walker) in enumerate(zip(panels, walkers, strict=True)):
-        mine = table[table["walker"] == walker] if "walker" in table else table
+    several = [{k: v for k, v in at.items() if table[k].nunique() > 1} for at in rows]
+    for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
+        mine = table[np.logical_and.reduce([table[c] == v for c, v in at.items()], initial=True)] if at else table
         for axes, (column, words) in zip(row, _SHOWN.items(), strict=True):
             _map(axes, mine.pivot(index=down, columns=along, values=column), table[column], figure)
             axes.set_title(words if k == 0 else "", pad=5)
-            marks.append(_marks(axes, source, mine, str(walker), (down, along), column))
-        row[0].set_ylabel(f"{brief(str(walker), 12)}: {_symbol(source, down)}")
+            marks.append(_marks(axes, source, mine, at, (down, along), column))
+        name = told(several[k])
+        row[0].set_ylabel(f"{brief(name, 22)}: {_symbol(source, down)}" if name else _symbol(source, down))
     for axes in panels[-1]:
         axes.set_xlabel(_symbol(source, along))
         axes.set_xticks([table[along].min(), table[along].max()])
     return Sketch(
         figure,
         "Design map",
-        f"What walkers {', '.join(map(str, walkers))} can do at best over {down} and {along}: the smallest slope with "
-        "a gait, the largest with a stable one, and the fastest stable gait, as a Froude number. Left blank: none.",
+        f"What walkers can do at best over {down} and {along}: the smallest slope with a gait, the largest with a "
+        "stable one, and the fastest stable gait, as a Froude number. Left blank: none." + places(several, every),
         f"Heat maps over {along} and {down}: "
         + "; ".join(f"{c.replace('_', ' ')} from {plain(table[c].min())} to {plain(table[c].max())}" for c in _SHOWN)
         + ".",
@@ -77,12 +80,16 @@ def _symbol(source: Source, key: str) -> str:
     return f"{SYMBOLS.get(key, key)} ({unit})" if unit else SYMBOLS.get(key, key)
 
 
-def _marks(axes: Axes, source: Source, table: pd.DataFrame, walker: str, keys: tuple[str, str], column: str) -> Marks:
+def _marks(
+    axes: Axes, source: Source, table: pd.DataFrame, at: dict[str, Any], keys: tuple[str, str], column: str
+) -> Marks:
     """Cells as hover targets, each with the command that solves its walker at the slope it tells of."""
     down, along = keys
+    walker = str(at.get("walker", source.walker))
+    fixed = {k: float(v) for k, v in at.items() if k != "walker"}
     slopes = table["fastest_slope"] if column.startswith("fastest") else table[column]
     commands = [
-        source.command(walker, {k: float(v) for k, v in zip(keys, place, strict=True)})
+        source.command(walker, fixed | {k: float(v) for k, v in zip(keys, place, strict=True)})
         + (f" --slope {slope!r}" if 0 < slope < 0.5 else "")
         for *place, slope in zip(table[down], table[along], map(float, slopes), strict=True)
     ]

@@ -9,51 +9,74 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 
-from pipeline.report.figures.style import RASTER, SHAPES, brief, canvas, heading, log_axis, plain, thin
+from pipeline.report.figures.style import (
+    RASTER,
+    SHAPES,
+    brief,
+    canvas,
+    heading,
+    log_axis,
+    places,
+    plain,
+    rows_of,
+    thin,
+    told,
+)
 from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
 #: What a map shows, the first that the archive holds.
 _SHOWN = ("speed", "froude_speed", "stance_angle", "period", "spectral_radius")
 
+#: Places on other axes than the map's that are drawn, a row each.
+_ROWS = 4
+
 #: Outcomes that are neither a gait nor a fall, and falls: quiet, so that what walks stands out.
 _OUTCOMES, _FELL = ("#b8a23a", "#9a74c4", "#4a9c74"), ("#8d939940", "#8d939980", "#8d9399c0")
 
 
 def heatmap(source: Source) -> Sketch | None:
-    """A quantity of each gait over the study's first two axes, with the border of stability."""
+    """A quantity of each gait over two axes, with the border of stability; a row of maps a place on others."""
     grid = source.grid
     wide = [d for d in source.axes if d != "walker" and grid.sizes[d] > 1][:2]
     variable = next((v for v in _SHOWN if v in grid), None)
     if len(wide) < 2 or variable is None:
         return None
     down, along = wide
-    rest = {d: 0 for d in source.axes if d not in wide}
-    gaits = [g for g in source.gaits if np.isfinite(grid[variable].sel(gait=g).isel(rest)).any()][:2]
-    if not gaits:
+    rest = [d for d in source.axes if d not in wide]
+    every = [dict(zip(rest, place, strict=True)) for place in itertools.product(*(grid[d].values for d in rest))]
+    rows = rows_of(every, _ROWS)
+    several = [{d: v for d, v in at.items() if grid.sizes[d] > 1} for at in rows]
+    shown = {g: [grid.sel(at).sel(gait=g) for at in rows] for g in source.gaits}
+    found = [g for g, here in shown.items() if any(np.isfinite(one[variable]).any() for one in here)]
+    if not (gaits := found[:2]):
         return None
-    figure = canvas(260)
-    panels = np.atleast_1d(figure.subplots(1, len(gaits), sharex=True, sharey=True))
-    known = grid[variable].isel(rest).sel(gait=gaits).values
+    unseen = f" Not drawn: {', '.join(found[2:])}." if len(found) > 2 else ""
+    figure = canvas(260 if len(rows) == 1 else 60 + 150 * len(rows))
+    panels = figure.subplots(len(rows), len(gaits), sharex=True, sharey=True, squeeze=False)
+    known = np.array([one[variable].values for g in gaits for one in shown[g]])
     low, high = np.nanmin(known), np.nanmax(known)
     pieces, marks = [], []
-    fixed = {d: grid[d].values[0] for d in rest}
-    walker = str(fixed.pop("walker", source.walker))
-    for axes, gait in zip(panels, gaits, strict=True):
-        here = grid.isel(rest).sel(gait=gait).transpose(down, along, ...)
-        x, y, z = here[along].values, here[down].values, here[variable].values
-        picture = axes.pcolormesh(x, y, z, shading="nearest", cmap="cividis", vmin=low, vmax=high, rasterized=True)
-        _border(axes, here, x, y)
-        _scales(axes, x, y)
-        axes.grid(False)
-        axes.set_title(brief(f"{gait} step"), pad=5)
-        frame = here[[v for v in (variable, "spectral_radius") if v in here]].to_dataframe().reset_index()
-        frame = frame[[c for c in dict.fromkeys((down, along, variable, "spectral_radius")) if c in frame]]
-        pieces.append(frame.assign(gait=gait))
-        marks += _spots(axes, source, frame.dropna(subset=[variable]), gait, walker, (down, along, variable), fixed)
+    for k, (at, words) in enumerate(zip(rows, several, strict=True)):
+        fixed = dict(at)
+        walker = str(fixed.pop("walker", source.walker))
+        for axes, gait in zip(panels[k], gaits, strict=True):
+            here = shown[gait][k].transpose(down, along, ...)
+            x, y, z = here[along].values, here[down].values, here[variable].values
+            picture = axes.pcolormesh(x, y, z, shading="nearest", cmap="cividis", vmin=low, vmax=high, rasterized=True)
+            _border(axes, here, x, y)
+            _scales(axes, x, y)
+            axes.grid(False)
+            axes.set_title(brief(", ".join(filter(None, (f"{gait} step", told(words)))), 60 // len(gaits)), pad=5)
+            frame = here[[v for v in (variable, "spectral_radius") if v in here]].to_dataframe().reset_index()
+            frame = frame[[c for c in dict.fromkeys((down, along, variable, "spectral_radius")) if c in frame]]
+            pieces.append(frame.assign(gait=gait, **words))
+            finite = frame.dropna(subset=[variable])
+            marks += _spots(axes, source, finite, gait, walker, (down, along, variable), fixed)
+        panels[k][0].set_ylabel(_named(source, down) if len(rows) == 1 else SYMBOLS.get(down, down.replace("_", " ")))
+    for axes in panels[-1]:
         axes.set_xlabel(_named(source, along))
-    panels[0].set_ylabel(_named(source, down))
-    bar = figure.colorbar(picture, ax=list(panels), shrink=0.9, aspect=24)
+    bar = figure.colorbar(picture, ax=list(panels.ravel()), shrink=0.9, aspect=24)
     bar.outline.set_visible(False)
     bar.ax.grid(False)
     bar.set_label(_named(source, variable))
@@ -63,8 +86,11 @@ def heatmap(source: Source) -> Sketch | None:
         figure,
         f"Map of {variable.replace('_', ' ')}",
         f"{_named(source, variable).capitalize()} over {_named(source, along)} and {_named(source, down)}. "
-        "Left blank: no such gait." + (" White line: the border of stability, max |λ| = 1." if border else ""),
-        f"Heat map of {variable} over {along} and {down}, from {plain(low)} to {plain(high)}.",
+        "Left blank: no such gait." + (" White line: the border of stability, max |λ| = 1." if border else "")
+        + unseen
+        + places(several, every),
+        f"Heat map of {variable} over {along} and {down}, from {plain(low)} to {plain(high)}."
+        + places(several, every),
         data,
         marks,
     )

@@ -12,6 +12,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from pipeline.report.source import SYMBOLS
+
 #: Widest a figure gets [pt]; its 10 pt text stays legible on a phone.
 WIDTH = 400
 
@@ -175,6 +177,24 @@ def thin(frame: pd.DataFrame, most: int = SAMPLES) -> pd.DataFrame:
     if len(frame) <= most:
         return frame
     return frame.iloc[np.unique(np.linspace(0, len(frame) - 1, most).round().astype(int))]
+
+
+def rows_of(every: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
+    """At most so many of a figure's rows, evenly chosen, the first and the last among them."""
+    return [every[i] for i in np.unique(np.linspace(0, len(every) - 1, min(most, len(every))).round().astype(int))]
+
+
+def told(at: dict[str, Any]) -> str:
+    """Where on the other axes a row lies: a walker's name, values with their symbols."""
+    return ", ".join(str(v) if k == "walker" else f"{SYMBOLS.get(k, k)} = {plain(float(v), 6)}" for k, v in at.items())
+
+
+def places(drawn: list[dict[str, Any]], every: list[dict[str, Any]]) -> str:
+    """What a caption says of a figure's rows."""
+    if len(every) < 2:
+        return ""
+    head = "Rows" if len(drawn) == len(every) else f"Rows, {len(drawn)} of {len(every)}"
+    return f" {head}: {'; '.join(map(told, drawn))}."
 
 
 def end_labels(axes: Axes, labels: list[tuple[float, float, str, str]], gap: float = 11) -> None:
