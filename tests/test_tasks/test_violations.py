@@ -297,6 +297,9 @@ def test_extremes_between_samples_are_found():
     value, at = violations.greatest(np.sin(2 * (x - 0.1) + shift))
     np.testing.assert_allclose(value, 1.0, atol=1e-9)
     np.testing.assert_allclose(at / 48, (np.pi / 2 - shift) / 2 + 0.1, atol=1e-6)
+    # Where there is no value there is no extreme.
+    partly = np.where(x < 0.3, np.nan, np.sin(2 * (x - 0.1)))
+    assert violations.greatest(partly)[0] == pytest.approx(1.0, abs=1e-9)
     rising, at = violations.greatest(x**3)
     assert rising[0] == 8.0
     assert at[0] == 96
