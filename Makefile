@@ -1,11 +1,13 @@
-# make setup | paper | test | bench | soak
+# make setup | paper | test | bench | soak | mutants
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+DRAW ?= 1
+N ?= 300
 STUDIES := $(wildcard data/studies/paper/*.toml)
 
-.PHONY: setup paper test bench soak lock clean
+.PHONY: setup paper test bench soak mutants lock clean
 .DEFAULT_GOAL := test
 
 setup: $(READY)
@@ -30,6 +32,10 @@ bench: $(READY)
 soak: $(READY)
 	$(BIN)/python -m pytest -m soak --timeout=3600
 
+# Mutants of the core drawn by lot, two at a time; the same command resumes.
+mutants: $(READY)
+	$(BIN)/python tests/mutants/draw.py $(DRAW) $(N)
+
 # Write the lock anew from the ranges in pyproject.toml; needs pip-tools.
 lock:
 	pip-compile --generate-hashes --all-extras --allow-unsafe --strip-extras --no-header \
@@ -37,4 +43,4 @@ lock:
 	  --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf $(VENV) reports data/archive
+	rm -rf $(VENV) mutants reports data/archive

@@ -1,5 +1,7 @@
 """What several test folders share: the command line over toy tasks, in processes of its own."""
 
+import functools
+import gc
 import os
 import re
 import subprocess
@@ -68,6 +70,15 @@ class Toy:
         return re.sub(rb'"commit": "[0-9a-f]{40}"', b'"commit": ""', archive)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def forgetting(pytestconfig: pytest.Config) -> None:
+    """While it is recorded which tests reach a function, no file of tests leans on what another left in memory."""
+    if pytestconfig.stash[RECORDING]:
+        for kept in gc.get_objects():
+            if isinstance(kept, functools._lru_cache_wrapper) and kept.__module__.startswith(("tasks", "lines")):
+                kept.cache_clear()
+
+
 @pytest.fixture
 def toy(tmp_path: Path) -> Iterator[Toy]:
     found = Toy(tmp_path)
@@ -77,10 +88,15 @@ def toy(tmp_path: Path) -> Iterator[Toy]:
 
 
 TOLD = pytest.StashKey[list[tuple[str, str, float]]]()
+RECORDING = pytest.StashKey[bool]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[TOLD] = []
+    # mutmut records calls in this process alone; others started from here run as ever.
+    config.stash[RECORDING] = os.environ.get("MUTANT_UNDER_TEST") == "stats"
+    if config.stash[RECORDING]:
+        del os.environ["MUTANT_UNDER_TEST"]
 
 
 @pytest.fixture

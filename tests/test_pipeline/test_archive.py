@@ -89,6 +89,14 @@ def _edit(path, change):
     (lambda f: f["fits/scaling/exponent"].__setitem__(0, 1.0), "`fits/scaling/exponent` is not as it was written."),
     (lambda f: f["residual"].delncattr("units"), "`residual` has no units."),
     (lambda f: f.setncattr("provenance", "{"), "`provenance` is not JSON."),
+    (lambda f: f.setncattr("provenance", "[1]"), "`provenance` is not JSON."),
+    (lambda f: f.delncattr("checksums"), "The attribute `checksums` is missing."),
+    (lambda f: f["residual"].delncattr("long_name"), "`residual` has no long_name."),
+    (lambda f: f["fits/scaling/exponent"].delncattr("units"), "`/fits/scaling/exponent` has no units or long_name."),
+    (lambda f: f["gait"].__setitem__(0, "brisk"), "`gait` holds unknown names."),
+    (lambda f: f["reason"].__setitem__((0, 0, 0), -1), "`reason` points outside its table."),
+    (lambda f: f.renameVariable("w_t", "x"), "The dimension `w_t` has no coordinate."),
+    (lambda f: f.createVariable("x", "f8", ("w_t", "slope")), "`x` has its dimensions in another order."),
 ])
 def test_verify_sees(copy, change, said):
     _edit(copy, change)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from lines import branches
+from lines import branches, gait
 from pipeline.bench.bounds import compared
+from pipeline.bench.stress import random_walker
 from tasks.gait import special_points as special
 from tasks.gait.atlas import survey
 from tasks.gait.continuation import correct, follow
@@ -69,6 +70,21 @@ def test_a_located_flip_has_the_multiplier():
             ((_, Z, _),) = [g for g in branch.guesses(np.array([np.log(p["slope"])])) if len(g[0])]
             stride, _ = problem.stride(np.delete(Z, problem.m, axis=1).T, np.log([p["slope"]]))
             assert np.abs(np.linalg.eigvals(stride.jacobian[:, :, 0]) + 1).min() < 1e-9
+
+
+def test_a_pair_of_reciprocal_real_multipliers_is_no_point_of_neimark_and_sacker():
+    neutral = gait("E", 0.0641736546388099, "short")
+    assert (neutral["multiplier_imag"][:2] == 0).all()
+    assert neutral["multiplier_real"][:2].prod() == pytest.approx(1, abs=1e-9)
+    assert not pick(points_of("E"), "neimark_sacker")
+
+
+def test_a_pole_of_the_derivative_is_no_flip():
+    """Where heelstrike turns tangential det(DP + 1) changes sign through infinity, whether or not the end is named."""
+    problem = Problem(random_walker("kneed, near", 1))
+    (branch,) = [b for b in survey(problem) if "end_tangential_heelstrike" in b.why]
+    ends = tuple("end of the window" if why == "end_tangential_heelstrike" else why for why in branch.why)
+    assert not pick(special_points(problem, replace(branch, why=ends)), "flip")
 
 
 def test_forward_and_back_to_the_start():

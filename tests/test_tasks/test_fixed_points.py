@@ -7,8 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lines import gait, solved
+from lines import branches, gait, solved
+from oracle import Oracle, StepFailed
+from tasks.gait import settle
+from tasks.gait.atlas import to_arrays
+from tasks.gait.fixed_point import Problem, search
 from tasks.registry import ALWAYS, GAITS
+from tasks.solve import points
+from tasks.walkers.parameters import resolve
 
 REFERENCE = Path(__file__).parents[2] / "data" / "reference"
 EXTENDED = tomllib.loads((REFERENCE / "extended.toml").read_text())["gaits"]
@@ -113,6 +119,63 @@ def test_the_massless_foot_loses_nothing_sideways():
     out = solved("D", np.geomspace(1e-6, 0.1, 20))
     assert (out["loss_tangential"][:, :2] == 0).all()
     assert np.abs(out["energy_imbalance"][:, :2]).max() < 1e-12
+
+
+@pytest.mark.parametrize(("walker", "slope", "label"), [
+    ("B", 0.01, "long"), ("E", 0.01, "short"), ("C", 0.03, "long")])
+def test_losses_lie_on_the_axes_of_the_contact_mass(walker, slope, label):
+    """The contact mass matrix turns the foot's velocity into the ground's impulse; two impacts give it."""
+    found, slow = gait(walker, slope, label), Oracle(resolve(walker).table())
+    rates = [found["stance_rate"], found["thigh_rate"], found["shank_rate"]]
+    struck = slow.step(found["stance_angle"], rates, slope).before_heelstrike
+    velocities, impulses = [], []
+    for before in (struck, struck * np.array([1, 1, 1, 0.5, 1, 1])):
+        rows, _ = slow._constraints(slow._links(before[:3]), np.zeros(4), 1, ())
+        velocities.append(rows[8:10] @ slow.velocities(before))
+        impulses.append(-slow.heelstrike(before)[1])
+    mass, axes = np.linalg.eigh(np.transpose(impulses) @ np.linalg.inv(np.transpose(velocities)))
+    losses = 0.5 * mass * (axes.T @ velocities[0]) ** 2
+    normal = np.abs(axes[1]).argmax()
+    assert found["loss_normal"] == pytest.approx(losses[normal], rel=1e-7)
+    assert found["loss_tangential"] == pytest.approx(losses[1 - normal], rel=1e-7)
+
+
+@pytest.mark.parametrize(("change", "slope"), [({}, 0.03), ({"r_s": 0.06}, 0.02)], ids=["foot", "knee"])
+def test_a_fixed_point_whose_foot_or_knee_strikes_earlier_is_no_step(change, slope):
+    """The second derivation stops at the first strikes: steps are the fixed points whose strikes these are."""
+    walker = resolve("physical", change)
+    slow, second = Oracle(walker.table()), np.sqrt(walker.leg / walker.g)
+    w, stride, verdict = search(Problem(walker), slope)
+    first = []
+    for lane, angle in enumerate(np.exp(w[0])):
+        start = stride.start[:, lane] / stride.start[0, lane] * angle
+        try:
+            step = slow.step(angle, start[3:] / second, slope)
+        except StepFailed:
+            first.append(False)
+        else:
+            first.append(np.allclose(w[3:, lane] * second, [step.kneestrike_time, step.period], rtol=1e-6))
+    assert verdict.step.tolist() == first
+    assert True in first and False in first
+
+
+@pytest.mark.parametrize("walker", ["D", "B"])
+def test_a_bound_holds_from_however_far_newton_comes(walker, monkeypatch):
+    """One step of Newton from a coarse start leaves an error that the bound covers, or more digits remove."""
+    slopes, angles = np.geomspace(1e-3, 0.03, 4), (*ANGLES, "error_bound")
+    _, found = branches(walker)
+    arrays = to_arrays(found)
+    line = {"line": {"walker": walker, "set": {}}, "slope": slopes, "want": angles}
+    exact = points(line, [arrays])
+    monkeypatch.setattr(settle, "MOST_STEPS", 0)
+    for far in (1e-8, 1e-7, 1e-5):
+        coarse = arrays["Z"] * (1 + far)
+        coarse[:, found[0].m] = arrays["Z"][:, found[0].m]
+        rough = points(line, [{**arrays, "Z": coarse}])
+        assert (rough["status"][:, 0] == 0).all()
+        for name in ANGLES:
+            error = np.abs(rough[name] / exact[name] - 1)[:, 0]
+            assert (error <= (rough["error_bound"] + exact["error_bound"])[:, 0]).all(), (far, name)
 
 
 def test_labels_follow_the_contract():

@@ -206,6 +206,14 @@ def test_scuff_of_the_simplest_walkers_short_step_follows_its_linear_motion():
     assert found["scuff_depth"] / found["stance_angle"] ** 2 == pytest.approx(depth, rel=1e-5)
 
 
+def test_the_depth_of_a_scuff_does_not_depend_on_the_samples(monkeypatch):
+    # On long steps the foot is below the ground for far less than the time between samples.
+    slopes, want = [1e-4, 1e-3], ("scuff_depth",)
+    fine = measured("B", slopes, want)["scuff_depth"][:, 0]
+    monkeypatch.setattr(violations, "SAMPLES", 12)
+    np.testing.assert_allclose(measured("B", slopes, want)["scuff_depth"][:, 0], fine, rtol=2e-8)
+
+
 def test_a1_straight_legs_always_scuff():
     for name in ("A", "B", "D", "E", "physical-straight", "goswami-compass.toml", "round-foot.toml"):
         found = measured(name, [1e-6, 1e-4, 0.01, 0.02, 0.05])
@@ -289,6 +297,9 @@ def test_extremes_between_samples_are_found():
     value, at = violations.greatest(np.sin(2 * (x - 0.1) + shift))
     np.testing.assert_allclose(value, 1.0, atol=1e-9)
     np.testing.assert_allclose(at / 48, (np.pi / 2 - shift) / 2 + 0.1, atol=1e-6)
+    # Where there is no value there is no extreme.
+    partly = np.where(x < 0.3, np.nan, np.sin(2 * (x - 0.1)))
+    assert violations.greatest(partly)[0] == pytest.approx(1.0, abs=1e-9)
     rising, at = violations.greatest(x**3)
     assert rising[0] == 8.0
     assert at[0] == 96

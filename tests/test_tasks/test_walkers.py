@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from tasks.walkers.catalogue import CATALOGUE, describe
+from tasks.walkers.catalogue import CATALOGUE, describe, drawing
 from tasks.walkers.parameters import WalkerError, check, from_table, owned, resolve
 from tasks.walkers.tuning import is_tuned, statics, tune
 
@@ -115,3 +115,21 @@ def test_the_catalogue_describes_itself():
     assert set(found) == set(CATALOGUE)
     assert "hip" in found["C"]["drawing"]
     assert check({"walker": "C"})["multipliers"] == 4
+
+
+def test_one_walker_is_described_by_its_name_or_its_table():
+    (named,) = describe({"name": "physical"})["walkers"]
+    (own,) = describe({"walker": CATALOGUE["B"].table()})["walkers"]
+    assert (named["name"], named["parameters"]) == ("physical", CATALOGUE["physical"].table())
+    assert named["geometry"] == {"l": CATALOGUE["physical"].l, "eps_S": CATALOGUE["physical"].eps_S,
+                                 "leg": CATALOGUE["physical"].leg, "total_mass": CATALOGUE["physical"].total_mass}
+    assert (own["name"], own["parameters"]) == ("custom", CATALOGUE["B"].table())
+
+
+def test_a_drawing_shows_knees_and_feet():
+    round_feet, points, kneed = (drawing(CATALOGUE[name]).splitlines() for name in ("B", "D", "C"))
+    assert [len(rows) for rows in (round_feet, points, kneed)] == [5, 5, 5]
+    assert all("hip" in rows[0] and "feet" in rows[-1] for rows in (round_feet, points, kneed))
+    assert [rows[-1].count("(_)") for rows in (round_feet, points, kneed)] == [2, 0, 2]
+    assert points[-1].count("*") == 2
+    assert [any("knee" in row for row in rows) for rows in (round_feet, points, kneed)] == [False, False, True]

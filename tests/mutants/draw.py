@@ -1,0 +1,106 @@
+"""Draw mutants of the core by lot, see which of them the tests notice, and show those they do not.
+
+    python tests/mutants/draw.py 1 300        # draw, number
+
+State is kept in `mutants/`: the same command goes on where it stopped. Survivors of `equivalent.toml` count as argued.
+"""
+
+import os
+import random
+import shutil
+import sqlite3
+import sys
+import tomllib
+from pathlib import Path
+
+from mutmut import __main__ as mutmut
+from mutmut.mutation.diff_apply import get_diff_for_mutant
+from mutmut.state import state
+from mutmut.stats import status_by_exit_code
+from mutmut.utils.format_utils import mangled_name_from_mutant_name
+from mutmut.workers.isolation import get_mutant_runner
+
+HERE = Path(__file__).parent
+AT_A_TIME = 2
+#: Tests of what runs in processes of its own, where no call is recorded.
+BESIDE = {"pipeline.archive": ("archive", "cf"), "pipeline.check": ("archive",),
+          "pipeline.journal": ("journal", "archive")}
+#: How a mutant can end that has been noticed.
+NOTICED = ("killed", "timeout", "segfault", "suspicious")
+
+
+def lend_cache() -> None:
+    """Give the mutants a copy of the compiled flows, so theirs do not fill the user's."""
+    own = Path(os.environ.get("GAITSWEEP_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
+    lent = Path("mutants/cache").absolute()
+    shutil.rmtree(lent, ignore_errors=True)
+    lent.mkdir(parents=True)
+    source = own.expanduser() / "cache.db"
+    if source.exists():
+        with sqlite3.connect(source) as old, sqlite3.connect(lent / "cache.db") as new:
+            old.backup(new)
+    os.environ["GAITSWEEP_CACHE"] = str(lent)
+
+
+def prepare() -> list[str]:
+    """Write the mutants, record which tests reach which function, and return the mutants' names."""
+    mutmut.set_mutant_under_test("mutant_generation")
+    mutmut.copy_src_dir()
+    mutmut.copy_also_copy_files()
+    mutmut.setup_source_paths()
+    mutmut.create_mutants(AT_A_TIME)
+    mutmut.collect_or_load_stats(get_mutant_runner(AT_A_TIME), apply_config_invalidation=True)
+    # Tests of a file share what one of them has solved: what one reaches, all may notice.
+    of_file: dict[str, set[str]] = {}
+    for test in state().duration_by_test:
+        of_file.setdefault(test.split("::")[0], set()).add(test)
+    for function, tests in state().tests_by_mangled_function_name.items():
+        for file in {test.split("::")[0] for test in tests}:
+            state().tests_by_mangled_function_name[function] |= of_file[file]
+    names = sorted(name for _, name, _ in mutmut.collect_source_file_mutation_data(mutant_names=())[0])
+    for name in names:
+        for file in BESIDE.get(name.rpartition(".")[0], ()):
+            function = mangled_name_from_mutant_name(name)
+            state().tests_by_mangled_function_name[function] |= of_file[f"tests/test_pipeline/test_{file}.py"]
+    mutmut.save_stats()
+    return names
+
+
+def results(names: list[str]) -> dict[str, tuple[str, Path]]:
+    """Status and file of each mutant."""
+    found = mutmut.collect_source_file_mutation_data(mutant_names=())[0]
+    wanted = set(names)
+    return {name: (status_by_exit_code[code], data.path) for data, name, code in found if name in wanted}
+
+
+def main(draw: int, number: int) -> int:
+    Path("mutants").mkdir(exist_ok=True)
+    lend_cache()
+    names = prepare()
+    # A longer draw begins with the shorter.
+    random.Random(draw).shuffle(names)
+    drawn = names[:number]
+    left = [name for name in drawn if results(drawn)[name][0] == "not checked"]
+    if left:
+        mutmut._run(left, AT_A_TIME)
+    known = tomllib.loads((HERE / "equivalent.toml").read_text())["mutant"]
+    argued = {(each["function"], each["line"]) for each in known}
+    noticed, equivalent, survivors = 0, 0, []
+    for name, (status, path) in sorted(results(drawn).items()):
+        diff = get_diff_for_mutant(name, path=path)
+        new = [line[1:].strip() for line in diff.splitlines() if line.startswith("+") and not line.startswith("+++")]
+        if status in NOTICED:
+            noticed += 1
+        elif any((name.rpartition("__mutmut_")[0], line) in argued for line in new):
+            equivalent += 1
+        else:
+            survivors.append(f"{name}: {status}\n{diff}\n")
+    print("\n".join(survivors))
+    counted = noticed + len(survivors)
+    print(f"draw {draw}: {noticed} of {counted} mutants noticed ({noticed / counted:.1%}), {len(survivors)} survive; "
+          f"{equivalent} more cannot be told from the code")
+    return noticed < 0.9 * counted
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2])))
