@@ -32,9 +32,9 @@ bench: $(READY)
 soak: $(READY)
 	$(BIN)/python -m pytest -m soak --timeout=3600
 
-# Mutants of the core drawn by lot, two at a time; the same command resumes.
+# Mutants of the core drawn by lot, two at a time; the same command resumes, AGAIN=again tries survivors once more.
 mutants: $(READY)
-	$(BIN)/python tests/mutants/draw.py $(DRAW) $(N)
+	$(BIN)/python tests/mutants/draw.py $(DRAW) $(N) $(AGAIN)
 
 # Write the lock anew from the ranges in pyproject.toml; needs pip-tools.
 lock:

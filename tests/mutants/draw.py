@@ -1,8 +1,9 @@
 """Draw mutants of the core by lot, see which of them the tests notice, and show those they do not.
 
-    python tests/mutants/draw.py 1 300        # draw, number
+    python tests/mutants/draw.py 1 300          # draw, number: goes on where it stopped, for its state is in `mutants/`
+    python tests/mutants/draw.py 1 300 again    # tries survivors once more, against tests written since
 
-State is kept in `mutants/`: the same command goes on where it stopped. Survivors of `equivalent.toml` count as argued.
+Mutants of `equivalent.toml` are left out of the count.
 """
 
 import os
@@ -73,34 +74,37 @@ def results(names: list[str]) -> dict[str, tuple[str, Path]]:
     return {name: (status_by_exit_code[code], data.path) for data, name, code in found if name in wanted}
 
 
-def main(draw: int, number: int) -> int:
+def argued() -> set[tuple[str, str]]:
+    """Functions and lines of mutants that change nothing."""
+    known = tomllib.loads((HERE / "equivalent.toml").read_text())["mutant"]
+    return {(each["function"], each["line"]) for each in known}
+
+
+def main(draw: int, number: int, again: bool) -> int:
     Path("mutants").mkdir(exist_ok=True)
     lend_cache()
     names = prepare()
     # A longer draw begins with the shorter.
     random.Random(draw).shuffle(names)
     drawn = names[:number]
-    left = [name for name in drawn if results(drawn)[name][0] == "not checked"]
+    wanted = ("not checked", "survived", "no tests") if again else ("not checked",)
+    left = [name for name, (status, _) in results(drawn).items() if status in wanted]
     if left:
         mutmut._run(left, AT_A_TIME)
-    known = tomllib.loads((HERE / "equivalent.toml").read_text())["mutant"]
-    argued = {(each["function"], each["line"]) for each in known}
-    noticed, equivalent, survivors = 0, 0, []
+    equivalent, noticed, survivors = argued(), 0, []
     for name, (status, path) in sorted(results(drawn).items()):
         diff = get_diff_for_mutant(name, path=path)
-        new = [line[1:].strip() for line in diff.splitlines() if line.startswith("+") and not line.startswith("+++")]
+        function = name.rpartition("__mutmut_")[0]
         if status in NOTICED:
             noticed += 1
-        elif any((name.rpartition("__mutmut_")[0], line) in argued for line in new):
-            equivalent += 1
-        else:
+        elif not any((function, line[1:].strip()) in equivalent for line in diff.splitlines() if line.startswith("+")):
             survivors.append(f"{name}: {status}\n{diff}\n")
     print("\n".join(survivors))
     counted = noticed + len(survivors)
     print(f"draw {draw}: {noticed} of {counted} mutants noticed ({noticed / counted:.1%}), {len(survivors)} survive; "
-          f"{equivalent} more cannot be told from the code")
+          f"{len(drawn) - counted} more cannot be told from the code")
     return noticed < 0.9 * counted
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]), int(sys.argv[2])))
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), "again" in sys.argv[3:]))
