@@ -24,8 +24,8 @@ from mutmut.workers.isolation import get_mutant_runner
 HERE = Path(__file__).parent
 AT_A_TIME = 2
 #: Tests of what runs in processes of its own, where no call is recorded.
-BESIDE = {"pipeline.archive": ("archive", "cf"), "pipeline.check": ("archive",),
-          "pipeline.journal": ("journal", "archive")}
+BESIDE = {"pipeline.archive": ("archive", "cf", "isolation"), "pipeline.check": ("archive",),
+          "pipeline.journal": ("journal", "archive", "isolation")}
 #: How a mutant can end that has been noticed.
 NOTICED = ("killed", "timeout", "segfault", "suspicious")
 
