@@ -4,6 +4,7 @@ import functools
 import gc
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -15,6 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 TOYS = ROOT / "tests" / "test_pipeline"
+
+# Signals that are ignored stay so in every process below: tests under `nohup`, or in the background, want them heard.
+for _number in (signal.SIGHUP, signal.SIGTERM):
+    signal.signal(_number, signal.SIG_DFL)
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 STUDY = """name = "toy"
 walker = "E"
