@@ -65,6 +65,13 @@ def test_failed_points_are_missing_only_to_a_retry(journal):
     assert gather.missing(journal, "L", WANT, slopes, ["long"], retry=True).tolist() == [0, 1]
 
 
+def test_the_cost_of_a_point_is_the_mean_over_all_blocks(journal):
+    assert journal.seconds_per_point() is None
+    journal.add_points("L", "k", WANT, row(np.array([0.1, 0.2, 0.3]), 1.0), 0.6)
+    journal.add_points("M", "k", WANT, row(np.array([0.1]), 1.0), 0.4)
+    assert journal.seconds_per_point() == pytest.approx(0.25)
+
+
 def test_results_are_kept_by_key_and_kin(journal):
     journal.add_result("a-1", "a", Result("ok", "", 0, b"x"), 0.1)
     journal.add_result("a-1", "a", Result("raised", "It raised.", 3, b""), 0.1)
