@@ -33,12 +33,14 @@ print(solve(mine, 0.009)[["gait", "stance_angle", "period", "stable"]])
 # to do; add values to an axis and only those are computed.
 
 # %%
-found = run({
-    "name": "round-feet",
-    "walker": mine,
-    "axes": {"R": [0.0, 0.3], "slope": np.geomspace(1e-6, 0.1, 80)},
-    "want": {"variables": ["stance_angle", "period", "multipliers"], "fits": ["scaling"], "figures": ["loglog"]},
-})
+found = run(
+    {
+        "name": "round-feet",
+        "walker": mine,
+        "axes": {"R": [0.0, 0.3], "slope": np.geomspace(1e-6, 0.1, 80)},
+        "want": {"variables": ["stance_angle", "period", "multipliers"], "fits": ["scaling"], "figures": ["loglog"]},
+    }
+)
 print(found.stance_angle.sel(R=0.3, gait="long"))
 
 # %% [markdown]

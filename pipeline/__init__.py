@@ -11,7 +11,7 @@ __all__ = ["load", "run", "solve"]
 def __getattr__(name: str) -> Any:
     # Late, so that the command line loads no more than a command needs.
     if name in __all__:
-        from pipeline import notebook
+        from pipeline import api
 
-        return getattr(notebook, name)
+        return getattr(api, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

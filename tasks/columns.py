@@ -122,10 +122,12 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "leg_offset": ("length", "fore-aft offset of the leg's centre of mass, zero if it stands at zero slope"),
     "shank_offset": ("length", "fore-aft offset of the shank's centre of mass, zero if it hangs straight"),
     "zero_slope_capable": ("number", "whether it walks as the slope vanishes"),
-    **{f"{gait}_{of}_{when}": ("number", f"{gait} step: exponent of {law} at {when} slopes")
-       for gait in ("short", "long") for of, law in (("angle", "the stance angle in the slope"),
-                                                     ("power", "power in speed"))
-       for when in ("vanishing", "small", "larger")},
+    **{
+        f"{gait}_{of}_{when}": ("number", f"{gait} step: exponent of {law} at {when} slopes")
+        for gait in ("short", "long")
+        for of, law in (("angle", "the stance angle in the slope"), ("power", "power in speed"))
+        for when in ("vanishing", "small", "larger")
+    },
     "faster_vanishing": ("number", "the faster gait as the slope vanishes"),
     "faster_larger": ("number", "the faster gait at larger slopes"),
     "crossing_slope": ("angle", "slope where both gaits are equally fast"),

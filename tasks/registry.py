@@ -15,15 +15,27 @@ STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3}
 
 #: SI units of each kind of quantity; every one is "1" for a walker in consistent units.
 SI_UNITS = {
-    "angle": "rad", "rate": "rad s-1", "time": "s", "length": "m", "mass": "kg", "speed": "m s-1",
-    "energy": "J", "power": "W", "impulse": "N s", "angular_impulse": "N m s", "torque": "N m", "acceleration": "m s-2",
-    "inertia": "kg m2", "number": "1",
+    "angle": "rad",
+    "rate": "rad s-1",
+    "time": "s",
+    "length": "m",
+    "mass": "kg",
+    "speed": "m s-1",
+    "energy": "J",
+    "power": "W",
+    "impulse": "N s",
+    "angular_impulse": "N m s",
+    "torque": "N m",
+    "acceleration": "m s-2",
+    "inertia": "kg m2",
+    "number": "1",
 }
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One archive variable: its name, dimensions after the axes, kind of quantity, meaning, and what is where no gait is."""
+    """One archive variable: its name, dimensions after the axes, kind of quantity, meaning, and what is where no
+    gait is."""
 
     name: str
     dims: tuple[str, ...]
@@ -41,57 +53,118 @@ class Variable:
 _G, _M = ("gait",), ("gait", "multiplier")
 
 #: Variables of a grid study in the order they are archived.
-VARIABLES = {v.name: v for v in (
-    Variable("stance_angle", _G, "angle", "stance angle just after heelstrike"),
-    Variable("stance_rate", _G, "rate", "stance leg rate just after heelstrike"),
-    Variable("thigh_rate", _G, "rate", "swing thigh rate just after heelstrike"),
-    Variable("shank_rate", _G, "rate", "swing shank rate just after heelstrike"),
-    Variable("period", _G, "time", "duration of one step"),
-    Variable("kneestrike_time", _G, "time", "time of kneestrike after the start of the step"),
-    Variable("multiplier_real", _M, "number", "real part of the stride map's eigenvalues", "multipliers"),
-    Variable("multiplier_imag", _M, "number", "imaginary part of the stride map's eigenvalues", "multipliers"),
-    Variable("spectral_radius", _G, "number", "largest magnitude of the stride map's eigenvalues", "multipliers"),
-    Variable("speed", _G, "speed", "mean speed along the slope"),
-    Variable("froude_speed", _G, "number", "mean speed over sqrt(g (l + R))"),
-    Variable("cost_of_transport", _G, "number", "energy lost over weight and distance"),
-    Variable("power", _G, "power", "mean power drawn from gravity"),
-    Variable("loss_normal", _G, "energy", "heelstrike loss on the eigenvector nearer the ground normal", "energy"),
-    Variable("loss_tangential", _G, "energy", "heelstrike loss on the eigenvector nearer the slope", "energy"),
-    Variable("loss_kneestrike", _G, "energy", "loss at kneestrike", "energy"),
-    Variable("energy_imbalance", _G, "number", "losses minus drop of potential energy, over that drop", "energy"),
-    Variable("heelstrike_rate_ratio", _G, "number",
-             "(thigh rate - stance rate)/|stance rate| just before heelstrike; below 1/2 a gait is long"),
-    Variable("violations", _G, "number", "physical assumptions a gait violates", "violations", "i4", 0),
-    Variable("scuff_depth", _G, "length", "greatest depth of the swing foot below the ground", "violations"),
-    Variable("unlocking_torque", _G, "torque",
-             "worst torque that would flex the stance knee (negative: its stop holds)", "violations"),
-    Variable("unlocking_torque_time", _G, "time", "when the unlocking torque is worst", "violations"),
-    Variable("unlocking_impulse_kneestrike", _G, "angular_impulse",
-             "angular impulse that would flex the stance knee at kneestrike", "violations"),
-    Variable("unlocking_impulse_heelstrike", _G, "angular_impulse",
-             "angular impulse that would flex the stance knee at heelstrike", "violations"),
-    Variable("least_normal_force", _G, "number", "least ground normal force over weight", "violations"),
-    Variable("friction_demand", _G, "number",
-             "largest |tangential|/normal ground force (infinite: the contact would pull)", "violations"),
-    Variable("friction_demand_heelstrike", _G, "number",
-             "|tangential|/normal impulse at heelstrike (infinite: the contact would pull)", "violations"),
-    Variable("friction_demand_kneestrike", _G, "number",
-             "|tangential|/normal impulse at kneestrike (infinite: the contact would pull)", "violations"),
-    Variable("hyperextension", _G, "angle", "largest hyperextension of the swing knee", "violations"),
-    Variable("penetration_depth", _G, "length", "depth the released foot sinks just after heelstrike", "violations"),
-    Variable("trailing_impulse", _G, "impulse", "impulse two contacts would need at the trailing foot", "violations"),
-    Variable("residual", _G, "number", "largest residual of the fixed-point equations"),
-    Variable("error_bound", _G, "number", "bound on the relative errors of angle and period and on the rates' errors over the largest rate"),
-    Variable("branch", _G, "number", "branch of its line a gait lies on, by rank; -1 where there is no gait", dtype="i2",
-             absent=-1),
-    Variable("piece", _G, "number", "piece of its branch between folds; -1 where there is no gait", dtype="i2", absent=-1),
-    Variable("status", _G, "number", "what became of the solve", dtype="i1", absent=STATUSES["no_gait"]),
-    Variable("reason", _G, "number", "index into the table of reasons", dtype="i2", absent=0),
-)}
+VARIABLES = {
+    v.name: v
+    for v in (
+        Variable("stance_angle", _G, "angle", "stance angle just after heelstrike"),
+        Variable("stance_rate", _G, "rate", "stance leg rate just after heelstrike"),
+        Variable("thigh_rate", _G, "rate", "swing thigh rate just after heelstrike"),
+        Variable("shank_rate", _G, "rate", "swing shank rate just after heelstrike"),
+        Variable("period", _G, "time", "duration of one step"),
+        Variable("kneestrike_time", _G, "time", "time of kneestrike after the start of the step"),
+        Variable("multiplier_real", _M, "number", "real part of the stride map's eigenvalues", "multipliers"),
+        Variable("multiplier_imag", _M, "number", "imaginary part of the stride map's eigenvalues", "multipliers"),
+        Variable("spectral_radius", _G, "number", "largest magnitude of the stride map's eigenvalues", "multipliers"),
+        Variable("speed", _G, "speed", "mean speed along the slope"),
+        Variable("froude_speed", _G, "number", "mean speed over sqrt(g (l + R))"),
+        Variable("cost_of_transport", _G, "number", "energy lost over weight and distance"),
+        Variable("power", _G, "power", "mean power drawn from gravity"),
+        Variable("loss_normal", _G, "energy", "heelstrike loss on the eigenvector nearer the ground normal", "energy"),
+        Variable("loss_tangential", _G, "energy", "heelstrike loss on the eigenvector nearer the slope", "energy"),
+        Variable("loss_kneestrike", _G, "energy", "loss at kneestrike", "energy"),
+        Variable("energy_imbalance", _G, "number", "losses minus drop of potential energy, over that drop", "energy"),
+        Variable(
+            "heelstrike_rate_ratio",
+            _G,
+            "number",
+            "(thigh rate - stance rate)/|stance rate| just before heelstrike; below 1/2 a gait is long",
+        ),
+        Variable("violations", _G, "number", "physical assumptions a gait violates", "violations", "i4", 0),
+        Variable("scuff_depth", _G, "length", "greatest depth of the swing foot below the ground", "violations"),
+        Variable(
+            "unlocking_torque",
+            _G,
+            "torque",
+            "worst torque that would flex the stance knee (negative: its stop holds)",
+            "violations",
+        ),
+        Variable("unlocking_torque_time", _G, "time", "when the unlocking torque is worst", "violations"),
+        Variable(
+            "unlocking_impulse_kneestrike",
+            _G,
+            "angular_impulse",
+            "angular impulse that would flex the stance knee at kneestrike",
+            "violations",
+        ),
+        Variable(
+            "unlocking_impulse_heelstrike",
+            _G,
+            "angular_impulse",
+            "angular impulse that would flex the stance knee at heelstrike",
+            "violations",
+        ),
+        Variable("least_normal_force", _G, "number", "least ground normal force over weight", "violations"),
+        Variable(
+            "friction_demand",
+            _G,
+            "number",
+            "largest |tangential|/normal ground force (infinite: the contact would pull)",
+            "violations",
+        ),
+        Variable(
+            "friction_demand_heelstrike",
+            _G,
+            "number",
+            "|tangential|/normal impulse at heelstrike (infinite: the contact would pull)",
+            "violations",
+        ),
+        Variable(
+            "friction_demand_kneestrike",
+            _G,
+            "number",
+            "|tangential|/normal impulse at kneestrike (infinite: the contact would pull)",
+            "violations",
+        ),
+        Variable("hyperextension", _G, "angle", "largest hyperextension of the swing knee", "violations"),
+        Variable(
+            "penetration_depth", _G, "length", "depth the released foot sinks just after heelstrike", "violations"
+        ),
+        Variable(
+            "trailing_impulse", _G, "impulse", "impulse two contacts would need at the trailing foot", "violations"
+        ),
+        Variable("residual", _G, "number", "largest residual of the fixed-point equations"),
+        Variable(
+            "error_bound",
+            _G,
+            "number",
+            "bound on the relative errors of angle and period and on the rates' errors over the largest rate",
+        ),
+        Variable(
+            "branch",
+            _G,
+            "number",
+            "branch of its line a gait lies on, by rank; -1 where there is no gait",
+            dtype="i2",
+            absent=-1,
+        ),
+        Variable(
+            "piece", _G, "number", "piece of its branch between folds; -1 where there is no gait", dtype="i2", absent=-1
+        ),
+        Variable("status", _G, "number", "what became of the solve", dtype="i1", absent=STATUSES["no_gait"]),
+        Variable("reason", _G, "number", "index into the table of reasons", dtype="i2", absent=0),
+    )
+}
 
 #: Bits of `violations`, lowest first (PHYSICS: Appendix A of the paper).
-VIOLATIONS = ("scuff", "stance_knee_unlocks", "contact_tension", "friction", "release_hyperextends",
-              "release_penetrates", "trailing_foot_pulls")
+VIOLATIONS = (
+    "scuff",
+    "stance_knee_unlocks",
+    "contact_tension",
+    "friction",
+    "release_hyperextends",
+    "release_penetrates",
+    "trailing_foot_pulls",
+)
 
 #: Always archived, whatever a study wants.
 ALWAYS = ("residual", "error_bound", "branch", "piece", "status", "reason")
@@ -109,21 +182,24 @@ class Task:
     seconds_per_point: float = 0.0
 
 
-TASKS = {t.name: t for t in (
-    Task("atlas", "tasks.solve:atlas", 10, seconds=1.0),
-    Task("points", "tasks.solve:points", 7, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
-    Task("trace", "tasks.trace:trace", 2, needs=("atlas",), seconds=0.2),
-    Task("branch", "tasks.branch:branch", 4, needs=("atlas",), seconds=0.3),
-    Task("orbit", "tasks.orbit:orbit", 3, needs=("atlas",), seconds=30.0),
-    Task("cascade", "tasks.cascade:cascade", 4, needs=("atlas",), seconds=3.0),
-    Task("basin", "tasks.basin:basin", 2, needs=("atlas",), seconds=5.0),
-    Task("curve", "tasks.curve:curve", 4, needs=("atlas",), seconds=5.0),
-    Task("design", "tasks.design:design", 1, needs=("atlas",), seconds=0.1),
-    Task("census", "tasks.census:census", 3, seconds=10.0),
-    Task("scaling", "tasks.fit:scaling", 2, needs=("points",)),
-    Task("transition", "tasks.fit:transition", 2, needs=("points",)),
-    Task("claims", "tasks.claims:claims", 4, needs=("points", "atlas"), seconds=30.0),
-)}
+TASKS = {
+    t.name: t
+    for t in (
+        Task("atlas", "tasks.solve_points:atlas", 10, seconds=1.0),
+        Task("points", "tasks.solve_points:points", 7, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
+        Task("trace", "tasks.trace_motion:trace", 2, needs=("atlas",), seconds=0.2),
+        Task("branch", "tasks.follow_branches:branch", 4, needs=("atlas",), seconds=0.3),
+        Task("orbit", "tasks.iterate_orbits:orbit", 3, needs=("atlas",), seconds=30.0),
+        Task("cascade", "tasks.locate_cascade:cascade", 4, needs=("atlas",), seconds=3.0),
+        Task("basin", "tasks.map_basin:basin", 2, needs=("atlas",), seconds=5.0),
+        Task("curve", "tasks.follow_curves:curve", 4, needs=("atlas",), seconds=5.0),
+        Task("design", "tasks.map_designs:design", 1, needs=("atlas",), seconds=0.1),
+        Task("census", "tasks.count_gaits:census", 3, seconds=10.0),
+        Task("scaling", "tasks.fit_laws:scaling", 2, needs=("points",)),
+        Task("transition", "tasks.fit_laws:transition", 2, needs=("points",)),
+        Task("claims", "tasks.check_claims:claims", 4, needs=("points", "atlas"), seconds=30.0),
+    )
+}
 
 #: Every figure and fit, and the point variables and tasks it reads; the plan adds them to what a study wants.
 READS = {
@@ -143,8 +219,14 @@ FIGURES = tuple(name for name in READS if name not in ("scaling", "transition"))
 #: Options of each kind of study and what each one holds: a `count` is a whole number from 1, a `range` two numbers.
 OPTIONS = {
     "grid": {"friction_limit": "positive"},
-    "orbit": {"gait": "gait", "starts": "count", "spread": "number", "transient": "count", "strides": "count",
-              "shown": "count"},
+    "orbit": {
+        "gait": "gait",
+        "starts": "count",
+        "spread": "number",
+        "transient": "count",
+        "strides": "count",
+        "shown": "count",
+    },
     "cascade": {"periods": "count", "families": "counts", "starts": "count", "strides": "count or 0"},
     "basin": {"size": "count", "strides": "count", "stance_angle": "range", "stance_rate": "range"},
     "curve": {"key": "key", "from": "number", "to": "number", "kinds": "kinds"},
@@ -161,14 +243,27 @@ CURVE = {"key": "detuning", "from": 0.0, "to": 1.0, "kinds": ("fold", "flip")}
 SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin", "design": "design"}
 
 #: Claims of the ledger.
-CLAIMS = tuple(f"{family}{n}" for family, numbers in {
-    "D": range(1, 11), "E": range(1, 8), "P": range(1, 9), "T": range(1, 9), "Z": range(1, 7), "M": range(1, 8),
-    "K": range(1, 4), "W": (1,), "G": (1, 2), "A": range(1, 7)}.items() for n in numbers)
+CLAIMS = tuple(
+    f"{family}{n}"
+    for family, numbers in {
+        "D": range(1, 11),
+        "E": range(1, 8),
+        "P": range(1, 9),
+        "T": range(1, 9),
+        "Z": range(1, 7),
+        "M": range(1, 8),
+        "K": range(1, 4),
+        "W": (1,),
+        "G": (1, 2),
+        "A": range(1, 7),
+    }.items()
+    for n in numbers
+)
 
 #: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
 CALLS = {
-    "solve": "tasks.single:solve_one",
-    "walkers": "tasks.walkers.catalogue:describe",
+    "solve": "tasks.solve_at_slope:solve_one",
+    "walkers": "tasks.walkers.describe:describe",
     "tune": "tasks.walkers.tuning:tune",
-    "check_walker": "tasks.walkers.parameters:check",
+    "check_walker": "tasks.walkers.resolve:check",
 }

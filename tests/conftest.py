@@ -48,9 +48,14 @@ class Toy:
     def start(self, *arguments: object, **environment: str) -> subprocess.Popen:
         path = os.pathsep.join([str(ROOT), str(TOYS)])
         process = subprocess.Popen(
-            [sys.executable, "-W", "ignore", str(TOYS / "gaitsweep_toy.py"), *map(str, arguments)], cwd=self.folder,
-            env={**os.environ, "PYTHONPATH": path, **self.environment, **environment}, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+            [sys.executable, "-W", "ignore", str(TOYS / "gaitsweep_toy.py"), *map(str, arguments)],
+            cwd=self.folder,
+            env={**os.environ, "PYTHONPATH": path, **self.environment, **environment},
+            text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
         self.started.append(process)
         return process
 

@@ -7,6 +7,7 @@ comes earlier is for `oracle.Oracle.step` to say.
 
 Run as a script it writes ``data/reference/extended.toml``.
 """
+
 import functools
 import sys
 from collections.abc import Mapping
@@ -16,8 +17,7 @@ import mpmath as mp
 
 mp.mp.dps = 80
 DIGITS = 25
-NAMES = ("a_t", "b_t", "a_k", "b_k", "a_s", "b_s", "a_c", "b_c",
-         "m_t", "m_s", "i_t", "i_s", "m_h", "R", "g", "slope")
+NAMES = ("a_t", "b_t", "a_k", "b_k", "a_s", "b_s", "a_c", "b_c", "m_t", "m_s", "i_t", "i_s", "m_h", "R", "g", "slope")
 
 
 def _mpf(value):
@@ -37,13 +37,23 @@ def constants(walker: Mapping, slope):
     e_t, e_s = p["eps_T"], mp.asin(p["l_t"] * mp.sin(p["eps_T"]) / d)
 
     def vector(angle, along, behind):
-        return (along * mp.sin(angle) - behind * mp.cos(angle),
-                -along * mp.cos(angle) - behind * mp.sin(angle))
+        return (along * mp.sin(angle) - behind * mp.cos(angle), -along * mp.cos(angle) - behind * mp.sin(angle))
+
     zero = mp.mpf(0)
-    values = [*vector(-e_t, p["c_t"], p["w_t"]), *vector(-e_t, p["l_t"], zero),
-              *vector(e_s, p["c_s"], p["w_s"]), *vector(e_s, d, zero),
-              p["m_t"], p["m_s"], p["m_t"] * p["r_t"] ** 2, p["m_s"] * p["r_s"] ** 2,
-              p["m_h"], p["R"], p["g"], _mpf(slope)]
+    values = [
+        *vector(-e_t, p["c_t"], p["w_t"]),
+        *vector(-e_t, p["l_t"], zero),
+        *vector(e_s, p["c_s"], p["w_s"]),
+        *vector(e_s, d, zero),
+        p["m_t"],
+        p["m_s"],
+        p["m_t"] * p["r_t"] ** 2,
+        p["m_s"] * p["r_s"] ** 2,
+        p["m_h"],
+        p["R"],
+        p["g"],
+        _mpf(slope),
+    ]
     return dict(zip(NAMES, values, strict=False))
 
 
@@ -61,7 +71,7 @@ def _flow(links, kind, simplest=False):
         th, sw, u, v = hy.make_vars("th", "sw", "u", "v")
         stance = hy.sin(th - hy.par[0])
         phi = th - sw
-        inter = stance + u ** 2 * hy.sin(phi) - hy.cos(th - hy.par[0]) * hy.sin(phi)
+        inter = stance + u**2 * hy.sin(phi) - hy.cos(th - hy.par[0]) * hy.sin(phi)
         system = [(th, u), (sw, v), (u, stance), (v, stance - inter)]
         return hy.taylor_adaptive(system, [zero] * 4, pars=[zero], **options)
     c = {name: hy.par[i] for i, name in enumerate(NAMES)}
@@ -79,28 +89,35 @@ def _flow(links, kind, simplest=False):
 
     def velocity(point):
         return [hy.sum([hy.diff(x, a) * b for a, b in zip(q, r, strict=False)]) for x in point]
+
     st, th, sh = q[0], q[1], q[-1]
     knee = add((-c["R"] * st, c["R"]), body("c", st, -1))
     hip = add(knee, body("k", st, -1))
     swing = add(hip, body("k", th))
-    centres = [(add(hip, body("t", st)), "t", r[0]), (add(knee, body("s", st)), "s", r[0]),
-               (add(hip, body("t", th)), "t", r[1]), (add(swing, body("s", sh)), "s", r[-1])]
+    centres = [
+        (add(hip, body("t", st)), "t", r[0]),
+        (add(knee, body("s", st)), "s", r[0]),
+        (add(hip, body("t", th)), "t", r[1]),
+        (add(swing, body("s", sh)), "s", r[-1]),
+    ]
     kinetic, potential = [], []
     for point, name, rate in [*centres, (hip, "h", None)]:
         x, y = velocity(point)
         kinetic.append(0.5 * c["m_" + name] * (x * x + y * y))
         if rate is not None:
             kinetic.append(0.5 * c["i_" + name] * rate * rate)
-        potential.append(c["m_" + name] * c["g"] * (point[1] * hy.cos(c["slope"])
-                                                    - point[0] * hy.sin(c["slope"])))
+        potential.append(c["m_" + name] * c["g"] * (point[1] * hy.cos(c["slope"]) - point[0] * hy.sin(c["slope"])))
     system = hy.lagrangian(hy.sum(kinetic) - hy.sum(potential), list(q), list(r))
     return hy.taylor_adaptive(system, [zero] * (2 * links), pars=[zero] * len(NAMES), **options)
 
 
 def _fly(flow, state, pars, time, kind):
     """Carry `state` (mpf) over `time` with the integrator `flow`."""
-    to = {"double": float, "real128": lambda x: hy.real128(mp.nstr(x, 45)),
-          "real256": lambda x: hy.real(mp.nstr(x, 85), 256)}[kind]
+    to = {
+        "double": float,
+        "real128": lambda x: hy.real128(mp.nstr(x, 45)),
+        "real256": lambda x: hy.real(mp.nstr(x, 85), 256),
+    }[kind]
     back = mp.mpf if kind == "double" else lambda x: mp.mpf(str(x))
     flow.time = to(mp.mpf(0))
     for k, x in enumerate(state):
@@ -137,11 +154,14 @@ class Walker:
         def column(name, angle):  # derivative of a turned body vector by its angle
             x, y = _turned(c["a_" + name], c["b_" + name], angle, mp.sin, mp.cos)
             return -y, x
+
         for leg in (0, 1):
             t, s = 2 + 2 * leg, 3 + 2 * leg
             knee = column("k", angles[t - 2])
-            for i, name, arms in ((t, "t", {t: column("t", angles[t - 2])}),
-                                  (s, "s", {t: knee, s: column("s", angles[s - 2])})):
+            for i, name, arms in (
+                (t, "t", {t: column("t", angles[t - 2])}),
+                (s, "s", {t: knee, s: column("s", angles[s - 2])}),
+            ):
                 jac = mp.matrix(2, 6)
                 jac[0, 0] = jac[1, 1] = 1
                 for k, arm in arms.items():
@@ -166,9 +186,15 @@ class Walker:
         old = feet[stance_before]
         spin = old[:, 2:] * mp.matrix(rates)
         before = mp.matrix([-spin[0], -spin[1], *rates])
-        allowed = [[1, 1, 0, 0], [0, 0, 1, 1]] if len(locked) == 2 else (
-            [[1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]] if locked == (0,) else
-            [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1]])
+        allowed = (
+            [[1, 1, 0, 0], [0, 0, 1, 1]]
+            if len(locked) == 2
+            else (
+                [[1, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+                if locked == (0,)
+                else [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1]]
+            )
+        )
         basis = mp.matrix(6, len(allowed))
         for k, turn in enumerate(allowed):
             shift = feet[stance_after][:, 2:] * mp.matrix(turn)
@@ -221,7 +247,7 @@ class Walker:
         rates, details["loss_heelstrike"] = self.heelstrike(s)
         details["before"] = s
         # Minus the swing angle would do as well on the guard; the mean keeps both alive off it.
-        return guards, [(s[1] - s[0]) / 2, *rates[:n - 1]], details
+        return guards, [(s[1] - s[0]) / 2, *rates[: n - 1]], details
 
 
 def _residual(w, z):
@@ -231,8 +257,7 @@ def _residual(w, z):
 
 def _derivative(w, z, h, order):
     """Jacobian of guards and end by central differences of the given order."""
-    weights = {2: [(1, mp.mpf(1) / 2)], 6: [(1, mp.mpf(3) / 4), (2, -mp.mpf(3) / 20),
-                                            (3, mp.mpf(1) / 60)]}[order]
+    weights = {2: [(1, mp.mpf(1) / 2)], 6: [(1, mp.mpf(3) / 4), (2, -mp.mpf(3) / 20), (3, mp.mpf(1) / 60)]}[order]
     columns = []
     for k, zk in enumerate(z):
         size = h * (abs(zk) if k >= (4 if w.knees else 3) else max(abs(zk), abs(z[0])))
@@ -263,7 +288,7 @@ def solve(walker, slope, guess, kind="real128", tol=None, iterations=25):
             jac = _derivative(w, z, h, 2)
             for i in range(n):
                 jac[m + i, i] -= 1
-            inverse = jac ** -1
+            inverse = jac**-1
         dz = -(inverse * r)
         last = max(abs(d) / max(abs(a), abs(z[0])) for d, a in zip(dz, z, strict=False))
         damp = min(1, mp.mpf("0.3") / last)
@@ -281,8 +306,10 @@ def multipliers(w, z):
     stride = end[:, :n] - end[:, n:] * (guard[:, n:] ** -1) * guard[:, :n]
     values = mp.eig(stride, left=False, right=False)
     # Differences leave about 1e-27 where the map has lost a dimension.
-    return sorted((mp.mpc(0) if abs(v) < mp.mpf("1e-20") else mp.mpc(v) for v in values),
-                  key=lambda v: (-mp.mpf(mp.nstr(abs(v), 20)), -v.imag))  # of a pair the upper first
+    return sorted(
+        (mp.mpc(0) if abs(v) < mp.mpf("1e-20") else mp.mpc(v) for v in values),
+        key=lambda v: (-mp.mpf(mp.nstr(abs(v), 20)), -v.imag),
+    )  # of a pair the upper first
 
 
 def gait(walker, slope, guess, check=False):
@@ -321,9 +348,14 @@ def gait(walker, slope, guess, check=False):
 
     shank = z[3] if w.knees else z[2]
     approach = (s[3] - s[2]) / abs(s[2])
-    result = {"gait": "long" if approach < 0.5 else "short", "stance_angle": text(z[0]),
-              "stance_rate": text(z[1]), "thigh_rate": text(z[2]), "shank_rate": text(shank),
-              "period": text(z[-1])}
+    result = {
+        "gait": "long" if approach < 0.5 else "short",
+        "stance_angle": text(z[0]),
+        "stance_rate": text(z[1]),
+        "thigh_rate": text(z[2]),
+        "shank_rate": text(shank),
+        "period": text(z[-1]),
+    }
     if w.knees:
         result["kneestrike_time"] = text(z[4])
     result["loss_kneestrike"] = text(details["loss_kneestrike"])
@@ -331,8 +363,8 @@ def gait(walker, slope, guess, check=False):
 
     def clean(x, scale):  # conjugate pairs and reals come out of the differences with dust
         return text(x) if abs(x) > mp.mpf("1e-20") * scale else "0"
-    result["multipliers"] = [[clean(v.real, abs(v)), clean(v.imag, abs(v))]
-                             for v in multipliers(w, z)]
+
+    result["multipliers"] = [[clean(v.real, abs(v)), clean(v.imag, abs(v))] for v in multipliers(w, z)]
     return result
 
 
@@ -354,11 +386,13 @@ _TUNED = exactly_tuned(_table(".35 0 2.345 .1882 .084 .46 0 1.013 .1226 .17 .2 .
 _PHYSICAL = _table(".35 0 2.345 .099 .091 .46 .025 1.013 .197 .17 .2 .097", g="9.81")
 WALKERS = {
     "D": "D",
-    "A": _TUNED, "C": {**_TUNED, "knees": True},
+    "A": _TUNED,
+    "C": {**_TUNED, "knees": True},
     "B": _table(".5 0 .4 0 0 .5 0 .1 0 .5 .2 0"),
     "E": _table(".5 0 .4 0 0 .5 0 .1 0 .5 0 0"),
     "F": _table(".5 0 .45 0 0 .5 0 .05 0 .5 0 0"),
-    "physical": {**_PHYSICAL, "knees": True}, "physical-straight": _PHYSICAL,
+    "physical": {**_PHYSICAL, "knees": True},
+    "physical-straight": _PHYSICAL,
 }
 GUESSES = """
 D .009 .2003109 -.19983247 -.18400947 3.8824638
@@ -403,6 +437,7 @@ def _toml(table):
         if isinstance(x, list):
             return "[" + ", ".join(show(v) for v in x) + "]"
         return str(x).lower() if isinstance(x, bool) else f'"{x}"'
+
     return "".join(f"{k} = {show(v)}\n" for k, v in table.items())
 
 
@@ -414,15 +449,20 @@ def main(path):
             "# decimal values, not the nearest doubles. `thigh_rate` and the rest are taken just\n"
             "# after heelstrike. A and C are exactly tuned. Losses are kinetic energies, D's with\n"
             "# the hip mass as unit. Multipliers are good to 1e-24\n"
-            "# absolutely. Written by tests/extended.py.\n\n")
+            "# absolutely. Written by tests/extended.py.\n\n"
+        )
         for name, walker in WALKERS.items():
             if walker != "D":
                 file.write(f"[walkers.{name}]\n{_toml(walker)}\n")
         for line in GUESSES.strip().splitlines():
             name, slope, *guess = line.split()
             result = gait(WALKERS[name], slope, guess, check=True)
-            entry = {"walker": name, "slope": str(float(slope)), **result,
-                     "source": "256/113-bit computation, tests/extended.py"}
+            entry = {
+                "walker": name,
+                "slope": str(float(slope)),
+                **result,
+                "source": "256/113-bit computation, tests/extended.py",
+            }
             file.write(f"[[gaits]]\n{_toml(entry)}\n")
             file.flush()
             print(name, slope, result["gait"], file=sys.stderr)

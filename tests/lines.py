@@ -5,8 +5,8 @@ import functools
 import numpy as np
 
 from tasks.registry import GAITS, VARIABLES
-from tasks.solve import atlas, points
-from tasks.walkers.parameters import resolve
+from tasks.solve_points import atlas, points
+from tasks.walkers.resolve import resolve
 
 WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
 
@@ -32,8 +32,8 @@ def gait(walker, slope, label, **overrides):
 
 def branches(walker, **overrides):
     """The atlas's branches, and the walker's problem."""
-    from tasks.gait.atlas import from_arrays
-    from tasks.gait.fixed_point import Problem
+    from tasks.continuation.atlas import from_arrays
+    from tasks.step.problem import Problem
 
     found = _atlas(walker, tuple(sorted(overrides.items())))
     return Problem(resolve(walker, overrides)), from_arrays(found)

@@ -4,6 +4,7 @@ Every link is a free rigid body (x, y, angle). Pins, locked knees and the rollin
 constraints, and accelerations, ground forces and impacts all come from one
 Karush-Kuhn-Tucker system. No lumped constants and no equations of motion are written out.
 """
+
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -26,8 +27,8 @@ class Step:
     Impulses and forces are those of the ground on the walker, (down the slope, normal).
     """
 
-    theta: float                          # stance angle after the closing heelstrike
-    rates: np.ndarray                     # stance, thigh and shank rates after it
+    theta: float  # stance angle after the closing heelstrike
+    rates: np.ndarray  # stance, thigh and shank rates after it
     period: float
     kneestrike_time: float | None
     before_kneestrike: np.ndarray | None
@@ -35,11 +36,11 @@ class Step:
     before_heelstrike: np.ndarray
     impulse_kneestrike: np.ndarray | None
     impulse_heelstrike: np.ndarray
-    loss_kneestrike: float                # differences of kinetic energy, nothing else
+    loss_kneestrike: float  # differences of kinetic energy, nothing else
     loss_heelstrike: float
-    time: np.ndarray = None               # samples over the step, shape (n,)
-    states: np.ndarray = None             # shape (n, 6)
-    force: np.ndarray = None              # shape (n, 2)
+    time: np.ndarray = None  # samples over the step, shape (n,)
+    states: np.ndarray = None  # shape (n, 6)
+    force: np.ndarray = None  # shape (n, 2)
 
 
 def _along(angle):
@@ -66,6 +67,7 @@ class Stepper:
 
     def integrate(self, state, slope, locked, guard: Callable, direction, start, rtol, atol):
         """Integrate to the next crossing of `guard`, polishing away the interpolant's error."""
+
         def rhs(_, y):
             return np.concatenate([y[3:], self.accelerations(y, slope, locked)])
 
@@ -74,10 +76,18 @@ class Stepper:
 
         def fallen(_, y):
             return abs(y[0]) - np.pi / 2
+
         event.terminal, event.direction, fallen.terminal = True, direction, True
         options = {"method": "DOP853", "rtol": rtol, "atol": atol}
-        run = solve_ivp(rhs, (start, start + 20 * self.time_unit), state, events=(event, fallen),
-                        max_step=self.longest_step * self.time_unit, dense_output=True, **options)
+        run = solve_ivp(
+            rhs,
+            (start, start + 20 * self.time_unit),
+            state,
+            events=(event, fallen),
+            max_step=self.longest_step * self.time_unit,
+            dense_output=True,
+            **options,
+        )
         if not run.t_events[0].size:
             raise StepFailed(f"No crossing before t = {run.t[-1]:.3g}.")
         time, end = run.t[-1], run.y[:, -1]
@@ -120,8 +130,7 @@ class Stepper:
         def advance(guard, direction, locked):
             nonlocal state, time
             start = time
-            time, state, sol = self.integrate(state, slope, locked, guard, direction, start, rtol,
-                                              atol)
+            time, state, sol = self.integrate(state, slope, locked, guard, direction, start, rtol, atol)
             pieces.append((start, time, locked, sol))
 
         def flexion(y):
@@ -147,22 +156,33 @@ class Stepper:
             advance(lambda y: y[0] + y[1], 1, True)
             advance(lambda y: y[0] + y[1], -1, True)
         after, impulse, loss = self.heelstrike(state)
-        return Step(after[0], after[3:], time, *knee[:3], state, knee[3], impulse, knee[4], loss,
-                    *self._sample(pieces, slope, samples))
+        return Step(
+            after[0],
+            after[3:],
+            time,
+            *knee[:3],
+            state,
+            knee[3],
+            impulse,
+            knee[4],
+            loss,
+            *self._sample(pieces, slope, samples),
+        )
 
     def _sample(self, pieces, slope, samples):
         if not samples:
             return None, None, None
         grids = [np.linspace(a, b, samples) for a, b, _, _ in pieces]
         states = [sol(grid).T for grid, (_, _, _, sol) in zip(grids, pieces, strict=False)]
-        force = [self.ground_force(y, slope, piece[2]) for rows, piece in zip(states, pieces, strict=False)
-                 for y in rows]
+        force = [
+            self.ground_force(y, slope, piece[2]) for rows, piece in zip(states, pieces, strict=False) for y in rows
+        ]
         return np.concatenate(grids), np.concatenate(states), np.array(force)
 
     def map(self, x, slope, **options):
         """Stride map on ``x = [theta, stance, thigh (, shank) rate]``."""
         step = self.step(x[0], x[1:], slope, **options)
-        return np.array([step.theta, *step.rates])[:len(x)]
+        return np.array([step.theta, *step.rates])[: len(x)]
 
     def jacobian(self, x, slope, h=1e-4, **options):
         """Jacobian of the stride map by fourth-order central differences, relative step `h`."""
@@ -224,12 +244,12 @@ class Oracle(Stepper):
 
         def point(body, link, offset):  # Jacobian of a point of a link, and its centripetal part
             arm, jac = _turn(angles[link], offset), np.zeros((2, COORDINATES))
-            jac[:, body:body + 2] = np.eye(2)
+            jac[:, body : body + 2] = np.eye(2)
             jac[:, body + 2] = -arm[1], arm[0]
             return jac, rates[link] ** 2 * arm
 
         hip = np.zeros((2, COORDINATES))
-        hip[:, HIP:HIP + 2] = np.eye(2)
+        hip[:, HIP : HIP + 2] = np.eye(2)
         for leg in (0, 1):
             top, a = point(THIGH[leg], 2 * leg, self.hip_on_thigh)
             low, b = point(THIGH[leg], 2 * leg, self.knee_on_thigh)
@@ -278,13 +298,12 @@ class Oracle(Stepper):
     def _gravity(self, slope):
         pull = np.zeros(COORDINATES)
         for body in (HIP, *THIGH, *SHANK):
-            pull[body:body + 2] = self.g * np.sin(slope), -self.g * np.cos(slope)
+            pull[body : body + 2] = self.g * np.sin(slope), -self.g * np.cos(slope)
         return self.mass * pull
 
     def motion(self, state, slope, locked):
         """Accelerations (14,) and constraint forces; the ground force is entries 8 and 9."""
-        jac, bias = self._constraints(self._links(state[:3]), self._links(state[3:]), 0,
-                                      (0, 1) if locked else (0,))
+        jac, bias = self._constraints(self._links(state[:3]), self._links(state[3:]), 0, (0, 1) if locked else (0,))
         return self._solve(jac, self._gravity(slope), bias)
 
     def accelerations(self, state, slope, locked):
@@ -305,7 +324,7 @@ class Oracle(Stepper):
         before = self.velocities(state)
         jac, _ = self._constraints(self._links(state[:3]), np.zeros(4), contact, locked)
         after, impulse = self._solve(jac, self.mass * before, np.zeros(len(jac)))
-        loss = 0.5 * self.mass @ before ** 2 - 0.5 * self.mass @ after ** 2
+        loss = 0.5 * self.mass @ before**2 - 0.5 * self.mass @ after**2
         return after, impulse[8:10], loss
 
     def kneestrike(self, state):
@@ -332,7 +351,7 @@ class SimplestWalker(Stepper):
         """Accelerations from the published pair of equations (1998, eq. 1 and 2)."""
         theta, phi, rate = state[0], state[0] - state[1], state[3]
         stance = np.sin(theta - slope)
-        inter = stance + rate ** 2 * np.sin(phi) - np.cos(theta - slope) * np.sin(phi)
+        inter = stance + rate**2 * np.sin(phi) - np.cos(theta - slope) * np.sin(phi)
         return np.array([stance, stance - inter, stance - inter])
 
     def ground_force(self, state, slope, locked):
@@ -351,6 +370,5 @@ class SimplestWalker(Stepper):
         stance = np.cos(2 * theta) * rate
         thigh = stance - stance * 2 * np.sin(theta) ** 2
         loss = 0.5 * (rate * np.sin(2 * theta)) ** 2
-        impulse = (stance * np.array([-np.cos(theta), np.sin(theta)])
-                   - rate * np.array([-np.cos(theta), -np.sin(theta)]))
+        impulse = stance * np.array([-np.cos(theta), np.sin(theta)]) - rate * np.array([-np.cos(theta), -np.sin(theta)])
         return np.array([-theta, theta, theta, stance, thigh, thigh]), impulse, loss

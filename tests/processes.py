@@ -72,10 +72,12 @@ def damaged(data, dice):
             data[dice.randrange(min(n, 1200) if kind == "head" else n)] = dice.randrange(256)
     elif kind == "page":
         here, there = (4096 * dice.randrange(max(1, n // 4096)) for _ in range(2))
-        data[here:here + 4096] = data[there:there + 4096]
+        data[here : here + 4096] = data[there : there + 4096]
     elif kind == "cut":
         del data[place:]
     else:
         size = min(size, n - place)
-        data[place:place + size] = {"noise": dice.randbytes, "zeros": bytes, "ones": lambda m: b"\xff" * m}[kind](size)
+        data[place : place + size] = {"noise": dice.randbytes, "zeros": bytes, "ones": lambda m: b"\xff" * m}[kind](
+            size
+        )
     return bytes(data)

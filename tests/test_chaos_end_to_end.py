@@ -35,9 +35,10 @@ strides = 60
 def archived(folder, text, *options):
     folder.mkdir()
     (folder / "s.toml").write_text(text)
-    command = [sys.executable, "-W", "ignore", "-m", "pipeline.cli", "run", "s.toml", "--quiet", *options]
-    done = subprocess.run(command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True,
-                          text=True, timeout=300)
+    command = [sys.executable, "-W", "ignore", "-m", "pipeline.cli.commands", "run", "s.toml", "--quiet", *options]
+    done = subprocess.run(
+        command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
     (found,) = (folder / "data" / "archive").glob("*.nc")
     return re.sub(rb'"commit": "[0-9a-f]{40}"', b'"commit": ""', found.read_bytes())

@@ -9,8 +9,9 @@ import tomllib
 import pytest
 
 from conftest import ROOT
-from pipeline import cli, study
-from pipeline.paper import PAPER
+from pipeline.archive.citation import PAPER
+from pipeline.cli import commands
+from pipeline.study import parse
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 
@@ -36,17 +37,17 @@ def test_the_paper_is_cited_alike_everywhere():
 
 
 def test_every_command_and_option_exists():
-    subparsers = cli.parser()._subparsers._group_actions[0].choices
-    commands = {name: command.format_help() for name, command in subparsers.items()}
+    subparsers = commands.parser()._subparsers._group_actions[0].choices
+    helps = {name: command.format_help() for name, command in subparsers.items()}
     seen = 0
     for page in PAGES:
         inline = re.findall(r"(?<!`)`(gaitsweep [^`]+)`", page.read_text(encoding="utf-8"))
         fenced = re.findall(r"^(?:\$ )?(gaitsweep .*)$", "".join(blocks(page.relative_to(ROOT), "")), re.M)
         for line in inline + fenced:
             words = line.split("#")[0].split()
-            assert words[1].rstrip(",.;") in commands, line
+            assert words[1].rstrip(",.;") in helps, line
             for option in (w.partition("=")[0] for w in words if w.startswith("--")):
-                assert option in commands[words[1]], line
+                assert option in helps[words[1]], line
             seen += 1
     assert seen > 15
 
@@ -55,16 +56,16 @@ def test_the_studies_shown_can_be_run(tmp_path):
     (walker, sweep) = blocks("docs/your-own-walker.md", "toml")
     (tmp_path / "mine.toml").write_text(walker)
     (tmp_path / "mine-study.toml").write_text(sweep)
-    mine = study.read(tmp_path / "mine-study.toml")
+    mine = parse.read(tmp_path / "mine-study.toml")
     assert mine.checks[0]["kneed"] and mine.checks[0]["si"] and mine.points == 900
     (readme,) = blocks("README.md", "toml")
-    assert study.parse(tomllib.loads(readme), readme, tmp_path / "s.toml").points == 400
+    assert parse.parse(tomllib.loads(readme), readme, tmp_path / "s.toml").points == 400
 
 
 def test_the_readme_shows_what_the_command_prints(capsys):
     (shell,) = [b for b in blocks("README.md", "") if "$ gaitsweep solve" in b]
-    command, *shown = shell[shell.index("$ gaitsweep solve"):].splitlines()
-    assert cli.main(command.split()[2:]) == 0
+    command, *shown = shell[shell.index("$ gaitsweep solve") :].splitlines()
+    assert commands.main(command.split()[2:]) == 0
     printed = capsys.readouterr().out.splitlines()
     for line in shown:
         if line.strip() == "...":

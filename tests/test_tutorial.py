@@ -8,9 +8,14 @@ from conftest import ROOT
 
 
 def test_the_tutorial_runs_as_a_newcomer_runs_it(tmp_path):
-    done = subprocess.run([sys.executable, "-W", "error", str(ROOT / "docs" / "tutorial.py")], cwd=tmp_path, text=True,
-                          capture_output=True, timeout=240,
-                          env={**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"})
+    done = subprocess.run(
+        [sys.executable, "-W", "error", str(ROOT / "docs" / "tutorial.py")],
+        cwd=tmp_path,
+        text=True,
+        capture_output=True,
+        timeout=240,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"},
+    )
     assert done.returncode == 0, done.stderr
     # The laws of section 6.2: long steps as the cube root of the slope, short ones as the slope.
     laws = [line.split() for line in done.stdout.splitlines() if " small " in line]

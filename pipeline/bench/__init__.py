@@ -25,13 +25,13 @@ def main(quick: bool, out: Path, families: tuple[str, ...] | None = None, grid: 
     grid : int
         Slopes of the grids instead of the usual.
     """
-    from pipeline.bench import page, record, run
+    from pipeline.bench import bench_page, record, run
 
     try:
         out.mkdir(parents=True, exist_ok=True)
         found = run.measured(quick, families or (QUICK if quick else tuple(FAMILIES)), grid, _say)
         record.write(found, out / "bench.nc")
-        page.write(found, out / "bench.html")
+        bench_page.write(found, out / "bench.html")
     except OSError as error:
         raise unwritten(out, error) from error
     print(out / "bench.html")

@@ -7,15 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.bench.extended import converted
+from pipeline.bench.extended_reference import converted
 from pipeline.bench.stress import random_walker
-from tasks import solve
-from tasks.gait import atlas as atlases
-from tasks.gait import extended
-from tasks.gait.fixed_point import Problem, arrival
-from tasks.gait.settle import UNKNOWN, settle
+from tasks import solve_points
+from tasks.continuation import atlas as atlases
+from tasks.fixed_points.polish import UNKNOWN, settle
+from tasks.fixed_points.rounding import arrival
+from tasks.step import extended_precision
+from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.parameters import Walker
+from tasks.walkers.walker import Walker
 
 #: Below this slope a double's residual is too coarse for most gaits, and the references are dear.
 SMALL = 1e-7
@@ -49,16 +50,29 @@ class Bounds:
         for name in [*dict.fromkeys(self.walker), "all"]:
             of = np.ones(len(names), bool) if name == "all" else names == name
             ratio = self.bound[of] / np.maximum(self.error[of], 1e-18)
-            found.append({"walker": name, "gaits": float(of.sum()), "violations": float((ratio < 1).sum()),
-                          "median error": float(np.median(self.error[of])), "greatest error": float(self.error[of].max()),
-                          "median bound": float(np.median(self.bound[of])), "greatest bound": float(self.bound[of].max()),
-                          "median bound/error": float(np.median(ratio)), "least bound/error": float(ratio.min()),
-                          "greatest error/(4e-16 condition)": float((self.error[of] / (4e-16 * self.condition[of])).max())})
+            found.append(
+                {
+                    "walker": name,
+                    "gaits": float(of.sum()),
+                    "violations": float((ratio < 1).sum()),
+                    "median error": float(np.median(self.error[of])),
+                    "greatest error": float(self.error[of].max()),
+                    "median bound": float(np.median(self.bound[of])),
+                    "greatest bound": float(self.bound[of].max()),
+                    "median bound/error": float(np.median(ratio)),
+                    "least bound/error": float(ratio.min()),
+                    "greatest error/(4e-16 condition)": float((self.error[of] / (4e-16 * self.condition[of])).max()),
+                }
+            )
         return found
 
 
-def bounds(each: int, seed: int = 3, walkers: Sequence[tuple[str, Walker]] | None = None,
-           say: Callable[[str], None] | None = None) -> Bounds:
+def bounds(
+    each: int,
+    seed: int = 3,
+    walkers: Sequence[tuple[str, Walker]] | None = None,
+    say: Callable[[str], None] | None = None,
+) -> Bounds:
     """Bounds and errors of gaits at `each` random slopes of every walker.
 
     Notes
@@ -75,8 +89,14 @@ def bounds(each: int, seed: int = 3, walkers: Sequence[tuple[str, Walker]] | Non
     for name, walker in walkers:
         problem = Problem(walker)
         small = int(np.ceil(SHARE * each))
-        slope = np.exp(np.concatenate([random.uniform(np.log(SMALL), np.log(MOST), each - small),
-                                       random.uniform(np.log(LEAST), np.log(SMALL), small)]))
+        slope = np.exp(
+            np.concatenate(
+                [
+                    random.uniform(np.log(SMALL), np.log(MOST), each - small),
+                    random.uniform(np.log(LEAST), np.log(SMALL), small),
+                ]
+            )
+        )
         for branch in atlases.survey(problem):
             for index, Z, segment in branch.guesses(np.log(slope)):
                 lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
@@ -89,27 +109,36 @@ def bounds(each: int, seed: int = 3, walkers: Sequence[tuple[str, Walker]] | Non
     return Bounds([row[0] for row in rows], *columns)
 
 
-def compared(problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray,
-             passes: np.ndarray) -> list[tuple[float, float, float, float, int]]:
+def compared(
+    problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray, passes: np.ndarray
+) -> list[tuple[float, float, float, float, int]]:
     """Slope [rad], bound, error, condition number and tier of each gait that converges; arguments as `settle`'s."""
-    product = solve.solve(problem, Z, slope, lipschitz, noise, WANT, passes)
+    product = solve_points.solve(problem, Z, slope, lipschitz, noise, WANT, passes)
     at = settle(problem, Z, slope, lipschitz, noise, passes)
     second, rows = _second(problem.walker), []
     there = arrival(problem, at.stride, problem.parameters(slope, at.scale))
     condition = np.maximum(1.0, (there.reach / there.size).max(axis=0) - 1.0)
     for lane in map(int, np.flatnonzero(product["status"] == 0)):
         doubles = at.doubles[lane]
-        tier = 0 if doubles <= extended.ESCALATE else 1 if doubles < extended.ESCALATE_AGAIN else 2
-        exact = extended.solved(problem, int(lane), at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane],
-                                min(tier, 1))
+        tier = 0 if doubles <= extended_precision.ESCALATE else 1 if doubles < extended_precision.ESCALATE_AGAIN else 2
+        exact = extended_precision.solved(
+            problem, int(lane), at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane], min(tier, 1)
+        )
         state, half = converted(exact.state, np.longdouble) * at.scale[lane], len(exact.state) // 2
         period = converted(exact.times[-1:], np.longdouble) * second
         rates = state[half:] / second
-        true = {"stance_angle": state[0], "stance_rate": rates[0], "thigh_rate": rates[1], "shank_rate": rates[-1],
-                "period": period[0]}
+        true = {
+            "stance_angle": state[0],
+            "stance_rate": rates[0],
+            "thigh_rate": rates[1],
+            "shank_rate": rates[-1],
+            "period": period[0],
+        }
         fastest = max(abs(rate) for rate in rates)
-        error = max(abs(float((np.longdouble(product[k][lane]) - x) / (fastest if k.endswith("rate") else x)))
-                    for k, x in true.items())
+        error = max(
+            abs(float((np.longdouble(product[k][lane]) - x) / (fastest if k.endswith("rate") else x)))
+            for k, x in true.items()
+        )
         rows.append((float(slope[lane]), float(product["error_bound"][lane]), error, float(condition[lane]), tier))
     return rows
 

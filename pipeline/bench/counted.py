@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -10,17 +9,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.bench import problems
-from tasks import solve
-from tasks.gait import extended, settle
-from tasks.gait.stride import StrideMap
+from tasks import solve_points
+from tasks.fixed_points import polish
 from tasks.measures import violations
-from tasks.mechanics.kernel import Flow
+from tasks.mechanics.kernel import FLOWS, Flow
 from tasks.registry import ALWAYS, GAITS, VARIABLES
-
-
-def flows() -> list[Flow]:
-    """Every compiled flow of this process."""
-    return [x for x in gc.get_objects() if type(x) is Flow]
+from tasks.step import extended_precision
+from tasks.step.step_map import StrideMap
 
 
 class Clock:
@@ -41,6 +36,7 @@ class Clock:
                     return kept(*args, **kwargs)
                 finally:
                     self.seconds += time.perf_counter() - start
+
             setattr(owner, name, timed)
         return self
 
@@ -55,7 +51,8 @@ STUDIES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
     ("all but violations", problems.GRID_WANT, GAITS),
     ("angle and multipliers", ("stance_angle", "multiplier_real", "multiplier_imag"), GAITS),
     ("angle", ("stance_angle",), GAITS),
-    ("angle of the long gait", ("stance_angle",), ("long",)))
+    ("angle of the long gait", ("stance_angle",), ("long",)),
+)
 
 
 class Calls:
@@ -73,6 +70,7 @@ class Calls:
             def counting(*args: Any, kept: Any = kept, name: str = name, size: Any = size, **kwargs: Any) -> Any:
                 self.lanes[name] += size(*args)
                 return kept(*args, **kwargs)
+
             setattr(owner, name, counting)
         return self
 
@@ -81,8 +79,9 @@ class Calls:
             setattr(owner, name, original)
 
 
-def work(name: str, atlas: dict[str, np.ndarray], slopes: np.ndarray, want: Sequence[str],
-         gaits: Sequence[str] = GAITS) -> dict[str, float]:
+def work(
+    name: str, atlas: dict[str, np.ndarray], slopes: np.ndarray, want: Sequence[str], gaits: Sequence[str] = GAITS
+) -> dict[str, float]:
     """What the points of one line cost, counted.
 
     Returns
@@ -93,22 +92,28 @@ def work(name: str, atlas: dict[str, np.ndarray], slopes: np.ndarray, want: Sequ
         groups; `bytes` of what is wanted.
     """
     params = {"line": {"walker": name, "set": {}}, "slope": slopes, "want": want, "gaits": gaits}
-    solve.points({**params, "slope": slopes[:1]}, [atlas])
-    for flow in flows():
+    solve_points.points({**params, "slope": slopes[:1]}, [atlas])
+    for flow in FLOWS.values():
         flow.evaluations = flow.idle = 0
-    with Calls((settle, "judged", lambda problem, w, q: w.shape[1]),
-               (solve, "multipliers", lambda jacobian, width: jacobian.shape[2]),
-               (violations, "measure", lambda walker, motion, impact, times, slope, limit: len(slope)),
-               (extended, "refine", lambda *args: 1)) as calls:
-        found = solve.points(params, [atlas])
-    flown = [flow for flow in flows() if flow.evaluations]
+    with Calls(
+        (polish, "judged", lambda problem, w, q: w.shape[1]),
+        (solve_points, "multipliers", lambda jacobian, width: jacobian.shape[2]),
+        (violations, "measure", lambda walker, motion, impact, times, slope, limit: len(slope)),
+        (extended_precision, "refine", lambda *args: 1),
+    ) as calls:
+        found = solve_points.points(params, [atlas])
+    flown = [flow for flow in FLOWS.values() if flow.evaluations]
     kept = [v for v in VARIABLES if v in want or v in ALWAYS]
-    return {"gaits": float((found["status"] == 0).sum()),
-            "strides": float(sum(flow.evaluations for flow in flown if flow.angles == 4)),
-            "event checks": float(calls.lanes["judged"]), "eigenvalue problems": float(calls.lanes["multipliers"]),
-            "strides for violations": float(calls.lanes["measure"]), "more digits": float(calls.lanes["refine"]),
-            "idle lanes": float(sum(flow.idle for flow in flown)),
-            "bytes": float(sum(found[v].nbytes for v in kept))}
+    return {
+        "gaits": float((found["status"] == 0).sum()),
+        "strides": float(sum(flow.evaluations for flow in flown if flow.angles == 4)),
+        "event checks": float(calls.lanes["judged"]),
+        "eigenvalue problems": float(calls.lanes["multipliers"]),
+        "strides for violations": float(calls.lanes["measure"]),
+        "more digits": float(calls.lanes["refine"]),
+        "idle lanes": float(sum(flow.idle for flow in flown)),
+        "bytes": float(sum(found[v].nbytes for v in kept)),
+    }
 
 
 def less_and_less(f: problems.Family, n: int) -> list[dict[str, float | str]]:
@@ -121,21 +126,26 @@ def line(f: problems.Family, n: int) -> dict[str, float]:
     """Strides a gait (each is one Newton step) and the compiled share of the wall time, on one line of n slopes."""
     slopes = np.geomspace(1e-3, f.slope * 3, n)
     params = {"line": {"walker": f.name, "set": {}}, "slope": slopes, "want": problems.GRID_WANT, "gaits": GAITS}
-    solve.points(params, [f.atlas])
-    for flow in flows():
+    solve_points.points(params, [f.atlas])
+    for flow in FLOWS.values():
         flow.evaluations = 0
     with Clock((Flow, "_advance"), (StrideMap, "_apply")) as clock:
         start = time.perf_counter()
-        found = solve.points(params, [f.atlas])
+        found = solve_points.points(params, [f.atlas])
         wall = time.perf_counter() - start
     gaits = int((found["status"] == 0).sum())
     # Every stride ends with the locked flow: it counts strides, whatever the walker.
-    strides = sum(flow.evaluations for flow in flows() if flow.angles == 4)
-    flown = sum(flow.evaluations for flow in flows())
-    return {"grid points": n, "gaits": gaits, "microseconds a grid point": 1e6 * wall / n,
-            "microseconds a gait": 1e6 * wall / max(gaits, 1), "strides a gait": strides / max(gaits, 1),
-            "flights a gait": flown / max(gaits, 1),
-            "share in compiled code": clock.seconds / wall}
+    strides = sum(flow.evaluations for flow in FLOWS.values() if flow.angles == 4)
+    flown = sum(flow.evaluations for flow in FLOWS.values())
+    return {
+        "grid points": n,
+        "gaits": gaits,
+        "microseconds a grid point": 1e6 * wall / n,
+        "microseconds a gait": 1e6 * wall / max(gaits, 1),
+        "strides a gait": strides / max(gaits, 1),
+        "flights a gait": flown / max(gaits, 1),
+        "share in compiled code": clock.seconds / wall,
+    }
 
 
 def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str, float | str]]:
@@ -149,7 +159,7 @@ def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str
     q = np.log(f.slopes)
     f.problem.stride(f.w, q)
     kept = []
-    for flow in flows():
+    for flow in FLOWS.values():
         before = flow.evaluations
         flow.evaluations = 0
         kept.append((flow, before))
@@ -171,12 +181,20 @@ def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str
             for _ in range(steps):
                 ta.step(tiny)
             best = min(best, (time.perf_counter() - start) / steps)
-        found.append({
-            "flow": "free knee" if flow.angles == 6 else "locked", "states": flow.size,
-            "u-variables": float(len(ta.decomposition)), "products": float(nonlinear),
-            "sines and cosines": float(trigonometric), "order": float(order),
-            "kilobytes of coefficients": len(ta.decomposition) * (order + 1) * lanes * 8 / 1024,
-            "microseconds a step": 1e6 * best, "GFlop/s": flops / best / 1e9, "share of peak": flops / best / peak})
+        found.append(
+            {
+                "flow": "free knee" if flow.angles == 6 else "locked",
+                "states": flow.size,
+                "u-variables": float(len(ta.decomposition)),
+                "products": float(nonlinear),
+                "sines and cosines": float(trigonometric),
+                "order": float(order),
+                "kilobytes of coefficients": len(ta.decomposition) * (order + 1) * lanes * 8 / 1024,
+                "microseconds a step": 1e6 * best,
+                "GFlop/s": flops / best / 1e9,
+                "share of peak": flops / best / peak,
+            }
+        )
     return found
 
 

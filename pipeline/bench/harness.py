@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.bench.extended import converted
+from pipeline.bench.extended_reference import converted
 
 
 @dataclass

@@ -26,8 +26,12 @@ def described() -> dict[str, str]:
                 break
     except OSError:
         pass
-    found = {"cpu": model, "cores": str(len(os.sched_getaffinity(0))),
-             "lanes of double": str(hy.recommended_simd_size()), "python": platform.python_version()}
+    found = {
+        "cpu": model,
+        "cores": str(len(os.sched_getaffinity(0))),
+        "lanes of double": str(hy.recommended_simd_size()),
+        "python": platform.python_version(),
+    }
     for name in PACKAGES:
         try:
             found[name] = importlib.metadata.version(name)

@@ -17,10 +17,10 @@ import heyoka as hy
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from tasks.gait.fixed_point import Problem
 from tasks.mechanics.equations import Symbols, system
 from tasks.mechanics.impacts import heelstrike, kneestrike
 from tasks.mechanics.lumped import lump
+from tasks.step.problem import Problem
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
 #: Time from the start of a phase before which its guard does not count [sqrt(leg/g)].
@@ -28,8 +28,22 @@ EARLY = 0.1
 #: Time after which a flight counts as lost.
 LONGEST = 8.0
 #: Order of the constants the right-hand sides read.
-CONSTANTS = ("R", "l", "eps", "C_aa", "S_a_re", "S_a_im", "S_b_re", "S_b_im", "C_bb", "S_c_re", "S_c_im", "C_cc",
-             "H_re", "H_im")
+CONSTANTS = (
+    "R",
+    "l",
+    "eps",
+    "C_aa",
+    "S_a_re",
+    "S_a_im",
+    "S_b_re",
+    "S_b_im",
+    "C_bb",
+    "S_c_re",
+    "S_c_im",
+    "C_cc",
+    "H_re",
+    "H_im",
+)
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -51,8 +65,12 @@ def _two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
     couple = R * (c[7] * sb + c[8] * cb) + l * (c[8] * cf + c[7] * sf)
     turn = l * (c[8] * sf - c[7] * cf)
     top = c[4] + 2 * R * (c[5] * sa + c[6] * ca)
-    f0 = (-R * (c[5] * ca - c[6] * sa) * u * u - R * math.sin(slope) - (c[5] * da - c[6] * ta)
-          - eps * (R * (c[7] * cb - c[8] * sb) - turn) * v * v)
+    f0 = (
+        -R * (c[5] * ca - c[6] * sa) * u * u
+        - R * math.sin(slope)
+        - (c[5] * da - c[6] * ta)
+        - eps * (R * (c[7] * cb - c[8] * sb) - turn) * v * v
+    )
     f1 = -turn * u * u - (c[7] * db - c[8] * tb)
     first = (f0 - eps * couple * f1 / c[9]) / (top - eps * couple * couple / c[9])
     out[0], out[1], out[2], out[3] = u, v, first, (f1 - couple * first) / c[9]
@@ -64,8 +82,11 @@ def _three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
     a, u = x[0], x[3]
     sa, ca = math.sin(a), math.cos(a)
     top = c[4] + 2 * R * (c[5] * sa + c[6] * ca)
-    f0 = (-R * (c[5] * ca - c[6] * sa) * u * u - R * math.sin(slope)
-          - (c[5] * math.cos(a - slope) - c[6] * math.sin(a - slope)))
+    f0 = (
+        -R * (c[5] * ca - c[6] * sa) * u * u
+        - R * math.sin(slope)
+        - (c[5] * math.cos(a - slope) - c[6] * math.sin(a - slope))
+    )
     re, im, b, v = c[7], c[8], x[1], x[4]
     sf, cf = math.sin(b - a), math.cos(b - a)
     k1 = R * (re * math.sin(b) + im * math.cos(b)) + l * (im * cf + re * sf)
@@ -170,8 +191,9 @@ class Peer:
 def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
     """A flight to its event with one of scipy's methods."""
 
-    def fly(rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int,
-            tolerance: float) -> tuple[float, np.ndarray]:
+    def fly(
+        rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int, tolerance: float
+    ) -> tuple[float, np.ndarray]:
         def field(_: float, x: np.ndarray) -> np.ndarray:
             out = np.empty_like(x)
             rhs(x, constants, out)
@@ -186,8 +208,15 @@ def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
         if not np.isfinite(state).all():
             return math.nan, state
         guard.terminal, guard.direction = True, -1  # type: ignore[attr-defined]
-        found = solve_ivp(field, (0.0, LONGEST), state, method=method, rtol=max(tolerance, 2.3e-14),
-                          atol=tolerance * abs(state[0]), events=guard)
+        found = solve_ivp(
+            field,
+            (0.0, LONGEST),
+            state,
+            method=method,
+            rtol=max(tolerance, 2.3e-14),
+            atol=tolerance * abs(state[0]),
+            events=guard,
+        )
         if not len(found.t_events[0]):
             return math.nan, np.full_like(state, math.nan)
         return float(found.t_events[0][0]), found.y_events[0][0]
@@ -212,8 +241,9 @@ class Scalar:
             self._built[kind, tolerance] = flow, flown.parameters()
         return self._built[kind, tolerance]
 
-    def __call__(self, rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int,
-                 tolerance: float) -> tuple[float, np.ndarray]:
+    def __call__(
+        self, rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int, tolerance: float
+    ) -> tuple[float, np.ndarray]:
         """A flight to its event; the walker's constants are the structure's, the right-hand side its own."""
         if not np.isfinite(state).all():
             return math.nan, state

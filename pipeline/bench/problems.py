@@ -9,24 +9,31 @@ import heyoka as hy
 import numpy as np
 
 from pipeline.bench import peers
-from pipeline.bench.extended import Precise, best_kind
+from pipeline.bench.extended_reference import Precise, best_kind
 from pipeline.bench.harness import Case, largest_error
-from tasks import solve
-from tasks.gait import atlas as atlases
-from tasks.gait.fixed_point import Problem, newton
-from tasks.gait.stability import multipliers
+from tasks import solve_points
+from tasks.continuation import atlas as atlases
+from tasks.fixed_points.multipliers import multipliers
+from tasks.fixed_points.newton import newton
 from tasks.mechanics.equations import system
+from tasks.mechanics.kernel import FLOWS
 from tasks.registry import GAITS, VARIABLES
-from tasks.walkers.parameters import resolve
+from tasks.step.problem import Problem
+from tasks.walkers.resolve import resolve
 
 #: Lanes the product's methods carry at a time; times are for one.
 LANES = 64
 EPS = float(np.finfo(float).eps)
 #: Tolerances of work-precision curves.
 OURS = (EPS, 1e-13, 1e-10, 1e-7, 1e-4)
-THEIRS = {"scipy DOP853": (1e-13, 1e-10, 1e-7, 1e-4), "scipy RK45": (1e-11, 1e-8, 1e-5),
-          "scipy LSODA": (1e-12, 1e-9, 1e-6), "scipy Radau": (1e-9, 1e-6, 1e-4),
-          "numba DOP853": (1e-14, 1e-11, 1e-8, 1e-5), "heyoka scalar": (EPS, 1e-11, 1e-7)}
+THEIRS = {
+    "scipy DOP853": (1e-13, 1e-10, 1e-7, 1e-4),
+    "scipy RK45": (1e-11, 1e-8, 1e-5),
+    "scipy LSODA": (1e-12, 1e-9, 1e-6),
+    "scipy Radau": (1e-9, 1e-6, 1e-4),
+    "numba DOP853": (1e-14, 1e-11, 1e-8, 1e-5),
+    "heyoka scalar": (EPS, 1e-11, 1e-7),
+}
 #: Peers that also solve fixed points, a line of slopes, and walk along a branch.
 SOLVERS = ("scipy DOP853", "numba DOP853", "heyoka scalar")
 GRID_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
@@ -63,7 +70,7 @@ class Family:
     def y(self) -> np.ndarray:
         """Scaled section coordinates of every lane, shape (m, LANES)."""
         angle = np.exp(self.w[0])
-        return np.vstack([angle, angle * self.w[1:self.problem.m]]) / self.scale
+        return np.vstack([angle, angle * self.w[1 : self.problem.m]]) / self.scale
 
 
 def family(name: str, slope: float) -> Family:
@@ -83,12 +90,14 @@ def family(name: str, slope: float) -> Family:
     raise ValueError(f"`slope` must have a gait of {name} all around it; got {slope}.")
 
 
-def _precise(name: str, slope: float, problem: Problem, arrays: dict[str, np.ndarray], w: np.ndarray,
-             slopes: np.ndarray) -> Family:
+def _precise(
+    name: str, slope: float, problem: Problem, arrays: dict[str, np.ndarray], w: np.ndarray, slopes: np.ndarray
+) -> Family:
     kind, wide = best_kind()
     precise = Precise(problem.structure, wide)
-    found = Family(name, slope, problem, arrays, w, slopes, kind, precise, peers.Algebra(problem), {}, np.zeros(0),
-                   {kind: precise})
+    found = Family(
+        name, slope, problem, arrays, w, slopes, kind, precise, peers.Algebra(problem), {}, np.zeros(0), {kind: precise}
+    )
     y, times, parameters = _lane(found, precise)
     found.exact = precise.settled_stride(y, times, parameters)
     found.exact_y, _ = precise.fixed_point(y, times, parameters)
@@ -98,7 +107,7 @@ def _precise(name: str, slope: float, problem: Problem, arrays: dict[str, np.nda
 def _lane(f: Family, precise: Precise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The first lane's section, event times and parameters in the wider type."""
     parameters = f.problem.parameters(f.slopes[:1], f.scale[:1])[:, 0]
-    times = f.exact["times"] if f.exact else f.w[f.problem.m:, 0]
+    times = f.exact["times"] if f.exact else f.w[f.problem.m :, 0]
     return precise.array(f.y[:, 0]), precise.array(times), precise.array(parameters)
 
 
@@ -114,7 +123,9 @@ class Lanes:
 
         def built(free: bool) -> Any:
             flown = system(structure, free, 0, False)
-            flow = hy.taylor_adaptive_batch(flown.equations, np.zeros((len(flown.equations), self.width)), tol=tolerance)
+            flow = hy.taylor_adaptive_batch(
+                flown.equations, np.zeros((len(flown.equations), self.width)), tol=tolerance
+            )
             return flow, flown.parameters()(np.ascontiguousarray(self.parameters))
 
         self.locked = built(False)
@@ -184,8 +195,10 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
     q, m = np.log(f.slopes), f.problem.m
     cases = []
     for setting, rough in ((EPS, False), (1e-7, True)):
+
         def ours(rough: bool = rough) -> np.ndarray:
             return f.problem.stride(f.w, q, rough=rough)[0].jacobian
+
         case = Case(f.name, "jacobian", "ours, exact", setting, ours, LANES)
         case.error = largest_error(ours()[..., 0], exact)
         cases.append(case)
@@ -195,6 +208,7 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
 
         def widened(precise: Precise = precise, lane: Any = lane) -> np.ndarray:
             return precise.stride(*lane)["jacobian"]
+
         rounding = 2.0**-113 if kind == "real128" else float(np.finfo(np.longdouble).eps)
         case = Case(f.name, "jacobian", f"{kind}, exact", rounding, widened)
         # The reference has no error to show beside itself.
@@ -206,8 +220,7 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
             continue
         for tolerance in _tolerances(name, quick, newton=True):
             peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
-            case = Case(f.name, "jacobian", f"{name}, differences", tolerance,
-                        lambda peer=peer: peer.jacobian(y))  # type: ignore[misc]
+            case = Case(f.name, "jacobian", f"{name}, differences", tolerance, lambda peer=peer: peer.jacobian(y))  # type: ignore[misc]
             case.error = largest_error(case.run(), exact)
             cases.append(case)
 
@@ -216,9 +229,11 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
         h = f.y[0, 0] * EPS ** (1 / 3)
         moves = np.concatenate([np.eye(m) * h, -np.eye(m) * h]).T
         n = 2 * m
-        stride = f.problem.map(f.y[:, [0] * n] + moves, f.w[m:, [0] * n],
-                               f.problem.parameters(f.slopes[[0] * n], f.scale[[0] * n]))
+        stride = f.problem.map(
+            f.y[:, [0] * n] + moves, f.w[m:, [0] * n], f.problem.parameters(f.slopes[[0] * n], f.scale[[0] * n])
+        )
         return (stride.image[:, :m] - stride.image[:, m:]) / (2 * h)
+
     case = Case(f.name, "jacobian", "ours, differences", EPS, differences)
     case.error = largest_error(differences(), exact)
     cases.append(case)
@@ -233,11 +248,13 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
     start[1:m] *= 0.999
     cases = []
     for setting, rough in ((EPS, False), (1e-7, True)):
+
         def ours(rough: bool = rough) -> np.ndarray:
             found = newton(f.problem, start, q, rough=rough)
             stride, scale = f.problem.stride(found.w, q, rough=rough)
             multipliers(stride.jacobian, 3)
             return (stride.y + stride.newton) * scale / f.scale
+
         before = _evaluations(f)
         found = ours()
         case = Case(f.name, "fixed point", "ours", setting, ours, LANES, largest_error(found[:, 0], exact))
@@ -248,6 +265,7 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
 
     def polished() -> np.ndarray:
         return wide.fixed_point(*lane, turns=1)[0]
+
     case = Case(f.name, "fixed point", "long double, from double", float(np.finfo(np.longdouble).eps), polished)
     case.error = largest_error(polished(), exact)
     cases.append(case)
@@ -257,17 +275,14 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
             continue
         for tolerance in _tolerances(name, quick, newton=True):
             peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
-            case = Case(f.name, "fixed point", f"{name}, differences", tolerance,
-                        lambda peer=peer: peer.fixed_point(y))  # type: ignore[misc]
+            case = Case(f.name, "fixed point", f"{name}, differences", tolerance, lambda peer=peer: peer.fixed_point(y))  # type: ignore[misc]
             case.error = largest_error(case.run()[:m], exact * f.precise.kind(f.scale[0]))
             cases.append(case)
     return cases
 
 
 def _evaluations(f: Family) -> int:
-    from pipeline.bench.counted import flows
-
-    return sum(flow.evaluations for flow in flows() if flow.angles == 4)
+    return sum(flow.evaluations for flow in FLOWS.values() if flow.angles == 4)
 
 
 def grid(f: Family, n: int) -> list[Case]:
@@ -277,8 +292,9 @@ def grid(f: Family, n: int) -> list[Case]:
     last: dict[str, np.ndarray] = {}
 
     def run() -> np.ndarray:
-        last.update(solve.points({"line": line, "slope": slopes, "want": GRID_WANT, "gaits": GAITS}, [f.atlas]))
+        last.update(solve_points.points({"line": line, "slope": slopes, "want": GRID_WANT, "gaits": GAITS}, [f.atlas]))
         return last["stance_angle"]
+
     case = Case(f.name, "grid", "ours", EPS, run, n)
     angles = run()[0]
     exact = float(abs(f.exact_y[0])) * f.scale[0]
@@ -304,6 +320,7 @@ def _peers_along(f: Family, problem: str, slopes: np.ndarray) -> list[Case]:
                 found.append(solution)
                 y = solution * (slopes[1] / slopes[0]) ** (1 / 3)
             return found[0]
+
         case = Case(f.name, problem, f"{name}, differences", tolerance, run, len(slopes))
         case.error = largest_error(run(), f.exact_y * f.precise.kind(f.scale[0]))
         case.work = 1.0
@@ -313,9 +330,13 @@ def _peers_along(f: Family, problem: str, slopes: np.ndarray) -> list[Case]:
 
 def branches(f: Family) -> list[Case]:
     """Every branch of the walker, with its folds and ends: what one line of a study costs before its points."""
+
     def run() -> np.ndarray:
         return np.array([len(b.Z) for b in atlases.survey(f.problem)], float)
+
     nodes = int(f.atlas["lengths"].sum())
     # A node of the peers costs a fixed point; theirs have no folds, ends or tangents.
-    return [Case(f.name, "branch", "ours, whole", EPS, run, nodes, np.nan, float(nodes)),
-            *_peers_along(f, "branch", f.slope * np.geomspace(1.0, 0.8, 4))]
+    return [
+        Case(f.name, "branch", "ours, whole", EPS, run, nodes, np.nan, float(nodes)),
+        *_peers_along(f, "branch", f.slope * np.geomspace(1.0, 0.8, 4)),
+    ]

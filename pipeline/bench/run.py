@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.bench import FAMILIES, bounds, counted, machine, problems, stress
 from pipeline.bench.harness import Case, interleaved
-from tasks.walkers.parameters import resolve
+from tasks.walkers.resolve import resolve
 
 #: Random lanes, and random slopes a walker, of a full and of a quick run; `make soak` takes a million and more.
 RANDOM_LANES, RANDOM_SLOPES = {False: 20_000, True: 200}, {False: 300, True: 20}

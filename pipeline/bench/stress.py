@@ -9,17 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from tasks import solve
-from tasks.gait.continuation import lipschitz
-from tasks.gait.fixed_point import Lanes, gait_ratio, newton, noise
-from tasks.gait.settle import UNKNOWN, settle
-from tasks.gait.stability import multipliers
+from tasks import solve_points
+from tasks.fixed_points.multipliers import multipliers
+from tasks.fixed_points.newton import lipschitz, newton
+from tasks.fixed_points.polish import UNKNOWN, settle
+from tasks.fixed_points.rounding import noise
+from tasks.fixed_points.step_check import gait_ratio
 from tasks.mechanics.kernel import flow
 from tasks.mechanics.lumped import structure_of
 from tasks.registry import GAITS, STATUSES, VARIABLES
+from tasks.step.problem import Lanes
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.parameters import Walker, WalkerError
-from tasks.walkers.tuning import detuned
+from tasks.walkers.resolve import detuned
+from tasks.walkers.walker import Walker, WalkerError
 
 #: Lanes solved together.
 BLOCK = 4096
@@ -63,16 +65,24 @@ class Outcomes:
     def rows(self) -> list[dict[str, float | str]]:
         """The table, a row an outcome and a column a family."""
         outcomes = sorted({o for of in self.counts.values() for o in of})
-        return [{"outcome": o, **{f: float(of[o]) for f, of in self.counts.items()},
-                 "all": float(sum(of[o] for of in self.counts.values()))} for o in outcomes]
+        return [
+            {
+                "outcome": o,
+                **{f: float(of[o]) for f, of in self.counts.items()},
+                "all": float(sum(of[o] for of in self.counts.values())),
+            }
+            for o in outcomes
+        ]
 
     def text(self) -> str:
         """The table as lines of text."""
         rows = self.rows()
         width = max(len(str(row["outcome"])) for row in rows)
         head = " ".join(f"{name:>16}" for name in rows[0] if name != "outcome")
-        body = [f"{row['outcome']:<{width}} " + " ".join(f"{int(v):>16,}" for k, v in row.items() if k != "outcome")
-                for row in rows]
+        body = [
+            f"{row['outcome']:<{width}} " + " ".join(f"{int(v):>16,}" for k, v in row.items() if k != "outcome")
+            for row in rows
+        ]
         return "\n".join([" " * width + " " + head, *body])
 
 
@@ -89,10 +99,21 @@ def _any(random: Random, knees: bool) -> Walker:
     thigh = float(random.uniform(0.1, 0.9))
     shank = 1.0 - thigh
     return Walker(
-        l_t=thigh, l_s=shank, m_t=_mass(random), m_s=_mass(random), m_h=_mass(random),
-        r_t=float(random.uniform(0, 0.6)), r_s=float(random.uniform(0, 0.6)), c_t=float(random.uniform(-0.3, 1.0)) * thigh,
-        c_s=float(random.uniform(-0.3, 1.2)) * shank, w_t=float(random.normal(0, 0.1)), w_s=float(random.normal(0, 0.1)),
-        R=float(random.uniform(0, 0.95)), eps_T=float(random.normal(0, 0.2)), knees=knees)
+        l_t=thigh,
+        l_s=shank,
+        m_t=_mass(random),
+        m_s=_mass(random),
+        m_h=_mass(random),
+        r_t=float(random.uniform(0, 0.6)),
+        r_s=float(random.uniform(0, 0.6)),
+        c_t=float(random.uniform(-0.3, 1.0)) * thigh,
+        c_s=float(random.uniform(-0.3, 1.2)) * shank,
+        w_t=float(random.normal(0, 0.1)),
+        w_s=float(random.normal(0, 0.1)),
+        R=float(random.uniform(0, 0.95)),
+        eps_T=float(random.normal(0, 0.2)),
+        knees=knees,
+    )
 
 
 def _tuned(walker: Walker) -> Walker:
@@ -117,11 +138,18 @@ def _near(random: Random, name: str) -> Walker:
 #: Each family's name, its share of the tries and a draw from it.
 FAMILIES: dict[str, tuple[float, Callable[[Random], Walker]]] = {
     "massless foot": (0.05, lambda random: CATALOGUE["D"]),
-    "point feet": (0.25, lambda random: replace(
-        CATALOGUE["E"], m_s=_mass(random), m_t=_mass(random) if random.random() < 0.5 else 1.0, m_h=_mass(random))),
+    "point feet": (
+        0.25,
+        lambda random: replace(
+            CATALOGUE["E"], m_s=_mass(random), m_t=_mass(random) if random.random() < 0.5 else 1.0, m_h=_mass(random)
+        ),
+    ),
     "round feet": (0.25, lambda random: replace(CATALOGUE["B"], m_s=_mass(random), R=float(random.uniform(0, 0.95)))),
     "straight, any": (0.15, lambda random: _any(random, False)),
-    "straight, tuned": (0.15, lambda random: _tuned(_any(random, False)) if random.random() < 0.5 else _near(random, "A")),
+    "straight, tuned": (
+        0.15,
+        lambda random: _tuned(_any(random, False)) if random.random() < 0.5 else _near(random, "A"),
+    ),
     "kneed, any": (0.05, lambda random: _any(random, True)),
     "kneed, near": (0.10, lambda random: _near(random, "C")),
 }
@@ -172,7 +200,12 @@ def lanes(count: int, seed: int = 1, say: Callable[[str], None] | None = None) -
             walkers = _drawn(family, min(BLOCK, todo - k), random, found)
             of = [structure_of(w) for w in walkers]
             for structure in dict.fromkeys(of):
-                _lanes(family, Lanes([w for w, s in zip(walkers, of, strict=True) if s == structure], structure), random, found)
+                _lanes(
+                    family,
+                    Lanes([w for w, s in zip(walkers, of, strict=True) if s == structure], structure),
+                    random,
+                    found,
+                )
         if say:
             say(f"{family}: {todo:,} lanes")
     return found
@@ -190,8 +223,14 @@ def _lanes(family: str, problem: Lanes, random: Random, found: Outcomes) -> None
         some, slope, w = problem.some(there), slope[there], solved.w[:, there]
         X = np.vstack([w[:m], np.log(slope)])
         estimate = lipschitz(some, X, w[m:])
-        at = settle(some, np.vstack([X, w[m:]]), slope, estimate, noise(some, w, np.log(slope), near=4),
-                    np.full(len(there), UNKNOWN))
+        at = settle(
+            some,
+            np.vstack([X, w[m:]]),
+            slope,
+            estimate,
+            noise(some, w, np.log(slope), near=4),
+            np.full(len(there), UNKNOWN),
+        )
         ratio, largest = gait_ratio(at.stride), np.abs(multipliers(at.stride.jacobian, m)).max(axis=1)
         for i in range(len(there)):
             outcome = _outcome(bool(at.converged[i]), bool(at.step[i]), int(at.passes[i]), float(ratio[i]))
@@ -202,10 +241,19 @@ def _lanes(family: str, problem: Lanes, random: Random, found: Outcomes) -> None
                 state = at.state[:, i] * at.scale[i]
                 half = len(state) // 2
                 rates = state[half:] / second
-                found.accepted.append(Accepted(
-                    family, walker, float(slope[i]), outcome[6:], float(at.y[0, i] * at.scale[i]),
-                    (float(rates[0]), float(rates[1]), float(rates[-1])), float(at.times[-1, i]) * second,
-                    float(largest[i]), float(at.bound[i])))
+                found.accepted.append(
+                    Accepted(
+                        family,
+                        walker,
+                        float(slope[i]),
+                        outcome[6:],
+                        float(at.y[0, i] * at.scale[i]),
+                        (float(rates[0]), float(rates[1]), float(rates[-1])),
+                        float(at.times[-1, i]) * second,
+                        float(largest[i]),
+                        float(at.bound[i]),
+                    )
+                )
                 _check(found)
     found.strides += _strides(problem) - before
 
@@ -234,8 +282,15 @@ def _check(found: Outcomes) -> None:
 
 
 #: Families of lines, whole atlases being dear: each with its share.
-LINES = {"massless foot": 0.01, "point feet": 0.3, "round feet": 0.3, "straight, any": 0.1, "straight, tuned": 0.2,
-         "kneed, any": 0.02, "kneed, near": 0.07}
+LINES = {
+    "massless foot": 0.01,
+    "point feet": 0.3,
+    "round feet": 0.3,
+    "straight, any": 0.1,
+    "straight, tuned": 0.2,
+    "kneed, any": 0.02,
+    "kneed, near": 0.07,
+}
 
 
 def lines(count: int, seed: int = 2, slopes: int = 40, say: Callable[[str], None] | None = None) -> Outcomes:
@@ -247,7 +302,9 @@ def lines(count: int, seed: int = 2, slopes: int = 40, say: Callable[[str], None
             slope = np.sort(np.exp(random.uniform(np.log(LEAST_SLOPE), np.log(MOST_SLOPE), slopes)))
             line = {"walker": walker.table(), "set": {}}
             try:
-                points = solve.points({"line": line, "slope": slope, "want": want}, [solve.atlas({"line": line}, [])])
+                points = solve_points.points(
+                    {"line": line, "slope": slope, "want": want}, [solve_points.atlas({"line": line}, [])]
+                )
             except Exception as error:  # any at all is what is sought
                 found.add(family, "exception")
                 found.wrong.append(f"{type(error).__name__}: {error} ({walker})")
@@ -265,8 +322,7 @@ def _line(family: str, walker: Walker, slope: np.ndarray, points: dict[str, np.n
         found.add(family, names[int(status[i, g])])
     for i, g in np.argwhere(status == STATUSES["converged"]):
         found.add(family, f"gait, {GAITS[g]}")
-        found.accepted.append(Accepted(
-            family, walker, float(slope[i]), GAITS[g], *(_at(points, i, g))))
+        found.accepted.append(Accepted(family, walker, float(slope[i]), GAITS[g], *(_at(points, i, g))))
         _check(found)
     # A number where there is no gait, or none where there is one, would be a lie.
     known = np.isfinite(points["stance_angle"]) == (status == STATUSES["converged"])
@@ -275,8 +331,18 @@ def _line(family: str, walker: Walker, slope: np.ndarray, points: dict[str, np.n
 
 
 def _at(points: dict[str, Any], i: int, g: int) -> Iterator[Any]:
-    value = {name: points[name][i, g].item() for name in (
-        "stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "spectral_radius", "error_bound")}
+    value = {
+        name: points[name][i, g].item()
+        for name in (
+            "stance_angle",
+            "stance_rate",
+            "thigh_rate",
+            "shank_rate",
+            "period",
+            "spectral_radius",
+            "error_bound",
+        )
+    }
     yield value["stance_angle"]
     yield (value["stance_rate"], value["thigh_rate"], value["shank_rate"])
     yield from (value[k] for k in ("period", "spectral_radius", "error_bound"))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
+from pipeline.report.html_tables import MOST_ROWS, Table, cell, from_frame, head
 from pipeline.report.source import Source
-from pipeline.report.tables import MOST_ROWS, Table, cell, from_frame, head
 
 #: Tables and their captions, in the order of a page.
 CAPTIONS = {
@@ -30,9 +30,12 @@ _ELSEWHERE = ("claims", "branches", "special_points", "trace", "orbits", "basin"
 _EXPONENTS = "{1} step, p of {0}: γ {2}"
 _FIGURE10 = {
     "zero_slope_capable": "walks as the slope vanishes",
-    **{f"{gait}_{of}_{when}": _EXPONENTS.format(law, gait, near)
-       for gait in ("short", "long") for of, law in (("angle", "θ* ∝ γᵖ"), ("power", "P ∝ vᵖ"))
-       for when, near in (("vanishing", "vanishing"), ("small", "small"), ("larger", "larger"))},
+    **{
+        f"{gait}_{of}_{when}": _EXPONENTS.format(law, gait, near)
+        for gait in ("short", "long")
+        for of, law in (("angle", "θ* ∝ γᵖ"), ("power", "P ∝ vᵖ"))
+        for when, near in (("vanishing", "vanishing"), ("small", "small"), ("larger", "larger"))
+    },
     "faster_vanishing": "faster step: γ vanishing",
     "faster_larger": "faster step: γ larger",
     "crossing_slope": "γ where both are equally fast (rad)",
@@ -42,8 +45,11 @@ _FIGURE10 = {
 def tables(source: Source) -> list[Table]:
     """Every table of results in the archive that is not shown elsewhere on its page."""
     rest = [n for n in source.tables if n not in CAPTIONS and n not in _ELSEWHERE and not n.startswith("fits/")]
-    return [_shown(name, source) for name in (*CAPTIONS, *sorted(rest))
-            if name in source.tables and len(source.tables[name])]
+    return [
+        _shown(name, source)
+        for name in (*CAPTIONS, *sorted(rest))
+        if name in source.tables and len(source.tables[name])
+    ]
 
 
 def _shown(name: str, source: Source) -> Table:
@@ -64,5 +70,10 @@ def _turned(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
         flag = set(frame[column]) <= {0, 1} and frame[column].dtype.kind in "iu"
         values = [cell(bool(v)) if flag else cell(v) for v in frame[column]]
         rows.append([cell(column if column in keys else _FIGURE10.get(column, head(column))), *values])
-    return Table(caption, ["", *map(str, frame["walker"])], rows, "",
-                 ["", *(frame["description"] if "description" in frame else [""] * len(frame))])
+    return Table(
+        caption,
+        ["", *map(str, frame["walker"])],
+        rows,
+        "",
+        ["", *(frame["description"] if "description" in frame else [""] * len(frame))],
+    )

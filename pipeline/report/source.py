@@ -70,7 +70,7 @@ class Line:
         for number, part in sorted(set(zip(branch[branch >= 0].tolist(), piece[branch >= 0].tolist(), strict=True))):
             row, column = np.nonzero((branch == number) & (piece == part))
             place = row - row[0]
-            frame = {"slope": slopes[row[0]:row[-1] + 1]}
+            frame = {"slope": slopes[row[0] : row[-1] + 1]}
             for name in names:
                 frame[name] = np.full(len(frame["slope"]), np.nan)
                 frame[name][place] = data[name].values[row, column]

@@ -1,1 +1,1 @@
-"""Laws fitted to arrays of gaits."""
+"""Laws fitted to arrays: `power_law`, the `transition` between two of them, and `feigenbaum` ratios."""

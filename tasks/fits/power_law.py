@@ -45,8 +45,15 @@ def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
     residual = log_y - (line.intercept + line.slope * log_x)
     error = np.sqrt(residual @ residual / (len(x) - 2) / np.sum((log_x - log_x.mean()) ** 2))
     spread = stats.t.ppf(0.975, len(x) - 2) * error
-    return PowerLaw(line.slope, min(line.slope - spread, local.min()), max(line.slope + spread, local.max()),
-                    float(np.exp(line.intercept)), float(x[0]), float(x[-1]), len(x))
+    return PowerLaw(
+        line.slope,
+        min(line.slope - spread, local.min()),
+        max(line.slope + spread, local.max()),
+        float(np.exp(line.intercept)),
+        float(x[0]),
+        float(x[-1]),
+        len(x),
+    )
 
 
 def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[tuple[int, int]]:

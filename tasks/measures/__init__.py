@@ -1,1 +1,2 @@
-"""What a gait is worth: energy and physical violations."""
+"""What is measured of a gait: impact `losses`, `kinematics` over a step, and `violations` of the model's
+assumptions."""

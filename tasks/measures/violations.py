@@ -12,7 +12,7 @@ import numpy as np
 
 from tasks.mechanics.contact import THIGH, Chain, total
 from tasks.registry import VARIABLES, VIOLATIONS
-from tasks.walkers.parameters import Walker
+from tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
 #: Intervals of each phase; with extremes of a quartic through five samples, amounts are good to about 1e-8.
@@ -43,8 +43,14 @@ def _phases(motion: list[np.ndarray], times: np.ndarray) -> list[Phase]:
         half = samples.shape[1] // 2
         links = [0, 0, 1, half - 1]
         clock = begin + np.linspace(0, 1, len(samples))[:, None] * (end - begin)
-        found.append(Phase(np.stack([samples[:, i] for i in links]), np.stack([samples[:, half + i] for i in links]),
-                           clock, half == 3))
+        found.append(
+            Phase(
+                np.stack([samples[:, i] for i in links]),
+                np.stack([samples[:, half + i] for i in links]),
+                clock,
+                half == 3,
+            )
+        )
         begin = end
     return found
 
@@ -96,8 +102,14 @@ def _passing(chain: Chain, phase: Phase, acceleration: np.ndarray) -> np.ndarray
         f, d, s = (x[0] + sign * x[2] for x in (phase.q, phase.rate, acceleration))
         f0, f1, d0, d1 = f[i, lane], f[i + 1, lane], d[i, lane] * h, d[i + 1, lane] * h
         s0, s1 = s[i, lane] * h**2, s[i + 1, lane] * h**2
-        return [f0, d0, s0 / 2, 10 * (f1 - f0) - 6 * d0 - 4 * d1 - 1.5 * s0 + 0.5 * s1,
-                -15 * (f1 - f0) + 8 * d0 + 7 * d1 + 1.5 * s0 - s1, 6 * (f1 - f0) - 3 * (d0 + d1) - (s0 - s1) / 2]
+        return [
+            f0,
+            d0,
+            s0 / 2,
+            10 * (f1 - f0) - 6 * d0 - 4 * d1 - 1.5 * s0 + 0.5 * s1,
+            -15 * (f1 - f0) + 8 * d0 + 7 * d1 + 1.5 * s0 - s1,
+            6 * (f1 - f0) - 3 * (d0 + d1) - (s0 - s1) / 2,
+        ]
 
     minus, plus = quintic(-1.0), quintic(1.0)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -163,8 +175,9 @@ def _heelstrike(chain: Chain, first: Phase, impact: np.ndarray) -> tuple[np.ndar
     """
     q, after = first.q[:, 0], first.rate[:, 0]
     before = np.stack([impact[1], impact[1], impact[0], impact[0]])
-    carried = (-(chain.R + chain.l * np.cos(q[0])) * (impact[0] - impact[1])
-               + 1j * chain.l * np.sin(q[0]) * (impact[0] + impact[1]))
+    carried = -(chain.R + chain.l * np.cos(q[0])) * (impact[0] - impact[1]) + 1j * chain.l * np.sin(q[0]) * (
+        impact[0] + impact[1]
+    )
     ground = chain.momentum(q, after) - chain.momentum(q, before) - carried
     M = chain.matrix(q)
     lever = 1j * chain.S[THIGH] * np.exp(1j * q[THIGH])
@@ -209,14 +222,23 @@ def _struck(chain: Chain, phases: list[Phase], impact: np.ndarray) -> tuple[Arra
     if chain.kneed:
         q, jump = phases[1].q[:, 0], phases[1].rate[:, 0] - phases[0].rate[:, -1]
         M, ground = chain.matrix(q), chain.momentum(q, jump)
-        found |= {"friction_demand_kneestrike": _ratio(ground), "unlocking_impulse_heelstrike": -lock,
-                  "unlocking_impulse_kneestrike": -total(M[THIGH][j] * jump[j] for j in range(4))}
+        found |= {
+            "friction_demand_kneestrike": _ratio(ground),
+            "unlocking_impulse_heelstrike": -lock,
+            "unlocking_impulse_kneestrike": -total(M[THIGH][j] * jump[j] for j in range(4)),
+        }
         pulls |= ground.imag < 0
     return found, pulls
 
 
-def _dimensionless(chain: Chain, motion: list[np.ndarray], impact: np.ndarray, times: np.ndarray,
-                   slope: np.ndarray, friction_limit: float) -> Arrays:
+def _dimensionless(
+    chain: Chain,
+    motion: list[np.ndarray],
+    impact: np.ndarray,
+    times: np.ndarray,
+    slope: np.ndarray,
+    friction_limit: float,
+) -> Arrays:
     """Every amount, with the flags that follow from them; what is absent is left out."""
     phases = _phases(motion, times)
     struck, pulls = _struck(chain, phases, impact)
@@ -227,17 +249,27 @@ def _dimensionless(chain: Chain, motion: list[np.ndarray], impact: np.ndarray, t
 
     opened = worst("unlocking_torque", "unlocking_impulse_kneestrike", "unlocking_impulse_heelstrike") > 0
     slips = worst("friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike") > friction_limit
-    flags = {"scuff": found["scuff_depth"] > 0, "stance_knee_unlocks": opened,
-             "contact_tension": (found["least_normal_force"] < 0) | pulls, "friction": slips,
-             "release_hyperextends": found.pop("release_hyperextends", np.zeros(len(slope), bool)),
-             "release_penetrates": found.pop("release_penetrates"),
-             "trailing_foot_pulls": found["trailing_impulse"] > 0}
+    flags = {
+        "scuff": found["scuff_depth"] > 0,
+        "stance_knee_unlocks": opened,
+        "contact_tension": (found["least_normal_force"] < 0) | pulls,
+        "friction": slips,
+        "release_hyperextends": found.pop("release_hyperextends", np.zeros(len(slope), bool)),
+        "release_penetrates": found.pop("release_penetrates"),
+        "trailing_foot_pulls": found["trailing_impulse"] > 0,
+    }
     found["violations"] = total(flags[name].astype(np.int32) << k for k, name in enumerate(VIOLATIONS))
     return found
 
 
-def measure(walker: Walker, motion: list[np.ndarray], impact: np.ndarray, times: np.ndarray,
-            slope: np.ndarray, friction_limit: float = FRICTION_LIMIT) -> Arrays:
+def measure(
+    walker: Walker,
+    motion: list[np.ndarray],
+    impact: np.ndarray,
+    times: np.ndarray,
+    slope: np.ndarray,
+    friction_limit: float = FRICTION_LIMIT,
+) -> Arrays:
     """Every item of Appendix A, in the walker's units.
 
     Parameters
@@ -272,8 +304,9 @@ def measure(walker: Walker, motion: list[np.ndarray], impact: np.ndarray, times:
     for k in range(0, n, BLOCK):
         lanes = slice(k, k + BLOCK)
         with np.errstate(invalid="ignore"):
-            found = _dimensionless(chain, [m[..., lanes] for m in motion], impact[:, lanes], times[:, lanes],
-                                   slope[lanes], friction_limit)
+            found = _dimensionless(
+                chain, [m[..., lanes] for m in motion], impact[:, lanes], times[:, lanes], slope[lanes], friction_limit
+            )
         for name in names:
             parts[name].append(found[name] if name in found else np.full(len(slope[lanes]), np.nan))
     unit = _units(walker)
@@ -285,5 +318,12 @@ def _units(walker: Walker) -> dict[str, float]:
     """Size, in the walker's units, of one of each kind of quantity."""
     length, mass = walker.leg, walker.total_mass
     time = float(np.sqrt(length / walker.g))
-    return {"length": length, "time": time, "torque": mass * walker.g * length, "impulse": mass * length / time,
-            "angular_impulse": mass * length**2 / time, "angle": 1.0, "number": 1.0}
+    return {
+        "length": length,
+        "time": time,
+        "torque": mass * walker.g * length,
+        "impulse": mass * length / time,
+        "angular_impulse": mass * length**2 / time,
+        "angle": 1.0,
+        "number": 1.0,
+    }

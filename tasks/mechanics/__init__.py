@@ -1,1 +1,4 @@
-"""Equations of motion, impacts, and their compiled flows."""
+"""The mechanics: `lumped` constants, the `equations` of motion and `impacts` as symbols, compiled flows (`kernel`).
+
+`contact` has the forces on the foot and the stance knee, and the one mass matrix in numbers.
+"""

@@ -16,7 +16,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tasks.walkers.parameters import Walker
+from tasks.walkers.walker import Walker
 
 #: Row of the stance thigh among the links.
 THIGH = 1
@@ -41,8 +41,15 @@ class Chain:
         #: Foot centre from the knee, in the frame of the extended leg.
         self.foot = -1j * self.l - knee
         m_t, m_s = walker.m_t / mass, walker.m_s / mass
-        arms = np.array([[shank - self.foot, 0, 0, 0], [-self.foot, thigh - knee, 0, 0], [-self.foot, -knee, 0, 0],
-                         [-self.foot, -knee, thigh, 0], [-self.foot, -knee, knee, shank]])
+        arms = np.array(
+            [
+                [shank - self.foot, 0, 0, 0],
+                [-self.foot, thigh - knee, 0, 0],
+                [-self.foot, -knee, 0, 0],
+                [-self.foot, -knee, thigh, 0],
+                [-self.foot, -knee, knee, shank],
+            ]
+        )
         masses = np.array([m_s, m_t, walker.m_h / mass, m_t, m_s])
         I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
         #: First moments and products of the arms; a massless leg's own rows are those of a unit point at its foot.
@@ -71,8 +78,11 @@ class Chain:
         """Right-hand side f of M q'' = f."""
         e = np.exp(1j * q)
         gravity = np.sin(slope) - 1j * np.cos(slope)
-        f = [((1j * self.S_rows[i] * e[i]).conj() * gravity).real
-             + total(rate[j] ** 2 * (self.K[i, j] * e[i].conj() * e[j]).imag for j in range(4)) for i in range(4)]
+        f = [
+            ((1j * self.S_rows[i] * e[i]).conj() * gravity).real
+            + total(rate[j] ** 2 * (self.K[i, j] * e[i].conj() * e[j]).imag for j in range(4))
+            for i in range(4)
+        ]
         pull = gravity + total(rate[j] ** 2 * self.S[j] * e[j] for j in range(4))
         f[0] = f[0] - self.R * pull.real
         return f

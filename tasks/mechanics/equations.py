@@ -76,8 +76,7 @@ class Symbols:
         """S and inertia of the whole swing leg with its knee locked."""
         if not hasattr(self, "S_c"):
             return self.S_b, self.C_bb
-        return (Complex(self.S_b.re + self.S_c.re, self.S_b.im + self.S_c.im),
-                self.C_bb + self.C_cc + 2.0 * self.H.re)
+        return (Complex(self.S_b.re + self.S_c.re, self.S_b.im + self.S_c.im), self.C_bb + self.C_cc + 2.0 * self.H.re)
 
 
 class Motion:
@@ -103,7 +102,7 @@ class Motion:
     """
 
     def __init__(self, p: Symbols, q: list[Sym], rate: list[Sym], free_knee: bool):
-        self.p, self.rate, self.square = p, rate, [x ** 2.0 for x in rate]
+        self.p, self.rate, self.square = p, rate, [x**2.0 for x in rate]
         s, hold = p.scale, p.held
         scale = hold(s)
         angle = [scale * x for x in q]
@@ -162,7 +161,7 @@ class Motion:
         by_rate[0][0] = self.m * twice[0]
         for j in range(1, n):
             lag = s2 * (self.c[j] * self.square[0])
-            by_q[0][0] = (by_q[0][0] + eps * (self.by_stance[j] * u[j]) + eps_s2 * (self.c[j] * self.square[j]))
+            by_q[0][0] = by_q[0][0] + eps * (self.by_stance[j] * u[j]) + eps_s2 * (self.c[j] * self.square[j])
             by_q[0][j] = eps * (self.by_swing[j] * u[j]) - eps_s2 * (self.k[j] * self.square[j])
             by_rate[0][j] = eps * (self.by_swing[j] * twice[j])
             by_q[j][0] = self.by_stance[j] * u[0] - lag

@@ -1,7 +1,8 @@
 """Kneestrike and heelstrike: plastic impacts, as linear maps of the rates (section 2.1 of the paper).
 
 Momentum is kept in every motion the constraints after the impact allow: with V the bodies' velocities,
-M_after q'_after = sum m (dV/dq'_after)(V_before). Rows of the swing leg are divided by `eps` as in the equations of motion.
+M_after q'_after = sum m (dV/dq'_after)(V_before). Rows of the swing leg are divided by `eps` as in the equations of
+motion.
 """
 
 from __future__ import annotations
@@ -51,8 +52,10 @@ def heelstrike(p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_k
     M, _ = rows(p, angles, [ZERO] * len(angles), free_knee)
     # hip_new . hip_old without cancellation for legs that open wide.
     hips = p.R**2.0 + 2.0 * p.R * p.l * trig_new[1] + p.l**2.0 * hy.cos(2.0 * new)
-    momentum = [(hips + p.eps * (_dot(sweep(S, trig_new), hip_old) + _dot(hip_new, sweep(S, trig_old)))) * stance_rate
-                + p.eps * (_dot(hip_new, sweep(S, trig_new)) + J) * swing_rate]
+    momentum = [
+        (hips + p.eps * (_dot(sweep(S, trig_new), hip_old) + _dot(hip_new, sweep(S, trig_old)))) * stance_rate
+        + p.eps * (_dot(hip_new, sweep(S, trig_new)) + J) * swing_rate
+    ]
     swing = [(p.S_b, p.C_bb + p.H.re), (p.S_c, p.C_cc + p.H.re)] if free_knee else [(S, J)]
     for S_j, inertia in swing:
         momentum.append((_dot(sweep(S_j, trig_old), hip_old) + inertia) * stance_rate)

@@ -23,7 +23,6 @@ FINE = 1.75e-15
 ROUGH = 1e-7
 
 
-
 @functools.cache
 def prepare_compiler() -> None:
     """Set heyoka's compile cache and threads for this process; every factory of compiled code calls it first.
@@ -56,7 +55,8 @@ def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
 class Flow:
     """A flow over given times, with its variations, for any number of lanes.
 
-    Work is counted in `evaluations` (lanes advanced) and `idle` (lanes that fill a group). Every lane runs the same code at its own pace, so a lane's
+    Work is counted in `evaluations` (lanes advanced) and `idle` (lanes that fill a group). Every lane runs the same
+    code at its own pace, so a lane's
     bits do not depend on its neighbours; a group with a lost lane is run again lane by lane to keep that true.
     """
 
@@ -67,14 +67,16 @@ class Flow:
         self.lanes = 2 * LANES if ("eps", 0.0) in structure.units else LANES
         self.evaluations = self.idle = 0
         self._ta = hy.taylor_adaptive_batch(
-            flown.equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE)
+            flown.equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE
+        )
         self._parameters = flown.parameters()
         # Views of the integrator's own memory.
         ta: Any = self._ta
         self._state, self._pars, self._time = ta.state, ta.pars, ta.time
 
-    def __call__(self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray,
-                 samples: int = 0) -> tuple[np.ndarray, np.ndarray | None]:
+    def __call__(
+        self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray, samples: int = 0
+    ) -> tuple[np.ndarray, np.ndarray | None]:
         """Advance every lane by its own duration.
 
         Parameters
@@ -138,9 +140,16 @@ class Flow:
         return ta.propagate_grid(fractions * duration, max_steps=MOST_STEPS)[1]
 
 
-@functools.lru_cache(maxsize=64)
-def flow(structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False,
-         rough: bool = False) -> Flow:
+#: Every flow compiled by this process, by what it was compiled for; their counters tell what was flown.
+FLOWS: dict[tuple[Any, ...], Flow] = {}
+
+
+def flow(
+    structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False, rough: bool = False
+) -> Flow:
     """The compiled flow of a structure; compiled once a process, kept on disk between them."""
-    prepare_compiler()
-    return Flow(structure, free_knee, directions, with_slope, rough)
+    key = structure, free_knee, directions, with_slope, rough
+    if key not in FLOWS:
+        prepare_compiler()
+        FLOWS[key] = Flow(*key)
+    return FLOWS[key]

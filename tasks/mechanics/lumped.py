@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tasks.walkers.parameters import NUMBERS, Walker
+from tasks.walkers.walker import NUMBERS, Walker
 
 
 def lump(walker: Walker, number: type = float) -> dict[str, Any]:
@@ -61,8 +61,13 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     # Stance leg m|il + p|^2 + I, hip and swing leg (the rest of the unit mass) at |il|.
     found["C_aa"] = R * R + l * l + two * l * leg_S.y + eps * inertia
     if walker.knees:
-        found |= {**_pair("S_b", S_b / inertia), "C_bb": C_bb / inertia, **_pair("S_c", S_c / inertia),
-                  "C_cc": C_cc / inertia, **_pair("H", H / inertia)}
+        found |= {
+            **_pair("S_b", S_b / inertia),
+            "C_bb": C_bb / inertia,
+            **_pair("S_c", S_c / inertia),
+            "C_cc": C_cc / inertia,
+            **_pair("H", H / inertia),
+        }
     else:
         found |= {**_pair("S_b", (S_b + S_c) / inertia), "C_bb": one}
     return found

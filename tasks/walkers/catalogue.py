@@ -1,28 +1,31 @@
-"""The walkers of the paper (figure 3's caption and figure 9), with one drawing for each kind.
-
-    straight, point feet (D, E, F)   straight, round feet (A, B)   kneed, round feet (C, physical)
-
-             o hip                            o                          o
-            / \\                              / \\                        / \\
-           /   \\                            /   \\                      /   > knee, behind the line
-          /     \\                          /     \\                    /   /
-         *       *  foot mass             (_)     (_) radius R       (_)  (_)
-"""
-
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
-from tasks.walkers.parameters import NUMBERS, Walker, from_table, named
+from tasks.walkers.walker import NUMBERS, Walker
 
-_PHYSICAL = Walker(l_t=0.35, w_t=0.0, m_t=2.345, r_t=0.099, c_t=0.091, l_s=0.46, w_s=0.025, m_s=1.013, r_s=0.197,
-                   c_s=0.17, R=0.2, eps_T=0.097, g=9.81, knees=True, units="SI")
+_PHYSICAL = Walker(
+    l_t=0.35,
+    w_t=0.0,
+    m_t=2.345,
+    r_t=0.099,
+    c_t=0.091,
+    l_s=0.46,
+    w_s=0.025,
+    m_s=1.013,
+    r_s=0.197,
+    c_s=0.17,
+    R=0.2,
+    eps_T=0.097,
+    g=9.81,
+    knees=True,
+    units="SI",
+)
 _C_PRINTED = replace(_PHYSICAL, w_t=-0.023, r_t=0.1882, c_t=0.084, w_s=0.022, r_s=0.1226)
-_POINT = Walker(l_t=0.5, w_t=0.0, m_t=0.5, r_t=0.0, c_t=0.0, l_s=0.5, w_s=0.0, m_s=0.0, r_s=0.0, c_s=0.5, R=0.0,
-                eps_T=0.0)
+_POINT = Walker(
+    l_t=0.5, w_t=0.0, m_t=0.5, r_t=0.0, c_t=0.0, l_s=0.5, w_s=0.0, m_s=0.0, r_s=0.0, c_s=0.5, R=0.0, eps_T=0.0
+)
 
 
 def _exactly_tuned(walker: Walker) -> Walker:
@@ -33,7 +36,6 @@ def _exactly_tuned(walker: Walker) -> Walker:
 
 
 _C = _exactly_tuned(_C_PRINTED)
-
 CATALOGUE: dict[str, Walker] = {
     "A": replace(_C, knees=False),
     "B": replace(_POINT, m_t=0.4, m_s=0.1, R=0.2),
@@ -46,7 +48,6 @@ CATALOGUE: dict[str, Walker] = {
     "A-printed": replace(_C_PRINTED, knees=False),
     "C-printed": _C_PRINTED,
 }
-
 DESCRIPTIONS = {
     "A": "straight-legged, round feet, exactly tuned",
     "B": "straight-legged, round feet, the feet's mass at their bottom",
@@ -59,45 +60,6 @@ DESCRIPTIONS = {
     "A-printed": "A with the offsets as printed",
     "C-printed": "C with the offsets as printed",
 }
-
-
-def describe(params: Mapping[str, Any]) -> dict[str, Any]:
-    """The catalogue, or one walker: parameters, drawing and statics.
-
-    Parameters
-    ----------
-    params : mapping
-        `name` (str or None) or `walker` (a table).
-
-    Raises
-    ------
-    WalkerError
-        If there is no such walker.
-    """
-    from tasks.walkers.tuning import statics
-
-    if params.get("walker") is not None:
-        found = {"custom": from_table(params["walker"])}
-    elif params.get("name"):
-        found = {params["name"]: named(params["name"])}
-    else:
-        found = CATALOGUE
-    return {"walkers": [
-        {"name": name, "description": DESCRIPTIONS.get(name, "a walker of your own"), "parameters": w.table(),
-         "geometry": {"l": w.l, "eps_S": w.eps_S, "leg": w.leg, "total_mass": w.total_mass},
-         "drawing": drawing(w), "statics": statics(w)}
-        for name, w in found.items()]}
-
-
-def drawing(walker: Walker) -> str:
-    """A few lines of text: the walker's hip, knees and feet, to no scale."""
-    foot = "(_)" if walker.R > 0 else " * "
-    rows = ["        o        hip"]
-    if walker.knees:
-        rows += ["       / \\", "      /   >      knee", "     /   /", f"   {foot} {foot}      feet"]
-    else:
-        rows += ["       / \\", "      /   \\", "     /     \\", f"   {foot}     {foot}  feet"]
-    return "\n".join(rows)
 
 
 def number_keys() -> tuple[str, ...]:

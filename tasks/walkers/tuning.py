@@ -1,15 +1,12 @@
-"""Statics of section 5.1: what a walker needs to walk at vanishing slope, and how to get it there."""
-
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from tasks.walkers.parameters import NUMBERS, Walker, WalkerError, from_table, named, owned
+from tasks.walkers.resolve import from_table, named
+from tasks.walkers.walker import NUMBERS, Walker, WalkerError
 
-#: What `detuning` = 1 means for each tuned walker (paper, section 5.2 and figure 8).
-PARTNERS = {"A": "physical-straight", "C": "physical"}
 #: Residual over the leg at which the conditions are met.
 MET = 1e-12
 
@@ -31,21 +28,6 @@ def statics(walker: Walker) -> dict[str, float]:
 def is_tuned(walker: Walker) -> bool:
     """True where both static conditions hold to rounding."""
     return all(abs(x) < 1e-14 * walker.leg for x in statics(walker).values())
-
-
-def ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
-    """The tuned walker of the catalogue and its physical partner, between which `detuning` mixes."""
-    name = walker if isinstance(walker, str) else str(walker.get("base"))
-    return named(name), named(PARTNERS[name])
-
-
-def detuned(walker: str | Mapping[str, Any], amount: float) -> Walker:
-    """Mix what differs linearly from the tuned walker (0) to the physical one (1); beyond is allowed."""
-    if (walker if isinstance(walker, str) else walker.get("base")) not in PARTNERS:
-        raise WalkerError("detuning", amount, "needs walker A or C")
-    tuned, physical = ends(walker)
-    mixed = {k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in owned("detuning", walker)}
-    return replace(tuned if isinstance(walker, str) else from_table(walker), **mixed if amount else {})
 
 
 def tune(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -75,8 +57,13 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
     met = _worst(start) <= MET
     found, change = (start, [0.0] * len(free)) if met else _nearest(start, free)
     moved = {k: [getattr(start, k), getattr(found, k)] for k in free if getattr(found, k) != getattr(start, k)}
-    return {"walker": found.table(), "moved": moved, "change": dict(zip(free, change)),
-            "before": statics(start), "after": statics(found)}
+    return {
+        "walker": found.table(),
+        "moved": moved,
+        "change": dict(zip(free, change)),
+        "before": statics(start),
+        "after": statics(found),
+    }
 
 
 def _worst(walker: Walker) -> float:

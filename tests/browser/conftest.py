@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.report import page
+from pipeline.report import pages
 from test_report import synthetic
 
 
@@ -12,7 +12,7 @@ from test_report import synthetic
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a report of one archive of each kind."""
     archives = synthetic.everything(tmp_path_factory.mktemp("archive"))
-    return page.write(archives, tmp_path_factory.mktemp("reports")).parent
+    return pages.write(archives, tmp_path_factory.mktemp("reports")).parent
 
 
 @pytest.fixture(scope="session")

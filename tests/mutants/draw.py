@@ -24,8 +24,7 @@ from mutmut.workers.isolation import get_mutant_runner
 HERE = Path(__file__).parent
 AT_A_TIME = 2
 #: Tests of what runs in processes of its own, where no call is recorded.
-BESIDE = {"pipeline.archive": ("archive", "cf", "isolation"), "pipeline.check": ("archive",),
-          "pipeline.journal": ("journal", "archive", "isolation")}
+BESIDE = {"pipeline.archive": ("archive", "cf", "isolation"), "pipeline.store": ("journal", "archive", "isolation")}
 #: How a mutant can end that has been noticed.
 NOTICED = ("killed", "timeout", "segfault", "suspicious")
 
@@ -101,8 +100,10 @@ def main(draw: int, number: int, again: bool) -> int:
             survivors.append(f"{name}: {status}\n{diff}\n")
     print("\n".join(survivors))
     counted = noticed + len(survivors)
-    print(f"draw {draw}: {noticed} of {counted} mutants noticed ({noticed / counted:.1%}), {len(survivors)} survive; "
-          f"{len(drawn) - counted} more cannot be told from the code")
+    print(
+        f"draw {draw}: {noticed} of {counted} mutants noticed ({noticed / counted:.1%}), {len(survivors)} survive; "
+        f"{len(drawn) - counted} more cannot be told from the code"
+    )
     return noticed < 0.9 * counted
 
 

@@ -3,19 +3,22 @@
 import os
 import sys
 
-from pipeline import cli
+from pipeline.cli import commands
 from tasks import registry
 
 VERSIONS = dict(item.split("=") for item in os.environ.get("TOY_VERSIONS", "").split())
-TOYS = {t.name: t for t in (
-    registry.Task("atlas", "toy:atlas", int(VERSIONS.get("atlas", 1)), seconds=0.01),
-    registry.Task("points", "toy:points", int(VERSIONS.get("points", 1)), needs=("atlas",), seconds_per_point=1e-5),
-    registry.Task("scaling", "toy:fit", int(VERSIONS.get("scaling", 1)), needs=("points",)),
-    registry.Task("transition", "toy:fit_atlas", 1, needs=("points", "atlas")),
-    registry.Task("orbit", "toy:orbit", 1),
-)}
+TOYS = {
+    t.name: t
+    for t in (
+        registry.Task("atlas", "toy:atlas", int(VERSIONS.get("atlas", 1)), seconds=0.01),
+        registry.Task("points", "toy:points", int(VERSIONS.get("points", 1)), needs=("atlas",), seconds_per_point=1e-5),
+        registry.Task("scaling", "toy:fit", int(VERSIONS.get("scaling", 1)), needs=("points",)),
+        registry.Task("transition", "toy:fit_atlas", 1, needs=("points", "atlas")),
+        registry.Task("orbit", "toy:orbit", 1),
+    )
+}
 registry.TASKS.clear()
 registry.TASKS.update(TOYS)
 
 if __name__ == "__main__":
-    sys.exit(cli.main())
+    sys.exit(commands.main())

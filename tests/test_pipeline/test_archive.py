@@ -15,7 +15,8 @@ import pytest
 import xarray as xr
 
 from conftest import STUDY, Toy
-from pipeline import check, cli
+from pipeline.archive import diff, verify
+from pipeline.cli import commands
 from pipeline.errors import ArchiveError
 
 EVERYTHING = STUDY.replace('"multipliers"', '"multipliers", "energy", "violations"')
@@ -68,7 +69,7 @@ def test_everything_is_described(made):
 
 
 def test_verify_finds_nothing_wrong_with_a_whole_one(made):
-    assert check.verify(made) == []
+    assert verify.verify(made) == []
 
 
 def _edit(path, change):
@@ -76,31 +77,42 @@ def _edit(path, change):
         change(file)
 
 
-@pytest.mark.parametrize(("change", "said"), [
-    (lambda f: f["status"].__setitem__((0, 0, 0), 7), "It is not complete: 1 values of `status` are not_attempted."),
-    (lambda f: f["status"].__setitem__((0, 0, 0), 99), "`status` holds values without a meaning."),
-    (lambda f: f["reason"].__setitem__((0, 0, 0), 9), "`reason` points outside its table."),
-    (lambda f: f["stance_angle"].__setitem__((199, 0, 1), 1.0),
-     "`stance_angle` has 1 values where nothing converged."),
-    (lambda f: f["stance_angle"].__setitem__((0, 0, 0), 1.0), "`stance_angle` is not as it was written."),
-    (lambda f: f.renameVariable("residual", "x"), "`residual` is missing."),
-    (lambda f: f.renameVariable("period", "x"), "`period` is missing."),
-    (lambda f: f.renameGroup("fits", "x"), "`fits/scaling/exponent` is missing."),
-    (lambda f: f["fits/scaling/exponent"].__setitem__(0, 1.0), "`fits/scaling/exponent` is not as it was written."),
-    (lambda f: f["residual"].delncattr("units"), "`residual` has no units."),
-    (lambda f: f.setncattr("provenance", "{"), "`provenance` is not JSON."),
-    (lambda f: f.setncattr("provenance", "[1]"), "`provenance` is not JSON."),
-    (lambda f: f.delncattr("checksums"), "The attribute `checksums` is missing."),
-    (lambda f: f["residual"].delncattr("long_name"), "`residual` has no long_name."),
-    (lambda f: f["fits/scaling/exponent"].delncattr("units"), "`/fits/scaling/exponent` has no units or long_name."),
-    (lambda f: f["gait"].__setitem__(0, "brisk"), "`gait` holds unknown names."),
-    (lambda f: f["reason"].__setitem__((0, 0, 0), -1), "`reason` points outside its table."),
-    (lambda f: f.renameVariable("w_t", "x"), "The dimension `w_t` has no coordinate."),
-    (lambda f: f.createVariable("x", "f8", ("w_t", "slope")), "`x` has its dimensions in another order."),
-])
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda f: f["status"].__setitem__((0, 0, 0), 7),
+            "It is not complete: 1 values of `status` are not_attempted.",
+        ),
+        (lambda f: f["status"].__setitem__((0, 0, 0), 99), "`status` holds values without a meaning."),
+        (lambda f: f["reason"].__setitem__((0, 0, 0), 9), "`reason` points outside its table."),
+        (
+            lambda f: f["stance_angle"].__setitem__((199, 0, 1), 1.0),
+            "`stance_angle` has 1 values where nothing converged.",
+        ),
+        (lambda f: f["stance_angle"].__setitem__((0, 0, 0), 1.0), "`stance_angle` is not as it was written."),
+        (lambda f: f.renameVariable("residual", "x"), "`residual` is missing."),
+        (lambda f: f.renameVariable("period", "x"), "`period` is missing."),
+        (lambda f: f.renameGroup("fits", "x"), "`fits/scaling/exponent` is missing."),
+        (lambda f: f["fits/scaling/exponent"].__setitem__(0, 1.0), "`fits/scaling/exponent` is not as it was written."),
+        (lambda f: f["residual"].delncattr("units"), "`residual` has no units."),
+        (lambda f: f.setncattr("provenance", "{"), "`provenance` is not JSON."),
+        (lambda f: f.setncattr("provenance", "[1]"), "`provenance` is not JSON."),
+        (lambda f: f.delncattr("checksums"), "The attribute `checksums` is missing."),
+        (lambda f: f["residual"].delncattr("long_name"), "`residual` has no long_name."),
+        (
+            lambda f: f["fits/scaling/exponent"].delncattr("units"),
+            "`/fits/scaling/exponent` has no units or long_name.",
+        ),
+        (lambda f: f["gait"].__setitem__(0, "brisk"), "`gait` holds unknown names."),
+        (lambda f: f["reason"].__setitem__((0, 0, 0), -1), "`reason` points outside its table."),
+        (lambda f: f.renameVariable("w_t", "x"), "The dimension `w_t` has no coordinate."),
+        (lambda f: f.createVariable("x", "f8", ("w_t", "slope")), "`x` has its dimensions in another order."),
+    ],
+)
 def test_verify_sees(copy, change, said):
     _edit(copy, change)
-    assert said in check.verify(copy)
+    assert said in verify.verify(copy)
 
 
 def _flip(made, copy, at, seen, files):
@@ -111,8 +123,8 @@ def _flip(made, copy, at, seen, files):
         data[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
         copy.write_bytes(data)
         try:
-            found = check.verify(copy) != []
-            assert found or check.diff(made, copy) == []
+            found = verify.verify(copy) != []
+            assert found or diff.diff(made, copy) == []
         except ArchiveError:
             found = True
         seen.value += found
@@ -137,19 +149,19 @@ def test_no_flipped_byte_changes_a_number_unseen(made, copy):
 def test_what_is_no_archive_is_refused(tmp_path, text):
     (tmp_path / "x.nc").write_bytes(text)
     with pytest.raises(ArchiveError, match="no netCDF file"):
-        check.verify(tmp_path / "x.nc")
+        verify.verify(tmp_path / "x.nc")
 
 
 def test_another_netcdf_file_is_foreign(tmp_path):
     xr.Dataset({"a": ("x", [1.0])}).to_netcdf(tmp_path / "x.nc", engine="netcdf4")
     with pytest.raises(ArchiveError, match="not an archive of gaitsweep"):
-        check.verify(tmp_path / "x.nc")
+        verify.verify(tmp_path / "x.nc")
 
 
 def test_equal_archives_do_not_differ(made, copy):
-    assert check.diff(made, copy) == []
+    assert diff.diff(made, copy) == []
     _edit(copy, lambda file: file["stance_angle"].setncattr("units", "degree"))
-    assert check.diff(made, copy) == ["`stance_angle` is in rad and in degree"]
+    assert diff.diff(made, copy) == ["`stance_angle` is in rad and in degree"]
 
 
 def test_diff_tells_variables_and_statuses_apart(made, copy):
@@ -158,12 +170,13 @@ def test_diff_tells_variables_and_statuses_apart(made, copy):
         file["multiplier_imag"][2, 0, 0, 1] += 1e-9 * file["multiplier_real"][2, 0, 0, 1]
         file["residual"][0] += 1e-10
         file["status"][5:8, 0, 0] = 4
+
     _edit(copy, change)
-    found = check.diff(made, copy)
+    found = diff.diff(made, copy)
     assert found[-1] == "`status`: 3 were converged and are worker_died"
     assert [f.split(":")[0] for f in found] == ["`multiplier_imag`", "`residual`", "`stance_angle`", "`status`"]
     assert "1 of 800 differ, by up to 1e-09 of their size" in found[2]
-    assert check.diff(made, copy, rtol=1e-8) == ["`status`: 3 were converged and are worker_died"]
+    assert diff.diff(made, copy, rtol=1e-8) == ["`status`: 3 were converged and are worker_died"]
 
 
 def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
@@ -173,10 +186,11 @@ def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
         file["fits/scaling/exponent"][1] *= 1 + 1e-6
         file["residual"][3, 1, 0] += 1e-9
         file["error_bound"][3, 1, 0] = 0.5
+
     _edit(copy, change)
 
     def differing(*tolerances):
-        code = cli.main(["diff", str(made), str(copy), *(f"--rtol={t}" for t in tolerances)])
+        code = commands.main(["diff", str(made), str(copy), *(f"--rtol={t}" for t in tolerances)])
         out, err = capsys.readouterr()
         return code, [line.split("`")[1] for line in out.splitlines() if "`" in line], err
 
@@ -197,9 +211,9 @@ def test_tables_are_compared_on_the_lines_both_archives_have(tmp_path):
         toy.write(f'name = "{name}"\nkind = "orbit"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\nw_t = {values}\n')
         toy("run", "toy.toml")
     a, b = (tmp_path / "data" / "archive" / f"{name}.nc" for name in "ab")
-    assert check.diff(a, b) == [f"1 of 3 values of `w_t` are only in {b}"]
+    assert diff.diff(a, b) == [f"1 of 3 values of `w_t` are only in {b}"]
     _edit(b, lambda file: file["orbits/period"].__setitem__(5, 9.0))
-    assert check.diff(a, b)[1:] == ["`orbits/period`: 1 of 4 differ, by up to 1 of their size"]
+    assert diff.diff(a, b)[1:] == ["`orbits/period`: 1 of 4 differ, by up to 1 of their size"]
 
 
 def test_diff_aligns_by_coordinates(made, tmp_path):
@@ -207,7 +221,7 @@ def test_diff_aligns_by_coordinates(made, tmp_path):
     toy.write(EVERYTHING.replace("[0.0, 0.25]", "[0.5, 0.25]"))
     toy("run", "toy.toml")
     other = tmp_path / "data" / "archive" / "toy.nc"
-    found = check.diff(made, other)
+    found = diff.diff(made, other)
     assert {f"1 of 2 values of `w_t` are only in {path}" for path in (made, other)} <= set(found)
     assert not [f for f in found if f.startswith("`") and "status" in f or "stance" in f]
 
@@ -215,13 +229,14 @@ def test_diff_aligns_by_coordinates(made, tmp_path):
 def test_a_bug_is_not_called_damage(made, copy, monkeypatch, capsys):
     def slip(*_):
         return {}["x"]
-    monkeypatch.setattr("pipeline.check._aligned", slip)
-    assert cli.main(["diff", str(made), str(made)]) == 2
+
+    monkeypatch.setattr("pipeline.archive.diff._aligned", slip)
+    assert commands.main(["diff", str(made), str(made)]) == 2
     said = capsys.readouterr().err
     assert said.startswith("gaitsweep: Internal error, KeyError") and "damaged" not in said
     # In a file that is not as it was written anything may follow from that.
     _edit(copy, lambda file: file["stance_angle"].__setitem__((0, 0, 0), 1.0))
-    assert cli.main(["diff", str(copy), str(made)]) == 2
+    assert commands.main(["diff", str(copy), str(made)]) == 2
     assert capsys.readouterr().err == f"gaitsweep: {copy} is damaged: `stance_angle` is not as it was written.\n"
 
 
@@ -229,9 +244,9 @@ def _junk(path, original, dice):
     data = bytearray(original)
     for _ in range(dice.randint(1, 4)):
         at, n = dice.randrange(len(data)), dice.choice([1, 1, 2, 8, 64])
-        data[at:at + n] = dice.randbytes(n)
+        data[at : at + n] = dice.randbytes(n)
     if dice.random() < 0.2:
-        del data[dice.randrange(len(data)):]
+        del data[dice.randrange(len(data)) :]
     path.write_bytes(data)
 
 
@@ -242,7 +257,7 @@ def _read_many(original, path, at, files):
         signal.alarm(20)
         _junk(path, original, random.Random(at.value))
         with contextlib.suppress(ArchiveError):
-            check.verify(path)
+            verify.verify(path)
         at.value += 1
 
 
@@ -263,7 +278,7 @@ def test_mangled_archives_never_end_in_a_traceback(tmp_path, capsys, files):
             continue
         assert child.exitcode < 0, f"archive {at.value} ends in a traceback"
         fatal[signal.Signals(-child.exitcode).name] += 1
-        assert cli.main(["verify", str(path)]) == 1
+        assert commands.main(["verify", str(path)]) == 1
         assert capsys.readouterr().out.count("\n") == 1
         at.value += 1
     print(f"{files} mangled archives; of these end their reader: {dict(fatal)}")

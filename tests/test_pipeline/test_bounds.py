@@ -60,8 +60,10 @@ def test_ten_million_points_fit(toy, tell):
         parent, worker, took[n] = peaks(toy, "run", "toy.toml", "--fresh")
         assert parent < 1 << 30 and worker < 512 * MIB
         sizes = [os.path.getsize(toy.folder / f"data/archive/toy.{kind}") // MIB for kind in ("journal", "nc")]
-        tell(f"{n:,} points run in {took[n]:.0f} s: parent {parent // MIB} MiB, workers {worker // MIB} MiB; journal"
-             f" {sizes[0]} MiB, archive {sizes[1]} MiB")
+        tell(
+            f"{n:,} points run in {took[n]:.0f} s: parent {parent // MIB} MiB, workers {worker // MIB} MiB; journal"
+            f" {sizes[0]} MiB, archive {sizes[1]} MiB"
+        )
     assert took[10_000_000] < 13 * took[1_000_000]
     for command in (("plan", "toy.toml"), ("run", "toy.toml"), ("verify", "data/archive/toy.nc")):
         parent, worker, seconds = peaks(toy, *command)

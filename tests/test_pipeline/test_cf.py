@@ -9,23 +9,39 @@ import numpy as np
 import pytest
 
 import pipeline
-from pipeline import check
+from pipeline.archive import diff
 
 #: The smallest study of each kind, and one over walkers of different units.
 STUDIES = {
-    "grid": {"walker": "E", "axes": {"slope": [0.0005, 0.001, 0.002, 0.02], "foot_mass_ratio": [0.1, 0.05]},
-             "want": {"variables": ["stance_angle", "period", "speed", "power", "multipliers", "energy", "violations"],
-                      "fits": ["scaling", "transition"], "figures": ["angles"], "claims": ["D1"]}},
+    "grid": {
+        "walker": "E",
+        "axes": {"slope": [0.0005, 0.001, 0.002, 0.02], "foot_mass_ratio": [0.1, 0.05]},
+        "want": {
+            "variables": ["stance_angle", "period", "speed", "power", "multipliers", "energy", "violations"],
+            "fits": ["scaling", "transition"],
+            "figures": ["angles"],
+            "claims": ["D1"],
+        },
+    },
     "walkers": {"walker": ["A", "D"], "axes": {"slope": [0.01]}, "want": {"figures": ["angles"]}},
     "branch": {"walker": "D", "axes": {"slope": {"from": 0.005, "to": 0.03, "n": 4}}},
-    "orbit": {"walker": "D", "axes": {"slope": [0.012, 0.019]},
-              "options": {"starts": 2, "transient": 20, "strides": 60, "shown": 8}},
+    "orbit": {
+        "walker": "D",
+        "axes": {"slope": [0.012, 0.019]},
+        "options": {"starts": 2, "transient": 20, "strides": 60, "shown": 8},
+    },
     "cascade": {"walker": "D", "axes": {"slope": [0.012, 0.018]}, "options": {"periods": 2, "starts": 20}},
     "basin": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"size": 8, "strides": 20}},
-    "curve": {"walker": "F", "axes": {"slope": [0.005, 0.05]},
-              "options": {"key": "foot_mass_ratio", "from": 0.04, "to": 0.06, "kinds": ["flip"]}},
-    "no curve": {"walker": "E", "axes": {"slope": [0.005, 0.05]},
-                 "options": {"key": "foot_mass_ratio", "from": 0.08, "to": 0.12, "kinds": ["flip"]}},
+    "curve": {
+        "walker": "F",
+        "axes": {"slope": [0.005, 0.05]},
+        "options": {"key": "foot_mass_ratio", "from": 0.04, "to": 0.06, "kinds": ["flip"]},
+    },
+    "no curve": {
+        "walker": "E",
+        "axes": {"slope": [0.005, 0.05]},
+        "options": {"key": "foot_mass_ratio", "from": 0.08, "to": 0.12, "kinds": ["flip"]},
+    },
     "census": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"starts": 60}},
 }
 
@@ -66,7 +82,7 @@ def test_the_checker_of_the_conventions_finds_nothing(archives, tmp_path):
 
 def test_no_archive_differs_from_itself(archives):
     for name, archive in archives.items():
-        assert check.diff(archive, archive) == [], name
+        assert diff.diff(archive, archive) == [], name
 
 
 def test_a_curve_that_could_not_begin_says_so(archives):
@@ -93,8 +109,25 @@ def test_every_variable_of_every_group_has_units_and_a_meaning(archives):
                 # A bare name stands where nobody has written what a column means.
                 assert variable.long_name != name.rpartition("/")[2].replace("_", " ") or name == "walker", name
     groups = {name.rpartition("/")[0] for name in seen}
-    assert groups >= {"", "fits/scaling", "fits/transition", "trace", "claims", "branches", "special_points", "orbits",
-                      "falls", "lyapunov", "survival", "cascade", "basin", "areas", "census", "coverage", "curves"}
+    assert groups >= {
+        "",
+        "fits/scaling",
+        "fits/transition",
+        "trace",
+        "claims",
+        "branches",
+        "special_points",
+        "orbits",
+        "falls",
+        "lyapunov",
+        "survival",
+        "cascade",
+        "basin",
+        "areas",
+        "census",
+        "coverage",
+        "curves",
+    }
 
 
 def test_tables_are_in_the_walkers_units(archives):

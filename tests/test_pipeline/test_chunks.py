@@ -4,7 +4,7 @@ import netCDF4
 import numpy as np
 import pytest
 
-from pipeline import chunks, grid
+from pipeline.archive import chunks, layout
 
 SMOOTH = np.cbrt(np.linspace(1e-4, 0.1, 3 * 9000)).reshape(3, 9000)
 PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
@@ -19,20 +19,29 @@ def _file(path, values, extent):
     return path
 
 
-@pytest.mark.parametrize("values", [
-    np.stack([SMOOTH, SMOOTH**2], -1), np.full((3, 9000, 2), np.nan), (SMOOTH * 90).astype(np.int8)[..., None],
-    np.ones((1, 3, 1), np.int8), np.ones((1, 1, 3), np.int8),
-    (SMOOTH * 9e3).astype(np.int16)[..., None], (SMOOTH * 9e8).astype(np.int32)[..., None], np.zeros((1, 1, 1)),
-    np.random.default_rng(1).random((2, 9000, 3)),
-], ids=["smooth", "nan", "i1", "odd", "columns", "i2", "i4", "one", "noise"])
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.stack([SMOOTH, SMOOTH**2], -1),
+        np.full((3, 9000, 2), np.nan),
+        (SMOOTH * 90).astype(np.int8)[..., None],
+        np.ones((1, 3, 1), np.int8),
+        np.ones((1, 1, 3), np.int8),
+        (SMOOTH * 9e3).astype(np.int16)[..., None],
+        (SMOOTH * 9e8).astype(np.int32)[..., None],
+        np.zeros((1, 1, 1)),
+        np.random.default_rng(1).random((2, 9000, 3)),
+    ],
+    ids=["smooth", "nan", "i1", "odd", "columns", "i2", "i4", "one", "noise"],
+)
 def test_netcdf_reads_back_what_was_packed(tmp_path, values):
     sizes = {"line": values.shape[0], "slope": values.shape[1]}
-    extent = (*grid.cut(sizes, grid.CHUNK), values.shape[2])
+    extent = (*layout.cut(sizes, layout.CHUNK), values.shape[2])
     ours, theirs = (_file(tmp_path / name, values, extent) for name in ("ours.nc", "theirs.nc"))
     with netCDF4.Dataset(theirs, "a") as file:
         file["v"][:] = values
     with chunks.Chunks(ours) as out:
-        for box in grid.boxes(sizes):
+        for box in layout.boxes(sizes):
             for corner, part in chunks.cut(values[box], box, extent):
                 out.write("v", corner, chunks.packed(part))
     with netCDF4.Dataset(ours) as file:
@@ -50,12 +59,20 @@ def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
         file["v"][0]
 
 
-@pytest.mark.parametrize("sizes", [{"slope": 200_000}, {"slope": 1000, "R": 300}, {"R": 70, "m": 90, "slope": 50},
-                                   {"R": 3000, "slope": 3}, {"slope": 1}])
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        {"slope": 200_000},
+        {"slope": 1000, "R": 300},
+        {"R": 70, "m": 90, "slope": 50},
+        {"R": 3000, "slope": 3},
+        {"slope": 1},
+    ],
+)
 def test_regions_are_whole_chunks_and_cover_the_grid_once(sizes):
-    seen, chunk = np.zeros(tuple(sizes.values()), int), grid.cut(sizes, grid.CHUNK)
-    for box in grid.boxes(sizes):
+    seen, chunk = np.zeros(tuple(sizes.values()), int), layout.cut(sizes, layout.CHUNK)
+    for box in layout.boxes(sizes):
         seen[box] += 1
-        assert seen[box].size <= grid.REGION and all(s.start % c == 0 for s, c in zip(box, chunk, strict=True))
+        assert seen[box].size <= layout.REGION and all(s.start % c == 0 for s, c in zip(box, chunk, strict=True))
         assert all(s.stop % c == 0 or s.stop == n for s, c, n in zip(box, chunk, seen.shape, strict=True))
     assert (seen == 1).all()

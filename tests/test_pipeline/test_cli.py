@@ -15,29 +15,40 @@ import netCDF4
 import pytest
 
 from conftest import ROOT, STUDY
-from pipeline import cli
+from pipeline.cli import commands
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError
 
 
 def gaitsweep(*arguments, cwd=None):
-    return subprocess.run([sys.executable, "-m", "pipeline.cli", *map(str, arguments)], cwd=cwd, text=True, timeout=60,
-                          env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True)
+    return subprocess.run(
+        [sys.executable, "-m", "pipeline.cli.commands", *map(str, arguments)],
+        cwd=cwd,
+        text=True,
+        timeout=60,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+    )
 
 
 def quickest(*arguments, cwd=None, tries=3):
     """Least processor time of a few [s], on a machine that loads numpy in 0.15 s: shared ones slow down by the hour."""
+
     def least(*command):
         times = []
         for _ in range(tries):
-            process = subprocess.Popen([sys.executable, *command], cwd=cwd, stdout=subprocess.DEVNULL,
-                                       env={**os.environ, "PYTHONPATH": str(ROOT)})
+            process = subprocess.Popen(
+                [sys.executable, *command],
+                cwd=cwd,
+                stdout=subprocess.DEVNULL,
+                env={**os.environ, "PYTHONPATH": str(ROOT)},
+            )
             _, status, used = os.wait4(process.pid, 0)
             process.returncode = os.waitstatus_to_exitcode(status)
             assert process.returncode == 0
             times.append(used.ru_utime + used.ru_stime)
         return min(times)
 
-    return least("-m", "pipeline.cli", *arguments) / max(1.0, least("-c", "import numpy") / 0.15)
+    return least("-m", "pipeline.cli.commands", *arguments) / max(1.0, least("-c", "import numpy") / 0.15)
 
 
 def test_help_is_quick():
@@ -47,53 +58,87 @@ def test_help_is_quick():
 def test_a_small_plan_is_quick_and_loads_no_solver(tmp_path):
     (tmp_path / "s.toml").write_text(STUDY)
     assert quickest("plan", "s.toml", cwd=tmp_path) < 0.4
-    program = ("import sys; from pipeline import cli; cli.main(['plan', 's.toml']);"
-               "print(*{m.split('.')[0] for m in sys.modules})")
-    found = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, text=True, capture_output=True,
-                           env={**os.environ, "PYTHONPATH": str(ROOT)}).stdout.splitlines()[-1].split()
+    program = (
+        "import sys; from pipeline.cli import commands; commands.main(['plan', 's.toml']);"
+        "print(*{m.split('.')[0] for m in sys.modules})"
+    )
+    found = (
+        subprocess.run(
+            [sys.executable, "-c", program],
+            cwd=tmp_path,
+            text=True,
+            capture_output=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+        .stdout.splitlines()[-1]
+        .split()
+    )
     assert not {"heyoka", "scipy", "joblib", "netCDF4", "xarray", "matplotlib", "dask"} & set(found)
     assert not list(tmp_path.glob("data*"))
 
 
-@pytest.mark.parametrize("axes", [
-    "slope = { from = 1e-4, to = 0.2, n = 1000000 }",
-    "slope = { from = 1e-4, to = 0.2, n = 1000 }\nw_t = { from = 0, to = 0.1, n = 1000 }",
-])
+@pytest.mark.parametrize(
+    "axes",
+    [
+        "slope = { from = 1e-4, to = 0.2, n = 1000000 }",
+        "slope = { from = 1e-4, to = 0.2, n = 1000 }\nw_t = { from = 0, to = 0.1, n = 1000 }",
+    ],
+)
 def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
     (tmp_path / "s.toml").write_text(f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n')
     assert quickest("plan", "s.toml", cwd=tmp_path) < 1.0
     # The kernel's own high-water mark of this program: getrusage would count what the parent held before it.
-    program = ("from pathlib import Path; from pipeline import cli; cli.main(['plan', 's.toml']);"
-               "print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])")
-    found = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, text=True, capture_output=True,
-                           env={**os.environ, "PYTHONPATH": str(ROOT)}).stdout.splitlines()
+    program = (
+        "from pathlib import Path; from pipeline.cli import commands; commands.main(['plan', 's.toml']);"
+        "print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        text=True,
+        capture_output=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    ).stdout.splitlines()
     assert "1,000,000 points" in found[0] and int(found[-1]) < 200 * 1024
 
 
-@pytest.mark.parametrize(("arguments", "said"), [
-    (["run"], "The following arguments are required: STUDY.toml (gaitsweep run --help)."),
-    (["run", "none.toml"], "There is no file none.toml."),
-    (["run", "s.toml", "--jobs", "0"],
-     "Argument --jobs: must be a whole number of at least 1; got 0 (gaitsweep run --help)."),
-    (["run", "s.toml", "t.toml", "--archive", "x.nc"], "`--archive` names one file, but there are several studies."),
-    (["run", "s.toml", "--archive", "s.toml/x.nc"], "s.toml cannot be written: File exists."),
-    (["run", "s.toml", "--cluster", "nowhere"], "`--cluster` must be tcp://HOST:PORT or local:N; got nowhere."),
-    (["plan", "s.toml", "s.toml"], "Two studies are called toy."),
-    (["verify", "none.nc"], "There is no archive none.nc."),
-    (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
-    (["diff", "s.toml", "none.nc"], "s.toml is no netCDF file that can be read."),
-    (["solve", "--walker", "D", "--slope", "0.7"], "`slope` must lie in (0, 0.5) rad; got 0.7."),
-    (["solve", "--walker", "Q", "--slope", "0.1"], "`Q` is not known here, known: A, B, C, D, E, F,"
-     " physical, physical-straight, A-printed, C-printed, or a file FILE.toml."),
-    (["solve", "--walker", "E", "--slope", "0.01", "--set", "foot_mass_ratio=0.1", "--set", "m_h=1"],
-     "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 1.0."),
-    (["frobnicate"], None),
-])
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run"], "The following arguments are required: STUDY.toml (gaitsweep run --help)."),
+        (["run", "none.toml"], "There is no file none.toml."),
+        (
+            ["run", "s.toml", "--jobs", "0"],
+            "Argument --jobs: must be a whole number of at least 1; got 0 (gaitsweep run --help).",
+        ),
+        (
+            ["run", "s.toml", "t.toml", "--archive", "x.nc"],
+            "`--archive` names one file, but there are several studies.",
+        ),
+        (["run", "s.toml", "--archive", "s.toml/x.nc"], "s.toml cannot be written: File exists."),
+        (["run", "s.toml", "--cluster", "nowhere"], "`--cluster` must be tcp://HOST:PORT or local:N; got nowhere."),
+        (["plan", "s.toml", "s.toml"], "Two studies are called toy."),
+        (["verify", "none.nc"], "There is no archive none.nc."),
+        (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
+        (["diff", "s.toml", "none.nc"], "s.toml is no netCDF file that can be read."),
+        (["solve", "--walker", "D", "--slope", "0.7"], "`slope` must lie in (0, 0.5) rad; got 0.7."),
+        (
+            ["solve", "--walker", "Q", "--slope", "0.1"],
+            "`Q` is not known here, known: A, B, C, D, E, F,"
+            " physical, physical-straight, A-printed, C-printed, or a file FILE.toml.",
+        ),
+        (
+            ["solve", "--walker", "E", "--slope", "0.01", "--set", "foot_mass_ratio=0.1", "--set", "m_h=1"],
+            "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 1.0.",
+        ),
+        (["frobnicate"], None),
+    ],
+)
 def test_bad_input_is_one_line_and_exit_2(tmp_path, monkeypatch, capsys, arguments, said):
     monkeypatch.chdir(tmp_path)
     for name in ("s.toml", "t.toml"):
         (tmp_path / name).write_text(STUDY.replace("toy", "t") if name == "t.toml" else STUDY)
-    assert cli.main(arguments) == 2
+    assert commands.main(arguments) == 2
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1
     if said:
@@ -121,8 +166,7 @@ def test_quiet_is_quiet_and_the_summary_counts(toy):
     assert toy("run", "toy.toml", "--quiet").stderr == ""
     done = toy("run", "toy.toml")
     assert done.stdout == "" and "toy: 400 points (converged 400)" in done.stderr
-    assert done.stderr.splitlines()[-1] == \
-        "To see it: gaitsweep report data/archive/toy.nc  (makes reports/index.html)"
+    assert done.stderr.splitlines()[-1] == "To see it: gaitsweep report data/archive/toy.nc  (makes reports/index.html)"
     record = json.loads((toy.folder / "data" / "archive" / "toy.run.json").read_text())
     assert record["exit_code"] == 0 and record["counts"] == {"converged": 400} and record["seconds"] > 0
 
@@ -152,26 +196,38 @@ def test_a_study_that_is_refused_does_not_end_the_list(toy):
     with lock:
         said = toy("run", *studies, expect=2).stderr
         assert toy("run", "a.toml", "busy.toml", "z.toml", "--quiet", expect=5).stderr.count("\n") == 1
-    assert [line for line in said.splitlines() if line.startswith("2 of 5 studies in ") and line.endswith(
-        ": converged 80; not run to the end: wrong.toml, busy.toml, foreign.toml")]
+    assert [
+        line
+        for line in said.splitlines()
+        if line.startswith("2 of 5 studies in ")
+        and line.endswith(": converged 80; not run to the end: wrong.toml, busy.toml, foreign.toml")
+    ]
     for words in ("`nonsense` is not known here", "busy.nc is held by another run", "foreign.journal is not a journal"):
         assert said.count(words) == 1
     assert all((toy.folder / "data" / "archive" / f"{name}.nc").exists() for name in ("a", "z"))
 
 
-@pytest.mark.parametrize(("ends", "code", "runs"), [
-    ([0, 1, 0], 1, 3), ([1, BusyError("b"), 0], 5, 3), ([BusyError("b"), ArchiveError("a"), 1], 2, 3),
-    ([ValueError(), WorkerError("w"), BusyError("b")], 3, 3), ([DiskFullError("d"), WorkerError("w"), 0], 4, 3),
-    ([DiskFullError("d"), StoppedError(2, "s"), 0], 130, 2), ([1, StoppedError(15, "s"), 0], 143, 2),
-    ([KeyboardInterrupt(), 0, 0], 130, 1)])
+@pytest.mark.parametrize(
+    ("ends", "code", "runs"),
+    [
+        ([0, 1, 0], 1, 3),
+        ([1, BusyError("b"), 0], 5, 3),
+        ([BusyError("b"), ArchiveError("a"), 1], 2, 3),
+        ([ValueError(), WorkerError("w"), BusyError("b")], 3, 3),
+        ([DiskFullError("d"), WorkerError("w"), 0], 4, 3),
+        ([DiskFullError("d"), StoppedError(2, "s"), 0], 130, 2),
+        ([1, StoppedError(15, "s"), 0], 143, 2),
+        ([KeyboardInterrupt(), 0, 0], 130, 1),
+    ],
+)
 def test_several_studies_end_with_the_gravest_code(toy, monkeypatch, capsys, ends, code, runs):
     monkeypatch.chdir(toy.folder)
     names = ["a", "b", "c"]
     for name in names:
         toy.write(STUDY.replace('"toy"', f'"{name}"'), f"{name}.toml")
     run = Mock(side_effect=ends)
-    monkeypatch.setattr("pipeline.runner.run", run)
-    assert cli.main(["run", *(f"{name}.toml" for name in names)]) == code
+    monkeypatch.setattr("pipeline.execution.runner.run", run)
+    assert commands.main(["run", *(f"{name}.toml" for name in names)]) == code
     assert run.call_count == runs
     left = [f"{name}.toml" for name, end in zip(names, ends, strict=True) if end not in (0, 1)]
     left += [f"{name}.toml" for name in names[runs:] if f"{name}.toml" not in left]
@@ -203,12 +259,20 @@ def test_verify_and_diff_exit_with_1(toy):
 
 
 def test_solve_tells_units_where_a_walker_has_any(capsys):
-    assert cli.main(["solve", "--walker", "A", "--slope", "0.03"]) == 0
+    assert commands.main(["solve", "--walker", "A", "--slope", "0.03"]) == 0
     told = capsys.readouterr().out
-    for name, unit in (("slope", "rad"), ("stance_angle", "rad"), ("thigh_rate", "rad s-1"), ("period", "s"),
-                       ("speed", "m s-1"), ("loss_normal", "J"), ("residual", ""), ("error_bound", "")):
+    for name, unit in (
+        ("slope", "rad"),
+        ("stance_angle", "rad"),
+        ("thigh_rate", "rad s-1"),
+        ("period", "s"),
+        ("speed", "m s-1"),
+        ("loss_normal", "J"),
+        ("residual", ""),
+        ("error_bound", ""),
+    ):
         assert re.search(rf"^  {name} +[-+.e\d]+{' ' * bool(unit)}{unit}$", told, re.M), name
-    assert cli.main(["solve", "--walker", "D", "--slope", "0.009"]) == 0
+    assert commands.main(["solve", "--walker", "D", "--slope", "0.009"]) == 0
     told = capsys.readouterr().out
     assert re.search(r"^  stance_angle +0\.2003\d+ rad$", told, re.M)
     assert re.search(r"^  period +3\.882\d+$", told, re.M)
@@ -216,26 +280,31 @@ def test_solve_tells_units_where_a_walker_has_any(capsys):
 
 def test_the_version_is_told(capsys):
     with pytest.raises(SystemExit) as end:
-        cli.main(["--version"])
+        commands.main(["--version"])
     assert end.value.code == 0 and re.fullmatch(r"gaitsweep \d+\.\d+\S*\n", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize(("typed", "found"), [
-    ("gaitsweep so", ["solve"]),
-    ("gaitsweep --debug ver", ["verify"]),
-    ("gaitsweep run --ret", ["--retry-failed"]),
-    ("gaitsweep run st", ["study.toml"]),
-    ("gaitsweep solve --walker physical-", ["physical-straight"]),
-    ("gaitsweep solve --set m_", ["m_t=", "m_s=", "m_h="]),
-    ("gaitsweep tune --free l_", ["l_t", "l_s"]),
-    ("gaitsweep completion z", ["zsh"]),
-])
+@pytest.mark.parametrize(
+    ("typed", "found"),
+    [
+        ("gaitsweep so", ["solve"]),
+        ("gaitsweep --debug ver", ["verify"]),
+        ("gaitsweep run --ret", ["--retry-failed"]),
+        ("gaitsweep run st", ["study.toml"]),
+        ("gaitsweep solve --walker physical-", ["physical-straight"]),
+        ("gaitsweep solve --set m_", ["m_t=", "m_s=", "m_h="]),
+        ("gaitsweep tune --free l_", ["l_t", "l_s"]),
+        ("gaitsweep completion z", ["zsh"]),
+    ],
+)
 def test_a_shell_completes_what_is_typed(tmp_path, capsys, typed, found):
-    assert cli.main(["completion", "bash"]) == 0
+    assert commands.main(["completion", "bash"]) == 0
     (tmp_path / "study.toml").touch()
     words = typed.split()
-    program = (f"{capsys.readouterr().out}\nCOMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
-               'complete -p gaitsweep >/dev/null || exit 1; _gaitsweep; printf "%s\\n" "${COMPREPLY[@]}"')
+    program = (
+        f"{capsys.readouterr().out}\nCOMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
+        'complete -p gaitsweep >/dev/null || exit 1; _gaitsweep; printf "%s\\n" "${COMPREPLY[@]}"'
+    )
     done = subprocess.run(["bash", "-c", program], cwd=tmp_path, text=True, capture_output=True)
     assert done.stdout.split() == found and done.stderr == ""
 
@@ -243,7 +312,7 @@ def test_a_shell_completes_what_is_typed(tmp_path, capsys, typed, found):
 def test_zsh_runs_the_function_of_bash(capsys):
     scripts = {}
     for shell in ("bash", "zsh"):
-        assert cli.main(["completion", shell]) == 0
+        assert commands.main(["completion", shell]) == 0
         scripts[shell] = capsys.readouterr().out
     head, _, body = scripts["zsh"].partition("bashcompinit && bashcompinit\n")
     assert head.startswith("# zsh") and body == scripts["bash"].partition("\n")[2]
@@ -251,21 +320,23 @@ def test_zsh_runs_the_function_of_bash(capsys):
 
 def test_debug_shows_where_and_changes_no_exit_code(capsys):
     for arguments in (["solve", "--walker", "X", "--slope", "0.01"], ["verify", "none.nc"]):
-        assert cli.main(["--debug", *arguments]) == cli.main(arguments) == 2
+        assert commands.main(["--debug", *arguments]) == commands.main(arguments) == 2
     assert capsys.readouterr().err.count("Traceback") == 2
 
 
 def test_a_walker_loses_its_knees_by_a_key(tmp_path):
-    found = [gaitsweep("solve", "--walker", "physical", "--slope", "0.03", "--json", *more, cwd=tmp_path)
-             for more in (("--set", "knees=false"), ())]
+    found = [
+        gaitsweep("solve", "--walker", "physical", "--slope", "0.03", "--json", *more, cwd=tmp_path)
+        for more in (("--set", "knees=false"), ())
+    ]
     straight, kneed = (json.loads(f.stdout) for f in found)
     assert {g["kneestrike_time"] for g in straight} == {None} and all(g["kneestrike_time"] for g in kneed)
 
 
 def test_tune_says_what_moved_above_a_table_ready_to_paste(capsys):
-    assert cli.main(["tune", "--walker", "D"]) == 0
+    assert commands.main(["tune", "--walker", "D"]) == 0
     assert capsys.readouterr().out.startswith("# It meets the zero-slope conditions as it is; nothing was moved.\n")
-    assert cli.main(["tune", "--walker", "C-printed"]) == 0
+    assert commands.main(["tune", "--walker", "C-printed"]) == 0
     told = capsys.readouterr().out
     assert "# w_t moved from -0.023 to -0.02288" in told and "# shank offset: -0.000351 before, 0 after" in told
     assert tomllib.loads(told)["walker"]["w_s"] == pytest.approx(0.0223541, abs=5e-8)
@@ -281,38 +352,44 @@ def test_report_adds_leaves_only_and_opens(toy, monkeypatch, capsys):
     def pages():
         return {path.stem for path in (toy.folder / "reports").glob("*.html")} - {"index", "ledger"}
 
-    assert cli.main(["report", "data/archive/toy.nc"]) == 0 and not opened
-    assert cli.main(["report", "data/archive/other.nc", "--open"]) == 0
+    assert commands.main(["report", "data/archive/toy.nc"]) == 0 and not opened
+    assert commands.main(["report", "data/archive/other.nc", "--open"]) == 0
     assert pages() == {"toy", "other"} and opened == [(toy.folder / "reports" / "index.html").as_uri()]
     assert capsys.readouterr().err == ""
-    assert cli.main(["report", "data/archive/other.nc", "--only", "--open"]) == 0
+    assert commands.main(["report", "data/archive/other.nc", "--only", "--open"]) == 0
     assert pages() == {"other"} and capsys.readouterr().err == "gaitsweep: No browser could be opened.\n"
 
 
 def test_a_full_disk_is_said_wherever_it_is_met(toy, monkeypatch, capsys):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
     monkeypatch.chdir(toy.folder)
     toy("run", "toy.toml")
-    monkeypatch.setattr("pipeline.runner.locked", full)
-    monkeypatch.setattr("pipeline.report.page.write", full)
+    monkeypatch.setattr("pipeline.execution.runner.locked", full)
+    monkeypatch.setattr("pipeline.report.pages.write", full)
     for arguments in (["run", "toy.toml"], ["report", "data/archive/toy.nc"]):
-        assert cli.main(arguments) == 4
+        assert commands.main(arguments) == 4
         assert capsys.readouterr().err.endswith("cannot be written: No space left on device.\n")
 
 
 def test_a_run_that_broke_off_is_not_finished(toy, monkeypatch, capsys):
     monkeypatch.chdir(toy.folder)
-    monkeypatch.setattr("pipeline.archive.write", Mock(side_effect=StudyError("No.")))
-    assert cli.main(["run", "toy.toml", "--jobs", "1"]) == 2
-    cli.main(["status", "toy.toml"])
+    monkeypatch.setattr("pipeline.archive.write.write", Mock(side_effect=StudyError("No.")))
+    assert commands.main(["run", "toy.toml", "--jobs", "1"]) == 2
+    commands.main(["status", "toy.toml"])
     assert "toy.nc: stopped; " in capsys.readouterr().out
 
 
 def test_walkers_from_files_keep_their_names(toy):
     for name, mass in (("light", 0.5), ("heavy", 2.0)):
-        table = dict(dict.fromkeys(("w_t", "r_t", "c_t", "w_s", "r_s", "c_s", "R", "eps_T"), 0.0),
-                     l_t=0.5, l_s=0.5, m_t=1.0, m_s=mass)
+        table = dict(
+            dict.fromkeys(("w_t", "r_t", "c_t", "w_s", "r_s", "c_s", "R", "eps_T"), 0.0),
+            l_t=0.5,
+            l_s=0.5,
+            m_t=1.0,
+            m_s=mass,
+        )
         (toy.folder / f"{name}.toml").write_text("[walker]\n" + "".join(f"{k} = {v}\n" for k, v in table.items()))
     toy.write(STUDY.replace('walker = "E"', 'walker = ["light.toml", "heavy.toml", "E"]').replace("200", "5"))
     toy("run", "toy.toml")

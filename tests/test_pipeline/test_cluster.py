@@ -26,8 +26,16 @@ class Cluster:
         self.folder = folder
         self.environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{TOYS}"}
         self.file = folder / "scheduler.json"
-        self.scheduler = self._start("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
-                                     "--no-dashboard", "--scheduler-file", self.file)
+        self.scheduler = self._start(
+            "distributed.cli.dask_scheduler",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            "0",
+            "--no-dashboard",
+            "--scheduler-file",
+            self.file,
+        )
         end = time.monotonic() + 30
         while not self.file.exists() and time.monotonic() < end:
             time.sleep(0.05)
@@ -36,13 +44,26 @@ class Cluster:
 
     def _start(self, module, *arguments):
         quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-        return subprocess.Popen([sys.executable, "-m", module, *map(str, arguments)], env=self.environment,
-                                cwd=self.folder, **quiet)
+        return subprocess.Popen(
+            [sys.executable, "-m", module, *map(str, arguments)], env=self.environment, cwd=self.folder, **quiet
+        )
 
     def add_worker(self, **environment):
         self.environment |= environment
-        self.workers.append(self._start("distributed.cli.dask_worker", self.address, "--host", "127.0.0.1",
-                                        "--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "30"))
+        self.workers.append(
+            self._start(
+                "distributed.cli.dask_worker",
+                self.address,
+                "--host",
+                "127.0.0.1",
+                "--nthreads",
+                "1",
+                "--no-nanny",
+                "--no-dashboard",
+                "--death-timeout",
+                "30",
+            )
+        )
 
     def close(self):
         for process in (*self.workers, self.scheduler):
@@ -166,8 +187,10 @@ def test_a_stopped_run_leaves_no_process_on_a_cluster(toy, whole, cluster, tell,
     assert not alive(ours, 3.0)
     toy("run", "toy.toml")
     assert toy.bytes() == whole
-    tell(f"{signum.name} to a run on {'a cluster of its own' if local else 'a running scheduler'}: none of {len(ours)}"
-         " processes left after 3 s")
+    tell(
+        f"{signum.name} to a run on {'a cluster of its own' if local else 'a running scheduler'}: none of {len(ours)}"
+        " processes left after 3 s"
+    )
 
 
 @pytest.mark.soak
@@ -181,14 +204,19 @@ def test_what_a_chunk_costs_on_a_cluster(toy, tell):
         times = [e["time"] for e in events if e["event"] == "chunk"][-700:]
         took[engine] = (times[-1] - times[0]) / (len(times) - 1)
     assert max(took.values()) < 0.05
-    tell(f"a chunk costs {1e3 * took['--jobs']:.1f} ms here, {1e3 * took['--cluster']:.1f} ms on two dask workers,"
-         " its place in the journal included")
+    tell(
+        f"a chunk costs {1e3 * took['--jobs']:.1f} ms here, {1e3 * took['--cluster']:.1f} ms on two dask workers,"
+        " its place in the journal included"
+    )
 
 
-@pytest.mark.parametrize("wrong", [
-    'walker = "E"\n[axes]\nslope = [0.01]\nfoot_mass_ratio = [0.1]\nm_h = [1.0]\n',
-    'walker = "D"\nkind = "curve"\n[axes]\nslope = [0.01, 0.1]\n[options]\nkey = "R"\nfrom = 0.0\nto = 0.3\n',
-])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        'walker = "E"\n[axes]\nslope = [0.01]\nfoot_mass_ratio = [0.1]\nm_h = [1.0]\n',
+        'walker = "D"\nkind = "curve"\n[axes]\nslope = [0.01, 0.1]\n[options]\nkey = "R"\nfrom = 0.0\nto = 0.3\n',
+    ],
+)
 def test_a_wrong_study_is_refused_before_a_cluster_is_asked(toy, wrong):
     """The same line with workers of our own and with a scheduler that is not there."""
     toy.write(f'name = "wrong"\n{wrong}', "wrong.toml")

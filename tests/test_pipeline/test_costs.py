@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from conftest import STUDY
-from pipeline import pack, study
-from pipeline.execute import Engine, Loop
-from pipeline.journal import Journal
-from pipeline.plan import Plan
+from pipeline import serialize
+from pipeline.execution.executors import Engine
+from pipeline.execution.scheduler import Loop
+from pipeline.plan.missing import Plan
+from pipeline.store.journal import Journal
+from pipeline.study import parse
 from processes import beside
 
 PEAK = "slope = { from = 0.01, to = 0.2, n = 40000 }"
@@ -21,12 +23,18 @@ UNEVEN = {
     "even": (PEAK, lambda line, slope: 1e-3 + 0 * slope),
     "a dear tenth": (PEAK, lambda line, slope: np.where(abs(slope - 0.15) < 0.01, 2e-2, 1e-3)),
     "a dear twentieth": (PEAK, lambda line, slope: np.where(abs(slope - 0.0333) < 0.005, 5e-2, 1e-3)),
-    "dear towards zero": ('slope = { from = 1e-12, to = 0.1, n = 40000, spacing = "log" }',
-                          lambda line, slope: 1e-5 * (1 + (1e-6 / slope)**0.5)),
-    "dear lines": (PEAK.replace("40000", "4000") + "\nw_t = { from = 0, to = 0.1, n = 12 }",
-                   lambda line, slope: 1e-4 * (1 + line) + 0 * slope),
-    "dear lines and regions": (PEAK.replace("40000", "10000") + "\nw_t = { from = 0, to = 0.1, n = 6 }",
-                               lambda line, slope: 2e-4 * (1 + line) * np.where(slope > 0.18, 10, 1)),
+    "dear towards zero": (
+        'slope = { from = 1e-12, to = 0.1, n = 40000, spacing = "log" }',
+        lambda line, slope: 1e-5 * (1 + (1e-6 / slope) ** 0.5),
+    ),
+    "dear lines": (
+        PEAK.replace("40000", "4000") + "\nw_t = { from = 0, to = 0.1, n = 12 }",
+        lambda line, slope: 1e-4 * (1 + line) + 0 * slope,
+    ),
+    "dear lines and regions": (
+        PEAK.replace("40000", "10000") + "\nw_t = { from = 0, to = 0.1, n = 6 }",
+        lambda line, slope: 2e-4 * (1 + line) * np.where(slope > 0.18, 10, 1),
+    ),
 }
 
 
@@ -42,16 +50,20 @@ class Simulated(Engine):
         def parallel(jobs):
             for number, job in jobs:
                 took = 0.01
-                result = {"outcome": "ok", "reason": "", "data": pack.dump({})}
+                result = {"outcome": "ok", "reason": "", "data": serialize.dump({})}
                 if job["points"]:
                     slope = job["params"]["slope"]
                     line = round(job["params"]["line"]["set"].get("w_t", 0) / 0.1 * 59)
                     took = 0.01 + float(np.sum(self.cost(line, slope)))
-                    states = {"status": np.zeros((len(slope), 4), np.int8), "reasons": np.array([""]),
-                              "reason": np.zeros((len(slope), 4), np.int16)}
-                    result = {"rows": [(slope.tobytes(), pack.dump(states), pack.dump({}))]}
+                    states = {
+                        "status": np.zeros((len(slope), 4), np.int8),
+                        "reasons": np.array([""]),
+                        "reason": np.zeros((len(slope), 4), np.int16),
+                    }
+                    result = {"rows": [(slope.tobytes(), serialize.dump(states), serialize.dump({}))]}
                 self.spent += took
                 yield number, {**result, "seconds": took, "pid": 0}
+
         yield parallel
 
 
@@ -59,14 +71,17 @@ class Simulated(Engine):
 def test_what_is_left_is_told_to_a_quarter_after_a_fifth_of_the_work(tmp_path, name):
     axes, cost = UNEVEN[name]
     (tmp_path / "s.toml").write_text(f'name = "s"\nwalker = "E"\n[axes]\n{axes}\n[want]\nvariables = ["period"]\n')
-    found = study.read(tmp_path / "s.toml")
+    found = parse.read(tmp_path / "s.toml")
     engine, told = Simulated(cost), []
     journal = Journal(tmp_path / "j")
     loop = Loop(Plan(found, journal), engine, lambda *_: told.append((engine.spent, loop.costs.left())), found.points)
     loop.run()
     journal.close()
-    wrong = [abs(left / (engine.spent - spent) - 1) for spent, left in told
-             if 0.2 * engine.spent <= spent <= 0.7 * engine.spent]
+    wrong = [
+        abs(left / (engine.spent - spent) - 1)
+        for spent, left in told
+        if 0.2 * engine.spent <= spent <= 0.7 * engine.spent
+    ]
     assert len(wrong) > 10 and max(wrong) < 0.25
     assert len(told) < 100 * found.lines + 4 * engine.spent  # chunks are not much smaller for it
 
@@ -83,5 +98,7 @@ def test_the_time_to_go_of_a_real_run(toy, tell):
         if event["event"] == "state" and 0.2 * took < event["time"] - began < 0.7 * took:
             wrong.append(event["eta"] / (began + took - event["time"]) - 1)
     assert len(wrong) > 2 and max(map(abs, wrong)) < 0.25
-    tell(f"time to go of a run of {took:.0f} s, a tenth of it twenty times as dear: from {min(wrong):+.0%} to"
-         f" {max(wrong):+.0%} between 20 and 70 % of the time")
+    tell(
+        f"time to go of a run of {took:.0f} s, a tenth of it twenty times as dear: from {min(wrong):+.0%} to"
+        f" {max(wrong):+.0%} between 20 and 70 % of the time"
+    )

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import cell, graph
 from pipeline.bench.counted import STUDIES, work
-from pipeline.runner import Options, run
-from pipeline.study import read
+from pipeline.execution import worker_process
+from pipeline.execution.runner import Options, run
+from pipeline.plan import graph
+from pipeline.study.parse import read
 from tasks.registry import ALWAYS
-from tasks.solve import atlas
+from tasks.solve_points import atlas
 
 
 @pytest.fixture(scope="module", params=["D", "B"])
@@ -69,7 +70,8 @@ def test_a_cached_rerun_starts_no_worker_and_so_integrates_nothing(tmp_path, mon
 
     def refuse(*_):
         raise AssertionError("a worker was started")
-    monkeypatch.setattr(cell.Cell, "__init__", refuse)
+
+    monkeypatch.setattr(worker_process.Cell, "__init__", refuse)
     assert run(study, archive, Options(jobs=1, quiet=True)) == 0
     assert archive.read_bytes() == before
     # One more slope wants a worker again: the guard above does guard.

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import graph, study
+from pipeline.plan import graph
+from pipeline.study import parse
 from tasks import registry
 
 
@@ -15,7 +16,8 @@ from tasks import registry
 def make():
     def make(slope=(0.01, 0.02), **changes):
         table = {"name": "s", "walker": "E", "axes": {"slope": list(slope), "foot_mass_ratio": [0.1, 0.05]}, **changes}
-        return study.parse(table, "", Path("s.toml"))
+        return parse.parse(table, "", Path("s.toml"))
+
     return make
 
 

@@ -9,20 +9,24 @@ import sqlite3
 import numpy as np
 import pytest
 
-from pipeline import gather, pack
-from pipeline.compact import compact
+from pipeline import serialize
 from pipeline.errors import ArchiveError, DiskFullError
-from pipeline.journal import Journal, Result, TornError, mend
+from pipeline.store import lines
+from pipeline.store.compact import compact
+from pipeline.store.journal import Journal, Result, TornError, mend
 from processes import damaged
 
-WANT = gather.needed(["stance_angle"], ["long"])
+WANT = lines.needed(["stance_angle"], ["long"])
 
 
 def row(slopes, value, status=0):
     n = len(slopes)
-    states = {"status": np.full((n, 4), status, np.int8), "reason": np.zeros((n, 4), np.int16),
-              "reasons": np.array([f"reason {value}"])}
-    return slopes.tobytes(), pack.dump(states), pack.dump({"stance_angle": np.full((n, 1), value)})
+    states = {
+        "status": np.full((n, 4), status, np.int8),
+        "reason": np.zeros((n, 4), np.int16),
+        "reasons": np.array([f"reason {value}"]),
+    }
+    return slopes.tobytes(), serialize.dump(states), serialize.dump({"stance_angle": np.full((n, 1), value)})
 
 
 def reopened(path):
@@ -42,8 +46,8 @@ def journal(tmp_path):
 
 
 def values(journal, slopes):
-    status, _, _, sources = gather.states(journal, "L", WANT, slopes)
-    return status[:, 0], gather.fill(journal, ["stance_angle"], sources, len(slopes), 3)["stance_angle"][:, 0]
+    status, _, _, sources = lines.states(journal, "L", WANT, slopes)
+    return status[:, 0], lines.fill(journal, ["stance_angle"], sources, len(slopes), 3)["stance_angle"][:, 0]
 
 
 def test_points_are_found_whatever_the_blocks_and_the_latest_counts(journal):
@@ -52,7 +56,7 @@ def test_points_are_found_whatever_the_blocks_and_the_latest_counts(journal):
     journal.add_points("L", "k", WANT, row(slopes[3:4], 2.0), 0.1)
     journal.add_points("M", "k", WANT, row(slopes, 3.0), 0.1)
     journal.add_points("L", "k", ["stance_angle"], row(slopes, 4.0), 0.1)  # without the gait that is wanted
-    assert gather.missing(journal, "L", WANT, slopes).tolist() == [0, 2, 4, 6]
+    assert lines.missing(journal, "L", WANT, slopes).tolist() == [0, 2, 4, 6]
     status, found = values(journal, slopes[::-1])
     np.testing.assert_array_equal(found, [np.nan, 1, np.nan, 2, np.nan, 1, np.nan])
     np.testing.assert_array_equal(status, [7, 0, 7, 0, 7, 0, 7])
@@ -61,8 +65,8 @@ def test_points_are_found_whatever_the_blocks_and_the_latest_counts(journal):
 def test_failed_points_are_missing_only_to_a_retry(journal):
     slopes = np.array([0.1, 0.2])
     journal.add_points("L", "k", WANT, row(slopes, 1.0, status=4), 0.1)
-    assert gather.missing(journal, "L", WANT, slopes, ["long"]).tolist() == []
-    assert gather.missing(journal, "L", WANT, slopes, ["long"], retry=True).tolist() == [0, 1]
+    assert lines.missing(journal, "L", WANT, slopes, ["long"]).tolist() == []
+    assert lines.missing(journal, "L", WANT, slopes, ["long"], retry=True).tolist() == [0, 1]
 
 
 def test_the_cost_of_a_point_is_the_mean_over_all_blocks(journal):
@@ -96,7 +100,7 @@ def test_a_flipped_byte_is_seen_and_mended(tmp_path):
     journal.close()
     mend(tmp_path / "j")
     journal = Journal(tmp_path / "j")
-    assert gather.missing(journal, "L", WANT, slopes).tolist() == list(range(2, 4000, 4))
+    assert lines.missing(journal, "L", WANT, slopes).tolist() == list(range(2, 4000, 4))
     journal.close()
 
 
@@ -105,28 +109,28 @@ def test_a_journal_cut_anywhere_keeps_its_beginning(tmp_path, part):
     slopes = np.linspace(0.1, 0.4, 20000)
     journal = Journal(tmp_path / "j")
     for k in range(40):
-        journal.add_points("L", "k", WANT, row(slopes[500 * k:500 * (k + 1)], float(k)), 0.1)
+        journal.add_points("L", "k", WANT, row(slopes[500 * k : 500 * (k + 1)], float(k)), 0.1)
     journal.close()
     size = os.path.getsize(tmp_path / "j")
     os.truncate(tmp_path / "j", int(part * size))
     journal = reopened(tmp_path / "j")
-    kept = 20000 - len(gather.missing(journal, "L", WANT, slopes))
+    kept = 20000 - len(lines.missing(journal, "L", WANT, slopes))
     assert kept >= 20000 * part - 2500
     journal.close()
 
 
 def test_whole_numbers_keep_what_stands_for_no_gait_when_blocks_are_put_together(journal):
     slopes = np.linspace(0.1, 0.4, 300)
-    want = gather.needed(["branch"], ["long"])
+    want = lines.needed(["branch"], ["long"])
     for k in range(300):
         # Some blocks have one gait, some two, and one was lost with its worker.
-        data = pack.dump({"branch": np.zeros((1, 1 + k % 2), np.int16)} if k != 5 else {})
-        journal.add_points("L", "k", want, (*row(slopes[k:k + 1], 0.0)[:2], data), 0.1)
+        data = serialize.dump({"branch": np.zeros((1, 1 + k % 2), np.int16)} if k != 5 else {})
+        journal.add_points("L", "k", want, (*row(slopes[k : k + 1], 0.0)[:2], data), 0.1)
     expected = np.full((300, 3), -1)
     expected[:, 0], expected[1::2, 1], expected[5] = 0, 0, -1
     for _ in range(2):
-        sources = gather.states(journal, "L", want, slopes)[3]
-        np.testing.assert_array_equal(gather.fill(journal, ["branch"], sources, 300, 3, gaits=3)["branch"], expected)
+        sources = lines.states(journal, "L", want, slopes)[3]
+        np.testing.assert_array_equal(lines.fill(journal, ["branch"], sources, 300, 3, gaits=3)["branch"], expected)
         compact(journal)
     assert len(list(journal.blocks("L"))) == 1
 
@@ -140,16 +144,51 @@ def sql(path, *statements):
 
 
 #: How the columns of a row may be damaged; what a row holds beside its checksums.
-OTHER = {"id": "id + 40", "n": "n + 1", "seen": "9", "low": "low / 2", "high": "'x'", "seconds": "seconds + 1",
-         "kin": "'other'", "line": "'M'", "key": "'other'", "variables": "CAST(x'ff' AS TEXT)", "outcome": "'raised'",
-         "reason": "CAST(x'c328' AS TEXT)", "slopes": "zeroblob(length(slopes))", "states": "x'00'", "data": "NULL",
-         "sum": "sum + 1", "data_sum": "NULL"}
+OTHER = {
+    "id": "id + 40",
+    "n": "n + 1",
+    "seen": "9",
+    "low": "low / 2",
+    "high": "'x'",
+    "seconds": "seconds + 1",
+    "kin": "'other'",
+    "line": "'M'",
+    "key": "'other'",
+    "variables": "CAST(x'ff' AS TEXT)",
+    "outcome": "'raised'",
+    "reason": "CAST(x'c328' AS TEXT)",
+    "slopes": "zeroblob(length(slopes))",
+    "states": "x'00'",
+    "data": "NULL",
+    "sum": "sum + 1",
+    "data_sum": "NULL",
+}
 
 
-@pytest.mark.parametrize(("table", "column"), [
-    *(("points", c) for c in ("id", "line", "kin", "variables", "low", "high", "n", "seconds", "data_sum", "sum",
-                              "slopes", "states", "data")),
-    *(("results", c) for c in ("key", "kin", "outcome", "reason", "seen", "seconds", "data_sum", "sum", "data"))])
+@pytest.mark.parametrize(
+    ("table", "column"),
+    [
+        *(
+            ("points", c)
+            for c in (
+                "id",
+                "line",
+                "kin",
+                "variables",
+                "low",
+                "high",
+                "n",
+                "seconds",
+                "data_sum",
+                "sum",
+                "slopes",
+                "states",
+                "data",
+            )
+        ),
+        *(("results", c) for c in ("key", "kin", "outcome", "reason", "seen", "seconds", "data_sum", "sum", "data")),
+    ],
+)
 def test_whatever_is_damaged_in_a_row_costs_that_row_alone(tmp_path, table, column):
     slopes = np.linspace(0.1, 0.4, 9)
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
@@ -176,7 +215,7 @@ def test_mending_keeps_every_whole_row_whatever_gaps_there_are(tmp_path):
     slopes = np.linspace(0.1, 0.4, 5200)
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
         for k in range(5200):
-            journal.add_points("L", "k", WANT, row(slopes[k:k + 1], float(k)), 0.1)
+            journal.add_points("L", "k", WANT, row(slopes[k : k + 1], float(k)), 0.1)
         journal.add_result("a", "a", Result("ok", "", 0, b"x"), 0.1)
         compact(journal)
         assert journal.last_block("L") == 5200
@@ -197,7 +236,7 @@ def test_a_damaged_first_page_costs_no_row(tmp_path, where):
     data[where] = bytes(len(data[where]))
     (tmp_path / "j").write_bytes(data)
     with contextlib.closing(reopened(tmp_path / "j")) as journal:
-        assert not len(gather.missing(journal, "L", WANT, slopes))
+        assert not len(lines.missing(journal, "L", WANT, slopes))
 
 
 def test_an_index_that_hides_rows_is_seen_before_anything_is_computed(tmp_path):
@@ -206,7 +245,7 @@ def test_an_index_that_hides_rows_is_seen_before_anything_is_computed(tmp_path):
         for k in range(20):
             journal.add_points("the line", "k", WANT, row(slopes[k::20], float(k)), 0.1)
     data = (tmp_path / "j").read_bytes()
-    pages = [data[k:k + 4096] for k in range(0, len(data), 4096)]
+    pages = [data[k : k + 4096] for k in range(0, len(data), 4096)]
     (index,) = (k for k, page in enumerate(pages) if page[0] == 10 and b"the line" in page)
     pages[index] = pages[index].replace(b"the line", b"the lime", 12)
     (tmp_path / "j").write_bytes(b"".join(pages))
@@ -214,7 +253,7 @@ def test_an_index_that_hides_rows_is_seen_before_anything_is_computed(tmp_path):
         Journal(tmp_path / "j")
     mend(tmp_path / "j")
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
-        assert not len(gather.missing(journal, "the line", WANT, slopes))
+        assert not len(lines.missing(journal, "the line", WANT, slopes))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -223,7 +262,7 @@ def test_what_a_damaged_journal_gives_is_what_was_written(tmp_path, seed):
     dice, slopes, lost = random.Random(seed), np.linspace(0.1, 0.4, 600), 0
     journal = Journal(tmp_path / "whole")
     for k in range(300):
-        journal.add_points("L", "k", WANT, row(slopes[2 * k:2 * k + 2], float(k)), 0.1)
+        journal.add_points("L", "k", WANT, row(slopes[2 * k : 2 * k + 2], float(k)), 0.1)
         if k == 200 and seed % 2:
             compact(journal)
     files = {suffix: (tmp_path / f"whole{suffix}").read_bytes() for suffix in ("", "-wal")}
@@ -262,13 +301,17 @@ def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypat
         mend(tmp_path / "j")
     assert [f.name for f in tmp_path.iterdir()] == ["j"]
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
-        assert not len(gather.missing(journal, "L", WANT, slopes))
+        assert not len(lines.missing(journal, "L", WANT, slopes))
 
 
 def test_a_file_of_somebody_else_is_told_and_not_touched(tmp_path):
     """An earlier version's journal, too."""
-    sql(tmp_path / "j", "CREATE TABLE points (id INTEGER PRIMARY KEY AUTOINCREMENT, line TEXT)",
-        "CREATE TABLE notes (key TEXT PRIMARY KEY, value TEXT)", "INSERT INTO notes VALUES ('a', 'b')")
+    sql(
+        tmp_path / "j",
+        "CREATE TABLE points (id INTEGER PRIMARY KEY AUTOINCREMENT, line TEXT)",
+        "CREATE TABLE notes (key TEXT PRIMARY KEY, value TEXT)",
+        "INSERT INTO notes VALUES ('a', 'b')",
+    )
     before = (tmp_path / "j").read_bytes()
     for write in (True, False):
         with pytest.raises(ArchiveError, match="not a journal of this version of gaitsweep; move it away"):
@@ -286,12 +329,12 @@ def test_reading_a_journal_that_is_not_there_makes_none(tmp_path):
 def test_small_blocks_are_put_together_and_nothing_changes(journal):
     slopes = np.linspace(0.1, 0.4, 300)
     for k in range(300):
-        journal.add_points("L", "k", WANT, row(slopes[k:k + 1], float(k), status=0 if k % 7 else 4), 0.1)
+        journal.add_points("L", "k", WANT, row(slopes[k : k + 1], float(k), status=0 if k % 7 else 4), 0.1)
     journal.add_points("L", "k", WANT, row(slopes[7:8], -7.0), 0.1)
     before, last = values(journal, slopes), journal.last_block("L")
     compact(journal)
     assert len(list(journal.blocks("L"))) == 1 and journal.last_block("L") == last
     for one, two in zip(before, values(journal, slopes), strict=True):
         np.testing.assert_array_equal(one, two)
-    _, reason, sentences, _ = gather.states(journal, "L", WANT, slopes)
+    _, reason, sentences, _ = lines.states(journal, "L", WANT, slopes)
     assert [sentences[r] for r in reason[[6, 7, 8], 0]] == ["reason 6.0", "reason -7.0", "reason 8.0"]

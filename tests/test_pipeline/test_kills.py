@@ -14,9 +14,11 @@ from collections import Counter
 import pytest
 
 from conftest import ROOT, STUDY
-from pipeline import archive, drafts, study
-from pipeline.journal import Journal
-from pipeline.plan import Plan
+from pipeline import paths
+from pipeline.archive import write
+from pipeline.plan.missing import Plan
+from pipeline.store.journal import Journal
+from pipeline.study import parse
 from processes import alive, beside, descendants, wait_for_points
 
 SLOW = {"TOY_SECONDS": "0.002"}
@@ -55,18 +57,26 @@ def test_two_hundred_random_kills(toy, whole, tell):
             _clear(toy)
     toy("run", "toy.toml")
     assert toy.bytes() == whole
-    tell(f"{dict(sorted(killed.items()))}; exit codes {dict(sorted(ends.items()))}: {ends[0] + 1} whole archives, all "
-         "of equal bytes; no process left after 3 s")
+    tell(
+        f"{dict(sorted(killed.items()))}; exit codes {dict(sorted(ends.items()))}: {ends[0] + 1} whole archives, all "
+        "of equal bytes; no process left after 3 s"
+    )
 
 
 def test_a_second_interrupt_is_hard():
     """The first waits for what must not be cut in two; the second does not."""
-    program = ("import os, signal; from pipeline.runner import Signals; signals = Signals()\n"
-               "def interrupt(): os.kill(os.getpid(), signal.SIGINT)\n"
-               "with signals.caught():\n"
-               "    with signals: interrupt(); print('held', flush=True); interrupt(); print('soft', flush=True)\n")
-    done = subprocess.run([sys.executable, "-W", "ignore", "-c", program], text=True, capture_output=True,
-                          env={**os.environ, "PYTHONPATH": str(ROOT)})
+    program = (
+        "import os, signal; from pipeline.execution.runner import Signals; signals = Signals()\n"
+        "def interrupt(): os.kill(os.getpid(), signal.SIGINT)\n"
+        "with signals.caught():\n"
+        "    with signals: interrupt(); print('held', flush=True); interrupt(); print('soft', flush=True)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program],
+        text=True,
+        capture_output=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
     assert (done.returncode, done.stdout) == (130, "held\n")
 
 
@@ -76,9 +86,9 @@ def test_an_archive_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypat
     fsync, replace = os.fsync, os.replace
     monkeypatch.setattr(os, "fsync", lambda fd: (steps.append(os.readlink(f"/proc/self/fd/{fd}")), fsync(fd)))
     monkeypatch.setattr(os, "replace", lambda a, b: (steps.append((str(a), str(b))), replace(a, b)))
-    archive.write(Plan(study.read(tmp_path / "s.toml"), journal), tmp_path / "s.nc")
+    write.write(Plan(parse.read(tmp_path / "s.toml"), journal), tmp_path / "s.nc")
     journal.close()
-    draft, place = str(drafts.of(tmp_path / "s.nc")), str(tmp_path / "s.nc")
+    draft, place = str(paths.of(tmp_path / "s.nc")), str(tmp_path / "s.nc")
     assert steps == [draft, (draft, place), str(tmp_path)]
 
 
@@ -87,7 +97,7 @@ def test_an_archive_that_is_a_link_stays_one(tmp_path):
     (tmp_path / "far").mkdir()
     (tmp_path / "s.nc").symlink_to(tmp_path / "far" / "away.nc")
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
-        archive.write(Plan(study.read(tmp_path / "s.toml"), journal), tmp_path / "s.nc")
+        write.write(Plan(parse.read(tmp_path / "s.toml"), journal), tmp_path / "s.nc")
     assert (tmp_path / "s.nc").is_symlink() and [f.name for f in (tmp_path / "far").iterdir()] == ["away.nc"]
 
 

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import pipeline
-from pipeline import cli, graph, progress
+from pipeline.cli import commands
 from pipeline.errors import ArchiveError, StudyError
-from pipeline.plan import Summary
+from pipeline.execution import progress
+from pipeline.plan import graph
+from pipeline.plan.missing import Summary
 from tasks.registry import TASKS
 
 STUDY = {
@@ -62,7 +64,7 @@ def test_a_sweep_and_a_single_solve_agree(mine):
 
 def test_solve_gives_what_the_command_gives(capsys):
     table = pipeline.solve("D", 0.009)
-    assert cli.main(["solve", "--walker", "D", "--slope", "0.009", "--json"]) == 0
+    assert commands.main(["solve", "--walker", "D", "--slope", "0.009", "--json"]) == 0
     for row, gait in zip(table.to_dict("records"), json.loads(capsys.readouterr().out), strict=True):
         assert row["period"] == gait["period"] and row["violations"] == tuple(gait["violations"])
         assert [[z.real, z.imag] for z in row["multipliers"]] == gait["multipliers"]
@@ -85,31 +87,49 @@ def test_a_table_is_a_frame_with_units(mine):
 def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
     text = 'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\n'
     (tmp_path / "s.toml").write_text(text)
-    from pipeline import notebook
+    from pipeline import api
 
-    read = [notebook._study(one) for one in (tmp_path / "s.toml", str(tmp_path / "s.toml"), text,
-                                             {"name": "s", "walker": "E", "axes": {"slope": np.array([0.01, 0.02])}})]
+    read = [
+        api._study(one)
+        for one in (
+            tmp_path / "s.toml",
+            str(tmp_path / "s.toml"),
+            text,
+            {"name": "s", "walker": "E", "axes": {"slope": np.array([0.01, 0.02])}},
+        )
+    ]
     assert len({(one.name, one.walkers, tuple(one.slope), one.variables) for one in read}) == 1
 
 
-@pytest.mark.parametrize(("wanted", "said"), [
-    ({"name": "s", "walker": "E", "axes": {"slope": 0.1}},
-     r"`slope` must be a list, or a table of from, to, n and spacing; got 0.1 \(study, axes.slope\)"),
-    ({"name": "s", "walker": "E", "axes": {"slope": None}}, r"`axes` must be a number, a text, a list or a mapping"),
-    ("name = ", "The study cannot be read: Invalid value"),
-    ("none.toml", "There is no file none.toml"),
-])
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        (
+            {"name": "s", "walker": "E", "axes": {"slope": 0.1}},
+            r"`slope` must be a list, or a table of from, to, n and spacing; got 0.1 \(study, axes.slope\)",
+        ),
+        (
+            {"name": "s", "walker": "E", "axes": {"slope": None}},
+            r"`axes` must be a number, a text, a list or a mapping",
+        ),
+        ("name = ", "The study cannot be read: Invalid value"),
+        ("none.toml", "There is no file none.toml"),
+    ],
+)
 def test_a_wrong_study_is_one_sentence(wanted, said):
     with pytest.raises(StudyError, match=said) as error:
         pipeline.run(wanted)
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(("arguments", "keys", "said"), [
-    (("D", 0.7), {}, r"`slope` must lie in \(0, 0.5\) rad; got 0.7"),
-    (("Q", 0.1), {}, "`Q` is not known here, known: A, B"),
-    (("D", 0.1), {"l_tt": 1}, "did you mean `l_t`"),
-])
+@pytest.mark.parametrize(
+    ("arguments", "keys", "said"),
+    [
+        (("D", 0.7), {}, r"`slope` must lie in \(0, 0.5\) rad; got 0.7"),
+        (("Q", 0.1), {}, "`Q` is not known here, known: A, B"),
+        (("D", 0.1), {"l_tt": 1}, "did you mean `l_t`"),
+    ],
+)
 def test_a_wrong_point_is_one_sentence(arguments, keys, said):
     with pytest.raises(StudyError, match=said):
         pipeline.solve(*arguments, **keys)
@@ -143,12 +163,23 @@ def test_a_notebook_shows_a_bar_that_ends_full(monkeypatch, tmp_path, capsys):
 
 
 def test_a_state_tells_rate_and_one_time_to_go():
-    stages = {"atlas": {"done": 2, "todo": 3, "eta": 4.0}, "points": {"done": 240, "todo": 900, "eta": 15.7},
-              "scaling": {"done": 1, "todo": 1, "eta": 0.0}}
-    state = {"points": 1000, "cached": 100, "done": 240, "rate": 42.0, "counts": {"converged": 239, "timed_out": 1},
-             "stages": stages, "eta": 19.7}
-    assert progress.sentence(state) == ("340 of 1,000 points (34 %), 42 a second, atlas 2 of 3, scaling 1 of 1,"
-                                        " timed_out 1, 19.7 s to go")
+    stages = {
+        "atlas": {"done": 2, "todo": 3, "eta": 4.0},
+        "points": {"done": 240, "todo": 900, "eta": 15.7},
+        "scaling": {"done": 1, "todo": 1, "eta": 0.0},
+    }
+    state = {
+        "points": 1000,
+        "cached": 100,
+        "done": 240,
+        "rate": 42.0,
+        "counts": {"converged": 239, "timed_out": 1},
+        "stages": stages,
+        "eta": 19.7,
+    }
+    assert progress.sentence(state) == (
+        "340 of 1,000 points (34 %), 42 a second, atlas 2 of 3, scaling 1 of 1, timed_out 1, 19.7 s to go"
+    )
 
 
 def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
@@ -156,8 +187,9 @@ def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
     plan = types.SimpleNamespace(study=types.SimpleNamespace(points=900), layers=layers)
     todo = Summary({"atlas": {"new": 8}, "points": {"new": 900}}, {})
     shown = progress.Progress(plan, todo, tmp_path / "log", quiet=True)
-    shown.loop = types.SimpleNamespace(costs=types.SimpleNamespace(left=lambda: 30.0),
-                                       engine=types.SimpleNamespace(jobs=3, address=None))
+    shown.loop = types.SimpleNamespace(
+        costs=types.SimpleNamespace(left=lambda: 30.0), engine=types.SimpleNamespace(jobs=3, address=None)
+    )
     for _ in range(2):
         shown("task", {"task": "atlas", "seconds": 5.0})
     state = shown.state()

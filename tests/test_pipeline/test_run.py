@@ -14,16 +14,23 @@ from collections import Counter
 import pytest
 
 from conftest import STUDY, Toy
-from pipeline import drafts, runner
+from pipeline import paths
 from pipeline.errors import BusyError
+from pipeline.execution import runner
 from processes import alive, damaged, descendants, ignored, wait_for_points
 from processes import beside as journal
 
 SLOW = {"TOY_SECONDS": "0.002"}
 
 
-@pytest.mark.parametrize(("jobs", "chunk"), [(1, 7), (3, 64), *(
-    pytest.param(jobs, chunk, marks=pytest.mark.soak) for jobs in (1, 2, 3) for chunk in (1, 7, 64, 1000))])
+@pytest.mark.parametrize(
+    ("jobs", "chunk"),
+    [
+        (1, 7),
+        (3, 64),
+        *(pytest.param(jobs, chunk, marks=pytest.mark.soak) for jobs in (1, 2, 3) for chunk in (1, 7, 64, 1000)),
+    ],
+)
 def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, tell, jobs, chunk):
     toy("run", "toy.toml", "--jobs", jobs, "--chunk", chunk, OMP_NUM_THREADS="2", OPENBLAS_NUM_THREADS="2")
     assert toy.bytes() == whole
@@ -37,11 +44,12 @@ def test_the_same_command_again_computes_nothing(toy):
     assert toy.bytes() == first
     log = [json.loads(line) for line in journal(toy, ".events.jsonl").read_text().splitlines()]
     begins = [i for i, event in enumerate(log) if event["event"] == "begin"]
-    assert len(begins) == 2 and not [e for e in log[begins[1]:] if e["event"] in ("chunk", "task")]
+    assert len(begins) == 2 and not [e for e in log[begins[1] :] if e["event"] in ("chunk", "task")]
 
 
-@pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129),
-                                              (signal.SIGKILL, -9)])
+@pytest.mark.parametrize(
+    ("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)]
+)
 def test_a_stopped_run_leaves_no_process_and_resumes_to_the_same_bytes(toy, whole, signum, code):
     process = toy.start("run", "toy.toml", "--chunk", 20, **SLOW)
     wait_for_points(toy, 2)
@@ -124,13 +132,14 @@ def test_a_plan_equals_what_runs(toy):
     assert "per line: 2 cached" in plan and "400 changed" in plan and "1 its inputs change" in plan
     toy("run", "toy.toml")
     log = [json.loads(line) for line in journal(toy, ".events.jsonl").read_text().splitlines()]
-    last = log[max(i for i, e in enumerate(log) if e["event"] == "begin"):]
+    last = log[max(i for i, e in enumerate(log) if e["event"] == "begin") :]
     assert sum(e["points"] for e in last if e["event"] == "chunk") == 400
     assert [e["task"] for e in last if e["event"] == "task"] == ["scaling"]
 
 
-@pytest.mark.parametrize("part", [0.4, *(
-    pytest.param(part, marks=pytest.mark.soak) for part in (0, 0.02, 0.2, 0.6, 0.8, 0.99))])
+@pytest.mark.parametrize(
+    "part", [0.4, *(pytest.param(part, marks=pytest.mark.soak) for part in (0, 0.02, 0.2, 0.6, 0.8, 0.99))]
+)
 def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, tell, part):
     toy("run", "toy.toml", "--chunk", 10)
     size = journal(toy).stat().st_size
@@ -164,14 +173,14 @@ def test_a_damaged_journal_gives_the_same_bytes(toy, whole, tell, times):
         again += '"chunk"' in journal(toy, ".events.jsonl").read_text()
         toy("run", "toy.toml")
         log = journal(toy, ".events.jsonl").read_text()
-        assert toy.bytes() == whole and '"chunk"' not in log[log.rindex('"begin"'):]
+        assert toy.bytes() == whole and '"chunk"' not in log[log.rindex('"begin"') :]
     tell(f"{times} damaged journals ({dict(kinds)}): equal bytes after each, {again} with points computed again")
 
 
 def test_an_index_that_misses_points_is_mended_and_nothing_computed_again(toy, whole):
     toy("run", "toy.toml", "--chunk", 10)
     data = journal(toy).read_bytes()
-    pages = [data[k:k + 4096] for k in range(0, len(data), 4096)]
+    pages = [data[k : k + 4096] for k in range(0, len(data), 4096)]
     with contextlib.closing(sqlite3.connect(journal(toy))) as db:
         ((root,),) = db.execute("SELECT rootpage FROM sqlite_master WHERE name = 'points_line'").fetchall()
     pages[root - 1] = pages[root - 1].replace(b"points-", b"points+")
@@ -197,8 +206,17 @@ def test_a_run_touches_no_file_of_another(toy):
     """Whatever studies are called, and whatever a user keeps beside them."""
     folder = toy.folder / "data" / "archive"
     folder.mkdir(parents=True)
-    others = [folder / name for name in ("toy.nc.tmp.5.nc", "toy.nc.tmp.5.journal", "toy.nc.tmp.backup", "b.nc.tmp.7",
-                                         f".toy.nc.{32 * '0'}", f".toy.journal.{32 * 'f'}")]
+    others = [
+        folder / name
+        for name in (
+            "toy.nc.tmp.5.nc",
+            "toy.nc.tmp.5.journal",
+            "toy.nc.tmp.backup",
+            "b.nc.tmp.7",
+            f".toy.nc.{32 * '0'}",
+            f".toy.journal.{32 * 'f'}",
+        )
+    ]
     for file in others:
         file.write_text("mine")
     toy.write(STUDY.replace("n = 200", "n = 3"))
@@ -209,17 +227,17 @@ def test_a_run_touches_no_file_of_another(toy):
 
 def test_drafts_are_removed_once_their_process_is_gone(tmp_path):
     path, gone, alive = tmp_path / "toy.nc", "0" * 32, "1" * 32
-    mine = [drafts.of(tmp_path / name, gone) for name in ("toy.nc", "toy.journal", "toy.run.json")]
-    others = [drafts.of(tmp_path / "toy.nc", alive), drafts.of(tmp_path / "toy2.nc", gone), tmp_path / "toy.nc.tmp.5"]
+    mine = [paths.of(tmp_path / name, gone) for name in ("toy.nc", "toy.journal", "toy.run.json")]
+    others = [paths.of(tmp_path / "toy.nc", alive), paths.of(tmp_path / "toy2.nc", gone), tmp_path / "toy.nc.tmp.5"]
     for file in (*mine, *others):
         file.touch()
     (tmp_path / "toy.lock").write_text(json.dumps({"pid": 1, "host": "here", "started": "now", "drafts": gone}))
     with runner.locked(path):
         assert not [file for file in mine if file.exists()] and all(file.exists() for file in others)
-        drafts.of(path).touch()
+        paths.of(path).touch()
         with pytest.raises(BusyError), runner.locked(path):
             pass
-        assert drafts.of(path).exists()
+        assert paths.of(path).exists()
     for text in ("", "[]", '{"drafts": 3}', '{"drafts": "../toy2.nc"}', "\0\xff"):
         (tmp_path / "toy.lock").write_text(text)
         with runner.locked(path):
@@ -290,5 +308,7 @@ def test_a_full_disk_stops_cleanly(toy, tmp_path, tell, n):
     finally:
         subprocess.run(["umount", small], check=True)
     where = re.search(r"full: \S*toy\.(\w+)", done.stderr)[1]
-    tell(f"{2 * n:,} points on 8 MB of tmpfs: exit 4 at the {where} after {kept} chunks, old archive intact;"
-         " with room again the bytes of a run elsewhere")
+    tell(
+        f"{2 * n:,} points on 8 MB of tmpfs: exit 4 at the {where} after {kept} chunks, old archive intact;"
+        " with room again the bytes of a run elsewhere"
+    )

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from pipeline import study
+from pipeline.archive.provenance import provenance
 from pipeline.errors import StudyError
-from pipeline.provenance import provenance
+from pipeline.study import model, parse
 from tasks.registry import CLAIMS, VARIABLES
 from tasks.walkers.catalogue import CATALOGUE
 
@@ -30,60 +30,50 @@ memory = "1.5 GiB"
 WRONG = {
     'name = "s"': {
         'name = "../s"': "`name` must be letters, digits, dots, dashes or underscores; got '../s' (s.toml, name).",
-        'name = "my study"':
-            "`name` must be letters, digits, dots, dashes or underscores; got 'my study' (s.toml, name).",
+        'name = "my study"': "`name` must be letters, digits, dots, dashes or underscores; got 'my study' (s.toml, name).",
         "": "A study needs a `name` (s.toml).",
         'name = "s"\nwalkr = "E"': "`walkr` is not known here, did you mean `walker`? (s.toml).",
-        'name = "s"\nkind = "brunch"':
-            "`brunch` is not known here, did you mean `branch`? (s.toml, kind).",
-        'name = "s"\nkind = 3': f"`kind` must be one of {', '.join(study.kinds())}; got 3 (s.toml, kind).",
+        'name = "s"\nkind = "brunch"': "`brunch` is not known here, did you mean `branch`? (s.toml, kind).",
+        'name = "s"\nkind = 3': f"`kind` must be one of {', '.join(parse.kinds())}; got 3 (s.toml, kind).",
         'name = "s"\ngaits = "long"': "`gaits` must be a list of names; got 'long' (s.toml, gaits).",
         'name = "s"\ngaits = ["longe"]': "`longe` is not known here, did you mean `long`? (s.toml, gaits).",
     },
     'walker = "E"': {
         "": "A study needs a `walker`: a name, a file, a table, or a list of names (s.toml, walker).",
         'walker = "Q"': "`Q` is not known here, known: A, B, C, D, E, F, physical, physical-straight, A-printed, C-printed,"
-                        " or a file FILE.toml (s.toml, walker).",
+        " or a file FILE.toml (s.toml, walker).",
         'walker = "physicl"': "`physicl` is not known here, did you mean `physical`? (s.toml, walker).",
         'walker = ["E", "E"]': "`walker` must be a list of different names; got ['E', 'E'] (s.toml, walker).",
-        'walker = { l_t = 1.0 }': "`w_t` is missing from the walker; got l_t (s.toml, walker).",
-        'walker = 3': "`walker` must be a name, a file, a table, or a list of names; got 3 (s.toml, walker).",
+        "walker = { l_t = 1.0 }": "`w_t` is missing from the walker; got l_t (s.toml, walker).",
+        "walker = 3": "`walker` must be a name, a file, a table, or a list of names; got 3 (s.toml, walker).",
         'walker = "none.toml"': "There is no file none.toml (s.toml, walker).",
         'walker = { base = "E", m_s = -1.0 }': "`m_s` must be >= 0; got -1.0 (s.toml, walker).",
         'walker = { base = "E", c_tt = 1 }': "`c_tt` is not a walker key (did you mean `c_t`?); got 1 (s.toml, walker).",
-        'walker = { base = "E", m_h = 1 }':
-            "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 1 (s.toml, walker).",
+        'walker = { base = "E", m_h = 1 }': "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 1 (s.toml, walker).",
         'walker = "A"': "`foot_mass_ratio` needs a point-foot walker (D, E or F); got 0.05 (s.toml, axes.foot_mass_ratio).",
     },
     "foot_mass_ratio = [0.1, 0.05]": {
         "foot_mass_ratio = [0.7]": "`foot_mass_ratio` must lie in [0, 0.5); got 0.7 (s.toml, axes.foot_mass_ratio).",
-        "foot_mass_ratio = [0.1]\nm_h = [0.0, 1.0]":
-            "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 0.0 (s.toml, axes.m_h).",
+        "foot_mass_ratio = [0.1]\nm_h = [0.0, 1.0]": "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 0.0 (s.toml, axes.m_h).",
         "foot_mass_ratio = []": "`foot_mass_ratio` must hold at least one value; got [] (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = [0.1, nan]": "`foot_mass_ratio` must be finite; got nan (s.toml, axes.foot_mass_ratio).",
-        "foot_mass_ratio = [0.1, 0.2, 0.1]":
-            "`foot_mass_ratio` must rise or fall throughout; got [0.1, 0.2, 0.1] (s.toml, axes.foot_mass_ratio).",
+        "foot_mass_ratio = [0.1, 0.2, 0.1]": "`foot_mass_ratio` must rise or fall throughout; got [0.1, 0.2, 0.1] (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = 0.1": "`foot_mass_ratio` must be a list, or a table of from, to, n and spacing; got 0.1"
-                                 " (s.toml, axes.foot_mass_ratio).",
+        " (s.toml, axes.foot_mass_ratio).",
         "slopes = [0.1]": "`slopes` is not known here, did you mean `slope`? (s.toml, axes).",
-        "foot_mass_ratio = { from = 0.1, to = 0.05, n = 3 }":
-            "`from` must be less than `to` = 0.05; got 0.1 (s.toml, axes.foot_mass_ratio.from).",
-        "foot_mass_ratio = { from = 0, to = 0.1, n = 3, spacing = \"log\" }":
-            "`from` must be > 0 for log spacing; got 0.0 (s.toml, axes.foot_mass_ratio.from).",
-        "foot_mass_ratio = { from = 0, to = 0.1, n = 0 }":
-            "`n` must be a whole number from 1 to 10,000,000; got 0 (s.toml, axes.foot_mass_ratio.n).",
+        "foot_mass_ratio = { from = 0.1, to = 0.05, n = 3 }": "`from` must be less than `to` = 0.05; got 0.1 (s.toml, axes.foot_mass_ratio.from).",
+        'foot_mass_ratio = { from = 0, to = 0.1, n = 3, spacing = "log" }': "`from` must be > 0 for log spacing; got 0.0 (s.toml, axes.foot_mass_ratio.from).",
+        "foot_mass_ratio = { from = 0, to = 0.1, n = 0 }": "`n` must be a whole number from 1 to 10,000,000; got 0 (s.toml, axes.foot_mass_ratio.n).",
     },
     'slope = { from = 1e-4, to = 0.1, n = 7, spacing = "log" }': {
         "slope = [0.73]": "`slope` must lie in (0, 0.5) rad; got 0.73 (s.toml, axes.slope).",
         'slope = ["0.1"]': "`slope` must be a number; got '0.1' (s.toml, axes.slope).",
-        "slope = [0.1]\nknees = [true]":
-            "`knees` is not known here, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
-            " r_s, c_s, R, eps_T, m_h, g (s.toml, axes).",
+        "slope = [0.1]\nknees = [true]": "`knees` is not known here, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
+        " r_s, c_s, R, eps_T, m_h, g (s.toml, axes).",
         "slope = [0.1]\ndetuning = [0.5]": "`detuning` needs walker A or C; got 0.5 (s.toml, axes.detuning).",
         "slope = { start = 0.1, n = 2 }": "`start` is not known here, known: from, to, n, spacing (s.toml, axes.slope).",
         "slope = { from = 0.01, to = 0.1 }": "`n` is missing (s.toml, axes.slope).",
-        'slope = { from = 0.01, to = 0.1, n = 9, spacing = "lgo" }':
-            "`spacing` must be \"linear\" or \"log\"; got 'lgo' (s.toml, axes.slope.spacing).",
+        'slope = { from = 0.01, to = 0.1, n = 9, spacing = "lgo" }': '`spacing` must be "linear" or "log"; got \'lgo\' (s.toml, axes.slope.spacing).',
         "": "A study needs the axis `slope` (s.toml, axes).",
     },
     'variables = ["period", "multipliers"]': {
@@ -100,7 +90,7 @@ WRONG = {
         'memory = "2 GB/s"': "`memory` must be at least 64 MiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory).",
         'memory = "2 GiB"\n[options]\nstarts = 3': "`starts` is not known here, known: friction_limit (s.toml, options).",
         'memory = "2 GiB"\n[options]\nfriction_limit = 0': "`friction_limit` must be above 0; got 0"
-                                                          " (s.toml, options.friction_limit).",
+        " (s.toml, options.friction_limit).",
     },
 }
 
@@ -108,14 +98,25 @@ WRONG = {
 WRONG_OPTIONS = [
     ("branch", "n = 3", "A study of kind `branch` has no options; got n (s.toml, options)."),
     ("orbit", "strids = 3", "`strids` is not known here, did you mean `strides`? (s.toml, options)."),
-    ("orbit", "strides = -3", "`strides` must be a whole number from 1 to 1,000,000; got -3 (s.toml, options.strides)."),
+    (
+        "orbit",
+        "strides = -3",
+        "`strides` must be a whole number from 1 to 1,000,000; got -3 (s.toml, options.strides).",
+    ),
     ("orbit", 'gait = "loong"', "`loong` is not known here, did you mean `long`? (s.toml, options.gait)."),
     ("orbit", 'spread = "1e-3"', "`spread` must be a number; got '1e-3' (s.toml, options.spread)."),
     ("cascade", "families = 3", "`families` must be a list of whole numbers from 1; got 3 (s.toml, options.families)."),
-    ("basin", "stance_rate = [0.2, 0.1]", "`stance_rate` must be two numbers that rise; got [0.2, 0.1]"
-                                          " (s.toml, options.stance_rate)."),
+    (
+        "basin",
+        "stance_rate = [0.2, 0.1]",
+        "`stance_rate` must be two numbers that rise; got [0.2, 0.1] (s.toml, options.stance_rate).",
+    ),
     ("curve", 'key = "detunning"', "`detunning` is not known here, did you mean `detuning`? (s.toml, options.key)."),
-    ("curve", 'key = "R"\nfrom = 0.2\nto = 0.1', "`from` must be less than `to` = 0.1; got 0.2 (s.toml, options.from)."),
+    (
+        "curve",
+        'key = "R"\nfrom = 0.2\nto = 0.1',
+        "`from` must be less than `to` = 0.1; got 0.2 (s.toml, options.from).",
+    ),
     ("curve", 'key = "R"\nfrom = 2', "`from` must be less than `to` = 1.0; got 2 (s.toml, options.from)."),
     ("curve", 'key = "R"\nfrom = -0.1\nto = 0.1', "`R` must be >= 0; got -0.1 (s.toml, options.from)."),
     ("curve", "to = 0.5", "`detuning` needs walker A or C; got 0.0 (s.toml, options.key)."),
@@ -128,89 +129,98 @@ def write(tmp_path):
     def write(text):
         (tmp_path / "s.toml").write_text(text)
         return tmp_path / "s.toml"
+
     return write
 
 
 def test_a_good_study_is_read(write):
-    found = study.read(write(GOOD))
+    found = parse.read(write(GOOD))
     assert found.points == 14 and found.lines == 2
     np.testing.assert_allclose(found.slope[[0, -1]], [1e-4, 0.1])
     assert found.line(1) == {"walker": "E", "set": {"foot_mass_ratio": 0.05}}
     assert found.variables[:2] == ("period", "multiplier_real") and "status" in found.variables
-    assert found.limits == study.Limits(5.0, 3 << 29)
+    assert found.limits == model.Limits(5.0, 3 << 29)
     assert found.gaits == ("long", "short", "other1", "other2")
 
 
-@pytest.mark.parametrize(("line", "wrong", "said"), [(line, wrong, said) for line, cases in WRONG.items()
-                                                     for wrong, said in cases.items()])
+@pytest.mark.parametrize(
+    ("line", "wrong", "said"), [(line, wrong, said) for line, cases in WRONG.items() for wrong, said in cases.items()]
+)
 def test_a_wrong_study_is_answered_in_one_helpful_line(write, line, wrong, said):
     assert line in GOOD
     with pytest.raises(StudyError) as error:
-        study.read(write(GOOD.replace(line, wrong)))
+        parse.read(write(GOOD.replace(line, wrong)))
     assert str(error.value) == said
 
 
 @pytest.mark.parametrize(("kind", "option", "said"), WRONG_OPTIONS)
 def test_a_wrong_option_is_answered_in_one_helpful_line(write, kind, option, said):
     with pytest.raises(StudyError) as error:
-        study.read(write(f'name = "s"\nkind = "{kind}"\nwalker = "E"\n[axes]\nslope = [0.01]\n[options]\n{option}\n'))
+        parse.read(write(f'name = "s"\nkind = "{kind}"\nwalker = "E"\n[axes]\nslope = [0.01]\n[options]\n{option}\n'))
     assert str(error.value) == said
 
 
 def test_a_key_that_leaves_no_walker_to_follow_is_refused(write):
     options = '[options]\nkey = "R"\nfrom = 0.0\nto = 0.3\n'
     with pytest.raises(StudyError) as error:
-        study.read(write(f'name = "s"\nkind = "curve"\nwalker = "D"\n[axes]\nslope = [0.001, 0.1]\n{options}'))
-    assert str(error.value) == ("`R` = 0.3 leaves no walker: `m_s` may vanish only for a point foot: the swing leg has no"
-                                " inertia; got 0.0 (s.toml, options.to).")
+        parse.read(write(f'name = "s"\nkind = "curve"\nwalker = "D"\n[axes]\nslope = [0.001, 0.1]\n{options}'))
+    assert str(error.value) == (
+        "`R` = 0.3 leaves no walker: `m_s` may vanish only for a point foot: the swing leg has no"
+        " inertia; got 0.0 (s.toml, options.to)."
+    )
 
 
 def test_the_registry_names_every_option_and_claim_of_the_tasks():
-    from pipeline.worker import resolve
+    from pipeline.dispatch import resolve
     from tasks import registry
 
     for kind, known in registry.OPTIONS.items():
         if kind not in ("curve", "grid"):  # which read their options one by one
-            assert set(known) == set(resolve(f"tasks.{kind}:OPTIONS")), kind
-    assert set(registry.CLAIMS) == set(resolve("tasks.ledger:CLAIMS"))
-    assert registry.FOLLOWED == (*resolve("tasks.gait.curves:SCALARS"), *resolve("tasks.gait.curves:ENDS"))
+            assert set(known) == set(resolve(registry.TASKS[kind].function.partition(":")[0] + ":OPTIONS")), kind
+    assert set(registry.CLAIMS) == set(resolve("tasks.paper.claim:CLAIMS"))
+    assert registry.FOLLOWED == (
+        *resolve("tasks.continuation.codimension_one:SCALARS"),
+        *resolve("tasks.continuation.codimension_one:ENDS"),
+    )
 
 
 def test_a_list_of_allowed_names_is_whole(write):
-    for line, wrong, known in (('variables = ["period", "multipliers"]', 'variables = ["qqqq"]', VARIABLES),
-                               ('variables = ["period", "multipliers"]', 'claims = ["qqqq"]', CLAIMS)):
+    for line, wrong, known in (
+        ('variables = ["period", "multipliers"]', 'variables = ["qqqq"]', VARIABLES),
+        ('variables = ["period", "multipliers"]', 'claims = ["qqqq"]', CLAIMS),
+    ):
         with pytest.raises(StudyError) as error:
-            study.read(write(GOOD.replace(line, wrong)))
+            parse.read(write(GOOD.replace(line, wrong)))
         assert set(known) <= set(str(error.value).partition("known: ")[2].partition(" (s.toml")[0].split(", "))
 
 
 def test_a_study_that_is_no_toml_is_shown_its_line(write):
     with pytest.raises(StudyError, match=r"s\.toml cannot be read: Expected ']' .* \(at line 2, column 6\)\.$"):
-        study.read(write('name = "s"\n[axes\nslope = [0.1]\n'))
+        parse.read(write('name = "s"\n[axes\nslope = [0.1]\n'))
 
 
 def test_a_study_without_axes_says_so(write):
     with pytest.raises(StudyError, match=r"^A study needs axes, at least `slope` \(s.toml, axes\)\.$"):
-        study.read(write('name = "s"\nwalker = "E"\n'))
+        parse.read(write('name = "s"\nwalker = "E"\n'))
 
 
 def test_a_walker_file_is_read_beside_the_study(write, tmp_path):
     (tmp_path / "mine.toml").write_text('[walker]\nbase = "E"\nR = 0.1\n')
-    found = study.read(write(GOOD.replace('"E"', '"mine.toml"').replace("foot_mass_ratio = [0.1, 0.05]", "")))
+    found = parse.read(write(GOOD.replace('"E"', '"mine.toml"').replace("foot_mass_ratio = [0.1, 0.05]", "")))
     assert found.walkers == ({"base": "E", "R": 0.1},)
     assert found.checks[0]["table"]["R"] == 0.1
 
 
 def test_a_walker_is_archived_as_it_is_before_axes_move_it(write):
     axes = "slope = [0.01]\ndetuning = [0.0, 1.0]\nm_h = [1.0, 2.0]"
-    found = study.read(write(f'name = "s"\nwalker = ["C", "A"]\n[axes]\n{axes}\n'))
+    found = parse.read(write(f'name = "s"\nwalker = ["C", "A"]\n[axes]\n{axes}\n'))
     about = json.loads(provenance(SimpleNamespace(study=found, layers={})))
     assert about["walkers"] == [CATALOGUE[name].table() for name in "CA"]
     assert about["varied"] == {"m_h": "m_h", **dict.fromkeys(("w_t", "r_t", "c_t", "w_s", "r_s"), "detuning")}
 
 
 def test_a_list_of_walkers_is_a_dimension(write):
-    found = study.read(write(GOOD.replace('"E"', '["E", "F"]')))
+    found = parse.read(write(GOOD.replace('"E"', '["E", "F"]')))
     assert found.walker_axis and found.line_shape == (2, 2)
     assert [found.line(i)["walker"] for i in range(4)] == ["E", "E", "F", "F"]
 
@@ -218,25 +228,38 @@ def test_a_list_of_walkers_is_a_dimension(write):
 def _survives(path, text):
     path.write_bytes(text)
     try:
-        study.read(path)
+        parse.read(path)
     except StudyError as error:
         assert "\n" not in str(error) and len(str(error)) < 1000
 
 
 _VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=8)
     | st.sampled_from(["E", "A", "log", "slope", "long", "period", "../x.toml", "2 GiB", "nan"]),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(
-        st.sampled_from(["from", "to", "n", "spacing", "base", "slope", "m_s", "seconds", "variables"])
-        | st.text(max_size=4), inner, max_size=4), max_leaves=8)
-_STUDIES = st.fixed_dictionaries({}, optional=dict.fromkeys(
-    ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options", "x"), _VALUES))
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(["from", "to", "n", "spacing", "base", "slope", "m_s", "seconds", "variables"])
+            | st.text(max_size=4),
+            inner,
+            max_size=4,
+        )
+    ),
+    max_leaves=8,
+)
+_STUDIES = st.fixed_dictionaries(
+    {}, optional=dict.fromkeys(("name", "kind", "walker", "gaits", "axes", "want", "limits", "options", "x"), _VALUES)
+)
 
 
 def _fuzz(path, table):
     good = {"name": "s", "walker": "E", "axes": {"slope": [0.01]}}
     try:
-        study.parse({**good, **table}, "", path)
+        parse.parse({**good, **table}, "", path)
     except StudyError as error:
         assert "\n" not in str(error)
 
@@ -251,7 +274,7 @@ def test_no_table_gets_past_the_reader_as_a_traceback(tmp_path, table):
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(at=st.integers(0, len(GOOD)), junk=st.binary(max_size=8), cut=st.integers(0, 20))
 def test_no_text_gets_past_the_reader_as_a_traceback(tmp_path, at, junk, cut):
-    _survives(tmp_path / "s.toml", GOOD.encode()[:at] + junk + GOOD.encode()[at + cut:])
+    _survives(tmp_path / "s.toml", GOOD.encode()[:at] + junk + GOOD.encode()[at + cut :])
 
 
 @pytest.mark.soak

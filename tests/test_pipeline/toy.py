@@ -30,8 +30,11 @@ def points(params, inputs):
     status[:, 0] = 0
     status[slope < 0.1, 1] = 0
     reason = status.astype(np.int16)
-    found = {"status": status, "reason": reason,
-             "reasons": np.array(["It converged.", "The branch ends below this slope."])}
+    found = {
+        "status": status,
+        "reason": reason,
+        "reasons": np.array(["It converged.", "The branch ends below this slope."]),
+    }
     for name in params["want"]:
         about = VARIABLES[name]
         if name in found:
@@ -79,8 +82,10 @@ def fit(params, inputs):
 
 def fit_atlas(params, inputs):
     """What every line's atlas says."""
-    return {"fits/transition/walker": np.array([line["name"] for line in params["lines"]]),
-            "fits/transition/exponent": np.concatenate([i["scale"] for i in inputs])}
+    return {
+        "fits/transition/walker": np.array([line["name"] for line in params["lines"]]),
+        "fits/transition/exponent": np.concatenate([i["scale"] for i in inputs]),
+    }
 
 
 def orbit(params, inputs):

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.report import page
+from pipeline.report import pages
 from test_report import synthetic
 
 
@@ -15,4 +15,4 @@ def archives(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 @pytest.fixture(scope="session")
 def report(archives: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a report of them all."""
-    return page.write(archives, tmp_path_factory.mktemp("reports")).parent
+    return pages.write(archives, tmp_path_factory.mktemp("reports")).parent

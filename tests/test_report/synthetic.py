@@ -140,23 +140,41 @@ def tuned(folder: Path) -> Path:
 def jumping(folder: Path) -> Path:
     """A branch with a fold, both pieces long, and another branch: `long` jumps to it, as the first becomes `other1`."""
     slope = np.linspace(0.005, 0.08, 151)
-    pieces = np.stack([np.where(slope < 0.03, 0.05 - slope, np.nan), 0.1 + 2 * slope,
-                       np.where(slope > 0.02, 0.3 + slope, np.nan)])
+    pieces = np.stack(
+        [np.where(slope < 0.03, 0.05 - slope, np.nan), 0.1 + 2 * slope, np.where(slope > 0.02, 0.3 + slope, np.nan)]
+    )
     numbers = np.array([[0, 0], [0, 1], [1, 0]])
     order = np.argsort(-pieces, axis=0)
     angle = np.take_along_axis(pieces, order, axis=0)
     dims, gaits = ("slope", "gait"), np.array(["long", "other1", "other2"], object)
-    named = {k: (dims, np.where(np.isnan(angle), -1, numbers[order, i]).T.astype("i2"))
-             for i, k in enumerate(("branch", "piece"))}
-    fit = {"walker": "E", "gait": "long", "quantity": "stance_angle", "regime": ["small", "large"], "branch": [0, 1],
-           "piece": [1, 0], "exponent": [0.4, 0.1], "amplitude": [0.7, 0.4], "from": [0.005, 0.03], "to": [0.03, 0.08]}
+    named = {
+        k: (dims, np.where(np.isnan(angle), -1, numbers[order, i]).T.astype("i2"))
+        for i, k in enumerate(("branch", "piece"))
+    }
+    fit = {
+        "walker": "E",
+        "gait": "long",
+        "quantity": "stance_angle",
+        "regime": ["small", "large"],
+        "branch": [0, 1],
+        "piece": [1, 0],
+        "exponent": [0.4, 0.1],
+        "amplitude": [0.7, 0.4],
+        "from": [0.005, 0.03],
+        "to": [0.03, 0.08],
+    }
     study = 'name = "jumping"\nwalker = "E"\n[axes]\nslope = [0.01]\n[want]\nfigures = ["linear", "loglog"]\n'
-    grid = {"stance_angle": (dims, angle.T), **named, "status": (dims, np.isnan(angle.T).astype("i1")),
-            "spectral_radius": (dims, np.where(np.isnan(angle.T), np.nan, 0.5)),
-            "reason": (dims, np.isnan(angle.T).astype("i2"))}
+    grid = {
+        "stance_angle": (dims, angle.T),
+        **named,
+        "status": (dims, np.isnan(angle.T).astype("i1")),
+        "spectral_radius": (dims, np.where(np.isnan(angle.T), np.nan, 0.5)),
+        "reason": (dims, np.isnan(angle.T).astype("i2")),
+    }
     table = {k: v if isinstance(v, list) else [v] * 2 for k, v in fit.items()}
-    return write(folder / "jumping.nc", study, grid, {"slope": slope, "gait": gaits}, {"E": POINT},
-                 {"fits/scaling": table})
+    return write(
+        folder / "jumping.nc", study, grid, {"slope": slope, "gait": gaits}, {"E": POINT}, {"fits/scaling": table}
+    )
 
 
 def detuning(folder: Path, lines: int = 6) -> Path:
@@ -236,8 +254,14 @@ def design(folder: Path, side: int = 40) -> Path:
     )
     key = np.repeat([0.1, 0.2, 0.3], 3)
     fast = np.where(key > 0.15, key, np.nan)
-    best = {"R": key, "c_t": np.tile([0.08, 0.1, 0.12], 3), "smallest_slope": 0.1 * key, "largest_stable_slope": key,
-            "fastest_froude_speed": fast, "fastest_slope": fast}
+    best = {
+        "R": key,
+        "c_t": np.tile([0.08, 0.1, 0.12], 3),
+        "smallest_slope": 0.1 * key,
+        "largest_stable_slope": key,
+        "fastest_froude_speed": fast,
+        "fastest_slope": fast,
+    }
     return write(
         folder / "design.nc",
         study,

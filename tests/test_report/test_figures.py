@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.body import Body
-from pipeline.report.figures.motion import animation, strides
+from pipeline.report.figures.cycle import animation, strides
 from pipeline.report.figures.style import GAIT_COLOURS, MUTED, plain
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
@@ -172,10 +172,15 @@ def test_a_heatmap_of_three_axes_is_a_row_of_maps_for_each_value_of_the_third(tm
     assert set(drawing.data["c_t"]) == {0.08, 0.1, 0.12} and len(drawing.data) == 36
     np.testing.assert_allclose(
         drawing.data["speed"] - 10 * drawing.data["c_t"] - drawing.data["R"] - drawing.data["slope"],
-        0.5 * (drawing.data["gait"] == "short"), atol=1e-12)
+        0.5 * (drawing.data["gait"] == "short"),
+        atol=1e-12,
+    )
     commands = [shlex.split(row[2]) for target in drawing.targets for row in target["rows"]]
     assert {word for words in commands for word in words if word.startswith("c_t=")} == {
-        "c_t=0.08", "c_t=0.1", "c_t=0.12"}
+        "c_t=0.08",
+        "c_t=0.1",
+        "c_t=0.12",
+    }
     assert drawing.svg.count("c_t = 0.1<") == 2
 
 
@@ -186,8 +191,15 @@ def test_a_heatmap_of_many_values_says_which_it_draws(tmp_path):
 
 def test_a_design_map_of_a_third_key_says_which_values_it_draws(tmp_path):
     key, height, thigh = (np.ravel(a) for a in np.meshgrid([0.1, 0.2], [0.08, 0.1], [0.3, 0.4, 0.5], indexing="ij"))
-    best = {"R": key, "c_t": height, "l_t": thigh, "smallest_slope": thigh, "largest_stable_slope": thigh,
-            "fastest_froude_speed": thigh, "fastest_slope": thigh / 10}
+    best = {
+        "R": key,
+        "c_t": height,
+        "l_t": thigh,
+        "smallest_slope": thigh,
+        "largest_stable_slope": thigh,
+        "fastest_froude_speed": thigh,
+        "fastest_slope": thigh / 10,
+    }
     axes = "R = [0.1]\nc_t = [0.1]\nl_t = [0.3]\nslope = [0.1]"
     text = f'name = "d"\nwalker = "B"\n[axes]\n{axes}\n[want]\nfigures = ["design"]'
     coords = {"R": np.unique(key), "c_t": np.unique(height), "l_t": np.unique(thigh)}
@@ -195,4 +207,7 @@ def test_a_design_map_of_a_third_key_says_which_values_it_draws(tmp_path):
     assert "Rows: l_t = 0.3; l_t = 0.4; l_t = 0.5." in drawing.caption and len(drawing.data) == 12
     commands = [shlex.split(row[2]) for target in drawing.targets for row in target["rows"]]
     assert len(commands) == 36 and {w for words in commands for w in words if w.startswith("l_t=")} == {
-        "l_t=0.3", "l_t=0.4", "l_t=0.5"}
+        "l_t=0.3",
+        "l_t=0.4",
+        "l_t=0.5",
+    }

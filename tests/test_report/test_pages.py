@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pipeline.archive.citation import PAPER
 from pipeline.errors import ArchiveError
-from pipeline.paper import PAPER
-from pipeline.report import page, source, tables
+from pipeline.report import html_tables, pages, source
 from pipeline.report.figures.style import plain
 from pipeline.report.source import read
 from test_report import synthetic
@@ -46,7 +46,7 @@ def test_pages_hold_to_their_budgets_and_name_no_outside_address(report):
 
 def test_an_index_of_many_studies_and_a_map_of_ninety_thousand_points_stay_small(tmp_path):
     small, big = synthetic.tuned(tmp_path), synthetic.design(tmp_path, 300)
-    index = page.write([*[small] * 6, big], tmp_path / "out")
+    index = pages.write([*[small] * 6, big], tmp_path / "out")
     assert index.stat().st_size < INDEX_BYTES
     assert (tmp_path / "out" / "tuned-walkers-6.html").is_file()
     assert (tmp_path / "out" / "design.html").stat().st_size < PAGE_BYTES
@@ -54,7 +54,7 @@ def test_an_index_of_many_studies_and_a_map_of_ninety_thousand_points_stay_small
 
 def test_a_line_of_many_slopes_is_thinned(tmp_path):
     archive = synthetic.transition(tmp_path, slopes=50_000)
-    page.write([archive], tmp_path / "out")
+    pages.write([archive], tmp_path / "out")
     assert (tmp_path / "out" / "transition.html").stat().st_size < PAGE_BYTES
     assert len(pd.read_csv(tmp_path / "out" / "transition-loglog.csv")) < 5000
 
@@ -97,14 +97,22 @@ def test_every_value_under_the_pointer_is_in_an_archive(report, archives):
 
 
 def test_tables_of_results_stand_on_the_page_of_their_study(tmp_path):
-    figure10 = {"walker": ["D", "C"], "description": ["simplest", "kneed"], "zero_slope_capable": [1, 1],
-                "short_angle_vanishing": [0.3331, 0.9993], "faster_larger": ["short", "long"]}
-    tables = {"figure10": figure10, "figure9": {"walker": ["D", "C"], "l_t": [0.5, 0.35]},
-              "accumulation": {"family": ["1"], "slope": [0.0190401]},
-              "falls": {"slope": np.linspace(0.01, 0.02, 30), "cause": ["fell forward"] * 30}}
+    figure10 = {
+        "walker": ["D", "C"],
+        "description": ["simplest", "kneed"],
+        "zero_slope_capable": [1, 1],
+        "short_angle_vanishing": [0.3331, 0.9993],
+        "faster_larger": ["short", "long"],
+    }
+    tables = {
+        "figure10": figure10,
+        "figure9": {"walker": ["D", "C"], "l_t": [0.5, 0.35]},
+        "accumulation": {"family": ["1"], "slope": [0.0190401]},
+        "falls": {"slope": np.linspace(0.01, 0.02, 30), "cause": ["fell forward"] * 30},
+    }
     text = '# Section 7: doublings\n# and falls.\nname = "figure7-more"\nwalker = ["D", "C"]'
     status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
-    page.write([write(tmp_path / "a.nc", text, status, {}, {"D": POINT, "C": KNEED}, tables)], tmp_path)
+    pages.write([write(tmp_path / "a.nc", text, status, {}, {"D": POINT, "C": KNEED}, tables)], tmp_path)
     found, source = Page(tmp_path / "figure7-more.html"), (tmp_path / "figure7-more.html").read_text()
     assert "Figure 7 more".lower() in found.text.lower() and "Section 7: doublings and falls." in found.text
     assert {0.3331, 0.9993, 0.35, 0.0190401} <= set(found.numbers)
@@ -122,12 +130,12 @@ def test_the_walkers_table_is_whole_and_tells_what_varies(tmp_path):
     coords = {"R": np.array([0.15, 0.3]), "m_h": np.array([2.5]), "detuning": np.array([0.0, 0.1, 0.2, 0.3, 1.0])}
     varied = {"R": "R", "m_h": "m_h", "w_t": "detuning", "r_t": "detuning"}
     made = write(tmp_path / "s.nc", text, status, coords, dict.fromkeys(names, KNEED), varied=varied)
-    table = tables.walkers(read(made))
+    table = html_tables.walkers(read(made))
     assert table.heads == ["key", *names]
     rows = {row[0].text: {cell.text for cell in row[1:]} for row in table.rows}
     assert rows["R"] == {"0.15, 0.3"} and rows["m_h"] == {"2.5"} and rows["c_t"] == {"0.084"}
     assert rows["w_t"] == rows["r_t"] == {"by detuning"} and rows["detuning"] == {"0 … 1 (5 values)"}
-    page.write([made], tmp_path)
+    pages.write([made], tmp_path)
     assert all(name in Page(tmp_path / "s.html").text for name in names)
 
 
@@ -138,18 +146,21 @@ def test_numbered_figures_come_first_and_in_order(tmp_path):
         coords = {"slope": [0.01, 0.02], "gait": np.array(["long"], object)}
         return write(tmp_path / f"{name}.nc", text, grid, coords, {"D": POINT})
 
-    page.write([study("basin"), study("figure11"), study("ledger-x", False), study("figure3")], tmp_path)
+    pages.write([study("basin"), study("figure11"), study("ledger-x", False), study("figure3")], tmp_path)
     text = Page(tmp_path / "index.html").text
     places = [text.index(word) for word in ("figure 3", "figure 11", "basin", "ledger x")]
     assert places == sorted(places)
 
 
-@pytest.mark.parametrize(("walker", "command"), [
-    ('{ base = "E", R = 0.2 }', "gaitsweep solve --walker E --set R=0.2"),
-    ('{ base = "C", knees = false }', "gaitsweep solve --walker s.toml"),
-    ("{ l_t = 0.5 }", "gaitsweep solve --walker s.toml"),
-    ('"mine.toml"', "gaitsweep solve --walker mine.toml"),
-])
+@pytest.mark.parametrize(
+    ("walker", "command"),
+    [
+        ('{ base = "E", R = 0.2 }', "gaitsweep solve --walker E --set R=0.2"),
+        ('{ base = "C", knees = false }', "gaitsweep solve --walker s.toml"),
+        ("{ l_t = 0.5 }", "gaitsweep solve --walker s.toml"),
+        ('"mine.toml"', "gaitsweep solve --walker mine.toml"),
+    ],
+)
 def test_the_command_under_the_pointer_can_be_typed(tmp_path, walker, command):
     status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
     archive = write(tmp_path / "s.nc", f'name = "s"\nwalker = {walker}', status, {}, {"w": POINT})
@@ -157,7 +168,7 @@ def test_the_command_under_the_pointer_can_be_typed(tmp_path, walker, command):
 
 
 def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
-    again = page.write(archives, tmp_path).parent
+    again = pages.write(archives, tmp_path).parent
     for path in report.iterdir():
         assert path.read_bytes() == (again / path.name).read_bytes(), path.name
 
@@ -165,11 +176,11 @@ def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
 def test_a_report_adds_to_the_pages_that_stand_there(report, archives, tmp_path):
     """One archive after the other, in any order, gives what all of them give at once."""
     for archive in reversed(archives):
-        index = page.write([archive], tmp_path)
+        index = pages.write([archive], tmp_path)
     assert {path.name for path in report.iterdir()} == {path.name for path in tmp_path.iterdir()}
     for path in report.iterdir():
         assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
-    page.write([], tmp_path)
+    pages.write([], tmp_path)
     assert index.read_bytes() == (report / "index.html").read_bytes()
 
 
@@ -185,33 +196,39 @@ def test_only_leaves_nothing_else_of_a_report_and_all_that_is_none(tmp_path):
     (tmp_path / "bench.html").write_text("<p>Not of a report.</p>")
     (tmp_path / "one-notes.csv").write_text("mine")
     for name in ("one", "three"):
-        page.write([_small(tmp_path, name)], tmp_path)
+        pages.write([_small(tmp_path, name)], tmp_path)
     ledger = Page(tmp_path / "ledger.html")
     assert {"D3", "D5"} <= set(ledger.all("id")) and "one.html#linear" in ledger.all("href")
-    page.write([tmp_path / "three.nc"], tmp_path, only=True)
+    pages.write([tmp_path / "three.nc"], tmp_path, only=True)
     assert {path.name for path in tmp_path.iterdir() if path.suffix != ".nc"} == {
-        "index.html", "ledger.html", "three.html", "three-linear.csv", "bench.html", "one-notes.csv"}
+        "index.html",
+        "ledger.html",
+        "three.html",
+        "three-linear.csv",
+        "bench.html",
+        "one-notes.csv",
+    }
     assert "D3" not in Page(tmp_path / "ledger.html").all("id")
     assert "one.html" not in Page(tmp_path / "index.html").all("href")
 
 
 def test_a_page_written_again_leaves_no_data_of_the_old_one(tmp_path):
-    page.write([_small(tmp_path, "s", ("linear", "loglog"))], tmp_path)
+    pages.write([_small(tmp_path, "s", ("linear", "loglog"))], tmp_path)
     assert (tmp_path / "s-loglog.csv").is_file()
-    page.write([_small(tmp_path, "s")], tmp_path)
+    pages.write([_small(tmp_path, "s")], tmp_path)
     assert not (tmp_path / "s-loglog.csv").exists() and (tmp_path / "s-linear.csv").is_file()
     assert (tmp_path / "index.html").read_text().count('<a href="s.html">') == 1
 
 
 def test_a_page_that_lies_about_itself_takes_nothing_away(tmp_path):
     (tmp_path / "precious.csv").write_text("mine")
-    page.write([_small(tmp_path, "s")], tmp_path)
+    pages.write([_small(tmp_path, "s")], tmp_path)
     text = (tmp_path / "s.html").read_text()
     lie = text.replace('"files": ["s-linear.csv"]', '"files": ["precious.csv", "../s.nc"]')
     assert lie != text
     (tmp_path / "s.html").write_text(lie)
     (tmp_path / "torn.html").write_text(text.replace('"slug": "s"', '"slug": 3'))
-    page.write([_small(tmp_path, "t")], tmp_path / ".", only=True)
+    pages.write([_small(tmp_path, "t")], tmp_path / ".", only=True)
     assert (tmp_path / "precious.csv").is_file() and (tmp_path / "torn.html").is_file()
     assert not (tmp_path / "s.html").exists()
 
@@ -247,7 +264,7 @@ def test_an_archive_cannot_put_anything_into_a_page(tmp_path):
     coords = {"walker": np.array(study["walker"], object), "slope": slope, "gait": np.array(["long", bad], object)}
     tables = {"claims": claims, "trace": trace}
     archive = write(tmp_path / "bad.nc", text, grid, coords, {bad: POINT, "b": KNEED}, tables, {bad: bad})
-    out = page.write([archive], tmp_path / "out").parent
+    out = pages.write([archive], tmp_path / "out").parent
     assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} == {tmp_path, out}
     for path in out.glob("*.html"):
         found = Page(path)
@@ -287,12 +304,12 @@ def test_the_ledger_links_each_claim_to_its_figure(report):
 
 def test_a_study_without_points_or_run_record_still_has_a_page(tmp_path):
     archive = write(tmp_path / "a.nc", 'name = "a"', {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}, {}, {})
-    assert page.write([archive], tmp_path).is_file()
+    assert pages.write([archive], tmp_path).is_file()
     assert "1 converged" in Page(tmp_path / "a.html").text
 
 
 def test_no_archive_gives_an_index_that_says_so(tmp_path):
-    assert "No archives were given." in Page(page.write([], tmp_path)).text
+    assert "No archives were given." in Page(pages.write([], tmp_path)).text
 
 
 @pytest.mark.parametrize("content", [b"", b"not netCDF", None])
@@ -301,12 +318,12 @@ def test_a_foreign_file_is_named(tmp_path, content):
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ArchiveError, match=r"foreign\.nc"):
-        page.write([path], tmp_path / "out")
+        pages.write([path], tmp_path / "out")
 
 
 def test_the_report_loads_neither_the_tasks_nor_the_plan():
     program = (
-        "import pipeline.report.page, sys; print([m for m in sys.modules if m.split('.')[0] in ('tasks', 'heyoka')]"
+        "import pipeline.report.pages, sys; print([m for m in sys.modules if m.split('.')[0] in ('tasks', 'heyoka')]"
     )
     program += " + [m for m in sys.modules if m in ('pipeline.plan', 'pipeline.execute')])"
     root = Path(__file__).parents[2]
@@ -316,7 +333,7 @@ def test_the_report_loads_neither_the_tasks_nor_the_plan():
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_colours_have_enough_contrast(scheme):
-    style = (Path(page.__file__).parent / "templates" / "report.css").read_text()
+    style = (Path(pages.__file__).parent / "templates" / "report.css").read_text()
     blocks = re.findall(r":root \{(.*?)\}", style, re.S)
     values = dict(re.findall(r"--([\w]+): (#[0-9a-f]{6})", blocks[0]))
     if scheme == "dark":
@@ -345,5 +362,5 @@ def test_of_a_large_grid_a_part_is_drawn_and_every_fate_is_told(tmp_path, monkey
     part = source.read(archive)
     assert part.grid.sizes["slope"] * part.grid.sizes["gait"] <= 1000 * 2
     assert np.isin(part.grid.slope, whole.grid.slope).all()
-    assert tables.statuses(part) == tables.statuses(whole)
-    assert tables.points(part).equals(tables.points(whole))
+    assert html_tables.statuses(part) == html_tables.statuses(whole)
+    assert html_tables.points(part).equals(html_tables.points(whole))

@@ -5,11 +5,11 @@ import pytest
 
 from lines import branches
 from pipeline.errors import StudyError
-from pipeline.study import parse
-from tasks.branch import _dense, branch
-from tasks.gait.adaptive import apart, chosen, plane
-from tasks.gait.atlas import to_arrays
-from tasks.gait.stability import multipliers
+from pipeline.study.parse import parse
+from tasks.continuation.atlas import to_arrays
+from tasks.continuation.sampling import apart, chosen, plane
+from tasks.fixed_points.multipliers import multipliers
+from tasks.follow_branches import _dense, branch
 from tasks.mechanics.kernel import flow
 
 
@@ -43,8 +43,10 @@ def uniform(found, low, high, n):
     return np.vstack(rows)[np.argsort(np.concatenate(places))]
 
 
-@pytest.mark.parametrize("walker,low,high,tolerance", [
-    ("D", 1e-4, 0.1, 1e-3), ("E", 1e-4, 0.2, 1e-4), ("physical-straight", 0.012, 0.05, 1e-3)])
+@pytest.mark.parametrize(
+    "walker,low,high,tolerance",
+    [("D", 1e-4, 0.1, 1e-3), ("E", 1e-4, 0.2, 1e-4), ("physical-straight", 0.012, 0.05, 1e-3)],
+)
 def test_the_same_figure_from_a_fifth_of_a_uniform_grid_s_points(walker, low, high, tolerance):
     problem, found = branches(walker)
     for one in found:
@@ -69,7 +71,7 @@ def test_a_change_of_stability_lies_between_near_points():
     stride, _ = problem.stride(np.delete(rows, 2, axis=1).T, rows[:, 2])
     stable = np.abs(multipliers(stride.jacobian, 2)).max(axis=1) < 1
     (turn,) = np.nonzero(np.diff(stable))[0]
-    slopes = np.sort(np.exp(rows[turn:turn + 2, 2]))
+    slopes = np.sort(np.exp(rows[turn : turn + 2, 2]))
     assert slopes[0] <= 0.015088437941119464 <= slopes[1]
     assert np.log(slopes[1] / slopes[0]) <= 1e-3
 
@@ -97,14 +99,17 @@ def test_a_study_may_ask_for_a_tolerance(tmp_path):
     assert study.slope.tolist() == [0.01, 0.1]
 
 
-@pytest.mark.parametrize("slope,more,said", [
-    ({"from": 0.01, "to": 0.1, "adaptive": 1e-3}, {"kind": "grid"}, "kind \"branch\""),
-    ({"from": 0.01, "to": 0.1, "adaptive": 0}, {}, r"must lie in \[1e-6, 0.1\]; got 0"),
-    ({"from": 0.01, "to": 0.1, "adaptive": "fine"}, {}, "must be a number"),
-    ({"from": 0.01, "to": 0.1, "adaptive": 1e-3, "n": 9}, {}, "`n` is not known here"),
-    ({"to": 0.1, "adaptive": 1e-3}, {}, "`from` is missing"),
-    ({"from": 0.2, "to": 0.1, "adaptive": 1e-3}, {}, "must be less than"),
-])
+@pytest.mark.parametrize(
+    "slope,more,said",
+    [
+        ({"from": 0.01, "to": 0.1, "adaptive": 1e-3}, {"kind": "grid"}, 'kind "branch"'),
+        ({"from": 0.01, "to": 0.1, "adaptive": 0}, {}, r"must lie in \[1e-6, 0.1\]; got 0"),
+        ({"from": 0.01, "to": 0.1, "adaptive": "fine"}, {}, "must be a number"),
+        ({"from": 0.01, "to": 0.1, "adaptive": 1e-3, "n": 9}, {}, "`n` is not known here"),
+        ({"to": 0.1, "adaptive": 1e-3}, {}, "`from` is missing"),
+        ({"from": 0.2, "to": 0.1, "adaptive": 1e-3}, {}, "must be less than"),
+    ],
+)
 def test_nonsense_is_refused_in_one_line(slope, more, said, tmp_path):
     with pytest.raises(StudyError, match=said) as refused:
         parse(table(slope, **more), "", tmp_path / "one.toml")

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from lines import _atlas
-from tasks.basin import basin
-from tasks.census import census, deflated, starts
-from tasks.gait.fixed_point import Problem, newton
-from tasks.gait.strides import STRUCK, stride
-from tasks.walkers.parameters import resolve
+from tasks.count_gaits import census, deflated, starts
+from tasks.fixed_points.newton import newton
+from tasks.map_basin import basin
+from tasks.step.problem import Problem
+from tasks.step.simulate import STRUCK, stride
+from tasks.walkers.resolve import resolve
 
 
 def mapped(slope, size, **options):
@@ -47,8 +48,9 @@ def test_outcomes_do_not_depend_on_the_grid():
     """Cells of a grid of 40 are every third of a grid of 120 of the same range."""
     coarse, fine = mapped(0.009, 40, **RANGE), mapped(0.009, 120, **RANGE)
     at = fine["basin/outcome"].reshape(120, 120)[1::3, 1::3]
-    same = np.isclose(fine["basin/stance_angle"].reshape(120, 120)[1::3, 1::3].ravel(), coarse["basin/stance_angle"],
-                      rtol=0, atol=0)
+    same = np.isclose(
+        fine["basin/stance_angle"].reshape(120, 120)[1::3, 1::3].ravel(), coarse["basin/stance_angle"], rtol=0, atol=0
+    )
     assert np.array_equal(at.ravel()[same], coarse["basin/outcome"][same])
     assert same.any()
 

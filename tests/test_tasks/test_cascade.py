@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from lines import _atlas
-from tasks.cascade import cascade
-from tasks.fits.cascade import DELTA, accumulation, ratios
-from tasks.gait.atlas import from_arrays
-from tasks.gait.cycles import from_start, really_walks
-from tasks.gait.fixed_point import Problem
-from tasks.gait.starts import gaits_at
-from tasks.gait.survival import lasting
-from tasks.walkers.parameters import resolve
+from tasks.continuation.atlas import from_arrays
+from tasks.continuation.cycles import from_start, really_walks
+from tasks.dynamics.crisis import lasting
+from tasks.dynamics.initial_states import gaits_at
+from tasks.fits.feigenbaum import DELTA, accumulation, ratios
+from tasks.locate_cascade import cascade
+from tasks.step.problem import Problem
+from tasks.walkers.resolve import resolve
 
 #: Period doublings of x -> r x (1 - x), and where they accumulate.
 LOGISTIC = [3.0, 3.449489742783178, 3.544090359551923, 3.564407266095433, 3.568759419543826, 3.569691609801374]
@@ -84,7 +84,7 @@ def test_orbits_last_below_the_end_of_walking_and_not_above():
     slopes = np.array([0.012, 0.0165, 0.0185, 0.0193])
     _, gaits = gaits_at(problem, from_arrays(_atlas("D", ())), slopes, "long")
     spread = 1 + 1e-3 * np.linspace(-1, 1, 16)
-    last = [lasting(problem, gaits[:, k:k + 1] * spread, slopes[k:k + 1], 120)[0] for k in range(4)]
+    last = [lasting(problem, gaits[:, k : k + 1] * spread, slopes[k : k + 1], 120)[0] for k in range(4)]
     # At 0.012 they settle on period one, which is no attractor of a cascade beyond its doublings.
     assert last == [False, True, True, False]
     alone = lasting(problem, gaits[:, 2:3] * spread, slopes, 120)

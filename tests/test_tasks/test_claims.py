@@ -6,20 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tasks.claims import claims
-from tasks.ledger import CLAIMS, VERDICTS, Claim, Finding, chaos, lab
-from tasks.ledger import claim as rule
-from tasks.ledger.lab import line
-from tasks.ledger.printed import HALF_UNITS
-from tasks.ledger.rounding import (
-    LANDMARKS,
-    changed,
-    grazing_sensitivities,
-    interval,
-    place,
-    sensitivities,
-)
-from tasks.ledger.zero_slope import mass_limit
+from tasks.check_claims import claims
+from tasks.paper import claim as rule
+from tasks.paper import kneed_chaos, lines
+from tasks.paper.claim import CLAIMS, VERDICTS, Claim, Finding
+from tasks.paper.lines import line
+from tasks.paper.published import HALF_UNITS
+from tasks.paper.rounding_intervals import LANDMARKS, changed, grazing_sensitivities, interval, place, sensitivities
+from tasks.paper.zero_slope import mass_limit
 from tasks.registry import TASKS
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.tuning import is_tuned
@@ -29,9 +23,19 @@ ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
 IDS = {
-    *(f"D{i}" for i in range(1, 11)), *(f"E{i}" for i in range(1, 8)), *(f"P{i}" for i in range(1, 9)),
-    *(f"T{i}" for i in range(1, 9)), *(f"Z{i}" for i in range(1, 7)), *(f"M{i}" for i in range(1, 8)),
-    "K1", "K2", "K3", "W1", "G1", "G2", *(f"A{i}" for i in range(1, 7)),
+    *(f"D{i}" for i in range(1, 11)),
+    *(f"E{i}" for i in range(1, 8)),
+    *(f"P{i}" for i in range(1, 9)),
+    *(f"T{i}" for i in range(1, 9)),
+    *(f"Z{i}" for i in range(1, 7)),
+    *(f"M{i}" for i in range(1, 8)),
+    "K1",
+    "K2",
+    "K3",
+    "W1",
+    "G1",
+    "G2",
+    *(f"A{i}" for i in range(1, 7)),
 }
 
 
@@ -97,15 +101,18 @@ def test_exact_walkers_stay_tuned_as_their_keys_move():
         assert is_tuned(changed("C", CATALOGUE["C"], key, 1e-3))
 
 
-@pytest.mark.parametrize(("name", "verdict", "value", "tolerance"), [
-    ("D2", "reproduced", 0.015088437941119463, 1e-12),
-    ("D6", "reproduced", 4.0, 1e-4),
-    ("D4", "reproduced", -1.0, 1e-5),
-    ("E2", "reproduced", 1 / 3, 1e-6),
-    ("E5", "reproduced approximately", 1.0677, 1e-4),
-    ("Z3", "reproduced approximately", 0.54, 0.01),
-    ("M1", "reproduced", 1.0, 1e-9),
-])
+@pytest.mark.parametrize(
+    ("name", "verdict", "value", "tolerance"),
+    [
+        ("D2", "reproduced", 0.015088437941119463, 1e-12),
+        ("D6", "reproduced", 4.0, 1e-4),
+        ("D4", "reproduced", -1.0, 1e-5),
+        ("E2", "reproduced", 1 / 3, 1e-6),
+        ("E5", "reproduced approximately", 1.0677, 1e-4),
+        ("Z3", "reproduced approximately", 0.54, 0.01),
+        ("M1", "reproduced", 1.0, 1e-9),
+    ],
+)
 def test_straight_legged_claims(name, verdict, value, tolerance):
     found = CLAIMS[name].find()
     assert (found.verdict, found.value) == (verdict, pytest.approx(value, abs=tolerance))
@@ -124,18 +131,21 @@ def test_light_feet_alone_are_stable_at_vanishing_slope():
     assert mass_limit() == pytest.approx(0.0950, abs=5e-5)
 
 
-@pytest.mark.parametrize(("name", "slope", "angle", "tolerance"), [
-    ("smallest slope, kneed", 0.0191, None, 5e-5),
-    ("smallest slope, straight", 0.0154, None, 5e-5),
-    ("point 1", 0.0364, 0.1488, 5e-5),
-    ("point 2", 0.0561, 0.2365, 5e-5),
-    ("point 3", 0.02154, 0.0194, 5e-5),
-    ("C exponent 2/3", 1.523e-4, None, 5e-8),
-    ("C release, long", 2.2077e-4, None, 5e-9),
-    ("C release, short", 0.0079745, None, 5e-8),
-    ("C flip", 0.0769, None, 5e-5),
-    ("C-printed flip", 0.0786, None, 5e-5),
-])
+@pytest.mark.parametrize(
+    ("name", "slope", "angle", "tolerance"),
+    [
+        ("smallest slope, kneed", 0.0191, None, 5e-5),
+        ("smallest slope, straight", 0.0154, None, 5e-5),
+        ("point 1", 0.0364, 0.1488, 5e-5),
+        ("point 2", 0.0561, 0.2365, 5e-5),
+        ("point 3", 0.02154, 0.0194, 5e-5),
+        ("C exponent 2/3", 1.523e-4, None, 5e-8),
+        ("C release, long", 2.2077e-4, None, 5e-9),
+        ("C release, short", 0.0079745, None, 5e-8),
+        ("C flip", 0.0769, None, 5e-5),
+        ("C-printed flip", 0.0786, None, 5e-5),
+    ],
+)
 def test_landmarks_are_where_they_were_computed_before(name, slope, angle, tolerance):
     found = interval(name)
     assert found.value == pytest.approx(slope, abs=tolerance)
@@ -145,10 +155,18 @@ def test_landmarks_are_where_they_were_computed_before(name, slope, angle, toler
 
 
 def test_printed_landmarks_lie_in_their_intervals():
-    verdicts = {name: rule.within(mark.printed, interval(name).low, interval(name).high)
-                for name, mark in LANDMARKS.items() if mark.printed == mark.printed}
-    assert verdicts == {"smallest slope, kneed": "reproduced", "smallest slope, straight": "reproduced",
-                        "C flip": "not reproduced", "C-printed flip": "reproduced", "C exponent 2/3": "reproduced"}
+    verdicts = {
+        name: rule.within(mark.printed, interval(name).low, interval(name).high)
+        for name, mark in LANDMARKS.items()
+        if mark.printed == mark.printed
+    }
+    assert verdicts == {
+        "smallest slope, kneed": "reproduced",
+        "smallest slope, straight": "reproduced",
+        "C flip": "not reproduced",
+        "C-printed flip": "reproduced",
+        "C exponent 2/3": "reproduced",
+    }
 
 
 def test_the_flip_moves_with_the_offsets_as_found_before():
@@ -190,7 +208,7 @@ def test_the_table_of_claims_is_whole():
 
 @pytest.fixture
 def no_tables(monkeypatch):
-    monkeypatch.setattr(lab, "_TABLES", {})
+    monkeypatch.setattr(lines, "_TABLES", {})
 
 
 def read(name, walker, **tables):
@@ -201,51 +219,81 @@ def read(name, walker, **tables):
 
 
 def test_the_count_of_gaits_is_read_from_the_study(no_tables, monkeypatch):
-    monkeypatch.setattr(chaos, "WALKERS", ("E",))
+    monkeypatch.setattr(kneed_chaos, "WALKERS", ("E",))
     for most, said in ((2, "reproduced"), (3, "not reproduced")):
-        monkeypatch.setattr(lab, "_TABLES", {})
-        found = read("G1", "E", coverage__slope=[0.01], coverage__starts=[100], coverage__anthropomorphic=[most],
-                     coverage__converged=[9], coverage__unseen=[0.1], coverage__non_anthropomorphic=[1],
-                     coverage__found_deflated=[0])
+        monkeypatch.setattr(lines, "_TABLES", {})
+        found = read(
+            "G1",
+            "E",
+            coverage__slope=[0.01],
+            coverage__starts=[100],
+            coverage__anthropomorphic=[most],
+            coverage__converged=[9],
+            coverage__unseen=[0.1],
+            coverage__non_anthropomorphic=[1],
+            coverage__found_deflated=[0],
+        )
         assert (found["verdict"], found["value"]) == (said, most)
 
 
 def cascade_of_d(end=0.01904, fold=0.0122808):
     """Tables of D's cascade as its study gives them, in short."""
-    return {"cascade__family": ["1"] * 3 + ["3"] * 4, "cascade__kind": ["flip"] * 3 + ["fold"] + ["flip"] * 3,
-            "cascade__slope": [0.0150884, 0.0176694, 0.01816, fold, 0.012635, 0.0127555, 0.0127829],
-            "accumulation__family": ["1", "3"], "accumulation__slope": [0.0182934, 0.0127904],
-            "accumulation__ratio": [4.67, 4.66], "accumulation__low": [0.0182934, 0.01279],
-            "accumulation__high": [0.0182934, 0.01279],
-            "lost__family": ["1", "3"], "lost__low": [end, 0.012923], "lost__high": [end + 5e-6, 0.012926]}
+    return {
+        "cascade__family": ["1"] * 3 + ["3"] * 4,
+        "cascade__kind": ["flip"] * 3 + ["fold"] + ["flip"] * 3,
+        "cascade__slope": [0.0150884, 0.0176694, 0.01816, fold, 0.012635, 0.0127555, 0.0127829],
+        "accumulation__family": ["1", "3"],
+        "accumulation__slope": [0.0182934, 0.0127904],
+        "accumulation__ratio": [4.67, 4.66],
+        "accumulation__low": [0.0182934, 0.01279],
+        "accumulation__high": [0.0182934, 0.01279],
+        "lost__family": ["1", "3"],
+        "lost__low": [end, 0.012923],
+        "lost__high": [end + 5e-6, 0.012926],
+    }
 
 
-@pytest.mark.parametrize(("name", "changed", "verdict"), [
-    ("D8", {}, "reproduced"), ("D8", {"end": 0.0196}, "not reproduced"),
-    ("D9", {}, "reproduced"), ("D9", {"fold": 0.0126}, "not reproduced"),
-])
+@pytest.mark.parametrize(
+    ("name", "changed", "verdict"),
+    [
+        ("D8", {}, "reproduced"),
+        ("D8", {"end": 0.0196}, "not reproduced"),
+        ("D9", {}, "reproduced"),
+        ("D9", {"fold": 0.0126}, "not reproduced"),
+    ],
+)
 def test_doublings_are_read_from_the_study(no_tables, name, changed, verdict):
     assert read(name, "D", **cascade_of_d(**changed))["verdict"] == verdict
 
 
 @pytest.mark.parametrize(("far", "verdict"), [(0.74, "reproduced"), (0.70, "not reproduced")])
 def test_branches_touch_where_folds_are_on_one_side_only(no_tables, far, verdict):
-    found = read("T6", "C", turnings__value=[0.72386360373], turnings__slope=[0.1001868636], turnings__turn=["key"],
-                 turnings__kind=["fold"], turnings__stance_angle=[0.426], turnings__error_bound=[1e-9],
-                 turnings__curve=[1], curves__curve=[1, 1, 1], curves__value=[0.74, 0.72386360373, far],
-                 curves__slope=[0.09, 0.1002, 0.11])
+    found = read(
+        "T6",
+        "C",
+        turnings__value=[0.72386360373],
+        turnings__slope=[0.1001868636],
+        turnings__turn=["key"],
+        turnings__kind=["fold"],
+        turnings__stance_angle=[0.426],
+        turnings__error_bound=[1e-9],
+        turnings__curve=[1],
+        curves__curve=[1, 1, 1],
+        curves__value=[0.74, 0.72386360373, far],
+        curves__slope=[0.09, 0.1002, 0.11],
+    )
     assert (found["verdict"], found["value"]) == (verdict, 0.72386360373)
 
 
 def test_feet_too_heavy_for_a_stable_gait_come_to_chaos_all_the_same():
     """Walker E, not checked by the paper: its gait of period two is stable, doubles, and its orbits part."""
-    chaotic, said = chaos.chaos("E")
+    chaotic, said = kneed_chaos.chaos("E")
     assert chaotic == 1
     assert "period 2 from 0.0055" in said
 
 
 def test_what_is_said_of_chaos_is_not_said_of_a_stable_gait():
-    value, error, slope = chaos.exponent("D", np.array([0.012, 0.016]), 4)
+    value, error, slope = kneed_chaos.exponent("D", np.array([0.012, 0.016]), 4)
     assert value < -4 * error
     assert slope in (0.012, 0.016)
 
@@ -253,5 +301,5 @@ def test_what_is_said_of_chaos_is_not_said_of_a_stable_gait():
 def test_an_exponent_is_not_taken_across_two_curves():
     # The machine's short step lies on one side of its fold at 0.0475 and on the other at 0.0525.
     with pytest.raises(ValueError, match="short gaits around slope 0.05 lie on two curves"):
-        line("physical").exponent(lab.SHORT, 0.05)
-    assert line("physical").exponent(lab.LONG, 0.04) > 0
+        line("physical").exponent(lines.SHORT, 0.05)
+    assert line("physical").exponent(lines.LONG, 0.04) > 0

@@ -10,15 +10,16 @@ from scipy.optimize import brentq
 from lines import branches, gait
 from pipeline.bench.bounds import compared
 from pipeline.bench.stress import random_walker
-from tasks.gait import special_points as special
-from tasks.gait.atlas import survey
-from tasks.gait.continuation import correct, follow
-from tasks.gait.fixed_point import LONGEST_PERIOD, Problem
-from tasks.gait.root import bracketed_root
-from tasks.gait.settle import UNKNOWN
-from tasks.gait.special_points import special_points
+from tasks.continuation import special_points as special
+from tasks.continuation.atlas import survey
+from tasks.continuation.root import bracketed_root
+from tasks.continuation.special_points import special_points
+from tasks.continuation.tracking import correct, follow
+from tasks.fixed_points.newton import LONGEST_PERIOD
+from tasks.fixed_points.polish import UNKNOWN
+from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.parameters import Walker
+from tasks.walkers.walker import Walker
 
 
 def points_of(walker, **overrides):
@@ -92,7 +93,7 @@ def test_forward_and_back_to_the_start():
     branch = found[0]
     k = int(np.argmin(np.abs(branch.q - np.log(0.02))))
     start = np.delete(branch.Z[k], problem.m)[:, None]
-    ((_, up),) = follow(problem, start, branch.q[k:k + 1])
+    ((_, up),) = follow(problem, start, branch.q[k : k + 1])
     there = correct(problem, up.X[-3][:, None], up.times[-3][:, None], None)
     ((down, _),) = follow(problem, np.vstack([there.X[: problem.m], there.times]), there.X[problem.m])
     # Come back to the start's slope exactly and compare.
@@ -117,8 +118,12 @@ def test_the_polynomials_lead_newton_to_rounding():
 
 
 def test_a_bracketed_root_is_found_as_scipy_finds_it():
-    for function, a, b in ((lambda x: np.cos(x) - x, 0.0, 1.0), (lambda x: x**3 - 2, 0.0, 5.0),
-                           (lambda x: np.exp(-30 * x) - 0.3, 2.0, -1.0), (lambda x: x, -1.0, 0.0)):
+    for function, a, b in (
+        (lambda x: np.cos(x) - x, 0.0, 1.0),
+        (lambda x: x**3 - 2, 0.0, 5.0),
+        (lambda x: np.exp(-30 * x) - 0.3, 2.0, -1.0),
+        (lambda x: x, -1.0, 0.0),
+    ):
         asked = Mock(side_effect=function)
         found = bracketed_root(asked, a, b)
         np.testing.assert_allclose(found, brentq(function, a, b, xtol=1e-300, rtol=9e-16), rtol=5e-16)
@@ -142,10 +147,14 @@ def test_a_tangential_end_agrees_with_other_spacings_within_its_bound(monkeypatc
         assert abs(end()["slope"] / first["slope"] - 1) < first["error_bound"]
 
 
-@pytest.mark.parametrize(("detuning", "ends"), [
-    # On either side of where two branches touch, at detuning 0.723863604 and slope 0.100186864 (claim T6).
-    (0.72386, [("kneestrike_at_heelstrike", "kneestrike_at_heelstrike"), ("tangential_heelstrike", "window")]),
-    (0.7239, [("kneestrike_at_heelstrike", "tangential_heelstrike"), ("kneestrike_at_heelstrike", "window")])])
+@pytest.mark.parametrize(
+    ("detuning", "ends"),
+    [
+        # On either side of where two branches touch, at detuning 0.723863604 and slope 0.100186864 (claim T6).
+        (0.72386, [("kneestrike_at_heelstrike", "kneestrike_at_heelstrike"), ("tangential_heelstrike", "window")]),
+        (0.7239, [("kneestrike_at_heelstrike", "tangential_heelstrike"), ("kneestrike_at_heelstrike", "window")]),
+    ],
+)
 def test_no_branch_jumps_to_one_it_almost_touches(detuning, ends):
     _, found = branches("C", detuning=detuning)
     why = [tuple(sorted(end.replace("end of the ", "").removeprefix("end_") for end in b.why)) for b in found]
@@ -176,11 +185,27 @@ def test_bounds_hold_and_are_of_use_beside_a_tangential_end():
 
 def test_a_singular_derivative_ends_no_survey():
     """Heelstrike turns tangential between two nodes, where the map's derivative is one column to the last digit."""
-    (branch,) = survey(Problem(Walker(
-        l_t=0.4076273331582905, w_t=0.09347589723409368, m_t=0.036760265359138074, r_t=0.11703360199179433,
-        c_t=0.21177644858915898, l_s=0.5923726668417095, w_s=-0.08270528673840194, m_s=0.019289748290847984,
-        r_s=0.16422574634352305, c_s=-0.12107330029517688, R=0.48477183884406094, eps_T=-0.12415307211285737,
-        m_h=0.031433349548861844, g=1.0, knees=False)))
+    (branch,) = survey(
+        Problem(
+            Walker(
+                l_t=0.4076273331582905,
+                w_t=0.09347589723409368,
+                m_t=0.036760265359138074,
+                r_t=0.11703360199179433,
+                c_t=0.21177644858915898,
+                l_s=0.5923726668417095,
+                w_s=-0.08270528673840194,
+                m_s=0.019289748290847984,
+                r_s=0.16422574634352305,
+                c_s=-0.12107330029517688,
+                R=0.48477183884406094,
+                eps_T=-0.12415307211285737,
+                m_h=0.031433349548861844,
+                g=1.0,
+                knees=False,
+            )
+        )
+    )
     assert branch.why == ("a fall", "end_tangential_heelstrike")
 
 

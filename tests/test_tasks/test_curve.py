@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from lines import _atlas, branches
-from tasks.curve import curve
-from tasks.gait import curves
-from tasks.gait.curves import Curve, follow, turning
-from tasks.gait.special_points import special_points
-from tasks.walkers.parameters import WalkerError, resolve
+from tasks.continuation import codimension_one
+from tasks.continuation.codimension_one import Curve, follow, turning
+from tasks.continuation.special_points import special_points
+from tasks.follow_curves import curve
+from tasks.walkers.resolve import resolve
+from tasks.walkers.walker import WalkerError
 
 LINE = {"walker": "C", "set": {}}
 WINDOW = {"q": (-6.0, -1.0), "key": (0.6, 0.8)}
@@ -31,7 +32,7 @@ def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
     assert all(p.ok for p in points)
     # A bound that is measured, on the slope; differences over other steps move the turning by less.
     assert 1e-15 < found[0].error < 1e-8
-    monkeypatch.setattr(curves, "DIFFERENCE", 3e-5)
+    monkeypatch.setattr(codimension_one, "DIFFERENCE", 3e-5)
     monkeypatch.setattr(Curve.system, "__defaults__", (3e-5,))
     pair = next((a, b) for a, b in itertools.pairwise(points) if a.tangent[-1] * b.tangent[-1] < 0)
     other = turning(folds, *pair, -1)
@@ -40,8 +41,10 @@ def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
 
 
 def test_flips_agree_with_those_located_line_by_line():
-    found = curve({"line": LINE, "slope": np.array([0.01, 0.2]), "key": "detuning", "from": -0.02, "to": 0.22,
-                   "kinds": ["flip"]}, [_atlas("C", ())])
+    found = curve(
+        {"line": LINE, "slope": np.array([0.01, 0.2]), "key": "detuning", "from": -0.02, "to": 0.22, "kinds": ["flip"]},
+        [_atlas("C", ())],
+    )
     near = np.argsort(np.abs(found["curves/value"] - 0.2))[:5]
     fit = np.polyfit(found["curves/value"][near] - 0.2, found["curves/slope"][near], 4)
     # Brent's method on the branch at detuning 0.2 (test function of the line alone).
@@ -56,8 +59,10 @@ def test_flips_agree_with_those_located_line_by_line():
 def followed(walker, key, low, high, kind, **overrides):
     """One curve of ends: its key values, slopes and whether they are the edge of walking."""
     line = {"walker": walker, "set": overrides}
-    found = curve({"line": line, "slope": np.array([1e-3, 0.3]), "key": key, "from": low, "to": high, "kinds": [kind]},
-                  [_atlas(walker, tuple(overrides.items()))])
+    found = curve(
+        {"line": line, "slope": np.array([1e-3, 0.3]), "key": key, "from": low, "to": high, "kinds": [kind]},
+        [_atlas(walker, tuple(overrides.items()))],
+    )
     first = found["curves/curve"] == 0
     return tuple(found[f"curves/{k}"][first] for k in ("value", "slope", "walks"))
 
@@ -104,15 +109,20 @@ def test_a_range_that_is_none_is_refused():
         curve({"line": LINE, "slope": np.array([0.1]), "key": "l_x", "from": 0.0, "to": 1.0}, [{}])
 
 
-@pytest.mark.parametrize(("walker", "key", "low", "high", "slopes"), [
-    ("E", "R", 0.0, 0.3, (1e-4, 0.1)),  # its own foot is a point; flips are at the other end of the range
-    ("B", "R", 0.3, 0.4, (1e-4, 0.1)),  # its own value lies below the range
-    ("D", "foot_mass_ratio", 0.0, 0.08, (1e-3, 0.1)),  # beside its own value lies no walker
-])
+@pytest.mark.parametrize(
+    ("walker", "key", "low", "high", "slopes"),
+    [
+        ("E", "R", 0.0, 0.3, (1e-4, 0.1)),  # its own foot is a point; flips are at the other end of the range
+        ("B", "R", 0.3, 0.4, (1e-4, 0.1)),  # its own value lies below the range
+        ("D", "foot_mass_ratio", 0.0, 0.08, (1e-3, 0.1)),  # beside its own value lies no walker
+    ],
+)
 def test_a_curve_begins_where_it_can(walker, key, low, high, slopes):
     line = {"walker": walker, "set": {}}
-    found = curve({"line": line, "slope": np.array(slopes), "key": key, "from": low, "to": high, "kinds": ["flip"]},
-                  [_atlas(walker, ())])
+    found = curve(
+        {"line": line, "slope": np.array(slopes), "key": key, "from": low, "to": high, "kinds": ["flip"]},
+        [_atlas(walker, ())],
+    )
     value, slope = found["curves/value"], found["curves/slope"]
     assert len(value) > 8 and found["curves/walks"].all()
     assert low <= value.min() and value.max() <= high and slope.max() <= slopes[1] * (1 + 1e-14)
@@ -131,7 +141,9 @@ def flips(walker, **overrides):
 
 def test_periods_along_a_curve_are_in_the_walkers_time():
     """On a moon the flip is where it was; its step takes longer by the square root of gravity."""
-    found = curve({"line": LINE, "slope": np.array([0.05, 0.1]), "key": "g", "from": 1.0, "to": 9.81,
-                   "kinds": ["flip"]}, [_atlas("C", ())])
+    found = curve(
+        {"line": LINE, "slope": np.array([0.05, 0.1]), "key": "g", "from": 1.0, "to": 9.81, "kinds": ["flip"]},
+        [_atlas("C", ())],
+    )
     tempo = found["curves/period"] * np.sqrt(found["curves/value"])
     assert np.ptp(found["curves/value"]) > 8 and np.ptp(tempo) < 1e-9

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lines import _atlas, solved
-from tasks.design import design
+from tasks.map_designs import design
 from tasks.registry import GAITS
 
 

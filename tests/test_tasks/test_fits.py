@@ -6,15 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lines import solved
-from tasks.fit import scaling
-from tasks.fit import transition as transition_table
+from tasks.fit_laws import scaling
+from tasks.fit_laws import transition as transition_table
 from tasks.fits import power_law, transition
 
 
 def test_a_pure_power_is_found_to_rounding():
     x = np.geomspace(1e-6, 1e-1, 60)
     (run,) = power_law.plateaus(x, 3.5 * x**0.25)
-    law = power_law.fit(x[run[0]:run[1] + 1], 3.5 * x[run[0]:run[1] + 1] ** 0.25)
+    law = power_law.fit(x[run[0] : run[1] + 1], 3.5 * x[run[0] : run[1] + 1] ** 0.25)
     assert law.exponent == pytest.approx(0.25, abs=1e-13)
     assert law.amplitude == pytest.approx(3.5, rel=1e-12)
     assert law.low <= 0.25 <= law.high
@@ -22,8 +22,13 @@ def test_a_pure_power_is_found_to_rounding():
 
 
 @settings(max_examples=150, deadline=None)
-@given(exponent=st.floats(-4, 4), log_amplitude=st.floats(-20, 20), log_from=st.floats(-12, 0),
-       decades=st.floats(0.5, 12), n=st.integers(3, 3000))
+@given(
+    exponent=st.floats(-4, 4),
+    log_amplitude=st.floats(-20, 20),
+    log_from=st.floats(-12, 0),
+    decades=st.floats(0.5, 12),
+    n=st.integers(3, 3000),
+)
 def test_a_fit_is_that_of_data_off_by_a_few_roundings(exponent, log_amplitude, log_from, decades, n):
     """Backward error: how far known data had to be moved, in ulps of its logarithm, for the law found to be theirs."""
     x = np.geomspace(10**log_from, 10 ** (log_from + decades), n)
@@ -42,11 +47,24 @@ def test_the_transition_of_known_laws_is_found_with_its_power():
     slope, factor = np.geomspace(1e-12, 1e-1, 220), 0.37
     lines, inputs = [], []
     for ratio in (1e-1, 1e-2, 1e-3, 1e-4):
-        angle = np.array([next(float(r.real) for r in np.roots([transition.CUBE_ROOT**-3, 0, factor * ratio, -s])
-                               if abs(r.imag) < 1e-9 * abs(r) and r.real > 0) for s in slope])
+        angle = np.array(
+            [
+                next(
+                    float(r.real)
+                    for r in np.roots([transition.CUBE_ROOT**-3, 0, factor * ratio, -s])
+                    if abs(r.imag) < 1e-9 * abs(r) and r.real > 0
+                )
+                for s in slope
+            ]
+        )
         lines.append({"walker": "E", "set": {"foot_mass_ratio": ratio}})
-        inputs.append({"slope": slope, "stance_angle": np.stack([angle * np.nan, angle], axis=1),
-                       **dict.fromkeys(("branch", "piece"), np.zeros((len(slope), 2), int))})
+        inputs.append(
+            {
+                "slope": slope,
+                "stance_angle": np.stack([angle * np.nan, angle], axis=1),
+                **dict.fromkeys(("branch", "piece"), np.zeros((len(slope), 2), int)),
+            }
+        )
     table = transition_table({"lines": lines}, inputs)
     known = (transition.CUBE_ROOT * factor * table["fits/transition/foot_mass_ratio"]) ** 1.5
     np.testing.assert_allclose(table["fits/transition/slope_transition"], known, rtol=3e-5)
@@ -65,8 +83,10 @@ def test_a_law_is_of_one_piece_of_one_branch_and_says_which():
     data = _jumping(np.geomspace(1e-6, 0.2, 200))
     table = scaling({"lines": [{"walker": "E", "set": {}}]}, [data])
     rows = [{k.rpartition("/")[2]: v[i] for k, v in table.items()} for i in range(len(table["fits/scaling/n"]))]
-    small, large = (next(r for r in rows if (r["gait"], r["quantity"], r["regime"]) == ("long", "stance_angle", regime))
-                    for regime in ("small", "large"))
+    small, large = (
+        next(r for r in rows if (r["gait"], r["quantity"], r["regime"]) == ("long", "stance_angle", regime))
+        for regime in ("small", "large")
+    )
     assert (small["branch"], small["piece"], large["branch"], large["piece"]) == (1, 0, 0, 1)
     assert small["to"] < 1e-3 < large["from"]
     # Each is its branch's own, to rounding.
@@ -89,8 +109,11 @@ def test_a_transition_is_read_from_the_curve_that_comes_to_the_smallest_slope():
     whole = transition_table({"lines": lines}, [{"slope": slope, **known}])
     # From 0.02 on the label goes to another branch.
     beyond = slope > 0.02
-    jumps = {"stance_angle": np.where(beyond[:, None], 2 * known["stance_angle"], known["stance_angle"]),
-             "branch": np.where(beyond[:, None], 7, known["branch"]), "piece": known["piece"]}
+    jumps = {
+        "stance_angle": np.where(beyond[:, None], 2 * known["stance_angle"], known["stance_angle"]),
+        "branch": np.where(beyond[:, None], 7, known["branch"]),
+        "piece": known["piece"],
+    }
     found = transition_table({"lines": lines}, [{"slope": slope, **jumps}])
     kept = transition_table({"lines": lines}, [{"slope": slope[~beyond], **{k: v[~beyond] for k, v in known.items()}}])
     assert found.keys() == kept.keys() == whole.keys() and found["fits/transition/branch"] == [0]

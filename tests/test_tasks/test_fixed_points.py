@@ -9,12 +9,13 @@ import pytest
 
 from lines import branches, gait, solved
 from oracle import Oracle, StepFailed
-from tasks.gait import settle
-from tasks.gait.atlas import to_arrays
-from tasks.gait.fixed_point import Problem, search
+from tasks.continuation.atlas import to_arrays
+from tasks.fixed_points import polish
+from tasks.fixed_points.search import search
 from tasks.registry import ALWAYS, GAITS
-from tasks.solve import points
-from tasks.walkers.parameters import resolve
+from tasks.solve_points import points
+from tasks.step.problem import Problem
+from tasks.walkers.resolve import resolve
 
 REFERENCE = Path(__file__).parents[2] / "data" / "reference"
 EXTENDED = tomllib.loads((REFERENCE / "extended.toml").read_text())["gaits"]
@@ -121,8 +122,7 @@ def test_the_massless_foot_loses_nothing_sideways():
     assert np.abs(out["energy_imbalance"][:, :2]).max() < 1e-12
 
 
-@pytest.mark.parametrize(("walker", "slope", "label"), [
-    ("B", 0.01, "long"), ("E", 0.01, "short"), ("C", 0.03, "long")])
+@pytest.mark.parametrize(("walker", "slope", "label"), [("B", 0.01, "long"), ("E", 0.01, "short"), ("C", 0.03, "long")])
 def test_losses_lie_on_the_axes_of_the_contact_mass(walker, slope, label):
     """The contact mass matrix turns the foot's velocity into the ground's impulse; two impacts give it."""
     found, slow = gait(walker, slope, label), Oracle(resolve(walker).table())
@@ -167,7 +167,7 @@ def test_a_bound_holds_from_however_far_newton_comes(walker, monkeypatch):
     arrays = to_arrays(found)
     line = {"line": {"walker": walker, "set": {}}, "slope": slopes, "want": angles}
     exact = points(line, [arrays])
-    monkeypatch.setattr(settle, "MOST_STEPS", 0)
+    monkeypatch.setattr(polish, "MOST_STEPS", 0)
     for far in (1e-8, 1e-7, 1e-5):
         coarse = arrays["Z"] * (1 + far)
         coarse[:, found[0].m] = arrays["Z"][:, found[0].m]

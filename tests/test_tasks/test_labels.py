@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from conftest import ROOT
 from lines import WANT, _atlas, branches, gait, solved
-from tasks import single
-from tasks.branch import branch as follow
-from tasks.gait.continuation import LEAST_SLOPE
-from tasks.gait.labels import places
-from tasks.gait.starts import gaits_at
+from tasks import solve_at_slope
+from tasks.continuation.tracking import LEAST_SLOPE
+from tasks.dynamics.initial_states import gaits_at
+from tasks.fixed_points.labels import places
+from tasks.follow_branches import branch as follow
 from tasks.registry import GAITS
-from tasks.solve import atlas, points
-from tasks.trace import trace
+from tasks.solve_points import atlas, points
+from tasks.trace_motion import trace
 
 #: Slopes of the machine's branches, folds at 0.0191 and 0.0530 and ends on the way included.
 SLOPES = np.linspace(0.018, 0.2, 140)
@@ -34,8 +34,17 @@ def by_the_words(angle, ratio):
     return found
 
 
-@given(st.lists(st.lists(st.tuples(st.sampled_from([0.1, 0.2, 0.3, 0.4, np.nan]), st.floats(-1, 2) | st.just(np.nan)),
-                         min_size=5, max_size=5), min_size=1, max_size=4))
+@given(
+    st.lists(
+        st.lists(
+            st.tuples(st.sampled_from([0.1, 0.2, 0.3, 0.4, np.nan]), st.floats(-1, 2) | st.just(np.nan)),
+            min_size=5,
+            max_size=5,
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
 def test_the_largest_angle_has_the_label_and_the_others_follow(table):
     angle, ratio = np.array(table).T
     # Equal angles are no case of ours.
@@ -55,8 +64,10 @@ def test_a_gait_keeps_its_label_whichever_are_wanted():
     whole = solved("physical", SLOPES)
     for n in range(1, len(GAITS)):
         for wanted in itertools.combinations(GAITS, n):
-            part = points({"line": {"walker": "physical", "set": {}}, "slope": SLOPES, "want": WANT, "gaits": wanted},
-                          [_atlas("physical", ())])
+            part = points(
+                {"line": {"walker": "physical", "set": {}}, "slope": SLOPES, "want": WANT, "gaits": wanted},
+                [_atlas("physical", ())],
+            )
             for g, label in enumerate(GAITS):
                 for name in ("branch", "piece", "stance_angle"):
                     expected = whole[name][:, g] if label in wanted else np.full(len(SLOPES), whole[name][0, 3])
@@ -67,8 +78,13 @@ def test_a_gait_keeps_its_label_whichever_are_wanted():
 def test_branches_are_ranked_by_their_lowest_slope_then_their_angle(walker, keys):
     _, found = branches(walker, **keys)
     least = np.log(LEAST_SLOPE)
-    rank = [(max(b.q.min(), least), np.interp(max(b.q.min(), least), *b.Z[:3, [b.m, 0]].T) if b.q.min() < least
-             else b.Z[b.q.argmin(), 0]) for b in found]
+    rank = [
+        (
+            max(b.q.min(), least),
+            np.interp(max(b.q.min(), least), *b.Z[:3, [b.m, 0]].T) if b.q.min() < least else b.Z[b.q.argmin(), 0],
+        )
+        for b in found
+    ]
     assert len(rank) == 2 and rank == sorted(rank)
 
 
@@ -84,7 +100,7 @@ def test_a_gait_names_the_branch_and_piece_it_lies_on():
             inside = (np.log(SLOPES) > low) & (np.log(SLOPES) < high)
             # One gait of each piece at every slope it covers, whatever its label there.
             np.testing.assert_array_equal(mine.sum(axis=1), inside)
-            nodes = np.arange(first, last + 1)[np.argsort(branch.q[first:last + 1])]
+            nodes = np.arange(first, last + 1)[np.argsort(branch.q[first : last + 1])]
             near = np.interp(np.log(SLOPES[inside]), branch.q[nodes], branch.Z[nodes, 0])
             np.testing.assert_allclose(np.log(grid["stance_angle"][mine]), near, atol=0.02)
             if inside.any():
@@ -96,8 +112,9 @@ def test_a_gait_names_the_branch_and_piece_it_lies_on():
 
 
 def test_the_stable_gait_of_the_docs_walker_is_one_curve_under_one_label():
-    table = tomllib.loads((ROOT / "docs/your-own-walker.md").read_text().split("```toml")[1].split("```")[0].replace(
-        "\n   ", "\n"))["walker"]
+    table = tomllib.loads(
+        (ROOT / "docs/your-own-walker.md").read_text().split("```toml")[1].split("```")[0].replace("\n   ", "\n")
+    )["walker"]
     line = {"line": {"walker": table, "set": {"m_h": 2.0}}}
     slopes = np.linspace(0.005, 0.08, 300)
     found = points({**line, "slope": slopes, "want": WANT}, [atlas(line, [])])
@@ -112,8 +129,10 @@ def test_the_stable_gait_of_the_docs_walker_is_one_curve_under_one_label():
 
 
 def test_followed_branches_have_the_numbers_of_the_grid():
-    found = follow({"line": {"walker": "A", "set": {"detuning": 0.1}}, "slope_from": 0.002, "slope_to": 0.1, "n": 20},
-                   [_atlas("A", (("detuning", 0.1),))])
+    found = follow(
+        {"line": {"walker": "A", "set": {"detuning": 0.1}}, "slope_from": 0.002, "slope_to": 0.1, "n": 20},
+        [_atlas("A", (("detuning", 0.1),))],
+    )
     slopes = found["branches/slope"]
     inner = (slopes > 0.0051) & (slopes < 0.09)
     grid = solved("A", slopes[inner], detuning=0.1)
@@ -131,8 +150,10 @@ def test_orbits_and_traces_take_the_gaits_that_have_the_labels():
     for label, angle in at.items():
         index, y = gaits_at(problem, found, np.array([0.01, 0.0195]), label)
         assert index.tolist() == [1] and y[0, 0] == pytest.approx(angle, rel=1e-9)
-    drawn = trace({"line": {"walker": "physical", "set": {}}, "slope": np.array([0.0195]), "gaits": GAITS},
-                  [_atlas("physical", ())])
+    drawn = trace(
+        {"line": {"walker": "physical", "set": {}}, "slope": np.array([0.0195]), "gaits": GAITS},
+        [_atlas("physical", ())],
+    )
     for label, angle in at.items():
         mine = drawn["trace/gait"] == label
         assert drawn["trace/theta_st"][mine][0] == pytest.approx(angle, rel=1e-9)
@@ -140,12 +161,14 @@ def test_orbits_and_traces_take_the_gaits_that_have_the_labels():
 
 
 def test_solve_tells_branch_and_piece_and_labels_what_a_search_adds(monkeypatch):
-    long, other = single.solve_one({"walker": "physical", "slope": 0.0195})["gaits"]
+    long, other = solve_at_slope.solve_one({"walker": "physical", "slope": 0.0195})["gaits"]
     assert (long["gait"], long["branch"], long["piece"]) == ("long", 0, 1)
     assert (other["gait"], other["branch"], other["piece"]) == ("other1", 0, 0)
     # A branch that the atlas misses: the search finds its gait, which is on no branch known and has its label.
-    survey = single.atlases.survey
-    monkeypatch.setattr(single.atlases, "survey", lambda problem: survey(problem)[:1])
-    short, long = sorted(single.solve_one({"walker": "D", "slope": 0.009, "all": True})["gaits"],
-                         key=lambda found: found["stance_angle"])
+    survey = solve_at_slope.atlases.survey
+    monkeypatch.setattr(solve_at_slope.atlases, "survey", lambda problem: survey(problem)[:1])
+    short, long = sorted(
+        solve_at_slope.solve_one({"walker": "D", "slope": 0.009, "all": True})["gaits"],
+        key=lambda found: found["stance_angle"],
+    )
     assert (short["gait"], short["branch"]) == ("short", 0) and (long["gait"], long["branch"]) == ("long", None)

@@ -6,27 +6,77 @@ import pytest
 from lines import branches, solved
 from oracle import Oracle, StepFailed
 from pipeline.bench.bounds import compared
-from tasks.gait.fixed_point import judged, newton, noise
-from tasks.gait.settle import UNKNOWN
-from tasks.gait.special_points import special_points
-from tasks.gait.verify import margin
+from tasks.continuation.special_points import special_points
+from tasks.fixed_points.newton import newton
+from tasks.fixed_points.polish import UNKNOWN
+from tasks.fixed_points.rounding import noise
+from tasks.fixed_points.step_check import judged
 from tasks.registry import GAITS, STATUSES
-from tasks.walkers.parameters import resolve
+from tasks.step.verify_step import margin
+from tasks.walkers.resolve import resolve
 
-GAP = {"m_t": 2.39806, "m_s": 0.892079, "r_t": 0.15408, "r_s": 0.13542, "c_t": 0.0961052, "c_s": 0.153447,
-       "R": 0.174245, "eps_T": 0.102999}
+GAP = {
+    "m_t": 2.39806,
+    "m_s": 0.892079,
+    "r_t": 0.15408,
+    "r_s": 0.13542,
+    "c_t": 0.0961052,
+    "c_s": 0.153447,
+    "R": 0.174245,
+    "eps_T": 0.102999,
+}
 #: Walker, keys, slope, and the label of a gait that an earlier version reported as not converged.
 BESIDE_FOLDS = [
-    ("physical", {"m_t": 2.19373, "m_s": 1.01723, "r_t": 0.101467, "r_s": 0.194855, "c_t": 0.0792168, "c_s": 0.185457,
-                  "R": 0.178123, "eps_T": 0.0807192}, 0.08319180030204733, "short"),
-    ("physical-straight", {"m_t": 2.45706, "m_s": 1.14417, "r_t": 0.097367, "r_s": 0.230449, "c_t": 0.105479,
-                           "c_s": 0.144793, "R": 0.199286, "eps_T": 0.0991235}, 0.018271205432375957, "long"),
+    (
+        "physical",
+        {
+            "m_t": 2.19373,
+            "m_s": 1.01723,
+            "r_t": 0.101467,
+            "r_s": 0.194855,
+            "c_t": 0.0792168,
+            "c_s": 0.185457,
+            "R": 0.178123,
+            "eps_T": 0.0807192,
+        },
+        0.08319180030204733,
+        "short",
+    ),
+    (
+        "physical-straight",
+        {
+            "m_t": 2.45706,
+            "m_s": 1.14417,
+            "r_t": 0.097367,
+            "r_s": 0.230449,
+            "c_t": 0.105479,
+            "c_s": 0.144793,
+            "R": 0.199286,
+            "eps_T": 0.0991235,
+        },
+        0.018271205432375957,
+        "long",
+    ),
     ("A", {"detuning": 0.861916}, 0.013045939233011155, "long"),
-    ("physical-straight", {"m_t": 1.97907, "m_s": 1.21517, "r_t": 0.107085, "r_s": 0.214593, "c_t": 0.098876,
-                           "c_s": 0.18027, "R": 0.167897, "eps_T": 0.0885691}, 0.018271205432375957, "other1"),
+    (
+        "physical-straight",
+        {
+            "m_t": 1.97907,
+            "m_s": 1.21517,
+            "r_t": 0.107085,
+            "r_s": 0.214593,
+            "c_t": 0.098876,
+            "c_s": 0.18027,
+            "R": 0.167897,
+            "eps_T": 0.0885691,
+        },
+        0.018271205432375957,
+        "other1",
+    ),
     ("A", {"detuning": 1.105346294}, 0.017201447354440028, "other1"),
     ("physical", {}, 0.019129048414023374, "other1"),
-    ("physical-straight", {}, 0.015386310517529214, "other1")]
+    ("physical-straight", {}, 0.015386310517529214, "other1"),
+]
 FAILURES = [code for name, code in STATUSES.items() if name not in ("converged", "no_gait")]
 
 
@@ -41,7 +91,7 @@ def repeats(walker, overrides, slope, found):
     model = Oracle(resolve(walker, overrides).table())
     rates = rates if model.knees else rates[:2]
     step = model.step(found["stance_angle"], rates, slope, rtol=1e-11, atol=1e-12)
-    moved = np.abs(step.rates[:len(rates)] - rates).max() / np.abs(rates).max()
+    moved = np.abs(step.rates[: len(rates)] - rates).max() / np.abs(rates).max()
     return max(abs(step.theta / found["stance_angle"] - 1), moved, abs(step.period / found["period"] - 1))
 
 
@@ -86,15 +136,17 @@ def test_a_gait_is_kept_where_a_rate_passes_zero():
 
 
 def test_no_extended_precision_is_asked_for_where_a_rate_passes_zero(monkeypatch):
-    from tasks.gait import extended
+    from tasks.step import extended_precision
 
-    monkeypatch.setattr(extended, "refine", None)
+    monkeypatch.setattr(extended_precision, "refine", None)
     assert of_label(solved("C", 0.102715733395058), "long")["status"] == STATUSES["converged"]
 
 
 def beside_the_gap(found):
     """The branch that ends where the gap begins, and the one that begins where it ends."""
-    return sorted((b for b in found if "end_earlier_strike" in b.why), key=lambda b: b.why.index("end_earlier_strike") == 0)
+    return sorted(
+        (b for b in found if "end_earlier_strike" in b.why), key=lambda b: b.why.index("end_earlier_strike") == 0
+    )
 
 
 def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
@@ -120,12 +172,17 @@ def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
 
 def test_a_gap_between_two_nodes_is_found():
     """Nodes so far apart that none lies in the gap: the guard's minimum between them tells."""
-    from tasks.gait import atlas
+    from tasks.continuation import atlas
 
     problem, found = branches("C", **GAP)
     low, high = beside_the_gap(found)
-    joined = atlas.Branch(low.m, np.vstack([low.Z[:-1], high.Z[1:]]), np.vstack([low.tangent[:-1], high.tangent[1:]]),
-                          np.zeros(len(low.Z) + len(high.Z) - 2), (low.why[0], high.why[1]))
+    joined = atlas.Branch(
+        low.m,
+        np.vstack([low.Z[:-1], high.Z[1:]]),
+        np.vstack([low.tangent[:-1], high.tangent[1:]]),
+        np.zeros(len(low.Z) + len(high.Z) - 2),
+        (low.why[0], high.why[1]),
+    )
     wide = np.exp(joined.q)
     assert not ((wide > 0.004174) & (wide < 0.004285)).any()
     assert [b.why for b in atlas._without_gaps(problem, joined)] == [low.why, high.why]

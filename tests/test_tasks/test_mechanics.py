@@ -4,13 +4,28 @@ import numpy as np
 import pytest
 
 from oracle import Oracle, SimplestWalker
-from tasks.gait.fixed_point import Problem, search
+from tasks.fixed_points.search import search
+from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.parameters import Walker
+from tasks.walkers.walker import Walker
 
 #: Asymmetric on purpose: every constant of the lumped equations is there.
-ODD = Walker(l_t=0.4, w_t=0.03, m_t=1.7, r_t=0.11, c_t=0.12, l_s=0.55, w_s=-0.02, m_s=0.6, r_s=0.13, c_s=0.2, R=0.15,
-             eps_T=0.08, m_h=2.0, g=3.3)
+ODD = Walker(
+    l_t=0.4,
+    w_t=0.03,
+    m_t=1.7,
+    r_t=0.11,
+    c_t=0.12,
+    l_s=0.55,
+    w_s=-0.02,
+    m_s=0.6,
+    r_s=0.13,
+    c_s=0.2,
+    R=0.15,
+    eps_T=0.08,
+    m_h=2.0,
+    g=3.3,
+)
 
 
 def stride(walker, theta, rates, slope, times):
@@ -28,8 +43,11 @@ def stride(walker, theta, rates, slope, times):
     return out, times[:, 0] * second
 
 
-@pytest.mark.parametrize("walker", [CATALOGUE["E"], CATALOGUE["B"], CATALOGUE["physical-straight"], ODD],
-                         ids=["E", "B", "physical-straight", "odd"])
+@pytest.mark.parametrize(
+    "walker",
+    [CATALOGUE["E"], CATALOGUE["B"], CATALOGUE["physical-straight"], ODD],
+    ids=["E", "B", "physical-straight", "odd"],
+)
 def test_a_stride_agrees_with_the_oracle(walker):
     found, gaits, verdict = search(Problem(walker), 0.04)
     at = np.flatnonzero(verdict.anthropomorphic)[-1]
@@ -74,8 +92,8 @@ def test_the_exact_jacobian_is_the_difference_quotient(name):
     at = np.flatnonzero(verdict.anthropomorphic)[-1]
     scale = np.exp2(np.floor(found[0, at] / np.log(2)))
     # Near the long gait, but no fixed point: every derivative counts.
-    y = gaits.y[:, at:at + 1] * scale * np.array([1.02, 1.01, 0.99])[: problem.m, None]
-    times = gaits.times[:, at:at + 1]
+    y = gaits.y[:, at : at + 1] * scale * np.array([1.02, 1.01, 0.99])[: problem.m, None]
+    times = gaits.times[:, at : at + 1]
 
     def image(y, slope):
         p = problem.parameters(slope, np.array([1.0]))
@@ -90,12 +108,16 @@ def test_the_exact_jacobian_is_the_difference_quotient(name):
         e = np.zeros_like(y)
         e[k] = h
         # Fourth order, so that step and rounding both stay below the tolerance.
-        d = (8 * (image(y + e, slope).image - image(y - e, slope).image)
-             - (image(y + 2 * e, slope).image - image(y - 2 * e, slope).image)) / (12 * h)
+        d = (
+            8 * (image(y + e, slope).image - image(y - e, slope).image)
+            - (image(y + 2 * e, slope).image - image(y - 2 * e, slope).image)
+        ) / (12 * h)
         np.testing.assert_allclose(d[:, 0], base.jacobian[:, k, 0], rtol=0, atol=1e-9 * np.abs(base.jacobian).max())
     h = 1e-5
-    d = (8 * (image(y, slope + h).image - image(y, slope - h).image)
-         - (image(y, slope + 2 * h).image - image(y, slope - 2 * h).image)) / (12 * h)
+    d = (
+        8 * (image(y, slope + h).image - image(y, slope - h).image)
+        - (image(y, slope + 2 * h).image - image(y, slope - 2 * h).image)
+    ) / (12 * h)
     np.testing.assert_allclose(d[:, 0], base.by_slope[:, 0], rtol=0, atol=1e-9 * np.abs(base.by_slope).max())
 
 
@@ -111,7 +133,7 @@ def test_lanes_are_independent_of_their_neighbours():
     assert np.array_equal(together.image[:, order], shuffled.image)
     assert np.array_equal(together.jacobian[..., order], shuffled.jacobian)
     for lane in (0, 17, n - 1):
-        alone, _ = problem.stride(w[:, lane:lane + 1], q[lane:lane + 1], samples=8)
+        alone, _ = problem.stride(w[:, lane : lane + 1], q[lane : lane + 1], samples=8)
         assert np.array_equal(together.newton[:, lane], alone.newton[:, 0])
 
 

@@ -5,15 +5,15 @@ import pytest
 
 from lines import _atlas, gait
 from oracle import Oracle, SimplestWalker
-from tasks import basin as basins
-from tasks import orbit as orbits
-from tasks.gait.atlas import from_arrays
-from tasks.gait.fixed_point import Problem
-from tasks.gait.lyapunov import Exponents, estimate, orthogonalised
-from tasks.gait.starts import gaits_at, scattered
-from tasks.gait.strides import stride
-from tasks.orbit import orbit
-from tasks.walkers.parameters import resolve
+from tasks import iterate_orbits as orbits
+from tasks import map_basin as basins
+from tasks.continuation.atlas import from_arrays
+from tasks.dynamics.initial_states import gaits_at, scattered
+from tasks.dynamics.lyapunov import Exponents, estimate, orthogonalised
+from tasks.iterate_orbits import orbit
+from tasks.step.problem import Problem
+from tasks.step.simulate import stride
+from tasks.walkers.resolve import resolve
 
 D = {"walker": "D", "set": {}}
 SHORT = {"starts": 4, "transient": 120, "strides": 80, "shown": 40}
@@ -102,8 +102,7 @@ def test_a_short_orbit_has_no_exponents_and_says_why(strides):
     found = walked([0.009], strides=strides)
     assert len(found["lyapunov/exponent"]) == 2 and np.isnan(found["lyapunov/exponent"]).all()
     assert np.isnan(found["lyapunov/standard_error"]).all() and (found["lyapunov/strides"] == 0).all()
-    assert set(found["lyapunov/reason"]) == {
-        f"Exponents need at least 24 strides; these orbits have {strides}."}
+    assert set(found["lyapunov/reason"]) == {f"Exponents need at least 24 strides; these orbits have {strides}."}
 
 
 def test_the_shortest_orbit_with_exponents_has_them():
@@ -114,8 +113,10 @@ def test_the_shortest_orbit_with_exponents_has_them():
 
 def test_periods_double_and_walking_ends():
     found = walked([0.0145, 0.0165, 0.0179, 0.0195], transient=400)
-    counts = [len(np.unique(np.round(found["orbits/stance_angle"][found["orbits/slope"] == s], 6)))
-              for s in (0.0145, 0.0165, 0.0179)]
+    counts = [
+        len(np.unique(np.round(found["orbits/stance_angle"][found["orbits/slope"] == s], 6)))
+        for s in (0.0145, 0.0165, 0.0179)
+    ]
     assert counts == [1, 2, 4]
     assert set(found["falls/slope"]) == {0.0195}
     assert set(found["falls/cause"]) == {"fell forward"}
@@ -147,14 +148,20 @@ def test_lanes_and_their_blocks_change_no_bit(walker, monkeypatch):
     for exact in (True, False):
         straight = stride(problem, y, np.full(9, slope), exact)
         mixed = stride(problem, y[:, order], np.full(9, slope), exact)
-        single = [stride(problem, y[:, k:k + 1], np.array([slope]), exact) for k in range(9)]
+        single = [stride(problem, y[:, k : k + 1], np.array([slope]), exact) for k in range(9)]
         for name in ("image", "times", "outcome", *(["jacobian"] if exact else [])):
             whole = getattr(straight, name)
             assert np.array_equal(whole[..., order], getattr(mixed, name), equal_nan=whole.dtype.kind == "f")
             alone = np.concatenate([getattr(s, name) for s in single], axis=-1)
             assert np.array_equal(whole, alone, equal_nan=whole.dtype.kind == "f")
-    line = {"line": {"walker": walker, "set": {}}, "slope": np.array([0.98, 1.0]) * slope, "starts": 5, "transient": 8,
-            "strides": 24, "shown": 10}
+    line = {
+        "line": {"walker": walker, "set": {}},
+        "slope": np.array([0.98, 1.0]) * slope,
+        "starts": 5,
+        "transient": 8,
+        "strides": 24,
+        "shown": 10,
+    }
     wide = orbits.orbit(line, [_atlas(walker, ())])
     monkeypatch.setattr(orbits, "LANES", 3)
     narrow = orbits.orbit(line, [_atlas(walker, ())])
@@ -164,8 +171,14 @@ def test_lanes_and_their_blocks_change_no_bit(walker, monkeypatch):
 
 
 def test_blocks_of_a_basin_change_no_bit(monkeypatch):
-    line = {"line": D, "slope": np.array([0.0126]), "size": 24, "strides": 60, "stance_angle": [0.18, 0.3],
-            "stance_rate": [-0.3, -0.18]}
+    line = {
+        "line": D,
+        "slope": np.array([0.0126]),
+        "size": 24,
+        "strides": 60,
+        "stance_angle": [0.18, 0.3],
+        "stance_rate": [-0.3, -0.18],
+    }
     wide = basins.basin(line, [_atlas("D", ())])
     monkeypatch.setattr(basins, "LANES", 37)
     narrow = basins.basin(line, [_atlas("D", ())])

@@ -9,9 +9,10 @@ import oracle
 from pipeline.bench import stress
 from pipeline.bench.bounds import bounds
 from pipeline.bench.stress import random_walker
-from tasks.solve import atlas, points
+from tasks.solve_points import atlas, points
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.parameters import NUMBERS, WalkerError, from_table
+from tasks.walkers.resolve import from_table
+from tasks.walkers.walker import NUMBERS, WalkerError
 
 
 def off(gait):
@@ -24,7 +25,7 @@ def off(gait):
         model.longest_step = 0.002
         step = model.step(gait.angle, rates, gait.slope, rtol=1e-12, atol=1e-13 * gait.angle)
     size = np.abs(gait.rates).max()
-    moved = np.abs(step.rates[:len(rates)] - rates).max() / size
+    moved = np.abs(step.rates[: len(rates)] - rates).max() / size
     return max(abs(step.theta / gait.angle - 1), moved, abs(step.period / gait.period - 1))
 
 
@@ -35,7 +36,7 @@ def sample(found, count):
     chosen = []
     for family in families:
         of = [gait for gait in found.accepted if gait.family == family and gait.angle > 1e-8]
-        chosen += [of[i] for i in random.permutation(len(of))[:max(1, count // len(families))]]
+        chosen += [of[i] for i in random.permutation(len(of))[: max(1, count // len(families))]]
     return chosen
 
 
@@ -71,9 +72,13 @@ def test_a_random_line_of_the_product_says_what_became_of_every_point():
     assert (np.isfinite(found["stance_angle"]) == (found["status"] == 0)).all()
 
 
-@pytest.mark.parametrize("each,walkers", [
-    (24, [("D", CATALOGUE["D"]), ("B", CATALOGUE["B"]), ("tuned", random_walker("straight, tuned", 34))]),
-    pytest.param(2300, None, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(
+    "each,walkers",
+    [
+        (24, [("D", CATALOGUE["D"]), ("B", CATALOGUE["B"]), ("tuned", random_walker("straight, tuned", 34))]),
+        pytest.param(2300, None, marks=pytest.mark.soak),
+    ],
+)
 def test_every_bound_holds_and_is_no_hundred_times_too_wide(each, walkers):
     found = bounds(each, walkers=walkers)
     for row in found.rows():
@@ -91,8 +96,27 @@ def test_every_bound_holds_and_is_no_hundred_times_too_wide(each, walkers):
 def test_a_degenerate_walker_is_refused_in_one_line_or_has_finite_constants(name):
     from tasks.mechanics.lumped import lump
 
-    odd = (0.0, -0.0, 5e-324, 1e-310, 1e-160, 1e-49, 1e-8, -1.0, 1e8, 1e49, 1e160, 1e308, math.inf, -math.inf, math.nan,
-           True, None, "x", 10**400)
+    odd = (
+        0.0,
+        -0.0,
+        5e-324,
+        1e-310,
+        1e-160,
+        1e-49,
+        1e-8,
+        -1.0,
+        1e8,
+        1e49,
+        1e160,
+        1e308,
+        math.inf,
+        -math.inf,
+        math.nan,
+        True,
+        None,
+        "x",
+        10**400,
+    )
     for key in NUMBERS:
         for value in odd:
             try:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from oracle import Oracle, SimplestWalker, StepFailed
-from tasks.gait.fixed_point import Problem
-from tasks.gait.strides import BACKWARD, CAUSES, FORWARD, STRUCK, stride
-from tasks.walkers.parameters import resolve
+from tasks.step.problem import Problem
+from tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
+from tasks.walkers.resolve import resolve
 
 LONG_D = np.array([[0.2003109005442470894], [-0.1998324730049523546]])
 
@@ -41,8 +41,7 @@ def test_any_start_of_a_kneed_walker_agrees_with_the_rigid_bodies():
     begin = problem.map.start(y, problem.parameters(slope, np.ones(1)))[:, 0]
     slow = oracle.step(begin[0], begin[3:6] / oracle.time_unit, slope[0], rtol=1e-12)
     assert found.outcome[0] == STRUCK
-    assert found.image[:, 0] == pytest.approx(
-        [slow.theta, *(slow.before_heelstrike[3:5] * oracle.time_unit)], rel=1e-9)
+    assert found.image[:, 0] == pytest.approx([slow.theta, *(slow.before_heelstrike[3:5] * oracle.time_unit)], rel=1e-9)
     assert found.times[:, 0] * oracle.time_unit == pytest.approx([slow.kneestrike_time, slow.period], rel=1e-9)
 
 

@@ -8,21 +8,28 @@ import pytest
 
 import oracle
 from lines import branches
-from tasks.branch import contact_lost
+from tasks.follow_branches import contact_lost
 from tasks.measures import violations
 from tasks.mechanics.contact import Chain
 from tasks.registry import GAITS, VARIABLES, VIOLATIONS
-from tasks.single import solve_one
-from tasks.solve import atlas, points
+from tasks.solve_at_slope import solve_one
+from tasks.solve_points import atlas, points
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.parameters import Walker, resolve
+from tasks.walkers.resolve import resolve
 from tasks.walkers.tuning import statics
+from tasks.walkers.walker import Walker
 
 WALKERS = Path(__file__).parents[2] / "data" / "walkers"
 GROUP = tuple(v.name for v in VARIABLES.values() if v.group == "violations")
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time")
-KNEE = ("unlocking_torque", "unlocking_torque_time", "unlocking_impulse_kneestrike", "unlocking_impulse_heelstrike",
-        "hyperextension", "friction_demand_kneestrike")
+KNEE = (
+    "unlocking_torque",
+    "unlocking_torque_time",
+    "unlocking_impulse_kneestrike",
+    "unlocking_impulse_heelstrike",
+    "hyperextension",
+    "friction_demand_kneestrike",
+)
 _atlases: dict[str, dict] = {}
 
 
@@ -59,15 +66,25 @@ def swing_foot(walker: oracle.Oracle, state: np.ndarray) -> float:
     return place[oracle.SHANK[1] + 1] + oracle._turn(state[2], walker.centre_on_shank)[1] - walker.radius
 
 
-@pytest.mark.parametrize(("name", "slope", "label"), [
-    ("E", 0.01, "short"), ("A", 0.01, "long"), ("physical-straight", 0.03, "long"), ("physical", 0.036, "long"),
-    ("physical", 0.0195, "long"), ("C", 0.001, "short"), ("kneed-point-foot.toml", 0.0504, "long")])
+@pytest.mark.parametrize(
+    ("name", "slope", "label"),
+    [
+        ("E", 0.01, "short"),
+        ("A", 0.01, "long"),
+        ("physical-straight", 0.03, "long"),
+        ("physical", 0.036, "long"),
+        ("physical", 0.0195, "long"),
+        ("C", 0.001, "short"),
+        ("kneed-point-foot.toml", 0.0504, "long"),
+    ],
+)
 def test_amounts_agree_with_the_derivation_in_maximal_coordinates(name, slope, label):
     found = gait(name, slope, label)
     walker = resolve(tomllib.loads((WALKERS / name).read_text())["walker"] if name.endswith(".toml") else name)
     slow = oracle.Oracle(walker.table())
-    step = slow.step(found["stance_angle"], [found["stance_rate"], found["thigh_rate"], found["shank_rate"]], slope,
-                     samples=600)
+    step = slow.step(
+        found["stance_angle"], [found["stance_rate"], found["thigh_rate"], found["shank_rate"]], slope, samples=600
+    )
     weight = walker.total_mass * walker.g
     # The oracle's own samples miss an extreme inside an interval by half a curvature times the squared interval.
     assert found["least_normal_force"] == pytest.approx(step.force[:, 1].min() / weight, rel=2e-5)
@@ -96,8 +113,24 @@ def test_amounts_agree_with_the_derivation_in_maximal_coordinates(name, slope, l
 
 def test_the_torque_is_that_of_the_lock_at_every_instant():
     # A walker with nothing symmetric about it, so no term can hide.
-    walker = Walker(l_t=0.4, w_t=0.02, m_t=1.5, r_t=0.11, c_t=0.15, l_s=0.5, w_s=-0.03, m_s=0.8, r_s=0.13, c_s=0.2,
-                    R=0.15, eps_T=0.12, m_h=0.7, g=9.81, knees=True, units="SI")
+    walker = Walker(
+        l_t=0.4,
+        w_t=0.02,
+        m_t=1.5,
+        r_t=0.11,
+        c_t=0.15,
+        l_s=0.5,
+        w_s=-0.03,
+        m_s=0.8,
+        r_s=0.13,
+        c_s=0.2,
+        R=0.15,
+        eps_T=0.12,
+        m_h=0.7,
+        g=9.81,
+        knees=True,
+        units="SI",
+    )
     slow, chain = oracle.Oracle(walker.table()), Chain(walker)
     second, size = np.sqrt(walker.leg / walker.g), walker.total_mass * walker.g
     rng = np.random.default_rng(3)
@@ -128,8 +161,11 @@ def flown(walker: Walker, before: np.ndarray, slope: float) -> tuple[dict[str, f
     second = np.sqrt(walker.leg / walker.g)
     state, samples, end = after, [after], 0.3 * second
     for _ in range(violations.SAMPLES):
-        state = runge_kutta(lambda y: np.concatenate([y[3:], slow.accelerations(y, slope, not walker.knees)]), state,
-                            end / violations.SAMPLES)
+        state = runge_kutta(
+            lambda y: np.concatenate([y[3:], slow.accelerations(y, slope, not walker.knees)]),
+            state,
+            end / violations.SAMPLES,
+        )
         samples.append(state)
     scale = np.array([1, 1, 1, second, second, second])
     path = np.array(samples) * scale
@@ -160,8 +196,7 @@ def test_a_foot_released_downward_needs_the_push_of_two_contacts(name):
         found, path, slow = flown(walker, before, 0.02)
         after, _, _ = slow.heelstrike(before)
         speed = slow.velocities(after)
-        down = speed[oracle.SHANK[1] + 1] + speed[oracle.SHANK[1] + 2] * oracle._turn(after[2],
-                                                                                      slow.centre_on_shank)[0]
+        down = speed[oracle.SHANK[1] + 1] + speed[oracle.SHANK[1] + 2] * oracle._turn(after[2], slow.centre_on_shank)[0]
         assert ("trailing_foot_pulls" in flags(found["violations"])) == (down < 0)
         assert ("release_penetrates" in flags(found["violations"])) == (down < 0)
         if down > 0:
@@ -177,8 +212,10 @@ def test_a_foot_released_downward_needs_the_push_of_two_contacts(name):
         both = np.vstack([jac, row])
         pushed = slow._solve(both, slow.mass * slow.velocities(before), np.zeros(len(both)))[1][-1]
         assert found["trailing_impulse"] == pytest.approx(pushed, rel=1e-9)
-        heights = [swing_foot(slow, state / np.array([1, 1, 1] + 3 * [np.sqrt(walker.leg / walker.g)]))
-                   for state in path[:, :, 0]]
+        heights = [
+            swing_foot(slow, state / np.array([1, 1, 1] + 3 * [np.sqrt(walker.leg / walker.g)]))
+            for state in path[:, :, 0]
+        ]
         assert found["penetration_depth"] == pytest.approx(-min(heights), rel=1e-3)
     assert sinking
 
@@ -262,10 +299,13 @@ def test_a4_release_hyperextends_below_a_slope(label, slope):
 def test_flags_say_what_the_amounts_say():
     found = measured("C", list(np.geomspace(1e-5, 0.06, 12)))
     there = found["status"] == 0
-    amounts = {"scuff": found["scuff_depth"] > 0, "release_hyperextends": found["hyperextension"] > 0,
-               "stance_knee_unlocks": np.maximum.reduce([found[k] for k in KNEE[:1] + KNEE[2:4]]) > 0,
-               "release_penetrates": found["penetration_depth"] > 0,
-               "trailing_foot_pulls": found["trailing_impulse"] > 0}
+    amounts = {
+        "scuff": found["scuff_depth"] > 0,
+        "release_hyperextends": found["hyperextension"] > 0,
+        "stance_knee_unlocks": np.maximum.reduce([found[k] for k in KNEE[:1] + KNEE[2:4]]) > 0,
+        "release_penetrates": found["penetration_depth"] > 0,
+        "trailing_foot_pulls": found["trailing_impulse"] > 0,
+    }
     for name, expected in amounts.items():
         bit = found["violations"] >> VIOLATIONS.index(name) & 1 == 1
         np.testing.assert_array_equal(bit[there], expected[there])
@@ -305,10 +345,13 @@ def test_extremes_between_samples_are_found():
     assert at[0] == 96
 
 
-@pytest.mark.parametrize(("name", "slope", "angle", "rates"), [
-    # Wisse and Schwab 2005, walking simulation example.
-    ("round-foot.toml", 0.01, 0.2015, (-1.4052, -1.1205)),
-])
+@pytest.mark.parametrize(
+    ("name", "slope", "angle", "rates"),
+    [
+        # Wisse and Schwab 2005, walking simulation example.
+        ("round-foot.toml", 0.01, 0.2015, (-1.4052, -1.1205)),
+    ],
+)
 def test_walkers_outside_the_paper_have_their_published_gaits(name, slope, angle, rates):
     found = gait(name, slope, "long")
     assert found["stance_angle"] == pytest.approx(angle, abs=5.1e-5)
@@ -345,6 +388,6 @@ def test_where_contact_is_lost_the_second_derivation_finds_no_force_left(name):
         gait = min(gaits, key=lambda g: abs(g["stance_angle"] - point["stance_angle"]))
         assert gait["stance_angle"] == pytest.approx(point["stance_angle"], rel=1e-9)
         model = oracle.Oracle(CATALOGUE[name].table())
-        rates = [gait["stance_rate"], gait["thigh_rate"], gait["shank_rate"]][:3 if model.knees else 2]
+        rates = [gait["stance_rate"], gait["thigh_rate"], gait["shank_rate"]][: 3 if model.knees else 2]
         force = model.step(gait["stance_angle"], rates, point["slope"], samples=4001).force[:, 1]
         assert abs(force.min()) < 1e-6 * problem.walker.total_mass * problem.walker.g

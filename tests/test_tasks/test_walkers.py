@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from tasks.walkers.catalogue import CATALOGUE, describe, drawing
-from tasks.walkers.parameters import WalkerError, check, from_table, owned, resolve
+from tasks.walkers.catalogue import CATALOGUE
+from tasks.walkers.describe import describe, drawing
+from tasks.walkers.resolve import check, from_table, owned, resolve
 from tasks.walkers.tuning import is_tuned, statics, tune
+from tasks.walkers.walker import WalkerError
 
 
 def test_the_physical_walker_has_the_leg_that_was_settled():
@@ -22,8 +24,19 @@ def test_exactly_tuned_offsets():
     assert statics(CATALOGUE["C-printed"])["leg_offset"] == pytest.approx(-1.85e-4, abs=1e-6)
 
 
-@pytest.mark.parametrize(("name", "tuned"), [("A", True), ("B", True), ("C", True), ("D", True), ("E", True),
-                                             ("F", True), ("physical", False), ("C-printed", False)])
+@pytest.mark.parametrize(
+    ("name", "tuned"),
+    [
+        ("A", True),
+        ("B", True),
+        ("C", True),
+        ("D", True),
+        ("E", True),
+        ("F", True),
+        ("physical", False),
+        ("C-printed", False),
+    ],
+)
 def test_statics_tell_who_can_walk_at_vanishing_slope(name, tuned):
     assert is_tuned(CATALOGUE[name]) is tuned
 
@@ -69,13 +82,16 @@ def test_a_derived_key_moves_its_own_keys_only():
     assert resolve("C", {"detuning": 0.1}).l_t == CATALOGUE["C"].l_t
 
 
-@pytest.mark.parametrize(("walker", "overrides", "key", "owner"), [
-    ("E", {"foot_mass_ratio": 0.1, "m_h": 1.0}, "m_h", "foot_mass_ratio"),
-    ("E", {"m_s": 0.2, "foot_mass_ratio": 0.0}, "m_s", "foot_mass_ratio"),
-    ({"base": "E", "m_h": 1.0}, {"foot_mass_ratio": 0.1}, "m_h", "foot_mass_ratio"),
-    ("C", {"detuning": 0.0, "w_t": 0.1}, "w_t", "detuning"),
-    ({"base": "A", "r_s": 0.1}, {"detuning": 0.5}, "r_s", "detuning"),
-])
+@pytest.mark.parametrize(
+    ("walker", "overrides", "key", "owner"),
+    [
+        ("E", {"foot_mass_ratio": 0.1, "m_h": 1.0}, "m_h", "foot_mass_ratio"),
+        ("E", {"m_s": 0.2, "foot_mass_ratio": 0.0}, "m_s", "foot_mass_ratio"),
+        ({"base": "E", "m_h": 1.0}, {"foot_mass_ratio": 0.1}, "m_h", "foot_mass_ratio"),
+        ("C", {"detuning": 0.0, "w_t": 0.1}, "w_t", "detuning"),
+        ({"base": "A", "r_s": 0.1}, {"detuning": 0.5}, "r_s", "detuning"),
+    ],
+)
 def test_a_key_that_a_derived_one_owns_is_refused(walker, overrides, key, owner):
     value = {**(walker if isinstance(walker, dict) else {}), **overrides}[key]
     with pytest.raises(WalkerError, match=rf"^`{key}` is set by `{owner}`, which owns .*{key}.*; got {value}\.$"):
@@ -93,17 +109,20 @@ def test_the_papers_infinite_hip_is_the_limit():
     assert from_table({**CATALOGUE["D"].table(), "m_t": math.inf, "m_s": 1.0}) == CATALOGUE["D"]
 
 
-@pytest.mark.parametrize(("table", "message"), [
-    ({"base": "C", "eps_t": 0.1}, r"`eps_t` is not a walker key \(did you mean `eps_T`\?\); got 0.1"),
-    ({"base": "C", "m_s": -1.0}, r"`m_s` must be >= 0; got -1.0"),
-    ({"base": "C", "eps_T": 0.9}, r"`eps_T` must satisfy \|l_t sin eps_T\| <= \|l_s - R\| = 0.26"),
-    ({"base": "E", "R": 1.0}, r"`R` must leave the hip above the foot's centre"),
-    ({"base": "E", "l_t": math.nan}, r"`l_t` must be finite; got nan"),
-    ({"base": "Z"}, r"`walker` is not a known walker"),
-    ({"l_t": 1.0}, r"`w_t` is missing from the walker"),
-    ({"base": "E", "knees": True, "m_s": 0.0}, r"`m_s` must be > 0 with a free knee"),
-    ({"base": "E", "units": "imperial"}, r'`units` must be "SI" or "1"'),
-])
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"base": "C", "eps_t": 0.1}, r"`eps_t` is not a walker key \(did you mean `eps_T`\?\); got 0.1"),
+        ({"base": "C", "m_s": -1.0}, r"`m_s` must be >= 0; got -1.0"),
+        ({"base": "C", "eps_T": 0.9}, r"`eps_T` must satisfy \|l_t sin eps_T\| <= \|l_s - R\| = 0.26"),
+        ({"base": "E", "R": 1.0}, r"`R` must leave the hip above the foot's centre"),
+        ({"base": "E", "l_t": math.nan}, r"`l_t` must be finite; got nan"),
+        ({"base": "Z"}, r"`walker` is not a known walker"),
+        ({"l_t": 1.0}, r"`w_t` is missing from the walker"),
+        ({"base": "E", "knees": True, "m_s": 0.0}, r"`m_s` must be > 0 with a free knee"),
+        ({"base": "E", "units": "imperial"}, r'`units` must be "SI" or "1"'),
+    ],
+)
 def test_a_walker_that_cannot_be_is_told_in_one_line(table, message):
     with pytest.raises(WalkerError, match=message) as caught:
         from_table(table)
@@ -121,8 +140,12 @@ def test_one_walker_is_described_by_its_name_or_its_table():
     (named,) = describe({"name": "physical"})["walkers"]
     (own,) = describe({"walker": CATALOGUE["B"].table()})["walkers"]
     assert (named["name"], named["parameters"]) == ("physical", CATALOGUE["physical"].table())
-    assert named["geometry"] == {"l": CATALOGUE["physical"].l, "eps_S": CATALOGUE["physical"].eps_S,
-                                 "leg": CATALOGUE["physical"].leg, "total_mass": CATALOGUE["physical"].total_mass}
+    assert named["geometry"] == {
+        "l": CATALOGUE["physical"].l,
+        "eps_S": CATALOGUE["physical"].eps_S,
+        "leg": CATALOGUE["physical"].leg,
+        "total_mass": CATALOGUE["physical"].total_mass,
+    }
     assert (own["name"], own["parameters"]) == ("custom", CATALOGUE["B"].table())
 
 

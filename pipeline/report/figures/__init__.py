@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pipeline.report.figures import body, branches, design, families, maps, motion, scaling
+from pipeline.report.figures import body, branch_curves, cycle, design_maps, families, maps, scaling
 from pipeline.report.figures.style import style
 from pipeline.report.figures.svg import Drawing, Sketch, render
 from pipeline.report.source import Source
@@ -14,14 +14,14 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
     "linear": families.linear,
     "residuals": families.residuals,
     "transition_ladder": scaling.transition_ladder,
-    "angles": motion.angles,
+    "angles": cycle.angles,
     "walker": body.walker,
     "conditions": body.conditions,
-    "locus": branches.locus,
-    "bifurcation": branches.bifurcation,
+    "locus": branch_curves.locus,
+    "bifurcation": branch_curves.bifurcation,
     "heatmap": maps.heatmap,
     "basin": maps.basin,
-    "design": design.design,
+    "design": design_maps.design,
 }
 
 

@@ -86,11 +86,11 @@ def heatmap(source: Source) -> Sketch | None:
         figure,
         f"Map of {variable.replace('_', ' ')}",
         f"{_named(source, variable).capitalize()} over {_named(source, along)} and {_named(source, down)}. "
-        "Left blank: no such gait." + (" White line: the border of stability, max |λ| = 1." if border else "")
+        "Left blank: no such gait."
+        + (" White line: the border of stability, max |λ| = 1." if border else "")
         + unseen
         + places(several, every),
-        f"Heat map of {variable} over {along} and {down}, from {plain(low)} to {plain(high)}."
-        + places(several, every),
+        f"Heat map of {variable} over {along} and {down}, from {plain(low)} to {plain(high)}." + places(several, every),
         data,
         marks,
     )

@@ -1,0 +1,188 @@
+"""What notebooks and scripts use: `from pipeline import load, run, solve`. The command line's ways, with Datasets."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from pipeline.archive import read
+from pipeline.errors import ArchiveError, StudyError
+from pipeline.execution import runner
+from pipeline.study import model, parse, single_point
+
+
+def load(archive: str | Path, table: str | None = None) -> Any:
+    """Read an archive, or one of its tables.
+
+    Parameters
+    ----------
+    archive : str or Path
+        An archive as `run` leaves it.
+    table : str, optional
+        A group of the archive: `"fits/scaling"`, `"branches"`, `"special_points"`, `"claims"`, …
+
+    Returns
+    -------
+    xarray.Dataset
+        The grid, in memory, with its flags decoded: `status` and `reason` in words, `violations` as booleans along
+        a dimension `violation`, and `multipliers`, complex, beside their parts. `attrs["tables"]` lists the tables.
+    pandas.DataFrame
+        The table, if one is asked for; `attrs["units"]` holds the units of its columns.
+
+    Raises
+    ------
+    ArchiveError
+        If the file is not an archive of gaitsweep, or has no such table.
+    """
+    path = Path(archive)
+    with read.opened(path) as file:
+        tables = list(read.tables(file))
+    if table is None:
+        return _decoded(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
+    if table not in tables:
+        raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
+    columns = xr.load_dataset(path, group=table, engine="netcdf4")
+    frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
+    frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}
+    return frame
+
+
+def _decoded(grid: xr.Dataset) -> xr.Dataset:
+    """A grid with words for its flags and complex multipliers."""
+    words = {}
+    if "status" in grid:
+        names = dict(zip(grid.status.flag_values.tolist(), grid.status.flag_meanings.split(), strict=True))
+        words["status"] = np.vectorize(names.get, otypes=[object])(grid.status.values)
+        words["reason"] = grid.reason_text.values[grid.reason.values]
+    grid = grid.assign(
+        {name: (grid[name].dims, text, {"long_name": grid[name].long_name}) for name, text in words.items()}
+    ).drop_vars("reason_text", errors="ignore")
+    if "violations" in grid:
+        bits = grid.violations
+        kind = xr.DataArray(bits.flag_meanings.split(), dims="violation", name="violation")
+        masks = xr.DataArray(bits.flag_masks, coords={"violation": kind}, dims="violation")
+        grid = grid.assign(violations=((bits & masks) != 0).assign_attrs(long_name=bits.long_name))
+    if "multiplier_real" in grid and "multiplier_imag" in grid:
+        both = grid.multiplier_real + 1j * grid.multiplier_imag
+        grid = grid.assign(multipliers=both.assign_attrs(long_name="eigenvalues of the stride map", units="1"))
+    return grid
+
+
+def run(
+    wanted: str | Path | Mapping[str, Any],
+    jobs: int = 2,
+    archive: str | Path | None = None,
+    *,
+    cluster: str | None = None,
+    fresh: bool = False,
+    retry_failed: bool = False,
+    quiet: bool = False,
+) -> xr.Dataset:
+    """Run a study, or what is left of it, and load its archive.
+
+    Parameters
+    ----------
+    wanted : str, Path or mapping
+        A study: its file, its TOML text, or the same as a mapping, where an axis may be an array.
+    jobs : int
+        Worker processes.
+    archive : str or Path, optional
+        Where the archive goes; by default `data/archive/NAME.nc` under the current folder.
+    cluster : str, optional
+        A Dask scheduler, `tcp://HOST:PORT`, or `local:N`, instead of `jobs`.
+    fresh, retry_failed, quiet : bool
+        As on the command line: forget what earlier runs found, try again what failed, show no progress.
+
+    Returns
+    -------
+    xarray.Dataset
+        As `load` gives it. Points that failed say so in `status` and `reason`.
+
+    Raises
+    ------
+    StudyError
+        If the study is wrong: one sentence that names the key, the value and what is allowed.
+    GaitsweepError
+        If the run cannot begin or go on; what was finished is kept.
+    """
+    found = _study(wanted)
+    path = Path(archive) if archive else Path("data", "archive", f"{found.name}.nc")
+    runner.run(found, path, runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))
+    return load(path)
+
+
+def _study(wanted: str | Path | Mapping[str, Any]) -> model.Study:
+    if isinstance(wanted, Mapping):
+        wanted = "".join(f"{key} = {_toml(value, key)}\n" for key, value in wanted.items())
+    elif isinstance(wanted, Path) or "=" not in wanted:
+        return parse.read(wanted)
+    try:
+        table = tomllib.loads(wanted)
+    except tomllib.TOMLDecodeError as error:
+        raise StudyError(f"The study cannot be read: {error}.") from error
+    return parse.parse(table, wanted, Path("study"))
+
+
+def _toml(value: Any, key: str) -> str:
+    """A value as TOML; mappings become inline tables."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_toml(str(k), key)} = {_toml(v, key)}" for k, v in value.items()) + " }"
+    if isinstance(value, list | tuple | range):
+        return "[" + ", ".join(_toml(v, key) for v in value) + "]"
+    if isinstance(value, str | Path):
+        return json.dumps(str(value))
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, bool | int | float):
+        return json.dumps(value)
+    raise StudyError(f"`{key}` must be a number, a text, a list or a mapping; got {type(value).__name__}.")
+
+
+def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = False, **keys: float) -> pd.DataFrame:
+    """Find every gait of a walker at one slope, from nothing.
+
+    Parameters
+    ----------
+    walker : str, Path or mapping
+        A name of the catalogue, a walker file, or a walker's table.
+    slope : float [rad]
+        Slope of the ground, in (0, 0.5).
+    every : bool
+        Also gaits whose legs pass more than once.
+    **keys : float
+        Walker keys to change, `foot_mass_ratio` or `detuning`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row a gait, its columns as in archives, with `multipliers` and `violations` as tuples. Empty where there is
+        no gait; `attrs["search"]` says how it was sought.
+
+    Raises
+    ------
+    StudyError
+        If there is no such walker, key or slope.
+    """
+    one = dict(walker) if isinstance(walker, Mapping) else str(walker)
+    found = single_point.solve(one, float(slope), {key: float(value) for key, value in keys.items()}, every)
+    rows = [
+        {
+            **{name: math.nan if value is None else value for name, value in gait.items()},
+            "multipliers": tuple(complex(*pair) for pair in gait["multipliers"]),
+            "violations": tuple(gait["violations"] or ()),
+        }
+        for gait in found["gaits"]
+    ]
+    frame = pd.DataFrame(rows)
+    frame.attrs["search"] = found["search"]
+    return frame

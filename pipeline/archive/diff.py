@@ -1,0 +1,176 @@
+"""How two archives differ."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.archive.read import columns, opened
+from pipeline.errors import ArchiveError
+from pipeline.statuses import ALL_STATUSES
+
+Pair = tuple[np.ndarray, np.ndarray]
+#: Variables that measure rounding, relative to what they speak of: a tolerance is held against their difference.
+_ROUNDING = ("residual", "error_bound", "energy_imbalance")
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Relative tolerance of every variable, and of some by name."""
+
+    rtol: float
+    own: Mapping[str, float]
+
+    def of(self, name: str) -> float | None:
+        """Relative tolerance of a variable; None where it is one of its own size, as `rtol` is."""
+        if name in self.own:
+            return self.own[name]
+        return None if name.rpartition("/")[2] in _ROUNDING else self.rtol
+
+
+def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = None) -> list[str]:
+    """How archive `b` differs from `a`, one sentence each, aligned by coordinates.
+
+    Numbers are equal if they differ by at most `rtol` times the larger, or `own[name]` where a variable or a column
+    "group/column" has a tolerance of its own; parts of an eigenvalue are held against its magnitude, and what measures
+    rounding, itself relative, against one.
+
+    Raises
+    ------
+    ArchiveError
+        If `own` names what neither archive holds.
+    """
+    within = Tolerance(rtol, own or {})
+    with opened(a) as left, opened(b) as right:
+        found = [
+            f"the {what} differs: {getattr(left, what, None)} and {getattr(right, what, None)}"
+            for what in ("kind",)
+            if getattr(left, what, None) != getattr(right, what, None)
+        ]
+        places: dict[str, Pair] = {}
+        for name in sorted(set(left.dimensions) | set(right.dimensions)):
+            if name == "reason_index":
+                continue
+            if name not in left.dimensions or name not in right.dimensions:
+                found.append(f"the dimension `{name}` is only in {a if name in left.dimensions else b}")
+                continue
+            places[name], sentences = _aligned(name, left, right, a, b)
+            found += sentences
+        for name in sorted(set(left.variables) | set(right.variables)):
+            if name in left.dimensions or name in right.dimensions or name == "reason_text":
+                continue
+            if name not in left.variables or name not in right.variables:
+                found.append(f"`{name}` is only in {a if name in left.variables else b}")
+            elif set(left.variables[name].dimensions) <= set(places):
+                found += _compare(name, left, right, places, within)
+        shared = {name: np.ma.getdata(left.variables[name][...])[pair[0]] for name, pair in places.items()}
+        found += _compare_groups(left, right, within, shared, a, b)
+        known = {name for file in (left, right) for name in (*file.variables, *columns(file))}
+        for name in within.own:
+            if name not in known:
+                raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
+        return found
+
+
+def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[Pair, list[str]]:
+    """Positions of the coordinates both have, and what only one has."""
+    x, y = np.ma.getdata(left.variables[name][...]), np.ma.getdata(right.variables[name][...])
+    if x.dtype.kind == "O" or y.dtype.kind == "O":
+        x, y = x.astype(str), y.astype(str)
+    _, i, j = np.intersect1d(x, y, return_indices=True)
+    order = np.argsort(i)
+    sentences = [
+        f"{len(one) - len(i):,} of {len(one):,} values of `{name}` are only in {where}"
+        for one, where in ((x, a), (y, b))
+        if len(one) > len(i)
+    ]
+    return (i[order], j[order]), sentences
+
+
+def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], within: Tolerance) -> list[str]:
+    dims = left.variables[name].dimensions
+    if right.variables[name].dimensions != dims:
+        return [f"`{name}` has other dimensions"]
+    units = [getattr(file.variables[name], "units", None) for file in (left, right)]
+    if units[0] != units[1]:
+        return [f"`{name}` is in {units[0]} and in {units[1]}"]
+    x, y = (
+        np.ma.getdata(file.variables[name][...])[np.ix_(*(places[d][k] for d in dims))]
+        for k, file in enumerate((left, right))
+    )
+    x, y = np.atleast_1d(x), np.atleast_1d(y)  # of a single line: numbers
+    if name == "reason":
+        x, y = (np.ma.getdata(f.variables["reason_text"][...]).astype(str)[v] for f, v in ((left, x), (right, y)))
+    elif name == "status":
+        return _compare_status(x, y)
+    scale = None
+    if name in ("multiplier_real", "multiplier_imag") and {"multiplier_real", "multiplier_imag"} <= set(left.variables):
+        real, imag = (np.ma.getdata(left.variables[f"multiplier_{part}"][...]) for part in ("real", "imag"))
+        scale = np.hypot(real, imag)[np.ix_(*(places[d][0] for d in dims))]
+    return _different(name, x, y, within, scale)
+
+
+def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
+    names = {code: name for name, code in ALL_STATUSES.items()}
+    pairs, counts = np.unique(np.stack([x[x != y], y[x != y]]), axis=1, return_counts=True)
+    return [
+        f"`status`: {n:,} were {names.get(int(p), p)} and are {names.get(int(q), q)}"
+        for (p, q), n in zip(pairs.T, counts, strict=True)
+    ]
+
+
+def _different(
+    name: str, x: np.ndarray, y: np.ndarray, within: Tolerance, scale: np.ndarray | None = None
+) -> list[str]:
+    if x.shape != y.shape:
+        return [f"`{name}` has {x.size:,} values and {y.size:,}"]
+    if x.dtype.kind != "f" or y.dtype.kind != "f":
+        unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
+        return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
+    rtol = within.of(name)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = np.maximum(np.abs(x), np.abs(y)) if scale is None else scale
+        if rtol is None:
+            rtol, size = within.rtol, np.ones(x.shape)
+        gap = np.abs(x - y)
+        unequal = ~((gap <= rtol * size) | (x == y) | (np.isnan(x) & np.isnan(y)))
+        worst = np.max(np.where(unequal & np.isfinite(gap) & (size > 0), gap / size, 0.0), initial=0.0)
+    if not unequal.any():
+        return []
+    return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, by up to {worst:.2g} of their size"]
+
+
+def _compare_groups(
+    left: Any, right: Any, within: Tolerance, shared: dict[str, np.ndarray], a: Path, b: Path, path: str = ""
+) -> list[str]:
+    """How the tables differ on the lines both archives have; `shared` holds the coordinates of those."""
+    found = []
+    for name in sorted(set(left.groups) | set(right.groups)):
+        place = f"{path}/{name}"
+        if name not in left.groups or name not in right.groups:
+            found.append(f"the group {place} is only in {a if name in left.groups else b}")
+            continue
+        one, two = left.groups[name], right.groups[name]
+        rows = [_rows_of(group, shared) for group in (one, two)]
+        for column in sorted(set(one.variables) | set(two.variables)):
+            if column not in one.variables or column not in two.variables:
+                found.append(f"`{place}/{column}` is only in {a if column in one.variables else b}")
+            else:
+                x, y = (np.ma.getdata(g.variables[column][...])[kept] for g, kept in zip((one, two), rows, strict=True))
+                found += _different(f"{place}/{column}".lstrip("/"), x, y, within)
+        found += _compare_groups(one, two, within, shared, a, b, place)
+    return found
+
+
+def _rows_of(group: Any, shared: dict[str, np.ndarray]) -> np.ndarray:
+    """Rows of a table whose line both archives have."""
+    rows = np.ones(len(group.dimensions["row"]) if "row" in group.dimensions else 0, bool)
+    for name, values in shared.items():
+        # A column `slope` may hold slopes of its own: along a branch, of a fold.
+        if name in group.variables and name not in ("slope", "gait", "multiplier"):
+            rows &= np.isin(np.ma.getdata(group.variables[name][...]).astype(values.dtype), values)
+    return rows

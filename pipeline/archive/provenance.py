@@ -1,0 +1,81 @@
+"""Where an archive comes from: study, walkers, versions, processor and commit, as one JSON string."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tasks
+
+if TYPE_CHECKING:
+    from pipeline.plan.missing import Plan
+
+_PACKAGES = ("gaitsweep", "heyoka", "joblib", "netCDF4", "numpy", "scipy")
+#: Processor features that decide which instructions the compiled code uses, and so its last bits.
+_FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "avx512dq", "avx512bw", "avx512vl", "asimd", "sve")
+
+
+def provenance(plan: Plan) -> str:
+    """The provenance of what `plan` makes. Equal science on equal machines gives equal strings."""
+    study = plan.study
+    return json.dumps(
+        {
+            "study": study.text,
+            "walkers": [check["table"] for check in study.checks],
+            "varied": {key: axis for check in study.checks for key, axis in check["varied"].items()},
+            "tasks": {name: layer.task.version for name, layer in plan.layers.items()},
+            "packages": {name: version(name) for name in _PACKAGES},
+            "python": platform.python_version(),
+            "cpu": cpu_features(),
+            "commit": commit(),
+        },
+        sort_keys=True,
+    )
+
+
+def version(package: str) -> str:
+    """Version of an installed package."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def code_digest() -> str:
+    """Digest of the code of `tasks`; docstrings, comments and layout do not count."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(tasks.__file__).parent.rglob("*.py")):
+        text = re.sub(r'"""(.|\n)*?"""|#[^\n]*', "", file.read_text(encoding="utf-8"))
+        digest.update(" ".join(text.split()).encode())
+    return digest.hexdigest()
+
+
+def cpu_features() -> list[str]:
+    """The machine's architecture and the features that matter."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        flags = next(line for line in lines if line.lower().startswith(("flags", "features"))).split()
+    except (OSError, StopIteration):
+        flags = []
+    return [platform.machine(), *(f for f in _FEATURES if f in flags)]
+
+
+def commit() -> str:
+    """Commit of the working tree this package runs from; empty where there is none."""
+    git = Path(__file__).resolve().parent.parent / ".git"
+    try:
+        head = (git / "HEAD").read_text().strip()
+        if not head.startswith("ref: "):
+            return head
+        ref = git / head[5:]
+        if ref.is_file():
+            return ref.read_text().strip()
+        packed = (git / "packed-refs").read_text().splitlines()
+        return next((line.split()[0] for line in packed if line.endswith(head[5:])), "")
+    except OSError:
+        return ""

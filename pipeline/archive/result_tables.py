@@ -1,0 +1,123 @@
+"""Tables in the archive: one netCDF group each, its columns along the dimension `row`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline import serialize
+from pipeline.archive import layout
+from pipeline.dispatch import resolve
+from pipeline.plan.missing import Plan
+from tasks import registry
+from tasks.columns import COLUMNS
+
+Columns = dict[str, np.ndarray]
+
+
+def write(file: Any, plan: Plan) -> None:
+    """Write every table the study's tasks gave; a task that failed leaves its name and the reason."""
+    failed: list[tuple[str, str, str]] = []
+    for name, layer in plan.layers.items():
+        if name in ("atlas", "points"):
+            continue
+        parts: dict[str, list[Columns]] = {}
+        for coordinates, key in _runs(plan, name, layer.per_line):
+            found = plan.journal.result(key)
+            if found is None:
+                continue
+            if found.outcome != "ok":
+                failed.append((name, found.outcome, found.reason))
+                continue
+            for group, columns in split(serialize.load(found.data)).items():
+                parts.setdefault(group, []).append({**_repeat(coordinates, columns), **columns})
+        for group in sorted(parts):
+            _group(file, plan, group, _stack(parts[group]))
+    if failed:
+        names, outcomes, reasons = zip(*failed, strict=True)
+        _group(
+            file,
+            plan,
+            "failed_tasks",
+            {"task": np.array(names), "outcome": np.array(outcomes), "reason": np.array(reasons)},
+        )
+
+
+def _runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str]]:
+    """Coordinates and key of every run of a task, in the order of the grid."""
+    if not per_line:
+        yield {}, plan.study_keys()[name][0]
+        return
+    for i in range(plan.study.lines):
+        yield {"walker": plan.study.name_of(i), **plan.study.line(i)["set"]}, plan.line_keys(i)[name][0]
+
+
+def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:
+    """Columns by group.
+
+    Raises
+    ------
+    ValueError
+        If a name is no "group/column" or columns of a group differ in length.
+    """
+    groups: dict[str, Columns] = {}
+    for name, values in table.items():
+        group, _, column = name.rpartition("/")
+        if not re.fullmatch(r"\w+(/\w+)?", group) or not re.fullmatch(r"\w+", column) or np.ndim(values) != 1:
+            raise ValueError(f"`{name}` is no column of a table")
+        groups.setdefault(group, {})[column] = values
+    for group, columns in groups.items():
+        if len({len(v) for v in columns.values()}) > 1:
+            raise ValueError(f"columns of `{group}` differ in length")
+    return groups
+
+
+def _repeat(coordinates: Mapping[str, Any], columns: Columns) -> Columns:
+    n = len(next(iter(columns.values())))
+    return {name: np.full(n, value) for name, value in coordinates.items() if name not in columns}
+
+
+def _stack(parts: list[Columns]) -> Columns:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
+    place = file.createGroup(group)
+    place.createDimension("row", len(next(iter(columns.values()))))
+    for name, values in columns.items():
+        text = values.dtype.kind == "U"
+        options = (
+            {}
+            if text
+            else {
+                "fill_value": np.nan if values.dtype.kind == "f" else False,
+                "fletcher32": True,
+                "zlib": True,
+                "complevel": 1,
+                "shuffle": True,
+            }
+        )
+        if not len(values):
+            options.pop("fletcher32", None)
+        variable = place.createVariable(name, str if text else values.dtype.newbyteorder("="), ("row",), **options)
+        variable.setncatts(_attributes(plan, group, name))
+        variable[:] = values.astype(object) if text else values
+
+
+def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
+    """Attributes of a column. A column that nobody has described is called by its name."""
+    study, si = plan.study, layout.si(plan.study)
+    kind, meaning = COLUMNS.get(f"{group}/{name}") or COLUMNS.get(name) or ("number", name.replace("_", " "))
+    if f"{group}/{name}" not in COLUMNS and name in registry.VARIABLES:
+        kind, meaning = registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
+    elif name not in COLUMNS and name in (keys := resolve("tasks.walkers.walker:KEYS")):
+        kind, meaning = keys[name], f"walker's {name}"
+    elif name == "slope":
+        kind, meaning = "angle", "slope of the ground"
+    found = {"long_name": meaning, "units": registry.SI_UNITS[kind] if si or kind == "angle" else "1"}
+    if len({check["si"] for check in study.checks}) > 1 and kind not in ("number", "angle"):
+        found["comment"] = "in the units of each walker: SI, or any consistent ones"
+    return found

@@ -1,0 +1,107 @@
+"""Is an archive intact, complete and valid?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.archive import layout
+from pipeline.archive.read import columns, opened
+from pipeline.statuses import ALL_STATUSES
+from tasks.registry import ALWAYS, GAITS, VARIABLES
+
+_ATTRIBUTES = (
+    "Conventions",
+    "title",
+    "institution",
+    "source",
+    "history",
+    "references",
+    "provenance",
+    "study",
+    "kind",
+    "checksums",
+)
+
+
+def verify(path: Path) -> list[str]:
+    """What is wrong with an archive, one sentence each; empty if it is whole, complete and of this schema."""
+    with opened(path) as file:
+        return [*_heads(file), *_states(file), *_values(file), *_groups(file)]
+
+
+def _heads(file: Any) -> Iterator[str]:
+    for name in _ATTRIBUTES:
+        if not isinstance(getattr(file, name, None), str):
+            yield f"The attribute `{name}` is missing."
+    try:
+        if not isinstance(json.loads(file.provenance), dict):
+            raise ValueError
+    except (AttributeError, ValueError, RecursionError):
+        yield "`provenance` is not JSON."
+    for name in (*(ALWAYS if getattr(file, "kind", "grid") == "grid" else ("status", "reason")), "reason_text"):
+        if name not in file.variables:
+            yield f"`{name}` is missing."
+    order = list(file.dimensions)
+    for name, variable in file.variables.items():
+        if [order.index(d) for d in variable.dimensions] != sorted({order.index(d) for d in variable.dimensions}):
+            yield f"`{name}` has its dimensions in another order."
+        for attribute in ("long_name", "units"):
+            if attribute not in variable.ncattrs():
+                yield f"`{name}` has no {attribute}."
+    for name in file.dimensions:
+        if name not in file.variables and name != "reason_index":
+            yield f"The dimension `{name}` has no coordinate."
+
+
+def _states(file: Any) -> Iterator[str]:
+    if not {"status", "reason", "reason_text"} <= set(file.variables):
+        return
+    status, reason = np.asarray(file.variables["status"][...]), np.asarray(file.variables["reason"][...])
+    if not np.isin(status, list(ALL_STATUSES.values())).all():
+        yield "`status` holds values without a meaning."
+    if reason.size and not (reason.min() >= 0 and reason.max() < len(file.dimensions["reason_index"])):
+        yield "`reason` points outside its table."
+    left = int(np.count_nonzero(status == ALL_STATUSES["not_attempted"]))
+    if left:
+        yield f"It is not complete: {left:,} values of `status` are not_attempted."
+    if "gait" in file.variables and not set(file.variables["gait"][...].tolist()) <= set(GAITS):
+        yield "`gait` holds unknown names."
+
+
+def _values(file: Any) -> Iterator[str]:
+    """Read every value, so that every checksum is checked; a number stands only where something converged."""
+    sums = json.loads(getattr(file, "checksums", "{}"))
+    tabled = list(columns(file))
+    held = {*file.variables, *tabled}
+    yield from (f"`{name}` is missing." for name in sums if name not in held)
+    for name in tabled:
+        if layout.checksum(np.ma.getdata(file[name][...])) % 2**32 != sums.get(name) and name in sums:
+            yield f"`{name}` is not as it was written."
+    for name, variable in file.variables.items():
+        about, sizes = VARIABLES.get(name), dict(zip(variable.dimensions, variable.shape, strict=True))
+        wrong = total = 0
+        large = "gait" in sizes and name != "gait"
+        places = layout.boxes({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
+        for box in places:
+            values = np.ma.getdata(variable[box] if large else variable[...])
+            total += layout.checksum(values, box)
+            if large and about and about.dtype == "f8":
+                other = np.asarray(file.variables["status"][box]) != ALL_STATUSES["converged"]
+                wrong += int(np.count_nonzero(~np.isnan(values[other])))
+        if total % 2**32 != sums.get(name):
+            yield f"`{name}` is not as it was written."
+        if wrong:
+            yield f"`{name}` has {wrong:,} values where nothing converged."
+
+
+def _groups(place: Any, path: str = "") -> Iterator[str]:
+    for name, group in place.groups.items():
+        for column, variable in group.variables.items():
+            if "units" not in variable.ncattrs() or "long_name" not in variable.ncattrs():
+                yield f"`{path}/{name}/{column}` has no units or long_name."
+        yield from _groups(group, f"{path}/{name}")

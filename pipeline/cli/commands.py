@@ -1,0 +1,366 @@
+"""The command line: `gaitsweep COMMAND`. Loads no more than the command needs."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pipeline.errors import ArchiveError, GaitsweepError, StudyError, unwritten
+
+#: Exit codes of several studies: the first of these that one of them ends with is that of all.
+_GRAVEST = (143, 130, 129, 4, 3, 2, 5, 1, 0)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise StudyError(f"{message[:1].upper()}{message[1:]} ({self.prog} --help).")
+
+
+class _Version(argparse.Action):
+    def __call__(self, *_: Any) -> NoReturn:
+        from pipeline.archive.provenance import version
+
+        print(f"gaitsweep {version('gaitsweep')}")
+        sys.exit(0)
+
+
+def _natural(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 10**9:
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; got {text}")
+    return int(text)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a number; got {text}") from None
+
+
+def _tolerance(text: str) -> tuple[str, float]:
+    name, _, value = text.rpartition("=")
+    if not 0 <= (number := _number(value)) < 1:
+        raise argparse.ArgumentTypeError(f"must lie in [0, 1); got {value}")
+    return name, number
+
+
+def _setting(text: str) -> tuple[str, float | bool]:
+    key, _, value = text.partition("=")
+    if not key or not value:
+        raise argparse.ArgumentTypeError(f"must be KEY=VALUE; got {text}")
+    return key, {"true": True, "false": False}[value] if value in ("true", "false") else _number(value)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Every command and its options."""
+    top = _Parser(prog="gaitsweep", description="Gaits of passive walkers, swept over grids and kept as CF netCDF.")
+    top.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    top.add_argument("--version", action=_Version, nargs=0, help="show the version")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+
+    def add(function: Callable[[argparse.Namespace], int], about: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(function.__name__.strip("_"), help=about, description=about, allow_abbrev=False)
+        command.set_defaults(function=function)
+        command.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+        return command
+
+    c = add(_run, "run studies; the same command again resumes")
+    c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
+    c.add_argument("--jobs", type=_natural, default=2, metavar="N", help="worker processes (default 2)")
+    c.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT, or local:N")
+    c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
+    c.add_argument("--fresh", action="store_true", help="forget what earlier runs found")
+    c.add_argument("--retry-failed", action="store_true", help="try again what failed")
+    c.add_argument("--chunk", type=_natural, metavar="N", help="points in a chunk (default: about a second of work)")
+    c.add_argument(
+        "--snapshot",
+        type=_number,
+        default=60.0,
+        metavar="SECONDS",
+        help="publish the archive of a run in flight no more often than this (default 60)",
+    )
+    c.add_argument("--quiet", action="store_true", help="say nothing but errors")
+    c.add_argument("--verbose", action="store_true", help="tell of every chunk")
+    c = add(_plan, "what would run and why; runs nothing")
+    c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
+    c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
+    c.add_argument("--retry-failed", action="store_true", help="as `run` would")
+    c = add(_status, "progress of a run in flight or last stopped")
+    c.add_argument("studies", nargs="*", metavar="STUDY.toml", type=Path)
+    c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
+    c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_report, "HTML from archives alone")
+    c.add_argument("archives", nargs="+", metavar="ARCHIVE.nc", type=Path)
+    c.add_argument(
+        "-o",
+        dest="out",
+        type=Path,
+        default=Path("reports"),
+        metavar="DIR",
+        help="where pages are added (default reports)",
+    )
+    c.add_argument("--only", action="store_true", help="take other pages there away")
+    c.add_argument("--open", action="store_true", help="show the index in a browser")
+    c = add(_solve, "every gait at one point")
+    c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
+    c.add_argument("--slope", required=True, type=_number, metavar="S", help="rad")
+    c.add_argument("--set", action="append", type=_setting, default=[], metavar="KEY=VALUE", help="a walker key")
+    c.add_argument("--all", action="store_true", help="gaits that are not anthropomorphic too")
+    c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_walkers, "the catalogue, or one walker")
+    c.add_argument("name", nargs="?", metavar="NAME")
+    c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_tune, "the nearest walker that walks on slopes near zero")
+    c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
+    c.add_argument("--free", action="append", default=[], metavar="KEY", help="a key that may change")
+    c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_verify, "is an archive whole, complete and of this schema?")
+    c.add_argument("archive", type=Path, metavar="ARCHIVE.nc")
+    c = add(_diff, "what differs between two archives")
+    c.add_argument("a", type=Path, metavar="A.nc")
+    c.add_argument("b", type=Path, metavar="B.nc")
+    c.add_argument(
+        "--rtol",
+        type=_tolerance,
+        action="append",
+        default=[],
+        metavar="R|NAME=R",
+        help="relative tolerance (default 0), or that of one variable",
+    )
+    c = add(_completion, "a script that completes commands in a shell")
+    c.add_argument("shell", choices=("bash", "zsh"))
+    c = add(_bench, "run time against error, with the peers")
+    c.add_argument("--quick", action="store_true")
+    c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR")
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; its exit code."""
+    given, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
+    with _told(codes, "--debug" in given):
+        options = parser().parse_args(given)
+        codes.append(options.function(options))
+    return codes[-1]
+
+
+@contextlib.contextmanager
+def _told(codes: list[int], debug: bool) -> Iterator[None]:
+    """Tell an error in one line, and add its exit code to those there are."""
+    try:
+        yield
+    except GaitsweepError as error:
+        if debug:
+            traceback.print_exc()
+        print(f"gaitsweep: {error}", file=sys.stderr)
+        codes.append(error.exit_code)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        codes.append(1)
+    except KeyboardInterrupt:
+        print("gaitsweep: Stopped.", file=sys.stderr)
+        codes.append(130)
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        print(
+            f"gaitsweep: Internal error, {type(error).__name__}: {' '.join(str(error).split())[:300]}; "
+            "--debug shows where.",
+            file=sys.stderr,
+        )
+        codes.append(2)
+
+
+def _archives(options: argparse.Namespace, codes: list[int] | None = None) -> list[tuple[Any, Path]]:
+    """Each study, read and checked, and its archive; with `codes` those that are wrong are told and left out."""
+    from pipeline.study import parse
+
+    if options.archive and len(options.studies) > 1:
+        raise StudyError("`--archive` names one file, but there are several studies.")
+    studies = []
+    for path in options.studies:
+        with contextlib.nullcontext() if codes is None else _told(codes, options.debug):
+            studies.append(parse.read(path))
+    found = [(s, options.archive or Path("data", "archive", f"{s.name}.nc")) for s in studies]
+    for i, (one, path) in enumerate(found):
+        if any(path == other for _, other in found[:i]):
+            raise StudyError(f"Two studies are called {one.name}.")
+    return found
+
+
+def _run(options: argparse.Namespace) -> int:
+    codes: list[int] = []
+    studies = _archives(options, codes)
+    from pipeline.cli import text
+    from pipeline.execution import runner
+
+    how = runner.Options(
+        options.jobs,
+        options.cluster,
+        options.fresh,
+        options.retry_failed,
+        options.chunk,
+        options.quiet,
+        options.verbose,
+        options.snapshot,
+    )
+    began, ended = time.monotonic(), {}
+    for study, path in studies:
+        with _told(codes, options.debug):
+            codes.append(runner.run(study, path, how))
+            ended[study.path] = path
+        if codes[-1] > 128:  # a signal is meant for all of them
+            break
+    if not options.quiet:
+        others = [str(path) for path in options.studies if path not in ended]
+        for line in text.after(list(ended.values()), others, time.monotonic() - began):
+            print(line, file=sys.stderr)
+    return min(codes, key=_GRAVEST.index)
+
+
+def _plan(options: argparse.Namespace) -> int:
+    from pipeline import paths
+    from pipeline.cli import text
+    from pipeline.plan import missing
+    from pipeline.store.journal import Journal
+
+    for study, path in _archives(options):
+        journal = Journal(paths.beside(path, ".journal"), write=False)
+        found = missing.Plan(study, journal, options.retry_failed)
+        print("\n".join(text.plan(found, missing.summary(found), path)))
+    return 0
+
+
+def _status(options: argparse.Namespace) -> int:
+    from pipeline.cli import text
+
+    archives = [path for _, path in _archives(options)] or sorted(
+        p.with_name(p.name.removesuffix(".events.jsonl") + ".nc") for p in Path("data/archive").glob("*.events.jsonl")
+    )
+    states = {path: text.state(path) for path in archives}
+    if options.json:
+        print(json.dumps([{"archive": str(path), **(state or {})} for path, state in states.items()]))
+        return 0
+    for path, state in states.items():
+        print("\n".join(text.status(path, state)))
+    if not states:
+        print("No run has left a trace in data/archive.")
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from pipeline.archive import read
+
+    read.probe(options.archives)
+    for path in options.archives:
+        with read.opened(path):
+            pass
+    from pipeline.report import pages
+
+    try:
+        index = pages.write(options.archives, options.out, options.only)
+    except OSError as error:
+        raise unwritten(options.out, error) from error
+    print(index)
+    if options.open:
+        import webbrowser
+
+        if not webbrowser.open(index.resolve().as_uri()):
+            print("gaitsweep: No browser could be opened.", file=sys.stderr)
+    return 0
+
+
+def _solve(options: argparse.Namespace) -> int:
+    from pipeline.study.single_point import solve
+
+    found = solve(options.walker, options.slope, dict(options.set), options.all)
+    for line in found.get("search", []):
+        print(line, file=sys.stderr)
+    if options.json:
+        print(json.dumps(found["gaits"]))
+        return 0
+    from pipeline.cli import text
+
+    print("\n".join(text.gaits(found["gaits"], found["units"])))
+    return 0
+
+
+def _walkers(options: argparse.Namespace) -> int:
+    from pipeline.dispatch import ask
+    from pipeline.study import files
+
+    table = files.walker(options.name, Path()) if options.name else None
+    found = ask("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
+    if options.json:
+        print(json.dumps(found))
+        return 0
+    from pipeline.cli import text
+
+    print("\n".join(text.walkers(found, whole=options.name is not None)))
+    return 0
+
+
+def _tune(options: argparse.Namespace) -> int:
+    from pipeline.dispatch import ask
+    from pipeline.study import files
+
+    params: dict[str, Any] = {"walker": files.walker(options.walker, Path())}
+    if options.free:
+        params["free"] = options.free
+    found = ask("tune", params)
+    if options.json:
+        print(json.dumps(found))
+        return 0
+    from pipeline.cli import text
+
+    print("\n".join(text.tuned(found)))
+    return 0
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from pipeline.archive import read, verify
+
+    try:
+        read.probe([options.archive])
+        found = verify.verify(options.archive)
+    except ArchiveError as error:
+        if not options.archive.is_file():
+            raise
+        found = [str(error)]
+    print("\n".join(found) if found else f"{options.archive} is whole, complete and of this schema.")
+    return 1 if found else 0
+
+
+def _diff(options: argparse.Namespace) -> int:
+    from pipeline.archive import diff, read
+
+    read.probe([options.a, options.b])
+    own = dict(options.rtol)
+    found = diff.diff(options.a, options.b, own.pop("", 0.0), own)
+    print("\n".join(found) if found else "They agree.")
+    return 1 if found else 0
+
+
+def _completion(options: argparse.Namespace) -> int:
+    from pipeline.cli import completion
+
+    print(completion.script(parser(), options.shell), end="")
+    return 0
+
+
+def _bench(options: argparse.Namespace) -> int:
+    import importlib
+
+    return importlib.import_module("pipeline.bench").main(options.quick, options.out)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

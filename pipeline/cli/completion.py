@@ -1,0 +1,63 @@
+"""The script that lets bash or zsh complete `gaitsweep` commands: made from the parser, so it knows what that knows."""
+
+from __future__ import annotations
+
+import argparse
+
+from pipeline import dispatch
+from pipeline.study.parse import EXTRA_AXES
+
+_BASH = """# bash completion for gaitsweep; in ~/.bashrc: eval "$(gaitsweep completion bash)"
+_gaitsweep() {{
+  local word="${{COMP_WORDS[COMP_CWORD]}}" before="${{COMP_WORDS[COMP_CWORD-1]}}" command="" words="" one
+  for one in "${{COMP_WORDS[@]:1:COMP_CWORD-1}}"; do
+    case "$one" in {commands}) command="$one"; break;; esac
+  done
+  case "$command" in
+{cases}
+    *) words="{top}";;
+  esac
+  case "$before" in
+    --walker) words="{walkers}";;
+    --free) words="{keys}";;
+    --set) words="{settings}"; compopt -o nospace 2>/dev/null;;
+  esac
+  COMPREPLY=($(compgen -W "$words" -- "$word"))
+  if [ -n "$command" ] && [ "${{word#-}}" = "$word" ]; then COMPREPLY+=($(compgen -f -- "$word")); fi
+}}
+complete -o filenames -F _gaitsweep gaitsweep
+"""
+
+#: zsh runs bash's own functions.
+_ZSH = """# zsh completion for gaitsweep; in ~/.zshrc, after compinit: eval "$(gaitsweep completion zsh)"
+autoload -U +X bashcompinit && bashcompinit
+"""
+
+
+def script(parser: argparse.ArgumentParser, shell: str) -> str:
+    """The script for a shell, "bash" or "zsh"."""
+    (commands,) = (a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
+    assert isinstance(commands, dict)
+    walkers = list(dispatch.resolve("tasks.walkers.catalogue:CATALOGUE"))
+    keys = dispatch.resolve("tasks.walkers.walker:NUMBERS")
+    words = {name: [*_options(one), *_choices(one)] for name, one in commands.items()}
+    words["walkers"] += walkers
+    text = _BASH.format(
+        commands="|".join(commands),
+        top=" ".join([*commands, *_options(parser)]),
+        cases="\n".join(f'    {name}) words="{" ".join(mine)}";;' for name, mine in words.items()),
+        walkers=" ".join(walkers),
+        keys=" ".join(keys),
+        settings=" ".join(f"{key}=" for key in (*keys, *EXTRA_AXES[1:], "knees")),
+    )
+    return text if shell == "bash" else _ZSH + text.partition("\n")[2]
+
+
+def _options(parser: argparse.ArgumentParser) -> list[str]:
+    """Options a parser shows in its help."""
+    return [name for action in parser._actions if action.help != argparse.SUPPRESS for name in action.option_strings]
+
+
+def _choices(parser: argparse.ArgumentParser) -> list[str]:
+    """Words that an argument without an option may be."""
+    return [word for action in parser._actions if not action.option_strings for word in action.choices or ()]

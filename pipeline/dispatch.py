@@ -1,0 +1,37 @@
+"""The one door to `tasks`: its functions by the names the registry gives them."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from pipeline import dispatch
+from pipeline.errors import StudyError
+from tasks.registry import CALLS
+
+
+def resolve(name: str) -> Any:
+    """The object called "module:name"."""
+    module, _, attribute = name.partition(":")
+    return getattr(importlib.import_module(module), attribute)
+
+
+def call(name: str, params: dict[str, Any]) -> Any:
+    """Answer one of `tasks.registry.CALLS` in this process."""
+    return resolve(CALLS[name])(params)
+
+
+def ask(call: str, params: dict[str, Any]) -> Any:
+    """Answer of one of the calls `tasks` offers.
+
+    Raises
+    ------
+    StudyError
+        If it finds the walker or another parameter wrong.
+    """
+    try:
+        return dispatch.call(call, params)
+    except ValueError as error:
+        if not hasattr(error, "bound"):
+            raise
+        raise StudyError(str(error)) from error

@@ -1,0 +1,66 @@
+"""A Dask cluster as the place where jobs run (extra `cluster`)."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from pipeline.errors import StudyError, WorkerError
+
+_PATIENCE = 20  # s to find the scheduler and a first worker
+
+
+@contextlib.contextmanager
+def connect(address: str) -> Iterator[Any]:
+    """A client of the scheduler at `address`, or of a cluster of N processes here for "local:N".
+
+    Raises
+    ------
+    StudyError
+        If `address` is neither, or the extra is not installed.
+    WorkerError
+        If no scheduler or no worker answers.
+    """
+    local = re.fullmatch(r"local:(\d{1,3})", address)
+    if not local and not re.match(r"(tcp|tls|ws|wss)://.", address):
+        raise StudyError(f"`--cluster` must be tcp://HOST:PORT or local:N; got {address}.")
+    try:
+        import distributed
+    except ImportError as error:
+        raise StudyError('`--cluster` needs the extra "cluster": pip install "gaitsweep[cluster]".') from error
+    # What they say in their own time is said by this package in one line.
+    for name in list(logging.root.manager.loggerDict):
+        if name.startswith(("distributed", "tornado", "asyncio")):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    with contextlib.ExitStack() as stack:
+        try:
+            if local:
+                address = stack.enter_context(
+                    distributed.LocalCluster(
+                        n_workers=max(1, int(local[1])), threads_per_worker=1, dashboard_address=None
+                    )
+                ).scheduler_address
+            client = stack.enter_context(distributed.Client(address, timeout=_PATIENCE, set_as_default=False))
+            client.wait_for_workers(1, timeout=_PATIENCE)
+        except (OSError, TimeoutError) as error:
+            raise WorkerError(f"No cluster with a worker answers at {address}.") from error
+        yield client
+
+
+def backend(client: Any) -> Any:
+    """joblib's Dask backend for a cluster of any size; joblib itself would do a single slot's jobs in this process."""
+    from joblib._dask import DaskDistributedBackend
+
+    class Backend(DaskDistributedBackend):
+        def effective_n_jobs(self, n_jobs: int) -> int:
+            return max(2, super().effective_n_jobs(n_jobs))
+
+    return Backend(client=client)
+
+
+def workers(client: Any) -> int:
+    """How many jobs the cluster can do at once."""
+    return max(1, sum(info["nthreads"] for info in client.scheduler_info(n_workers=-1)["workers"].values()))

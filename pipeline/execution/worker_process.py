@@ -1,0 +1,240 @@
+"""One worker process under guard: it may crash, hang or eat memory, and only the guilty point pays.
+
+`run` is what an engine executes, in a thread of this process or on a node of a cluster. Each thread keeps one
+worker process. A block of points that ends badly is cut and tried again, down to the point that did it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import platform
+import resource
+import select
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from pipeline import serialize, statuses
+from pipeline.errors import WorkerError
+from pipeline.execution import wire
+from tasks.registry import GAITS
+
+_LOOK, _LATE = 0.1, 0.5  # s between looks at a worker, and at most charged to it for one
+_START = 300.0  # s a worker may take to load its task
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
+_PIECES = 16  # a bad block is cut into as many
+_own = threading.local()
+_alive: set[Cell] = set()
+_closing = threading.Event()
+
+
+class Cell:
+    """A worker process and the pipes to it."""
+
+    def __init__(self) -> None:
+        if _closing.is_set():
+            raise WorkerError("The run is being stopped.")
+        environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
+        # A group of its own: Ctrl-C in a terminal reaches the parent alone. No buffer: `poll` must see every answer.
+        command = [sys.executable, "-P", "-m", "pipeline.execution.worker_main", str(os.getpid())]
+        self.process = subprocess.Popen(
+            command,
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            process_group=0,
+            bufsize=0,
+        )
+        for pipe in (self.process.stdin, self.process.stdout):
+            with contextlib.suppress(OSError):
+                fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[arg-type]
+        self.threads = 1
+        self.lock = threading.Lock()  # held while it is asked something
+        _alive.add(self)
+
+    def close(self) -> int:
+        """End the process; how it ended."""
+        _alive.discard(self)
+        with contextlib.suppress(OSError):
+            self.process.kill()
+        for pipe in (self.process.stdin, self.process.stdout):
+            with contextlib.suppress(OSError):
+                pipe.close()  # type: ignore[union-attr]
+        return self.process.wait()
+
+    def ask(self, request: bytes, inputs: list[bytes], seconds: float, memory: int) -> tuple[str, Any]:
+        """One request: how it ended ("ok" or a name of `worker.ENDINGS`), and its parts or a sentence."""
+        try:
+            wire.send(self.process.stdin, request, *inputs)  # type: ignore[arg-type]
+            kind, *parts = self._answer(_START)
+            if kind == b"broken":
+                raise WorkerError(f"A worker cannot load its task: {parts[0].decode()}.")
+            resident, self.threads = struct.unpack("<QQ", parts[0])
+            outcome, *parts = self._answer(seconds, resident + memory)
+        except TimeoutError:
+            self.close()
+            return "timed_out", f"It took longer than {seconds:g} s."
+        except MemoryError:
+            self.close()
+            return "out_of_memory", f"It needed more than {_size(memory)} of memory."
+        except (EOFError, OSError, ValueError):  # ValueError: its pipes were closed by `stop`
+            if _closing.is_set():
+                raise WorkerError("The run is being stopped.") from None
+            return "worker_died", self._death()
+        if outcome == b"ok":
+            return "ok", parts
+        if outcome == b"out_of_memory":
+            return "out_of_memory", f"It needed more than {_size(memory)} of memory."
+        return outcome.decode(), f"It raised {parts[1].decode()}."
+
+    def leave(self) -> None:
+        """End the process if nothing is asked of it."""
+        if self.lock.acquire(blocking=False):
+            self.close()
+            self.lock.release()
+
+    def _answer(self, seconds: float, memory: int | None = None) -> list[bytes]:
+        stream, looked = self.process.stdout, time.monotonic()
+        poll = select.poll()
+        poll.register(stream, select.POLLIN)  # type: ignore[arg-type]
+        while not poll.poll(1000 * min(_LOOK, max(0.0, seconds))):
+            if _closing.is_set():
+                raise WorkerError("The run is being stopped.")
+            # Who looks so late was stopped itself, as a scheduler may do, and the worker with it.
+            now = time.monotonic()
+            seconds, looked = seconds - min(_LATE, now - looked), now
+            if seconds <= 0:
+                raise TimeoutError
+            if memory is not None and self.resident() > memory:
+                raise MemoryError
+        return wire.receive(stream)  # type: ignore[arg-type]
+
+    def resident(self) -> int:
+        """Resident memory of the process [byte]; 0 once it is gone."""
+        try:
+            with open(f"/proc/{self.process.pid}/statm") as file:
+                return int(file.read().split()[1]) * resource.getpagesize()
+        except (OSError, IndexError):
+            return 0
+
+    def _death(self) -> str:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(5)  # it is on its way: let its own end be seen, not our kill
+        code = self.close()
+        how = f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+        return f"The worker died {how}."
+
+
+def _size(memory: int) -> str:
+    for unit, name in ((1 << 30, "GiB"), (1 << 20, "MiB")):
+        if memory >= unit:
+            return f"{memory / unit:.4g} {name}"
+    return f"{memory} B"
+
+
+def stop() -> None:
+    """Kill every worker process and end every wait for one; may be called from a signal handler."""
+    _closing.set()
+    for cell in list(_alive):
+        with contextlib.suppress(OSError):
+            cell.process.kill()
+
+
+def close_all() -> None:
+    """End every worker process, and be ready for another run."""
+    stop()
+    for cell in list(_alive):
+        cell.close()
+    _closing.clear()
+
+
+def members() -> list[dict[str, Any]]:
+    """Host, process id, resident memory [byte] and threads of every worker process of this process."""
+    return [_member(c) for c in list(_alive)]
+
+
+def _member(cell: Cell) -> dict[str, Any]:
+    return {"host": platform.node(), "pid": cell.process.pid, "memory": cell.resident(), "threads": cell.threads}
+
+
+def _ask(job: dict[str, Any], params: dict[str, Any]) -> tuple[str, Any]:
+    request = serialize.dump({**{k: job[k] for k in ("function", "points", "memory")}, "params": params})
+    while True:
+        cell = getattr(_own, "cell", None)
+        if cell is None or cell not in _alive:
+            cell = _own.cell = Cell()
+        with cell.lock:
+            if cell in _alive:  # it may have left meanwhile
+                return cell.ask(request, job["inputs"], job["seconds"], job["memory"])
+
+
+def run(job: dict[str, Any]) -> dict[str, Any]:
+    """Do one job in this thread's worker process; never raises for what a task does.
+
+    Parameters
+    ----------
+    job : dict
+        `function`, `params`, `inputs` (packed), `points` (whether it is a block of points), the limits
+        `seconds` and `memory` [byte] of one point, or of the whole job where it is no block, and `idle`: for how
+        many seconds the process may wait for another job, None for as long as this one lives.
+
+    Returns
+    -------
+    dict
+        `seconds` taken and `rows` of a block, each (slopes, packed states, packed variables); of another job
+        `outcome` and `data` (packed result) or `reason`. And `worker`, which process did it.
+    """
+    began = time.perf_counter()
+    if timer := getattr(_own, "timer", None):
+        timer.cancel()
+    if job["points"]:
+        done: dict[str, Any] = {"rows": _block(job, np.asarray(job["params"]["slope"]))}
+    else:
+        outcome, found = _ask(job, job["params"])
+        if outcome == "worker_died":  # someone else may have killed it: twice is no accident
+            outcome, found = _ask(job, job["params"])
+        done = (
+            {"outcome": outcome, "data": found[1], "reason": ""}
+            if outcome == "ok"
+            else {"outcome": outcome, "data": b"", "reason": found}
+        )
+    cell = getattr(_own, "cell", None)
+    if cell:
+        done["worker"] = _member(cell)
+    if cell and job["idle"] is not None:
+        timer = _own.timer = threading.Timer(job["idle"], cell.leave)
+        timer.daemon = True
+        timer.start()
+    return {**done, "seconds": time.perf_counter() - began, "pid": os.getpid()}
+
+
+def _block(job: dict[str, Any], slopes: np.ndarray) -> list[tuple[bytes, bytes, bytes]]:
+    outcome, found = _ask(job, {**job["params"], "slope": slopes})
+    if outcome == "ok":
+        return [(slopes.tobytes(), found[1], found[2])]
+    if len(slopes) > 1:
+        pieces = np.array_split(slopes, min(_PIECES, len(slopes)))
+        return [row for piece in pieces for row in _block(job, piece)]
+    if outcome == "worker_died":
+        outcome, found = _ask(job, {**job["params"], "slope": slopes})
+        if outcome == "ok":
+            return [(slopes.tobytes(), found[1], found[2])]
+    return [(slopes.tobytes(), serialize.dump(failed(1, outcome, found)), serialize.dump({}))]
+
+
+def failed(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:
+    """States of `n` points that all ended the same way for their worker."""
+    return {
+        "status": np.full((n, len(GAITS)), statuses.ENDINGS[outcome], np.int8),
+        "reason": np.zeros((n, len(GAITS)), np.int16),
+        "reasons": np.array([reason]),
+    }

@@ -1,0 +1,189 @@
+"""What a study still needs, and why: the same answer for `plan`, which prints it, and `run`, which does it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pipeline.plan import graph
+from pipeline.store import lines
+from pipeline.store.journal import Journal
+from pipeline.study.model import Study
+from tasks.registry import TASKS, VARIABLES
+
+
+@dataclass(frozen=True)
+class LineWork:
+    """What one line needs: its keys, why each task over it would run, and which of its slopes are to be solved."""
+
+    number: int
+    line: dict[str, Any]
+    keys: dict[str, tuple[str, str]]
+    why: dict[str, str]
+    missing: np.ndarray
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A study beside its journal."""
+
+    study: Study
+    journal: Journal
+    retry: bool = False
+    layers: dict[str, graph.Layer] = field(init=False)
+    variables: tuple[str, ...] = field(init=False)
+    want: frozenset[str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "layers", graph.layers(self.study))
+        object.__setattr__(self, "variables", graph.variables(self.study))
+        object.__setattr__(self, "want", lines.needed(self.variables, self.study.gaits))
+
+    def line(self, number: int, fresh: bool = False) -> LineWork:
+        """What the line of that number needs; `fresh` where nothing can be known of it."""
+        study, line = self.study, self.study.line(number)
+        keys = graph.line_keys(study, self.layers, line)
+        why: dict[str, str] = {}
+        absent = np.arange(0)
+        failed = False
+        if "atlas" in keys:
+            failed = not fresh and self._failed(keys["atlas"][0])
+        for name, (key, kin) in keys.items():
+            if name == "points":
+                absent = self._missing(key, fresh, failed)
+                if len(absent):
+                    why[name] = "new" if fresh else self._why_points(key, kin, len(absent))
+            elif name != "atlas" and not failed and (fresh or self._stale(key)):
+                why[name] = "new" if fresh else self._why(kin)
+        # Tasks over the study read it again: where its row was lost, points alone do not do.
+        readers = [*why, *(name for name, layer in self.layers.items() if not layer.per_line)]
+        if "atlas" in keys and any("atlas" in self.layers[name].needs for name in readers):
+            key, kin = keys["atlas"]
+            if fresh or self._stale(key):
+                why["atlas"] = "new" if fresh else self._why(kin)
+        return LineWork(number, line, keys, why, absent)
+
+    def _missing(self, key: str, fresh: bool, failed: bool) -> np.ndarray:
+        slopes = self.study.slope
+        if fresh:
+            return np.arange(len(slopes))
+        if failed:
+            return np.arange(0)
+        return lines.missing(self.journal, key, self.want, slopes, self.study.gaits, self.retry)
+
+    def _failed(self, key: str) -> bool:
+        """Whether that task failed before and is not to be tried again."""
+        found = self.journal.outcome(key)
+        return found is not None and found[0] != "ok" and not self.retry
+
+    def _stale(self, key: str) -> bool:
+        found = self.journal.outcome(key)
+        return found is None or (self.retry and found[0] != "ok")
+
+    def _why(self, kin: str) -> str:
+        return "changed" if self.journal.knows(kin) else "new"
+
+    def _why_points(self, key: str, kin: str, n: int) -> str:
+        if not self.journal.last_block(key):
+            return self._why(kin)
+        slopes = self.study.slope
+        if not len(lines.missing(self.journal, key, frozenset(), slopes)):
+            return "retried" if self.retry else "changed"
+        return "new"
+
+    def lines(self) -> Iterator[LineWork]:
+        """Every line that needs anything, far ones early: a part of the work is a sample of the whole."""
+        fresh, n = self.journal.empty(), self.study.lines
+        step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if np.gcd(k, n) == 1)
+        for i in range(n):
+            work = self.line(i * step % n, fresh)
+            if work.why:
+                yield work
+
+    def over_study(self, ran: bool) -> dict[str, tuple[tuple[str, str], str]]:
+        """Tasks over the whole study that would run: keys and why; `ran` if anything beneath them runs."""
+        names = [name for name, layer in self.layers.items() if not layer.per_line]
+        if not names:
+            return {}
+        keys, last = self.study_keys(), self.last_block()
+        todo: dict[str, tuple[tuple[str, str], str]] = {}
+        for name in names:
+            found = self.journal.outcome(keys[name][0])
+            if found is None:
+                todo[name] = keys[name], self._why(keys[name][1])
+            elif ran or found[2] < last or any(need in todo for need in self.layers[name].needs):
+                todo[name] = keys[name], "its inputs change"
+            elif found[0] != "ok" and self.retry:
+                todo[name] = keys[name], "retried"
+        return todo
+
+    def line_keys(self, number: int) -> dict[str, tuple[str, str]]:
+        """Key and kin of every task over the line of that number."""
+        return graph.line_keys(self.study, self.layers, self.study.line(number))
+
+    def _line_keys(self) -> Iterator[dict[str, tuple[str, str]]]:
+        return map(self.line_keys, range(self.study.lines))
+
+    def study_keys(self) -> dict[str, tuple[str, str]]:
+        """Key and kin of every task over the whole study."""
+        lines = ("".join(key for key, _ in keys.values()) for keys in self._line_keys())
+        return graph.study_keys(self.study, self.layers, lines)
+
+    def last_block(self) -> int:
+        """Number of the latest block of any line of the study."""
+        keys = (line["points"][0] for line in self._line_keys() if "points" in line)
+        return max(map(self.journal.last_block, keys), default=0)
+
+    def unwanted(self) -> tuple[list[str], list[str]]:
+        """Tasks and variables that the study does not ask for."""
+        return [t for t in TASKS if t not in self.layers], [v for v in VARIABLES if v not in self.variables]
+
+
+@dataclass
+class Summary:
+    """Counts of a plan: `todo[layer][why]`, `cached[layer]`, and a guess of the work in core seconds."""
+
+    todo: dict[str, Counter[str]]
+    cached: dict[str, int]
+    seconds: float = 0.0
+
+
+def summary(plan: Plan) -> Summary:
+    """Count a plan without keeping it."""
+    study = plan.study
+    todo: dict[str, Counter[str]] = {name: Counter() for name in plan.layers}
+    ran = False
+    if plan.journal.empty():
+        for name, layer in plan.layers.items():
+            if layer.per_line:
+                todo[name]["new"] = study.points if name == "points" else study.lines
+        ran = True
+    else:
+        for work in plan.lines():
+            ran = True
+            for name, why in work.why.items():
+                todo[name][why] += len(work.missing) if name == "points" else 1
+    for name, (_, why) in _over_study(plan, ran).items():
+        todo[name][why] += 1
+    whole = {
+        name: study.points if name == "points" else study.lines if layer.per_line else 1
+        for name, layer in plan.layers.items()
+    }
+    found = Summary(todo, {name: whole[name] - sum(todo[name].values()) for name in plan.layers})
+    measured = plan.journal.seconds_per_point()
+    for name, layer in plan.layers.items():
+        each = layer.task.seconds
+        if name == "points":
+            each = measured or layer.task.seconds_per_point
+        found.seconds += each * sum(todo[name].values())
+    return found
+
+
+def _over_study(plan: Plan, ran: bool) -> dict[str, tuple[Any, str]]:
+    if plan.journal.empty():
+        return {name: ((), "new") for name, layer in plan.layers.items() if not layer.per_line}
+    return plan.over_study(ran)

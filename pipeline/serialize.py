@@ -1,0 +1,67 @@
+"""Plain data and arrays as bytes and back: what crosses a pipe and what the journal keeps.
+
+No pickle: a header of JSON in which an array is `{"": [dtype, shape]}`, then the arrays' bytes. Reading bytes
+from elsewhere can raise ValueError and nothing worse.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from typing import Any
+
+import numpy as np
+
+_ALIGN = 16
+
+
+def dump(tree: Any) -> bytes:
+    """Bytes of nested dicts, lists, strings, numbers and arrays. Equal trees give equal bytes."""
+    arrays: list[np.ndarray] = []
+
+    def plain(x: Any) -> Any:
+        if isinstance(x, np.ndarray):
+            x = np.ascontiguousarray(x)
+            if x.dtype.kind not in "fiubU":
+                raise TypeError(f"an array of {x.dtype} cannot be kept")
+            arrays.append(x)
+            return {"": [x.dtype.str, list(x.shape)]}
+        return x.item()  # a numpy scalar; anything else fails here
+
+    header = json.dumps(tree, default=plain, separators=(",", ":")).encode()
+    parts = [struct.pack("<I", len(header)), header, bytes(-(len(header) + 4) % _ALIGN)]
+    for a in arrays:
+        parts += [a.tobytes(), bytes(-a.nbytes % _ALIGN)]
+    return b"".join(parts)
+
+
+def load(data: bytes) -> Any:
+    """The tree that `dump` made; arrays are read-only views of `data`.
+
+    Raises
+    ------
+    ValueError
+        If `data` is not what `dump` makes.
+    """
+    try:
+        (size,) = struct.unpack_from("<I", data)
+        place = 4 + size
+        place += -place % _ALIGN
+
+        def array(x: dict[str, Any]) -> Any:
+            nonlocal place
+            if "" not in x:
+                return x
+            text, shape = x[""]
+            dtype = np.dtype(str(text))
+            if dtype.kind not in "fiubU" or not all(isinstance(n, int) and n >= 0 for n in shape):
+                raise ValueError("unknown array")
+            count = math.prod(shape)
+            found = np.frombuffer(data, dtype, count, place) if count else np.empty(0, dtype)
+            place += found.nbytes + -found.nbytes % _ALIGN
+            return found.reshape(shape)
+
+        return json.loads(data[4 : 4 + size], object_hook=array)
+    except (struct.error, KeyError, TypeError, RecursionError, UnicodeDecodeError) as error:
+        raise ValueError(f"not packed data: {error}") from error

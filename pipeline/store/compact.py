@@ -1,0 +1,76 @@
+"""Put small blocks of the journal together: a line in ten thousand pieces is slow to read and large."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pipeline import serialize
+from pipeline.store.journal import Block, Journal
+from tasks.registry import VARIABLES
+
+_MOST = 32768  # points in a block
+
+
+def compact(journal: Journal) -> None:
+    """Join neighbouring blocks of lines that were computed in small chunks, the later point over the earlier."""
+    for line in journal.small_lines():
+        for group in list(_groups(journal, line)):
+            if len(group) > 1:
+                journal.replace_points([b.id for b in group], line, group[0].variables, _joined(journal, group))
+    journal.shrink()
+
+
+def _groups(journal: Journal, line: str) -> Iterator[list[Block]]:
+    """Runs of blocks with the same variables and few points altogether."""
+    group: list[Block] = []
+    for block in journal.blocks(line):
+        if group and (
+            block.variables != group[0].variables or sum(len(b.slopes) for b in group) + len(block.slopes) > _MOST
+        ):
+            yield group
+            group = []
+        group.append(block)
+    if group:
+        yield group
+
+
+def _joined(journal: Journal, group: list[Block]) -> tuple[bytes, bytes, bytes]:
+    slopes = np.concatenate([b.slopes for b in group])
+    # The last of equal slopes counts.
+    _, last = np.unique(slopes[::-1], return_index=True)
+    keep = len(slopes) - 1 - last
+    sentences: dict[str, int] = {}
+    reason = []
+    for block in group:
+        names = [str(s) for s in block.states["reasons"]]
+        table = np.array([sentences.setdefault(s, len(sentences)) for s in names] or [0])
+        reason.append(table[block.states["reason"]])
+    states = {
+        "status": np.concatenate([b.states["status"] for b in group])[keep],
+        "reason": np.concatenate(reason)[keep].astype(np.int32),
+        "reasons": np.array(list(sentences) or [""]),
+    }
+    parts = [journal.variables(b.id) for b in group]
+    names = sorted({name for part in parts for name in part})
+    data = {
+        name: _stacked(
+            [(part.get(name), len(b.slopes)) for part, b in zip(parts, group, strict=True)], VARIABLES[name].absent
+        )[keep]
+        for name in names
+    }
+    return slopes[keep].tobytes(), serialize.dump(states), serialize.dump(data)
+
+
+def _stacked(parts: list[tuple[np.ndarray | None, int]], absent: float) -> np.ndarray:
+    """Blocks of one variable under each other, as wide as the widest; `absent` where one has no such gait."""
+    there = [p for p, _ in parts if p is not None]
+    shape = tuple(max(p.shape[k] for p in there) for k in range(1, there[0].ndim))
+    values = np.full((sum(n for _, n in parts), *shape), absent, there[0].dtype)
+    start = 0
+    for part, n in parts:
+        if part is not None:
+            values[(slice(start, start + n), *(slice(k) for k in part.shape[1:]))] = part
+        start += n
+    return values

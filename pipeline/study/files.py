@@ -1,0 +1,51 @@
+"""The TOML files of studies and walkers."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pipeline import dispatch
+from pipeline.errors import StudyError
+from pipeline.study.location import Place, clip
+
+MOST_BYTES = 1 << 20
+
+
+def _toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
+    shown = clip(shown, 200)
+    try:
+        if not path.is_file():
+            raise StudyError(f"{shown} is not a file." if path.exists() else f"There is no file {shown}.")
+        if path.stat().st_size > MOST_BYTES:
+            raise StudyError(f"{shown} is larger than 1 MiB.")
+        text = path.read_text(encoding="utf-8")
+        return text, tomllib.loads(text)
+    except (OSError, ValueError) as error:
+        # A TOML error may quote control characters or a path with a null byte.
+        detail = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
+        raise StudyError(f"{shown} cannot be read: {clip(str(detail), 120)}.") from error
+    except RecursionError as error:
+        raise StudyError(f"{shown} is nested too deeply.") from error
+
+
+def walker(value: str | dict[str, Any], folder: Path, place: Place | None = None) -> str | dict[str, Any]:
+    """A walker's name, or its table where `value` names a file beside `folder` or is a table."""
+    place = place or Place("", "walker")
+    if isinstance(value, dict):
+        return value
+    if not value.endswith(".toml"):
+        known = dispatch.resolve("tasks.walkers.catalogue:CATALOGUE")
+        if value not in known:
+            raise place.unknown(value, [*known, "or a file FILE.toml"])
+        return value
+    if place.file and Path(value).is_absolute():
+        raise place.wrong("must be a path relative to the study", value)
+    try:
+        _, table = _toml(folder / value, value)
+    except StudyError as error:
+        raise place.error(str(error)) from error
+    if not isinstance(table.get("walker"), dict):
+        raise place.error(f"{clip(value)} has no [walker] table")
+    return table["walker"]

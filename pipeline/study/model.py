@@ -1,0 +1,92 @@
+"""A checked study as plain, frozen data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one point may take before it is given up."""
+
+    seconds: float = 60.0
+    memory: int = 2 << 30
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One dimension of the grid."""
+
+    name: str
+    values: np.ndarray = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A checked study. `walkers` are names or plain tables, `names` what they are called; `axes` are as written.
+
+    `walker_axis` says whether the walkers are a dimension; `checks` is what `tasks` says of each of them.
+    """
+
+    name: str
+    text: str
+    kind: str
+    walkers: tuple[str | dict[str, Any], ...]
+    gaits: tuple[str, ...]
+    axes: tuple[Axis, ...]
+    variables: tuple[str, ...]
+    fits: tuple[str, ...] = ()
+    figures: tuple[str, ...] = ()
+    claims: tuple[str, ...] = ()
+    limits: Limits = Limits()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    path: Path = Path()
+    walker_axis: bool = False
+    names: tuple[str, ...] = ("walker",)
+    checks: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def slope(self) -> np.ndarray:
+        """Values of the slope axis, shape (n,) [rad]."""
+        return next(a.values for a in self.axes if a.name == "slope")
+
+    @property
+    def line_axes(self) -> tuple[Axis, ...]:
+        """Every axis but the slope."""
+        return tuple(a for a in self.axes if a.name != "slope")
+
+    @property
+    def line_shape(self) -> tuple[int, ...]:
+        """Shape of the grid of lines: walkers first, then `line_axes`."""
+        return (len(self.walkers), *map(len, self.line_axes))
+
+    @property
+    def lines(self) -> int:
+        """How many lines there are."""
+        return math.prod(self.line_shape)
+
+    @property
+    def points(self) -> int:
+        """How many grid points there are."""
+        return self.lines * len(self.slope)
+
+    def line(self, number: int) -> dict[str, Any]:
+        """The line of that number, in C order of `line_shape`, as plain data."""
+        values = {}
+        for axis in reversed(self.line_axes):
+            number, k = divmod(number, len(axis))
+            values[axis.name] = float(axis.values[k])
+        return {"walker": self.walkers[number], "set": {a.name: values[a.name] for a in self.line_axes}}
+
+    def name_of(self, number: int) -> str:
+        """What the walker of a line is called."""
+        return self.names[number * len(self.walkers) // self.lines]

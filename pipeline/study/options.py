@@ -1,0 +1,60 @@
+"""Check the `[options]` of a study: every one known to its kind, and of the sort it must be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pipeline.study.location import Place
+from tasks.registry import CURVE, FOLLOWED, GAITS, OPTIONS
+
+_MOST = 10**6
+
+
+def check(options: Any, kind: str, axes: tuple[str, ...], place: Place) -> dict[str, Any]:
+    """The options of a study of that kind; `axes` are the keys a study may sweep.
+
+    Raises
+    ------
+    StudyError
+        If one is unknown or cannot be.
+    """
+    if not isinstance(options, Mapping):
+        raise place.wrong("must be a table", options)
+    known = OPTIONS.get(kind, {})
+    if options and not known:
+        raise place.error(f"A study of kind `{kind}` has no options; got {', '.join(options)}")
+    for name, value in options.items():
+        if name not in known:
+            raise place.unknown(name, known)
+        _check(value, known[name], axes, place.at(name))
+    found = dict(options)
+    if kind == "curve" and not (low := {**CURVE, **found}["from"]) < (high := {**CURVE, **found}["to"]):
+        raise place.at("from").wrong(f"must be less than `to` = {high!r}", low)
+    return found
+
+
+def _check(value: Any, what: str, axes: tuple[str, ...], place: Place) -> None:
+    if what == "count or 0" and not (_count(value) or value == 0):
+        raise place.wrong(f"must be a whole number from 0 to {_MOST:,}", value)
+    if what == "count" and not _count(value):
+        raise place.wrong(f"must be a whole number from 1 to {_MOST:,}", value)
+    if what == "counts" and not (isinstance(value, list) and value and all(map(_count, value))):
+        raise place.wrong("must be a list of whole numbers from 1", value)
+    if what == "number":
+        place.number(value)
+    if what == "positive" and not place.number(value) > 0:
+        raise place.wrong("must be above 0", value)
+    if what == "range":
+        if not isinstance(value, list) or len(value) != 2 or not place.number(value[0]) < place.number(value[1]):
+            raise place.wrong("must be two numbers that rise", value)
+    names = {"gait": GAITS, "key": tuple(a for a in axes if a != "slope"), "kinds": FOLLOWED}.get(what, ())
+    if what == "kinds" and (not isinstance(value, list) or not value):
+        raise place.wrong(f"must be a list of {', '.join(FOLLOWED)}", value)
+    for name in value if what == "kinds" else [value] if names else []:
+        if name not in names:
+            raise place.unknown(str(name), names)
+
+
+def _count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MOST

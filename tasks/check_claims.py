@@ -1,0 +1,89 @@
+"""The ledger: what the paper claims, what was computed of it, and the verdict."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tasks.paper import published_tables, tuned_walkers
+from tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, Finding
+from tasks.paper.lines import remember, remember_tables
+from tasks.registry import VARIABLES
+
+Arrays = dict[str, np.ndarray]
+#: Tables that go with a claim.
+_TABLES = {
+    "P1": (published_tables.rounding,),
+    "Z6": (published_tables.figure9, published_tables.figure10),
+    "T7": (lambda: {f"offsets/{k}": v for k, v in tuned_walkers.offsets().items()},),
+}
+
+
+def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Check claims of the paper.
+
+    Parameters
+    ----------
+    params : mapping
+        `ids`, names of claims; `lines` of the study.
+    inputs : list
+        One dict a line, with its atlas and the tables of the study's own task; what a claim needs and the study has not
+        is computed here.
+
+    Returns
+    -------
+    dict
+        Table `claims`: id, printed, source, computed, value, interval, interval_low, interval_high, verdict, figure,
+        command;
+        with claim P1 `rounding`, with Z6 `figure9` and `figure10`, with T7 `offsets`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such claim.
+    """
+    unknown = [name for name in params["ids"] if name not in CLAIMS]
+    if unknown:
+        raise ValueError(f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}")
+    for line, data in zip(params["lines"], inputs, strict=False):
+        if not isinstance(line["walker"], str):
+            continue
+        atlas = {k: v for k, v in data.items() if k not in VARIABLES and k not in ("slope", "reasons") and "/" not in k}
+        if atlas:
+            remember(line["walker"], line["set"], atlas)
+        remember_tables(line["walker"], {k: v for k, v in data.items() if "/" in k})
+    wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(re.sub(r"\D", "", c.id))))
+    rows = [_row(claim, _found(claim)) for claim in wanted]
+    out: Arrays = {f"claims/{k}": np.array([row[k] for row in rows]) for k in (rows[0] if rows else {})}
+    for claim in wanted:
+        for table in _TABLES.get(claim.id, ()):
+            out |= table()
+    return out
+
+
+def _found(claim: Claim) -> Finding:
+    """What a claim's function finds; a claim whose gaits are lost is not checkable, and says why."""
+    try:
+        with np.errstate(all="ignore"):
+            return claim.find()
+    except (ValueError, ArithmeticError, LookupError, np.linalg.LinAlgError) as error:
+        return Finding(f"{type(error).__name__}: {error}", NOT_CHECKABLE)
+
+
+def _row(claim: Claim, found: Finding) -> dict[str, Any]:
+    return {
+        "id": claim.id,
+        "printed": claim.printed,
+        "source": claim.source,
+        "computed": found.computed,
+        "value": float(found.value),
+        "interval": f"{found.low:.12g} to {found.high:.12g}" if found.low <= found.high else "",
+        "interval_low": float(found.low),
+        "interval_high": float(found.high),
+        "verdict": found.verdict,
+        "figure": claim.figure,
+        "command": claim.command,
+    }

@@ -1,0 +1,51 @@
+"""The root of a function of one variable in a bracket, for tests whose every value costs a corrected gait.
+
+scipy's would do as well, but loading it takes longer than most studies' first atlas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+MOST_STEPS = 60
+
+
+def bracketed_root(function: Callable[[float], float], a: float, b: float, tolerance: float = 0.0) -> float:
+    """The root between a and b, to `tolerance` or to rounding.
+
+    Inverse quadratic interpolation where three values allow it, bisection elsewhere (T. R. Chandrupatla, Advances in
+    Engineering Software 28 (1997) 145-149).
+
+    Raises
+    ------
+    ValueError
+        Where the function has the same sign at both ends.
+    """
+    at_a, at_b = function(a), function(b)
+    if at_a == 0 or at_b == 0:
+        return a if at_a == 0 else b
+    if not at_a * at_b < 0:
+        raise ValueError(f"no change of sign between {a!r} and {b!r}")
+    part = 0.5
+    for _ in range(MOST_STEPS):
+        x = a + part * (b - a)
+        at_x = function(x)
+        if (at_x > 0) == (at_a > 0):
+            c, at_c = a, at_a
+        else:
+            c, at_c, b, at_b = b, at_b, a, at_a
+        a, at_a = x, at_x
+        best = a if abs(at_a) < abs(at_b) else b
+        near = (2 * np.finfo(float).eps * abs(best) + 0.5 * tolerance) / abs(b - a)
+        if near > 0.5 or at_a == 0:
+            return best
+        place, value = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
+        part = 0.5
+        if value**2 < place and (1 - value) ** 2 < 1 - place:
+            part = at_a / (at_b - at_a) * at_c / (at_b - at_c) + (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (
+                at_c - at_b
+            )
+        part = min(1 - near, max(near, part))
+    return best

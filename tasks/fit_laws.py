@@ -1,0 +1,186 @@
+"""Fits over whole lines of gaits: scaling laws and the transition."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from tasks.fits import power_law
+from tasks.fits import transition as laws
+from tasks.registry import GAITS
+
+Arrays = dict[str, np.ndarray]
+#: A piece of a branch, by the numbers of both, and the points of it over which the local exponent stands still.
+_Run = tuple[tuple[int, int], np.ndarray, np.ndarray]
+#: How the fitted quantities depend on each other: name, abscissa, ordinate.
+QUANTITIES = (("stance_angle", "slope", "stance_angle"), ("speed", "slope", "speed"), ("power_speed", "speed", "power"))
+
+
+def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Power laws of both gaits of every line, at vanishing and at larger slopes (section 6.2 of the paper).
+
+    A law never goes across two branches, nor through a fold: each is fitted on one piece of one branch.
+
+    Parameters
+    ----------
+    params : mapping
+        `lines`.
+    inputs : list
+        One dict a line: `slope` (n,), `stance_angle`, `speed`, `power`, `branch`, `piece` (n, gaits).
+
+    Returns
+    -------
+    dict
+        Table `fits/scaling`, a row per line, gait, quantity and regime, with the branch and the piece it was fitted on;
+        where there is no plateau the numbers are NaN, `n` is 0 and both are -1.
+    """
+    rows: list[dict[str, Any]] = []
+    for line, data in zip(params["lines"], inputs):
+        for g, gait in enumerate(GAITS[:2]):
+            for quantity, abscissa, ordinate in QUANTITIES:
+                x = data["slope"] if abscissa == "slope" else data[abscissa][:, g]
+                y = data[ordinate][:, g]
+                good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
+                curves = {key: _sorted(x[mine], y[mine]) for key, mine in _curves(data, g, good).items()}
+                rows += _laws({**_coordinates(line), "gait": gait, "quantity": quantity}, curves)
+    return _table("fits/scaling", rows)
+
+
+def _curves(data: Arrays, g: int, good: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
+    """Where a gait's good points lie on each piece of a branch, by the numbers of both."""
+    place = list(zip(data["branch"][:, g].tolist(), data["piece"][:, g].tolist()))
+    return {key: good & np.array([p == key for p in place]) for key in sorted({p for p, ok in zip(place, good) if ok})}
+
+
+def _sorted(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    order = np.argsort(x)
+    return x[order], y[order]
+
+
+def _laws(
+    head: dict[str, Any], curves: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+) -> list[dict[str, Any]]:
+    """The law at the smallest abscissae, and the one at the largest if it is another, each of one curve."""
+    small = min(_plateaus(curves, power_law.FLATNESS), key=_start, default=None)
+    # Above the transition the law only comes close to a power, so the rule is looser there.
+    large = max(_plateaus(curves, 5 * power_law.FLATNESS), key=_start, default=None)
+    if (
+        small
+        and large
+        and small[0] == large[0]
+        and (_start(large) < small[1][-1] or abs(_exponent(*large[1:]) - _exponent(*small[1:])) < 0.1)
+    ):
+        large = None
+    rows = []
+    for regime, run in (("small", small), ("large", large)):
+        law = power_law.fit(*run[1:]) if run else None
+        (branch, piece), values = (-1, -1), (*[np.nan] * 6, 0)
+        if run and law:
+            (branch, piece), values = (
+                run[0],
+                (law.exponent, law.low, law.high, law.amplitude, law.x_from, law.x_to, law.n),
+            )
+        names = ("exponent", "exponent_low", "exponent_high", "amplitude", "from", "to", "n")
+        rows.append({**head, "regime": regime, "branch": branch, "piece": piece, **dict(zip(names, values))})
+    return rows
+
+
+def _plateaus(curves: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]], flatness: float) -> Iterator[_Run]:
+    for key, (x, y) in curves.items():
+        runs = power_law.plateaus(x, y, flatness) if len(x) > power_law.LEAST_POINTS else []
+        yield from ((key, x[first : last + 1], y[first : last + 1]) for first, last in runs)
+
+
+def _start(run: _Run) -> float:
+    return float(run[1][0])
+
+
+def _exponent(x: np.ndarray, y: np.ndarray) -> float:
+    return float(np.log(y[-1] / y[0]) / np.log(x[-1] / x[0]))
+
+
+def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Where the short step of light feet turns from slope to slope^(1/3), and how that moves with the foot's mass.
+
+    Parameters
+    ----------
+    params : mapping
+        `lines`, each with a `foot_mass_ratio` (or walkers E and F).
+    inputs : list
+        One dict a line: `slope` (n,), `stance_angle`, `branch`, `piece` (n, gaits).
+
+    Returns
+    -------
+    dict
+        Table `fits/transition`, a row per ratio, heaviest first, all of it from the piece of a branch that comes to the
+        smallest slope: its numbers, amplitude of the linear law, crossing of the exact
+        asymptotes, crossing of fitted lines, the asymptotic formula, and the local exponent
+        d ln slope_transition / d ln ratio towards the next lighter foot.
+    """
+    g = GAITS.index("short")
+    rows = []
+    for line, data in zip(params["lines"], inputs):
+        ratio = line["set"].get("foot_mass_ratio", {"E": 0.1, "F": 0.05}.get(line["walker"], np.nan))
+        if not ratio > 0:
+            continue
+        curves = _curves(data, g, np.isfinite(data["stance_angle"][:, g]))
+        (branch, piece), mine = min(curves.items(), key=lambda c: data["slope"][c[1]].min(), default=((-1, -1), []))
+        slope, angle = _sorted(data["slope"][mine], data["stance_angle"][mine, g])
+        if len(slope) < 4:
+            continue
+        linear, error, to, n = laws.linear_amplitude(slope, angle)
+        exact = laws.crossing(linear, laws.CUBE_ROOT)
+        fitted, low, high = laws.fitted_crossing(slope, angle, exact)
+        rows.append(
+            {
+                "foot_mass_ratio": ratio,
+                "branch": branch,
+                "piece": piece,
+                "amplitude_linear": linear,
+                "amplitude_linear_error": error,
+                "linear_to": to,
+                "n": n,
+                "amplitude_cube_root": laws.CUBE_ROOT,
+                "slope_transition": exact,
+                "slope_transition_fitted": fitted,
+                "fitted_below": low,
+                "fitted_above": high,
+                "asymptotic": float(laws.asymptotic(np.array(ratio))),
+            }
+        )
+    rows.sort(key=lambda r: -r["foot_mass_ratio"])
+    for name, key in (("local_exponent", "slope_transition"), ("local_exponent_fitted", "slope_transition_fitted")):
+        for row, after in zip(rows, [*rows[1:], None]):
+            row[name] = (
+                np.nan
+                if after is None
+                else float(np.log(row[key] / after[key]) / np.log(row["foot_mass_ratio"] / after["foot_mass_ratio"]))
+            )
+    table = _table("fits/transition", rows)
+    by_ratio = {round(r["foot_mass_ratio"], 12): r for r in rows}
+    if 0.1 in by_ratio and 0.05 in by_ratio:
+        heavy, light = by_ratio[0.1], by_ratio[0.05]
+        table |= _table(
+            "fits/transition_ratio",
+            [
+                {
+                    "pair": "E / F",
+                    "foot_mass_ratios": "0.1 / 0.05",
+                    "predicted": 2**1.5,
+                    "exact_asymptotes": heavy["slope_transition"] / light["slope_transition"],
+                    "fitted_lines": heavy["slope_transition_fitted"] / light["slope_transition_fitted"],
+                }
+            ],
+        )
+    return table
+
+
+def _coordinates(line: Mapping[str, Any]) -> dict[str, Any]:
+    return {"walker": line.get("name", line["walker"]), **line["set"]}
+
+
+def _table(group: str, rows: list[dict[str, Any]]) -> Arrays:
+    """Rows as the columns of one group."""
+    return {f"{group}/{k}": np.array([r[k] for r in rows]) for k in (rows[0] if rows else {})}

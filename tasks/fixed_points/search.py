@@ -1,0 +1,90 @@
+"""Fixed points from nothing: a lattice of initial guesses over the section."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tasks.fixed_points.newton import newton
+from tasks.fixed_points.step_check import judged
+from tasks.step.problem import Problem
+from tasks.step.step_map import Stride
+from tasks.step.verify_step import Verdict
+
+#: Rough starts this far away at their first, second, ... step are given up: hardly one arrives, and others do.
+HOPELESS = (20.0, 6.0, 4.0, 3.0)
+#: Rough starts in one cell of this size after three steps arrive at one gait: the nearest to it goes on.
+MERGED = 0.1
+
+
+def starts(problem: Problem, slope: float) -> np.ndarray:
+    """A fixed lattice of starts over step length, period and swing rate, shape (m + phases, n).
+
+    Notes
+    -----
+    Stance angles run from the linear (slope) to the cube-root scaling; the stance rate is that of an inverted
+    pendulum that crosses from +angle to -angle in the period.
+    """
+    top = np.log(min(2.0 * slope ** (1 / 3), 0.7))
+    bottom = np.log(max(1.5 * slope, 0.02 * slope ** (1 / 3)))
+    angles = np.linspace(bottom, top, 9)
+    periods = np.array([2.0, 2.5, 3.0, 3.5, 4.0])
+    swing = (
+        np.array([1.0])
+        if problem.m == 2
+        else np.array([-0.9, -0.3, 0.3])
+        if problem.phases == 2
+        else np.array([1.0, 0.5])
+    )
+    knee = np.array([0.55, 0.75]) if problem.phases == 2 else np.array([1.0])
+    grid = np.meshgrid(angles, periods, swing, knee, indexing="ij")
+    log_angle, period, ratio, fraction = (g.ravel() for g in grid)
+    rate = -1.0 / np.tanh(period / 2)
+    rows = [log_angle, rate]
+    if problem.m == 3:
+        rows.append(-ratio * rate if problem.phases == 2 else ratio * rate)
+    if problem.phases == 2:
+        rows.append(fraction * period)
+    return np.vstack([*rows, period])
+
+
+def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, Verdict | None]:
+    """Every gait the lattice of starts leads to at one slope, distinct, in order of the stance angle.
+
+    Returns
+    -------
+    w : ndarray, shape (m + phases, found)
+    stride, verdict
+        Their strides and what those are; None where nothing was found.
+    """
+    w = found_at(problem, [slope])[0]
+    if not w.shape[1]:
+        return w, None, None
+    return w, *judged(problem, w, np.full(w.shape[1], np.log(slope)))
+
+
+def found_at(problem: Problem, slopes: Sequence[float]) -> list[np.ndarray]:
+    """Fixed points, steps or not, that the lattice of starts leads to at each of some slopes, shapes (m + phases,
+    found)."""
+    lattice = [starts(problem, slope) for slope in slopes]
+    at = np.repeat(np.arange(len(slopes)), [w.shape[1] for w in lattice])
+    w, log_slope = np.hstack(lattice), np.log(np.asarray(slopes))
+    if problem.phases == 2:
+        # Three links are dear: the search flies roughly, and only what it finds is flown exactly.
+        near = newton(problem, w, log_slope[at], rough=True, hopeless=HOPELESS, merge=MERGED)
+        w, at = _distinct(near.w[:, near.converged], at[near.converged], 1e-3)
+    solved = newton(problem, w, log_slope[at])
+    w, at = _distinct(solved.w[:, solved.converged], at[solved.converged], 1e-5)
+    return [w[:, at == i] for i in range(len(slopes))]
+
+
+def _distinct(w: np.ndarray, at: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of w in a fixed order, without those nearer than `apart` to one kept that shares their `at`."""
+    order = np.lexsort([*np.round(w, 6)[::-1], at])
+    w, at = w[:, order], at[order]
+    keep: list[int] = []
+    for i in range(w.shape[1]):
+        if all(at[i] != at[j] or np.abs(w[:, i] - w[:, j]).max() > apart for j in keep):
+            keep.append(i)
+    return w[:, keep], at[keep]

@@ -1,0 +1,126 @@
+"""Branches of gaits over a window of slopes, with their special points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tasks.continuation import atlas as atlases
+from tasks.continuation.branch import Branch
+from tasks.continuation.sampling import chosen, within
+from tasks.continuation.special_points import located, special_points
+from tasks.fixed_points.multipliers import multipliers
+from tasks.fixed_points.step_check import gait_ratio
+from tasks.measures import violations
+from tasks.step.problem import EPS, Problem
+from tasks.walkers.resolve import resolve
+
+#: Places between two nodes beyond which a window is too narrow for more.
+MOST_PARTS = 65536
+
+
+def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Follow a line's gaits through folds to their ends.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `slope_from`, `slope_to` [rad], the window; `n`, the least number of points of a branch in it, or
+        `adaptive`, the tolerance of straight lines between them.
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Tables `branches` (branch, slope, stance_angle, period, kneestrike_time, spectral_radius, stable, gait) and
+        `special_points` (branch, kind, slope, stance_angle, period, error_bound), in the walker's units.
+    """
+    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    problem = Problem(walker)
+    second = np.sqrt(walker.leg / walker.g)
+    low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
+    tolerance = float(params.get("adaptive", 0.0))
+    rows: dict[str, list[np.ndarray]] = {
+        k: []
+        for k in ("branch", "slope", "stance_angle", "period", "kneestrike_time", "spectral_radius", "stable", "gait")
+    }
+    points: list[dict[str, Any]] = []
+    for number, found in enumerate(atlases.from_arrays(inputs[0])):
+        Z = chosen(problem, found, low, high, tolerance) if tolerance else _dense(found, low, high, least)
+        if not len(Z):
+            continue
+        m = found.m
+        stride, _ = problem.stride(np.delete(Z, m, axis=1).T, Z[:, m])
+        radius = np.abs(multipliers(stride.jacobian, m)).max(axis=1)
+        times = Z[:, m + 1 :] * second
+        knee = times[:, 0] if problem.phases == 2 else np.full(len(Z), np.nan)
+        for key, value in (
+            ("branch", np.full(len(Z), number)),
+            ("slope", np.exp(Z[:, m])),
+            ("stance_angle", np.exp(Z[:, 0])),
+            ("period", times[:, -1]),
+            ("kneestrike_time", knee),
+            ("spectral_radius", radius),
+            ("stable", (radius < 1).astype("i1")),
+            ("gait", np.where(gait_ratio(stride) < 0.5, "long", "short")),
+        ):
+            rows[key].append(value)
+        for point in special_points(problem, found) + contact_lost(problem, found, low, high):
+            if low <= float(point["slope"]) <= high and point["kind"] != "window":
+                points.append({"branch": number, **point, "period": float(point["period"]) * second})
+    out = {f"branches/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in rows.items()}
+    for key in ("branch", "kind", "slope", "stance_angle", "period", "error_bound"):
+        out[f"special_points/{key}"] = np.array([p[key] for p in points])
+    return out
+
+
+def contact_lost(problem: Problem, found: Branch, low: float, high: float) -> list[dict[str, float | str]]:
+    """Where in a window of slopes the least normal force of the ground over a step vanishes: the foot would let go.
+
+    Returns
+    -------
+    list of dict
+        As `special_points`, of kind `end_contact_lost`; the map knows nothing of it, and the branch goes on.
+    """
+    m = found.m
+
+    def least(X: np.ndarray, times: np.ndarray, samples: int = violations.SAMPLES) -> np.ndarray:
+        stride, scale = problem.stride(np.vstack([X[:m], times]), X[m], samples=samples)
+        assert stride.motion is not None
+        return violations.measure(
+            problem.walker, [part * scale for part in stride.motion], stride.impact * scale, times, np.exp(X[m])
+        )["least_normal_force"]
+
+    inside = (found.q >= np.log(low)) & (found.q <= np.log(high))
+    near = np.nonzero(np.convolve(inside, np.ones(3), "same"))[0]  # and a node either side
+    force = np.full(len(inside), np.nan)
+    force[near] = least(found.Z[near, : m + 1].T, found.Z[near, m + 1 :].T)
+    records: list[dict[str, float | str]] = []
+    for segment in np.nonzero(force[1:] * force[:-1] < 0)[0]:
+        point, _ = located(problem, found, int(segment), lambda point, way: float(least(point.X, point.times)[0]))
+        # Closer samples tell how far off the least of a sampled force is.
+        off = least(point.X, point.times, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
+        error = abs(float(off * (found.q[segment + 1] - found.q[segment])))
+        records.append(
+            {
+                "kind": "end_contact_lost",
+                "slope": float(np.exp(point.X[m, 0])),
+                "stance_angle": float(np.exp(point.X[0, 0])),
+                "period": float(point.times[-1, 0]),
+                "error_bound": error + 64 * EPS,
+            }
+        )
+    return records
+
+
+def _dense(found: Branch, low: float, high: float, least: int) -> np.ndarray:
+    """The branch within the window, at its nodes and at so many places between that there are enough."""
+    parts = 1
+    while True:
+        _, rows = within(found, np.log(low), np.log(high), parts)
+        if not len(rows) or len(rows) >= least or parts >= MOST_PARTS:
+            return rows
+        parts *= 2

@@ -1,0 +1,176 @@
+"""Curves of folds, flips and ends of walking in slope and one more key of a walker."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from tasks.continuation import atlas as atlases
+from tasks.continuation.branch import Branch
+from tasks.continuation.codimension_one import DIFFERENCE, ENDS, SCALARS, Curve, Point, equations_of, follow, turning
+from tasks.continuation.special_points import special_points
+from tasks.registry import CURVE
+from tasks.step.problem import Problem
+from tasks.walkers.resolve import resolve
+from tasks.walkers.walker import Walker, WalkerError
+
+Arrays = dict[str, np.ndarray]
+COLUMNS = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "walks")
+TURNS = ("curve", "kind", "turn", "slope", "key", "value", "stance_angle", "period", "error_bound")
+
+
+def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Follow a line's special points as one key moves.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`, where the curves begin if its own value of the key lies in the range and any of the points are there,
+        else at an end of the range, the nearer first; `slope`, ndarray [rad], whose ends are the window; and the
+        study's options: `key` (a walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range, and `kinds`
+        of points.
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Tables `curves` (curve, kind, slope, key, value, stance_angle, period, walks) and `turnings` (where along a
+        curve the key or the slope turns back: curve, kind, turn, slope, key, value, stance_angle, period,
+        error_bound).
+
+    Raises
+    ------
+    WalkerError
+        If the key is none of the walker's, or the range is empty.
+    """
+    line, options = params["line"], {**CURVE, **{k: params[k] for k in CURVE if k in params}}
+    key, low, high = str(options["key"]), float(options["from"]), float(options["to"])
+    if not low < high:
+        raise WalkerError("from", low, f"must be less than `to` = {high!r}")
+
+    def walker_at(value: float) -> Walker:
+        return resolve(line["walker"], {**line.get("set", {}), key: value})
+
+    # Off any special value: what equations hold there hold all over the range.
+    usual = low + 0.4871 * (high - low)
+    walker_at(usual)
+    here = resolve(line["walker"], line.get("set"))
+    own = float(
+        line.get("set", {}).get(
+            key, 0.0 if key == "detuning" else _ratio(here) if key == "foot_mass_ratio" else getattr(here, key)
+        )
+    )
+    slope = np.asarray(params["slope"], float)
+    window = {"q": (np.log(slope.min()), np.log(slope.max())), "key": (low, high)}
+    rows: dict[str, list[Any]] = {k: [] for k in COLUMNS}
+    turns: dict[str, list[Any]] = {k: [] for k in TURNS}
+    for begin in _beginnings(own, low, high):
+        if not _ordinary(walker_at, begin, usual, DIFFERENCE * (high - low)):
+            begin += 1e-3 * (usual - begin)
+        problem = Problem(walker_at(begin))
+        branches = atlases.from_arrays(inputs[0]) if begin == own else atlases.survey(problem)
+        seeds = _seeds(problem, branches, options["kinds"], window)
+        seen: list[tuple[str, np.ndarray]] = []
+        for kind, U, times in seeds:
+            equations = equations_of(kind, walker_at, usual, high - low)
+            U = equations.begin(U, times, begin)
+            border = np.zeros(len(U))
+            border[-1] = 1.0
+            first = equations.correct(U, times, border)
+            if not first.ok or any(k == kind and np.abs(first.U - p).max() < 1e-3 for k, p in seen):
+                continue
+            points = _both_ways(equations, first, window)
+            # A curve that comes back to the line it began on passes through another of its points.
+            seen += [(kind, p.U) for p in _back_at(equations, points, first)]
+            number = len(set(rows["curve"]))
+            for p in points:
+                _add(rows, (number, kind, *_place(equations, p, key, window), int(equations.walks(p))))
+            for component, turn in ((-1, "key"), (-2, "slope")):
+                for a, b in itertools.pairwise(points):
+                    found = turning(equations, a, b, component)
+                    if found is not None and found.ok:
+                        _add(turns, (number, kind, turn, *_place(equations, found, key, window), found.error))
+        if seen:
+            break
+    return {f"curves/{k}": np.array(v) for k, v in rows.items()} | {
+        f"turnings/{k}": np.array(v) for k, v in turns.items()
+    }
+
+
+def _beginnings(own: float, low: float, high: float) -> list[float]:
+    """Where curves may begin: at the walker's own value, or the end of the range nearest to it; then at the ends."""
+    return list(dict.fromkeys([min(max(own, low), high), *sorted((low, high), key=lambda end: abs(end - own))]))
+
+
+def _ordinary(walker_at: Callable[[float], Walker], value: float, usual: float, h: float) -> bool:
+    """Whether a curve can begin at a value: walkers beside it exist, and its map has the dimension of a usual one."""
+    try:
+        return all(walker_at(v).point_foot == walker_at(usual).point_foot for v in (value - h, value, value + h))
+    except WalkerError:
+        return False
+
+
+def _add(table: dict[str, list[Any]], row: tuple[Any, ...]) -> None:
+    for column, value in zip(table.values(), row, strict=True):
+        column.append(value)
+
+
+def _place(equations: Curve, p: Point, key: str, window: Mapping[str, tuple[float, float]]) -> tuple[Any, ...]:
+    """Slope, key, its value, stance angle and period of a point, in the walker's units."""
+    walker = equations.walker(p.U)
+    slope, value = np.exp(np.clip(p.U[-2], *window["q"])), np.clip(p.U[-1] * equations.scale, *window["key"])
+    period = p.times[-1] * np.sqrt(walker.leg / walker.g)
+    return float(slope), key, float(value), float(np.exp(p.U[0])), float(period)
+
+
+def _ratio(walker: Walker) -> float:
+    return walker.m_s / walker.total_mass
+
+
+def _seeds(
+    problem: Problem, branches: list[Branch], kinds: Any, window: Mapping[str, tuple[float, float]]
+) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Special points of a line's branches to begin at: kind, (w, q) and event times."""
+    found = []
+    m = problem.m
+    for branch in branches:
+        for point in special_points(problem, branch):
+            q = np.log(float(point["slope"]))
+            if point["kind"] not in kinds or point["kind"] not in (*SCALARS, *ENDS):
+                continue
+            if not window["q"][0] <= q <= window["q"][1]:
+                continue
+            # Folds have a node of their own; between nodes the branch's polynomial is as good as a solution.
+            angle = np.log(float(point["stance_angle"]))
+            near = [branch.Z[np.argmin(np.abs(branch.Z[:, [0, m]] - [angle, q]).max(axis=1))]]
+            near += [Z[0] for _, Z, _ in branch.guesses(np.array([q]))]
+            Z = min(near, key=lambda z: abs(z[0] - angle) + abs(z[m] - q))
+            found.append((str(point["kind"]), Z[: m + 1], Z[m + 1 :]))
+    return found
+
+
+def _both_ways(equations: Curve, first: Point, window: Mapping[str, tuple[float, float]]) -> list[Point]:
+    """The curve through a point, from its falling to its rising end."""
+    down = follow(equations, Point(first.U, first.times, first.tangent.copy(), True, first.error), -1.0, window)
+    up = follow(equations, Point(first.U, first.times, first.tangent.copy(), True, first.error), 1.0, window)
+    for p in down:
+        p.tangent = -p.tangent
+    return down[:0:-1] + up
+
+
+def _back_at(equations: Curve, points: list[Point], first: Point) -> list[Point]:
+    """Where a curve crosses the key value it began at."""
+    found = [first]
+    border = np.zeros(len(first.U))
+    border[-1] = 1.0
+    value = first.U[-1]
+    for a, b in itertools.pairwise(points):
+        if (a.U[-1] - value) * (b.U[-1] - value) < 0:
+            h = (value - a.U[-1]) / (b.U[-1] - a.U[-1])
+            p = equations.correct((1 - h) * a.U + h * b.U, (1 - h) * a.times + h * b.times, border)
+            found += [p] if p.ok else []
+    return found

@@ -1,1 +1,0 @@
-"""The stride map, its fixed points, and their continuation."""

@@ -1,0 +1,33 @@
+"""The ledger of the paper's claims: each is one small function, entered under its id by `claim`.
+
+A new claim is one such function in any module named here; importing this package fills `CLAIMS`.
+"""
+
+from tasks.paper import (
+    appendix_a,
+    energy,
+    kneed_chaos,
+    physical_walker,
+    point_feet,
+    published_tables,
+    simplest_walker,
+    tuned_walkers,
+    zero_slope,
+)
+from tasks.paper.claim import CLAIMS, VERDICTS, Claim, Finding
+
+__all__ = [
+    "CLAIMS",
+    "VERDICTS",
+    "Claim",
+    "Finding",
+    "appendix_a",
+    "energy",
+    "kneed_chaos",
+    "physical_walker",
+    "point_feet",
+    "published_tables",
+    "simplest_walker",
+    "tuned_walkers",
+    "zero_slope",
+]

@@ -1,0 +1,203 @@
+"""Point feet with mass: walkers E and F and lighter ones (section 4.1 of the paper)."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+
+from tasks.fit_laws import transition
+from tasks.mechanics.lumped import constants_of
+from tasks.paper.claim import APPROXIMATELY, Finding, claim, verdict
+from tasks.paper.lines import LONG, SHORT, foot_ratio, line, numbers, root
+from tasks.step.problem import Problem
+from tasks.step.step_map import stride_map
+
+#: Foot masses over the total mass whose transition is followed down to where the 3/2 power is exact.
+RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)
+
+
+@claim(
+    "E1",
+    "the stride map is two-dimensional",
+    "section 4.1",
+    "figure5/loglog",
+    "gaitsweep solve --walker E --slope 0.01 --json",
+)
+def two_dimensional() -> Finding:
+    worst = max(_third(w) for w in ("E", "F"))
+    stored = line("E").at([0.01])
+    zero = bool((stored["multiplier_real"][0, :2, 2] == 0).all() and (stored["multiplier_imag"][0, :2, 2] == 0).all())
+    return Finding(
+        f"third multiplier exactly 0 on the two-dimensional section; on the general three-dimensional one "
+        f"it is {worst:.1g}",
+        verdict(zero and worst < 1e-12),
+        worst,
+    )
+
+
+def _third(walker: str) -> float:
+    """Smallest multiplier of both gaits at slope 0.01 on the section of a general straight-legged walker."""
+    problem = Problem(line(walker).walker)
+    problem.structure = replace(problem.structure, point_foot=False)
+    problem.map = stride_map(problem.structure)
+    problem.constants = constants_of(problem.walker, problem.structure)
+    problem.m = problem.map.m
+    found = line(walker).at([0.01])
+    unit = np.sqrt(problem.walker.leg / problem.walker.g)
+    angle = found["stance_angle"][0, :2]
+    w = np.stack(
+        [
+            np.log(angle),
+            found["stance_rate"][0, :2] / angle * unit,
+            found["thigh_rate"][0, :2] / angle * unit,
+            found["period"][0, :2] / unit,
+        ]
+    )
+    stride, _ = problem.stride(w, np.full(2, np.log(0.01)))
+    return float(np.abs(np.linalg.eigvals(np.moveaxis(stride.jacobian, -1, 0))).min(axis=1).max())
+
+
+@claim(
+    "E2",
+    "the long step grows as slope^(1/3)",
+    "section 4.1, figure 5",
+    "figure5/loglog",
+    "gaitsweep run data/studies/paper/figure5.toml",
+)
+def long_cube_root() -> Finding:
+    small = {w: line(w).exponent(LONG, 1e-8) for w in ("E", "F")}
+    large = {w: line(w).exponent(LONG, 0.05) for w in ("E", "F")}
+    off = max(abs(p - 1 / 3) for p in small.values())
+    return Finding(
+        f"local exponents at 1e-8: {numbers(small, 6)}; at 0.05: {numbers(large)}",
+        verdict(off < 1e-4 and max(abs(p - 1 / 3) for p in large.values()) < 0.05),
+        small["E"],
+    )
+
+
+@claim(
+    "E3",
+    "the short step is linear in slope below the transition and about slope^(1/3) above it",
+    "section 4.1, figure 5",
+    "figure5/loglog",
+    "gaitsweep run data/studies/paper/figure5.toml",
+)
+def short_two_laws() -> Finding:
+    small = {w: line(w).exponent(SHORT, 1e-8) for w in ("E", "F")}
+    large = {w: line(w).exponent(SHORT, 0.1) for w in ("E", "F")}
+    light = line("E", foot_mass_ratio=1e-4).exponent(SHORT, 1e-3)
+    linear = max(abs(p - 1) for p in small.values()) < 1e-4
+    cube = max(abs(p - 1 / 3) for p in large.values()) < 0.05 and abs(light - 1 / 3) < 0.01
+    return Finding(
+        f"local exponents at 1e-8: {numbers(small, 6)}; at 0.1: {numbers(large)} (at 0.01 still "
+        f"{line('E').exponent(SHORT, 0.01):.3f} and {line('F').exponent(SHORT, 0.01):.3f}); feet of 1e-4 of "
+        f"the mass at 1e-3: {light:.4f}",
+        verdict(linear and cube),
+        large["E"],
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def ladder() -> dict[str, np.ndarray]:
+    """The transition's table for feet of `RATIOS`."""
+    slope = np.geomspace(1e-11, 0.2, 220)
+    lines = [{"walker": "E", "set": {"foot_mass_ratio": r}} for r in RATIOS]
+    inputs = [line("E", foot_mass_ratio=r).at(slope, ("stance_angle",)) for r in RATIOS]
+    return transition({"lines": lines}, inputs)
+
+
+@claim(
+    "E4",
+    "the transition slope goes as (foot mass/total)^(3/2): a ratio of 2.83 between walkers E and F",
+    "section 4.1, figure 5; section 6.3",
+    "transition/transition_ladder",
+    "gaitsweep run data/studies/paper/figure5.toml data/studies/paper/transition.toml",
+)
+def transition_power() -> Finding:
+    table = ladder()
+    exact = float(table["fits/transition_ratio/exact_asymptotes"][0])
+    fitted = float(table["fits/transition_ratio/fitted_lines"][0])
+    powers = table["fits/transition/local_exponent"][:-1]
+    steps = ", ".join(f"{p:.4f}" for p in powers)
+    limit = abs(powers[-1] - 1.5) < 0.01
+    return Finding(
+        f"E over F {fitted:.3f} by fitted lines as the paper draws them, {exact:.3f} by the exact "
+        f"asymptotes (2^1.5 = 2.828); local power between foot masses "
+        f"{', '.join(f'{r:g}' for r in RATIOS)}: {steps}, tending to 3/2",
+        APPROXIMATELY if limit else verdict(False),
+        fitted,
+    )
+
+
+@claim(
+    "E5",
+    "above the transition both walkers' short steps follow similar curves",
+    "section 4.1, figure 5",
+    "figure5/loglog",
+    "gaitsweep solve --walker F --slope 0.1 --json",
+)
+def one_line() -> Finding:
+    slopes = np.array([1e-6, 0.01, 0.05, 0.1, 0.2])
+    e, f = (line(w).at(slopes)["stance_angle"] for w in ("E", "F"))
+    short, long = f[:, SHORT] / e[:, SHORT], f[:, LONG] / e[:, LONG]
+    listed = ", ".join(f"{r:.4f} at {s:g}" for r, s in zip(short, slopes, strict=True))
+    return Finding(
+        f"short step of F over that of E: {listed}; long step within {np.abs(long - 1).max():.3f}",
+        verdict(abs(short[3] - 1) < 0.02, abs(short[3] - 1) < 0.1),
+        float(short[3]),
+    )
+
+
+def speed_crossing(walker: str) -> float:
+    """The slope at which a walker's short step becomes the faster one; NaN where it never changes."""
+    own = line(walker)
+
+    def lead(slope: float) -> float:
+        speed = own.at([slope], ("speed",))["speed"][0]
+        return float(np.log(speed[SHORT] / speed[LONG]))
+
+    grid = own.grid()
+    return root(lead, grid["slope"], np.log(grid["speed"][:, SHORT] / grid["speed"][:, LONG]))
+
+
+@claim(
+    "E6",
+    "the long step is faster as the slope vanishes, the short step above the transition",
+    "section 4.1; figure 10",
+    "figure11/loglog",
+    "gaitsweep solve --walker E --slope 0.01 --json",
+)
+def faster() -> Finding:
+    found = {w: speed_crossing(w) for w in ("A", "B", "C", "E", "F")}
+    small = {w: line(w).grid() for w in found}
+    ahead = all(
+        g["speed"][0, LONG] > g["speed"][0, SHORT] and g["speed"][-1, SHORT] > g["speed"][-1, LONG]
+        for g in small.values()
+    )
+    return Finding(
+        f"speeds cross at slope {numbers(found, 6)}; of D the short step is faster at every slope",
+        verdict(ahead and all(np.isfinite(v) for v in found.values())),
+        found["E"],
+    )
+
+
+@claim(
+    "E7",
+    "at heelstrike x'/y' is far below 1 on the long step and far above 1 on the short one",
+    "section 4.1",
+    "figure5/loglog",
+    "gaitsweep solve --walker E --slope 1e-4 --json",
+)
+def tangential() -> Finding:
+    slopes = [1e-6, 1e-4, 1e-2, 0.1]
+    ratio = {w: foot_ratio(line(w).walker, line(w).at(slopes)) for w in ("E", "F")}
+    long = ", ".join(f"{r:.2g}" for r in ratio["E"][:, LONG])
+    short = ", ".join(f"{r:.3g}" for r in ratio["E"][:, SHORT])
+    clear = all(
+        (r[:, LONG] < 0.1).all() and (r[:, SHORT] > 3).all() and (r[:2, SHORT] > 100).all() for r in ratio.values()
+    )
+    return Finding(
+        f"E at slopes 1e-6, 1e-4, 0.01, 0.1: long {long}; short {short}", verdict(clear), float(ratio["E"][1, SHORT])
+    )

@@ -1,0 +1,149 @@
+"""Figures 9 and 10 of the paper as computed tables, and the table of rounding."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+
+from tasks.paper.claim import Finding, claim, verdict
+from tasks.paper.kneed_chaos import chaos
+from tasks.paper.lines import LONG, SHORT, line
+from tasks.paper.point_feet import speed_crossing
+from tasks.paper.rounding_intervals import LANDMARKS, interval
+from tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
+from tasks.walkers.tuning import statics
+from tasks.walkers.walker import NUMBERS
+
+Columns = dict[str, np.ndarray]
+#: Slopes at which figure 10's laws are read: vanishing, small (above C's last transition), larger.
+VANISHING, SMALL, LARGE = 1e-9, 3e-3, 0.05
+#: Figure 10 as printed: whether steps of each gait scale as slope^(1/3) at those slopes (short, long), who is faster.
+PRINTED = {
+    "D": ((True, True, True), (True, True, True), "short", "short"),
+    "E": ((False, None, True), (True, True, True), "long", "short"),
+    "A": ((False, None, True), (True, True, True), "long", "short"),
+    "C": ((False, None, True), (False, True, True), "long", "short"),
+}
+ROWS = ("D", "E", "F", "A", "B", "C")
+
+
+def _columns(group: str, rows: list[dict[str, Any]]) -> Columns:
+    return {f"{group}/{k}": np.array([row[k] for row in rows]) for k in rows[0]}
+
+
+def figure9() -> Columns:
+    """Parameters of the tuned walkers, as used and as printed, with the residuals of the static conditions."""
+    rows = []
+    for name in ("A", "A-printed", "B", "C", "C-printed", "D", "E", "F"):
+        walker = CATALOGUE[name]
+        residual = statics(walker)
+        rows.append(
+            {
+                "walker": name,
+                "description": DESCRIPTIONS[name],
+                "knees": int(walker.knees),
+                **{key: float(getattr(walker, key)) for key in NUMBERS},
+                "leg_offset": residual["leg_offset"],
+                "shank_offset": residual.get("shank_offset", np.nan),
+            }
+        )
+    return _columns("figure9", rows)
+
+
+@functools.lru_cache(maxsize=1)
+def _figure10() -> tuple[dict[str, Any], ...]:
+    rows = []
+    for name in ROWS:
+        own = line(name)
+        row: dict[str, Any] = {
+            "walker": name,
+            "description": DESCRIPTIONS[name],
+            "zero_slope_capable": int((own.at([1e-10])["status"][0, :2] == 0).all()),
+        }
+        for gait, g in (("short", SHORT), ("long", LONG)):
+            for when, slope in (("vanishing", VANISHING), ("small", SMALL), ("larger", LARGE)):
+                row[f"{gait}_angle_{when}"] = own.exponent(g, slope)
+                row[f"{gait}_power_{when}"] = own.exponent(g, slope, "power", "speed")
+        for when, slope in (("vanishing", VANISHING), ("larger", LARGE)):
+            speed = own.at([slope])["speed"][0]
+            row[f"faster_{when}"] = "short" if speed[SHORT] > speed[LONG] else "long"
+        row["crossing_slope"] = speed_crossing(name)
+        row["chaotic"], row["chaos"] = chaos(name)
+        rows.append(row)
+    return tuple(rows)
+
+
+def figure10() -> Columns:
+    """Every cell of figure 10: exponents of the angle in slope and of power in speed, and the faster gait."""
+    return _columns("figure10", list(_figure10()))
+
+
+def rounding() -> Columns:
+    """Every landmark by every printed parameter: sensitivity, half unit, and what it adds to the interval."""
+    rows = []
+    for name, mark in LANDMARKS.items():
+        found = interval(name)
+        rows += [
+            {
+                "landmark": name,
+                "walker": mark.walker,
+                "kind": mark.test,
+                "slope": found.value,
+                "stance_angle": found.angle,
+                "slope_low": found.low,
+                "slope_high": found.high,
+                "printed": mark.printed,
+                "parameter": key,
+                "sensitivity": s,
+                "angle_sensitivity": found.angle_sensitivity[key],
+                "half_unit": found.half_unit[key],
+                "contribution": found.contribution[key],
+                "matters_most": int(key == found.most),
+            }
+            for key, s in found.sensitivity.items()
+        ]
+    return _columns("rounding", rows)
+
+
+@claim(
+    "Z6",
+    "figure 10: which walkers walk at zero slope, their scaling laws, and the faster gait",
+    "figure 10",
+    "figure11/loglog",
+    "gaitsweep run data/studies/paper/figure11.toml",
+)
+def whole_table() -> Finding:
+    rows = {row["walker"]: row for row in _figure10()}
+    strict, loose, cells = 0, 0, 0
+    worst = ""
+    far = 0.0
+    for name, (short, long, first, then) in PRINTED.items():
+        row = rows[name]
+        right = [row["zero_slope_capable"] == 1, row["faster_vanishing"] == first, row["faster_larger"] == then]
+        right += [row["chaotic"] == 1] if name in "CD" else []
+        strict, loose, cells = strict + sum(right), loose + sum(right), cells + len(right)
+        for gait, laws in (("short", short), ("long", long)):
+            for when, cube in zip(("vanishing", "small", "larger"), laws, strict=True):
+                if cube is None:
+                    continue
+                off = max(
+                    abs(row[f"{gait}_angle_{when}"] - (1 / 3 if cube else 1)),
+                    abs(row[f"{gait}_power_{when}"] - (4 if cube else 2)) / 10,
+                )
+                strict, loose, cells = strict + (off < 0.01), loose + (off < 0.1), cells + 1
+                if off > far:
+                    far = off
+                    worst = (
+                        f"{name} {gait} at {when} slope: angle ~ slope^{row[f'{gait}_angle_{when}']:.3f}, "
+                        f"P ~ v^{row[f'{gait}_power_{when}']:.2f}"
+                    )
+    unchecked = ", ".join(f"{name}: {rows[name]['chaos']}" for name in ("E", "A", "B"))
+    return Finding(
+        f"{strict} of {cells} cells hold to within 0.01 of the angle's and 0.1 of the "
+        f"power's exponent, {loose} to within ten times that (at slope {LARGE:g} for the larger ones); "
+        f"farthest off: {worst}; chaos where the paper did not check: {unchecked}",
+        verdict(strict == cells, loose == cells),
+        float(strict),
+    )

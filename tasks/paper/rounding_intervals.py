@@ -1,0 +1,285 @@
+"""How far the rounding of a walker's printed parameters can move a landmark: its interval (sections 4 and 5).
+
+A landmark is a zero of G(X, p) = (P(X, p) - X, test(X, p)), with X the gait and ln slope and p the printed parameters.
+Implicit differentiation gives dX/dp = -G_X^-1 G_p. G is evaluated with its event times settled; the fixed point's
+part of G_X comes from the variational equations, G_p and the test's own row from central differences at two step
+sizes, extrapolated. The interval is the printed walker's value give or take the sum of |sensitivity| x half unit.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import heyoka as hy
+import numpy as np
+
+from tasks.continuation.branch import Branch
+from tasks.continuation.special_points import located
+from tasks.continuation.tracking import Point, linearised
+from tasks.mechanics.equations import Symbols
+from tasks.mechanics.impacts import heelstrike
+from tasks.paper.lines import Line, line
+from tasks.paper.published import HALF_UNITS
+from tasks.step.problem import Lanes, Problem
+from tasks.step.step_map import Stride
+from tasks.walkers.catalogue import _exactly_tuned
+from tasks.walkers.walker import Walker
+
+#: Steps of the central differences: of X, and of parameters relative to their size and the gait's angle (offsets of
+#: the masses matter beside the angle).
+STEP = 2e-4
+Test = Callable[[Stride, np.ndarray], np.ndarray]
+
+
+def _square(stride: Stride, X: np.ndarray) -> np.ndarray:
+    return linearised(stride, X)[1][:, :, :-1]
+
+
+def _fold(stride: Stride, X: np.ndarray) -> np.ndarray:
+    return np.linalg.det(_square(stride, X))
+
+
+def _flip(stride: Stride, X: np.ndarray) -> np.ndarray:
+    return np.linalg.det(np.moveaxis(stride.jacobian, -1, 0) + np.eye(len(X) - 1))
+
+
+def _exponent(stride: Stride, X: np.ndarray) -> np.ndarray:
+    """Local exponent d ln angle/d ln slope less 2/3."""
+    derivative = linearised(stride, X)[1]
+    return -np.linalg.solve(derivative[:, :, :-1], derivative[:, :, -1:])[:, 0, 0] - 2 / 3
+
+
+TESTS: dict[str, Test] = {
+    "fold": _fold,
+    "flip": _flip,
+    "exponent": _exponent,
+    "end_kneestrike_at_heelstrike": lambda stride, X: stride.times[-1] - stride.times[0],
+    "end_tangential_heelstrike": lambda stride, X: stride.closing / stride.y[0],
+    "release_hyperextension": lambda stride, X: (stride.start[4] - stride.start[5]) / stride.y[0],
+}
+
+
+@dataclass(frozen=True)
+class Landmark:
+    """A special point of a walker: its test, the branch's label there, which of several, and what is printed of it."""
+
+    name: str
+    walker: str
+    test: str
+    label: str = ""
+    which: int = 0
+    printed: float = float("nan")
+
+
+#: Landmarks compared with numbers of the paper, and those of figure 6.
+LANDMARKS = {
+    mark.name: mark
+    for mark in (
+        Landmark("smallest slope, kneed", "physical", "fold", printed=0.020),
+        Landmark("smallest slope, straight", "physical-straight", "fold", printed=0.016),
+        Landmark("point 1", "physical", "end_kneestrike_at_heelstrike"),
+        Landmark("point 2", "physical-straight", "end_tangential_heelstrike"),
+        Landmark("point 3", "physical", "release_hyperextension"),
+        Landmark("highest slope, kneed", "physical", "fold", which=1),
+        Landmark("C flip", "C", "flip", "long", printed=0.084),
+        Landmark("C-printed flip", "C-printed", "flip", "long", printed=0.084),
+        Landmark("C exponent 2/3", "C", "exponent", "long", printed=0.00015),
+        Landmark("C release, long", "C", "release_hyperextension", "long"),
+        Landmark("C release, short", "C", "release_hyperextension", "short"),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A landmark's slope and angle, its sensitivities to each printed parameter, and its interval of slopes."""
+
+    value: float
+    angle: float
+    low: float
+    high: float
+    sensitivity: dict[str, float]
+    angle_sensitivity: dict[str, float]
+    half_unit: dict[str, float]
+
+    @property
+    def contribution(self) -> dict[str, float]:
+        return {k: abs(s) * self.half_unit[k] for k, s in self.sensitivity.items()}
+
+    @property
+    def most(self) -> str:
+        """The parameter that matters most."""
+        return max(self.contribution, key=lambda k: self.contribution[k])
+
+
+def changed(walker: str, base: Walker, key: str, change: float) -> Walker:
+    """A walker with one key moved; exact A and C stay on the tuned manifold."""
+    moved = replace(base, **{key: getattr(base, key) + change})
+    return _exactly_tuned(moved) if walker in ("A", "C") else moved
+
+
+def place(found: Line, mark: Landmark) -> tuple[np.ndarray, np.ndarray]:
+    """X and event times of a landmark, from the branches of its walker.
+
+    Raises
+    ------
+    ValueError
+        If the walker has no such point.
+    """
+    rows = []
+    for branch in found.branches:
+        for Z in _candidates(found.problem, branch, mark.test):
+            if mark.label and mark.label != ("short" if found.short(Z) else "long"):
+                continue
+            rows.append(Z)
+    rows.sort(key=lambda Z: Z[found.problem.m])
+    if len(rows) <= mark.which:
+        raise ValueError(f"{mark.walker} has no {mark.name}")
+    Z, m = rows[mark.which], found.problem.m
+    if mark.test == "end_tangential_heelstrike":
+        return grazed(found, Z[: m + 1], Z[m + 1 :])
+    return Z[: m + 1], Z[m + 1 :]
+
+
+def _candidates(problem: Problem, branch: Branch, test: str) -> list[np.ndarray]:
+    """Rows (X, times) of a branch at which a test vanishes."""
+    m = branch.m
+    if test == "fold":
+        return [branch.Z[first] for first, _ in branch.pieces()[1:]]
+    if test.startswith("end_"):
+        return [branch.Z[i] for i, why in ((0, branch.why[0]), (-1, branch.why[1])) if why == test]
+    X = branch.Z[:, : m + 1].T
+    stride, _ = problem.stride(np.delete(branch.Z, m, axis=1).T, X[m], slope=True)
+    values = TESTS[test](stride, X)
+    # A step from pole to pole is no root: values on both sides must be small.
+    turns = np.nonzero((np.sign(values[1:]) != np.sign(values[:-1])) & (np.abs(np.diff(values)) < 2))[0]
+
+    def at(point: Point, way: np.ndarray) -> float:
+        return float(TESTS[test](point.stride, point.X)[0])
+
+    points = [located(problem, branch, int(k), at)[0] for k in turns]
+    return [np.concatenate([p.X[:, 0], p.times[:, 0]]) for p in points if p.ok[0]]
+
+
+def _values(walkers: list[Walker], X: np.ndarray, times: np.ndarray, test: Test) -> tuple[np.ndarray, np.ndarray]:
+    """G at n lanes, shape (m + 1, n), and the fixed point's rows of G_X, shape (n, m, m + 1)."""
+    problem, m = Lanes(walkers), len(X) - 1
+    for _ in range(3):
+        stride, _ = problem.stride(np.vstack([X[:m], times]), X[m], slope=True)
+        times = stride.times
+    residual, derivative = linearised(stride, X)
+    return np.vstack([residual.T, test(stride, X)[None]]), derivative
+
+
+def _grazing(walkers: list[Walker], Z: np.ndarray) -> np.ndarray:
+    """G of a straight-legged gait whose heelstrike is tangential, shape (m + 2, n), with the period an unknown.
+
+    Notes
+    -----
+    There the period has no derivative by the state, so Z = (ln angle, rates/angle, period, ln slope) and
+    G = (heelstrike of the final state - start, height of the foot, its closing rate).
+    """
+    problem = Lanes(walkers)
+    m = problem.m
+    angle = np.exp(Z[0])
+    scale = np.exp2(np.floor(np.log2(angle)))
+    y = np.vstack([angle, angle * Z[1:m]]) / scale
+    parameters = problem.parameters(np.exp(Z[m + 1]), scale)
+    stride = problem.map(y, Z[m : m + 1], parameters, True, 1)
+    assert stride.motion is not None
+    a, b, a_rate, b_rate = stride.motion[-1][-1]
+    p = Symbols(problem.structure)
+    names = hy.make_vars("angle", "stance", "swing")
+    strike = hy.cfunc(heelstrike(p, names[0], names[1], names[2], False), vars=[*names, *p.variables])
+    rates = strike(np.ascontiguousarray(np.vstack([b, a_rate, b_rate, parameters])))[: m - 1]
+    return np.vstack([b - y[0], rates - y[1:], a + b, a_rate + b_rate]) / y[0]
+
+
+def grazed(found: Line, X: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """X and the period where heelstrike is tangential, by Newton on G: beside it, branches end a little early."""
+    Z = np.concatenate([X[:-1], times, X[-1:]])
+    n = len(Z)
+    for _ in range(4):
+        places = np.concatenate([Z + factor * STEP * np.eye(n) for factor in (1.0, -1.0, 2.0, -2.0)] + [Z[None]])
+        G = _grazing([found.walker] * len(places), places.T)
+        Z = Z - np.linalg.solve(_central(G[:, :-1], np.full(n, STEP)), G[:, -1])
+    return np.concatenate([Z[: len(X) - 1], Z[-1:]]), Z[len(X) - 1 : -1]
+
+
+def grazing_sensitivities(
+    mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str], step: float = STEP
+) -> np.ndarray:
+    """dX/dp of the end where heelstrike turns tangential, as `sensitivities`."""
+    Z = np.concatenate([X[:-1], times, X[-1:]])
+    sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
+    walkers, places, n = [], [], len(Z)
+    for factor in (1.0, -1.0, 2.0, -2.0):
+        walkers += [base] * n
+        walkers += [changed(mark.walker, base, k, factor * size) for k, size in zip(keys, sizes, strict=True)]
+        places += [*(Z + factor * step * np.eye(n)), *([Z] * len(keys))]
+    slopes = _central(_grazing(walkers, np.array(places).T), np.concatenate([np.full(n, step), sizes]))
+    by = -np.linalg.solve(slopes[:, :n], slopes[:, n:])
+    return np.vstack([by[: len(X) - 1], by[-1:]])
+
+
+def _central(values: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """Derivatives from values at +h, -h, +2h, -2h, side by side."""
+    one, less, two, less2 = np.split(values, 4, axis=1)
+    return (8 * (one - less) - (two - less2)) / (12 * h)
+
+
+def sensitivities(
+    mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str], step: float = STEP
+) -> np.ndarray:
+    """dX/dp of a landmark for each key, shape (m + 1, keys)."""
+    m = len(X) - 1
+    sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
+    walkers, places = [], []
+    for factor in (1.0, -1.0, 2.0, -2.0):
+        for i in range(m + 1):
+            walkers.append(base)
+            places.append(X + factor * step * np.eye(m + 1)[i])
+        for key, size in zip(keys, sizes, strict=True):
+            walkers.append(changed(mark.walker, base, key, factor * size))
+            places.append(X)
+    walkers.append(base)
+    places.append(X)
+    lanes = np.array(places).T
+    G, derivative = _values(walkers, lanes, np.repeat(times[:, None], lanes.shape[1], axis=1), TESTS[mark.test])
+    slopes = _central(G[:, :-1], np.concatenate([np.full(m + 1, step), sizes]))
+    G_X = slopes[:, : m + 1]
+    G_X[:m] = derivative[-1]
+    return -np.linalg.solve(G_X, slopes[:, m + 1 :])
+
+
+def _size(walker: Walker, key: str) -> float:
+    """The scale a key's steps are taken on."""
+    if key in ("m_t", "m_s", "m_h"):
+        return walker.total_mass
+    return {"g": walker.g, "eps_T": 1.0}.get(key, walker.leg)
+
+
+@functools.lru_cache(maxsize=32)
+def interval(name: str) -> Interval:
+    """A landmark with its interval."""
+    mark = LANDMARKS[name]
+    found = line(mark.walker)
+    X, times = place(found, mark)
+    half = dict(HALF_UNITS[mark.walker])
+    keys = list(half)
+    slope, angle = float(np.exp(X[-1])), float(np.exp(X[0]))
+    differentiate = grazing_sensitivities if mark.test == "end_tangential_heelstrike" else sensitivities
+    by = differentiate(mark, X, times, found.walker, keys)
+    sensitivity = {k: slope * float(d) for k, d in zip(keys, by[-1], strict=True)}
+    total = sum(abs(sensitivity[k]) * half[k] for k in keys)
+    return Interval(
+        slope,
+        angle,
+        slope - total,
+        slope + total,
+        sensitivity,
+        {k: angle * float(d) for k, d in zip(keys, by[0], strict=True)},
+        half,
+    )

@@ -1,0 +1,328 @@
+"""The stride map and its exact derivatives, with the event times as unknowns.
+
+A gait is a zero of P(y) - y. The section's coordinates y are, just after heelstrike,
+(stance angle, stance rate) for point feet, whose impact leaves no other freedom,
+(stance angle, stance rate, swing rate) for straight legs, and, just before heelstrike,
+(stance angle, old stance rate, old swing rate) for kneed ones, whose locked legs need no fourth coordinate.
+Each phase is a flow over a given time; what its end misses of its guard is corrected to first order, which gives
+the saltation terms exactly and the event times quadratically.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import heyoka as hy
+import numpy as np
+
+from tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
+from tasks.mechanics.impacts import heelstrike, kneestrike
+from tasks.mechanics.kernel import LANES, flow, prepare_compiler, whole_groups
+from tasks.mechanics.lumped import Structure
+
+#: Intervals at whose ends the motion is sampled to verify a step.
+SAMPLES = 16
+
+
+@dataclass
+class Stride:
+    """One stride of n lanes, to first order. Scaled angles and rates; times in sqrt(leg/g).
+
+    `y` (m, n) the section's start; `image` (m, n) P(y) after the correction of the times; `jacobian` (m, m, n) dP/dy;
+    `inverse` (m, m, n) of I - dP/dy; `newton` (m, n) the Newton step; `times` (k, n) kneestrike and heelstrike,
+    corrected; `times_by_y` (k, m, n); `by_slope` (m, n) and `times_by_slope` (k, n) where asked for; `impact` (2, n)
+    rates just before heelstrike and `impact_by_y` (2, m, n); `start` (a, n) state after heelstrike; `closing` (n,)
+    rate of the heelstrike guard; `knee` (6, n) state at
+    kneestrike and `knee_by_y` (6, m, n); `motion` samples of each phase.
+    """
+
+    y: np.ndarray
+    image: np.ndarray
+    jacobian: np.ndarray
+    inverse: np.ndarray
+    newton: np.ndarray
+    times: np.ndarray
+    times_by_y: np.ndarray
+    by_slope: np.ndarray | None
+    times_by_slope: np.ndarray | None
+    impact: np.ndarray
+    impact_by_y: np.ndarray
+    start: np.ndarray
+    closing: np.ndarray
+    knee: np.ndarray | None
+    knee_by_y: np.ndarray | None
+    motion: list[np.ndarray] | None
+
+    def scaled_motion(self) -> list[np.ndarray]:
+        """Samples of each phase over the stance angle, so that those of neighbours on a branch compare."""
+        assert self.motion is not None
+        return [phase / self.y[0] for phase in self.motion]
+
+    def put(self, lanes: np.ndarray, other: Stride) -> None:
+        """Take some lanes from another stride."""
+        for name, mine in vars(self).items():
+            theirs = getattr(other, name)
+            for a, b in zip(mine, theirs) if isinstance(mine, list) else [(mine, theirs)]:
+                if a is not None:
+                    a[..., lanes] = b
+
+
+def _matrix(name: str, n: int, m: int) -> list[list[Sym]]:
+    flat = hy.make_vars(*(f"{name}{i}_{j}" for i in range(n) for j in range(m)))
+    return [list(flat[i * m : (i + 1) * m]) for i in range(n)]
+
+
+def _flat(matrix: list[list[Sym]]) -> list[Sym]:
+    return [x for row in matrix for x in row]
+
+
+def _inverse(J: list[list[Sym]]) -> list[list[Sym]]:
+    """Inverse of a 2 x 2 or 3 x 3 matrix of symbols by its adjugate."""
+    n = len(J)
+    if n == 2:
+        det = J[0][0] * J[1][1] - J[0][1] * J[1][0]
+        return [[J[1][1] / det, -J[0][1] / det], [-J[1][0] / det, J[0][0] / det]]
+    minor = [
+        [
+            J[(i + 1) % 3][(j + 1) % 3] * J[(i + 2) % 3][(j + 2) % 3]
+            - J[(i + 1) % 3][(j + 2) % 3] * J[(i + 2) % 3][(j + 1) % 3]
+            for j in range(3)
+        ]
+        for i in range(3)
+    ]
+    det = J[0][0] * minor[0][0] + J[0][1] * minor[0][1] + J[0][2] * minor[0][2]
+    return [[minor[j][i] / det for j in range(3)] for i in range(3)]
+
+
+def _directions(rows_by: list[Sym], q: list[Sym], D: list[list[Sym]]) -> list[list[Sym]]:
+    """Gradient of each row by q, times the directions D."""
+    gradients = [[hy.diff(r, x) for x in q] for r in rows_by]
+    return [[sum((g * D[i][d] for i, g in enumerate(row)), ZERO) for d in range(len(D[0]))] for row in gradients]
+
+
+def apply(A: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """A v for every lane, (i, j, n) times (j, n), always added in the same order."""
+    total = A[:, 0] * v[0]
+    for j in range(1, A.shape[1]):
+        total = total + A[:, j] * v[j]
+    return total
+
+
+class StrideMap:
+    """The stride map of one structure: compiled flows and the compiled algebra between them."""
+
+    def __init__(self, structure: Structure):
+        self.structure, self.m = structure, structure.dimension
+        self.kneed = structure.kneed
+        self.start_size = 6 if self.kneed else 4
+        self._start = self._compile_start()
+        if self.kneed:
+            self._knee = self._compile_knee()
+        self._finish = self._compile_finish()
+
+    def _function(self, outputs: list[Sym], variables: list[Sym]) -> hy.cfunc:
+        return hy.cfunc(outputs, vars=variables, compact_mode=False)
+
+    def _compile_start(self) -> hy.cfunc:
+        p = Symbols(self.structure)
+        y = list(hy.make_vars(*(f"y{i}" for i in range(self.m))))
+        if self.kneed:
+            state = [y[0], -y[0], -y[0], *heelstrike(p, y[0], y[1], y[2], True)]
+        elif self.structure.point_foot:
+            # No moment about the hip reaches a leg whose mass is at the foot that leaves the ground.
+            state = [y[0], -y[0], y[1], y[1] * hy.cos(2.0 * p.scale * y[0])]
+        else:
+            state = [y[0], -y[0], y[1], y[2]]
+        return self._function(state + _flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
+
+    def _compile_knee(self) -> hy.cfunc:
+        """From the end of three links to the start of two, with directions (y, defect, slope).
+
+        After it, two links fly along the field and three unit vectors beside it, whatever the directions: what lies
+        along the field is only a shift of time, which the next event takes up. So each direction is given by its
+        four parts, the field's first.
+        """
+        p = Symbols(self.structure)
+        m = self.m + 1
+        x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
+        D = _matrix("d", 6, m)
+        q, rate = x[:3], x[3:]
+        M, f = rows(p, q, rate, True)
+        field = [*rate, *Solver(M)(f)]
+        closing = rate[1] - rate[2]
+        shift = -(q[1] - q[2]) / closing
+        shift_by = [-(D[1][d] - D[2][d]) / closing for d in range(m)]
+        moved = [[D[i][d] + field[i] * shift_by[d] for d in range(m)] for i in range(6)]
+        defect = [field[i] * shift for i in range(6)]
+        lock = [q[0], q[1], *kneestrike(p, q, rate)]
+        columns = [[*moved[i][: self.m], defect[i], *moved[i][self.m :]] for i in range(6)]
+        out = _directions(lock, x, columns)
+        M, f = rows(p, lock[:2], lock[2:], False)
+        after = [lock[2], lock[3], *Solver(M)(f)]
+        along = [d / after[0] for d in out[0]]
+        parts = [along] + [[d - c * after[i] for d, c in zip(out[i], along)] for i in range(1, 4)]
+        strike = [x[i] + defect[i] for i in range(6)] + _flat([moved[i][: self.m] for i in range(6)])
+        return self._function(lock + _flat(parts) + [shift, *shift_by, *strike], [*x, *_flat(D), *p.variables])
+
+    def _compile_finish(self) -> hy.cfunc:
+        """From the end of two links to the image on the section, its derivatives and the Newton step."""
+        p = Symbols(self.structure)
+        m, defect = self.m, int(self.kneed)
+        y = list(hy.make_vars(*(f"y{i}" for i in range(m))))
+        x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
+        flown = D = _matrix("d", 4, 4 if self.kneed else m + 1)
+        parts: list[list[Sym]] = _matrix("c", 4, m + 2) if self.kneed else []
+        if self.kneed:
+            D = [
+                [
+                    sum((parts[1 + k][d] * flown[i][k] for k in range(3)), flown[i][3] if d > m else ZERO)
+                    for d in range(m + 2)
+                ]
+                for i in range(4)
+            ]
+        M, f = rows(p, x[:2], x[2:], False)
+        field = [x[2], x[3], *Solver(M)(f)]
+        closing = x[2] + x[3]
+        base = [(defect and D[i][m]) or ZERO for i in range(4)]
+        shift = -(x[0] + x[1] + base[0] + base[1]) / closing
+        shift_by = [-(D[0][d] + D[1][d]) / closing for d in range(m + defect + 1)]
+        keep = [d for d in range(m + defect + 1) if not (defect and d == m)]
+        columns = [[D[i][d] + field[i] * shift_by[d] for d in keep] + [base[i] + field[i] * shift] for i in range(4)]
+        if self.kneed:
+            image = [x[1], x[2], x[3]]
+        else:
+            image = [x[1], *heelstrike(p, x[1], x[2], x[3], False)[: m - 1]]
+        out = _directions(image, x, columns)
+        jacobian = [row[:m] for row in out]
+        moved = [image[i] + out[i][-1] for i in range(m)]
+        inverse = _inverse([[float(i == j) - jacobian[i][j] for j in range(m)] for i in range(m)])
+        miss = [image[i] - y[i] + out[i][-1] for i in range(m)]
+        newton = [sum((inverse[i][j] * miss[j] for j in range(m)), ZERO) for i in range(m)]
+        impact = [x[2] + base[2] + field[2] * shift, x[3] + base[3] + field[3] * shift]
+        if parts:
+            shift, shift_by = shift - parts[0][m], [a - b for a, b in zip(shift_by, parts[0])]
+        outputs = [
+            *moved,
+            *_flat(jacobian),
+            *_flat(inverse),
+            *newton,
+            shift,
+            *(shift_by[d] for d in keep),
+            *impact,
+            *columns[2][:m],
+            *columns[3][:m],
+            closing,
+            *(row[m] for row in out),
+        ]
+        return self._function(outputs, [*y, *x, *_flat(flown), *_flat(parts), *p.variables])
+
+    def _apply(self, function: hy.cfunc, inputs: np.ndarray) -> np.ndarray:
+        """Call a compiled function on lanes padded to whole SIMD groups, so every lane runs the same code."""
+        return function(whole_groups(inputs, 4 * LANES))[:, : inputs.shape[1]]
+
+    def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """State just after heelstrike at y, then its derivative by y, rows flattened."""
+        return self._apply(self._start, np.vstack([y, parameters]))
+
+    def __call__(
+        self,
+        y: np.ndarray,
+        times: np.ndarray,
+        parameters: np.ndarray,
+        slope: bool = False,
+        samples: int = 0,
+        rough: bool = False,
+    ) -> Stride:
+        """Evaluate strides and their derivatives.
+
+        Parameters
+        ----------
+        y : ndarray, shape (m, n)
+            Scaled section coordinates.
+        times : ndarray, shape (k, n) [sqrt(leg/g)]
+            Guesses of the heelstrike time, or of (kneestrike, heelstrike).
+        parameters : ndarray, shape (n_parameters, n)
+            Slope, scale and the structure's constants.
+        slope : bool
+            Also differentiate by the slope.
+        samples : int
+            Equal intervals of each phase at whose ends the motion is also wanted.
+        rough : bool
+            Fly to the search's tolerance only.
+
+        Returns
+        -------
+        Stride
+            NaN in lanes whose motion was lost.
+        """
+        m, n = y.shape
+        begin = self.start(y, parameters)
+        size = self.start_size
+        start, seeds = begin[:size], begin[size:].reshape(size, m, n)
+        zeros = np.zeros((size, 1, n))
+        D = np.concatenate([seeds, zeros], axis=1) if slope else seeds
+        sampled, knee, knee_by_y, parts = [], None, None, np.empty((0, n))
+        if self.kneed:
+            run = flow(self.structure, True, m + slope, slope, rough)
+            final, moved = run(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
+            sampled.append(moved)
+            out = self._apply(self._knee, np.vstack([final[:6], _unlanes(final[6:], 6, m + 1), parameters]))
+            start2, parts, knee_shift, strike = np.split(out, np.cumsum([4, 4 * (m + 2), 2 + m]))
+            knee, knee_by_y = strike[:6], strike[6:].reshape(6, m, n)
+            D = np.broadcast_to(np.eye(4, 3 + slope, -1)[:, :, None], (4, 3 + slope, n))
+            duration = times[1] - times[0]
+        else:
+            start2, duration = start, times[0]
+        run = flow(self.structure, False, D.shape[1], slope, rough)
+        final, moved = run(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
+        sampled.append(moved)
+        directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)
+        out = self._apply(self._finish, np.vstack([y, final[:4], directions, parts, parameters]))
+        cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + 1, 2, 2 * m, 1]))
+        image, jacobian, inverse, newton, shift, shift_by, impact, impact_by_y, closing, by_slope = cut
+        all_times, all_by = times[-1:] + shift, shift_by[None]
+        if self.kneed:
+            first = times[:1] + knee_shift[:1]
+            first_by = knee_shift[1:][None]
+            # Heelstrike is counted from the start of the step; its flow began at kneestrike.
+            all_times = np.vstack([first, all_times + knee_shift[:1]])
+            all_by = np.concatenate([first_by, all_by + first_by])
+        return Stride(
+            y,
+            image,
+            jacobian.reshape(m, m, n),
+            inverse.reshape(m, m, n),
+            newton,
+            all_times,
+            all_by[:, :m],
+            by_slope if slope else None,
+            all_by[:, m] if slope else None,
+            impact,
+            impact_by_y.reshape(2, m, n),
+            start,
+            closing[0],
+            knee,
+            knee_by_y,
+            sampled if samples else None,
+        )
+
+
+def _lanes(D: np.ndarray) -> np.ndarray:
+    """Directions (size, d, n) in the order of the flow's states: angles, then rates, one direction after another."""
+    return D.transpose(1, 0, 2).reshape(-1, D.shape[2])
+
+
+def _unlanes(flat: np.ndarray, size: int, directions: int) -> np.ndarray:
+    """Back from the flow's order to rows of (size, directions); the slope's direction is zero where none was flown."""
+    n = flat.shape[1]
+    rows = np.zeros((size, directions, n))
+    rows[:, : len(flat) // size] = flat.reshape(-1, size, n).transpose(1, 0, 2)
+    return rows.reshape(-1, n)
+
+
+@functools.lru_cache(maxsize=64)
+def stride_map(structure: Structure) -> StrideMap:
+    """The compiled stride map of a structure."""
+    prepare_compiler()
+    return StrideMap(structure)

@@ -1,0 +1,180 @@
+"""Is a solved stride a step? The guards' signs along the motion that was flown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass
+class Verdict:
+    """What the sampled motion of n lanes shows.
+
+    `step` (n,) the first heelstrike (and kneestrike) are the ones solved for and run the right way; `passes` (n,)
+    how often the swing leg passes the stance leg; `doubt` (n,) a guard comes so near zero between samples that
+    finer ones must decide; `hyperextends` (n,) the freed knee first moves against its stop.
+    """
+
+    step: np.ndarray
+    passes: np.ndarray
+    doubt: np.ndarray
+    hyperextends: np.ndarray
+
+    @property
+    def anthropomorphic(self) -> np.ndarray:
+        """Lanes whose legs pass exactly once."""
+        return self.step & (self.passes == 1)
+
+
+def _slack(g: np.ndarray) -> np.ndarray:
+    """Largest distance of a guard from its chord between samples, shape (intervals, n).
+
+    |g - chord| <= h^2/8 max|g''|, with g'' from second differences of the neighbouring samples, doubled.
+    """
+    second = np.abs(np.diff(g, 2, axis=0))
+    padded = np.vstack([second[:1], second, second[-1:]])
+    return 2.0 / 8.0 * np.maximum(padded[:-1], padded[1:])
+
+
+def _unclear(g: np.ndarray, rate: np.ndarray, stray: float | np.ndarray) -> np.ndarray:
+    """Intervals in which a guard could touch zero unseen, shape (intervals, n).
+
+    It could where it comes nearer zero than the samples resolve, unless its rate has one sign all along: then the
+    samples' signs tell of every crossing.
+    """
+    low = np.minimum(np.abs(g[:-1]), np.abs(g[1:]))
+    steady = np.minimum(np.abs(rate[:-1]), np.abs(rate[1:])) > _slack(rate) + stray
+    steady &= np.signbit(rate[:-1]) == np.signbit(rate[1:])
+    return (low < _slack(g) + stray) & ~steady
+
+
+# Where a motion was lost its guards have no values.
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def margin(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
+    """How far a stride is from an earlier strike, shape (n,): negative where a foot or a knee strikes earlier.
+
+    Parameters
+    ----------
+    motion : list of ndarray, shape (samples + 1, angles, n)
+        As `verify` takes it.
+    times : ndarray, shape (phases, n)
+
+    Returns
+    -------
+    ndarray
+        Infinite where no guard turns on its way. It is continuous as long as the same extremes exist.
+
+    Notes
+    -----
+    A guard strikes earlier where it has been positive and then is not: where a minimum lies below zero and a maximum
+    before it above. So the distance at a minimum is the larger of its value and minus the highest value before.
+    """
+    durations = np.diff(times, axis=0, prepend=0)
+    sums, behind = [], []
+    for phase, duration in zip(motion, durations, strict=True):
+        half = phase.shape[1] // 2
+        rate = duration / (len(phase) - 1) * (phase[:, half] + phase[:, half + 1])
+        sums.append((phase[:, 0] + phase[:, 1], rate))
+        behind.append(phase[:, 0] < 0)
+    least = _least_distance(sums, behind)
+    if len(motion) == 2:
+        three = motion[0]
+        rate = durations[0] / (len(three) - 1) * (three[:, 4] - three[:, 5])
+        # The knee starts straight, and may first move against its stop: only maxima tell that it has flexed.
+        least = np.fmin(least, _least_distance([(three[:, 1] - three[:, 2], rate)], [np.zeros(rate.shape, bool)], True))
+    return least
+
+
+def _least_distance(
+    phases: list[tuple[np.ndarray, np.ndarray]], counts: list[np.ndarray], always: bool = False
+) -> np.ndarray:
+    """Least distance (n,) of a guard from an earlier strike; values and rates per interval of each phase.
+
+    `counts` tells at which samples the guard counts for itself, and with `always` its extremes count everywhere.
+    """
+    least = np.full(phases[0][0].shape[1], np.inf)
+    highest, before = np.full(len(least), -np.inf), None
+    for (g, rate), own in zip(phases, counts, strict=True):
+        low, high = _extremes(g, rate)
+        if before is not None:
+            # Rates jump at kneestrike: a guard may turn there.
+            least = np.fmin(least, np.where((before < 0) & (rate[0] >= 0) & own[0], np.maximum(g[0], -highest), np.inf))
+        for i in range(len(low)):
+            highest = np.where(own[i], np.maximum(highest, g[i]), highest)
+            least = np.where(own[i + 1] | always, np.fmin(least, np.maximum(low[i], -highest)), least)
+            highest = np.where(own[i + 1] | always, np.maximum(highest, high[i]), highest)
+        before = rate[-1]
+    return least
+
+
+def _extremes(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Minimum and maximum within each interval, (intervals, n), of the cubic through values and rates at its ends.
+
+    Infinite, and minus infinite, where it has none.
+    """
+    a, b, da, db = g[:-1], g[1:], rate[:-1], rate[1:]
+    second, third = 3 * (b - a) - 2 * da - db, da + db - 2 * (b - a)
+    root = np.sqrt(np.maximum(second**2 - 3 * third * da, 0.0))
+    found = []
+    for sign, turns, none in ((1.0, (da < 0) & (db >= 0), np.inf), (-1.0, (da > 0) & (db <= 0), -np.inf)):
+        s = -da / (second + sign * root)
+        found.append(np.where(turns, a + s * (da + s * (second + s * third)), none))
+    return found[0], found[1]
+
+
+def verify(
+    motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray, stray: float | np.ndarray = 0.0
+) -> Verdict:
+    """Judge a stride by samples of its motion.
+
+    Parameters
+    ----------
+    motion : list of ndarray, shape (samples + 1, angles, n)
+        Each phase's angles and rates at equal times; three links before two.
+    closing : ndarray, shape (n,)
+        Rate of the heelstrike guard at the solved time.
+    times : ndarray, shape (phases, n)
+        The solved event times, which must follow each other.
+    stray : float or ndarray, shape (n,)
+        How far, besides, the guards may lie from the samples: leaves a doubt where their signs could change.
+
+    Notes
+    -----
+    A step ends when stance + swing angle, once positive, falls to zero with the stance angle negative. So the
+    guard must be positive wherever the stance angle is negative, once it has become so.
+    """
+    two = motion[-1]
+    a, b = two[:, 0], two[:, 1]
+    n = a.shape[1]
+    da, db = two[:, len(two[0]) // 2], two[:, len(two[0]) // 2 + 1]
+    guard = a + b
+    # Between samples i and i + 1: a strike needs the guard at or below zero with the stance angle negative.
+    behind = np.minimum(a[:-1], a[1:]) - stray < 0
+    falls = (guard[1:] <= 0) & (guard[:-1] > 0) & (a[1:] < 0)
+    falls[-1] = False
+    # A guard that closes at zero was positive just before: the swing foot has come up behind the stance foot.
+    step = (closing < 0) & ~falls.any(axis=0) & (a[-1] < 0) & (np.diff(times, axis=0, prepend=0) > 0).all(axis=0)
+    doubt = (behind & _unclear(guard, da + db, stray)).any(axis=0)
+    passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
+    for phase in motion:
+        half = phase.shape[1] // 2
+        apart, rate = phase[:, 0] - phase[:, 1], phase[:, half] - phase[:, half + 1]
+        passes += (np.signbit(apart[1:]) != np.signbit(apart[:-1])).sum(axis=0)
+        doubt |= _unclear(apart, rate, stray).any(axis=0)
+    if len(motion) == 2:
+        three = motion[0]
+        flexion, rate = three[:, 1] - three[:, 2], three[:, 4] - three[:, 5]
+        hyperextends = rate[0] < 0
+        inner = flexion[1:-1]
+        bent = np.maximum.accumulate(inner > 0, axis=0)
+        straight_again = (bent[:-1] & (inner[1:] <= 0)).any(axis=0)
+        step = step & bent.any(axis=0) & ~straight_again & (inner[-1] > 0)
+        # The foot could come down before the knee has struck.
+        sum_, closing_in = three[:, 0] + three[:, 1], three[:, 3] + three[:, 4]
+        step &= ~((sum_[1:] <= 0) & (sum_[:-1] > 0) & (three[1:, 0] < 0)).any(axis=0)
+        behind = np.minimum(three[:-1, 0], three[1:, 0]) - stray < 0
+        doubt |= (behind & _unclear(sum_, closing_in, stray)).any(axis=0)
+        # The knee starts straight: that first touch is no strike.
+        doubt |= _unclear(flexion, rate, stray)[1:].any(axis=0)
+    return Verdict(step, passes, doubt & np.isfinite(closing), hyperextends)

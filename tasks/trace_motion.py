@@ -1,0 +1,87 @@
+"""The motion of gaits over one step, sampled for drawing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tasks import status
+from tasks.continuation import atlas as atlases
+from tasks.fixed_points.newton import newton_step
+from tasks.registry import GAITS
+from tasks.solve_points import points
+from tasks.step.problem import Problem
+from tasks.walkers.resolve import resolve
+
+#: Intervals each phase is drawn in.
+SAMPLES = 48
+#: Slopes of a line that are drawn, spread over those of the study.
+MOST_SLOPES = 6
+
+
+def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Joint coordinates of every gait of a line at a few of the given slopes, under the labels `points` gives them.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`, `slope` (n,), `gaits`.
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Table `trace`: gait, slope, time, theta_st, theta_th, theta_sh and foot_x (of the stance foot's centre from
+        its place at angle zero), in the walker's units.
+    """
+    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    problem = Problem(walker)
+    second = np.sqrt(walker.leg / walker.g)
+    columns: dict[str, list[np.ndarray]] = {
+        k: [] for k in ("gait", "slope", "time", "theta_st", "theta_th", "theta_sh", "foot_x")
+    }
+    slope = np.unique(np.asarray(params["slope"], float))
+    slope = slope[np.unique(np.linspace(0, len(slope) - 1, MOST_SLOPES).round().astype(int))]
+    known = points({**params, "slope": slope, "want": ()}, inputs)
+    for number, branch in enumerate(atlases.from_arrays(inputs[0])):
+        for index, Z, segment in branch.guesses(np.log(slope)):
+            here = (
+                (known["branch"][index] == number)
+                & (known["piece"][index] == branch.piece(segment)[:, None])
+                & (known["status"][index] == status.CONVERGED)
+            )
+            w, q = np.delete(Z, problem.m, axis=1).T, np.log(slope[index])
+            for _ in range(2):
+                stride, _ = problem.stride(w, q)
+                w = w + newton_step(stride, w)
+            stride, scale = problem.stride(w, q, samples=SAMPLES)
+            assert stride.motion is not None
+            for lane, g in np.argwhere(here):
+                times, angles = _cycle(stride.motion, stride.times[:, lane], lane)
+                a, b, c = angles * scale[lane]
+                n = len(times)
+                for key, value in (
+                    ("gait", np.full(n, GAITS[g])),
+                    ("slope", np.full(n, slope[index[lane]])),
+                    ("time", times * second),
+                    ("theta_st", a),
+                    ("theta_th", b),
+                    ("theta_sh", c),
+                    ("foot_x", -walker.R * a),
+                ):
+                    columns[key].append(value)
+    return {f"trace/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in columns.items()}
+
+
+def _cycle(motion: list[np.ndarray], ends: np.ndarray, lane: int) -> tuple[np.ndarray, np.ndarray]:
+    """Times and the three angles of one lane over its step."""
+    times, angles, begin = [], [], 0.0
+    for phase, end in zip(motion, ends):
+        times.append(np.linspace(begin, end, len(phase)))
+        free = phase.shape[1] == 6
+        angles.append(phase[:, [0, 1, 2 if free else 1], lane].T)
+        begin = end
+    return np.concatenate(times), np.concatenate(angles, axis=1)
