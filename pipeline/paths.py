@@ -8,7 +8,7 @@ import secrets
 from pathlib import Path
 
 
-def beside(path: Path, what: str) -> Path:
+def sidecar_path(path: Path, what: str) -> Path:
     """A companion of an archive: its journal, event log, lock or record."""
     return path.with_name(path.name.removesuffix(".nc") + what)
 

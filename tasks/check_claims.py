@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from tasks.paper import published_tables, tuned_walkers
-from tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, Finding
-from tasks.paper.lines import remember, remember_tables
+from tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResult
+from tasks.paper.lines import cache_atlas, cache_tables
 from tasks.registry import VARIABLES
 
 Arrays = dict[str, np.ndarray]
@@ -53,8 +53,8 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             continue
         atlas = {k: v for k, v in data.items() if k not in VARIABLES and k not in ("slope", "reasons") and "/" not in k}
         if atlas:
-            remember(line["walker"], line["set"], atlas)
-        remember_tables(line["walker"], {k: v for k, v in data.items() if "/" in k})
+            cache_atlas(line["walker"], line["set"], atlas)
+        cache_tables(line["walker"], {k: v for k, v in data.items() if "/" in k})
     wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(re.sub(r"\D", "", c.id))))
     rows = [_row(claim, _found(claim)) for claim in wanted]
     out: Arrays = {f"claims/{k}": np.array([row[k] for row in rows]) for k in (rows[0] if rows else {})}
@@ -64,16 +64,16 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     return out
 
 
-def _found(claim: Claim) -> Finding:
+def _found(claim: Claim) -> ClaimResult:
     """What a claim's function finds; a claim whose gaits are lost is not checkable, and says why."""
     try:
         with np.errstate(all="ignore"):
             return claim.find()
     except (ValueError, ArithmeticError, LookupError, np.linalg.LinAlgError) as error:
-        return Finding(f"{type(error).__name__}: {error}", NOT_CHECKABLE)
+        return ClaimResult(f"{type(error).__name__}: {error}", NOT_CHECKABLE)
 
 
-def _row(claim: Claim, found: Finding) -> dict[str, Any]:
+def _row(claim: Claim, found: ClaimResult) -> dict[str, Any]:
     return {
         "id": claim.id,
         "printed": claim.printed,

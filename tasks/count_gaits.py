@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from tasks.dynamics.initial_states import scattered
+from tasks.dynamics.initial_states import r_sequence
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import newton, newton_step
-from tasks.fixed_points.step_check import gait_ratio, judged
+from tasks.fixed_points.step_check import gait_ratio, verify_steps
 from tasks.step.problem import Problem
 from tasks.step.simulate import STRUCK, stride
 from tasks.walkers.resolve import resolve
@@ -28,7 +28,7 @@ SWING = (-1.6, 1.6)
 SAME = 1e-5
 #: Deflated Newton: steps a start may take, passes over all starts, and how near and how far from known solutions an
 #: end must lie to be polished.
-MOST_STEPS, PASSES, NEAR, AWAY = 15, 3, 1e-3, 1e-2
+MAX_STEPS, PASSES, NEAR, AWAY = 15, 3, 1e-3, 1e-2
 GAITS = (
     "slope",
     "gait",
@@ -87,7 +87,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
-    second = np.sqrt(walker.leg / walker.g)
+    time_unit = np.sqrt(walker.leg / walker.g)
     rows: dict[str, list[Any]] = {k: [] for k in GAITS}
     cover: dict[str, list[Any]] = {k: [] for k in COVER}
     for slope in np.asarray(params["slope"], float):
@@ -99,7 +99,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         w, hits, tried, more = _deflated(problem, begin, w, hits, float(slope))
         counts = {"anthropomorphic": 0, "non_anthropomorphic": 0, "not_steps": 0}
         if w.shape[1]:
-            at, verdict = judged(problem, w, np.full(w.shape[1], np.log(slope)))
+            at, verdict = verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
             radius = np.abs(multipliers(at.jacobian, problem.m)).max(axis=1)
             human = verdict.anthropomorphic
             counts = {
@@ -112,10 +112,10 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     slope,
                     "long" if gait_ratio(at)[i] < 0.5 else "short",
                     int(human[i]),
-                    int(verdict.passes[i]),
+                    int(verdict.leg_passes[i]),
                     np.exp(w[0, i]),
-                    np.exp(w[0, i]) * w[1, i] / second,
-                    w[-1, i] * second,
+                    np.exp(w[0, i]) * w[1, i] / time_unit,
+                    w[-1, i] * time_unit,
                     radius[i],
                     int(hits[i]),
                 )
@@ -142,7 +142,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
     """Low-discrepancy starts over the admissible section, shape (m, count) [rad, rad/sqrt(leg/g)]."""
-    unit = scattered(problem.m, count)
+    unit = r_sequence(problem.m, count)
     low, high = np.log(NARROWEST * slope), np.log(WIDEST)
     angle = np.exp(low + (high - low) * unit[0])
     rate = angle * (CROSSING[0] + (CROSSING[1] - CROSSING[0]) * unit[1])
@@ -156,7 +156,7 @@ def _solved(problem: Problem, w: np.ndarray, slope: float) -> tuple[np.ndarray, 
     q = np.log(slope)
     if problem.phases == 2:
         # Three links are dear: every start flies roughly, and only distinct ends are flown exactly.
-        near = newton(problem, w, np.full(w.shape[1], q), rough=True)
+        near = newton(problem, w, np.full(w.shape[1], q), coarse=True)
         w, hits = _distinct(near.w[:, near.converged], np.ones(int(near.converged.sum()), int), 1e-3)
         converged = int(near.converged.sum())
     else:
@@ -198,11 +198,11 @@ def deflated(problem: Problem, begin: np.ndarray, known: np.ndarray, slope: floa
     """
     w, q = begin.copy(), np.log(slope)
     active, arrived = np.arange(w.shape[1]), np.zeros(w.shape[1], bool)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         if not len(active):
             break
         here = w[:, active]
-        at, _ = problem.stride(here, np.full(len(active), q), rough=problem.phases == 2)
+        at, _ = problem.stride(here, np.full(len(active), q), coarse=problem.phases == 2)
         step = newton_step(at, here)
         away = here[:, None] - known[:, :, None]
         square = (away**2).sum(axis=0)

@@ -10,7 +10,7 @@ import numpy as np
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
 from tasks.continuation.sampling import chosen, within
-from tasks.continuation.special_points import located, special_points
+from tasks.continuation.special_points import locate_root, special_points
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
@@ -18,7 +18,7 @@ from tasks.step.problem import EPS, Problem
 from tasks.walkers.resolve import resolve
 
 #: Places between two nodes beyond which a window is too narrow for more.
-MOST_PARTS = 65536
+MAX_PARTS = 65536
 
 
 def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -40,7 +40,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
-    second = np.sqrt(walker.leg / walker.g)
+    time_unit = np.sqrt(walker.leg / walker.g)
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
     rows: dict[str, list[np.ndarray]] = {
@@ -55,7 +55,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
         m = found.m
         stride, _ = problem.stride(np.delete(Z, m, axis=1).T, Z[:, m])
         radius = np.abs(multipliers(stride.jacobian, m)).max(axis=1)
-        times = Z[:, m + 1 :] * second
+        times = Z[:, m + 1 :] * time_unit
         knee = times[:, 0] if problem.phases == 2 else np.full(len(Z), np.nan)
         for key, value in (
             ("branch", np.full(len(Z), number)),
@@ -70,7 +70,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
             rows[key].append(value)
         for point in special_points(problem, found) + contact_lost(problem, found, low, high):
             if low <= float(point["slope"]) <= high and point["kind"] != "window":
-                points.append({"branch": number, **point, "period": float(point["period"]) * second})
+                points.append({"branch": number, **point, "period": float(point["period"]) * time_unit})
     out = {f"branches/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in rows.items()}
     for key in ("branch", "kind", "slope", "stance_angle", "period", "error_bound"):
         out[f"special_points/{key}"] = np.array([p[key] for p in points])
@@ -100,7 +100,7 @@ def contact_lost(problem: Problem, found: Branch, low: float, high: float) -> li
     force[near] = least(found.Z[near, : m + 1].T, found.Z[near, m + 1 :].T)
     records: list[dict[str, float | str]] = []
     for segment in np.nonzero(force[1:] * force[:-1] < 0)[0]:
-        point, _ = located(problem, found, int(segment), lambda point, way: float(least(point.X, point.times)[0]))
+        point, _ = locate_root(problem, found, int(segment), lambda point, way: float(least(point.X, point.times)[0]))
         # Closer samples tell how far off the least of a sampled force is.
         off = least(point.X, point.times, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
         error = abs(float(off * (found.q[segment + 1] - found.q[segment])))
@@ -121,6 +121,6 @@ def _dense(found: Branch, low: float, high: float, least: int) -> np.ndarray:
     parts = 1
     while True:
         _, rows = within(found, np.log(low), np.log(high), parts)
-        if not len(rows) or len(rows) >= least or parts >= MOST_PARTS:
+        if not len(rows) or len(rows) >= least or parts >= MAX_PARTS:
             return rows
         parts *= 2

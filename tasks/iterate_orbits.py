@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from tasks.continuation import atlas as atlases
-from tasks.dynamics.initial_states import gaits_at, scattered
+from tasks.dynamics.initial_states import gaits_at, r_sequence
 from tasks.dynamics.lyapunov import Exponents, estimate
-from tasks.fixed_points.polish import SURE
+from tasks.fixed_points.polish import SAFETY_FACTOR
 from tasks.step.problem import EPS, Problem
 from tasks.step.simulate import CAUSES, STRUCK, stride
 from tasks.walkers.resolve import resolve
@@ -60,10 +60,10 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     known, gaits = gaits_at(problem, atlases.from_arrays(inputs[0]), slope, str(options["gait"]))
     count = int(options["starts"])
     # The same offsets at every slope, so an orbit does not depend on which slopes stand beside it.
-    offsets = np.tile(2 * scattered(problem.m, count) - 1, (1, len(known)))
+    offsets = np.tile(2 * r_sequence(problem.m, count) - 1, (1, len(known)))
     y = np.repeat(gaits, count, axis=1) * (1 + float(options["spread"]) * offsets)
     lane_slope, start = np.repeat(slope[known], count), np.tile(np.arange(count), len(known))
-    second = np.sqrt(walker.leg / walker.g)
+    time_unit = np.sqrt(walker.leg / walker.g)
     parts = [
         _walked(problem, y[:, k : k + LANES], lane_slope[k : k + LANES], options) for k in range(0, y.shape[1], LANES)
     ]
@@ -72,7 +72,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     outcome = np.concatenate([p["outcome"] for p in parts]) if parts else np.zeros(0, int)
     means = np.concatenate([p["means"] for p in parts], axis=2) if parts else np.zeros((BLOCKS, problem.m, 0))
     walks = outcome == STRUCK
-    kept = rows[:, :, walks] * np.array([1, 1 / second, 1 / second, 1 / second, second, 1])[:, None]
+    kept = rows[:, :, walks] * np.array([1, 1 / time_unit, 1 / time_unit, 1 / time_unit, time_unit, 1])[:, None]
     shown, n = len(kept), int(walks.sum())
     out = {
         "orbits/slope": np.repeat(lane_slope[walks], shown),
@@ -183,4 +183,4 @@ def _step(problem: Problem, y: np.ndarray, image: np.ndarray, times: np.ndarray,
     off = np.abs(again.image * unit - image)
     largest = np.abs(image[1:]).max(axis=0)
     error = np.max([off[0] / image[0], *(off[1:] / largest), np.abs(again.times[-1] / times[-1] - 1)], axis=0)
-    return np.vstack([begin[[0, size // 2, size // 2 + 1, size - 1]], times[-1], SURE * (error + EPS)])
+    return np.vstack([begin[[0, size // 2, size // 2 + 1, size - 1]], times[-1], SAFETY_FACTOR * (error + EPS)])

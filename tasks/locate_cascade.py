@@ -10,7 +10,7 @@ import numpy as np
 
 from tasks.continuation import atlas as atlases
 from tasks.continuation.cycles import (
-    MOST_POINTS,
+    MAX_POINTS,
     Cycle,
     Path,
     Test,
@@ -22,7 +22,7 @@ from tasks.continuation.cycles import (
     really_walks,
 )
 from tasks.dynamics.crisis import lost
-from tasks.dynamics.initial_states import gaits_at, scattered
+from tasks.dynamics.initial_states import gaits_at, r_sequence
 from tasks.fits import feigenbaum as scaling
 from tasks.step.problem import Problem
 from tasks.step.simulate import STRUCK, stride
@@ -139,7 +139,7 @@ def _around(cycle: Cycle) -> np.ndarray:
     steps = (
         np.arange(WALKERS) * cycle.period // WALKERS if cycle.period > WALKERS else np.arange(WALKERS) % cycle.period
     )
-    return cycle.Y[:, steps] * (1 + SPREAD * (2 * scattered(len(cycle.Y), WALKERS) - 1))
+    return cycle.Y[:, steps] * (1 + SPREAD * (2 * r_sequence(len(cycle.Y), WALKERS) - 1))
 
 
 def _same_birth(a: list[Event], b: list[Event]) -> bool:
@@ -177,7 +177,7 @@ def cycles_at(problem: Problem, atlas: Arrays, slope: float, n: int, starts: int
     known, y = gaits_at(problem, atlases.from_arrays(atlas), np.array([slope]), "long")
     if not len(known):
         return []
-    Y = [y[:, :1] * (1 + 0.2 * (2 * scattered(problem.m, starts) - 1))]
+    Y = [y[:, :1] * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))]
     times: list[np.ndarray] = []
     for _ in range(n + 1):
         now = stride(problem, Y[-1], np.full(Y[-1].shape[1], slope), exact=False)
@@ -240,12 +240,12 @@ def _family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> 
 
 def _events(path: Path, test: Test, kind: str, low: float, high: float) -> list[Event]:
     """The first zero of a test function along a branch inside the window, as a list of none or one."""
-    for _ in range(MOST_POINTS):
+    for _ in range(MAX_POINTS):
         if not path.advance():
             return []
         before, after = path.points[-2:]
         if test(before) * test(after) < 0:
-            cycle = path.located(test)
+            cycle = path.locate_root(test)
             return [Event(kind, cycle, _slope_error(path, test, cycle))]
         if not low - 0.05 <= after.q <= high + 0.05:
             return []
@@ -258,5 +258,5 @@ def _slope_error(path: Path, test: Test, cycle: Cycle) -> float:
     before, after = path.points[-2:]
     if test is fold_test:
         return cycle.error + 8 * eps
-    noise = 16 * eps * cycle.period * (1 + np.abs(cycle.A).max()) ** 2
-    return float(cycle.error + 8 * eps + noise * abs((after.q - before.q) / (test(after) - test(before))))
+    rounding_std = 16 * eps * cycle.period * (1 + np.abs(cycle.A).max()) ** 2
+    return float(cycle.error + 8 * eps + rounding_std * abs((after.q - before.q) / (test(after) - test(before))))

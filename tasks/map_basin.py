@@ -55,7 +55,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     options = {**OPTIONS, **{k: params[k] for k in OPTIONS if k in params}}
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
-    second = np.sqrt(walker.leg / walker.g)
+    time_unit = np.sqrt(walker.leg / walker.g)
     tables: list[Arrays] = []
     areas: dict[str, list[Any]] = {k: [] for k in ("slope", "outcome", "area", "standard_error", "share", "starts")}
     branches = atlases.from_arrays(inputs[0])
@@ -67,13 +67,17 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 targets[label] = y[:, 0]
         if "long" not in targets:
             continue
-        starts, cell = _starts(problem, targets["long"], options, second)
+        starts, cell = _starts(problem, targets["long"], options, time_unit)
         outcome, steps = settle(problem, starts, float(slope), targets, int(options["strides"]))
-        table = {"slope": np.full(starts.shape[1], slope), "stance_angle": starts[0], "stance_rate": starts[1] / second}
+        table = {
+            "slope": np.full(starts.shape[1], slope),
+            "stance_angle": starts[0],
+            "stance_rate": starts[1] / time_unit,
+        }
         if problem.m == 3:
-            table["swing_rate"] = starts[2] / second
+            table["swing_rate"] = starts[2] / time_unit
         tables.append(table | {"outcome": outcome, "steps": steps})
-        for name, area, error in _areas(outcome.reshape(int(options["size"]), -1), cell / second):
+        for name, area, error in _areas(outcome.reshape(int(options["size"]), -1), cell / time_unit):
             row = (slope, name, area, error, np.mean(outcome == name), len(outcome))
             for column, value in zip(areas.values(), row, strict=True):
                 column.append(value)
@@ -81,11 +85,13 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     return found | {f"areas/{k}": np.array(v) for k, v in areas.items()}
 
 
-def _starts(problem: Problem, gait: np.ndarray, options: Mapping[str, Any], second: float) -> tuple[np.ndarray, float]:
+def _starts(
+    problem: Problem, gait: np.ndarray, options: Mapping[str, Any], time_unit: float
+) -> tuple[np.ndarray, float]:
     """Centres of the grid's cells, shape (m, size^2), the angle running slowest, and the area of a cell."""
     size = int(options["size"])
     ranges = []
-    for i, (key, unit) in enumerate((("stance_angle", 1.0), ("stance_rate", second))):
+    for i, (key, unit) in enumerate((("stance_angle", 1.0), ("stance_rate", time_unit))):
         given = options[key]
         ranges.append(np.sort(np.array(given, float) * unit if given else np.array(AROUND) * gait[i]))
     sides = [low + (high - low) * (np.arange(size) + 0.5) / size for low, high in ranges]

@@ -9,8 +9,8 @@ import numpy as np
 
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
-from tasks.continuation.special_points import END_NAMES, located, row
-from tasks.continuation.tracking import LEAST_SLOPE, Point
+from tasks.continuation.special_points import END_NAMES, locate_root, row
+from tasks.continuation.tracking import MIN_SLOPE, Point
 from tasks.fixed_points.multipliers import multipliers
 from tasks.measures.kinematics import travel
 from tasks.step.problem import Problem
@@ -70,7 +70,7 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     (first, at), (last, lost) = min(least, default=(np.nan, NO_GAIT)), max(most, default=(np.nan, NEVER))
     fastest, where = max(speeds, default=(np.nan, np.nan))
     values = {
-        "smallest_slope": 0.0 if first < np.log(10 * LEAST_SLOPE) else float(np.exp(first)),
+        "smallest_slope": 0.0 if first < np.log(10 * MIN_SLOPE) else float(np.exp(first)),
         "smallest_at": at,
         "largest_stable_slope": float(np.exp(last)),
         "stability_lost_by": lost if least else NO_GAIT,
@@ -83,11 +83,11 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 def _lowest(branch: Branch, window: tuple[float, float]) -> list[tuple[float, str]]:
     """Least ln slope of a branch's gaits in the window, and what the branch does there; empty where it has none."""
-    human = branch.q[branch.passes == 1]
+    human = branch.q[branch.leg_passes == 1]
     if not len(human) or human.min() > window[1] or human.max() < window[0]:
         return []
     k = int(np.argmin(branch.q))
-    if branch.q[k] <= np.log(10 * LEAST_SLOPE):
+    if branch.q[k] <= np.log(10 * MIN_SLOPE):
         return [(float(branch.q[k]), "any slope")]
     if human.min() < window[0]:
         return [(window[0], "window")]
@@ -112,13 +112,13 @@ def stable_part(problem: Problem, branch: Branch) -> tuple[np.ndarray, list[tupl
     """
     m = branch.m
     at, _ = problem.stride(np.delete(branch.Z, m, axis=1).T, branch.q)
-    stable = (np.abs(multipliers(at.jacobian, m)).max(axis=1) < 1) & (branch.passes == 1)
+    stable = (np.abs(multipliers(at.jacobian, m)).max(axis=1) < 1) & (branch.leg_passes == 1)
     rows, ends = [np.zeros((0, branch.Z.shape[1]))], []
     for k in np.nonzero(stable[1:] | stable[:-1])[0]:
         axis = branch.axis[k]
         a, b = branch.Z[k, axis], branch.Z[k + 1, axis]
         if stable[k] != stable[k + 1]:
-            point, _ = located(problem, branch, int(k), _excess)
+            point, _ = locate_root(problem, branch, int(k), _excess)
             ends.append((float(point.X[m, 0]), _bifurcation(point)))
             a, b = (a, row(point)[axis]) if stable[k] else (row(point)[axis], b)
         rows.append(branch.evaluate(np.full(BETWEEN + 1, k), np.linspace(a, b, BETWEEN + 1)))

@@ -12,7 +12,7 @@ from tasks.continuation import atlas as atlases
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.newton import lipschitz
 from tasks.fixed_points.polish import UNKNOWN
-from tasks.fixed_points.rounding import noise
+from tasks.fixed_points.rounding import rounding_std
 from tasks.fixed_points.search import search, starts
 from tasks.registry import GAITS, VARIABLES
 from tasks.solve_points import points, solve
@@ -89,7 +89,7 @@ def _elsewhere(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -> t
         np.vstack([X, w[m:]]),
         np.exp(q[0]),
         lipschitz(problem, X, w[m:]),
-        noise(problem, w, q[0], near=8),
+        rounding_std(problem, w, q[0], near=8),
         WANT,
         unknown,
     )
@@ -98,7 +98,7 @@ def _elsewhere(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -> t
         angle = solved["stance_angle"][lane]
         if any(abs(angle - g["stance_angle"]) < 1e-8 * abs(angle) for g in gaits) or not np.isfinite(angle):
             continue
-        others.append({**{k: solved[k][lane] for k in WANT if k in solved}, "passes": verdict.passes[lane]})
+        others.append({**{k: solved[k][lane] for k in WANT if k in solved}, "passes": verdict.leg_passes[lane]})
     misses = np.nonzero(~verdict.step)[0]
     nearest = (
         "Nearest miss: none."

@@ -12,7 +12,7 @@ from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.polish import UNKNOWN, Settled, settle
+from tasks.fixed_points.polish import UNKNOWN, Polished, settle
 from tasks.fixed_points.search import starts
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
@@ -104,9 +104,11 @@ def _fill(
                 continue
             index, Z, segment = index[asked], Z[asked], segment[asked]
             lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
-            noise = branch.noise[segment]
-            passes = np.where(branch.safe[segment], branch.passes[segment], UNKNOWN)
-            solved = solve(problem, Z.T, slope[index], lipschitz, noise.T, tuple(out), passes, friction_limit)
+            rounding_std = branch.rounding_std[segment]
+            leg_passes = np.where(branch.safe[segment], branch.leg_passes[segment], UNKNOWN)
+            solved = solve(
+                problem, Z.T, slope[index], lipschitz, rounding_std.T, tuple(out), leg_passes, friction_limit
+            )
             solved["branch"], solved["piece"] = np.full(len(index), number), branch.piece(segment)
             angle.append(np.full(len(slope), np.nan))
             angle[-1][index] = np.where(solved["anthropomorphic"], Z[:, 0], np.nan)
@@ -128,7 +130,7 @@ def _fill(
 
 def _spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
     """Least and largest slopes of the runs of a branch's gaits of one label [rad]."""
-    mine = ((branch.ratio < 0.5) == (label == "long")) & (branch.passes == 1)
+    mine = ((branch.ratio < 0.5) == (label == "long")) & (branch.leg_passes == 1)
     for first, last in branch.pieces():
         nodes = np.arange(first, last + 1)
         for run in np.split(nodes, np.nonzero(np.diff(mine[nodes]))[0] + 1):
@@ -158,9 +160,9 @@ def solve(
     Z: np.ndarray,
     slope: np.ndarray,
     lipschitz: np.ndarray,
-    noise: np.ndarray,
+    rounding_std: np.ndarray,
     want: Sequence[str],
-    passes: np.ndarray,
+    leg_passes: np.ndarray,
     friction_limit: float = violations.FRICTION_LIMIT,
 ) -> Arrays:
     """Polish guesses, verify them and measure what is wanted; every array has the lane first.
@@ -176,15 +178,15 @@ def solve(
     passes : ndarray, shape (n,)
         How often the legs pass, where the atlas has shown the stride to be a step; elsewhere UNKNOWN.
     """
-    at = settle(problem, Z, slope, lipschitz, noise, passes)
+    at = settle(problem, Z, slope, lipschitz, rounding_std, leg_passes)
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
     found = {
         "status": code,
         "reason": np.where(at.converged, np.where(at.step, 0, 4), 3),
         "residual": np.abs((at.stride.image - at.stride.y) / sizes(at.stride.y)).max(axis=0),
         "error_bound": at.bound,
-        "anthropomorphic": ~at.step | (at.passes == 1),
-        "passes": at.passes,
+        "anthropomorphic": ~at.step | (at.leg_passes == 1),
+        "passes": at.leg_passes,
     }
     found |= _measure(problem, at, slope, want, friction_limit)
     bad = code != status.CONVERGED
@@ -194,14 +196,14 @@ def solve(
     return found
 
 
-def _measure(problem: Problem, at: Settled, slope: np.ndarray, want: Sequence[str], friction_limit: float) -> Arrays:
+def _measure(problem: Problem, at: Polished, slope: np.ndarray, want: Sequence[str], friction_limit: float) -> Arrays:
     """Wanted variables in the walker's units."""
     walker, stride, scale = problem.walker, at.stride, at.scale
     y, state, times = at.y * scale, at.state * scale, at.times
-    second = np.sqrt(walker.leg / walker.g)
+    time_unit = np.sqrt(walker.leg / walker.g)
     half = problem.map.start_size // 2
-    angle, period = y[0], times[-1] * second
-    rates = state[half:] / second
+    angle, period = y[0], times[-1] * time_unit
+    rates = state[half:] / time_unit
     found = {
         "stance_angle": angle,
         "stance_rate": rates[0],
@@ -209,7 +211,7 @@ def _measure(problem: Problem, at: Settled, slope: np.ndarray, want: Sequence[st
         "shank_rate": rates[-1],
         "period": period,
         "heelstrike_rate_ratio": gait_ratio(stride),
-        "kneestrike_time": times[0] * second if walker.knees else np.full(len(slope), np.nan),
+        "kneestrike_time": times[0] * time_unit if walker.knees else np.full(len(slope), np.nan),
     }
     if {"multiplier_real", "multiplier_imag", "spectral_radius"} & set(want):
         values = multipliers(stride.jacobian, 4 if walker.knees else 3)

@@ -18,7 +18,7 @@ from tasks.walkers.resolve import resolve
 #: Intervals each phase is drawn in.
 SAMPLES = 48
 #: Slopes of a line that are drawn, spread over those of the study.
-MOST_SLOPES = 6
+MAX_SLOPES = 6
 
 
 def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -39,12 +39,12 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
-    second = np.sqrt(walker.leg / walker.g)
+    time_unit = np.sqrt(walker.leg / walker.g)
     columns: dict[str, list[np.ndarray]] = {
         k: [] for k in ("gait", "slope", "time", "theta_st", "theta_th", "theta_sh", "foot_x")
     }
     slope = np.unique(np.asarray(params["slope"], float))
-    slope = slope[np.unique(np.linspace(0, len(slope) - 1, MOST_SLOPES).round().astype(int))]
+    slope = slope[np.unique(np.linspace(0, len(slope) - 1, MAX_SLOPES).round().astype(int))]
     known = points({**params, "slope": slope, "want": ()}, inputs)
     for number, branch in enumerate(atlases.from_arrays(inputs[0])):
         for index, Z, segment in branch.guesses(np.log(slope)):
@@ -66,7 +66,7 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
                 for key, value in (
                     ("gait", np.full(n, GAITS[g])),
                     ("slope", np.full(n, slope[index[lane]])),
-                    ("time", times * second),
+                    ("time", times * time_unit),
                     ("theta_st", a),
                     ("theta_th", b),
                     ("theta_sh", c),

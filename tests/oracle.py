@@ -74,16 +74,16 @@ class Stepper:
         def event(_, y):
             return guard(y)
 
-        def fallen(_, y):
+        def fall_margin(_, y):
             return abs(y[0]) - np.pi / 2
 
-        event.terminal, event.direction, fallen.terminal = True, direction, True
+        event.terminal, event.direction, fall_margin.terminal = True, direction, True
         options = {"method": "DOP853", "rtol": rtol, "atol": atol}
         run = solve_ivp(
             rhs,
             (start, start + 20 * self.time_unit),
             state,
-            events=(event, fallen),
+            events=(event, fall_margin),
             max_step=self.longest_step * self.time_unit,
             dense_output=True,
             **options,

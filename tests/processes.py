@@ -6,14 +6,14 @@ import time
 from pathlib import Path
 
 
-def beside(toy, what=".journal"):
+def sidecar_path(toy, what=".journal"):
     """A file of a toy's run."""
     return toy.folder / "data" / "archive" / f"toy{what}"
 
 
 def wait_for_points(toy, n=1, seconds=60):
     """Wait until the event log tells of so many chunks."""
-    log, end = beside(toy, ".events.jsonl"), time.monotonic() + seconds
+    log, end = sidecar_path(toy, ".events.jsonl"), time.monotonic() + seconds
     while time.monotonic() < end:
         if log.exists() and log.read_text().count('"chunk"') >= n:
             return

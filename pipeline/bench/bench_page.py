@@ -152,8 +152,8 @@ def _plot(title: str, cases: list[Case]) -> str:
             # An error of nothing at all cannot be drawn on a logarithmic axis; the reference's rounding can.
             error = np.maximum([c.error for c in of], 1e-20)
             middle = np.array([np.median(c.seconds) for c in of])
-            spread = np.abs(np.array([[min(c.seconds), max(c.seconds)] for c in of]).T - middle)
-            axes.errorbar(error, middle, yerr=spread, marker=mark, ms=5, lw=1, capsize=2, label=method)
+            golden_ratio_order = np.abs(np.array([[min(c.seconds), max(c.seconds)] for c in of]).T - middle)
+            axes.errorbar(error, middle, yerr=golden_ratio_order, marker=mark, ms=5, lw=1, capsize=2, label=method)
         axes.set(xscale="log", yscale="log", xlabel="relative error", ylabel="time of one [s]", title=title)
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -12,7 +12,7 @@ from pipeline.bench.stress import random_walker
 from tasks import solve_points
 from tasks.continuation import atlas as atlases
 from tasks.fixed_points.polish import UNKNOWN, settle
-from tasks.fixed_points.rounding import arrival
+from tasks.fixed_points.rounding import apply_newton_step
 from tasks.step import extended_precision
 from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
@@ -100,9 +100,11 @@ def bounds(
         for branch in atlases.survey(problem):
             for index, Z, segment in branch.guesses(np.log(slope)):
                 lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
-                noise = branch.noise[segment].T
-                passes = np.where(branch.safe[segment], branch.passes[segment], UNKNOWN)
-                rows += [(name, *row) for row in compared(problem, Z.T, slope[index], lipschitz, noise, passes)]
+                rounding_std = branch.rounding_std[segment].T
+                leg_passes = np.where(branch.safe[segment], branch.leg_passes[segment], UNKNOWN)
+                rows += [
+                    (name, *row) for row in compared(problem, Z.T, slope[index], lipschitz, rounding_std, leg_passes)
+                ]
         if say:
             say(f"{name}: {len(rows)} gaits so far")
     columns = [np.array(c) for c in zip(*[row[1:] for row in rows], strict=True)]
@@ -110,14 +112,19 @@ def bounds(
 
 
 def compared(
-    problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray, passes: np.ndarray
+    problem: Problem,
+    Z: np.ndarray,
+    slope: np.ndarray,
+    lipschitz: np.ndarray,
+    rounding_std: np.ndarray,
+    leg_passes: np.ndarray,
 ) -> list[tuple[float, float, float, float, int]]:
     """Slope [rad], bound, error, condition number and tier of each gait that converges; arguments as `settle`'s."""
-    product = solve_points.solve(problem, Z, slope, lipschitz, noise, WANT, passes)
-    at = settle(problem, Z, slope, lipschitz, noise, passes)
-    second, rows = _second(problem.walker), []
-    there = arrival(problem, at.stride, problem.parameters(slope, at.scale))
-    condition = np.maximum(1.0, (there.reach / there.size).max(axis=0) - 1.0)
+    product = solve_points.solve(problem, Z, slope, lipschitz, rounding_std, WANT, leg_passes)
+    at = settle(problem, Z, slope, lipschitz, rounding_std, leg_passes)
+    time_unit, rows = _time_unit(problem.walker), []
+    there = apply_newton_step(problem, at.stride, problem.parameters(slope, at.scale))
+    condition = np.maximum(1.0, (there.sensitivity / there.size).max(axis=0) - 1.0)
     for lane in map(int, np.flatnonzero(product["status"] == 0)):
         doubles = at.doubles[lane]
         tier = 0 if doubles <= extended_precision.ESCALATE else 1 if doubles < extended_precision.ESCALATE_AGAIN else 2
@@ -125,8 +132,8 @@ def compared(
             problem, int(lane), at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane], min(tier, 1)
         )
         state, half = converted(exact.state, np.longdouble) * at.scale[lane], len(exact.state) // 2
-        period = converted(exact.times[-1:], np.longdouble) * second
-        rates = state[half:] / second
+        period = converted(exact.times[-1:], np.longdouble) * time_unit
+        rates = state[half:] / time_unit
         true = {
             "stance_angle": state[0],
             "stance_rate": rates[0],
@@ -143,7 +150,7 @@ def compared(
     return rows
 
 
-def _second(walker: Walker) -> np.longdouble:
+def _time_unit(walker: Walker) -> np.longdouble:
     """The unit of time sqrt(leg/g), in long double."""
     wide = {k: np.longdouble(v) for k, v in walker.table().items() if isinstance(v, float | int)}
     d, sine = wide["l_s"] - wide["R"], wide["l_t"] * np.sin(wide["eps_T"])

@@ -96,7 +96,7 @@ def work(
     for flow in FLOWS.values():
         flow.evaluations = flow.idle = 0
     with Calls(
-        (polish, "judged", lambda problem, w, q: w.shape[1]),
+        (polish, "verify_steps", lambda problem, w, q: w.shape[1]),
         (solve_points, "multipliers", lambda jacobian, width: jacobian.shape[2]),
         (violations, "measure", lambda walker, motion, impact, times, slope, limit: len(slope)),
         (extended_precision, "refine", lambda *args: 1),
@@ -107,7 +107,7 @@ def work(
     return {
         "gaits": float((found["status"] == 0).sum()),
         "strides": float(sum(flow.evaluations for flow in flown if flow.angles == 4)),
-        "event checks": float(calls.lanes["judged"]),
+        "event checks": float(calls.lanes["verify_steps"]),
         "eigenvalue problems": float(calls.lanes["multipliers"]),
         "strides for violations": float(calls.lanes["measure"]),
         "more digits": float(calls.lanes["refine"]),

@@ -106,9 +106,9 @@ def _three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
     inner = c[9] - h * h / c[12]
     g1, k = f1 - h * f2 / c[12], k1 - h * k2 / c[12]
     first = (f0 - eps * (k2 * f2 / c[12] + k * g1 / inner)) / (top - eps * (k2 * k2 / c[12] + k * k / inner))
-    second = (g1 - k * first) / inner
+    time_unit = (g1 - k * first) / inner
     out[0], out[1], out[2] = u, v, w
-    out[3], out[4], out[5] = first, second, (f2 - k2 * first - h * second) / c[12]
+    out[3], out[4], out[5] = first, time_unit, (f2 - k2 * first - h * time_unit) / c[12]
 
 
 two_links, three_links = compiled(_two_links), compiled(_three_links)

@@ -194,10 +194,10 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
     exact = f.exact["jacobian"]
     q, m = np.log(f.slopes), f.problem.m
     cases = []
-    for setting, rough in ((EPS, False), (1e-7, True)):
+    for setting, coarse in ((EPS, False), (1e-7, True)):
 
-        def ours(rough: bool = rough) -> np.ndarray:
-            return f.problem.stride(f.w, q, rough=rough)[0].jacobian
+        def ours(coarse: bool = coarse) -> np.ndarray:
+            return f.problem.stride(f.w, q, coarse=coarse)[0].jacobian
 
         case = Case(f.name, "jacobian", "ours, exact", setting, ours, LANES)
         case.error = largest_error(ours()[..., 0], exact)
@@ -247,11 +247,11 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
     start[0] += 1e-3
     start[1:m] *= 0.999
     cases = []
-    for setting, rough in ((EPS, False), (1e-7, True)):
+    for setting, coarse in ((EPS, False), (1e-7, True)):
 
-        def ours(rough: bool = rough) -> np.ndarray:
-            found = newton(f.problem, start, q, rough=rough)
-            stride, scale = f.problem.stride(found.w, q, rough=rough)
+        def ours(coarse: bool = coarse) -> np.ndarray:
+            found = newton(f.problem, start, q, coarse=coarse)
+            stride, scale = f.problem.stride(found.w, q, coarse=coarse)
             multipliers(stride.jacobian, 3)
             return (stride.y + stride.newton) * scale / f.scale
 

@@ -13,7 +13,7 @@ from tasks import solve_points
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import lipschitz, newton
 from tasks.fixed_points.polish import UNKNOWN, settle
-from tasks.fixed_points.rounding import noise
+from tasks.fixed_points.rounding import rounding_std
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.mechanics.kernel import flow
 from tasks.mechanics.lumped import structure_of
@@ -26,7 +26,7 @@ from tasks.walkers.walker import Walker, WalkerError
 #: Lanes solved together.
 BLOCK = 4096
 #: Slopes drawn from [rad].
-LEAST_SLOPE, MOST_SLOPE = 1e-12, 0.3
+MIN_SLOPE, MAX_SLOPE = 1e-12, 0.3
 Random = np.random.Generator
 
 
@@ -213,7 +213,7 @@ def lanes(count: int, seed: int = 1, say: Callable[[str], None] | None = None) -
 
 def _lanes(family: str, problem: Lanes, random: Random, found: Outcomes) -> None:
     n, m = len(problem.walkers), problem.m
-    slope = np.exp(random.uniform(np.log(LEAST_SLOPE), np.log(MOST_SLOPE), n))
+    slope = np.exp(random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE), n))
     before = _strides(problem)
     start = _starts(problem, slope, random)
     solved = newton(problem, start, np.log(slope))
@@ -228,19 +228,19 @@ def _lanes(family: str, problem: Lanes, random: Random, found: Outcomes) -> None
             np.vstack([X, w[m:]]),
             slope,
             estimate,
-            noise(some, w, np.log(slope), near=4),
+            rounding_std(some, w, np.log(slope), near=4),
             np.full(len(there), UNKNOWN),
         )
         ratio, largest = gait_ratio(at.stride), np.abs(multipliers(at.stride.jacobian, m)).max(axis=1)
         for i in range(len(there)):
-            outcome = _outcome(bool(at.converged[i]), bool(at.step[i]), int(at.passes[i]), float(ratio[i]))
+            outcome = _outcome(bool(at.converged[i]), bool(at.step[i]), int(at.leg_passes[i]), float(ratio[i]))
             found.add(family, outcome)
             if outcome in ("gait, long", "gait, short"):
                 walker = some.walkers[i]
-                second = float(np.sqrt(walker.leg / walker.g))
+                time_unit = float(np.sqrt(walker.leg / walker.g))
                 state = at.state[:, i] * at.scale[i]
                 half = len(state) // 2
-                rates = state[half:] / second
+                rates = state[half:] / time_unit
                 found.accepted.append(
                     Accepted(
                         family,
@@ -249,7 +249,7 @@ def _lanes(family: str, problem: Lanes, random: Random, found: Outcomes) -> None
                         outcome[6:],
                         float(at.y[0, i] * at.scale[i]),
                         (float(rates[0]), float(rates[1]), float(rates[-1])),
-                        float(at.times[-1, i]) * second,
+                        float(at.times[-1, i]) * time_unit,
                         float(largest[i]),
                         float(at.bound[i]),
                     )
@@ -263,13 +263,13 @@ def _strides(problem: Lanes) -> int:
     return flow(problem.structure, False, 3 if problem.phases == 2 else problem.m, False).evaluations
 
 
-def _outcome(converged: bool, step: bool, passes: int, ratio: float) -> str:
+def _outcome(converged: bool, step: bool, leg_passes: int, ratio: float) -> str:
     if not converged:
         return "too ill-conditioned for a bound"
     if not step:
         return "solution that is no step"
-    if passes != 1:
-        return f"step, legs pass {passes} times" if passes < 4 else "step, legs pass 4 times or more"
+    if leg_passes != 1:
+        return f"step, legs pass {leg_passes} times" if leg_passes < 4 else "step, legs pass 4 times or more"
     return "gait, long" if ratio < 0.5 else "gait, short"
 
 
@@ -299,7 +299,7 @@ def lines(count: int, seed: int = 2, slopes: int = 40, say: Callable[[str], None
     want = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
     for family, share in LINES.items():
         for walker in _drawn(family, round(share * count), random, found):
-            slope = np.sort(np.exp(random.uniform(np.log(LEAST_SLOPE), np.log(MOST_SLOPE), slopes)))
+            slope = np.sort(np.exp(random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE), slopes)))
             line = {"walker": walker.table(), "set": {}}
             try:
                 points = solve_points.points(

@@ -233,7 +233,7 @@ def _plan(options: argparse.Namespace) -> int:
     from pipeline.store.journal import Journal
 
     for study, path in _archives(options):
-        journal = Journal(paths.beside(path, ".journal"), write=False)
+        journal = Journal(paths.sidecar_path(path, ".journal"), write=False)
         found = missing.Plan(study, journal, options.retry_failed)
         print("\n".join(text.plan(found, missing.summary(found), path)))
     return 0

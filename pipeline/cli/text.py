@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.execution.progress import duration, last_state, sentence
-from pipeline.paths import beside
+from pipeline.paths import sidecar_path
 from pipeline.plan.missing import Plan, Summary
 
 
@@ -36,7 +36,7 @@ def after(archives: list[Path], others: list[str], seconds: float) -> Iterator[s
     counts: Counter[str] = Counter()
     for path in archives:
         try:
-            counts.update(json.loads(beside(path, ".run.json").read_text(encoding="utf-8"))["counts"])
+            counts.update(json.loads(sidecar_path(path, ".run.json").read_text(encoding="utf-8"))["counts"])
         except (OSError, ValueError, KeyError):
             continue
     if len(archives) + len(others) > 1:
@@ -52,12 +52,12 @@ def after(archives: list[Path], others: list[str], seconds: float) -> Iterator[s
 
 def state(path: Path) -> dict[str, Any] | None:
     """State of the run of an archive, with `running` and, if so, who holds it."""
-    found = last_state(beside(path, ".events.jsonl"))
+    found = last_state(sidecar_path(path, ".events.jsonl"))
     if found is None:
         return None
     found["running"] = False
     try:
-        with open(beside(path, ".lock"), encoding="utf-8") as file:
+        with open(sidecar_path(path, ".lock"), encoding="utf-8") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except OSError:

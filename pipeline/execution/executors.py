@@ -10,7 +10,7 @@ from typing import Any
 
 from pipeline.execution import worker_process
 
-_NOTHING, _IDLE = -1, 0.05  # number of a job of nothing, and how long it lasts [s]
+_NOOP_JOB, _IDLE = -1, 0.05  # number of a job of nothing, and how long it lasts [s]
 
 
 @dataclass
@@ -41,7 +41,7 @@ class Engine:
 
 def do(number: int, job: dict[str, Any]) -> tuple[int, dict[str, Any]]:
     """What an engine executes: a numbered job, under guard."""
-    if number == _NOTHING:
+    if number == _NOOP_JOB:
         time.sleep(_IDLE)
         return number, {}
     return number, worker_process.run(job)

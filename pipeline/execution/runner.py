@@ -25,10 +25,10 @@ from pipeline.execution import worker_process
 from pipeline.execution.executors import Engine
 from pipeline.execution.progress import Progress, duration
 from pipeline.execution.scheduler import Loop
-from pipeline.paths import beside
+from pipeline.paths import sidecar_path
 from pipeline.plan.missing import Plan, summary
 from pipeline.store.compact import compact
-from pipeline.store.journal import Journal, TornError, forget, mend
+from pipeline.store.journal import CorruptJournalError, Journal, forget, repair
 from pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # s at least between published snapshots
@@ -59,7 +59,7 @@ def locked(path: Path) -> Iterator[None]:
     BusyError
         If another run holds it.
     """
-    with open(beside(path, ".lock"), "a+", encoding="utf-8") as file:
+    with open(sidecar_path(path, ".lock"), "a+", encoding="utf-8") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -73,7 +73,7 @@ def locked(path: Path) -> Iterator[None]:
                     else "its name is not known yet."
                 )
             ) from error
-        for place in (path.resolve(), beside(path, ".journal"), beside(path, ".run.json")):
+        for place in (path.resolve(), sidecar_path(path, ".journal"), sidecar_path(path, ".run.json")):
             paths.discard(place, _holder(file).get("drafts"))
         file.seek(0)
         file.truncate()
@@ -166,7 +166,7 @@ def run(study: Study, path: Path, options: Options) -> int:
 
 
 def _run(study: Study, path: Path, options: Options) -> int:
-    place = beside(path, ".journal")
+    place = sidecar_path(path, ".journal")
     if options.fresh:
         forget(place)
     record: dict[str, Any] = {
@@ -190,7 +190,7 @@ def _run(study: Study, path: Path, options: Options) -> int:
     finally:
         record |= {"exit_code": code, "seconds": round(time.monotonic() - clock, 3)}
         with contextlib.suppress(OSError):
-            _write_record(beside(path, ".run.json"), record)
+            _write_record(sidecar_path(path, ".run.json"), record)
 
 
 def _attempts(study: Study, path: Path, place: Path, options: Options, record: dict[str, Any]) -> int:
@@ -198,8 +198,8 @@ def _attempts(study: Study, path: Path, place: Path, options: Options, record: d
         try:
             with contextlib.closing(Journal(place, points=study.points)) as journal:
                 return _once(Plan(study, journal, options.retry_failed), path, options, record)
-        except TornError:
-            mend(place)
+        except CorruptJournalError:
+            repair(place)
             if not options.quiet:
                 print(f"{place} was damaged; it is mended, and what is lost is computed again.", file=sys.stderr)
     raise ArchiveError(f"{place} cannot be mended; run again with --fresh.")
@@ -208,7 +208,7 @@ def _attempts(study: Study, path: Path, place: Path, options: Options, record: d
 def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> int:
     todo = summary(plan)
     engine, signals = Engine(options.jobs, options.cluster), Signals()
-    log = beside(path, ".events.jsonl")
+    log = sidecar_path(path, ".events.jsonl")
     with signals.caught(), Progress(plan, todo, log, options.quiet, options.verbose) as progress:
         _warn_of_moved_code(plan, progress)
         listen = _Snapshots(plan, path, options.snapshot, progress)
@@ -220,7 +220,7 @@ def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> i
             record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
             written = write.write(plan, path, min(options.jobs, os.cpu_count() or 1))
             if written.counts["not_attempted"]:  # what was kept is not found again
-                raise TornError(plan.journal.path)
+                raise CorruptJournalError(plan.journal.path)
             compact(plan.journal)
         finally:
             record |= {"state": progress.state()}

@@ -21,7 +21,7 @@ import numpy as np
 from pipeline import serialize
 from pipeline.errors import GaitsweepError, WorkerError
 from pipeline.execution.estimates import Costs
-from pipeline.execution.executors import _NOTHING, Engine
+from pipeline.execution.executors import _NOOP_JOB, Engine
 from pipeline.plan import graph
 from pipeline.plan.missing import LineWork, Plan
 from pipeline.store import lines
@@ -29,15 +29,15 @@ from pipeline.store.journal import Result
 from tasks.registry import GAITS, READS, VARIABLES
 
 _TARGET = 1.0  # s of work in a chunk
-_MOST = 32768  # points in a chunk: what bounds the memory of a worker
+_MAX = 32768  # points in a chunk: what bounds the memory of a worker
 _PIECES = 4  # chunks a worker gets at least, where there is work for it
-_LEAST = 0.25  # s of work not worth cutting
+_MIN = 0.25  # s of work not worth cutting
 _FIRST = 256  # points in a chunk before anything is measured
-_AHEAD, _AHEAD_POINTS = 32, 1_000_000  # lines at work at a time, and points on them
+_MAX_OPEN_LINES, _MAX_OPEN_POINTS = 32, 1_000_000  # lines at work at a time, and points on them
 _LONG = 10.0  # s of a line from which it is probed
 _WHOLE = 60  # a task over a whole line or study may take as many times a point's seconds
 _OUT = 4  # jobs out or not yet read, for each worker
-_LINGER = 2.0  # s a process on a cluster waits for more: nobody there knows when the run is over, or gone
+_IDLE_TIMEOUT = 2.0  # s a process on a cluster waits for more: nobody there knows when the run is over, or gone
 _READ = 20_000  # slopes of a line that a task over the study is given, evenly taken
 _TRIES = 3  # times in a row that a broken engine is built anew
 Listen = Callable[[str, dict[str, Any]], None]
@@ -56,7 +56,7 @@ class Task:
     probe: bool = False
 
 
-def spread(pieces: list[Any]) -> list[Any]:
+def golden_ratio_order(pieces: list[Any]) -> list[Any]:
     """The same in an order in which a part of them is a sample of the whole."""
     n = len(pieces)
     step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
@@ -90,7 +90,7 @@ class Queue:
             if len(self.out) >= _OUT * self.loop.engine.jobs:
                 raise StopIteration  # joblib runs ahead of a slow reader; what it holds is memory
             if not self.ready and self.out:
-                return _NOTHING, {}  # joblib never asks again whom nothing was given; what is out may lead to more
+                return _NOOP_JOB, {}  # joblib never asks again whom nothing was given; what is out may lead to more
             if not self.ready:
                 raise StopIteration
             task = self.ready.popleft()
@@ -104,7 +104,11 @@ class Queue:
     def ahead(self) -> bool:
         """Whether to begin another line before those at work are done: what lines cost is then known early."""
         costs = self.loop.costs
-        return len(self.ready) < _AHEAD and len(costs.lines) < _AHEAD and costs.begun() < _AHEAD_POINTS
+        return (
+            len(self.ready) < _MAX_OPEN_LINES
+            and len(costs.lines) < _MAX_OPEN_LINES
+            and costs.begun() < _MAX_OPEN_POINTS
+        )
 
     def add(self, tasks: list[Task]) -> None:
         """Put tasks in front, but the points of a line, after the first of them, at the end."""
@@ -121,7 +125,7 @@ class Queue:
                 places = np.sort(np.concatenate([task.places for task in mine]))  # type: ignore[misc]
                 few, rest = self.loop.costs.probes(work.number, places)
                 self.ready = deque(task for task in self.ready if not any(task is t for t in mine))
-                self.ready.extend(dataclasses.replace(mine[0], places=p) for p in spread(rest))
+                self.ready.extend(dataclasses.replace(mine[0], places=p) for p in golden_ratio_order(rest))
                 self.ready.extendleft(dataclasses.replace(mine[0], places=p, probe=True) for p in few)
 
     def requeue(self) -> None:
@@ -171,7 +175,7 @@ class Loop:
                     while True:
                         while queue:
                             for number, result in parallel(queue):
-                                if number == _NOTHING:
+                                if number == _NOOP_JOB:
                                     continue
                                 done, broken = done + 1, 0
                                 queue.add(self.record(queue.out.pop(number), result))
@@ -206,7 +210,7 @@ class Loop:
         tasks = [Task(name, work.keys[name], work, None, inputs) for name in others]
         if not len(work.missing):
             return tasks
-        pieces = spread(np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size())))
+        pieces = golden_ratio_order(np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size())))
         if len(work.missing) * self.cost > _TARGET:  # a taste of the line, before those that follow are begun
             pieces[:1] = filter(len, (pieces[0][:_FIRST], pieces[0][_FIRST:]))
         return tasks + [Task("points", work.keys["points"], work, piece, inputs) for piece in pieces]
@@ -221,8 +225,8 @@ class Loop:
         if task and not self.measured:
             return _FIRST
         share = self.points * self.cost / (self.engine.jobs * _PIECES)
-        seconds = min(_TARGET, max(_LEAST, share), self.study.limits.seconds / 4)
-        return max(1, min(_MOST, int(seconds / cost)))
+        seconds = min(_TARGET, max(_MIN, share), self.study.limits.seconds / 4)
+        return max(1, min(_MAX, int(seconds / cost)))
 
     def job(self, task: Task) -> dict[str, Any]:
         """A task as `worker_process.run` takes it."""
@@ -236,7 +240,7 @@ class Loop:
             "inputs": list(task.inputs),
             "points": task.places is not None,
             "memory": limits.memory,
-            "idle": None if self.engine.address is None else _LINGER,
+            "idle": None if self.engine.address is None else _IDLE_TIMEOUT,
             "seconds": limits.seconds * (_WHOLE if task.places is None else 1),
         }
 

@@ -32,11 +32,11 @@ _START = 300.0  # s a worker may take to load its task
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
 _PIECES = 16  # a bad block is cut into as many
 _own = threading.local()
-_alive: set[Cell] = set()
+_alive: set[WorkerProcess] = set()
 _closing = threading.Event()
 
 
-class Cell:
+class WorkerProcess:
     """A worker process and the pipes to it."""
 
     def __init__(self) -> None:
@@ -162,7 +162,7 @@ def members() -> list[dict[str, Any]]:
     return [_member(c) for c in list(_alive)]
 
 
-def _member(cell: Cell) -> dict[str, Any]:
+def _member(cell: WorkerProcess) -> dict[str, Any]:
     return {"host": platform.node(), "pid": cell.process.pid, "memory": cell.resident(), "threads": cell.threads}
 
 
@@ -171,7 +171,7 @@ def _ask(job: dict[str, Any], params: dict[str, Any]) -> tuple[str, Any]:
     while True:
         cell = getattr(_own, "cell", None)
         if cell is None or cell not in _alive:
-            cell = _own.cell = Cell()
+            cell = _own.cell = WorkerProcess()
         with cell.lock:
             if cell in _alive:  # it may have left meanwhile
                 return cell.ask(request, job["inputs"], job["seconds"], job["memory"])

@@ -91,8 +91,8 @@ def key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> tu
     """Key of a task with those parameters and inputs, and its kin: the same whatever the versions."""
     plain = _canonical(params)
     whole = json.dumps([task.name, task.version, plain, list(inputs)], separators=(",", ":"))
-    kin = json.dumps([task.name, plain], separators=(",", ":"))
-    return f"{task.name}-{_hash(whole.encode())}", f"{task.name}-{_hash(kin.encode())}"
+    unversioned_key = json.dumps([task.name, plain], separators=(",", ":"))
+    return f"{task.name}-{_hash(whole.encode())}", f"{task.name}-{_hash(unversioned_key.encode())}"
 
 
 def _hash(data: bytes) -> str:

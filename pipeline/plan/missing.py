@@ -52,19 +52,19 @@ class Plan:
         failed = False
         if "atlas" in keys:
             failed = not fresh and self._failed(keys["atlas"][0])
-        for name, (key, kin) in keys.items():
+        for name, (key, unversioned_key) in keys.items():
             if name == "points":
                 absent = self._missing(key, fresh, failed)
                 if len(absent):
-                    why[name] = "new" if fresh else self._why_points(key, kin, len(absent))
+                    why[name] = "new" if fresh else self._why_points(key, unversioned_key, len(absent))
             elif name != "atlas" and not failed and (fresh or self._stale(key)):
-                why[name] = "new" if fresh else self._why(kin)
+                why[name] = "new" if fresh else self._why(unversioned_key)
         # Tasks over the study read it again: where its row was lost, points alone do not do.
         readers = [*why, *(name for name, layer in self.layers.items() if not layer.per_line)]
         if "atlas" in keys and any("atlas" in self.layers[name].needs for name in readers):
-            key, kin = keys["atlas"]
+            key, unversioned_key = keys["atlas"]
             if fresh or self._stale(key):
-                why["atlas"] = "new" if fresh else self._why(kin)
+                why["atlas"] = "new" if fresh else self._why(unversioned_key)
         return LineWork(number, line, keys, why, absent)
 
     def _missing(self, key: str, fresh: bool, failed: bool) -> np.ndarray:
@@ -84,12 +84,12 @@ class Plan:
         found = self.journal.outcome(key)
         return found is None or (self.retry and found[0] != "ok")
 
-    def _why(self, kin: str) -> str:
-        return "changed" if self.journal.knows(kin) else "new"
+    def _why(self, unversioned_key: str) -> str:
+        return "changed" if self.journal.knows(unversioned_key) else "new"
 
-    def _why_points(self, key: str, kin: str, n: int) -> str:
+    def _why_points(self, key: str, unversioned_key: str, n: int) -> str:
         if not self.journal.last_block(key):
-            return self._why(kin)
+            return self._why(unversioned_key)
         slopes = self.study.slope
         if not len(lines.missing(self.journal, key, frozenset(), slopes)):
             return "retried" if self.retry else "changed"

@@ -14,7 +14,7 @@ from pipeline.report.figures.style import plain
 from pipeline.report.source import ANSWERS, Source
 
 #: Rows of failed points on the page; the file beside it has all.
-MOST_ROWS = 60
+MAX_ROWS = 60
 
 #: Longest table of results that is open from the start.
 _OPEN_ROWS = 20
@@ -55,7 +55,7 @@ _LAWS = {"stance_angle": "θ* of γ", "speed": "v of γ", "power_speed": "P of v
 
 
 @dataclass(frozen=True)
-class Cell:
+class WorkerProcess:
     """What is shown, and the number it was rounded from (None for words)."""
 
     text: str
@@ -77,7 +77,7 @@ class Table:
 
     caption: str
     heads: list[str]
-    rows: list[list[Cell]]
+    rows: list[list[WorkerProcess]]
     note: str = ""
     meanings: list[str] = field(default_factory=list)
 
@@ -88,14 +88,14 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class StepCheck:
     """One claim of the ledger and where it is shown."""
 
     id: str
-    printed: Cell
+    printed: WorkerProcess
     source: str
-    computed: Cell
-    interval: list[Cell]
+    computed: WorkerProcess
+    interval: list[WorkerProcess]
     verdict: str
     sign: str
     figure: str
@@ -108,18 +108,20 @@ class Family:
     """Claims on one subject."""
 
     title: str
-    verdicts: list[Verdict] = field(default_factory=list)
+    verdicts: list[StepCheck] = field(default_factory=list)
 
 
-def cell(value: Any, counted: bool = False, digits: int = 6) -> Cell:
+def cell(value: Any, counted: bool = False, digits: int = 6) -> WorkerProcess:
     """A cell of a value: numbers are rounded for the eye and kept exactly."""
     if isinstance(value, (bool, np.bool_)):
-        return Cell("yes" if value else "no")
+        return WorkerProcess("yes" if value else "no")
     if isinstance(value, (int, np.integer)):
-        return Cell(str(int(value)).replace("-", "−"), int(value), counted)
+        return WorkerProcess(str(int(value)).replace("-", "−"), int(value), counted)
     if isinstance(value, (float, np.floating)):
-        return Cell("–") if np.isnan(value) else Cell(plain(float(value), digits), float(value), counted)
-    return Cell(str(value))
+        return (
+            WorkerProcess("–") if np.isnan(value) else WorkerProcess(plain(float(value), digits), float(value), counted)
+        )
+    return WorkerProcess(str(value))
 
 
 def head(column: str) -> str:
@@ -173,7 +175,7 @@ def fits(source: Source) -> list[Table]:
     for name, table in source.tables.items():
         if name.startswith("fits/") and not table.empty:
             found_some = table[table["n"] > 0] if "n" in table else table
-            shown = found_some.head(2 * MOST_ROWS)
+            shown = found_some.head(2 * MAX_ROWS)
             if "quantity" in shown:
                 shown = shown.assign(quantity=[_LAWS.get(q, q) for q in shown["quantity"]]).rename(
                     columns={"quantity": "law"}
@@ -193,7 +195,7 @@ def special_points(source: Source) -> Table | None:
     table = source.tables.get("special_points")
     if table is None or table.empty:
         return None
-    shown = table.head(2 * MOST_ROWS)
+    shown = table.head(2 * MAX_ROWS)
     if "kind" in shown:
         shown = shown.assign(kind=[str(k).replace("_", " ") for k in shown["kind"]])
     note = f"{len(table) - len(shown)} more are in the archive." if len(shown) < len(table) else ""
@@ -245,15 +247,15 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
         return None
     slopes = source.grid["slope"].values if "slope" in source.grid.coords else np.array([])
     rows = [
-        [Cell("converged"), Cell(""), cell(count, True), *_range(slopes)]
+        [WorkerProcess("converged"), WorkerProcess(""), cell(count, True), *_range(slopes)]
         for name, count, _ in found
         if name == "converged"
     ]
     for (status, reason), group in absent.groupby(["status", "reason"], sort=False, observed=True):
         rows.append(
             [
-                Cell(status.replace("_", " ")),
-                Cell(reason),
+                WorkerProcess(status.replace("_", " ")),
+                WorkerProcess(reason),
                 cell(len(group), True),
                 *_range(group["slope"].to_numpy() if "slope" in group else np.array([])),
             ]
@@ -262,8 +264,8 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
     return Table(f"What became of every {what}", ["status", "reason", "count", "from γ", "to γ"], rows)
 
 
-def _range(slopes: np.ndarray) -> list[Cell]:
-    return [cell(slopes.min()), cell(slopes.max())] if len(slopes) else [Cell("–"), Cell("–")]
+def _range(slopes: np.ndarray) -> list[WorkerProcess]:
+    return [cell(slopes.min()), cell(slopes.max())] if len(slopes) else [WorkerProcess("–"), WorkerProcess("–")]
 
 
 def failures(absent: pd.DataFrame) -> Table | None:
@@ -271,7 +273,7 @@ def failures(absent: pd.DataFrame) -> Table | None:
     failed = absent[~absent["status"].isin(ANSWERS)] if len(absent) else absent
     if failed.empty:
         return None
-    shown = failed.head(MOST_ROWS)
+    shown = failed.head(MAX_ROWS)
     note = f"{len(failed) - len(shown)} more are in the file beside this page." if len(shown) < len(failed) else ""
     shown = shown.assign(status=[s.replace("_", " ") for s in shown["status"]])
     return from_frame("Points that failed", shown, note)
@@ -280,7 +282,7 @@ def failures(absent: pd.DataFrame) -> Table | None:
 def failed_tasks(source: Source) -> Table | None:
     """Work on whole lines or studies that failed."""
     table = source.tables.get("failed_tasks")
-    return None if table is None or table.empty else from_frame("Tasks that failed", table.head(MOST_ROWS))
+    return None if table is None or table.empty else from_frame("Tasks that failed", table.head(MAX_ROWS))
 
 
 def walkers(source: Source) -> Table | None:
@@ -290,31 +292,33 @@ def walkers(source: Source) -> Table | None:
         return None
     given = {axis: _given(source.grid[axis].values) for axis in source.varied.values() if axis in source.grid.coords}
     moved = {
-        key: given.get(axis, Cell("varied")) if axis == key else Cell(f"by {axis}")
+        key: given.get(axis, WorkerProcess("varied")) if axis == key else WorkerProcess(f"by {axis}")
         for key, axis in source.varied.items()
     }
     keys = list(dict.fromkeys(key for table in found.values() for key in table))
-    rows = [[Cell(key), *(moved.get(key) or cell(table.get(key, "–")) for table in found.values())] for key in keys]
-    rows += [[Cell(axis), *[values] * len(found)] for axis, values in given.items() if axis not in keys]
+    rows = [
+        [WorkerProcess(key), *(moved.get(key) or cell(table.get(key, "–")) for table in found.values())] for key in keys
+    ]
+    rows += [[WorkerProcess(axis), *[values] * len(found)] for axis, values in given.items() if axis not in keys]
     return Table("Parameters", ["key", *found], rows)
 
 
-def _given(values: np.ndarray) -> Cell:
+def _given(values: np.ndarray) -> WorkerProcess:
     """The values of an axis, in one cell."""
     if len(values) == 1:
         return cell(float(values[0]))
     shown = [plain(float(v), 6) for v in values]
-    return Cell(", ".join(shown) if len(shown) < 5 else f"{shown[0]} … {shown[-1]} ({len(shown)} values)")
+    return WorkerProcess(", ".join(shown) if len(shown) < 5 else f"{shown[0]} … {shown[-1]} ({len(shown)} values)")
 
 
-def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
+def pairs(record: dict[str, Any]) -> list[tuple[str, WorkerProcess]]:
     """Plain entries of a record, for a list of names and values; nested ones are named by their path."""
-    found: list[tuple[str, Cell]] = []
+    found: list[tuple[str, WorkerProcess]] = []
     for key, value in record.items():
         if isinstance(value, dict):
             found += [(f"{key} {inner}", shown) for inner, shown in pairs(value)]
         elif isinstance(value, list):
-            found.append((str(key), Cell(", ".join(str(v) for v in value))))
+            found.append((str(key), WorkerProcess(", ".join(str(v) for v in value))))
         elif value is not None:
             found.append((str(key).replace("_", " "), cell(value)))
     return found
@@ -344,14 +348,14 @@ def ledger(entries: Iterable[Entry]) -> list[Family]:
     return sorted(families.values(), key=lambda f: order.index(f.title))
 
 
-def _verdict(row: dict[str, Any], entry: Entry, pages: dict[str, str]) -> Verdict:
+def _verdict(row: dict[str, Any], entry: Entry, pages: dict[str, str]) -> StepCheck:
     words = str(row.get("verdict", ""))
     figure = str(row.get("figure", ""))
     href = pages.get(figure) or pages.get(f"{entry.study}/{figure}") or pages.get(entry.slug, "")
     interval = [cell(row[k]) for k in ("interval_low", "interval_high") if k in row]
     if any(c.value is None for c in interval):
         interval = []
-    return Verdict(
+    return StepCheck(
         str(row["id"]),
         cell(row.get("printed", "")),
         str(row.get("source", "")),

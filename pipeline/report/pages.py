@@ -31,7 +31,7 @@ _RESERVED = ("index", "ledger")
 _RUN = ("began", "seconds", "jobs", "cluster", "version", "points", "failed", "exit_code")
 
 #: Points without a gait that are listed beside a page; the archive has all.
-_MOST_ABSENT = 20_000
+_MAX_ABSENT = 20_000
 
 #: Bytes the index gives to small pictures of its studies.
 _THUMBNAILS = 235_000
@@ -53,7 +53,7 @@ class Page:
     def files(self) -> dict[str, str]:
         """Data beside the page, by file name."""
         found = {f"{self.slug}-{drawing.name}.csv": _csv(drawing.data) for drawing in self.drawings}
-        absent = {f"{self.slug}-absent.csv": _csv(self.absent.head(_MOST_ABSENT))} if len(self.absent) else {}
+        absent = {f"{self.slug}-absent.csv": _csv(self.absent.head(_MAX_ABSENT))} if len(self.absent) else {}
         return found | absent
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from pipeline.report.html_tables import MOST_ROWS, Table, cell, from_frame, head
+from pipeline.report.html_tables import MAX_ROWS, Table, cell, from_frame, head
 from pipeline.report.source import Source
 
 #: Tables and their captions, in the order of a page.
@@ -57,7 +57,7 @@ def _shown(name: str, source: Source) -> Table:
     caption = CAPTIONS.get(name, name.replace("_", " ").replace("/", ": "))
     if name in ("figure9", "figure10") and "walker" in frame:
         return _turned(caption, frame, {key for table in source.walkers.values() for key in table})
-    shown = frame.head(MOST_ROWS)
+    shown = frame.head(MAX_ROWS)
     note = f"{len(frame) - len(shown)} more rows are in the archive." if len(shown) < len(frame) else ""
     return from_frame(caption, shown, note)
 

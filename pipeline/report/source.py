@@ -41,7 +41,7 @@ ANSWERS = ("converged", "no_gait", "fell")
 
 _CACHE = 1 << 20  # byte
 #: Points of a grid (a point a gait) that are read to be drawn and listed; of the others only the status.
-MOST_POINTS = 500_000
+MAX_POINTS = 500_000
 
 
 @dataclass(frozen=True)
@@ -268,7 +268,7 @@ def read(path: Path) -> Source:
 def _thinned(grid: xr.Dataset) -> xr.Dataset:
     """A grid at every so manieth slope, where it has more than `MOST_POINTS` points."""
     points = math.prod(n for name, n in grid.sizes.items() if name in grid.coords)
-    step = -(-points // MOST_POINTS)
+    step = -(-points // MAX_POINTS)
     return grid.isel(slope=slice(None, None, step)) if step > 1 and "slope" in grid.dims else grid
 
 

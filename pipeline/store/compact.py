@@ -10,7 +10,7 @@ from pipeline import serialize
 from pipeline.store.journal import Block, Journal
 from tasks.registry import VARIABLES
 
-_MOST = 32768  # points in a block
+_MAX = 32768  # points in a block
 
 
 def compact(journal: Journal) -> None:
@@ -27,7 +27,7 @@ def _groups(journal: Journal, line: str) -> Iterator[list[Block]]:
     group: list[Block] = []
     for block in journal.blocks(line):
         if group and (
-            block.variables != group[0].variables or sum(len(b.slopes) for b in group) + len(block.slopes) > _MOST
+            block.variables != group[0].variables or sum(len(b.slopes) for b in group) + len(block.slopes) > _MAX
         ):
             yield group
             group = []

@@ -48,7 +48,7 @@ _INNOCENT = (
 _UNREAD = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
 
 
-class TornError(ArchiveError):
+class CorruptJournalError(ArchiveError):
     """The journal does not hold what was written; `mend` it and plan again."""
 
     def __init__(self, path: Path):
@@ -110,14 +110,14 @@ class Journal:
         """Rows without their data, from the id on, whose checksum was looked at."""
         found = self._read(f"SELECT id, {', '.join(rows.COLUMNS[table][:-1])} FROM {table} WHERE {where}", *values)
         if not all(rows.is_whole(table, row) for row in found):
-            raise TornError(self.path)
+            raise CorruptJournalError(self.path)
         return found
 
     def _data(self, table: str, number: int) -> bytes:
         for check, data in self._read(f"SELECT data_sum, data FROM {table} WHERE id = ?", number):
             if isinstance(data, bytes) and check == zlib.crc32(data):
                 return data
-        raise TornError(self.path)
+        raise CorruptJournalError(self.path)
 
     def _add(self, table: str, *row: Any) -> None:
         with self._lock:
@@ -136,14 +136,16 @@ class Journal:
             self._synced = now
 
     def add_points(
-        self, line: str, kin: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes], seconds: float
+        self, line: str, unversioned_key: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes], seconds: float
     ) -> None:
         """Keep a block of points (slopes, packed states, packed variables) of the line with that key."""
-        self._add("points", line, *_points(kin, variables, row, seconds))
+        self._add("points", line, *_points(unversioned_key, variables, row, seconds))
 
-    def add_result(self, key: str, kin: str, result: Result, seconds: float) -> None:
+    def add_result(self, key: str, unversioned_key: str, result: Result, seconds: float) -> None:
         """Keep the result of a task that is no block of points."""
-        self._add("results", key, kin, result.outcome, result.reason, result.seen, float(seconds), result.data)
+        self._add(
+            "results", key, unversioned_key, result.outcome, result.reason, result.seen, float(seconds), result.data
+        )
 
     def _latest(self, key: str) -> tuple[Any, ...] | None:
         found = self._rows("results", "key = ? ORDER BY id DESC LIMIT 1", key)
@@ -168,7 +170,7 @@ class Journal:
         for (number,) in self._read(f"SELECT id {found_in}", line, low, high):
             found = self._rows("points", "id = ? AND line = ?", number, line)
             if not found:
-                raise TornError(self.path)
+                raise CorruptJournalError(self.path)
             yield Block(number, _words(found[0][3]), np.frombuffer(found[0][10]), serialize.load(found[0][11]))
 
     def variables(self, block: int) -> dict[str, np.ndarray]:
@@ -185,9 +187,11 @@ class Journal:
         """Number of the latest block of a line; 0 where there is none."""
         return self._read("SELECT max(id) FROM points WHERE line = ?", line)[0][0] or 0
 
-    def knows(self, kin: str) -> bool:
+    def knows(self, unversioned_key: str) -> bool:
         """Whether there is anything from any version of that task with those parameters."""
-        return any(self._read(f"SELECT 1 FROM {table} WHERE kin = ? LIMIT 1", kin) for table in rows.COLUMNS)
+        return any(
+            self._read(f"SELECT 1 FROM {table} WHERE kin = ? LIMIT 1", unversioned_key) for table in rows.COLUMNS
+        )
 
     def empty(self) -> bool:
         """Whether there is nothing at all."""
@@ -213,12 +217,14 @@ class Journal:
     ) -> None:
         """Put one block in the place of several: all of it or nothing."""
         numbers = sorted(numbers)
-        kin, seconds = self._read(f"SELECT max(kin), sum(seconds) FROM points WHERE id IN ({_list(numbers)})")[0]
+        unversioned_key, seconds = self._read(
+            f"SELECT max(kin), sum(seconds) FROM points WHERE id IN ({_list(numbers)})"
+        )[0]
         self._recent.clear()
         with self._lock:
             self._write("BEGIN IMMEDIATE")
             self._read(f"DELETE FROM points WHERE id IN ({_list(numbers)})")
-            whole = rows.summed("points", numbers[-1], line, *_points(kin, variables, row, seconds))
+            whole = rows.summed("points", numbers[-1], line, *_points(unversioned_key, variables, row, seconds))
             self._read(rows.insert("points"), *whole)
             self._read("COMMIT")
 
@@ -247,10 +253,20 @@ def _list(numbers: Iterable[int]) -> str:
     return ",".join(str(int(n)) for n in numbers)
 
 
-def _points(kin: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes], seconds: float) -> tuple[Any, ...]:
+def _points(
+    unversioned_key: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes], seconds: float
+) -> tuple[Any, ...]:
     """What a block of points holds beside its line, checksums left out."""
     slopes = np.frombuffer(row[0])
-    return kin, " ".join(sorted(variables)), float(slopes.min()), float(slopes.max()), len(slopes), float(seconds), *row
+    return (
+        unversioned_key,
+        " ".join(sorted(variables)),
+        float(slopes.min()),
+        float(slopes.max()),
+        len(slopes),
+        float(seconds),
+        *row,
+    )
 
 
 def _connect(path: Path | None, write: bool = True, page: int = 0) -> sqlite3.Connection:
@@ -319,7 +335,7 @@ def _remove(path: Path, *suffixes: str) -> None:
         path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
-def mend(path: Path) -> None:
+def repair(path: Path) -> None:
     """Write the journal anew with every row that is whole."""
     fresh = paths.of(path)
     paths.discard(path)
@@ -347,4 +363,4 @@ def _fail(error: Exception, path: Path) -> NoReturn:
         raise DiskFullError(f"The disk is full: {path} cannot grow; what was finished is kept.") from error
     if code & 0xFF in _INNOCENT or isinstance(error, OSError):
         raise ArchiveError(f"{path} cannot be used: {error}.") from error
-    raise TornError(path) from error
+    raise CorruptJournalError(path) from error

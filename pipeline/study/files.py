@@ -8,9 +8,9 @@ from typing import Any
 
 from pipeline import dispatch
 from pipeline.errors import StudyError
-from pipeline.study.location import Place, clip
+from pipeline.study.location import Location, clip
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 
 
 def _toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
@@ -18,7 +18,7 @@ def _toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
     try:
         if not path.is_file():
             raise StudyError(f"{shown} is not a file." if path.exists() else f"There is no file {shown}.")
-        if path.stat().st_size > MOST_BYTES:
+        if path.stat().st_size > MAX_BYTES:
             raise StudyError(f"{shown} is larger than 1 MiB.")
         text = path.read_text(encoding="utf-8")
         return text, tomllib.loads(text)
@@ -30,9 +30,9 @@ def _toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
         raise StudyError(f"{shown} is nested too deeply.") from error
 
 
-def walker(value: str | dict[str, Any], folder: Path, place: Place | None = None) -> str | dict[str, Any]:
+def walker(value: str | dict[str, Any], folder: Path, place: Location | None = None) -> str | dict[str, Any]:
     """A walker's name, or its table where `value` names a file beside `folder` or is a table."""
-    place = place or Place("", "walker")
+    place = place or Location("", "walker")
     if isinstance(value, dict):
         return value
     if not value.endswith(".toml"):

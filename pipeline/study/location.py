@@ -9,14 +9,14 @@ from collections.abc import Iterable
 from pipeline.errors import StudyError
 
 
-class Place:
+class Location:
     """Where in a study something stands; makes the errors."""
 
     def __init__(self, file: str, *keys: str):
         self.file, self.keys = file, keys
 
-    def at(self, *keys: str) -> Place:
-        return Place(self.file, *self.keys, *keys)
+    def at(self, *keys: str) -> Location:
+        return Location(self.file, *self.keys, *keys)
 
     def error(self, sentence: str) -> StudyError:
         where = ", ".join(filter(None, (self.file, ".".join(self.keys) if self.file else "")))

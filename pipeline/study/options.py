@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.study.location import Place
+from pipeline.study.location import Location
 from tasks.registry import CURVE, FOLLOWED, GAITS, OPTIONS
 
-_MOST = 10**6
+_MAX = 10**6
 
 
-def check(options: Any, kind: str, axes: tuple[str, ...], place: Place) -> dict[str, Any]:
+def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> dict[str, Any]:
     """The options of a study of that kind; `axes` are the keys a study may sweep.
 
     Raises
@@ -34,11 +34,11 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Place) -> dict[
     return found
 
 
-def _check(value: Any, what: str, axes: tuple[str, ...], place: Place) -> None:
+def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> None:
     if what == "count or 0" and not (_count(value) or value == 0):
-        raise place.wrong(f"must be a whole number from 0 to {_MOST:,}", value)
+        raise place.wrong(f"must be a whole number from 0 to {_MAX:,}", value)
     if what == "count" and not _count(value):
-        raise place.wrong(f"must be a whole number from 1 to {_MOST:,}", value)
+        raise place.wrong(f"must be a whole number from 1 to {_MAX:,}", value)
     if what == "counts" and not (isinstance(value, list) and value and all(map(_count, value))):
         raise place.wrong("must be a list of whole numbers from 1", value)
     if what == "number":
@@ -57,4 +57,4 @@ def _check(value: Any, what: str, axes: tuple[str, ...], place: Place) -> None:
 
 
 def _count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MOST
+    return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MAX

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline import dispatch
 from pipeline.study import options
 from pipeline.study.files import _toml, walker
-from pipeline.study.location import Place
+from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
 from tasks.registry import ALWAYS, CLAIMS, CURVE, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
@@ -26,7 +26,7 @@ _SERVANTS = ("atlas", "points", "trace")
 #: Axis keys that are not a walker's own.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
 #: Longest axis and largest grid that are taken for meant.
-MOST_VALUES, MOST_POINTS = 10_000_000, 10**12
+MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
 _UNITS = {
     "": 1,
     "B": 1,
@@ -55,7 +55,7 @@ def read(path: str | Path) -> Study:
 
 def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     """Check a study's table; `path` names it in errors and anchors the files it names."""
-    top = Place(path.name)
+    top = Location(path.name)
     known = ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options")
     for key in table:
         if key not in known:
@@ -90,12 +90,12 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
         axes=axes,
         **want,
     )
-    if study.points > MOST_POINTS:
-        raise top.at("axes").error(f"The grid has {study.points:.3g} points, more than {MOST_POINTS:.0e}")
+    if study.points > MAX_POINTS:
+        raise top.at("axes").error(f"The grid has {study.points:.3g} points, more than {MAX_POINTS:.0e}")
     return _checked(study, top)
 
 
-def _table(value: object, known: Iterable[str], place: Place) -> dict[str, Any]:
+def _table(value: object, known: Iterable[str], place: Location) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise place.wrong("must be a table", value)
     for key in value:
@@ -104,7 +104,7 @@ def _table(value: object, known: Iterable[str], place: Place) -> dict[str, Any]:
     return value
 
 
-def _names(value: object, known: Iterable[str], place: Place) -> tuple[str, ...]:
+def _names(value: object, known: Iterable[str], place: Location) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(v, str) for v in value) or not value:
         raise place.wrong("must be a list of names", value)
     for name in value:
@@ -113,7 +113,7 @@ def _names(value: object, known: Iterable[str], place: Place) -> tuple[str, ...]
     return tuple(dict.fromkeys(value))
 
 
-def _walkers(value: object, path: Path, place: Place) -> tuple[str | dict[str, Any], ...]:
+def _walkers(value: object, path: Path, place: Location) -> tuple[str | dict[str, Any], ...]:
     if isinstance(value, list):
         if not value or not all(isinstance(v, str) for v in value) or len(set(value)) < len(value):
             raise place.wrong("must be a list of different names", value)
@@ -130,7 +130,7 @@ def _keys() -> tuple[str, ...]:
     return (*EXTRA_AXES, *dispatch.resolve("tasks.walkers.walker:NUMBERS"))
 
 
-def _axes(value: object, place: Place, kind: str) -> tuple[tuple[Axis, ...], float]:
+def _axes(value: object, place: Location, kind: str) -> tuple[tuple[Axis, ...], float]:
     """The axes, and the tolerance of an adaptive slope axis (0: none)."""
     if not isinstance(value, dict) or not value:
         raise place.error("A study needs axes, at least `slope`")
@@ -150,7 +150,7 @@ def _axes(value: object, place: Place, kind: str) -> tuple[tuple[Axis, ...], flo
     return axes, tolerance
 
 
-def _adaptive(slope: dict[str, Any], place: Place, kind: str) -> tuple[float, dict[str, Any]]:
+def _adaptive(slope: dict[str, Any], place: Location, kind: str) -> tuple[float, dict[str, Any]]:
     """The tolerance of an adaptive slope axis, and its window as an axis of two values."""
     if kind != "branch":
         raise place.at("adaptive").error('`adaptive` is for studies of kind "branch", whose points follow the gaits')
@@ -161,7 +161,7 @@ def _adaptive(slope: dict[str, Any], place: Place, kind: str) -> tuple[float, di
     return tolerance, {**{k: v for k, v in window.items() if k != "adaptive"}, "n": 2}
 
 
-def _values(value: object, place: Place) -> np.ndarray:
+def _values(value: object, place: Location) -> np.ndarray:
     if isinstance(value, list):
         if not value:
             raise place.wrong("must hold at least one value", value)
@@ -178,8 +178,8 @@ def _values(value: object, place: Place) -> np.ndarray:
             raise place.error(f"`{key}` is missing")
     start, stop = place.at("from").number(table["from"]), place.at("to").number(table["to"])
     n, spacing = table["n"], table.get("spacing", "linear")
-    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= MOST_VALUES:
-        raise place.at("n").wrong(f"must be a whole number from 1 to {MOST_VALUES:,}", n)
+    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= MAX_VALUES:
+        raise place.at("n").wrong(f"must be a whole number from 1 to {MAX_VALUES:,}", n)
     if spacing not in ("linear", "log"):
         raise place.at("spacing").wrong('must be "linear" or "log"', spacing)
     if start >= stop:
@@ -192,7 +192,7 @@ def _values(value: object, place: Place) -> np.ndarray:
     return values
 
 
-def _want(value: object, kind: str, place: Place) -> dict[str, tuple[str, ...]]:
+def _want(value: object, kind: str, place: Location) -> dict[str, tuple[str, ...]]:
     table = _table(value, ("variables", "fits", "figures", "claims"), place)
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
     wanted = tuple(v.name for v in VARIABLES.values() if v.group != "violations")
@@ -216,13 +216,13 @@ def _want(value: object, kind: str, place: Place) -> dict[str, tuple[str, ...]]:
     return {"variables": wanted, **names}
 
 
-def _free_names(value: object, place: Place) -> tuple[str, ...]:
+def _free_names(value: object, place: Location) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(v, str) and re.fullmatch(r"\w{1,60}", v) for v in value):
         raise place.wrong("must be a list of names", value)
     return tuple(dict.fromkeys(value))
 
 
-def _limits(table: Mapping[str, Any], top: Place) -> Limits:
+def _limits(table: Mapping[str, Any], top: Location) -> Limits:
     place = top.at("limits")
     limits = _table(table.get("limits", {}), ("seconds", "memory"), place)
     seconds = place.at("seconds").number(limits.get("seconds", Limits.seconds))
@@ -237,7 +237,7 @@ def _limits(table: Mapping[str, Any], top: Place) -> Limits:
     return Limits(seconds, memory)
 
 
-def _checked(study: Study, top: Place) -> Study:
+def _checked(study: Study, top: Location) -> Study:
     """Check every walker at the corners of the grid of lines; keep what `tasks` says of each."""
     ends = [sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes]
     names = [a.name for a in study.line_axes]
@@ -258,7 +258,7 @@ def _checked(study: Study, top: Place) -> Study:
     return study
 
 
-def _followed(study: Study, walker: str | dict[str, Any], given: dict[str, float], place: Place) -> None:
+def _followed(study: Study, walker: str | dict[str, Any], given: dict[str, float], place: Location) -> None:
     """Check a walker at both ends of the range of the key that curves are followed over."""
     options = {**CURVE, **study.options}
     for end in ("from", "to"):

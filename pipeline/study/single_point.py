@@ -8,7 +8,7 @@ from typing import Any
 
 from pipeline.dispatch import ask
 from pipeline.study import files
-from pipeline.study.location import Place
+from pipeline.study.location import Location
 
 
 def solve(one: str | dict[str, Any], slope: float, keys: Mapping[str, float], every: bool) -> dict[str, Any]:
@@ -20,5 +20,5 @@ def solve(one: str | dict[str, Any], slope: float, keys: Mapping[str, float], ev
         If there is no such walker, key or slope.
     """
     if not 0 < slope < 0.5:
-        raise Place("", "slope").wrong("must lie in (0, 0.5) rad", slope)
+        raise Location("", "slope").wrong("must lie in (0, 0.5) rad", slope)
     return ask("solve", {"walker": files.walker(one, Path()), "slope": slope, "set": dict(keys), "all": every})

@@ -12,28 +12,37 @@ from dataclasses import replace
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.special_points import corrected, end_of, is_step, located, narrowed, oriented, row, row_tangent
-from tasks.continuation.tracking import LEAST_SLOPE, Point, Track, correct, fallen, follow
+from tasks.continuation.special_points import (
+    correct_at,
+    end_of,
+    is_step,
+    locate_root,
+    narrowed,
+    oriented,
+    row,
+    row_tangent,
+)
+from tasks.continuation.tracking import MIN_SLOPE, BranchTrace, Point, correct, fall_margin, follow
 from tasks.fixed_points.newton import lipschitz
-from tasks.fixed_points.rounding import noise, rounding
-from tasks.fixed_points.search import found_at
-from tasks.fixed_points.step_check import gait_ratio, judged
+from tasks.fixed_points.rounding import rounding, rounding_std
+from tasks.fixed_points.search import search_slopes
+from tasks.fixed_points.step_check import gait_ratio, verify_steps
 from tasks.step.problem import Problem
 from tasks.step.step_map import SAMPLES
-from tasks.step.verify_step import margin, verify
+from tasks.step.verify_step import strike_distance, verify
 
 #: Slopes searched from nothing for gaits to follow [rad].
 ANCHORS = (0.01, 0.03, 0.1, 0.001, 0.2)
 #: Largest change Newton may still make at a segment's middle before the segment is split.
 TOLERANCE = 2e-13
-MOST_ROUNDS = 5
+MAX_ROUNDS = 5
 #: A split that leaves more than this of the change may show rounding: one more is tried, and no other.
-HELPED = 0.25
+MIN_IMPROVEMENT = 0.25
 #: Nodes either way whose rounding speaks for a segment's.
-NEAR_BY = 4
+ROUNDING_WINDOW = 4
 
 
-def _insert(
+def _refine(
     problem: Problem, branch: Branch, segments: np.ndarray, before: np.ndarray
 ) -> tuple[Branch, np.ndarray, np.ndarray]:
     """Correct the middles of some segments and split those that moved.
@@ -60,7 +69,7 @@ def _insert(
     keep = point.ok & (moved > np.maximum(TOLERANCE, 7 * rounding(point.stride).max(axis=0)))
     keep &= before[segments] > 0
     at = segments[keep] + 1
-    part = np.where(moved < HELPED * before[segments], moved, 0.0)[keep]
+    part = np.where(moved < MIN_IMPROVEMENT * before[segments], moved, 0.0)[keep]
     before[segments[keep]] = part
     before = np.insert(before, at, part)
     fresh = np.insert(np.zeros(len(branch.Z), bool), at, True)
@@ -68,7 +77,7 @@ def _insert(
     return branch, np.nonzero(fresh[branch.window].any(axis=1))[0], before
 
 
-def _joined(m: int, pair: list[Track]) -> tuple[Branch, int]:
+def _joined(m: int, pair: list[BranchTrace]) -> tuple[Branch, int]:
     """Both directions as one branch, and the index of the start on it."""
     down, up = pair
     X = np.array(down.X[:0:-1] + up.X)
@@ -79,7 +88,7 @@ def _joined(m: int, pair: list[Track]) -> tuple[Branch, int]:
     return Branch(m, Z, T, np.zeros(len(Z)), (down.stopped, up.stopped)), len(down.X) - 1
 
 
-def _from_tracks(problem: Problem, pair: list[Track]) -> list[Branch]:
+def _from_tracks(problem: Problem, pair: list[BranchTrace]) -> list[Branch]:
     """Join both directions, keep what are steps up to the located ends, refine, and measure."""
     raw, start = _joined(problem.m, pair)
     if len(raw.Z) < 4:
@@ -99,7 +108,7 @@ def _steps_at(problem: Problem, branch: Branch) -> np.ndarray:
     """Which nodes are steps, shape (n,)."""
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
-    _, verdict = judged(problem, np.vstack([X[:m], times]), X[m])
+    _, verdict = verify_steps(problem, np.vstack([X[:m], times]), X[m])
     return verdict.step
 
 
@@ -123,7 +132,9 @@ def _with_ends(problem: Problem, raw: Branch, first: int, last: int) -> Branch |
         why[0], *ends[0], errors[0] = end_of(problem, raw, first, segment)
     for side, segment in ((0, 0), (1, len(raw.Z) - 2)):
         if whole[side] and why[side] == "a fall":
-            ends[side] = located(problem, raw, segment, lambda point, way: fallen(point.X[:, 0], point.times[:, 0]))
+            ends[side] = locate_root(
+                problem, raw, segment, lambda point, way: fall_margin(point.X[:, 0], point.times[:, 0])
+            )
             first, last = first + (side == 0), last - (side == 1)
     branch = raw.part(first, last)
     if 0 in ends:
@@ -139,8 +150,8 @@ def _refined(problem: Problem, branch: Branch) -> Branch:
     """The branch with so many nodes that its polynomials lead Newton to rounding in one step."""
     segments = np.arange(len(branch.Z) - 1)
     before = np.full(len(segments), np.inf)
-    for _ in range(MOST_ROUNDS):
-        branch, segments, before = _insert(problem, branch, segments, before)
+    for _ in range(MAX_ROUNDS):
+        branch, segments, before = _refine(problem, branch, segments, before)
         if not len(segments):
             break
     return branch
@@ -156,7 +167,7 @@ def _without_gaps(problem: Problem, branch: Branch) -> list[Branch]:
     for place in sorted(gaps, reverse=True):
         segment = int(place)
         a, b = branch.Z[segment : segment + 2, branch.axis[segment]]
-        point, way = corrected(problem, branch, segment, a + (b - a) * (place - segment))
+        point, way = correct_at(problem, branch, segment, a + (b - a) * (place - segment))
         branch = branch.inserted(segment + 1, row(point), row_tangent(point, way))
         steps = np.insert(steps, segment + 1, False)
     parts = [_with_ends(problem, branch, first, last) for first, last in _runs(steps)]
@@ -181,14 +192,14 @@ def _gaps(problem: Problem, branch: Branch, near: np.ndarray, steps: np.ndarray)
         least = (near[1:-1] <= near[:-2]) & (near[1:-1] <= near[2:]) & ~(near[1:-1] > bend)
     for i in np.nonzero(least & np.isfinite(near[1:-1]) & ~(branch.safe[:-2] & branch.safe[1:-1]))[0] + 1:
         low, high = i - 1.0, i + 1.0
-        for _ in range(MOST_ROUNDS):
+        for _ in range(MAX_ROUNDS):
             place = np.linspace(low, high, 9)
             rows = branch.at(place)
             w = np.delete(rows, m, axis=1).T
             stride, _ = problem.stride(w, rows[:, m], samples=8 * SAMPLES)
-            away = margin(stride.scaled_motion(), stride.times)
+            away = strike_distance(stride.scaled_motion(), stride.times)
             k = int(np.argmin(away[1:-1])) + 1
-            if away[k] < 0 and not judged(problem, w[:, k : k + 1], rows[k : k + 1, m])[1].step[0]:
+            if away[k] < 0 and not verify_steps(problem, w[:, k : k + 1], rows[k : k + 1, m])[1].step[0]:
                 found.append(float(place[k]))
                 break
             if away[k] > max(away[k - 1], away[k + 1]) - away[k]:
@@ -208,21 +219,21 @@ def _measured(problem: Problem, branch: Branch) -> tuple[np.ndarray, np.ndarray]
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
     folds = np.array([first for first, _ in branch.pieces()[1:]], int)
-    branch.lipschitz, branch.noise = _roughness(problem, X, times, folds)
+    branch.lipschitz, branch.rounding_std = _roughness(problem, X, times, folds)
     stride, _ = problem.stride(np.vstack([X[:m], times]), X[m], samples=8 * SAMPLES)
     branch.ratio = gait_ratio(stride)
     motion = stride.scaled_motion()
     n = len(branch.Z)
-    stray = np.zeros(n)
+    margin = np.zeros(n)
     apart = np.max([np.abs(np.diff(part, axis=-1)).max(axis=(0, 1)) for part in motion], axis=0)
     # A guard adds two angles, and a stride between two nodes lies within their distance of one of them.
-    stray[:-1] = 2 * apart
-    stray[1:] = np.maximum(stray[1:], 2 * apart)
-    verdict = verify(motion, stride.closing / stride.y[0], stride.times, stray)
+    margin[:-1] = 2 * apart
+    margin[1:] = np.maximum(margin[1:], 2 * apart)
+    verdict = verify(motion, stride.closing / stride.y[0], stride.times, margin)
     calm = verdict.step & ~verdict.doubt
-    branch.passes = verdict.passes
-    branch.safe = np.append(calm[1:] & calm[:-1] & (verdict.passes[1:] == verdict.passes[:-1]), False)
-    return margin(motion, stride.times), verdict.step
+    branch.leg_passes = verdict.leg_passes
+    branch.safe = np.append(calm[1:] & calm[:-1] & (verdict.leg_passes[1:] == verdict.leg_passes[:-1]), False)
+    return strike_distance(motion, stride.times), verdict.step
 
 
 def _roughness(problem: Problem, X: np.ndarray, times: np.ndarray, folds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -234,21 +245,26 @@ def _roughness(problem: Problem, X: np.ndarray, times: np.ndarray, folds: np.nda
     """
     m, n = problem.m, X.shape[1]
     # At its ends they may change by orders of magnitude from node to node.
-    some = np.unique(np.r_[0 : min(n, 4), 0:n:2, max(0, n - 4) : n, folds - 1, folds + 1])
-    rough = np.full(n, -np.inf)
-    rough[some] = lipschitz(problem, X[:, some], times[:, some])
-    rough[folds] = np.inf
-    left, right = np.append(rough[:1], rough[:-1]), np.append(rough[1:], rough[-1:])
+    nodes = np.unique(np.r_[0 : min(n, 4), 0:n:2, max(0, n - 4) : n, folds - 1, folds + 1])
+    lipschitz_at_nodes = np.full(n, -np.inf)
+    lipschitz_at_nodes[nodes] = lipschitz(problem, X[:, nodes], times[:, nodes])
+    lipschitz_at_nodes[folds] = np.inf
+    left, right = (
+        np.append(lipschitz_at_nodes[:1], lipschitz_at_nodes[:-1]),
+        np.append(lipschitz_at_nodes[1:], lipschitz_at_nodes[-1:]),
+    )
     # The ends themselves are left out: at a tangential one the map has no derivative to measure by.
-    inner = some[(some > 0) & (some < n - 1)]
-    measured = noise(problem, np.vstack([X[:m], times])[:, inner], X[m, inner])
-    square = np.full((len(measured), n + 2 * NEAR_BY), np.nan)
-    square[:, NEAR_BY + inner] = measured**2
-    around = np.lib.stride_tricks.sliding_window_view(square, 2 * NEAR_BY + 1, axis=1)
+    inner = nodes[(nodes > 0) & (nodes < n - 1)]
+    measured = rounding_std(problem, np.vstack([X[:m], times])[:, inner], X[m, inner])
+    square = np.full((len(measured), n + 2 * ROUNDING_WINDOW), np.nan)
+    square[:, ROUNDING_WINDOW + inner] = measured**2
+    around = np.lib.stride_tricks.sliding_window_view(square, 2 * ROUNDING_WINDOW + 1, axis=1)
     known = np.isfinite(around)
     with np.errstate(invalid="ignore"):
         mean = np.sqrt(np.where(known, around, 0.0).sum(axis=-1) / known.sum(axis=-1))
-    return np.where(np.isneginf(rough), np.maximum(left, right), rough), np.nan_to_num(mean, nan=np.inf).T
+    return np.where(np.isneginf(lipschitz_at_nodes), np.maximum(left, right), lipschitz_at_nodes), np.nan_to_num(
+        mean, nan=np.inf
+    ).T
 
 
 def _with_folds(problem: Problem, branch: Branch) -> Branch:
@@ -263,7 +279,7 @@ def _with_folds(problem: Problem, branch: Branch) -> Branch:
         branch, at = narrowed(
             problem, branch, int(segment), lambda point, way, sign=sign: direction(point, way) * sign > 0
         )
-        point, way = located(problem, branch, at, direction)
+        point, way = locate_root(problem, branch, at, direction)
         branch = branch.inserted(at + 1, row(point), row_tangent(point, way))
     return branch
 
@@ -272,10 +288,10 @@ def survey(problem: Problem) -> list[Branch]:
     """Every branch of a walker's anthropomorphic gaits that the anchors lead to."""
     branches: list[Branch] = []
     m = problem.m
-    for slope, w in zip(ANCHORS, found_at(problem, ANCHORS)):
+    for slope, w in zip(ANCHORS, search_slopes(problem, ANCHORS)):
         if not w.shape[1]:
             continue
-        _, verdict = judged(problem, w, np.full(w.shape[1], np.log(slope)))
+        _, verdict = verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
         fresh = [i for i in np.nonzero(verdict.anthropomorphic)[0] if not _known(branches, m, w[:, i], np.log(slope))]
         if not fresh:
             continue
@@ -296,7 +312,7 @@ def ranked(branches: list[Branch]) -> list[Branch]:
 
     def place(branch: Branch) -> tuple[float, float]:
         lowest = int(branch.q.argmin())
-        q = max(float(branch.q[lowest]), np.log(LEAST_SLOPE))
+        q = max(float(branch.q[lowest]), np.log(MIN_SLOPE))
         there = (float(Z[0, 0]) for _, Z, _ in branch.guesses(np.array([q])))
         return q, min(there, default=float(branch.Z[lowest, 0]))
 
@@ -326,7 +342,7 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
     }
 
 
-_BY_NODE = ("Z", "tangent", "lipschitz", "noise", "ratio", "passes", "safe")
+_BY_NODE = ("Z", "tangent", "lipschitz", "rounding_std", "ratio", "leg_passes", "safe")
 
 
 def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:

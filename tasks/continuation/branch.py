@@ -26,9 +26,9 @@ class Branch:
     lipschitz: np.ndarray
     why: tuple[str, str]
     end_errors: tuple[float, float] = (0.0, 0.0)
-    noise: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    rounding_std: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     ratio: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    passes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    leg_passes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     safe: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
 
     def __post_init__(self) -> None:

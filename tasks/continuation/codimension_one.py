@@ -26,8 +26,8 @@ from tasks.step.step_map import Stride, StrideMap, stride_map
 from tasks.walkers.walker import Walker, WalkerError
 
 #: Relative step of the central differences, and acceptance of a step along a curve.
-DIFFERENCE, MOST_BEND = 1e-5, 0.1
-SHORTEST, MOST_POINTS = 5e-4, 300
+DIFFERENCE, MAX_BEND = 1e-5, 0.1
+SHORTEST, MAX_POINTS = 5e-4, 300
 
 
 def _shifted_det(sign: float) -> Callable[[Stride], np.ndarray]:
@@ -233,7 +233,7 @@ def follow(
     sign = np.sign(first.tangent[-1] or 1.0) * way
     first.tangent = first.tangent * sign
     points = [first]
-    while len(points) < MOST_POINTS and step > SHORTEST:
+    while len(points) < MAX_POINTS and step > SHORTEST:
         here = points[-1]
         guess, times = here.U + step * here.tangent, here.times
         if len(points) > 1:
@@ -242,7 +242,7 @@ def follow(
             times = times + (here.times - points[-2].times) * step / back
         new = curve.correct(guess, times, here.tangent)
         bend = np.linalg.norm(new.U - guess) / step if new.ok else np.inf
-        good = bend < MOST_BEND and new.tangent @ here.tangent > 0.95
+        good = bend < MAX_BEND and new.tangent @ here.tangent > 0.95
         if good and (left := _left(curve, here, new, window)) is not None:
             component, edge, share = left
             if share < 1e-9:
@@ -256,7 +256,7 @@ def follow(
             good = False
         if good:
             points.append(new)
-            step = min(0.1, step * (1.5 if bend < 0.3 * MOST_BEND else 1.0))
+            step = min(0.1, step * (1.5 if bend < 0.3 * MAX_BEND else 1.0))
         else:
             step *= 0.4
     return points

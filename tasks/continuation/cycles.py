@@ -18,8 +18,8 @@ from tasks.step.simulate import STRUCK
 from tasks.step.simulate import stride as flown
 
 #: Acceptance of a step along a branch: predictor error relative to the step, and change of the map's trace.
-MOST_BEND, MOST_CHANGE = 0.2, 0.6
-MOST_POINTS = 400
+MAX_BEND, MAX_CHANGE = 0.2, 0.6
+MAX_POINTS = 400
 #: Largest step that rounding may leave of Newton's method.
 BORN = 1e-10
 Test = Callable[["Cycle"], float]
@@ -192,14 +192,14 @@ class Path:
                 new = _along(new, here.tangent)
                 bend = np.linalg.norm(new.Z - guess) / self.step
                 change = abs(np.trace(new.monodromy) - np.trace(here.monodromy))
-                if bend < MOST_BEND and change < MOST_CHANGE and new.tangent @ here.tangent > 0.9:
+                if bend < MAX_BEND and change < MAX_CHANGE and new.tangent @ here.tangent > 0.9:
                     self.points.append(new)
-                    self.step *= min(1.6, 0.5 * MOST_CHANGE / max(change, 1e-9))
+                    self.step *= min(1.6, 0.5 * MAX_CHANGE / max(change, 1e-9))
                     return True
             self.step *= 0.4
         return False
 
-    def located(self, test: Test) -> Cycle:
+    def locate_root(self, test: Test) -> Cycle:
         """The root of a test function between the last two points (the corrector in the loop)."""
         a, b = self.points[-2:]
         length = np.linalg.norm(b.Z - a.Z)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-MOST_STEPS = 60
+MAX_STEPS = 60
 
 
 def bracketed_root(function: Callable[[float], float], a: float, b: float, tolerance: float = 0.0) -> float:
@@ -29,7 +29,7 @@ def bracketed_root(function: Callable[[float], float], a: float, b: float, toler
     if not at_a * at_b < 0:
         raise ValueError(f"no change of sign between {a!r} and {b!r}")
     part = 0.5
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         x = a + part * (b - a)
         at_x = function(x)
         if (at_x > 0) == (at_a > 0):

@@ -9,7 +9,7 @@ from tasks.fixed_points.multipliers import multipliers
 from tasks.step.problem import Problem
 
 #: Rounds in which points are added where stability bends or changes.
-MOST_ROUNDS = 16
+MAX_ROUNDS = 16
 #: Places between two points, in parts of their distance, at which the spectral radius is looked at.
 PROBES = (0.33, 0.67)
 
@@ -99,11 +99,11 @@ def _thinned(points: np.ndarray, fixed: np.ndarray, tolerance: float) -> np.ndar
         while kept[-1] < stop:
             i = kept[-1]
             good, bad = i + 1, None
-            reach = 2
+            sensitivity = 2
             while good < stop and bad is None:
-                j = min(i + reach, int(stop))
+                j = min(i + sensitivity, int(stop))
                 if apart(points[i + 1 : j], points[i], points[j]).max() <= 0.8 * tolerance:
-                    good, reach = j, 2 * reach
+                    good, sensitivity = j, 2 * sensitivity
                 else:
                     bad = j
             while bad is not None and bad - good > 1:
@@ -121,7 +121,7 @@ def _with_radius(problem: Problem, found: Branch, places: np.ndarray, tolerance:
     points = plane(found.at(places), problem.m)
     radius = _radius(problem, found.at(places))
     asked = np.arange(len(places) - 1)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         # Points as near as the tolerance show no bend, not even a corner's.
         asked = asked[np.linalg.norm(points[asked + 1] - points[asked], axis=1) > tolerance]
         if not len(asked):

@@ -13,16 +13,16 @@ import numpy as np
 
 from tasks.continuation.branch import Branch
 from tasks.continuation.root import bracketed_root
-from tasks.continuation.tracking import Point, branching, correct
+from tasks.continuation.tracking import Point, branch_point_determinant, correct
 from tasks.fixed_points.rounding import rounding
-from tasks.fixed_points.step_check import judged
+from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import EPS, Problem
 from tasks.step.step_map import SAMPLES
-from tasks.step.verify_step import margin
+from tasks.step.verify_step import strike_distance
 
 Test = Callable[[Point, np.ndarray], float | bool]
 #: Splits of a segment on which an end or a fold lies, and how far off, over its length, the branch may be predicted.
-MOST_SPLITS, LED = 12, 1e-3
+MAX_SPLITS, LED = 12, 1e-3
 #: Distance, over the segment, of the points a tangential end is read off.
 SPACING = 4e-3
 
@@ -33,7 +33,7 @@ def oriented(point: Point, way: np.ndarray) -> np.ndarray:
     return tangent if tangent @ way >= 0 else -tangent
 
 
-def corrected(problem: Problem, branch: Branch, segment: int, x: float) -> tuple[Point, np.ndarray]:
+def correct_at(problem: Problem, branch: Branch, segment: int, x: float) -> tuple[Point, np.ndarray]:
     """The point of the branch at place x of a segment, and the branch's direction there."""
     m = branch.m
     Z = branch.evaluate(np.array([segment]), np.array([x]))
@@ -46,20 +46,20 @@ def corrected(problem: Problem, branch: Branch, segment: int, x: float) -> tuple
     return again, way
 
 
-def located(problem: Problem, branch: Branch, segment: int, test: Test) -> tuple[Point, np.ndarray]:
+def locate_root(problem: Problem, branch: Branch, segment: int, test: Test) -> tuple[Point, np.ndarray]:
     """The root of a test function on a segment over which it changes sign, to rounding."""
     axis = branch.axis[segment]
     a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
 
     def value(x: float) -> float:
-        return test(*corrected(problem, branch, segment, x))
+        return test(*correct_at(problem, branch, segment, x))
 
     try:
         root = bracketed_root(value, a, b, 1e-15 * max(1.0, abs(a)))
     except ValueError:
         # The nodes' own values differ in sign by rounding only: the end nearer zero is the root.
         root = a if abs(value(a)) < abs(value(b)) else b
-    return corrected(problem, branch, segment, root)
+    return correct_at(problem, branch, segment, root)
 
 
 def _at_tangency(problem: Problem, branch: Branch, segment: int) -> tuple[Point, np.ndarray, float]:
@@ -71,10 +71,10 @@ def _at_tangency(problem: Problem, branch: Branch, segment: int) -> tuple[Point,
     test = ENDS["end_tangential_heelstrike"]
     axis = branch.axis[segment]
     a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
-    middle = bracketed_root(lambda x: test(*corrected(problem, branch, segment, x)), a, b, 1e-3 * abs(b - a))
+    middle = bracketed_root(lambda x: test(*correct_at(problem, branch, segment, x)), a, b, 1e-3 * abs(b - a))
     h = SPACING * (b - a)
     places = np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5])
-    points = [corrected(problem, branch, segment, middle + h * p) for p in places]
+    points = [correct_at(problem, branch, segment, middle + h * p) for p in places]
     values = np.array([np.concatenate([row(p), row_tangent(p, way), [test(p, way)]]) for p, way in points])
 
     def at_root(among: slice) -> np.ndarray:
@@ -111,7 +111,7 @@ def row_tangent(point: Point, way: np.ndarray) -> np.ndarray:
 def is_step(problem: Problem, point: Point) -> bool:
     """True where a corrected point is a step that really happens."""
     m = problem.m
-    _, verdict = judged(problem, np.vstack([point.X[:m], point.times]), point.X[m])
+    _, verdict = verify_steps(problem, np.vstack([point.X[:m], point.times]), point.X[m])
     return bool(verdict.step[0])
 
 
@@ -135,13 +135,13 @@ def narrowed(problem: Problem, branch: Branch, segment: int, like_left: Test) ->
     Branch, int
         The branch with the nodes put in, and the segment of it on which the change lies.
     """
-    for _ in range(MOST_SPLITS):
+    for _ in range(MAX_SPLITS):
         alone = branch.part(segment, segment + 1)
         # By all four nodes around; by its own two, where those farther off lead astray.
         for part, at, share in ((branch, segment, 0.5), (alone, 0, 0.5), (alone, 0, 0.25), (alone, 0, 0.75)):
             x = part.Z[at : at + 2, part.axis[at]] @ [1 - share, share]
             guess = part.evaluate(np.array([at]), np.array([x]))[0, : branch.m + 1]
-            point, way = corrected(problem, part, at, x)
+            point, way = correct_at(problem, part, at, x)
             chord = np.linalg.norm(np.diff(part.Z[at : at + 2, : branch.m + 1], axis=0))
             near = bool(np.linalg.norm(point.X[:, 0] - guess) < LED * chord)
             if point.ok[0] and part.lies_between(np.array([at]), point.X, point.times)[0]:
@@ -169,7 +169,7 @@ def end_of(problem: Problem, branch: Branch, good: int, bad: int) -> tuple[str, 
     """
     segment = min(good, bad)
     axis = branch.axis[segment]
-    nodes = [corrected(problem, branch, segment, branch.Z[i, axis]) for i in (good, bad)]
+    nodes = [correct_at(problem, branch, segment, branch.Z[i, axis]) for i in (good, bad)]
     found: list[tuple[float, str, Point, np.ndarray, float]] = []
     for kind, test in ENDS.items():
         if kind == "end_kneestrike_at_heelstrike" and problem.phases == 1:
@@ -179,7 +179,7 @@ def end_of(problem: Problem, branch: Branch, good: int, bad: int) -> tuple[str, 
             if kind == "end_tangential_heelstrike":
                 point, way, error = _at_tangency(problem, branch, segment)
             else:
-                point, way = located(problem, branch, segment, test)
+                point, way = locate_root(problem, branch, segment, test)
             apart = float(np.linalg.norm(point.X[:, 0] - branch.Z[good, : branch.m + 1]))
             found.append((apart, kind, point, way, error))
     if found:
@@ -197,31 +197,31 @@ def _at_earlier_strike(
     def away(point: Point, way: np.ndarray, samples: int = 16 * SAMPLES) -> float:
         m = problem.m
         stride, _ = problem.stride(np.vstack([point.X[:m], point.times]), point.X[m], samples=samples)
-        return float(margin(stride.scaled_motion(), stride.times)[0])
+        return float(strike_distance(stride.scaled_motion(), stride.times)[0])
 
     # The verdict tells where; near there the guard's minimum tells how near.
     for _ in range(8):
         middle = 0.5 * (a + b)
-        point, way = corrected(problem, branch, segment, middle)
+        point, way = correct_at(problem, branch, segment, middle)
         if point.ok[0] and is_step(problem, point):
             a = middle
         else:
             b = middle
-    ends = [away(*corrected(problem, branch, segment, x)) for x in (a, b)]
+    ends = [away(*correct_at(problem, branch, segment, x)) for x in (a, b)]
     if np.isfinite(ends).all() and ends[0] * ends[1] < 0:
-        root = bracketed_root(lambda x: away(*corrected(problem, branch, segment, x)), a, b, 1e-15 * max(1.0, abs(a)))
-        point, way = corrected(problem, branch, segment, root)
+        root = bracketed_root(lambda x: away(*correct_at(problem, branch, segment, x)), a, b, 1e-15 * max(1.0, abs(a)))
+        point, way = correct_at(problem, branch, segment, root)
         # Half as many samples tell how far off the cubic's minimum is.
         error = abs(away(point, way, 8 * SAMPLES) / (ends[1] - ends[0]) * (b - a))
     else:
         for _ in range(40):
             middle = 0.5 * (a + b)
-            point, way = corrected(problem, branch, segment, middle)
+            point, way = correct_at(problem, branch, segment, middle)
             if point.ok[0] and is_step(problem, point):
                 a = middle
             else:
                 b = middle
-        point, way = corrected(problem, branch, segment, a)
+        point, way = correct_at(problem, branch, segment, a)
         error = 0.0
     tangent = oriented(point, way)
     return point, way, abs(error * float(tangent[branch.m] / tangent[axis])) if axis <= branch.m else error
@@ -270,7 +270,10 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
         "fold": (branch.tangent[:, m], lambda p, w: float(oriented(p, w)[m])),
         "flip": (np.linalg.det(A + np.eye(m)), lambda p, w: float(np.linalg.det(_matrix(p) + np.eye(m))[0])),
         "neimark_sacker": (_eigen_products(A), lambda p, w: float(_eigen_products(_matrix(p))[0])),
-        "branch_point": (branching(nodes, way), lambda p, w: float(branching(p, w[:, None])[0])),
+        "branch_point": (
+            branch_point_determinant(nodes, way),
+            lambda p, w: float(branch_point_determinant(p, w[:, None])[0]),
+        ),
     }
     if problem.phases == 2:
         tests["release_hyperextension"] = (_release(nodes), lambda p, w: float(_release(p)[0]))
@@ -288,7 +291,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
                 [i for i, why in ((0, branch.why[0]), (-1, branch.why[1])) if why == "end_tangential_heelstrike"]
             ] = False
         for segment in np.nonzero(turned & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]:
-            point, _ = located(problem, branch, int(segment), test)
+            point, _ = locate_root(problem, branch, int(segment), test)
             if point.ok[0] and _is(kind, point):
                 found.append((segment + 0.5, _record(kind, problem, point, 0)))
     for index, kind, error in zip((0, len(branch.Z) - 1), branch.why, branch.end_errors):
@@ -332,7 +335,7 @@ def _at_fold(point: Point, lane: int) -> float:
 
 
 def _record(kind: str, problem: Problem, point: Point, lane: int) -> dict[str, float | str]:
-    noise = (
+    rounding_std = (
         _at_fold(point, lane)
         if kind == "fold"
         else float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
@@ -342,5 +345,5 @@ def _record(kind: str, problem: Problem, point: Point, lane: int) -> dict[str, f
         "slope": float(np.exp(point.X[problem.m, lane])),
         "stance_angle": float(np.exp(point.X[0, lane])),
         "period": float(point.times[-1, lane]),
-        "error_bound": noise + 8 * EPS,
+        "error_bound": rounding_std + 8 * EPS,
     }

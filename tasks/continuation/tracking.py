@@ -12,18 +12,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tasks.fixed_points.newton import LONGEST_PERIOD
-from tasks.fixed_points.step_check import judged
+from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import EPS, Problem
-from tasks.step.step_map import Stride, apply
+from tasks.step.step_map import Stride, matvec
 
 #: Slopes a branch is followed over [rad]; below, double precision no longer resolves a gait's tangent.
-LEAST_SLOPE, MOST_SLOPE = 1e-13, 0.7
+MIN_SLOPE, MAX_SLOPE = 1e-13, 0.7
 #: Largest ln of a stance angle that is no fall.
 HIGHEST = 0.5
 LONGEST_STEP, SHORTEST_STEP = 0.5, 1e-7
 #: Acceptance of a step: largest predictor error and turning angle.
-MOST_ERROR, MOST_TURN = 0.02, 0.3
-MOST_NODES = 1500
+MAX_ERROR, MAX_TURN = 0.02, 0.3
+MAX_NODES = 1500
 #: A change of side over a longer step than this is a jump to a branch nearby; over a shorter one branches cross.
 CROSSING = 1e-4
 #: Points after which a branch is asked whether it still describes steps.
@@ -66,7 +66,7 @@ def _times_by_X(stride: Stride, X: np.ndarray) -> np.ndarray:
     """Derivative of the event times by X, shape (k, m + 1, n)."""
     m = len(stride.y)
     assert stride.times_by_slope is not None
-    by_first = apply(stride.times_by_y, stride.y)[:, None]
+    by_first = matvec(stride.times_by_y, stride.y)[:, None]
     by_rest = stride.times_by_y[:, 1:] * stride.y[0]
     return np.concatenate([by_first, by_rest, (stride.times_by_slope * np.exp(X[m]))[:, None]], axis=1)
 
@@ -101,32 +101,32 @@ def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarr
         dX = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
         size = np.abs(dX).max(axis=0)
         by_X = _times_by_X(stride, X)
-        new_times = stride.times + apply(by_X, dX)
+        new_times = stride.times + matvec(by_X, dX)
         over |= ~good | (size > 1.0) | ~np.isfinite(new_times).all(axis=0)
         moving = ~over & ~ok
         X[:, moving] += dX[:, moving]
         times[:, moving] = new_times[:, moving]
-        noise = _noise(matrix, stride)
-        ok |= moving & ((size < noise) | ((size < 1e-9) & (size > 0.2 * last)))
+        rounding_std = _noise(matrix, stride)
+        ok |= moving & ((size < rounding_std) | ((size < 1e-9) & (size > 0.2 * last)))
         last = size
         if (ok | over).all():
             break
     _, _, V = np.linalg.svd(np.nan_to_num(derivative))
     tangent = V[:, -1].T
     by_X = np.nan_to_num(by_X)
-    return Point(X, times, tangent, apply(by_X, tangent), ok, stride, derivative)
+    return Point(X, times, tangent, matvec(by_X, tangent), ok, stride, derivative)
 
 
 def _noise(matrix: np.ndarray, stride: Stride) -> np.ndarray:
     """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
     inverse = np.abs(np.linalg.inv(matrix))
-    error = np.abs(stride.y) + apply(np.abs(stride.jacobian), np.abs(stride.y))
+    error = np.abs(stride.y) + matvec(np.abs(stride.jacobian), np.abs(stride.y))
     error = np.nan_to_num(np.vstack([error / stride.y[0], np.ones(error.shape[1])]))
     return 6 * EPS * np.einsum("nij,jn->in", inverse, error).max(axis=0)
 
 
 @dataclass
-class Track:
+class BranchTrace:
     """One branch followed in one direction: its points so far, and why it stopped."""
 
     X: list[np.ndarray] = field(default_factory=list)
@@ -158,25 +158,25 @@ class Track:
     def judge(self, m: int) -> str:
         """Why the branch stops here, or nothing."""
         X, times = self.X[-1], self.times[-1]
-        if not np.log(LEAST_SLOPE) < X[m] < np.log(MOST_SLOPE):
+        if not np.log(MIN_SLOPE) < X[m] < np.log(MAX_SLOPE):
             return "end of the window"
         if X[0] < -40:
             return "zero step length"
-        if fallen(X, times) > 0:
+        if fall_margin(X, times) > 0:
             return "a fall"
         if np.abs(X[1:m]).max() > 30:
             return "zero step length"
         if len(times) == 2 and times[1] < times[0] - 0.5:
             return "heelstrike before kneestrike"
-        return "too many points" if len(self.X) > MOST_NODES else ""
+        return "too many points" if len(self.X) > MAX_NODES else ""
 
 
-def fallen(X: np.ndarray, times: np.ndarray) -> float:
+def fall_margin(X: np.ndarray, times: np.ndarray) -> float:
     """Positive where a gait's angle or period is beyond those of a fall."""
     return float(max(X[0] - HIGHEST, times[-1] - LONGEST_PERIOD))
 
 
-def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[Track]]:
+def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[BranchTrace]]:
     """Follow branches both ways from solved gaits.
 
     Parameters
@@ -194,10 +194,10 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
     first = correct(problem, np.vstack([w[:m], log_slope]), w[m:], None)
     upwards = np.zeros((m + 1, n))
     upwards[m] = 1.0
-    sides = np.sign(branching(first, upwards))
-    pairs: list[list[Track]] = []
+    sides = np.sign(branch_point_determinant(first, upwards))
+    pairs: list[list[BranchTrace]] = []
     for lane in range(n):
-        pair = [Track(), Track()]
+        pair = [BranchTrace(), BranchTrace()]
         for track, way in zip(pair, (-1.0, 1.0)):
             orientation = np.zeros(m + 1)
             orientation[m] = way
@@ -215,11 +215,11 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
         times = np.array([t.predict_times() for t in active]).T
         border = np.array([t.tangent[-1] for t in active]).T
         point = correct(problem, guess, times, border)
-        sides = np.sign(branching(point, border))
+        sides = np.sign(branch_point_determinant(point, border))
         for lane, track in enumerate(active):
             error = np.linalg.norm(point.X[:, lane] - guess[:, lane])
             turn = abs(point.tangent[:, lane] @ track.tangent[-1])
-            fair = point.ok[lane] and error < MOST_ERROR and turn > np.cos(MOST_TURN)
+            fair = point.ok[lane] and error < MAX_ERROR and turn > np.cos(MAX_TURN)
             if fair and not (track.side * sides[lane] < 0 and track.step > CROSSING):
                 track.side = sides[lane]
                 track.append(point, lane, track.tangent[-1])
@@ -236,7 +236,7 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore")
-def branching(point: Point, way: np.ndarray) -> np.ndarray:
+def branch_point_determinant(point: Point, way: np.ndarray) -> np.ndarray:
     """Determinant of [J - I; slope column | tangent], (n,), tangents pointing along `way`: zero where branches cross.
 
     Its sign is the same all along a branch, and another on one that almost touches it.
@@ -245,9 +245,9 @@ def branching(point: Point, way: np.ndarray) -> np.ndarray:
     return np.linalg.det(np.concatenate([point.derivative, tangent.T[:, None]], axis=1))
 
 
-def _steps(problem: Problem, track: Track) -> bool:
+def _steps(problem: Problem, track: BranchTrace) -> bool:
     """True where the last points of a track are steps that really happen."""
     recent = slice(-CHECK_EVERY // 3, None)
     X, times = np.array(track.X[recent]).T, np.array(track.times[recent]).T
-    _, verdict = judged(problem, np.vstack([X[: problem.m], times]), X[problem.m])
+    _, verdict = verify_steps(problem, np.vstack([X[: problem.m], times]), X[problem.m])
     return bool(verdict.step.any())

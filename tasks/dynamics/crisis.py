@@ -19,7 +19,7 @@ SETTLED = 1e-8
 TRANSIENT = 60
 
 
-def lasting(problem: Problem, starts: np.ndarray, slope: np.ndarray, strides: int) -> np.ndarray:
+def surviving_slopes(problem: Problem, starts: np.ndarray, slope: np.ndarray, strides: int) -> np.ndarray:
     """Slopes at which the starts that outlast the transient all walk on, on no gait of period one; shape (n,).
 
     Parameters
@@ -66,14 +66,14 @@ def lost(
         Neighbours of the last round. NaN for `low` where the starts do not last there either, and for `high` where
         nothing is lost.
     """
-    ends = lasting(problem, starts, np.array([low, high]), strides)
+    ends = surviving_slopes(problem, starts, np.array([low, high]), strides)
     if not ends[0]:
         return np.nan, low
     if ends[1]:
         return high, np.nan
     for _ in range(rounds):
         slope = np.linspace(low, high, at_once + 2)
-        last = np.append(lasting(problem, starts, slope[1:-1], strides), False)
+        last = np.append(surviving_slopes(problem, starts, slope[1:-1], strides), False)
         k = int(np.argmin(last))
         low, high = float(slope[k]), float(slope[k + 1])
     return low, high

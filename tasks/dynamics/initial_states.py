@@ -15,7 +15,7 @@ from tasks.step.problem import Problem
 _RATIO = {2: 1.32471795724474602596, 3: 1.22074408460575947536}
 
 
-def scattered(m: int, count: int) -> np.ndarray:
+def r_sequence(m: int, count: int) -> np.ndarray:
     """Points that fill the unit cube evenly, always the same, shape (m, count).
 
     Notes
@@ -42,7 +42,7 @@ def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label:
     angle, ratio, sections = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, m, n))
     for branch in branches:
         for index, Z, segment in branch.guesses(np.log(slope)):
-            once = branch.passes[segment] == 1
+            once = branch.leg_passes[segment] == 1
             if not once.any():
                 continue
             index, w = index[once], np.delete(Z[once], m, axis=1).T

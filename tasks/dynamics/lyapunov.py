@@ -93,5 +93,5 @@ def estimate(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     flat = np.moveaxis(means, 1, 0).reshape(means.shape[1], -1)
     count = flat.shape[1]
     with np.errstate(invalid="ignore"):
-        spread = np.std(flat, axis=1, ddof=1) if count > 1 else np.full(len(flat), np.nan)
-        return np.mean(flat, axis=1), spread / np.sqrt(count)
+        golden_ratio_order = np.std(flat, axis=1, ddof=1) if count > 1 else np.full(len(flat), np.nan)
+        return np.mean(flat, axis=1), golden_ratio_order / np.sqrt(count)

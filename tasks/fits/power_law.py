@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 #: How far the local exponent may wander on a plateau, and the decades a plateau must span.
-FLATNESS, LEAST_DECADES, LEAST_POINTS = 0.01, 1.0, 5
+FLATNESS, MIN_DECADES, MIN_POINTS = 0.01, 1.0, 5
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,11 @@ def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
     # From the residuals themselves: through 1 - r^2, as linregress has it, a good fit's error is rounding.
     residual = log_y - (line.intercept + line.slope * log_x)
     error = np.sqrt(residual @ residual / (len(x) - 2) / np.sum((log_x - log_x.mean()) ** 2))
-    spread = stats.t.ppf(0.975, len(x) - 2) * error
+    golden_ratio_order = stats.t.ppf(0.975, len(x) - 2) * error
     return PowerLaw(
         line.slope,
-        min(line.slope - spread, local.min()),
-        max(line.slope + spread, local.max()),
+        min(line.slope - golden_ratio_order, local.min()),
+        max(line.slope + golden_ratio_order, local.max()),
         float(np.exp(line.intercept)),
         float(x[0]),
         float(x[-1]),
@@ -90,5 +90,5 @@ def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[t
                 if extremes[0] < start:
                     extremes.popleft()
     runs.append((start, len(p)))
-    good = [(a, b) for a, b in runs if b - a + 1 >= LEAST_POINTS and np.log10(x[b] / x[a]) >= LEAST_DECADES]
+    good = [(a, b) for a, b in runs if b - a + 1 >= MIN_POINTS and np.log10(x[b] / x[a]) >= MIN_DECADES]
     return sorted(good, key=lambda r: np.log(x[r[0]] / x[r[1]]))

@@ -9,14 +9,14 @@ import numpy as np
 
 from tasks.fixed_points.rounding import rounding
 from tasks.step.problem import Problem, sizes
-from tasks.step.step_map import Stride, apply
+from tasks.step.step_map import Stride, matvec
 
 #: Periods beyond are a fall: the stance leg has all but come to stand upright [sqrt(leg/g)].
 LONGEST_PERIOD = 12.0
 #: Newton steps a start may take; an honest one takes 2 to 8.
-MOST_ITERATIONS = 25
+MAX_ITERATIONS = 25
 #: The same for a rough flight: what is not near by then hardly ever arrives.
-MOST_ROUGH = 10
+MAX_ROUGH = 10
 
 
 def similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
@@ -27,7 +27,7 @@ def similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
 
 def newton_step(stride: Stride, w: np.ndarray) -> np.ndarray:
     """The Newton step of a stride in similarity coordinates, shape (m + phases, n)."""
-    times = stride.times + apply(stride.times_by_y, stride.newton)
+    times = stride.times + matvec(stride.times_by_y, stride.newton)
     return np.vstack([similarity(stride.y, stride.newton), times - w[len(stride.y) :]])
 
 
@@ -43,9 +43,9 @@ def newton(
     problem: Problem,
     w: np.ndarray,
     log_slope: np.ndarray,
-    rough: bool = False,
-    hopeless: Sequence[float] = (1e6,),
-    merge: float = 0.0,
+    coarse: bool = False,
+    max_step_by_iteration: Sequence[float] = (1e6,),
+    merge_cell: float = 0.0,
 ) -> Solved:
     """Damped Newton on every lane; finished lanes leave the batch.
 
@@ -66,26 +66,26 @@ def newton(
     converged = np.zeros(n, bool)
     active = np.arange(n)
     last = np.full(n, np.inf)
-    for taken in range(MOST_ROUGH if rough else MOST_ITERATIONS):
+    for taken in range(MAX_ROUGH if coarse else MAX_ITERATIONS):
         if not len(active):
             break
-        stride, _ = problem.some(active).stride(w[:, active], log_slope[active], rough=rough)
+        stride, _ = problem.some(active).stride(w[:, active], log_slope[active], coarse=coarse)
         step = newton_step(stride, w[:, active])
         size = np.abs(step).max(axis=0)
-        noise = np.nan_to_num(rounding(stride).max(axis=0), nan=np.inf)
-        alive = np.isfinite(size) & (size < hopeless[min(taken, len(hopeless) - 1)])
+        rounding_std = np.nan_to_num(rounding(stride).max(axis=0), nan=np.inf)
+        alive = np.isfinite(size) & (size < max_step_by_iteration[min(taken, len(max_step_by_iteration) - 1)])
         step[:, alive] *= np.minimum(1.0, 0.5 / np.maximum(size[alive], 1e-300))
         w[:, active[alive]] += step[:, alive]
         # Done when the step is rounding, or has become small and stopped shrinking.
-        done = alive & ((size < (1e-5 if rough else noise)) | ((size < 1e-6) & (size > 0.3 * last[active])))
+        done = alive & ((size < (1e-5 if coarse else rounding_std)) | ((size < 1e-6) & (size > 0.3 * last[active])))
         sane = (np.abs(w[1 : problem.m, active]) < 50).all(axis=0) & (w[problem.m :, active] > 0.05).all(axis=0)
         sane &= (w[-1, active] < LONGEST_PERIOD) & (w[0, active] < 0.4)
         converged[active[done & sane]] = True
         last[active] = size
         active = active[alive & sane & ~done]
-        if merge and taken > 1:
+        if merge_cell and taken > 1:
             active = active[np.argsort(last[active], kind="stable")]
-            cells = np.vstack([log_slope[active], np.round(w[:, active] / merge)])
+            cells = np.vstack([log_slope[active], np.round(w[:, active] / merge_cell)])
             active = np.sort(active[np.unique(cells, axis=1, return_index=True)[1]])
     return Solved(w, converged)
 

@@ -8,21 +8,21 @@ import numpy as np
 
 from tasks.fixed_points.newton import lipschitz as lipschitz_at
 from tasks.fixed_points.newton import newton_step
-from tasks.fixed_points.rounding import arrival, rounding
-from tasks.fixed_points.step_check import judged
+from tasks.fixed_points.rounding import apply_newton_step, rounding
+from tasks.fixed_points.step_check import verify_steps
 from tasks.step import extended_precision
 from tasks.step.problem import EPS, Problem, sizes
-from tasks.step.step_map import Stride, apply
+from tasks.step.step_map import Stride, matvec
 
 #: Where the atlas cannot vouch for a point's verdict.
 UNKNOWN = -1
 #: Newton steps a point may take from the atlas; nearly all take one.
-MOST_STEPS = 8
+MAX_STEPS = 8
 #: Standard deviations of the measured rounding a gait may be off, besides half a rounding of its image: that of the
 #: constants, which no change of units shows.
-SURE = 16.0
+SAFETY_FACTOR = 16.0
 #: Where not even the third digit is sure Newton's derivative leads more digits nowhere.
-MOST_BOUND = 1e-3
+MAX_BOUND = 1e-3
 #: Share of Newton's radius of convergence up to which the estimate of a segment's nodes serves its points.
 VOUCHED = 0.1
 #: Relative distance from the fixed point at which multipliers are as good as at it.
@@ -30,7 +30,7 @@ NEAR = 2e-12
 
 
 @dataclass
-class Settled:
+class Polished:
     """Gaits of n lanes, scaled by `scale` (n,).
 
     `y` (m, n) section; `state` (a, n) just after heelstrike; `times` (phases, n) [sqrt(leg/g)]; `stride` the last one
@@ -48,12 +48,17 @@ class Settled:
     doubles: np.ndarray
     converged: np.ndarray
     step: np.ndarray
-    passes: np.ndarray
+    leg_passes: np.ndarray
 
 
 def settle(
-    problem: Problem, Z: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, noise: np.ndarray, passes: np.ndarray
-) -> Settled:
+    problem: Problem,
+    Z: np.ndarray,
+    slope: np.ndarray,
+    lipschitz: np.ndarray,
+    rounding_std: np.ndarray,
+    leg_passes: np.ndarray,
+) -> Polished:
     """Polish guesses and verify them.
 
     Parameters
@@ -71,30 +76,30 @@ def settle(
     eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
     lipschitz = _at_points(problem, w, slope, lipschitz, eta)
     # What is measured at the impacts is carried to the fixed point, as the times are.
-    stride.impact = stride.impact + apply(stride.impact_by_y, stride.newton)
+    stride.impact = stride.impact + matvec(stride.impact_by_y, stride.newton)
     if stride.knee is not None and stride.knee_by_y is not None:
-        stride.knee = stride.knee + apply(stride.knee_by_y, stride.newton)
-    at = arrival(problem, stride, problem.parameters(slope, scale))
+        stride.knee = stride.knee + matvec(stride.knee_by_y, stride.newton)
+    at = apply_newton_step(problem, stride, problem.parameters(slope, scale))
     y, times, state, by_y = at.y, at.times, at.state, np.abs(at.by_y)
-    error = at.reach * (SURE * noise + EPS / 2) + apply(by_y, 2 * lipschitz * eta**2 * sizes(y))
+    error = at.sensitivity * (SAFETY_FACTOR * rounding_std + EPS / 2) + matvec(by_y, 2 * lipschitz * eta**2 * sizes(y))
     bound = (error / at.size).max(axis=0) + 2 * EPS
     doubles = bound.copy()
-    converged = (bound < MOST_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
-    spread = (apply(by_y, sizes(y)) / at.size).max(axis=0)
-    for lane in np.nonzero((bound > extended_precision.ESCALATE) & (bound < MOST_BOUND))[0]:
+    converged = (bound < MAX_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
+    golden_ratio_order = (matvec(by_y, sizes(y)) / at.size).max(axis=0)
+    for lane in np.nonzero((bound > extended_precision.ESCALATE) & (bound < MAX_BOUND))[0]:
         wide = extended_precision.refine(
             problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane]
         )
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
-        bound[lane] = wide.left * max(1.0, spread[lane]) + wide.rounding
+        bound[lane] = wide.left * max(1.0, golden_ratio_order[lane]) + wide.rounding
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
     step = (stride.closing < 0) & (np.diff(stride.times, axis=0, prepend=0) > 0).all(axis=0)
-    lanes = np.nonzero(passes == UNKNOWN)[0]
+    lanes = np.nonzero(leg_passes == UNKNOWN)[0]
     if len(lanes):
-        _, verdict = judged(problem.some(lanes), w[:, lanes], np.log(slope[lanes]))
-        step[lanes], passes = verdict.step, passes.copy()
-        passes[lanes] = verdict.passes
-    return Settled(y, state, times, scale, stride, bound, doubles, converged, step, passes)
+        _, verdict = verify_steps(problem.some(lanes), w[:, lanes], np.log(slope[lanes]))
+        step[lanes], leg_passes = verdict.step, leg_passes.copy()
+        leg_passes[lanes] = verdict.leg_passes
+    return Polished(y, state, times, scale, stride, bound, doubles, converged, step, leg_passes)
 
 
 def _at_points(
@@ -123,7 +128,7 @@ def polish(
     q = np.log(slope)
     w, before = w.copy(), np.full(len(q), np.inf)
     stride, scale = problem.stride(w, q)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)
         # Far: Newton's next step would still leave an error, or what is measured on this stride would show it.

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.step.problem import EPS, Problem, sizes
-from tasks.step.step_map import Stride, apply
+from tasks.step.step_map import Stride, matvec
 
 
 @dataclass
-class Arrival:
+class NewtonStep:
     """Where a stride's Newton step leads: `y` (m, n) section, `times` (k, n), `state` (a, n) just after heelstrike.
 
     `values` (o, n) are what a gait is known by, its angle, rates and period, and `by_y` (o, m, n) their derivatives;
@@ -25,20 +25,20 @@ class Arrival:
     values: np.ndarray
     size: np.ndarray
     by_y: np.ndarray
-    reach: np.ndarray
+    sensitivity: np.ndarray
 
 
-def arrival(problem: Problem, stride: Stride, parameters: np.ndarray) -> Arrival:
+def apply_newton_step(problem: Problem, stride: Stride, parameters: np.ndarray) -> NewtonStep:
     """Take the Newton step of strides flown with some parameters."""
     y = stride.y + stride.newton
-    times = stride.times + apply(stride.times_by_y, stride.newton)
+    times = stride.times + matvec(stride.times_by_y, stride.newton)
     size = problem.map.start_size
     begin, shown = problem.map.start(y, parameters), [0, *range(size // 2, size)]
     state, by_y = begin[:size], begin[size:].reshape(size, *y.shape)
     values, by_y = np.vstack([state[shown], times[-1:]]), np.concatenate([by_y[shown], stride.times_by_y[-1:]])
     measure = np.vstack([sizes(values[:-1]), np.abs(values[-1:])])
-    reach = measure + apply(np.abs(by_y), apply(np.abs(stride.inverse), sizes(y)))
-    return Arrival(y, times, state, values, measure, by_y, reach)
+    sensitivity = measure + matvec(np.abs(by_y), matvec(np.abs(stride.inverse), sizes(y)))
+    return NewtonStep(y, times, state, values, measure, by_y, sensitivity)
 
 
 #: Units a stride is flown in to see how it rounds; a number divisible by fifteen is exact in each.
@@ -46,7 +46,7 @@ UNITS = (1.0, 0.75, 1.25, 0.9375)
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
-def noise(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: int = 1) -> np.ndarray:
+def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: int = 1) -> np.ndarray:
     """Standard deviation that rounding gives angle, rates and period of a fixed point, over their `reach`, (o, n).
 
     Measured: one stride is flown in units that round every operation on the way anew, from `near` starts side by side.
@@ -61,11 +61,11 @@ def noise(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: int = 1)
         seen = []
         for unit in UNITS:
             parameters = problem.parameters(slope, scale * unit)
-            found = arrival(problem, problem.map(y / unit, w[m:], parameters), parameters)
+            found = apply_newton_step(problem, problem.map(y / unit, w[m:], parameters), parameters)
             seen.append(np.vstack([found.values[:-1] * unit, found.values[-1:]]))
         # Units do not change what is measured in them.
-        reach = np.vstack([found.reach[:-1] * unit, found.reach[-1:]])
-        variances.append(np.var(seen, axis=0, ddof=1) / reach**2)
+        sensitivity = np.vstack([found.sensitivity[:-1] * unit, found.sensitivity[-1:]])
+        variances.append(np.var(seen, axis=0, ddof=1) / sensitivity**2)
     known = np.isfinite(variances)
     return np.sqrt(np.where(known, variances, 0.0).sum(axis=0) / known.sum(axis=0))
 
@@ -91,4 +91,4 @@ def rounding(stride: Stride) -> np.ndarray:
     share = 0.5 if len(size) == 2 else 3.0
     landed = np.broadcast_to(share * (size + np.abs(stride.image)).max(axis=0), size.shape)
     through = np.abs(stride.inverse - np.eye(len(size))[:, :, None])
-    return EPS * (apply(np.abs(stride.inverse), landed + beyond) + apply(through, size + beyond)) / size
+    return EPS * (matvec(np.abs(stride.inverse), landed + beyond) + matvec(through, size + beyond)) / size

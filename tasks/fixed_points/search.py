@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from tasks.fixed_points.newton import newton
-from tasks.fixed_points.step_check import judged
+from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Problem
 from tasks.step.step_map import Stride
-from tasks.step.verify_step import Verdict
+from tasks.step.verify_step import StepCheck
 
 #: Rough starts this far away at their first, second, ... step are given up: hardly one arrives, and others do.
-HOPELESS = (20.0, 6.0, 4.0, 3.0)
+MAX_STEP_BY_ITERATION = (20.0, 6.0, 4.0, 3.0)
 #: Rough starts in one cell of this size after three steps arrive at one gait: the nearest to it goes on.
-MERGED = 0.1
+MERGE_CELL = 0.1
 
 
 def starts(problem: Problem, slope: float) -> np.ndarray:
@@ -49,7 +49,7 @@ def starts(problem: Problem, slope: float) -> np.ndarray:
     return np.vstack([*rows, period])
 
 
-def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, Verdict | None]:
+def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, StepCheck | None]:
     """Every gait the lattice of starts leads to at one slope, distinct, in order of the stance angle.
 
     Returns
@@ -58,13 +58,13 @@ def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, V
     stride, verdict
         Their strides and what those are; None where nothing was found.
     """
-    w = found_at(problem, [slope])[0]
+    w = search_slopes(problem, [slope])[0]
     if not w.shape[1]:
         return w, None, None
-    return w, *judged(problem, w, np.full(w.shape[1], np.log(slope)))
+    return w, *verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
 
 
-def found_at(problem: Problem, slopes: Sequence[float]) -> list[np.ndarray]:
+def search_slopes(problem: Problem, slopes: Sequence[float]) -> list[np.ndarray]:
     """Fixed points, steps or not, that the lattice of starts leads to at each of some slopes, shapes (m + phases,
     found)."""
     lattice = [starts(problem, slope) for slope in slopes]
@@ -72,7 +72,9 @@ def found_at(problem: Problem, slopes: Sequence[float]) -> list[np.ndarray]:
     w, log_slope = np.hstack(lattice), np.log(np.asarray(slopes))
     if problem.phases == 2:
         # Three links are dear: the search flies roughly, and only what it finds is flown exactly.
-        near = newton(problem, w, log_slope[at], rough=True, hopeless=HOPELESS, merge=MERGED)
+        near = newton(
+            problem, w, log_slope[at], coarse=True, max_step_by_iteration=MAX_STEP_BY_ITERATION, merge_cell=MERGE_CELL
+        )
         w, at = _distinct(near.w[:, near.converged], at[near.converged], 1e-3)
     solved = newton(problem, w, log_slope[at])
     w, at = _distinct(solved.w[:, solved.converged], at[solved.converged], 1e-5)

@@ -6,16 +6,16 @@ import numpy as np
 
 from tasks.step.problem import Problem
 from tasks.step.step_map import SAMPLES, Stride
-from tasks.step.verify_step import Verdict, verify
+from tasks.step.verify_step import StepCheck, verify
 
 
-def judged(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tuple[Stride, Verdict]:
+def verify_steps(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tuple[Stride, StepCheck]:
     """Strides with their verdicts; where samples leave a doubt, finer ones decide."""
     stride, _ = problem.stride(w, log_slope, samples=SAMPLES)
     return stride, settled(problem, stride, w, log_slope)
 
 
-def settled(problem: Problem, stride: Stride, w: np.ndarray, log_slope: np.ndarray) -> Verdict:
+def settled(problem: Problem, stride: Stride, w: np.ndarray, log_slope: np.ndarray) -> StepCheck:
     """The verdict on sampled strides; lanes in doubt are sampled again, sixteen times as finely."""
     assert stride.motion is not None
     verdict = verify(stride.motion, stride.closing, stride.times)
@@ -24,7 +24,11 @@ def settled(problem: Problem, stride: Stride, w: np.ndarray, log_slope: np.ndarr
         fine, _ = problem.some(lanes).stride(w[:, lanes], log_slope[lanes], samples=16 * SAMPLES)
         assert fine.motion is not None
         closer = verify(fine.motion, fine.closing, fine.times)
-        verdict.step[lanes], verdict.passes[lanes], verdict.doubt[lanes] = closer.step, closer.passes, closer.doubt
+        verdict.step[lanes], verdict.leg_passes[lanes], verdict.doubt[lanes] = (
+            closer.step,
+            closer.leg_passes,
+            closer.doubt,
+        )
     return verdict
 
 

@@ -70,12 +70,12 @@ def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> t
     # The angle of the eigenvectors from the axes, without cancellation.
     turn = 0.5 * np.arctan2(2 * M[:, 0, 1], M[:, 0, 0] - M[:, 1, 1])
     first = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-    second = np.stack([-np.sin(turn), np.cos(turn)], axis=-1)
+    time_unit = np.stack([-np.sin(turn), np.cos(turn)], axis=-1)
     losses = []
-    for e in (first, second):
+    for e in (first, time_unit):
         mu = (e[:, None, :] @ M @ e[:, :, None])[:, 0, 0]
         losses.append(0.5 * mu * (e * velocity).sum(axis=-1) ** 2)
-    upright = np.abs(first[:, 1]) > np.abs(second[:, 1])
+    upright = np.abs(first[:, 1]) > np.abs(time_unit[:, 1])
     return np.where(upright, losses[0], losses[1]), np.where(upright, losses[1], losses[0])
 
 

@@ -15,12 +15,12 @@ from tasks.mechanics.equations import system
 from tasks.mechanics.lumped import Structure
 
 #: Steps a flow may take before it counts as lost; an honest stride takes 5 to 40.
-MOST_STEPS = 120
+MAX_STEPS = 120
 LANES = hy.recommended_simd_size()
 #: Tolerance of the exact flows: order 18, whose truncation is fifty times below rounding.
 FINE = 1.75e-15
 #: Tolerance of a search's flows, which only lead to where the exact ones begin.
-ROUGH = 1e-7
+COARSE = 1e-7
 
 
 @functools.cache
@@ -60,14 +60,14 @@ class Flow:
     bits do not depend on its neighbours; a group with a lost lane is run again lane by lane to keep that true.
     """
 
-    def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool, rough: bool):
+    def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool, coarse: bool):
         flown = system(structure, free_knee, directions, with_slope)
         self.size, self.angles = len(flown.equations), (6 if free_knee else 4)
         # Without a foot mass the links do not couple: so few terms are left that two registers a step pay.
         self.lanes = 2 * LANES if ("eps", 0.0) in structure.units else LANES
         self.evaluations = self.idle = 0
         self._ta = hy.taylor_adaptive_batch(
-            flown.equations, state=np.zeros((self.size, self.lanes)), tol=ROUGH if rough else FINE
+            flown.equations, state=np.zeros((self.size, self.lanes)), tol=COARSE if coarse else FINE
         )
         self._parameters = flown.parameters()
         # Views of the integrator's own memory.
@@ -135,9 +135,9 @@ class Flow:
         ta: Any = self._ta
         ta.set_time(0.0)
         if fractions is None:
-            ta.propagate_until(duration, max_steps=MOST_STEPS)
+            ta.propagate_until(duration, max_steps=MAX_STEPS)
             return None
-        return ta.propagate_grid(fractions * duration, max_steps=MOST_STEPS)[1]
+        return ta.propagate_grid(fractions * duration, max_steps=MAX_STEPS)[1]
 
 
 #: Every flow compiled by this process, by what it was compiled for; their counters tell what was flown.
@@ -145,10 +145,10 @@ FLOWS: dict[tuple[Any, ...], Flow] = {}
 
 
 def flow(
-    structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False, rough: bool = False
+    structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False, coarse: bool = False
 ) -> Flow:
     """The compiled flow of a structure; compiled once a process, kept on disk between them."""
-    key = structure, free_knee, directions, with_slope, rough
+    key = structure, free_knee, directions, with_slope, coarse
     if key not in FLOWS:
         prepare_compiler()
         FLOWS[key] = Flow(*key)

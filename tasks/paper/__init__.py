@@ -14,13 +14,13 @@ from tasks.paper import (
     tuned_walkers,
     zero_slope,
 )
-from tasks.paper.claim import CLAIMS, VERDICTS, Claim, Finding
+from tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
 
 __all__ = [
     "CLAIMS",
     "VERDICTS",
     "Claim",
-    "Finding",
+    "ClaimResult",
     "appendix_a",
     "energy",
     "kneed_chaos",

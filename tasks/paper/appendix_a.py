@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.paper.claim import Finding, claim, verdict
+from tasks.paper.claim import ClaimResult, claim, verdict
 from tasks.paper.lines import LONG, SHORT, Arrays, line
 from tasks.registry import VARIABLES, VIOLATIONS
 
@@ -32,11 +32,11 @@ def _flagged(found: Arrays, name: str) -> np.ndarray:
     "figure3/angles",
     "gaitsweep solve --walker physical --slope 0.036 --json",
 )
-def scuffing() -> Finding:
+def scuffing() -> ClaimResult:
     straight = np.concatenate([_flagged(_measured(w, _SLOPES), "scuff") for w in _STRAIGHT])
     kneed = np.concatenate([_flagged(_measured(w, _SLOPES), "scuff") for w in ("C", "physical")])
     depth = _measured("physical", (0.036,))["scuff_depth"][0, LONG]
-    return Finding(
+    return ClaimResult(
         f"{straight.sum()} of {len(straight)} straight-legged gaits scuff, {kneed.sum()} of {len(kneed)} "
         f"kneed ones; the gait of figure 3 by {1e3 * depth:.3g} mm",
         verdict(bool(straight.all()) and not kneed.all()),
@@ -51,7 +51,7 @@ def scuffing() -> Finding:
     "figure3/angles",
     "gaitsweep solve --walker physical --slope 0.036 --json",
 )
-def unlocking() -> Finding:
+def unlocking() -> ClaimResult:
     found = {
         k: float(v[0, LONG])
         for k, v in _measured("physical", (0.036,)).items()
@@ -59,7 +59,7 @@ def unlocking() -> Finding:
     }
     impulse = found["unlocking_impulse_kneestrike"]
     torque = found["unlocking_torque"]
-    return Finding(
+    return ClaimResult(
         f"unlocking impulse {impulse:.4g} N m s at kneestrike, {found['unlocking_impulse_heelstrike']:.4g} "
         f"at heelstrike; the largest unlocking torque over the step is {torque:.4g} N m, at "
         f"{found['unlocking_torque_time']:.3f} s (negative: held by the stop)",
@@ -75,7 +75,7 @@ def unlocking() -> Finding:
     "figure3/angles",
     "gaitsweep solve --walker physical --slope 0.036 --json",
 )
-def tension() -> Finding:
+def tension() -> ClaimResult:
     names = (*_STRAIGHT, "C", "physical")
     found = {w: _measured(w, _SLOPES) for w in names}
     least = min(float(np.nanmin(f["least_normal_force"])) for f in found.values())
@@ -85,7 +85,7 @@ def tension() -> Finding:
         k: float(found["physical"][k][figure3, LONG])
         for k in ("friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike")
     }
-    return Finding(
+    return ClaimResult(
         f"least normal force {least:.3f} of the weight over gaits of {', '.join(names)} at slopes from "
         f"1e-5 to 0.1; the ground would have to pull at an impact in {tense} of them; friction asked of "
         f"the gait of figure 3: {demand['friction_demand']:.3f} in motion, "
@@ -103,7 +103,7 @@ def tension() -> Finding:
     "figure6/locus",
     "gaitsweep solve --walker C --slope 1e-4 --json",
 )
-def hyperextension() -> Finding:
+def hyperextension() -> ClaimResult:
     release = line("physical").special_of("release_hyperextension")
     exact = {
         ("long", "short")[p["branch"] != _branch_of("C")]: p["slope"]
@@ -111,7 +111,7 @@ def hyperextension() -> Finding:
     }
     deep = _measured("C", (1e-4,))["hyperextension"][0]
     tuned = ", ".join(f"{k} below {s:.7g}" for k, s in sorted(exact.items()))
-    return Finding(
+    return ClaimResult(
         f"the machine does below angle {release[0]['stance_angle']:.5f} (point 3, slope "
         f"{release[0]['slope']:.6f}); so does the tuned walker C: {tuned}; at 1e-4 by "
         f"{deep[LONG]:.2g} and {deep[SHORT]:.2g} rad",
@@ -140,10 +140,10 @@ def _count(name: str) -> tuple[int, int, str]:
     "figure3/angles",
     "gaitsweep solve --walker physical-straight --slope 0.3 --json",
 )
-def penetration() -> Finding:
+def penetration() -> ClaimResult:
     some, of, said = _count("release_penetrates")
     steep = _measured("physical-straight", (0.3,))
-    return Finding(
+    return ClaimResult(
         f"{some} of {of} gaits at {len(_SLOPES)} slopes from 1e-5 to 0.1 ({said}); on steeper slopes it "
         f"happens: the machine with its knees locked at 0.3 by "
         f"{1e3 * np.nanmax(steep['penetration_depth']):.2g} mm",
@@ -159,10 +159,10 @@ def penetration() -> Finding:
     "figure3/angles",
     "gaitsweep solve --walker physical --slope 0.036 --json",
 )
-def trailing_foot() -> Finding:
+def trailing_foot() -> ClaimResult:
     some, of, said = _count("trailing_foot_pulls")
     steep = np.nanmax(_measured("physical-straight", (0.3,))["trailing_impulse"])
-    return Finding(
+    return ClaimResult(
         f"two contacts would push the trailing foot in {some} of {of} gaits at {len(_SLOPES)} slopes from "
         f"1e-5 to 0.1 ({said}); on steeper slopes they do: the machine with its knees locked at 0.3 "
         f"by {steep:.2g} N s",

@@ -13,7 +13,7 @@ VERDICTS = (REPRODUCED, APPROXIMATELY, NOT_REPRODUCED, NOT_CHECKABLE)
 
 
 @dataclass(frozen=True)
-class Finding:
+class ClaimResult:
     """What was computed of a claim.
 
     `value` is the claim's own number where it has one; `low` and `high` bound it under the rounding of the printed
@@ -40,7 +40,7 @@ class Claim:
     source: str
     figure: str
     command: str
-    find: Callable[[], Finding]
+    find: Callable[[], ClaimResult]
 
 
 #: Every claim by its id, in the order they are written down.
@@ -49,7 +49,7 @@ CLAIMS: dict[str, Claim] = {}
 
 def claim(
     id: str, printed: str, source: str, figure: str, command: str
-) -> Callable[[Callable[[], Finding]], Callable[[], Finding]]:
+) -> Callable[[Callable[[], ClaimResult]], Callable[[], ClaimResult]]:
     """Enter a function as the computation behind a claim.
 
     Parameters
@@ -62,7 +62,7 @@ def claim(
         A command that computes its number, or the gaits it is read from, again.
     """
 
-    def enter(find: Callable[[], Finding]) -> Callable[[], Finding]:
+    def enter(find: Callable[[], ClaimResult]) -> Callable[[], ClaimResult]:
         if id in CLAIMS:
             raise ValueError(f"claim {id} is entered twice")
         CLAIMS[id] = Claim(id, printed, source, figure, command, find)
@@ -81,10 +81,10 @@ def within(printed: float, low: float, high: float) -> str:
     return verdict(low <= printed <= high)
 
 
-def rounded(printed: float, half_unit: float, computed: float) -> Finding:
+def rounded(printed: float, half_unit: float, computed: float) -> ClaimResult:
     """A finding of an exact walker: the interval is what rounds to the printed number."""
     low, high = printed - half_unit, printed + half_unit
-    return Finding(
+    return ClaimResult(
         f"{computed:.10g}, where {low:g} to {high:g} is printed as {printed:g}",
         within(computed, low, high),
         computed,

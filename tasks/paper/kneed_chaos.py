@@ -14,7 +14,7 @@ from tasks.count_gaits import census
 from tasks.follow_curves import curve
 from tasks.iterate_orbits import orbit
 from tasks.locate_cascade import cascade
-from tasks.paper.claim import NOT_REPRODUCED, Finding, claim, verdict, within
+from tasks.paper.claim import NOT_REPRODUCED, ClaimResult, claim, verdict, within
 from tasks.paper.lines import Arrays, line, numbers, table
 from tasks.paper.published import HALF_UNITS
 from tasks.paper.rounding_intervals import changed, interval
@@ -76,14 +76,14 @@ def exponent(walker: str, slopes: np.ndarray, starts: int) -> tuple[float, float
 @claim(
     "D8", "period doublings from about 0.015, and chaos, up to about 0.019", "section 3", "chaos/bifurcation", _CASCADE
 )
-def doublings_to_chaos() -> Finding:
+def doublings_to_chaos() -> ClaimResult:
     at, limit = flips("D", "1"), doublings("D", "1", "accumulation")
     low, high = end("D", "1")
     value, error, _ = exponent("D", np.array([0.0189]), 64)
     chaotic = value > 4 * error
     begins = within(0.015, at[0] - 5e-4, at[0] + 5e-4)
     last = 0.5 * (low + high)
-    return Finding(
+    return ClaimResult(
         f"doublings at {', '.join(f'{s:.10f}' for s in at)}; their ratio comes to {limit['ratio'][0]:.4f}; "
         f"they accumulate at {limit['slope'][0]:.10f} ({limit['low'][0]:.10f} to {limit['high'][0]:.10f}); "
         f"Lyapunov exponent at 0.0189 {value:.4f} ({error:.4f}) a stride; walking "
@@ -103,12 +103,12 @@ def doublings_to_chaos() -> Finding:
     "basin/basin",
     _CASCADE,
 )
-def period_three() -> Finding:
+def period_three() -> ClaimResult:
     found, limit = doublings("D", "3"), doublings("D", "3", "accumulation")
     fold, at = float(found["slope"][found["kind"] == "fold"][0]), flips("D", "3")
     low, high = end("D", "3")
     first, first_end = doublings("D", "1", "accumulation")["slope"][0], end("D", "1")[0]
-    beside = at[0] < flips("D", "1")[0]
+    sidecar_path = at[0] < flips("D", "1")[0]
     four, four_at = doublings("D", "4"), flips("D", "4")
     more = (
         f"; period four (Li & Yang 2012) likewise, from its fold at "
@@ -117,11 +117,11 @@ def period_three() -> Finding:
         else ""
     )
     apart = limit["slope"][0] < high < first < first_end
-    return Finding(
+    return ClaimResult(
         f"stable from the fold at {fold:.10f} to its flip at {at[0]:.10f}, where period one is stable too; "
         f"doubled on at {', '.join(f'{s:.9f}' for s in at[1:])}, accumulating at {limit['slope'][0]:.9f}; "
         f"chaos to between {low:.6f} and {high:.6f}, and again from {first:.7f} to {first_end:.5f}{more}",
-        verdict(fold < 0.0125 < at[0] and beside and apart and len(at) > 2),
+        verdict(fold < 0.0125 < at[0] and sidecar_path and apart and len(at) > 2),
         fold,
         0.01245,
         0.01255,
@@ -135,7 +135,7 @@ def period_three() -> Finding:
     "figure12/bifurcation",
     _KNEED,
 )
-def kneed_doublings() -> Finding:
+def kneed_doublings() -> ClaimResult:
     exact, printed = interval("C flip"), interval("C-printed flip")
     at = {w: doublings(w, "1", "accumulation") for w in ("C", "C-printed")}
     said = [
@@ -145,7 +145,7 @@ def kneed_doublings() -> Finding:
     ]
     follow = all(a["flips"][0] >= 3 for a in at.values())
     found = within(0.084, printed.low, printed.high)
-    return Finding(
+    return ClaimResult(
         f"{'; '.join(said)}; rounding leaves {printed.low:.4f} to {printed.high:.4f} for the offsets as "
         f"printed, {exact.low:.4f} to {exact.high:.4f} exactly tuned",
         found if follow else NOT_REPRODUCED,
@@ -176,11 +176,11 @@ def corners(walker: str) -> list[tuple[float, float]]:
 
 
 @claim("K2", "persistent walking up to slopes of about 0.103, none above", "section 7", "figure12/bifurcation", _KNEED)
-def kneed_end() -> Finding:
+def kneed_end() -> ClaimResult:
     ends = {w: end(w, "1") for w in ("C", "C-printed")}
     (low, _), (_, high) = corners("C-printed")
     said = ", ".join(f"{w} between {a:.6f} and {b:.6f}" for w, (a, b) in ends.items())
-    return Finding(
+    return ClaimResult(
         f"the chaos ends in falls: {said}; at the corners of the rounding of the offsets and lengths as "
         f"printed at {low:.4f} and {high:.4f}",
         within(0.103, low, high),
@@ -191,12 +191,12 @@ def kneed_end() -> Finding:
 
 
 @claim("K3", "unstable gaits continue at larger slopes", "figure 12", "figure8/locus", _KNEED)
-def unstable_beyond() -> Finding:
+def unstable_beyond() -> ClaimResult:
     beyond = end("C", "1")[1]
     found = [line("C").curve(k) for k in range(len(line("C").branches))]
     top = {("short" if c["short"][len(c["slope"]) // 2] else "long"): float(c["slope"].max()) for c in found}
     least = min(float(c["spectral_radius"][c["slope"] > beyond].min()) for c in found)
-    return Finding(
+    return ClaimResult(
         f"both gaits of C go on where nothing walks any more, to slope {numbers(top, 5)}, with a largest "
         f"multiplier of at least {least:.3f}",
         verdict(min(top.values()) > beyond and least > 1),
@@ -217,7 +217,7 @@ def _crossings(x: np.ndarray, y: np.ndarray, at: float) -> list[float]:
     "figure8/locus",
     "gaitsweep run data/studies/paper/repairing.toml",
 )
-def repairing() -> Finding:
+def repairing() -> ClaimResult:
     def made() -> Arrays:
         own = line("C", detuning=1.0)
         return curve(
@@ -235,7 +235,7 @@ def repairing() -> Finding:
     turns = table("turnings", "C", made)
     touch = np.nonzero((turns["turn"] == "key") & (turns["kind"] == "fold"))[0]
     if not len(touch):
-        return Finding("no turning of the curve of folds", NOT_REPRODUCED)
+        return ClaimResult("no turning of the curve of folds", NOT_REPRODUCED)
     value, slope, angle, bound = (
         float(turns[name][touch[0]]) for name in ("value", "slope", "stance_angle", "error_bound")
     )
@@ -245,7 +245,7 @@ def repairing() -> Finding:
     said = "; ".join(
         f"at {d:.4f} folds beside it at {', '.join(f'{s:.4f}' for s in f) or 'no slope'}" for d, f in near.items()
     )
-    return Finding(
+    return ClaimResult(
         f"at detuning {value:.9f} and slope {slope:.9f} (angle {angle:.6f}; relative error {bound:.0e}); {said}",
         verdict(sorted(map(len, near.values())) == [0, 2]),
         value,
@@ -259,7 +259,7 @@ def repairing() -> Finding:
     "figure11/linear",
     "gaitsweep run data/studies/paper/census.toml",
 )
-def never_more() -> Finding:
+def never_more() -> ClaimResult:
     slopes = np.array([1e-3, 0.01, 0.03, 0.1])
     found = {
         w: table("coverage", w, functools.partial(census, {"line": {"walker": w, "set": {}}, "slope": slopes}, []))
@@ -273,7 +273,7 @@ def never_more() -> Finding:
     unseen = max(float(f["unseen"][f["converged"] > 0].max()) for f in found.values() if (f["converged"] > 0).any())
     more = sum(int(f["found_deflated"].sum()) for f in found.values())
     others = {w: int(f["non_anthropomorphic"].sum()) for w, f in found.items() if f["non_anthropomorphic"].any()}
-    return Finding(
+    return ClaimResult(
         f"at most {most} in {starts} starts over {len(found)} walkers and {lines} slopes of them; of "
         f"those that converged at most {unseen:.3f} may lead to gaits not seen; kept from those found, the "
         f"starts lead to {more} more, which are counted; gaits whose legs pass more than once are counted "

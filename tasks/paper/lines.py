@@ -94,17 +94,17 @@ def curve(problem: Problem, found: Branch) -> Arrays:
     m, walker = found.m, problem.walker
     X, times = found.Z[:, : m + 1].T, found.Z[:, m + 1 :].T
     nodes = correct(problem, X, times, found.tangent[:, : m + 1].T)
-    second = np.sqrt(walker.leg / walker.g)
+    time_unit = np.sqrt(walker.leg / walker.g)
     slope, angle = np.exp(X[m]), np.exp(X[0])
     return {
         "slope": slope,
         "stance_angle": angle,
-        "period": times[-1] * second,
+        "period": times[-1] * time_unit,
         "knee_share": times[0] / times[-1],
         "closing": nodes.stride.closing / nodes.stride.y[0],
         "short": ~(gait_ratio(nodes.stride) < 0.5),
         "spectral_radius": np.abs(multipliers(nodes.stride.jacobian, m)).max(axis=1),
-        "speed": travel(walker, slope, angle, times[-1] * second)["speed"],
+        "speed": travel(walker, slope, angle, times[-1] * time_unit)["speed"],
     }
 
 
@@ -121,14 +121,14 @@ def line(walker: str, **settings: float) -> Line:
     return _LINES[key]
 
 
-def remember(walker: str, settings: Mapping[str, float], known: Arrays) -> None:
+def cache_atlas(walker: str, settings: Mapping[str, float], known: Arrays) -> None:
     """Take a line's atlas as solved elsewhere."""
     key = walker, tuple(sorted(settings.items()))
     if key not in _LINES:
         _LINES[key] = Line(walker, settings, known)
 
 
-def remember_tables(walker: str, tables: Arrays) -> None:
+def cache_tables(walker: str, tables: Arrays) -> None:
     """Take the tables of a line as made elsewhere."""
     mine = _TABLES.setdefault(walker, {})
     for name, column in tables.items():
@@ -138,7 +138,7 @@ def remember_tables(walker: str, tables: Arrays) -> None:
 def table(group: str, walker: str, make: Callable[[], Arrays]) -> Arrays:
     """Columns of one table of a walker: the study's own, or else what `make` gives."""
     if not any(name.startswith(f"{group}/") for name in _TABLES.get(walker, {})):
-        remember_tables(walker, make())
+        cache_tables(walker, make())
     return {name.partition("/")[2]: column for name, column in _TABLES[walker].items() if name.startswith(f"{group}/")}
 
 

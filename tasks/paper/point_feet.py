@@ -9,7 +9,7 @@ import numpy as np
 
 from tasks.fit_laws import transition
 from tasks.mechanics.lumped import constants_of
-from tasks.paper.claim import APPROXIMATELY, Finding, claim, verdict
+from tasks.paper.claim import APPROXIMATELY, ClaimResult, claim, verdict
 from tasks.paper.lines import LONG, SHORT, foot_ratio, line, numbers, root
 from tasks.step.problem import Problem
 from tasks.step.step_map import stride_map
@@ -25,11 +25,11 @@ RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)
     "figure5/loglog",
     "gaitsweep solve --walker E --slope 0.01 --json",
 )
-def two_dimensional() -> Finding:
+def two_dimensional() -> ClaimResult:
     worst = max(_third(w) for w in ("E", "F"))
     stored = line("E").at([0.01])
     zero = bool((stored["multiplier_real"][0, :2, 2] == 0).all() and (stored["multiplier_imag"][0, :2, 2] == 0).all())
-    return Finding(
+    return ClaimResult(
         f"third multiplier exactly 0 on the two-dimensional section; on the general three-dimensional one "
         f"it is {worst:.1g}",
         verdict(zero and worst < 1e-12),
@@ -66,11 +66,11 @@ def _third(walker: str) -> float:
     "figure5/loglog",
     "gaitsweep run data/studies/paper/figure5.toml",
 )
-def long_cube_root() -> Finding:
+def long_cube_root() -> ClaimResult:
     small = {w: line(w).exponent(LONG, 1e-8) for w in ("E", "F")}
     large = {w: line(w).exponent(LONG, 0.05) for w in ("E", "F")}
     off = max(abs(p - 1 / 3) for p in small.values())
-    return Finding(
+    return ClaimResult(
         f"local exponents at 1e-8: {numbers(small, 6)}; at 0.05: {numbers(large)}",
         verdict(off < 1e-4 and max(abs(p - 1 / 3) for p in large.values()) < 0.05),
         small["E"],
@@ -84,13 +84,13 @@ def long_cube_root() -> Finding:
     "figure5/loglog",
     "gaitsweep run data/studies/paper/figure5.toml",
 )
-def short_two_laws() -> Finding:
+def short_two_laws() -> ClaimResult:
     small = {w: line(w).exponent(SHORT, 1e-8) for w in ("E", "F")}
     large = {w: line(w).exponent(SHORT, 0.1) for w in ("E", "F")}
     light = line("E", foot_mass_ratio=1e-4).exponent(SHORT, 1e-3)
     linear = max(abs(p - 1) for p in small.values()) < 1e-4
     cube = max(abs(p - 1 / 3) for p in large.values()) < 0.05 and abs(light - 1 / 3) < 0.01
-    return Finding(
+    return ClaimResult(
         f"local exponents at 1e-8: {numbers(small, 6)}; at 0.1: {numbers(large)} (at 0.01 still "
         f"{line('E').exponent(SHORT, 0.01):.3f} and {line('F').exponent(SHORT, 0.01):.3f}); feet of 1e-4 of "
         f"the mass at 1e-3: {light:.4f}",
@@ -115,14 +115,14 @@ def ladder() -> dict[str, np.ndarray]:
     "transition/transition_ladder",
     "gaitsweep run data/studies/paper/figure5.toml data/studies/paper/transition.toml",
 )
-def transition_power() -> Finding:
+def transition_power() -> ClaimResult:
     table = ladder()
     exact = float(table["fits/transition_ratio/exact_asymptotes"][0])
     fitted = float(table["fits/transition_ratio/fitted_lines"][0])
     powers = table["fits/transition/local_exponent"][:-1]
     steps = ", ".join(f"{p:.4f}" for p in powers)
     limit = abs(powers[-1] - 1.5) < 0.01
-    return Finding(
+    return ClaimResult(
         f"E over F {fitted:.3f} by fitted lines as the paper draws them, {exact:.3f} by the exact "
         f"asymptotes (2^1.5 = 2.828); local power between foot masses "
         f"{', '.join(f'{r:g}' for r in RATIOS)}: {steps}, tending to 3/2",
@@ -138,12 +138,12 @@ def transition_power() -> Finding:
     "figure5/loglog",
     "gaitsweep solve --walker F --slope 0.1 --json",
 )
-def one_line() -> Finding:
+def one_line() -> ClaimResult:
     slopes = np.array([1e-6, 0.01, 0.05, 0.1, 0.2])
     e, f = (line(w).at(slopes)["stance_angle"] for w in ("E", "F"))
     short, long = f[:, SHORT] / e[:, SHORT], f[:, LONG] / e[:, LONG]
     listed = ", ".join(f"{r:.4f} at {s:g}" for r, s in zip(short, slopes, strict=True))
-    return Finding(
+    return ClaimResult(
         f"short step of F over that of E: {listed}; long step within {np.abs(long - 1).max():.3f}",
         verdict(abs(short[3] - 1) < 0.02, abs(short[3] - 1) < 0.1),
         float(short[3]),
@@ -169,14 +169,14 @@ def speed_crossing(walker: str) -> float:
     "figure11/loglog",
     "gaitsweep solve --walker E --slope 0.01 --json",
 )
-def faster() -> Finding:
+def faster() -> ClaimResult:
     found = {w: speed_crossing(w) for w in ("A", "B", "C", "E", "F")}
     small = {w: line(w).grid() for w in found}
     ahead = all(
         g["speed"][0, LONG] > g["speed"][0, SHORT] and g["speed"][-1, SHORT] > g["speed"][-1, LONG]
         for g in small.values()
     )
-    return Finding(
+    return ClaimResult(
         f"speeds cross at slope {numbers(found, 6)}; of D the short step is faster at every slope",
         verdict(ahead and all(np.isfinite(v) for v in found.values())),
         found["E"],
@@ -190,7 +190,7 @@ def faster() -> Finding:
     "figure5/loglog",
     "gaitsweep solve --walker E --slope 1e-4 --json",
 )
-def tangential() -> Finding:
+def tangential() -> ClaimResult:
     slopes = [1e-6, 1e-4, 1e-2, 0.1]
     ratio = {w: foot_ratio(line(w).walker, line(w).at(slopes)) for w in ("E", "F")}
     long = ", ".join(f"{r:.2g}" for r in ratio["E"][:, LONG])
@@ -198,6 +198,6 @@ def tangential() -> Finding:
     clear = all(
         (r[:, LONG] < 0.1).all() and (r[:, SHORT] > 3).all() and (r[:2, SHORT] > 100).all() for r in ratio.values()
     )
-    return Finding(
+    return ClaimResult(
         f"E at slopes 1e-6, 1e-4, 0.01, 0.1: long {long}; short {short}", verdict(clear), float(ratio["E"][1, SHORT])
     )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tasks.paper.claim import Finding, claim, verdict
+from tasks.paper.claim import ClaimResult, claim, verdict
 from tasks.paper.kneed_chaos import chaos
 from tasks.paper.lines import LONG, SHORT, line
 from tasks.paper.point_feet import speed_crossing
@@ -114,7 +114,7 @@ def rounding() -> Columns:
     "figure11/loglog",
     "gaitsweep run data/studies/paper/figure11.toml",
 )
-def whole_table() -> Finding:
+def whole_table() -> ClaimResult:
     rows = {row["walker"]: row for row in _figure10()}
     strict, loose, cells = 0, 0, 0
     worst = ""
@@ -140,7 +140,7 @@ def whole_table() -> Finding:
                         f"P ~ v^{row[f'{gait}_power_{when}']:.2f}"
                     )
     unchecked = ", ".join(f"{name}: {rows[name]['chaos']}" for name in ("E", "A", "B"))
-    return Finding(
+    return ClaimResult(
         f"{strict} of {cells} cells hold to within 0.01 of the angle's and 0.1 of the "
         f"power's exponent, {loose} to within ten times that (at slope {LARGE:g} for the larger ones); "
         f"farthest off: {worst}; chaos where the paper did not check: {unchecked}",

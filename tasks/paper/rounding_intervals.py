@@ -16,7 +16,7 @@ import heyoka as hy
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.special_points import located
+from tasks.continuation.special_points import locate_root
 from tasks.continuation.tracking import Point, linearised
 from tasks.mechanics.equations import Symbols
 from tasks.mechanics.impacts import heelstrike
@@ -159,7 +159,7 @@ def _candidates(problem: Problem, branch: Branch, test: str) -> list[np.ndarray]
     def at(point: Point, way: np.ndarray) -> float:
         return float(TESTS[test](point.stride, point.X)[0])
 
-    points = [located(problem, branch, int(k), at)[0] for k in turns]
+    points = [locate_root(problem, branch, int(k), at)[0] for k in turns]
     return [np.concatenate([p.X[:, 0], p.times[:, 0]]) for p in points if p.ok[0]]
 
 

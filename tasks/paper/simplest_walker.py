@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tasks.paper.claim import Finding, claim, rounded, verdict
+from tasks.paper.claim import ClaimResult, claim, rounded, verdict
 from tasks.paper.lines import LONG, SHORT, foot_ratio, line, numbers
 from tasks.trace_motion import trace
 
@@ -22,12 +22,12 @@ def power_factor(period: float) -> float:
 @claim(
     "D1", "two gaits at every slope up to 0.2", "section 3", "figure11/linear", "gaitsweep solve --walker D --slope 0.2"
 )
-def two_gaits() -> Finding:
+def two_gaits() -> ClaimResult:
     found = line("D").grid(1e-8, 0.2, 97)
     both = np.isfinite(found["stance_angle"][:, [LONG, SHORT]]).all(axis=1)
     spans = [(np.exp(b.q.min()), np.exp(b.q.max())) for b in line("D").branches]
     upper = float(min(high for _, high in spans))
-    return Finding(
+    return ClaimResult(
         f"both gaits at each of {both.size} slopes from 1e-8 to 0.2; their branches reach beyond {upper:.2f}",
         verdict(bool(both.all()) and upper > 0.2),
         upper,
@@ -41,12 +41,12 @@ def two_gaits() -> Finding:
     "figure11/linear",
     "gaitsweep solve --walker D --slope 0.0150884379411",
 )
-def long_stable() -> Finding:
+def long_stable() -> ClaimResult:
     flips = line("D").special_of("flip")
     found = line("D").grid(1e-8, flips[0]["slope"], 61)
     worst = float(found["spectral_radius"][:-1, LONG].max())
     finding = rounded(0.015, 5e-4, flips[0]["slope"])
-    return Finding(
+    return ClaimResult(
         f"stable from 1e-8 (largest multiplier {worst:.4f} at most) to the flip at {flips[0]['slope']:.15g}",
         finding.verdict if worst < 1 else verdict(False),
         finding.value,
@@ -58,10 +58,10 @@ def long_stable() -> Finding:
 @claim(
     "D3", "the short step is never stable", "section 3", "figure11/linear", "gaitsweep solve --walker D --slope 0.009"
 )
-def short_unstable() -> Finding:
+def short_unstable() -> ClaimResult:
     radius = line("D").grid(1e-8, 0.2, 97)["spectral_radius"][:, SHORT]
     least = float(radius.min())
-    return Finding(
+    return ClaimResult(
         f"largest multiplier from {least:.4f} to {radius.max():.4f} over slopes 1e-8 to 0.2", verdict(least > 1), least
     )
 
@@ -73,7 +73,7 @@ def short_unstable() -> Finding:
     "figure11/loglog",
     "gaitsweep solve --walker D --slope 1e-6 --json",
 )
-def heelstrike_direction() -> Finding:
+def heelstrike_direction() -> ClaimResult:
     slopes = [1e-3, 1e-5, 1e-7]
     ratios = {w: foot_ratio(line(w).walker, line(w).at(slopes)) for w in ("D", "A", "B", "E", "F")}
     power = {w: np.diff(np.log(r[1:, :2]), axis=0)[0] / np.log(slopes[2] / slopes[1]) for w, r in ratios.items()}
@@ -82,7 +82,7 @@ def heelstrike_direction() -> Finding:
     rises = all(abs(power[w][SHORT] + 1) < 0.02 for w in "ABEF")
     even = uneven[2][0] < 1e-3 and uneven[2][1] > 0.1
     shorts = numbers({w: power[w][SHORT] for w in power}, 3)
-    return Finding(
+    return ClaimResult(
         f"long: x'/y' of D {ratios['D'][0, LONG]:.2g}, {ratios['D'][1, LONG]:.2g}, {ratios['D'][2, LONG]:.2g} at "
         f"slopes 1e-3, 1e-5, 1e-7; motion off its time reversal by {uneven[0][0]:.1g}, {uneven[1][0]:.1g}, "
         f"{uneven[2][0]:.1g} of the step (short: {uneven[2][1]:.2g}); short: x'/y' ~ slope^p with p = {shorts}",
@@ -114,7 +114,7 @@ def _asymmetry(slope: float) -> tuple[float, float]:
     "figure11/loglog",
     "gaitsweep run data/studies/paper/figure11.toml",
 )
-def cube_roots() -> Finding:
+def cube_roots() -> ClaimResult:
     found = line("D").at([1e-9])
     names = ("long", "short")
     angle = {n: line("D").exponent(g, 1e-8) for g, n in enumerate(names)}
@@ -122,7 +122,7 @@ def cube_roots() -> Finding:
     period = {n: float(found["period"][0, g]) for g, n in enumerate(names)}
     off = max(abs(p - 1 / 3) for p in (*angle.values(), *speed.values()))
     drift = max(abs(period[n] - limit) for n, limit in zip(names, PERIODS, strict=True))
-    return Finding(
+    return ClaimResult(
         f"exponents of the angle: {numbers(angle, 6)}, of the speed: {numbers(speed, 6)} at 1e-8; "
         f"periods at 1e-9: {numbers(period, 10)}",
         verdict(off < 1e-4 and drift < 1e-4),
@@ -137,14 +137,14 @@ def cube_roots() -> Finding:
     "figure11/loglog",
     "gaitsweep run data/studies/paper/figure11.toml",
 )
-def fourth_power() -> Finding:
+def fourth_power() -> ClaimResult:
     d = line("D")
     exponents = [d.exponent(g, 1e-8, "power", "speed") for g in (LONG, SHORT)]
     found, unit = d.at([1e-9]), d.walker.total_mass * d.walker.g
     factors = [float(found["power"][0, g] / found["speed"][0, g] ** 4) / unit for g in (LONG, SHORT)]
     limits = [power_factor(p) for p in PERIODS]
     off = max(abs(a / b - 1) for a, b in zip(factors, limits, strict=True))
-    return Finding(
+    return ClaimResult(
         f"exponents {exponents[0]:.6f} long, {exponents[1]:.6f} short; P/v^4 = {factors[0]:.6f} and "
         f"{factors[1]:.6f} (closed form {limits[0]:.6f} and {limits[1]:.6f})",
         verdict(max(abs(p - 4) for p in exponents) < 1e-3 and off < 1e-4),
@@ -159,10 +159,10 @@ def fourth_power() -> Finding:
     "figure11/linear",
     "gaitsweep solve --walker D --slope 0.01 --json",
 )
-def short_faster() -> Finding:
+def short_faster() -> ClaimResult:
     speed = line("D").grid(1e-8, 0.2, 97)["speed"]
     ratio = speed[:, SHORT] / speed[:, LONG]
-    return Finding(
+    return ClaimResult(
         f"v short / v long from {ratio.min():.4f} to {ratio.max():.4f} over slopes 1e-8 to 0.2",
         verdict(bool((ratio > 1).all())),
         float(ratio.min()),
@@ -176,12 +176,12 @@ def short_faster() -> Finding:
     "figure3/angles",
     "gaitsweep solve --walker D --slope 0.009 --json",
 )
-def swing_at_heelstrike() -> Finding:
+def swing_at_heelstrike() -> ClaimResult:
     # Swing leg rate over the stance leg's, both from the ground normal: u - 1, positive is forward.
     rate = line("D").grid(1e-8, 0.2, 97)["heelstrike_rate_ratio"] - 1
     long, short = rate[:, LONG], rate[:, SHORT]
     at = line("D").at([0.009])["heelstrike_rate_ratio"][0] - 1
-    return Finding(
+    return ClaimResult(
         f"swing rate over stance rate just before heelstrike, forward positive: short {at[SHORT]:.4f}, long "
         f"{at[LONG]:.4f} at 0.009; over slopes 1e-8 to 0.2 short {short.min():.2g} (it tends to rest as the "
         f"slope vanishes) to {short.max():.3f}, long {long.min():.3f} to {long.max():.3f}",

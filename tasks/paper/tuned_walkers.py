@@ -11,7 +11,7 @@ from tasks.continuation.branch import Branch
 from tasks.continuation.special_points import special_points
 from tasks.continuation.tracking import follow
 from tasks.fixed_points.search import search
-from tasks.paper.claim import Finding, claim, verdict
+from tasks.paper.claim import ClaimResult, claim, verdict
 from tasks.paper.lines import LONG, SHORT, line, numbers
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.tuning import is_tuned, statics
@@ -56,12 +56,12 @@ _RUN = "gaitsweep run data/studies/paper/figure8.toml"
     "figure3/walker",
     "gaitsweep walkers C",
 )
-def conditions() -> Finding:
+def conditions() -> ClaimResult:
     worst = {name: max(abs(x) for x in statics(w).values()) for name, w in CATALOGUE.items()}
     tuned = [name for name, w in CATALOGUE.items() if is_tuned(w)]
     off = {name: worst[name] for name in worst if name not in tuned}
     compass = max(abs(x) for x in statics(GOSWAMI).values())
-    return Finding(
+    return ClaimResult(
         f"met by {', '.join(tuned)} and Goswami's compass gait (residual {compass:g}); largest residual of "
         f"the others in m: {numbers(off, 3)}",
         verdict(set(tuned) == {"A", "B", "C", "D", "E", "F"} and is_tuned(GOSWAMI)),
@@ -76,10 +76,10 @@ def conditions() -> Finding:
     "figure8/locus",
     "gaitsweep solve --walker C --slope 0.04",
 )
-def two_gaits() -> Finding:
+def two_gaits() -> ClaimResult:
     share = {w: np.isfinite(line(w).grid(1e-8, 0.04, 65)["stance_angle"][:, :2]).all(axis=1).mean() for w in "AC"}
     top = {w: min(float(np.exp(b.q.max())) for b in line(w).branches) for w in "AC"}
-    return Finding(
+    return ClaimResult(
         f"both gaits at every one of 65 slopes from 1e-8 to 0.04, and on to {numbers(top, 3)}",
         verdict(all(s == 1 for s in share.values())),
         top["C"],
@@ -87,11 +87,11 @@ def two_gaits() -> Finding:
 
 
 @claim("T3", "the long step is stable at small slopes, the short one unstable", "section 5.2", "figure8/locus", _RUN)
-def stability() -> Finding:
+def stability() -> ClaimResult:
     radius = {w: line(w).grid(1e-8, 0.04, 65)["spectral_radius"] for w in "AC"}
     long = {w: float(r[:, LONG].max()) for w, r in radius.items()}
     short = {w: float(r[:, SHORT].min()) for w, r in radius.items()}
-    return Finding(
+    return ClaimResult(
         f"over slopes 1e-8 to 0.04: largest multiplier of the long step at most {numbers(long, 5)}, of the "
         f"short step at least {numbers(short, 5)}",
         verdict(max(long.values()) < 1 and min(short.values()) > 1),
@@ -117,7 +117,7 @@ def _long_branch(detuning: float) -> int:
     "figure8/locus",
     _RUN,
 )
-def cusp_breaks() -> Finding:
+def cusp_breaks() -> ClaimResult:
     least, unstable, stable = {}, {}, []
     for d in PANELS:
         found = line("C", detuning=d).curve(_long_branch(d))
@@ -128,7 +128,7 @@ def cusp_breaks() -> Finding:
         above = ~slow & (found["slope"] > 1.05 * found["slope"][fold]) & (found["slope"] < 0.04)
         stable.append(bool((found["spectral_radius"][above] < 1).all()))
     shifts = bool(np.all(np.diff(list(least.values())) > 0)) and min(least.values()) > 0
-    return Finding(
+    return ClaimResult(
         f"smallest slope of the long step at detuning {numbers(least)}; below the fold's speed unstable up "
         f"to slope {numbers(unstable)}; above it stable to 0.04 at detuning "
         + ", ".join(f"{d:g}" for d, s in zip(PANELS, stable, strict=True) if s),
@@ -144,7 +144,7 @@ def cusp_breaks() -> Finding:
     "figure8/locus",
     _RUN,
 )
-def short_end() -> Finding:
+def short_end() -> ClaimResult:
     ends = {f"{d:g}": line("C", detuning=d).special_of("end_kneestrike_at_heelstrike")[0] for d in PANELS[1:]}
     ends["1"] = line("physical").special_of("end_kneestrike_at_heelstrike")[0]
     slopes, angles = {k: p["slope"] for k, p in ends.items()}, {k: p["stance_angle"] for k, p in ends.items()}
@@ -155,7 +155,7 @@ def short_end() -> Finding:
         else ""
     )
     rises = all(np.all(np.diff(list(x.values())) > 0) for x in (slopes, angles))
-    return Finding(
+    return ClaimResult(
         f"slope of the end at detuning {numbers(slopes)}; its angle {numbers(angles)}{other}",
         verdict(rises),
         slopes["0.2"],
@@ -180,7 +180,7 @@ def offsets() -> dict[str, np.ndarray]:
     "figure8/locus",
     "gaitsweep solve --walker A --set w_t=-0.0219 --slope 1e-5",
 )
-def not_generic() -> Finding:
+def not_generic() -> ClaimResult:
     table = offsets()
     least = {
         f"{w} {k} off by {1e3 * o:+.3f} mm": float(x)
@@ -189,7 +189,7 @@ def not_generic() -> Finding:
     thigh = (table["walker"] == "A") & (table["key"] == "w_t")
     offset, slope = table["offset"][thigh], table["smallest_slope"][thigh]
     grows = all(np.all(np.diff(slope[side][np.argsort(abs(offset[side]))]) > 0) for side in (offset > 0, offset < 0))
-    return Finding(
+    return ClaimResult(
         f"smallest slope of {numbers(least, 3)}; of C with its offsets as printed, which are rounded, "
         f"{line('C-printed').ends()[0]:.3g}",
         verdict(min(least.values()) > 1e-7 and bool(grows)),
@@ -204,9 +204,9 @@ def high_slope_branch() -> Branch:
         if np.exp(found.q.max()) > 0.3:
             return found
     problem = line("physical").problem
-    w, _, judged = search(problem, 0.2)
-    assert judged is not None
-    starts = w[:, judged.anthropomorphic]
+    w, _, verify_steps = search(problem, 0.2)
+    assert verify_steps is not None
+    starts = w[:, verify_steps.anthropomorphic]
     pairs = follow(problem, starts, np.full(starts.shape[1], np.log(0.2)))
     return next(b for pair in pairs if (b := atlases._from_tracks(problem, pair)) is not None)
 
@@ -218,7 +218,7 @@ def high_slope_branch() -> Branch:
     "figure8/locus",
     "gaitsweep solve --walker physical --slope 0.2",
 )
-def high_slopes() -> Finding:
+def high_slopes() -> ClaimResult:
     found = high_slope_branch()
     points = special_points(line("physical").problem, found)
     fold = next(p for p in points if p["kind"] == "fold")
@@ -226,7 +226,7 @@ def high_slopes() -> Finding:
         f"{p['kind']} at {p['slope']:.6f}" for p in points if p["kind"] in ("flip", "end_kneestrike_at_heelstrike")
     )
     top = float(np.exp(found.q.max()))
-    return Finding(
+    return ClaimResult(
         f"its fold is at slope {fold['slope']:.9f}, angle {fold['stance_angle']:.6f}; {rest}; followed to "
         f"slope {top:.2f}",
         verdict(top > 0.3),

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import newton
-from tasks.paper.claim import Finding, claim, verdict, within
+from tasks.paper.claim import ClaimResult, claim, verdict, within
 from tasks.paper.lines import LONG, SHORT, line, numbers, root
 from tasks.paper.rounding_intervals import interval
 from tasks.step.problem import Problem
@@ -32,10 +32,10 @@ def limits(gait: int) -> dict[str, float]:
     "figure11/loglog",
     "gaitsweep run data/studies/paper/figure11.toml",
 )
-def arbitrarily_small() -> Finding:
+def arbitrarily_small() -> ClaimResult:
     least = {w: max(float(np.exp(b.q.min())) for b in line(w).branches) for w in WALKERS}
     both = {w: line(w).at([1e-10])["status"][0, :2] for w in WALKERS}
-    return Finding(
+    return ClaimResult(
         f"both gaits solved at 1e-10, and their branches followed to {max(least.values()):.0e}, where "
         f"double precision ends",
         verdict(all((s == 0).all() for s in both.values()) and max(least.values()) < 1e-12),
@@ -50,10 +50,10 @@ def arbitrarily_small() -> Finding:
     "figure11/loglog",
     "gaitsweep run data/studies/paper/figure11.toml",
 )
-def only_simplest() -> Finding:
+def only_simplest() -> ClaimResult:
     long, short = limits(LONG), limits(SHORT)
     both = [w for w in WALKERS if max(abs(long[w] - 1 / 3), abs(short[w] - 1 / 3)) < 0.01]
-    return Finding(
+    return ClaimResult(
         f"exponents at {VANISHING:g}: long {numbers(long)}; short {numbers(short)}", verdict(both == ["D"]), short["D"]
     )
 
@@ -65,14 +65,14 @@ def only_simplest() -> Finding:
     "figure11/loglog",
     "gaitsweep run data/studies/paper/figure11.toml",
 )
-def two_laws() -> Finding:
+def two_laws() -> ClaimResult:
     long, short = limits(LONG), limits(SHORT)
     small = all(abs(long[w] - 1 / 3) < 0.01 and abs(short[w] - 1) < 0.01 for w in "ABE")
     at = {s: {w: line(w).exponent(SHORT, s) for w in "ABE"} for s in (0.01, 0.1)}
     above = {w: line(w).exponent(LONG, 0.01) for w in "ABE"}
     off = max(abs(p - 1 / 3) for p in at[0.1].values())
     worst = max(abs(p - 1 / 3) for p in at[0.01].values())
-    return Finding(
+    return ClaimResult(
         f"at {VANISHING:g} long {numbers({w: long[w] for w in 'ABE'})}, short "
         f"{numbers({w: short[w] for w in 'ABE'})}; short at 0.01 {numbers(at[0.01], 3)}, at 0.1 "
         f"{numbers(at[0.1], 3)}; long at 0.01 {numbers(above, 3)}",
@@ -88,11 +88,11 @@ def two_laws() -> Finding:
     "figure11/loglog",
     "gaitsweep solve --walker C --slope 1.523e-4 --json",
 )
-def turns_linear() -> Finding:
+def turns_linear() -> ClaimResult:
     found = interval("C exponent 2/3")
     half = knee_half()
     at = {f"{s:g}": line("C").exponent(LONG, s) for s in (1e-6, 1e-5, 1e-4, 1e-3)}
-    return Finding(
+    return ClaimResult(
         f"local exponent passes 2/3, midway between the laws, at {found.value:.4e}; kneestrike takes half "
         f"of the loss at {half:.4e}; exponents at {numbers(at, 3)}",
         within(0.00015, found.low, found.high),
@@ -152,7 +152,7 @@ def stability_limit(walker: str) -> float:
     "figure11/linear",
     "gaitsweep solve --walker E --slope 1e-4 --json",
 )
-def stable_below() -> Finding:
+def stable_below() -> ClaimResult:
     limit = {name: stability_limit(name) for name in (*WALKERS, "F")}
     unstable = [name for name, slope in limit.items() if not slope > 0]
     said = [
@@ -162,7 +162,7 @@ def stable_below() -> Finding:
         f"{line(name).grid()['spectral_radius'][:, LONG].min():.4f})"
         for name, slope in limit.items()
     ]
-    return Finding(
+    return ClaimResult(
         f"stable from 1e-8 up: {', '.join(said)}; as the slope vanishes point feet are stable only below a "
         f"foot mass of {mass_limit():.5f} of the total, and E has 0.1",
         verdict(not unstable),

@@ -25,7 +25,7 @@ from tasks.step.step_map import Stride
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
 #: Each tier's number and its rounding unit.
 TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1.93e-34))
-MOST_STEPS = 6
+MAX_STEPS = 6
 
 
 class Extended:
@@ -172,7 +172,7 @@ def solved(
     inverse = stride.inverse[:, :, lane]
     measure = sizes(y[:, None])[:, 0]
     before = size = np.inf
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         image, wide_times, impact = exact(wide, wide_times, parameters)
         miss = np.array([float(v) for v in image - wide])
         step = inverse @ miss

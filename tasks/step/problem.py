@@ -36,7 +36,7 @@ class Problem:
         return self.walker
 
     def stride(
-        self, w: np.ndarray, log_slope: np.ndarray, slope: bool = False, samples: int = 0, rough: bool = False
+        self, w: np.ndarray, log_slope: np.ndarray, slope: bool = False, samples: int = 0, coarse: bool = False
     ) -> tuple[Stride, np.ndarray]:
         """Evaluate strides at similarity coordinates.
 
@@ -53,7 +53,7 @@ class Problem:
         angle = np.exp(w[0])
         scale = np.exp2(np.floor(np.log2(angle)))
         y = np.vstack([angle, angle * w[1 : self.m]]) / scale
-        stride = self.map(y, w[self.m :], self.parameters(np.exp(log_slope), scale), slope, samples, rough)
+        stride = self.map(y, w[self.m :], self.parameters(np.exp(log_slope), scale), slope, samples, coarse)
         return stride, scale
 
 

@@ -101,7 +101,7 @@ def _directions(rows_by: list[Sym], q: list[Sym], D: list[list[Sym]]) -> list[li
     return [[sum((g * D[i][d] for i, g in enumerate(row)), ZERO) for d in range(len(D[0]))] for row in gradients]
 
 
-def apply(A: np.ndarray, v: np.ndarray) -> np.ndarray:
+def matvec(A: np.ndarray, v: np.ndarray) -> np.ndarray:
     """A v for every lane, (i, j, n) times (j, n), always added in the same order."""
     total = A[:, 0] * v[0]
     for j in range(1, A.shape[1]):
@@ -232,7 +232,7 @@ class StrideMap:
         parameters: np.ndarray,
         slope: bool = False,
         samples: int = 0,
-        rough: bool = False,
+        coarse: bool = False,
     ) -> Stride:
         """Evaluate strides and their derivatives.
 
@@ -264,7 +264,7 @@ class StrideMap:
         D = np.concatenate([seeds, zeros], axis=1) if slope else seeds
         sampled, knee, knee_by_y, parts = [], None, None, np.empty((0, n))
         if self.kneed:
-            run = flow(self.structure, True, m + slope, slope, rough)
+            run = flow(self.structure, True, m + slope, slope, coarse)
             final, moved = run(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             sampled.append(moved)
             out = self._apply(self._knee, np.vstack([final[:6], _unlanes(final[6:], 6, m + 1), parameters]))
@@ -274,7 +274,7 @@ class StrideMap:
             duration = times[1] - times[0]
         else:
             start2, duration = start, times[0]
-        run = flow(self.structure, False, D.shape[1], slope, rough)
+        run = flow(self.structure, False, D.shape[1], slope, coarse)
         final, moved = run(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
         sampled.append(moved)
         directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)

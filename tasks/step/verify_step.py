@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass
-class Verdict:
+class StepCheck:
     """What the sampled motion of n lanes shows.
 
     `step` (n,) the first heelstrike (and kneestrike) are the ones solved for and run the right way; `passes` (n,)
@@ -17,17 +17,17 @@ class Verdict:
     """
 
     step: np.ndarray
-    passes: np.ndarray
+    leg_passes: np.ndarray
     doubt: np.ndarray
     hyperextends: np.ndarray
 
     @property
     def anthropomorphic(self) -> np.ndarray:
         """Lanes whose legs pass exactly once."""
-        return self.step & (self.passes == 1)
+        return self.step & (self.leg_passes == 1)
 
 
-def _slack(g: np.ndarray) -> np.ndarray:
+def chord_error_bound(g: np.ndarray) -> np.ndarray:
     """Largest distance of a guard from its chord between samples, shape (intervals, n).
 
     |g - chord| <= h^2/8 max|g''|, with g'' from second differences of the neighbouring samples, doubled.
@@ -37,21 +37,21 @@ def _slack(g: np.ndarray) -> np.ndarray:
     return 2.0 / 8.0 * np.maximum(padded[:-1], padded[1:])
 
 
-def _unclear(g: np.ndarray, rate: np.ndarray, stray: float | np.ndarray) -> np.ndarray:
+def _unclear(g: np.ndarray, rate: np.ndarray, margin: float | np.ndarray) -> np.ndarray:
     """Intervals in which a guard could touch zero unseen, shape (intervals, n).
 
     It could where it comes nearer zero than the samples resolve, unless its rate has one sign all along: then the
     samples' signs tell of every crossing.
     """
     low = np.minimum(np.abs(g[:-1]), np.abs(g[1:]))
-    steady = np.minimum(np.abs(rate[:-1]), np.abs(rate[1:])) > _slack(rate) + stray
+    steady = np.minimum(np.abs(rate[:-1]), np.abs(rate[1:])) > chord_error_bound(rate) + margin
     steady &= np.signbit(rate[:-1]) == np.signbit(rate[1:])
-    return (low < _slack(g) + stray) & ~steady
+    return (low < chord_error_bound(g) + margin) & ~steady
 
 
 # Where a motion was lost its guards have no values.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def margin(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
+def strike_distance(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
     """How far a stride is from an earlier strike, shape (n,): negative where a foot or a knee strikes earlier.
 
     Parameters
@@ -124,8 +124,8 @@ def _extremes(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def verify(
-    motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray, stray: float | np.ndarray = 0.0
-) -> Verdict:
+    motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray, margin: float | np.ndarray = 0.0
+) -> StepCheck:
     """Judge a stride by samples of its motion.
 
     Parameters
@@ -150,18 +150,18 @@ def verify(
     da, db = two[:, len(two[0]) // 2], two[:, len(two[0]) // 2 + 1]
     guard = a + b
     # Between samples i and i + 1: a strike needs the guard at or below zero with the stance angle negative.
-    behind = np.minimum(a[:-1], a[1:]) - stray < 0
+    behind = np.minimum(a[:-1], a[1:]) - margin < 0
     falls = (guard[1:] <= 0) & (guard[:-1] > 0) & (a[1:] < 0)
     falls[-1] = False
     # A guard that closes at zero was positive just before: the swing foot has come up behind the stance foot.
     step = (closing < 0) & ~falls.any(axis=0) & (a[-1] < 0) & (np.diff(times, axis=0, prepend=0) > 0).all(axis=0)
-    doubt = (behind & _unclear(guard, da + db, stray)).any(axis=0)
-    passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
+    doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0)
+    leg_passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
     for phase in motion:
         half = phase.shape[1] // 2
         apart, rate = phase[:, 0] - phase[:, 1], phase[:, half] - phase[:, half + 1]
-        passes += (np.signbit(apart[1:]) != np.signbit(apart[:-1])).sum(axis=0)
-        doubt |= _unclear(apart, rate, stray).any(axis=0)
+        leg_passes += (np.signbit(apart[1:]) != np.signbit(apart[:-1])).sum(axis=0)
+        doubt |= _unclear(apart, rate, margin).any(axis=0)
     if len(motion) == 2:
         three = motion[0]
         flexion, rate = three[:, 1] - three[:, 2], three[:, 4] - three[:, 5]
@@ -173,8 +173,8 @@ def verify(
         # The foot could come down before the knee has struck.
         sum_, closing_in = three[:, 0] + three[:, 1], three[:, 3] + three[:, 4]
         step &= ~((sum_[1:] <= 0) & (sum_[:-1] > 0) & (three[1:, 0] < 0)).any(axis=0)
-        behind = np.minimum(three[:-1, 0], three[1:, 0]) - stray < 0
-        doubt |= (behind & _unclear(sum_, closing_in, stray)).any(axis=0)
+        behind = np.minimum(three[:-1, 0], three[1:, 0]) - margin < 0
+        doubt |= (behind & _unclear(sum_, closing_in, margin)).any(axis=0)
         # The knee starts straight: that first touch is no strike.
-        doubt |= _unclear(flexion, rate, stray)[1:].any(axis=0)
-    return Verdict(step, passes, doubt & np.isfinite(closing), hyperextends)
+        doubt |= _unclear(flexion, rate, margin)[1:].any(axis=0)
+    return StepCheck(step, leg_passes, doubt & np.isfinite(closing), hyperextends)

@@ -28,7 +28,7 @@ KEYS = {
 }
 NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
 #: Sizes a number may have beside 0, and a length over the leg: squares and quotients of them stay doubles.
-LEAST_SIZE, MOST_SIZE, MOST_LEGS = 1e-50, 1e50, 1e4
+MIN_SIZE, MAX_SIZE, MAX_LEGS = 1e-50, 1e50, 1e4
 
 
 class WalkerError(ValueError):
@@ -77,10 +77,10 @@ class Walker:
                 raise WalkerError(key, repr(value), "must be a number")
             if value != value or (abs(value) == math.inf and key != "m_t"):
                 raise WalkerError(key, value, "must be finite")
-            if value and not LEAST_SIZE <= abs(value) <= MOST_SIZE and abs(value) != math.inf:
+            if value and not MIN_SIZE <= abs(value) <= MAX_SIZE and abs(value) != math.inf:
                 # A whole number may be too long to be shown.
                 shown = value if isinstance(value, float) else f"a number of {value.bit_length()} bits"
-                raise WalkerError(key, shown, f"must be 0 or of a size from {LEAST_SIZE:g} to {MOST_SIZE:g}")
+                raise WalkerError(key, shown, f"must be 0 or of a size from {MIN_SIZE:g} to {MAX_SIZE:g}")
         if self.units not in ("1", "SI"):
             raise WalkerError("units", repr(self.units), 'must be "SI" or "1"')
         if not isinstance(self.knees, bool):
@@ -109,8 +109,8 @@ class Walker:
         if self.l <= 0:
             raise WalkerError("R", self.R, "must leave the hip above the foot's centre")
         for key in (k for k, kind in KEYS.items() if kind == "length"):
-            if abs(getattr(self, key)) > MOST_LEGS * self.leg:
-                raise WalkerError(key, getattr(self, key), f"must be at most {MOST_LEGS:g} legs l + R = {self.leg:g}")
+            if abs(getattr(self, key)) > MAX_LEGS * self.leg:
+                raise WalkerError(key, getattr(self, key), f"must be at most {MAX_LEGS:g} legs l + R = {self.leg:g}")
         if self.knees and self.m_s == 0:
             raise WalkerError("m_s", self.m_s, "must be > 0 with a free knee")
         if self.knees and self.shank_inertia == 0:

@@ -15,7 +15,7 @@ from pipeline.execution.scheduler import Loop
 from pipeline.plan.missing import Plan
 from pipeline.store.journal import Journal
 from pipeline.study import parse
-from processes import beside
+from processes import sidecar_path
 
 PEAK = "slope = { from = 0.01, to = 0.2, n = 40000 }"
 #: Axes, and seconds of a point by its line's number and slope.
@@ -93,7 +93,7 @@ def test_the_time_to_go_of_a_real_run(toy, tell):
     began = time.time()
     toy("run", "toy.toml", TOY_SECONDS="0.004", TOY_COSTLY="0.14 0.16 0.08")
     took, wrong = time.time() - began, []
-    for line in Path(beside(toy, ".events.jsonl")).read_text().splitlines():
+    for line in Path(sidecar_path(toy, ".events.jsonl")).read_text().splitlines():
         event = json.loads(line)
         if event["event"] == "state" and 0.2 * took < event["time"] - began < 0.7 * took:
             wrong.append(event["eta"] / (began + took - event["time"]) - 1)

@@ -71,7 +71,7 @@ def test_a_cached_rerun_starts_no_worker_and_so_integrates_nothing(tmp_path, mon
     def refuse(*_):
         raise AssertionError("a worker was started")
 
-    monkeypatch.setattr(worker_process.Cell, "__init__", refuse)
+    monkeypatch.setattr(worker_process.WorkerProcess, "__init__", refuse)
     assert run(study, archive, Options(jobs=1, quiet=True)) == 0
     assert archive.read_bytes() == before
     # One more slope wants a worker again: the guard above does guard.

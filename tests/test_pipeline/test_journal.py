@@ -13,7 +13,7 @@ from pipeline import serialize
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.store import lines
 from pipeline.store.compact import compact
-from pipeline.store.journal import Journal, Result, TornError, mend
+from pipeline.store.journal import CorruptJournalError, Journal, Result, repair
 from processes import damaged
 
 WANT = lines.needed(["stance_angle"], ["long"])
@@ -33,8 +33,8 @@ def reopened(path):
     """A journal as the next run has it."""
     try:
         return Journal(path)
-    except TornError:
-        mend(path)
+    except CorruptJournalError:
+        repair(path)
         return Journal(path)
 
 
@@ -95,10 +95,10 @@ def test_a_flipped_byte_is_seen_and_mended(tmp_path):
     data[at] ^= 1
     (tmp_path / "j").write_bytes(data)
     journal = Journal(tmp_path / "j")
-    with pytest.raises(TornError):
+    with pytest.raises(CorruptJournalError):
         values(journal, slopes)
     journal.close()
-    mend(tmp_path / "j")
+    repair(tmp_path / "j")
     journal = Journal(tmp_path / "j")
     assert lines.missing(journal, "L", WANT, slopes).tolist() == list(range(2, 4000, 4))
     journal.close()
@@ -202,9 +202,9 @@ def test_whatever_is_damaged_in_a_row_costs_that_row_alone(tmp_path, table, colu
         return found[0][[0, 2]].tolist(), np.isnan(found[0][1::3]).all(), found[1]
 
     if (table, column) not in (("points", "line"), ("results", "key")):  # which are not found, and so not read
-        with pytest.raises(TornError), contextlib.closing(Journal(tmp_path / "j")) as journal:
+        with pytest.raises(CorruptJournalError), contextlib.closing(Journal(tmp_path / "j")) as journal:
             read(journal)
-    mend(tmp_path / "j")
+    repair(tmp_path / "j")
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
         rest, lost, results = read(journal)
     assert rest == [0, 2] and lost == (table == "points")
@@ -220,7 +220,7 @@ def test_mending_keeps_every_whole_row_whatever_gaps_there_are(tmp_path):
         compact(journal)
         assert journal.last_block("L") == 5200
     sql(tmp_path / "j", "UPDATE results SET data = x'00'")
-    mend(tmp_path / "j")
+    repair(tmp_path / "j")
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
         np.testing.assert_array_equal(values(journal, slopes)[1], np.arange(5200))
         assert journal.result("a") is None and journal.last_block("L") == 5200
@@ -249,9 +249,9 @@ def test_an_index_that_hides_rows_is_seen_before_anything_is_computed(tmp_path):
     (index,) = (k for k, page in enumerate(pages) if page[0] == 10 and b"the line" in page)
     pages[index] = pages[index].replace(b"the line", b"the lime", 12)
     (tmp_path / "j").write_bytes(b"".join(pages))
-    with pytest.raises(TornError):
+    with pytest.raises(CorruptJournalError):
         Journal(tmp_path / "j")
-    mend(tmp_path / "j")
+    repair(tmp_path / "j")
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
         assert not len(lines.missing(journal, "the line", WANT, slopes))
 
@@ -276,8 +276,8 @@ def test_what_a_damaged_journal_gives_is_what_was_written(tmp_path, seed):
         try:
             with contextlib.closing(Journal(tmp_path / "j")) as journal:
                 found = values(journal, slopes)[1]
-        except TornError:
-            mend(tmp_path / "j")
+        except CorruptJournalError:
+            repair(tmp_path / "j")
             with contextlib.closing(Journal(tmp_path / "j")) as journal:
                 found = values(journal, slopes)[1]
         there = ~np.isnan(found)
@@ -298,7 +298,7 @@ def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypat
 
     with monkeypatch.context() as patch, pytest.raises(DiskFullError, match="The disk is full"):
         patch.setattr(os, "replace", full)
-        mend(tmp_path / "j")
+        repair(tmp_path / "j")
     assert [f.name for f in tmp_path.iterdir()] == ["j"]
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
         assert not len(lines.missing(journal, "L", WANT, slopes))

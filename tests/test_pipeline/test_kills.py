@@ -19,7 +19,7 @@ from pipeline.archive import write
 from pipeline.plan.missing import Plan
 from pipeline.store.journal import Journal
 from pipeline.study import parse
-from processes import alive, beside, descendants, wait_for_points
+from processes import alive, descendants, sidecar_path, wait_for_points
 
 SLOW = {"TOY_SECONDS": "0.002"}
 ENDS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -109,13 +109,13 @@ def test_a_power_cut_costs_what_was_not_on_the_disk_yet(toy, whole, tell, cuts):
         process = toy.start("run", "toy.toml", "--chunk", 10, **SLOW)
         wait_for_points(toy, dice.randint(1, 25))
         for suffix in ("", "-wal"):  # what was mapped in memory is gone with the power
-            shutil.copy(beside(toy, f".journal{suffix}"), toy.folder / f"cut{suffix}")
+            shutil.copy(sidecar_path(toy, f".journal{suffix}"), toy.folder / f"cut{suffix}")
         process.kill()
         process.communicate()
         _clear(toy)
         for suffix in ("", "-wal"):
-            shutil.move(toy.folder / f"cut{suffix}", beside(toy, f".journal{suffix}"))
-        log = beside(toy, ".journal-wal")
+            shutil.move(toy.folder / f"cut{suffix}", sidecar_path(toy, f".journal{suffix}"))
+        log = sidecar_path(toy, ".journal-wal")
         with open(log, "r+b") as file:
             size = log.stat().st_size
             for _ in range(dice.randint(0, 8)):
@@ -127,9 +127,9 @@ def test_a_power_cut_costs_what_was_not_on_the_disk_yet(toy, whole, tell, cuts):
                 lost["tails"] += 1
         toy("run", "toy.toml", "--chunk", 10)
         assert toy.bytes() == whole
-        with sqlite3.connect(beside(toy)) as db:
+        with sqlite3.connect(sidecar_path(toy)) as db:
             assert db.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         db.close()
-        kept += beside(toy, ".events.jsonl").read_text().count('"chunk"') < 40
+        kept += sidecar_path(toy, ".events.jsonl").read_text().count('"chunk"') < 40
         _clear(toy)
     tell(f"{cuts} power cuts ({dict(lost)} of the log lost): equal bytes after each, {kept} with earlier work kept")

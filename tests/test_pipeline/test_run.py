@@ -18,7 +18,7 @@ from pipeline import paths
 from pipeline.errors import BusyError
 from pipeline.execution import runner
 from processes import alive, damaged, descendants, ignored, wait_for_points
-from processes import beside as journal
+from processes import sidecar_path as journal
 
 SLOW = {"TOY_SECONDS": "0.002"}
 

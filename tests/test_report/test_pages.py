@@ -358,7 +358,7 @@ def _contrast(one: str, other: str) -> float:
 def test_of_a_large_grid_a_part_is_drawn_and_every_fate_is_told(tmp_path, monkeypatch):
     archive = synthetic.transition(tmp_path, slopes=3000)
     whole = source.read(archive)
-    monkeypatch.setattr(source, "MOST_POINTS", 1000)
+    monkeypatch.setattr(source, "MAX_POINTS", 1000)
     part = source.read(archive)
     assert part.grid.sizes["slope"] * part.grid.sizes["gait"] <= 1000 * 2
     assert np.isin(part.grid.slope, whole.grid.slope).all()

@@ -9,7 +9,7 @@ import pytest
 from tasks.check_claims import claims
 from tasks.paper import claim as rule
 from tasks.paper import kneed_chaos, lines
-from tasks.paper.claim import CLAIMS, VERDICTS, Claim, Finding
+from tasks.paper.claim import CLAIMS, VERDICTS, Claim, ClaimResult
 from tasks.paper.lines import line
 from tasks.paper.published import HALF_UNITS
 from tasks.paper.rounding_intervals import LANDMARKS, changed, grazing_sensitivities, interval, place, sensitivities
@@ -61,7 +61,7 @@ def test_claims_read_the_atlases_of_their_lines():
 
 def test_a_claim_is_entered_once_only():
     with pytest.raises(ValueError, match="entered twice"):
-        rule.claim("D2", "", "", "", "")(lambda: Finding("", "reproduced"))
+        rule.claim("D2", "", "", "", "")(lambda: ClaimResult("", "reproduced"))
 
 
 def test_verdicts_follow_from_intervals():
@@ -72,7 +72,7 @@ def test_verdicts_follow_from_intervals():
     assert (found.verdict, found.low, found.high) == ("reproduced", pytest.approx(0.0145), pytest.approx(0.0155))
     assert rule.rounded(0.015, 5e-4, 0.0156).verdict == "not reproduced"
     with pytest.raises(ValueError, match="no verdict"):
-        Finding("", "perhaps")
+        ClaimResult("", "perhaps")
 
 
 def test_an_unknown_claim_is_named():

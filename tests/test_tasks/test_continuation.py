@@ -173,12 +173,12 @@ def test_bounds_hold_and_are_of_use_beside_a_tangential_end():
     """At the end itself rounding cannot be measured; that must not spread to its neighbours."""
     problem, found = branches("physical-straight")
     ((branch, end),) = [(b, np.exp(b.q[0])) for b in found if b.why[0] == "end_tangential_heelstrike"]
-    beside = np.geomspace(1e-4, 1e-2, 20)
+    sidecar_path = np.geomspace(1e-4, 1e-2, 20)
     rows = []
-    for index, Z, segment in branch.guesses(np.log(end * (1 + beside))):
-        rough = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
+    for index, Z, segment in branch.guesses(np.log(end * (1 + sidecar_path))):
+        coarse = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
         unknown = np.full(len(index), UNKNOWN)
-        rows += compared(problem, Z.T, end * (1 + beside[index]), rough, branch.noise[segment].T, unknown)
+        rows += compared(problem, Z.T, end * (1 + sidecar_path[index]), coarse, branch.rounding_std[segment].T, unknown)
     assert len(rows) == 20
     assert all(error < bound < 1e-9 for _, bound, error, _, _ in rows)
 

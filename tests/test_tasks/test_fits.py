@@ -141,11 +141,11 @@ def test_crossing_of_two_laws():
     slope = np.geomspace(1e-9, 1e-4, 80)
     a, bend = 4e4, 3e-6
     angle = a * slope * (1 - 0.3 * (slope / bend) ** 2)
-    found, error, reach, n = transition.linear_amplitude(slope, np.where(angle > 0, angle, a * slope * 1e-3))
+    found, error, sensitivity, n = transition.linear_amplitude(slope, np.where(angle > 0, angle, a * slope * 1e-3))
     # ln(1 - x) bends beyond its first term: 2 % off the law leaves 4e-6 in its limit.
     assert found == pytest.approx(a, rel=4e-6)
     # The law is bent by less than 2 % up to there.
-    assert reach == slope[n - 1] == slope[1 - 0.3 * (slope / bend) ** 2 > np.exp(-0.02)].max()
+    assert sensitivity == slope[n - 1] == slope[1 - 0.3 * (slope / bend) ** 2 > np.exp(-0.02)].max()
     assert error < 1e-3
     x = transition.crossing(a, transition.CUBE_ROOT)
     assert a * x == pytest.approx(transition.CUBE_ROOT * x ** (1 / 3), rel=1e-12)

@@ -144,17 +144,17 @@ def test_losses_lie_on_the_axes_of_the_contact_mass(walker, slope, label):
 def test_a_fixed_point_whose_foot_or_knee_strikes_earlier_is_no_step(change, slope):
     """The second derivation stops at the first strikes: steps are the fixed points whose strikes these are."""
     walker = resolve("physical", change)
-    slow, second = Oracle(walker.table()), np.sqrt(walker.leg / walker.g)
+    slow, time_unit = Oracle(walker.table()), np.sqrt(walker.leg / walker.g)
     w, stride, verdict = search(Problem(walker), slope)
     first = []
     for lane, angle in enumerate(np.exp(w[0])):
         start = stride.start[:, lane] / stride.start[0, lane] * angle
         try:
-            step = slow.step(angle, start[3:] / second, slope)
+            step = slow.step(angle, start[3:] / time_unit, slope)
         except StepFailed:
             first.append(False)
         else:
-            first.append(np.allclose(w[3:, lane] * second, [step.kneestrike_time, step.period], rtol=1e-6))
+            first.append(np.allclose(w[3:, lane] * time_unit, [step.kneestrike_time, step.period], rtol=1e-6))
     assert verdict.step.tolist() == first
     assert True in first and False in first
 
@@ -167,15 +167,15 @@ def test_a_bound_holds_from_however_far_newton_comes(walker, monkeypatch):
     arrays = to_arrays(found)
     line = {"line": {"walker": walker, "set": {}}, "slope": slopes, "want": angles}
     exact = points(line, [arrays])
-    monkeypatch.setattr(polish, "MOST_STEPS", 0)
+    monkeypatch.setattr(polish, "MAX_STEPS", 0)
     for far in (1e-8, 1e-7, 1e-5):
         coarse = arrays["Z"] * (1 + far)
         coarse[:, found[0].m] = arrays["Z"][:, found[0].m]
-        rough = points(line, [{**arrays, "Z": coarse}])
-        assert (rough["status"][:, 0] == 0).all()
+        coarse = points(line, [{**arrays, "Z": coarse}])
+        assert (coarse["status"][:, 0] == 0).all()
         for name in ANGLES:
-            error = np.abs(rough[name] / exact[name] - 1)[:, 0]
-            assert (error <= (rough["error_bound"] + exact["error_bound"])[:, 0]).all(), (far, name)
+            error = np.abs(coarse[name] / exact[name] - 1)[:, 0]
+            assert (error <= (coarse["error_bound"] + exact["error_bound"])[:, 0]).all(), (far, name)
 
 
 def test_labels_follow_the_contract():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from conftest import ROOT
 from lines import WANT, _atlas, branches, gait, solved
 from tasks import solve_at_slope
-from tasks.continuation.tracking import LEAST_SLOPE
+from tasks.continuation.tracking import MIN_SLOPE
 from tasks.dynamics.initial_states import gaits_at
 from tasks.fixed_points.labels import places
 from tasks.follow_branches import branch as follow
@@ -77,7 +77,7 @@ def test_a_gait_keeps_its_label_whichever_are_wanted():
 @pytest.mark.parametrize(("walker", "keys"), [("A", {"detuning": 0.1}), ("physical", {}), ("D", {})])
 def test_branches_are_ranked_by_their_lowest_slope_then_their_angle(walker, keys):
     _, found = branches(walker, **keys)
-    least = np.log(LEAST_SLOPE)
+    least = np.log(MIN_SLOPE)
     rank = [
         (
             max(b.q.min(), least),

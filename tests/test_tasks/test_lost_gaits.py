@@ -9,10 +9,10 @@ from pipeline.bench.bounds import compared
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.polish import UNKNOWN
-from tasks.fixed_points.rounding import noise
-from tasks.fixed_points.step_check import judged
+from tasks.fixed_points.rounding import rounding_std
+from tasks.fixed_points.step_check import verify_steps
 from tasks.registry import GAITS, STATUSES
-from tasks.step.verify_step import margin
+from tasks.step.verify_step import strike_distance
 from tasks.walkers.resolve import resolve
 
 GAP = {
@@ -115,11 +115,11 @@ def test_bounds_hold_as_near_a_fold_as_its_slope_is_known(walker, overrides):
             slope = fold["slope"] * (1 + side * np.geomspace(1e-2, 1e-13, 12))
             rows = []
             for index, Z, segment in branch.guesses(np.log(slope)):
-                beside = np.abs(segment - at) < 40
-                index, Z, segment = index[beside], Z[beside], segment[beside]
-                rough = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
+                sidecar_path = np.abs(segment - at) < 40
+                index, Z, segment = index[sidecar_path], Z[sidecar_path], segment[sidecar_path]
+                coarse = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
                 unknown = np.full(len(index), UNKNOWN)
-                rows += compared(problem, Z.T, slope[index], rough, branch.noise[segment].T, unknown)
+                rows += compared(problem, Z.T, slope[index], coarse, branch.rounding_std[segment].T, unknown)
             # Both gaits at every distance.
             assert len(rows) == 24
             assert all(error <= bound < 1e-9 for _, bound, error, _, _ in rows)
@@ -194,7 +194,7 @@ def test_the_distance_from_an_earlier_strike_vanishes_where_one_cuts_in():
     m = branch.m
     w, q = np.delete(branch.Z[-5:], m, axis=1).T, branch.q[-5:]
     stride, _ = problem.stride(w, q, samples=256)
-    away = margin(stride.scaled_motion(), stride.times)
+    away = strike_distance(stride.scaled_motion(), stride.times)
     assert (np.diff(away) < 0).all() and abs(away[-1]) < 1e-9 < away[-2]
 
 
@@ -225,7 +225,7 @@ def test_a_point_is_measured_where_its_segment_does_not_vouch_for_it():
     q = branch.q[fold] + np.sign(branch.q[fold + 1] - branch.q[fold]) * 1e-8
     (_, Z, _), *_ = (g for g in branch.guesses(np.array([q])))
     w = np.delete(Z, problem.m, axis=1).T
-    rounding = noise(problem, w, np.array([q]), near=8)
+    rounding = rounding_std(problem, w, np.array([q]), near=8)
     ((_, bound, error, _, _),) = compared(problem, Z.T, np.exp([q]), np.array([np.inf]), rounding, np.array([UNKNOWN]))
     assert error <= bound < 1e-12
 
@@ -254,4 +254,4 @@ def test_a_kept_point_is_a_step_by_its_own_motion():
     problem, found = branches("C", **GAP)
     for branch in found:
         inner = np.delete(branch.Z[1:-1], branch.m, axis=1).T
-        assert judged(problem, inner, branch.q[1:-1])[1].step.all()
+        assert verify_steps(problem, inner, branch.q[1:-1])[1].step.all()

@@ -31,16 +31,16 @@ ODD = Walker(
 def stride(walker, theta, rates, slope, times):
     """Image of one state by the stride map, in the walker's units; times are guesses."""
     problem = Problem(walker)
-    second = np.sqrt(walker.leg / walker.g)
-    y = np.array([theta, *np.array(rates[: problem.m - 1]) * second])[:, None]
+    time_unit = np.sqrt(walker.leg / walker.g)
+    y = np.array([theta, *np.array(rates[: problem.m - 1]) * time_unit])[:, None]
     p = problem.parameters(np.array([slope]), np.array([1.0]))
-    times = np.array(times)[:, None] / second
+    times = np.array(times)[:, None] / time_unit
     for _ in range(12):
         s = problem.map(y, times, p)
         times = s.times
     out = s.image[:, 0].copy()
-    out[1:] /= second
-    return out, times[:, 0] * second
+    out[1:] /= time_unit
+    return out, times[:, 0] * time_unit
 
 
 @pytest.mark.parametrize(
@@ -77,11 +77,11 @@ def test_a_kneed_stride_agrees_with_the_oracle():
     oracle = Oracle(walker.table())
     # The kneed section lies just before heelstrike; the oracle starts just after it.
     first = oracle.step(0.2433, [-1.048, -0.304, -1.480], 0.036)
-    second = oracle.step(first.theta, first.rates, 0.036)
-    before, after = first.before_heelstrike, second.before_heelstrike
-    image, times = stride(walker, first.theta, before[3:5], 0.036, [second.kneestrike_time, second.period])
-    np.testing.assert_allclose(times, [second.kneestrike_time, second.period], rtol=1e-10)
-    np.testing.assert_allclose(image, [second.theta, *after[3:5]], rtol=1e-9)
+    time_unit = oracle.step(first.theta, first.rates, 0.036)
+    before, after = first.before_heelstrike, time_unit.before_heelstrike
+    image, times = stride(walker, first.theta, before[3:5], 0.036, [time_unit.kneestrike_time, time_unit.period])
+    np.testing.assert_allclose(times, [time_unit.kneestrike_time, time_unit.period], rtol=1e-10)
+    np.testing.assert_allclose(image, [time_unit.theta, *after[3:5]], rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["D", "E", "B", "physical-straight", "C"])

@@ -8,7 +8,7 @@ from oracle import Oracle, SimplestWalker
 from tasks import iterate_orbits as orbits
 from tasks import map_basin as basins
 from tasks.continuation.atlas import from_arrays
-from tasks.dynamics.initial_states import gaits_at, scattered
+from tasks.dynamics.initial_states import gaits_at, r_sequence
 from tasks.dynamics.lyapunov import Exponents, estimate, orthogonalised
 from tasks.iterate_orbits import orbit
 from tasks.step.problem import Problem
@@ -65,11 +65,11 @@ def test_exponents_of_a_stable_gait_are_its_multipliers():
 def test_the_exponent_of_d_in_chaos():
     """0.369 at slope 0.0189; chaotic, and contracting areas."""
     found = walked([0.0189], starts=96, transient=80, strides=240)
-    first, second = found["lyapunov/exponent"]
+    first, time_unit = found["lyapunov/exponent"]
     error = found["lyapunov/standard_error"][0]
     assert error < 0.004
     assert abs(first - 0.3691) < 4 * error
-    assert first + second < -1
+    assert first + time_unit < -1
 
 
 @pytest.mark.parametrize(("walker", "slope"), [("D", 0.009), ("A", 0.05), ("C", 0.07)])
@@ -143,7 +143,7 @@ def test_lanes_and_their_blocks_change_no_bit(walker, monkeypatch):
     slope = {"D": 0.0189, "C": 0.0945}[walker]
     problem = Problem(resolve(walker))
     _, gait = gaits_at(problem, from_arrays(_atlas(walker, ())), np.array([slope]), "long")
-    y = gait * (1 + 0.01 * (2 * scattered(problem.m, 9) - 1))
+    y = gait * (1 + 0.01 * (2 * r_sequence(problem.m, 9) - 1))
     order = np.random.default_rng(3).permutation(9)
     for exact in (True, False):
         straight = stride(problem, y, np.full(9, slope), exact)

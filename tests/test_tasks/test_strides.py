@@ -47,9 +47,9 @@ def test_any_start_of_a_kneed_walker_agrees_with_the_rigid_bodies():
 
 def test_rough_strides_agree_with_exact_ones(simplest):
     y = LONG_D * np.array([[1.05], [1.05]])
-    rough, exact = (stride(simplest, y, np.array([0.009]), exact=e) for e in (False, True))
-    assert np.abs(rough.image - exact.image).max() < 1e-7
-    assert np.abs(rough.times - exact.times).max() < 1e-6
+    coarse, exact = (stride(simplest, y, np.array([0.009]), exact=e) for e in (False, True))
+    assert np.abs(coarse.image - exact.image).max() < 1e-7
+    assert np.abs(coarse.times - exact.times).max() < 1e-6
 
 
 def test_falls_have_their_causes(simplest):

@@ -16,7 +16,7 @@ from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
 #: Gaits a page animates, and samples kept of each step.
-MOST_STRIDES, MOST_SAMPLES = 12, 90
+MAX_STRIDES, MAX_SAMPLES = 12, 90
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def strides(source: Source) -> Iterator[Stride]:
     steps = list(
         table.dropna(subset=["time", "theta_st", "theta_th"]).groupby([*coordinates, "gait", "slope"], sort=False)
     )
-    for i in np.unique(np.linspace(0, len(steps) - 1, min(MOST_STRIDES, len(steps))).round().astype(int)):
+    for i in np.unique(np.linspace(0, len(steps) - 1, min(MAX_STRIDES, len(steps))).round().astype(int)):
         key, frame = steps[i]
         at = dict(zip(coordinates, key, strict=False))
         gait, slope = str(key[-2]), float(key[-1])
@@ -145,7 +145,7 @@ def animation(source: Source) -> list[dict[str, Any]]:
     moves = []
     for stride in strides(source):
         frame = stride.frame
-        rows = np.unique(np.linspace(0, len(frame) - 1, MOST_SAMPLES).round().astype(int))
+        rows = np.unique(np.linspace(0, len(frame) - 1, MAX_SAMPLES).round().astype(int))
         frame = frame.iloc[rows]
         body = stride.body
         time = frame["time"].to_numpy()

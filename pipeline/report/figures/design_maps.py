@@ -19,7 +19,7 @@ _SHOWN = {
     "fastest_froude_speed": "fastest stable Fr",
 }
 #: Walkers, or places on other axes, that are shown, a row of maps each.
-_MOST = 4
+_MAX = 4
 
 
 def design(source: Source) -> Sketch | None:
@@ -33,7 +33,7 @@ def design(source: Source) -> Sketch | None:
     down, along = keys
     others = [c for c in source.line_columns(table) if c not in keys]
     every = table[others].drop_duplicates().to_dict("records") if others else [{}]
-    rows = rows_of(every, _MOST)
+    rows = rows_of(every, _MAX)
     figure = canvas(60 + 130 * len(rows))
     panels = figure.subplots(len(rows), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
     marks = []
