@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from tasks import registry
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
 from tasks.continuation.codimension_one import DIFFERENCE, ENDS, SCALARS, Curve, Point, equations_of, follow, turning
 from tasks.continuation.special_points import special_points
-from tasks.registry import CURVE
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker, WalkerError
@@ -47,7 +47,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     WalkerError
         If the key is none of the walker's, or the range is empty.
     """
-    line, options = params["line"], {**CURVE, **{k: params[k] for k in CURVE if k in params}}
+    line, options = params["line"], registry.options("curve", params)
     key, low, high = str(options["key"]), float(options["from"]), float(options["to"])
     if not low < high:
         raise WalkerError("from", low, f"must be less than `to` = {high!r}")

@@ -5,7 +5,9 @@ A version is bumped by hand when a task's results change; it is the only thing (
 parameters) that makes a stored result stale.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 #: Labels of the gait dimension. `other1`, ... hold the further gaits of a label, by falling angle.
 GAITS = ("long", "short", "other1", "other2")
@@ -216,28 +218,60 @@ READS = {
 #: Names a study's `figures` may hold.
 FIGURES = tuple(name for name in READS if name not in ("scaling", "transition"))
 
-#: Options of each kind of study and what each one holds: a `count` is a whole number from 1, a `range` two numbers.
-OPTIONS = {
-    "grid": {"friction_limit": "positive"},
+
+@dataclass(frozen=True)
+class Option:
+    """One option of a kind of study: what it holds, its default, and its meaning.
+
+    `holds` is "number", "positive", "count" (a whole number from 1), "count or 0", "counts" (a list of them), "range"
+    (two rising numbers), "gait" (a label), "key" (of a walker) or "kinds" (of special points).
+    """
+
+    holds: str
+    default: Any
+    meaning: str
+
+
+#: Options of each kind of study; the parser, `gaitsweep plan --help`, the tasks and the docs read them here.
+OPTIONS: dict[str, dict[str, Option]] = {
+    "grid": {"friction_limit": Option("positive", 1.0, "contact friction above which a gait is flagged")},
     "orbit": {
-        "gait": "gait",
-        "starts": "count",
-        "spread": "number",
-        "transient": "count",
-        "strides": "count",
-        "shown": "count",
+        "gait": Option("gait", "long", "label of the gait that the initial states are near"),
+        "starts": Option("count", 8, "initial states"),
+        "spread": Option("number", 1e-3, "relative distance of the initial states from the gait"),
+        "transient": Option("count", 400, "steps before the orbit is kept"),
+        "strides": Option("count", 240, "steps over which Lyapunov exponents are averaged"),
+        "shown": Option("count", 120, "last steps kept in the archive"),
     },
-    "cascade": {"periods": "count", "families": "counts", "starts": "count", "strides": "count or 0"},
-    "basin": {"size": "count", "strides": "count", "stance_angle": "range", "stance_rate": "range"},
-    "curve": {"key": "key", "from": "number", "to": "number", "kinds": "kinds"},
-    "census": {"starts": "count"},
+    "cascade": {
+        "periods": Option("count", 64, "largest period to which doublings are followed"),
+        "families": Option("counts", [1], "periods of the gaits at which cascades begin"),
+        "starts": Option("count", 400, "initial states for the loss of walking"),
+        "strides": Option("count or 0", 200, "steps each initial state is followed; 0 leaves the loss of walking out"),
+    },
+    "basin": {
+        "size": Option("count", 160, "initial states along each axis"),
+        "strides": Option("count", 200, "steps each initial state is followed"),
+        "stance_angle": Option("range", None, "stance angles of the initial states [rad]; by default around the gaits"),
+        "stance_rate": Option("range", None, "stance rates of the initial states; by default around the gaits"),
+    },
+    "curve": {
+        "key": Option("key", "detuning", "key that varies along the curve beside the slope"),
+        "from": Option("number", 0.0, "least value of the key"),
+        "to": Option("number", 1.0, "largest value of the key"),
+        "kinds": Option("kinds", ("fold", "flip"), "special points whose curves are followed"),
+    },
+    "census": {"starts": Option("count", 2000, "initial guesses at each slope")},
 }
+
+
+def options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of a kind of study: those given, and the defaults of the others."""
+    return {name: given.get(name, option.default) for name, option in OPTIONS[kind].items()}
+
 
 #: Points whose curves a study of kind `curve` follows.
 FOLLOWED = ("fold", "flip", "end_kneestrike_at_heelstrike", "end_tangential_heelstrike")
-
-#: What a study of kind `curve` follows where it is silent.
-CURVE = {"key": "detuning", "from": 0.0, "to": 1.0, "kinds": ("fold", "flip")}
 
 #: Figures that only one kind of study can show.
 SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin", "design": "design"}

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.study.location import Location
-from tasks.registry import CURVE, FOLLOWED, GAITS, OPTIONS
+from tasks import registry
+from tasks.registry import FOLLOWED, GAITS, OPTIONS
 
 _MAX = 10**6
 
@@ -27,11 +28,11 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     for name, value in options.items():
         if name not in known:
             raise place.unknown(name, known)
-        _check(value, known[name], axes, place.at(name))
-    found = dict(options)
-    if kind == "curve" and not (low := {**CURVE, **found}["from"]) < (high := {**CURVE, **found}["to"]):
-        raise place.at("from").wrong(f"must be less than `to` = {high!r}", low)
-    return found
+        _check(value, known[name].holds, axes, place.at(name))
+    whole = registry.options(kind, options) if known else {}
+    if kind == "curve" and not whole["from"] < whole["to"]:
+        raise place.at("from").wrong(f"must be less than `to` = {whole['to']!r}", whole["from"])
+    return dict(options)
 
 
 def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> None:

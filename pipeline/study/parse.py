@@ -19,7 +19,8 @@ from pipeline.study import options
 from pipeline.study.files import _toml, walker
 from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
-from tasks.registry import ALWAYS, CLAIMS, CURVE, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
+from tasks import registry
+from tasks.registry import ALWAYS, CLAIMS, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
 #: Tasks that no study is named after.
 _SERVANTS = ("atlas", "points", "trace")
@@ -260,7 +261,7 @@ def _checked(study: Study, top: Location) -> Study:
 
 def _followed(study: Study, walker: str | dict[str, Any], given: dict[str, float], place: Location) -> None:
     """Check a walker at both ends of the range of the key that curves are followed over."""
-    options = {**CURVE, **study.options}
+    options = registry.options("curve", study.options)
     for end in ("from", "to"):
         try:
             dispatch.call("check_walker", {"walker": walker, "set": {**given, options["key"]: options[end]}})
