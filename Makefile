@@ -43,4 +43,5 @@ lock:
 	  --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf $(VENV) mutants reports data/archive
+	rm -rf $(VENV) mutants data/archive
+	find reports -mindepth 1 ! -name README.md -delete
