@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pipeline
+from pipeline import api
 from pipeline.archive import diff
 
 #: The smallest study of each kind, and one over walkers of different units.
@@ -23,7 +24,7 @@ STUDIES = {
             "claims": ["D1"],
         },
     },
-    "walkers": {"walker": ["A", "D"], "axes": {"slope": [0.01]}, "want": {"figures": ["angles"]}},
+    "walkers": {"walker": ["A", "D"], "axes": {"slope": [0.01]}, "want": {"figures": ["angles"], "claims": ["D1"]}},
     "branch": {"walker": "D", "axes": {"slope": {"from": 0.005, "to": 0.03, "n": 4}}},
     "orbit": {
         "walker": "D",
@@ -55,14 +56,46 @@ ComplianceChecker.run_checker(sys.argv[2:], ["cf:1.11"], 0, "strict", output_fil
 """
 
 
+def mapping(name):
+    """A study whole, called by its own name."""
+    return {
+        "name": name.replace(" ", "-"),
+        "kind": {"walkers": "grid", "no curve": "curve"}.get(name, name),
+        **STUDIES[name],
+    }
+
+
 @pytest.fixture(scope="module")
 def archives(tmp_path_factory):
-    """An archive of each study."""
+    """An archive of each study, each by worker processes of its own."""
     folder = tmp_path_factory.mktemp("cf")
-    for name, study in STUDIES.items():
-        kind = {"walkers": "grid", "no curve": "curve"}.get(name, name)
-        pipeline.run({"name": kind, "kind": kind, **study}, jobs=1, archive=folder / f"{name}.nc", quiet=True)
+    for name in STUDIES:
+        pipeline.run(mapping(name), jobs=1, archive=folder / f"{name}.nc", quiet=True)
     return {name: folder / f"{name}.nc" for name in STUDIES}
+
+
+@pytest.mark.parametrize("engine", [["--jobs", "1"], pytest.param(["--cluster", "local:1"], marks=pytest.mark.soak)])
+def test_a_study_gives_the_same_bytes_whatever_its_worker_did_before(archives, tmp_path, engine):
+    """All kinds by one worker process, in another order, two of them with claims."""
+    files = []
+    for name in reversed(STUDIES):
+        files.append(tmp_path / f"{len(files)}.toml")
+        files[-1].write_text(api._study(mapping(name)).text)
+    command = [
+        sys.executable,
+        "-W",
+        "ignore",
+        "-m",
+        "pipeline.cli.commands",
+        "run",
+        *map(str, files),
+        "--quiet",
+        *engine,
+    ]
+    subprocess.run([*command, "--fresh"], cwd=tmp_path, check=True, capture_output=True)
+    for name, archive in archives.items():
+        again = tmp_path / "data" / "archive" / f"{name.replace(' ', '-')}.nc"
+        assert again.read_bytes() == archive.read_bytes(), name
 
 
 def test_the_checker_of_the_conventions_finds_nothing(archives, tmp_path):
