@@ -1,6 +1,7 @@
 """Who may import whom, who owns which name, and what the package list says."""
 
 import importlib.metadata
+import os
 import subprocess
 import sys
 import tomllib
@@ -50,6 +51,29 @@ def test_the_registry_imports_nothing_and_the_plan_no_solver():
     )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=True)
     assert found.stdout.split() == ["tasks", "tasks.registry"]
+
+
+def test_importing_any_module_only_defines(tmp_path):
+    """No folder is made, no setting of a library touched, no module of ours left half imported."""
+    modules = [
+        ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for name in ("tasks", "pipeline")
+        for file in sorted((ROOT / name).rglob("*.py"))
+    ]
+    program = (
+        f"import heyoka, importlib; before = heyoka.llvm_state.get_diskcache_path()\n"
+        f"for name in {modules!r}: importlib.import_module(name)\n"
+        "assert heyoka.llvm_state.get_diskcache_path() == before"
+    )
+    environment = {
+        **os.environ,
+        "HOME": str(tmp_path),
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+        "PYTHONPATH": str(ROOT),
+    }
+    environment["MPLCONFIGDIR"] = str(tmp_path.parent)  # matplotlib's own
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, check=True)
+    assert not [path for path in tmp_path.rglob("*") if "gaitsweep" in path.name or path.suffix == ".nc"]
 
 
 def test_files_are_of_a_size_to_be_read():
