@@ -168,13 +168,13 @@ class Branch:
         """First and last nodes of the pieces over which the slope is monotone."""
         # A fold has a node of its own: if the next is so near that their slopes differ by rounding, that has no sign.
         rising = np.sign(np.diff(self.q))
-        for i in np.nonzero(np.abs(np.diff(self.q)) < 1e-13)[0]:
+        for i in np.flatnonzero(np.abs(np.diff(self.q)) < 1e-13).tolist():
             rising[i] = rising[i - 1] if i else rising[min(i + 1, len(rising) - 1)]
         cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
         return list(itertools.pairwise(cuts))
 
     def piece(self, segment: np.ndarray) -> np.ndarray:
-        """Numbers of the pieces of segments (n,), counted along the branch from its end at the lower slope, shape (n,)."""
+        """Numbers of the pieces of segments (n,), counted from the branch's end at the lower slope, shape (n,)."""
         firsts = [first for first, _ in self.pieces()]
         number = np.searchsorted(firsts, segment, side="right") - 1
         return number if self.q[0] <= self.q[-1] else len(firsts) - 1 - number

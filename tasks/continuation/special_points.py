@@ -162,7 +162,7 @@ def narrow_segment(problem: Problem, branch: Branch, segment: int, like_left: Te
         alone = branch.part(segment, segment + 1)
         # By all four nodes around; by its own two where the others mislead.
         for part, at, share in ((branch, segment, 0.5), (alone, 0, 0.5), (alone, 0, 0.25), (alone, 0, 0.75)):
-            x = part.Z[at : at + 2, part.axis[at]] @ [1 - share, share]
+            x = float(part.Z[at : at + 2, part.axis[at]] @ [1 - share, share])
             guess = part.evaluate(np.array([at]), np.array([x]))[0, : branch.m + 1]
             point, direction = correct_at(problem, part, at, x)
             chord = np.linalg.norm(np.diff(part.Z[at : at + 2, : branch.m + 1], axis=0))

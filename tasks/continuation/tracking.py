@@ -162,7 +162,21 @@ def _rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
 
 @dataclass
 class BranchTrace:
-    """One branch followed in one direction: its points so far, and why it stop_reason."""
+    """One branch followed in one direction: its points so far, and why it stops.
+
+    Attributes
+    ----------
+    X, tangent : list of ndarray, shape (m + 1,)
+        Points and unit tangents.
+    times, times_tangent : list of ndarray, shape (k,)
+        Event times, and their derivatives along the branch.
+    step : float
+        Length of the next continuation step.
+    side : float
+        Sign of the branch point determinant.
+    stop_reason : str
+        Empty while the branch continues.
+    """
 
     X: list[np.ndarray] = field(default_factory=list)
     times: list[np.ndarray] = field(default_factory=list)
