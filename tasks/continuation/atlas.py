@@ -336,7 +336,13 @@ def _is_known(branches: list[Branch], m: int, w: np.ndarray, q: float) -> bool:
 
 
 def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
-    """Return branches as plain arrays, to be stored and passed between processes, the nodes of all in one array."""
+    """Return branches as plain arrays, to be stored and passed between processes.
+
+    Returns
+    -------
+    dict of ndarray
+        `lengths`, `why` and `end_errors` of the branches, `m`, and the nodes' arrays of all branches one after another.
+    """
     lengths = np.array([len(b.Z) for b in branches], dtype=np.int64)
     if not branches:
         return {"lengths": lengths}
@@ -353,7 +359,13 @@ _BY_NODE = ("Z", "tangent", "lipschitz", "rounding_std", "ratio", "leg_passes", 
 
 
 def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:
-    """Return the branches of the arrays of `to_arrays`."""
+    """Return the branches of stored arrays.
+
+    Parameters
+    ----------
+    arrays : dict of ndarray
+        As `to_arrays` returns them.
+    """
     ends = np.cumsum(arrays["lengths"])
     return [
         Branch(

@@ -143,7 +143,18 @@ class Branch:
         return value
 
     def at(self, place: np.ndarray) -> np.ndarray:
-        """Rows of Z at places along the branch, each the number of a segment plus a fraction of it, shape (n, c)."""
+        """Evaluate the branch at places along it.
+
+        Parameters
+        ----------
+        place : ndarray, shape (n,)
+            Numbers of segments plus fractions of them.
+
+        Returns
+        -------
+        ndarray, shape (n, c)
+            Rows of Z.
+        """
         segment = np.minimum(place.astype(int), len(self.Z) - 2)
         a, b = (self.Z[segment + i, self.axis[segment]] for i in (0, 1))
         return self.evaluate(segment, a + (b - a) * (place - segment))
@@ -174,7 +185,17 @@ class Branch:
         return list(itertools.pairwise(cuts))
 
     def piece(self, segment: np.ndarray) -> np.ndarray:
-        """Numbers of the pieces of segments (n,), counted from the branch's end at the lower slope, shape (n,)."""
+        """Return the numbers of the pieces on which segments lie.
+
+        Parameters
+        ----------
+        segment : ndarray of int, shape (n,)
+
+        Returns
+        -------
+        ndarray of int, shape (n,)
+            Counted from the branch's end at the lower slope.
+        """
         firsts = [first for first, _ in self.pieces()]
         number = np.searchsorted(firsts, segment, side="right") - 1
         return number if self.q[0] <= self.q[-1] else len(firsts) - 1 - number

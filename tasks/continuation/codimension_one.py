@@ -86,11 +86,30 @@ class Curve:
         self.m = self.map.m
 
     def walker(self, U: np.ndarray) -> Walker:
-        """Return the walker at a point U (u,)."""
+        """Return the walker at a point.
+
+        Parameters
+        ----------
+        U : ndarray, shape (u,)
+        """
         return self.walker_at(float(U[-1] * self.scale))
 
     def begin(self, X: np.ndarray, times: np.ndarray, value: float) -> np.ndarray:
-        """Return U for a line's point X = (w, q) and its event times (k,) at a value of the key."""
+        """Return U for a line's point at a value of the key.
+
+        Parameters
+        ----------
+        X : ndarray, shape (m + 1,)
+            Similarity coordinates and ln slope.
+        times : ndarray, shape (k,) [sqrt(leg/g)]
+            Event times.
+        value : float
+            Of the key.
+
+        Returns
+        -------
+        ndarray, shape (u,)
+        """
         return np.append(X, value / self.scale)
 
     def _section(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -222,14 +241,39 @@ class End(Curve):
         return y, scanner(self.structure).lock(step.knee, parameters), np.vstack([knee, knee]), parameters
 
     def begin(self, X: np.ndarray, times: np.ndarray, value: float) -> np.ndarray:
-        """Return U for a line's point X = (w, q) and its event times (k,) at a value of the key."""
+        """Return U for a line's point at a value of the key.
+
+        Parameters
+        ----------
+        X : ndarray, shape (m + 1,)
+            Similarity coordinates and ln slope.
+        times : ndarray, shape (k,) [sqrt(leg/g)]
+            Event times.
+        value : float
+            Of the key.
+
+        Returns
+        -------
+        ndarray, shape (u,)
+        """
         heel = times[-1:] if self.kind == "end_tangential_heelstrike" else times[:0]
         return np.concatenate([X[:-1], heel, X[-1:], [value / self.scale]])
 
     def system(
         self, U: np.ndarray, times: np.ndarray, h: float = DIFFERENCE
     ) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """Evaluate the equations at one point, as `Curve.system` does."""
+        """Evaluate the equations at one point.
+
+        Parameters
+        ----------
+        U, times, h
+            As in `Curve.system`.
+
+        Returns
+        -------
+        residual, derivative, times_after
+            As in `Curve.system`.
+        """
         y, final, own_times, parameters = self._end_of_step(_neighbours(U, h), times)
         a, b, a_rate, b_rate = final
         image = final[1:] if self.structure.kneed else scanner(self.structure).strike(final, parameters)

@@ -77,7 +77,13 @@ class Cycle:
         return _product(self.A)
 
     def multipliers(self) -> np.ndarray:
-        """Eigenvalues of the monodromy, largest magnitude first, shape (m,)."""
+        """Eigenvalues of the monodromy.
+
+        Returns
+        -------
+        ndarray, shape (m,)
+            Largest magnitude first.
+        """
         values = np.linalg.eigvals(self.monodromy)
         return values[np.argsort(-np.abs(values), kind="stable")]
 

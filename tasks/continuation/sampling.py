@@ -102,12 +102,33 @@ def _folds(branch: Branch) -> np.ndarray:
 
 
 def plane(rows: np.ndarray, m: int) -> np.ndarray:
-    """Return (ln slope, ln angle, ln period) of rows (n, c) of a branch of m section coordinates, shape (n, 3)."""
+    """Return ln slope, ln angle and ln period of rows of Z.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, c)
+    m : int
+        Number of section coordinates.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+    """
     return np.column_stack([rows[:, m], rows[:, 0], np.log(rows[:, -1])])
 
 
 def apart(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Distance of points (n, d) from the line between two, `start` and `end` (d,), shape (n,)."""
+    """Distance of points from the line segment between two.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+    start, end : ndarray, shape (d,)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
     along = end - start
     part = np.clip((points - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
     return np.linalg.norm(points - start - part[:, None] * along, axis=1)

@@ -38,13 +38,33 @@ class BranchEnd:
 
 
 def oriented_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
-    """Tangent of X at a point (m + 1,), pointing along the branch."""
+    """Return the tangent of X at a point, turned along the branch.
+
+    Parameters
+    ----------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+
+    Returns
+    -------
+    ndarray, shape (m + 1,)
+    """
     tangent = point.tangent[:, 0]
     return tangent if tangent @ direction >= 0 else -tangent
 
 
 def correct_at(problem: Problem, branch: Branch, segment: int, x: float) -> tuple[Point, np.ndarray]:
-    """Correct the point at coordinate x of a segment; also the branch's direction there (m + 1,)."""
+    """Correct the point at coordinate x of a segment.
+
+    Returns
+    -------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+    """
     m = branch.m
     Z = branch.evaluate(np.array([segment]), np.array([x]))
     direction = branch.tangent[segment, : m + 1] + branch.tangent[segment + 1, : m + 1]
@@ -119,12 +139,31 @@ def _tangential_end(problem: Problem, branch: Branch, segment: int) -> BranchEnd
 
 
 def row(point: Point) -> np.ndarray:
-    """Return a corrected point as a node of a branch, shape (m + 1 + k,)."""
+    """Return a corrected point as a node of a branch.
+
+    Returns
+    -------
+    ndarray, shape (m + 1 + k,)
+        A row of Z.
+    """
     return np.concatenate([point.X[:, 0], point.times[:, 0]])
 
 
 def row_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
-    """Return the tangent of that node, pointing along the branch, shape (m + 1 + k,)."""
+    """Return the tangent of a corrected point as that of a node.
+
+    Parameters
+    ----------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+
+    Returns
+    -------
+    ndarray, shape (m + 1 + k,)
+        Pointing along the branch.
+    """
     tangent = np.concatenate([point.tangent[:, 0], point.times_tangent[:, 0]])
     return tangent if point.tangent[:, 0] @ direction >= 0 else -tangent
 

@@ -187,7 +187,15 @@ class BranchTrace:
     stop_reason: str = ""
 
     def append(self, point: Point, lane: int, orientation: np.ndarray) -> None:
-        """Add the point of a lane, its tangent on the side of `orientation`."""
+        """Add the point of a lane.
+
+        Parameters
+        ----------
+        point : Point
+        lane : int
+        orientation : ndarray, shape (m + 1,)
+            The side to which the tangent is turned.
+        """
         sign = 1.0 if point.tangent[:, lane] @ orientation >= 0 else -1.0
         self.X.append(point.X[:, lane].copy())
         self.times.append(point.times[:, lane].copy())
@@ -195,7 +203,12 @@ class BranchTrace:
         self.times_tangent.append(sign * point.times_tangent[:, lane])
 
     def predict(self) -> np.ndarray:
-        """Predict the next point: along the tangent, bent as it turned over the last step."""
+        """Predict the next point along the tangent, bent as it turned over the last step.
+
+        Returns
+        -------
+        ndarray, shape (m + 1,)
+        """
         X, t, h = self.X[-1], self.tangent[-1], self.step
         if len(self.X) < 2:
             return X + h * t
@@ -203,7 +216,12 @@ class BranchTrace:
         return X + h * t + 0.5 * h * h * (t - self.tangent[-2]) / back
 
     def predict_times(self) -> np.ndarray:
-        """Predict the next point's event times."""
+        """Predict the next point's event times.
+
+        Returns
+        -------
+        ndarray, shape (k,) [sqrt(leg/g)]
+        """
         return self.times[-1] + self.step * self.times_tangent[-1]
 
     def reason_to_stop(self, m: int) -> str:
@@ -223,7 +241,15 @@ class BranchTrace:
 
 
 def fall_margin(X: np.ndarray, times: np.ndarray) -> float:
-    """Return a number that is positive where a gait's angle or period exceeds those of walking."""
+    """Return a number that is positive where a gait's angle or period exceeds those of walking.
+
+    Parameters
+    ----------
+    X : ndarray, shape (m + 1,)
+        Similarity coordinates and ln slope.
+    times : ndarray, shape (k,) [sqrt(leg/g)]
+        Event times.
+    """
     return float(max(X[0] - _MAX_LOG_ANGLE, times[-1] - LONGEST_PERIOD))
 
 

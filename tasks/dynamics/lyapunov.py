@@ -95,7 +95,12 @@ class Exponents:
             self.counts[block] += 1
 
     def means(self) -> np.ndarray:
-        """Mean growth per step of every block and lane, shape (blocks, m, n)."""
+        """Mean growth per step of every block and lane.
+
+        Returns
+        -------
+        ndarray, shape (blocks, m, n)
+        """
         return self.blocks / np.maximum(self.counts, 1)[:, None, None]
 
 

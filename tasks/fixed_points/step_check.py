@@ -39,5 +39,16 @@ def verify_steps(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tupl
 # Where heelstrike is tangential to the last digit its rates have no value.
 @np.errstate(invalid="ignore", divide="ignore")
 def gait_ratio(stride: Stride) -> np.ndarray:
-    """Return (swing rate - stance rate)/|stance rate| just before heelstrike, shape (n,): below 1/2 a gait is long."""
+    """Return the gait ratio (swing rate - stance rate)/|stance rate| just before heelstrike.
+
+    Parameters
+    ----------
+    stride : Stride
+        Of n lanes.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Below 1/2 a gait is long.
+    """
     return (stride.impact[1] - stride.impact[0]) / np.abs(stride.impact[0])

@@ -42,7 +42,12 @@ class Problem:
         return np.vstack([slope, scale, np.broadcast_to(self.constants[:, None], (len(self.constants), len(slope)))])
 
     def some(self, lanes: np.ndarray) -> Problem:
-        """Return the problem of some lanes: the same where all lanes share a walker."""
+        """Return the problem of some lanes: the same where all lanes share a walker.
+
+        Parameters
+        ----------
+        lanes : ndarray of int, shape (k,)
+        """
         return self
 
     def walker_of(self, lane: int) -> Walker:
@@ -95,11 +100,27 @@ class Lanes(Problem):
         self.m, self.phases = self.map.m, 2 if self.structure.kneed else 1
 
     def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
-        """Runtime parameters of every lane, shape (n_parameters, n), for slopes [rad] and scales (n,)."""
+        """Runtime parameters of every lane.
+
+        Parameters
+        ----------
+        slope : ndarray, shape (n,) [rad]
+        scale : ndarray, shape (n,)
+            Power of two by which angles and rates are divided.
+
+        Returns
+        -------
+        ndarray, shape (n_parameters, n)
+        """
         return np.vstack([slope, scale, self.constants])
 
     def some(self, lanes: np.ndarray) -> Lanes:
-        """Return the problem of some lanes, each with its walker."""
+        """Return the problem of some lanes, each with its walker.
+
+        Parameters
+        ----------
+        lanes : ndarray of int, shape (k,)
+        """
         return Lanes([self.walkers[i] for i in lanes], self.structure, self.constants[:, lanes])
 
     def walker_of(self, lane: int) -> Walker:

@@ -84,7 +84,14 @@ class Stride:
         return [phase / self.y[0] for phase in self.motion]
 
     def assign(self, lanes: np.ndarray, other: Stride) -> None:
-        """Replace some lanes, shape (k,), by the k lanes of another stride."""
+        """Replace some lanes by those of another stride.
+
+        Parameters
+        ----------
+        lanes : ndarray of int, shape (k,)
+        other : Stride
+            Of k lanes.
+        """
         for name, values in vars(self).items():
             new = getattr(other, name)
             for a, b in zip(values, new, strict=True) if isinstance(values, list) else [(values, new)]:
