@@ -35,12 +35,12 @@ from tasks.step.verify_step import strike_distance, verify
 #: Slopes at which gaits to follow are searched for [rad].
 ANCHORS = (0.01, 0.03, 0.1, 0.001, 0.2)
 #: Largest change Newton may still make at a segment's middle before the segment is split.
-TOLERANCE = 2e-13
-MAX_ROUNDS = 5
+_TOLERANCE = 2e-13
+_MAX_ROUNDS = 5
 #: A split that leaves more than this share of the change may show rounding: one more is tried, and no other.
-MIN_IMPROVEMENT = 0.25
+_MIN_IMPROVEMENT = 0.25
 #: Nodes to either side over whose measured rounding a segment's is averaged.
-ROUNDING_WINDOW = 4
+_ROUNDING_WINDOW = 4
 
 
 def _refine(
@@ -67,10 +67,10 @@ def _refine(
     new_Z = np.vstack([point.X, point.times]).T
     new_T = np.vstack([point.tangent, point.times_tangent]).T * sign
     # Below the rounding of the fixed point no split helps, be it by estimate or because the last split did not.
-    keep = point.ok & (moved > np.maximum(TOLERANCE, 7 * rounding(point.stride).max(axis=0)))
+    keep = point.ok & (moved > np.maximum(_TOLERANCE, 7 * rounding(point.stride).max(axis=0)))
     keep &= before[segments] > 0
     at = segments[keep] + 1
-    moved_from = np.where(moved < MIN_IMPROVEMENT * before[segments], moved, 0.0)[keep]
+    moved_from = np.where(moved < _MIN_IMPROVEMENT * before[segments], moved, 0.0)[keep]
     before[segments[keep]] = moved_from
     before = np.insert(before, at, moved_from)
     is_new = np.insert(np.zeros(len(branch.Z), bool), at, True)
@@ -152,7 +152,7 @@ def _densify(problem: Problem, branch: Branch) -> Branch:
     """Add nodes until one Newton step from the polynomials converges to rounding."""
     segments = np.arange(len(branch.Z) - 1)
     before = np.full(len(segments), np.inf)
-    for _ in range(MAX_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         branch, segments, before = _refine(problem, branch, segments, before)
         if not len(segments):
             break
@@ -195,7 +195,7 @@ def _locate_gaps(problem: Problem, branch: Branch, distance: np.ndarray, steps: 
         least = (inner <= distance[:-2]) & (inner <= distance[2:]) & ~(inner > bend)
     for i in np.nonzero(least & np.isfinite(inner) & ~(branch.safe[:-2] & branch.safe[1:-1]))[0] + 1:
         low, high = i - 1.0, i + 1.0
-        for _ in range(MAX_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             place = np.linspace(low, high, 9)
             rows = branch.at(place)
             w = np.delete(rows, m, axis=1).T
@@ -257,9 +257,9 @@ def _roughness(problem: Problem, X: np.ndarray, times: np.ndarray, folds: np.nda
     # The ends themselves are left out: at a tangential one the map has no derivative to measure by.
     inner = nodes[(nodes > 0) & (nodes < n - 1)]
     measured = rounding_std(problem, np.vstack([X[:m], times])[:, inner], X[m, inner])
-    square = np.full((len(measured), n + 2 * ROUNDING_WINDOW), np.nan)
-    square[:, ROUNDING_WINDOW + inner] = measured**2
-    around = np.lib.stride_tricks.sliding_window_view(square, 2 * ROUNDING_WINDOW + 1, axis=1)
+    square = np.full((len(measured), n + 2 * _ROUNDING_WINDOW), np.nan)
+    square[:, _ROUNDING_WINDOW + inner] = measured**2
+    around = np.lib.stride_tricks.sliding_window_view(square, 2 * _ROUNDING_WINDOW + 1, axis=1)
     known = np.isfinite(around)
     with np.errstate(invalid="ignore"):
         mean = np.sqrt(np.where(known, around, 0.0).sum(axis=-1) / known.sum(axis=-1))

@@ -171,10 +171,6 @@ class Curve:
             Event times to begin with.
         max_iterations : int
             Newton steps.
-
-        Returns
-        -------
-        Point
         """
         start, last, size = U.copy(), np.inf, np.inf
         lost = Point(U * np.nan, times, border, False, np.inf)
@@ -241,39 +237,14 @@ class End(Curve):
         return y, scanner(self.structure).lock(step.knee, parameters), np.vstack([knee, knee]), parameters
 
     def begin(self, X: np.ndarray, times: np.ndarray, value: float) -> np.ndarray:
-        """Return U for a line's point at a value of the key.
-
-        Parameters
-        ----------
-        X : ndarray, shape (m + 1,)
-            Similarity coordinates and ln slope.
-        times : ndarray, shape (k,) [sqrt(leg/g)]
-            Event times.
-        value : float
-            Of the key.
-
-        Returns
-        -------
-        ndarray, shape (u,)
-        """
+        """Return U as `Curve.begin` does, with the time of a tangential heelstrike."""
         heel = times[-1:] if self.kind == "end_tangential_heelstrike" else times[:0]
         return np.concatenate([X[:-1], heel, X[-1:], [value / self.scale]])
 
     def system(
         self, U: np.ndarray, times: np.ndarray, h: float = DIFFERENCE
     ) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """Evaluate the equations at one point.
-
-        Parameters
-        ----------
-        U, times, h
-            As in `Curve.system`.
-
-        Returns
-        -------
-        residual, derivative, times_after
-            As in `Curve.system`.
-        """
+        """Evaluate the equations at one point, as `Curve.system` does."""
         y, final, own_times, parameters = self._end_of_step(_neighbours(U, h), times)
         a, b, a_rate, b_rate = final
         image = final[1:] if self.structure.kneed else scanner(self.structure).strike(final, parameters)
@@ -302,10 +273,6 @@ def equations_of(kind: str, walker_at: Callable[[float], Walker], value: float, 
         An ordinary value: constants that vanish only at special ones stay parameters.
     scale : float
         About the range of the key.
-
-    Returns
-    -------
-    Curve
     """
     return (End if kind in ENDS else Curve)(kind, walker_at, value, scale)
 

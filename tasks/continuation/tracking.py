@@ -21,7 +21,7 @@ from tasks.step.step_map import Stride, matvec
 MIN_SLOPE, MAX_SLOPE = 1e-13, 0.7
 #: Largest ln of a stance angle that is no fall.
 _MAX_LOG_ANGLE = 0.5
-_LONGEST_STEP, _SHORTEST_STEP = 0.5, 1e-7
+_MAX_STEP, _MIN_STEP = 0.5, 1e-7
 #: Acceptance of a continuation step: largest predictor error and turning angle [rad].
 _MAX_ERROR, _MAX_TURN = 0.02, 0.3
 _MAX_NODES = 1500
@@ -303,10 +303,10 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
                 if not trace.stop_reason and len(trace.X) % _CHECK_EVERY == 0 and not _are_steps(problem, trace):
                     trace.stop_reason = "not a step"
                 growth = (2e-3 / max(error, 1e-12)) ** (1 / 3)
-                trace.step = min(_LONGEST_STEP, trace.step * min(2.0, max(0.4, growth)))
+                trace.step = min(_MAX_STEP, trace.step * min(2.0, max(0.4, growth)))
             else:
                 trace.step *= 0.3
-                if trace.step < _SHORTEST_STEP:
+                if trace.step < _MIN_STEP:
                     trace.stop_reason = "no further point"
 
 

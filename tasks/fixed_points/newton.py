@@ -14,7 +14,7 @@ from tasks.step.step_map import Stride, matvec
 #: Periods beyond this are a fall: the stance leg nearly comes to rest upright [sqrt(leg/g)].
 LONGEST_PERIOD = 12.0
 #: Newton steps an initial guess may take; one that converges takes 2 to 8.
-MAX_ITERATIONS = 25
+_MAX_ITERATIONS = 25
 #: The same for coarse integration: what is not near a gait by then hardly ever converges.
 _MAX_COARSE_ITERATIONS = 10
 
@@ -83,7 +83,7 @@ def newton(
     converged = np.zeros(n, bool)
     active = np.arange(n)
     last = np.full(n, np.inf)
-    for taken in range(_MAX_COARSE_ITERATIONS if coarse else MAX_ITERATIONS):
+    for taken in range(_MAX_COARSE_ITERATIONS if coarse else _MAX_ITERATIONS):
         if not len(active):
             break
         stride, _ = problem.some(active).stride(w[:, active], log_slope[active], coarse=coarse)

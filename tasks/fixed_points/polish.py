@@ -22,11 +22,11 @@ MAX_STEPS = 8
 #: whose own rounding no change of units shows.
 SAFETY_FACTOR = 16.0
 #: Bound from which Newton's derivative in doubles cannot lead to more digits.
-MAX_BOUND = 1e-3
+_MAX_BOUND = 1e-3
 #: Share of Newton's radius of convergence up to which the Lipschitz estimate of a segment's nodes serves its points.
-MAX_CONTRACTION = 0.1
+_MAX_CONTRACTION = 0.1
 #: Relative distance from the fixed point at which multipliers are as good as at it.
-NEAR = 2e-12
+_NEAR = 2e-12
 
 
 @dataclass
@@ -104,9 +104,9 @@ def settle(
     )
     bound = (error / gait.size).max(axis=0) + 2 * EPS
     doubles = bound.copy()
-    converged = (bound < MAX_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
+    converged = (bound < _MAX_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
     amplification = (matvec(by_y, sizes(y)) / gait.size).max(axis=0)
-    for lane in np.flatnonzero((bound > extended_precision.ESCALATE) & (bound < MAX_BOUND)).tolist():
+    for lane in np.flatnonzero((bound > extended_precision.ESCALATE) & (bound < _MAX_BOUND)).tolist():
         wide = extended_precision.refine(
             problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane]
         )
@@ -130,7 +130,7 @@ def _lipschitz_at_points(
     At a fold the map at fixed slope is singular, and ever less so beside it: the estimate at that node says nothing of
     the segment.
     """
-    lanes = np.nonzero(2 * lipschitz * eta > MAX_CONTRACTION)[0]
+    lanes = np.nonzero(2 * lipschitz * eta > _MAX_CONTRACTION)[0]
     if len(lanes):
         X = np.vstack([w[: problem.m, lanes], np.log(slope[lanes])])
         lipschitz = lipschitz.copy()
@@ -152,7 +152,7 @@ def _polish(
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)
         # Far: Newton's next step would leave an error, or the multipliers of this step would show the distance.
-        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.01 * rounding(stride).max(axis=0))) | (eta > NEAR)
+        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.01 * rounding(stride).max(axis=0))) | (eta > _NEAR)
         lanes = np.nonzero(far & np.isfinite(eta) & (eta < 0.1) & (eta < 0.5 * before))[0]
         if not len(lanes):
             break

@@ -69,7 +69,7 @@ def apply_newton_step(problem: Problem, stride: Stride, parameters: np.ndarray) 
 
 
 #: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
-UNITS = (1.0, 0.75, 1.25, 0.9375)
+_UNITS = (1.0, 0.75, 1.25, 0.9375)
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
@@ -101,7 +101,7 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
         mantissa, exponent = np.frexp(np.vstack([angle, angle * w[1:m]]) / scale / 15)
         y = 15 * np.ldexp(np.rint(np.ldexp(mantissa, 45)), exponent - 45)
         values = []
-        for unit in UNITS:
+        for unit in _UNITS:
             parameters = problem.parameters(slope, scale * unit)
             gait = apply_newton_step(problem, problem.map(y / unit, w[m:], parameters), parameters)
             values.append(np.vstack([gait.values[:-1] * unit, gait.values[-1:]]))

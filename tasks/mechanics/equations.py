@@ -37,7 +37,7 @@ class Complex:
     re: Sym
     im: Sym
 
-    def turned(self, sine: Sym, cosine: Sym) -> Complex:
+    def rotate(self, sine: Sym, cosine: Sym) -> Complex:
         """Rotate by an angle of that sine and cosine."""
         return Complex(self.re * cosine - self.im * sine, self.re * sine + self.im * cosine)
 
@@ -45,7 +45,7 @@ class Complex:
 class Symbols:
     """The runtime parameters of a structure as symbols, in compiled functions and in flows.
 
-    A flow uses them only through `held`, which makes any expression of them one of the flow's own parameters;
+    A flow uses them only through `hold`, which makes any expression of them one of the flow's own parameters;
     `held_values` are these expressions in their order.
     """
 
@@ -63,7 +63,7 @@ class Symbols:
             self.S_c = Complex(values["S_c_re"], values["S_c_im"])
             self.C_cc, self.H = values["C_cc"], Complex(values["H_re"], values["H_im"])
 
-    def held(self, value: Sym) -> Sym:
+    def hold(self, value: Sym) -> Sym:
         """An expression of parameters alone, as the flow's own parameter where this is a flow."""
         if self.held_values is None or not hy.get_variables(value):
             return value
@@ -71,9 +71,9 @@ class Symbols:
             self.held_values.append(value)
         return hy.par[self.held_values.index(value)]
 
-    def turned(self, constant: Complex, factor: Sym, trig: tuple[Sym, Sym]) -> Complex:
+    def rotate(self, constant: Complex, factor: Sym, trig: tuple[Sym, Sym]) -> Complex:
         """Product of a factor, a constant and e^{i angle}, the angle given by its sine and cosine."""
-        return Complex(self.held(factor * constant.re), self.held(factor * constant.im)).turned(*trig)
+        return Complex(self.hold(factor * constant.re), self.hold(factor * constant.im)).rotate(*trig)
 
     def locked(self) -> tuple[Complex, Sym]:
         """S and inertia of the whole swing leg with its knee locked."""
@@ -106,7 +106,7 @@ class Motion:
 
     def __init__(self, p: Symbols, q: list[Sym], rate: list[Sym], free_knee: bool):
         self.p, self.rate, self.square = p, rate, [x**2.0 for x in rate]
-        s, hold = p.scale, p.held
+        s, hold = p.scale, p.hold
         scale = hold(s)
         angle = [scale * x for x in q]
         tilt = [(hy.sin(x), hy.cos(x)) for x in (x - hold(p.slope) for x in angle)]
@@ -121,12 +121,12 @@ class Motion:
 
         def rolling(S: Complex, j: int) -> tuple[Sym, Sym]:
             """R Im(S e^{iq}) and s R Re(S e^{iq}), with q from the ground's normal."""
-            normal = S.turned(sine, cosine)
-            return p.turned(normal, p.R, tilt[j]).im, p.turned(normal, s * p.R, tilt[j]).re
+            normal = S.rotate(sine, cosine)
+            return p.rotate(normal, p.R, tilt[j]).im, p.rotate(normal, s * p.R, tilt[j]).re
 
         self.y, self.m = rolling(p.S_a, 0)
         self.M[0][0] = hold(p.C_aa) + 2.0 * self.y
-        self.f[0] = -(self.m * square[0]) - p.turned(p.S_a, ONE / s, tilt[0]).re - hold(p.R * sine / s)
+        self.f[0] = -(self.m * square[0]) - p.rotate(p.S_a, ONE / s, tilt[0]).re - hold(p.R * sine / s)
         #: An entry for each swing link, from 1.
         self.c, self.k, self.by_stance, self.by_swing = [ZERO], [ZERO], [ZERO], [ZERO]
         for j, (S, C) in enumerate(swing, start=1):
@@ -134,7 +134,7 @@ class Motion:
             trig = hy.sin(between), hy.cos(between)
             K = Complex(p.l * S.im, -p.l * S.re)
             roll, roll_by = rolling(S, j)
-            c, by_stance = p.turned(K, ONE, trig).re, p.turned(K, s, trig).im
+            c, by_stance = p.rotate(K, ONE, trig).re, p.rotate(K, s, trig).im
             k, by_swing = c + roll, roll_by - by_stance
             self.c.append(c)
             self.k.append(k)
@@ -142,22 +142,22 @@ class Motion:
             self.by_swing.append(by_swing)
             self.M[0][j], self.M[j][0], self.M[j][j] = eps * k, k, hold(C)
             self.f[0] = self.f[0] - eps * (by_swing * square[j])
-            self.f[j] = -(by_stance * square[0]) - p.turned(S, ONE / s, tilt[j]).re
+            self.f[j] = -(by_stance * square[0]) - p.rotate(S, ONE / s, tilt[j]).re
         if free_knee:
             bent = scale * (q[2] - q[1])
             trig = hy.sin(bent), hy.cos(bent)
-            self.h, self.h_by = p.turned(p.H, ONE, trig).re, p.turned(p.H, s, trig).im
+            self.h, self.h_by = p.rotate(p.H, ONE, trig).re, p.rotate(p.H, s, trig).im
             self.M[1][2] = self.M[2][1] = self.h
             self.f[1] = self.f[1] + self.h_by * square[2]
             self.f[2] = self.f[2] - self.h_by * square[1]
         self.last_pivot = hold(ONE / swing[-1][1])
 
-    def varied(self, u: list[Sym]) -> tuple[list[list[Sym]], list[list[Sym]]]:
+    def differentiate(self, u: list[Sym]) -> tuple[list[list[Sym]], list[list[Sym]]]:
         """Derivatives of the residual M u - f at the accelerations u, by the angles and by the rates."""
         p, s, n = self.p, self.p.scale, len(u)
-        eps, s2, eps_s2 = (p.held(x) for x in (p.eps, s * s, p.eps * s * s))
+        eps, s2, eps_s2 = (p.hold(x) for x in (p.eps, s * s, p.eps * s * s))
         twice = [2.0 * x for x in self.rate]
-        falling = [p.turned(S, ONE, trig).im for S, trig in self.weighted]
+        falling = [p.rotate(S, ONE, trig).im for S, trig in self.weighted]
         by_q = [[ZERO] * n for _ in range(n)]
         by_rate = [[ZERO] * n for _ in range(n)]
         by_q[0][0] = 2.0 * (self.m * u[0]) - s2 * (self.y * self.square[0]) - falling[0]
@@ -172,7 +172,7 @@ class Motion:
             by_rate[j][0] = self.by_stance[j] * twice[0]
         if n == 3:
             for j, other, sign in ((1, 2, 1.0), (2, 1, -1.0)):
-                bend = self.h_by * u[other] + sign * (p.held(s * s) * (self.h * self.square[other]))
+                bend = self.h_by * u[other] + sign * (p.hold(s * s) * (self.h * self.square[other]))
                 by_q[j][1], by_q[j][2] = by_q[j][1] + bend, by_q[j][2] - bend
                 by_rate[j][other] = -sign * (self.h_by * twice[other])
         return by_q, by_rate
@@ -180,8 +180,8 @@ class Motion:
     def by_slope(self) -> list[Sym]:
         """Derivatives of the residual by the slope."""
         p = self.p
-        stance, *swing = (p.turned(S, ONE / p.scale, trig).im for S, trig in self.weighted)
-        return [stance + p.held(p.R * hy.cos(p.slope) / p.scale), *swing]
+        stance, *swing = (p.rotate(S, ONE / p.scale, trig).im for S, trig in self.weighted)
+        return [stance + p.hold(p.R * hy.cos(p.slope) / p.scale), *swing]
 
 
 def rows(p: Symbols, q: list[Sym], rate: list[Sym], free_knee: bool) -> tuple[list[list[Sym]], list[Sym]]:
@@ -220,7 +220,7 @@ class Solver:
 
 @dataclass(frozen=True)
 class System:
-    """A flow's differential equations, and its parameters as expressions of the structure's (`variables`)."""
+    """A flow's differential equations, and its parameters as expressions `held` of the structure's (`variables`)."""
 
     equations: list[tuple[Sym, Sym]]
     held: list[Sym]
@@ -264,7 +264,7 @@ def system(structure: Structure, free_knee: bool, directions: int, with_slope: b
     acceleration = solve(motion.f)
     equations = [*zip(q, rate, strict=True), *zip(rate, acceleration, strict=True)]
     if directions:
-        by_q, by_rate = motion.varied(acceleration)
+        by_q, by_rate = motion.differentiate(acceleration)
     for d in range(directions):
         dq = list(hy.make_vars(*(f"dq{i}_{d}" for i in range(n))))
         dv = list(hy.make_vars(*(f"dv{i}_{d}" for i in range(n))))

@@ -48,8 +48,8 @@ def heelstrike(p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_k
 
     def sweep(S: Complex, trig: tuple[Sym, Sym]) -> Complex:
         """Momentum that a unit rate gives a leg of first moment S."""
-        turned = S.turned(*trig)
-        return Complex(-turned.im, turned.re)
+        rotated = S.rotate(*trig)
+        return Complex(-rotated.im, rotated.re)
 
     S, J = p.locked()
     angles = [angle, -angle] + ([-angle] if free_knee else [])

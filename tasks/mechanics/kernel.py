@@ -15,12 +15,12 @@ from tasks.mechanics.equations import system
 from tasks.mechanics.lumped import Structure
 
 #: Taylor steps a flow may take before it counts as lost; a step of a gait takes 5 to 40.
-MAX_STEPS = 120
+_MAX_STEPS = 120
 LANES = hy.recommended_simd_size()
 #: Tolerance of the exact flows: order 18, whose truncation error is a fiftieth of rounding.
-FINE = 1.75e-15
+_FINE = 1.75e-15
 #: Tolerance of a search's flows, which only give the exact ones their initial guesses.
-COARSE = 1e-7
+_COARSE = 1e-7
 
 
 @functools.cache
@@ -79,7 +79,7 @@ class Flow:
         self.lanes = 2 * LANES if ("eps", 0.0) in structure.units else LANES
         self.evaluations = self.idle = 0
         self._ta = hy.taylor_adaptive_batch(
-            motion.equations, state=np.zeros((self.size, self.lanes)), tol=COARSE if coarse else FINE
+            motion.equations, state=np.zeros((self.size, self.lanes)), tol=_COARSE if coarse else _FINE
         )
         self._parameters = motion.parameters()
         # Views of the integrator's own memory.
@@ -146,9 +146,9 @@ class Flow:
         ta: Any = self._ta
         ta.set_time(0.0)
         if not len(fractions):
-            ta.propagate_until(duration, max_steps=MAX_STEPS)
+            ta.propagate_until(duration, max_steps=_MAX_STEPS)
             return np.empty((0, *self._state.shape))
-        return ta.propagate_grid(fractions * duration, max_steps=MAX_STEPS)[1]
+        return ta.propagate_grid(fractions * duration, max_steps=_MAX_STEPS)[1]
 
 
 #: Every flow compiled by this process, by its structure and options; their counters hold the work done.

@@ -23,7 +23,7 @@ from tasks.step.step_map import Stride, end_of_step, lock_knee, start_of_step
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
 #: Each tier's type of number and its rounding unit.
 TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1.93e-34))
-MAX_STEPS = 6
+_MAX_STEPS = 6
 
 
 class _ExtendedStepMap:
@@ -186,7 +186,7 @@ def solved(
     inverse = stride.inverse[:, :, lane]
     measure = sizes(y[:, None])[:, 0]
     before = size = np.inf
-    for _ in range(MAX_STEPS):
+    for _ in range(_MAX_STEPS):
         image, wide_times, impact = exact(wide, wide_times, parameters)
         step = inverse @ np.array([float(v) for v in image - wide])
         shift = stride.times_by_y[:, :, lane] @ step

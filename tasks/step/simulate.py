@@ -25,7 +25,7 @@ from tasks.step.step_map import Stride, end_of_step, lock_knee
 STRUCK, BACKWARD, FORWARD, NO_KNEESTRIKE, NO_HEELSTRIKE, LOST = range(6)
 CAUSES = ("walks", "fell backward", "fell forward", "knee never struck", "foot never struck", "motion lost")
 #: Stance angle beyond which a walker has fallen [rad], and the longest time a step may take [sqrt(leg/g)].
-FALLEN, LONGEST = 1.2, 12.0
+_MAX_ANGLE, _MAX_TIME = 1.2, 12.0
 #: Time step of the scan [sqrt(leg/g)], with knees and without; a free shank swings faster.
 _TIME_STEP = {False: 0.125, True: 0.0625}
 
@@ -167,7 +167,7 @@ class Scanner:
         n, h = x.shape[1], _TIME_STEP[self.structure.kneed]
         state, time, outcome = np.full_like(x, np.nan), np.zeros(n), np.full(n, LOST)
         lanes, steps = np.arange(n), np.full(n, h)
-        for i in range(int(LONGEST / h)):
+        for i in range(int(_MAX_TIME / h)):
             if not len(lanes):
                 return state, time, outcome
             x_next = self._advance(free, x, steps[: len(lanes)], parameters)
@@ -178,14 +178,18 @@ class Scanner:
                 state[:, lanes[strikes]], time[lanes[strikes]], outcome[lanes[strikes]] = final, i * h + at, STRUCK
             angle = x_next[0] * parameters[1]
             with np.errstate(invalid="ignore"):
-                falls = {BACKWARD: angle > FALLEN, FORWARD: angle < -FALLEN, LOST: ~np.isfinite(x_next).all(axis=0)}
+                falls = {
+                    BACKWARD: angle > _MAX_ANGLE,
+                    FORWARD: angle < -_MAX_ANGLE,
+                    LOST: ~np.isfinite(x_next).all(axis=0),
+                }
             done = strikes.copy()
             for cause, fallen in falls.items():
                 fallen &= ~strikes
                 outcome[lanes[fallen]] = cause
                 time[lanes[fallen]] = (i + 1) * h
                 done |= fallen
-            late = ~done & (begin[lanes] + (i + 1) * h > LONGEST)
+            late = ~done & (begin[lanes] + (i + 1) * h > _MAX_TIME)
             outcome[lanes[late]] = NO_KNEESTRIKE if free else NO_HEELSTRIKE
             done |= late
             x = x_next
@@ -291,14 +295,14 @@ def _scan(problem: Problem, y: np.ndarray, slope: np.ndarray) -> tuple[Simulated
     """Steps by the scan alone, with the scales and parameters of every lane."""
     scan = scanner(problem.structure)
     m, n = y.shape
-    good = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < FALLEN)
+    good = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < _MAX_ANGLE)
     angle = np.where(good, y[0], 0.5)
     scale = np.exp2(np.floor(np.log2(angle)))
     parameters = problem.parameters(slope, scale)
     image, times, outcome = np.full((m, n), np.nan), np.full((problem.phases, n), np.nan), np.full(n, LOST)
     # With the new stance leg behind or upright the walker falls back.
     outcome[np.isfinite(y[0]) & (y[0] <= 0)] = BACKWARD
-    outcome[y[0] >= FALLEN] = FORWARD
+    outcome[y[0] >= _MAX_ANGLE] = FORWARD
     lanes = np.nonzero(good)[0]
     x = problem.map.start(y[:, lanes] / scale[lanes], parameters[:, lanes])[: problem.map.start_size]
     begin = np.zeros(len(lanes))
