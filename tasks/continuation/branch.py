@@ -66,7 +66,7 @@ class Branch:
         unit = np.abs(T) / np.linalg.norm(T[..., : self.m + 1], axis=-1, keepdims=True)
         monotone = (np.sign(T) == np.sign(T[:, :1])).all(axis=1)
         worth = np.where(monotone, unit.min(axis=1), 0.0)[:, : self.m + 1]
-        # Prefer the slope itself: to find a slope on the segment then takes no root finding.
+        # Prefer ln slope itself: locating a slope on the segment then needs no root finding.
         worth[:, self.m] *= 3
         self.axis = worth.argmax(axis=1)
         rows = np.arange(n - 1)[:, None]
@@ -177,7 +177,7 @@ class Branch:
 
     def pieces(self) -> list[tuple[int, int]]:
         """First and last nodes of the pieces over which the slope is monotone."""
-        # A fold has a node of its own: if the next is so near that their slopes differ by rounding, that has no sign.
+        # A fold's own node may lie so near the next that their slopes differ by rounding only: no direction of its own.
         rising = np.sign(np.diff(self.q))
         for i in np.flatnonzero(np.abs(np.diff(self.q)) < 1e-13).tolist():
             rising[i] = rising[i - 1] if i else rising[min(i + 1, len(rising) - 1)]

@@ -37,9 +37,9 @@ def _shifted_det(sign: float) -> Callable[[Stride], np.ndarray]:
 
     def value(stride: Stride) -> np.ndarray:
         A = np.moveaxis(stride.jacobian, -1, 0)
-        good = np.isfinite(A).all(axis=(1, 2))
+        finite = np.isfinite(A).all(axis=(1, 2))
         out = np.full(len(A), np.nan)
-        out[good] = np.linalg.det(np.eye(A.shape[1]) + sign * A[good])
+        out[finite] = np.linalg.det(np.eye(A.shape[1]) + sign * A[finite])
         return out
 
     return value
@@ -47,7 +47,7 @@ def _shifted_det(sign: float) -> Callable[[Stride], np.ndarray]:
 
 #: The scalar g that vanishes at folds and at flips.
 SCALARS: dict[str, Callable[[Stride], np.ndarray]] = {"fold": _shifted_det(-1.0), "flip": _shifted_det(1.0)}
-#: Time after kneestrike over which steps are integrated that end there; any other would do [sqrt(leg/g)].
+#: Time after kneestrike to which steps that end there are integrated; its value has no effect [sqrt(leg/g)].
 _TIME_BEYOND = 0.1
 #: The ends of walking that can be followed.
 ENDS = ("end_kneestrike_at_heelstrike", "end_tangential_heelstrike")
@@ -323,8 +323,8 @@ def follow(
             times = times + (last.times - points[-2].times) * step / back
         new = curve.correct(guess, times, last.tangent)
         bend = np.linalg.norm(new.U - guess) / step if new.ok else np.inf
-        good = bend < _MAX_BEND and new.tangent @ last.tangent > 0.95
-        if good and (leaves := _exit(curve, last, new, window)) is not None:
+        accepted = bend < _MAX_BEND and new.tangent @ last.tangent > 0.95
+        if accepted and (leaves := _exit(curve, last, new, window)) is not None:
             component, edge, share = leaves
             if share < 1e-9:
                 break  # it begins on the border
@@ -334,8 +334,8 @@ def follow(
             if new.ok:
                 new.tangent *= np.sign(new.tangent @ last.tangent) or 1.0
                 return [*points, new]
-            good = False
-        if good:
+            accepted = False
+        if accepted:
             points.append(new)
             step = min(0.1, step * (1.5 if bend < 0.3 * _MAX_BEND else 1.0))
         else:

@@ -175,7 +175,7 @@ def is_step(problem: Problem, point: Point) -> bool:
     return bool(check.step[0])
 
 
-#: TestFunction functions of the ends of walking.
+#: Test functions of the ends of walking.
 _ENDS: dict[str, TestFunction] = {
     "end_kneestrike_at_heelstrike": lambda point, direction: float(point.times[-1, 0] - point.times[0, 0]),
     "end_tangential_heelstrike": lambda point, direction: float(point.stride.closing[0] / point.stride.y[0, 0]),
@@ -281,9 +281,9 @@ def _earlier_strike_end(problem: Problem, branch: Branch, segment: int, good: in
 def _eigen_products(A: np.ndarray) -> np.ndarray:
     """Product over i < j of (lambda_i lambda_j - 1), shape (n,): zero where a pair lies on the unit circle."""
     # Where heelstrike is tangential to the last digit the map has no derivative.
-    good = np.isfinite(A).all(axis=(-2, -1))
+    finite = np.isfinite(A).all(axis=(-2, -1))
     values = np.full(A.shape[:-1], np.nan, complex)
-    values[good] = np.linalg.eigvals(A[good])
+    values[finite] = np.linalg.eigvals(A[finite])
     m = A.shape[-1]
     out = np.ones(A.shape[:-2], complex)
     for i in range(m):

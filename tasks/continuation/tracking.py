@@ -130,15 +130,15 @@ def correct(
         residual, derivative = linearised(stride, X)
         matrix = np.concatenate([derivative, border.T[:, None]], axis=1)
         right = np.concatenate([-residual, (border * (start - X)).sum(axis=0)[:, None]], axis=1)
-        good = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+        solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
         # Where heelstrike is tangential but for the last digits, the derivative is infinite or its rows are equal.
-        good[good] = np.linalg.det(matrix[good]) != 0
-        matrix[~good], right[~good] = np.eye(m + 1), 0.0
+        solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
+        matrix[~solvable], right[~solvable] = np.eye(m + 1), 0.0
         dX = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
         size = np.abs(dX).max(axis=0)
         by_X = _times_by_X(stride, X)
         new_times = stride.times + matvec(by_X, dX)
-        failed |= ~good | (size > 1.0) | ~np.isfinite(new_times).all(axis=0)
+        failed |= ~solvable | (size > 1.0) | ~np.isfinite(new_times).all(axis=0)
         moving = ~failed & ~ok
         X[:, moving] += dX[:, moving]
         times[:, moving] = new_times[:, moving]

@@ -33,9 +33,9 @@ def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
         values[:, 0] = np.where(gap >= 0, large, middle + 1j * root)
         values[:, 1] = np.where(gap >= 0, small, middle - 1j * root)
     else:
-        good = np.isfinite(jacobian).all(axis=(0, 1))
+        finite = np.isfinite(jacobian).all(axis=(0, 1))
         values[:, :m] = np.nan
-        values[good, :m] = np.linalg.eigvals(np.moveaxis(jacobian[:, :, good], -1, 0))
+        values[finite, :m] = np.linalg.eigvals(np.moveaxis(jacobian[:, :, finite], -1, 0))
     order = np.lexsort((-values[:, :m].imag, -values[:, :m].real, -np.abs(values[:, :m])), axis=-1)
     values[:, :m] = np.take_along_axis(values[:, :m], order, axis=1)
     return values

@@ -31,7 +31,7 @@ class _ExtendedStepMap:
 
     def __init__(self, structure: Structure, number: Any, unit: float):
         self.structure, self.number = structure, number
-        #: Newton converges quadratically: the next shift of an event time is the square of one so small, and rounding.
+        #: Newton's shift of an event time that is the last: the next, its square, would be rounding.
         self.last_shift = 0.1 * unit**0.5
         self.m, self.kneed = structure.dimension, structure.kneed
         flows = [True, False] if self.kneed else [False]

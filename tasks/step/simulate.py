@@ -26,7 +26,7 @@ STRUCK, BACKWARD, FORWARD, NO_KNEESTRIKE, NO_HEELSTRIKE, LOST = range(6)
 CAUSES = ("walks", "fell backward", "fell forward", "knee never struck", "foot never struck", "motion lost")
 #: Stance angle beyond which a walker has fallen [rad], and the longest time a step may take [sqrt(leg/g)].
 _MAX_ANGLE, _MAX_TIME = 1.2, 12.0
-#: Time step of the scan [sqrt(leg/g)], with knees and without; a free shank swings faster.
+#: Time step of the scan [sqrt(leg/g)], by whether there are knees: a free shank swings faster.
 _TIME_STEP = {False: 0.125, True: 0.0625}
 
 #: Dormand and Prince (J. Comput. Appl. Math. 6 (1980) 19-26), fifth order in six stages.
@@ -295,15 +295,15 @@ def _scan(problem: Problem, y: np.ndarray, slope: np.ndarray) -> tuple[Simulated
     """Steps by the scan alone, with the scales and parameters of every lane."""
     scan = scanner(problem.structure)
     m, n = y.shape
-    good = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < _MAX_ANGLE)
-    angle = np.where(good, y[0], 0.5)
+    valid = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < _MAX_ANGLE)
+    angle = np.where(valid, y[0], 0.5)
     scale = np.exp2(np.floor(np.log2(angle)))
     parameters = problem.parameters(slope, scale)
     image, times, outcome = np.full((m, n), np.nan), np.full((problem.phases, n), np.nan), np.full(n, LOST)
     # With the new stance leg behind or upright the walker falls back.
     outcome[np.isfinite(y[0]) & (y[0] <= 0)] = BACKWARD
     outcome[y[0] >= _MAX_ANGLE] = FORWARD
-    lanes = np.nonzero(good)[0]
+    lanes = np.nonzero(valid)[0]
     x = problem.map.start(y[:, lanes] / scale[lanes], parameters[:, lanes])[: problem.map.start_size]
     begin = np.zeros(len(lanes))
     if problem.phases == 2:
