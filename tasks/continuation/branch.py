@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,15 +10,31 @@ import numpy as np
 
 @dataclass
 class Branch:
-    """One branch: nodes, tangents and Lipschitz estimates.
+    """One branch: n nodes, what is measured there, and the polynomials between them.
 
-    `Z` (n, c) holds X = (section, q) in its first m + 1 columns, then the event times; `tangent` its derivative along
-    the branch; `why` says what each end is, `end_errors` how far off its ln slope may be beyond rounding. `noise`
-    (n, o)
-    is the standard deviation that rounding gives angle, rates and period on the segment after each node, over their
-    `reach`; `ratio` the gait ratio at the nodes; `safe` says of the segment after each node that every stride on it
-    is a
-    step whose legs pass `passes` times, by the nodes' own motions.
+    Attributes
+    ----------
+    m : int
+        Number of section coordinates.
+    Z : ndarray, shape (n, m + 1 + k)
+        X = (ln angle, rates/angle, ln slope), then the k event times [sqrt(leg/g)].
+    tangent : ndarray, shape (n, m + 1 + k)
+        Derivative of Z along the branch.
+    lipschitz : ndarray, shape (n,)
+        Lipschitz estimates of the Newton map.
+    why : tuple of str
+        Kind of either end.
+    end_errors : tuple of float
+        Error of ln slope at either end, beyond rounding.
+    rounding_std : ndarray, shape (n, o)
+        Standard deviation that rounding gives angle, rates and period on the segment after each node, over their
+        `sensitivity`.
+    ratio : ndarray, shape (n,)
+        Gait ratio.
+    leg_passes : ndarray of int, shape (n,)
+        How often the swing leg passes the stance leg.
+    safe : ndarray of bool, shape (n,)
+        Whether, by the motion at the nodes, every gait on the segment after each is a step whose legs pass so often.
     """
 
     m: int
@@ -32,23 +49,24 @@ class Branch:
     safe: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
 
     def __post_init__(self) -> None:
-        self._segments()
+        self._interpolate()
 
     @property
     def q(self) -> np.ndarray:
+        """Values of ln slope at the nodes, shape (n,)."""
         return self.Z[:, self.m]
 
-    def _segments(self) -> None:
-        """Divided differences of every segment's polynomial."""
+    def _interpolate(self) -> None:
+        """Set the divided differences of every segment's polynomial, and the coordinate it runs in."""
         n = len(self.Z)
         count = min(4, n)
         left = np.clip(np.arange(n - 1) - 1, 0, n - count)
         window = self.window = left[:, None] + np.arange(count)
         Z, T = self.Z[window], self.tangent[window]
         unit = np.abs(T) / np.linalg.norm(T[..., : self.m + 1], axis=-1, keepdims=True)
-        same = (np.sign(T) == np.sign(T[:, :1])).all(axis=1)
-        worth = np.where(same, unit.min(axis=1), 0.0)[:, : self.m + 1]
-        # Prefer the slope itself: then a slope's place on the segment needs no root.
+        monotone = (np.sign(T) == np.sign(T[:, :1])).all(axis=1)
+        worth = np.where(monotone, unit.min(axis=1), 0.0)[:, : self.m + 1]
+        # Prefer ln slope itself: locating a slope on the segment then needs no root finding.
         worth[:, self.m] *= 3
         self.axis = worth.argmax(axis=1)
         rows = np.arange(n - 1)[:, None]
@@ -66,24 +84,34 @@ class Branch:
             coefficients.append(table[:, 0])
         self.nodes, self.coefficients = x, np.stack(coefficients, axis=1)
 
-    def inserted(self, at: np.ndarray | int, Z: np.ndarray, tangent: np.ndarray) -> Branch:
-        """The branch's nodes with more among them, each before the one at its index; nothing is measured on them
-        yet."""
+    def insert(self, at: np.ndarray | int, Z: np.ndarray, tangent: np.ndarray) -> Branch:
+        """Branch with further nodes, each before the one at its index, and nothing measured yet.
+
+        Parameters
+        ----------
+        at : int or ndarray of int, shape (k,)
+        Z, tangent : ndarray, shape (k, c) or (c,)
+        """
         Z, tangent = np.insert(self.Z, at, Z, axis=0), np.insert(self.tangent, at, tangent, axis=0)
         return Branch(self.m, Z, tangent, np.zeros(len(Z)), self.why, self.end_errors)
 
     def part(self, first: int, last: int) -> Branch:
-        """The nodes from first to last, by themselves."""
+        """Branch of the nodes from first to last, with nothing measured yet."""
         nodes = slice(first, last + 1)
         return Branch(self.m, self.Z[nodes], self.tangent[nodes], np.zeros(last + 1 - first), self.why, self.end_errors)
 
     def lies_between(self, segment: np.ndarray, X: np.ndarray, times: np.ndarray) -> np.ndarray:
-        """True where points lie between their segments' nodes, nearer the chord than half its length, shape (n,).
+        """Whether points lie between their segments' nodes, nearer the chord than half its length.
 
         Parameters
         ----------
+        segment : ndarray of int, shape (n,)
         X, times : ndarray, shape (m + 1, n) and (k, n)
             Event times may besides leave their chord by as much as they change along it.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
         """
         a, b = self.Z[segment].T, self.Z[segment + 1].T
         chord, times_chord = np.split(b - a, [self.m + 1])
@@ -95,7 +123,19 @@ class Branch:
         return (along > 0) & (along < 1) & near
 
     def evaluate(self, segment: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Z at places x of the segments' own coordinates, shape (n, c)."""
+        """Evaluate the segments' polynomials.
+
+        Parameters
+        ----------
+        segment : ndarray of int, shape (n,)
+        x : ndarray, shape (n,)
+            Values of the segments' own coordinates (`axis`).
+
+        Returns
+        -------
+        ndarray, shape (n, c)
+            Rows of Z.
+        """
         nodes, c = self.nodes[segment], self.coefficients[segment]
         value = c[:, -1]
         for k in reversed(range(c.shape[1] - 1)):
@@ -103,13 +143,24 @@ class Branch:
         return value
 
     def at(self, place: np.ndarray) -> np.ndarray:
-        """Z at places along the branch, each a segment and the part of it, shape (n, c)."""
+        """Evaluate the branch at places along it.
+
+        Parameters
+        ----------
+        place : ndarray, shape (n,)
+            Numbers of segments plus fractions of them.
+
+        Returns
+        -------
+        ndarray, shape (n, c)
+            Rows of Z.
+        """
         segment = np.minimum(place.astype(int), len(self.Z) - 2)
         a, b = (self.Z[segment + i, self.axis[segment]] for i in (0, 1))
         return self.evaluate(segment, a + (b - a) * (place - segment))
 
-    def place(self, segment: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Where on their segments the slopes lie, by bisection where the coordinate is not the slope itself."""
+    def _coordinate_at(self, segment: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Coordinates of ln slopes on their segments, by bisection where the coordinate is not ln slope itself."""
         direct = self.axis[segment] == self.m
         x = q.copy()
         if not direct.all():
@@ -119,29 +170,50 @@ class Branch:
             for _ in range(60):
                 middle = 0.5 * (a + b)
                 above = self.evaluate(s, middle)[:, self.m] > target
-                up = above == rising
-                b, a = np.where(up, middle, b), np.where(up, a, middle)
+                beyond = above == rising
+                b, a = np.where(beyond, middle, b), np.where(beyond, a, middle)
             x[~direct] = 0.5 * (a + b)
         return x
 
     def pieces(self) -> list[tuple[int, int]]:
-        """Runs of nodes over which the slope is monotone."""
-        # A fold has a node of its own, so near that the next node's slope may differ by rounding only.
+        """First and last nodes of the pieces over which the slope is monotone."""
+        # A fold's own node may lie so near the next that their slopes differ by rounding only: no direction of its own.
         rising = np.sign(np.diff(self.q))
-        for i in np.nonzero(np.abs(np.diff(self.q)) < 1e-13)[0]:
+        for i in np.flatnonzero(np.abs(np.diff(self.q)) < 1e-13).tolist():
             rising[i] = rising[i - 1] if i else rising[min(i + 1, len(rising) - 1)]
         cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
-        return list(zip(cuts[:-1], cuts[1:]))
+        return list(itertools.pairwise(cuts))
 
     def piece(self, segment: np.ndarray) -> np.ndarray:
-        """Numbers of the pieces that segments lie on, counted along the branch from its end at the lower slope."""
+        """Return the numbers of the pieces on which segments lie.
+
+        Parameters
+        ----------
+        segment : ndarray of int, shape (n,)
+
+        Returns
+        -------
+        ndarray of int, shape (n,)
+            Counted from the branch's end at the lower slope.
+        """
         firsts = [first for first, _ in self.pieces()]
         number = np.searchsorted(firsts, segment, side="right") - 1
         return number if self.q[0] <= self.q[-1] else len(firsts) - 1 - number
 
     def guesses(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """For each piece, which slopes it covers: (index into q, Z there, the segments they lie on)."""
-        found = []
+        """Evaluate every piece at those slopes that it covers.
+
+        Parameters
+        ----------
+        q : ndarray, shape (n,)
+            Values of ln slope.
+
+        Returns
+        -------
+        list of (index, Z, segment)
+            Of each piece: indices into q (k,), rows of Z there (k, c), and their segments (k,).
+        """
+        guesses = []
         for first, last in self.pieces():
             nodes = self.q[first : last + 1]
             rising = nodes[-1] > nodes[0]
@@ -151,5 +223,5 @@ class Branch:
                 continue
             k = np.clip(np.searchsorted(ordered, q[inside], side="right") - 1, 0, len(ordered) - 2)
             segment = first + (k if rising else len(ordered) - 2 - k)
-            found.append((inside, self.evaluate(segment, self.place(segment, q[inside])), segment))
-        return found
+            guesses.append((inside, self.evaluate(segment, self._coordinate_at(segment, q[inside])), segment))
+        return guesses

@@ -1,6 +1,6 @@
-"""The root of a function of one variable in a bracket, for tests whose every value costs a corrected gait.
+"""Roots in brackets of functions whose every value costs a corrected gait, and the cubic that predicts that gait.
 
-scipy's would do as well, but loading it takes longer than most studies' first atlas.
+scipy's root finder would serve as well, but importing it takes longer than computing most atlases.
 """
 
 from __future__ import annotations
@@ -9,19 +9,21 @@ from collections.abc import Callable
 
 import numpy as np
 
-MAX_STEPS = 60
+_MAX_STEPS = 60
 
 
 def bracketed_root(function: Callable[[float], float], a: float, b: float, tolerance: float = 0.0) -> float:
-    """The root between a and b, to `tolerance` or to rounding.
-
-    Inverse quadratic interpolation where three values allow it, bisection elsewhere (T. R. Chandrupatla, Advances in
-    Engineering Software 28 (1997) 145-149).
+    """Find the root between a and b, to `tolerance` or to rounding.
 
     Raises
     ------
     ValueError
         Where the function has the same sign at both ends.
+
+    Notes
+    -----
+    Inverse quadratic interpolation where three values allow it, bisection elsewhere (T. R. Chandrupatla, Advances in
+    Engineering Software 28 (1997) 145-149).
     """
     at_a, at_b = function(a), function(b)
     if at_a == 0 or at_b == 0:
@@ -29,7 +31,7 @@ def bracketed_root(function: Callable[[float], float], a: float, b: float, toler
     if not at_a * at_b < 0:
         raise ValueError(f"no change of sign between {a!r} and {b!r}")
     part = 0.5
-    for _ in range(MAX_STEPS):
+    for _ in range(_MAX_STEPS):
         x = a + part * (b - a)
         at_x = function(x)
         if (at_x > 0) == (at_a > 0):
@@ -41,11 +43,35 @@ def bracketed_root(function: Callable[[float], float], a: float, b: float, toler
         near = (2 * np.finfo(float).eps * abs(best) + 0.5 * tolerance) / abs(b - a)
         if near > 0.5 or at_a == 0:
             return best
-        place, value = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
+        fraction, value = (a - b) / (c - b), (at_a - at_b) / (at_c - at_b)
         part = 0.5
-        if value**2 < place and (1 - value) ** 2 < 1 - place:
+        if value**2 < fraction and (1 - value) ** 2 < 1 - fraction:
             part = at_a / (at_b - at_a) * at_c / (at_b - at_c) + (c - a) / (b - a) * at_a / (at_c - at_a) * at_b / (
                 at_c - at_b
             )
         part = min(1 - near, max(near, part))
     return best
+
+
+def hermite(
+    a: np.ndarray, a_tangent: np.ndarray, b: np.ndarray, b_tangent: np.ndarray, length: float, h: float
+) -> np.ndarray:
+    """Point at the fraction h of the cubic Hermite polynomial between two points of a curve.
+
+    Parameters
+    ----------
+    a, b, a_tangent, b_tangent : ndarray, shape (n,)
+        The points, and the curve's unit tangents there.
+    length : float
+        Distance of the points.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return (
+        a * (1 + 2 * h) * (1 - h) ** 2
+        + length * a_tangent * h * (1 - h) ** 2
+        + b * h * h * (3 - 2 * h)
+        + length * b_tangent * h * h * (h - 1)
+    )

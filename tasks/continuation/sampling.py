@@ -1,4 +1,7 @@
-"""Points of a branch chosen to a tolerance: as few as a figure needs, from the atlas alone."""
+"""Points of a branch chosen to a tolerance: as few as a figure needs, from the atlas alone.
+
+A place on a branch is the number of a segment plus a fraction of it; a row is Z there.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,14 @@ from tasks.continuation.branch import Branch
 from tasks.fixed_points.multipliers import multipliers
 from tasks.step.problem import Problem
 
-#: Rounds in which points are added where stability bends or changes.
-MAX_ROUNDS = 16
-#: Places between two points, in parts of their distance, at which the spectral radius is looked at.
-PROBES = (0.33, 0.67)
+#: Rounds in which points are added where the spectral radius bends or stability changes.
+_MAX_ROUNDS = 16
+#: Fractions of the distance between two points at which the spectral radius is evaluated.
+_PROBES = (0.33, 0.67)
 
 
-def chosen(problem: Problem, found: Branch, low: float, high: float, tolerance: float) -> np.ndarray:
-    """Rows (X, times) of a branch within a window of slopes, between which straight lines are good to a tolerance.
+def chosen(problem: Problem, branch: Branch, low: float, high: float, tolerance: float) -> np.ndarray:
+    """Choose points of a branch in a window of slopes, between which straight lines are accurate to a tolerance.
 
     Parameters
     ----------
@@ -25,27 +28,32 @@ def chosen(problem: Problem, found: Branch, low: float, high: float, tolerance: 
         Greatest distance of the branch from the lines, in ln slope, ln angle and ln period, and of the spectral
         radius over the larger of 1 and itself; a change of stability lies between points as near as that in ln slope.
 
+    Returns
+    -------
+    ndarray, shape (k, c)
+        Rows of Z.
+
     Notes
     -----
     Candidates lie on the atlas's polynomials so densely that they bend by less than the tolerance; lines as long as it
-    allows are drawn through them one after another, ends and folds kept. Strides are flown only for those chosen and
-    for two between any two.
+    allows are drawn through them one after another, ends and folds kept. Steps are evaluated only at the chosen points
+    and at two between any two.
     """
-    place, rows = within(found, np.log(low), np.log(high), int(np.clip(np.ceil(0.25 / np.sqrt(tolerance)), 4, 512)))
+    place, rows = within(branch, np.log(low), np.log(high), int(np.clip(np.ceil(0.25 / np.sqrt(tolerance)), 4, 512)))
     if not len(rows):
         return rows
-    # A branch may leave the window and come back: lines do not cross the gap.
+    # A branch may leave the window and re-enter it: no line crosses the gap.
     runs = np.split(np.arange(len(rows)), np.nonzero(np.diff(place) > 1.0)[0] + 1)
     parts = [
         _with_radius(
             problem,
-            found,
-            place[run][_thinned(plane(rows[run], found.m), np.isin(place[run], _turns(found)), tolerance)],
+            branch,
+            place[run][_thinned(plane(rows[run], branch.m), np.isin(place[run], _folds(branch)), tolerance)],
             tolerance,
         )
         for run in runs
     ]
-    return found.at(np.concatenate(parts))
+    return branch.at(np.concatenate(parts))
 
 
 def _radius(problem: Problem, rows: np.ndarray) -> np.ndarray:
@@ -55,55 +63,90 @@ def _radius(problem: Problem, rows: np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.abs(multipliers(stride.jacobian, m)).max(axis=1), nan=np.inf)
 
 
-def within(found: Branch, low: float, high: float, parts: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places along the branch (segment and part of it) within a window of ln slope, its edges too, and the rows
-    there."""
-    segments = np.repeat(np.arange(len(found.Z) - 1), parts)
-    part = np.tile(np.arange(parts) / parts, len(found.Z) - 1)
-    a, b = (found.Z[segments + i, found.axis[segments]] for i in (0, 1))
-    rows = np.vstack([found.evaluate(segments, a + (b - a) * part), found.Z[-1:]])
-    place = np.append(segments + part, len(found.Z) - 1.0)
-    inside = (rows[:, found.m] >= low) & (rows[:, found.m] <= high)
+def within(branch: Branch, low: float, high: float, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Sample a branch within a window of ln slope, its edges included.
+
+    Parameters
+    ----------
+    low, high : float
+        Bounds of ln slope.
+    parts : int
+        Samples a segment.
+
+    Returns
+    -------
+    place : ndarray, shape (k,)
+        Rising.
+    rows : ndarray, shape (k, c)
+        Rows of Z there.
+    """
+    segments = np.repeat(np.arange(len(branch.Z) - 1), parts)
+    part = np.tile(np.arange(parts) / parts, len(branch.Z) - 1)
+    a, b = (branch.Z[segments + i, branch.axis[segments]] for i in (0, 1))
+    rows = np.vstack([branch.evaluate(segments, a + (b - a) * part), branch.Z[-1:]])
+    place = np.append(segments + part, len(branch.Z) - 1.0)
+    inside = (rows[:, branch.m] >= low) & (rows[:, branch.m] <= high)
     place, rows = place[inside], rows[inside]
-    for _, Z, segment in found.guesses(np.array([low, high])):
-        # Where the branch crosses the window's edges.
-        at = Z[np.arange(len(Z)), found.axis[segment]]
-        a, b = (found.Z[segment + i, found.axis[segment]] for i in (0, 1))
+    for _, Z, segment in branch.guesses(np.array([low, high])):
+        # The branch crosses the window's edges here.
+        at = Z[np.arange(len(Z)), branch.axis[segment]]
+        a, b = (branch.Z[segment + i, branch.axis[segment]] for i in (0, 1))
         place, rows = np.append(place, segment + (at - a) / (b - a)), np.vstack([rows, Z])
     place, order = np.unique(place, return_index=True)
     return place, rows[order]
 
 
-def _turns(found: Branch) -> np.ndarray:
+def _folds(branch: Branch) -> np.ndarray:
     """Places of the folds."""
-    return np.array([float(first) for first, _ in found.pieces()[1:]])
+    return np.array([float(first) for first, _ in branch.pieces()[1:]])
 
 
 def plane(rows: np.ndarray, m: int) -> np.ndarray:
-    """(ln slope, ln angle, ln period) of rows, shape (n, 3)."""
+    """Return ln slope, ln angle and ln period of rows of Z.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, c)
+    m : int
+        Number of section coordinates.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+    """
     return np.column_stack([rows[:, m], rows[:, 0], np.log(rows[:, -1])])
 
 
 def apart(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Distance of points from the line between two, shape (n,)."""
+    """Distance of points from the line segment between two.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+    start, end : ndarray, shape (d,)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
     along = end - start
     part = np.clip((points - start) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
     return np.linalg.norm(points - start - part[:, None] * along, axis=1)
 
 
 def _thinned(points: np.ndarray, fixed: np.ndarray, tolerance: float) -> np.ndarray:
-    """Indices of as few points as lines to the tolerance need, from the first on; ends and fixed ones among them."""
+    """Indices of as few points as lines to the tolerance need, from the first on; ends and fixed ones included."""
     stops = np.unique(np.concatenate([[0], np.nonzero(fixed)[0], [len(points) - 1]]))
     kept = [0]
     for stop in stops[1:]:
         while kept[-1] < stop:
             i = kept[-1]
             good, bad = i + 1, None
-            sensitivity = 2
+            length = 2
             while good < stop and bad is None:
-                j = min(i + sensitivity, int(stop))
+                j = min(i + length, int(stop))
                 if apart(points[i + 1 : j], points[i], points[j]).max() <= 0.8 * tolerance:
-                    good, sensitivity = j, 2 * sensitivity
+                    good, length = j, 2 * length
                 else:
                     bad = j
             while bad is not None and bad - good > 1:
@@ -116,31 +159,31 @@ def _thinned(points: np.ndarray, fixed: np.ndarray, tolerance: float) -> np.ndar
     return np.array(kept)
 
 
-def _with_radius(problem: Problem, found: Branch, places: np.ndarray, tolerance: float) -> np.ndarray:
-    """Places with those added that the spectral radius asks for, where it bends or a gait's stability changes."""
-    points = plane(found.at(places), problem.m)
-    radius = _radius(problem, found.at(places))
-    asked = np.arange(len(places) - 1)
-    for _ in range(MAX_ROUNDS):
-        # Points as near as the tolerance show no bend, not even a corner's.
-        asked = asked[np.linalg.norm(points[asked + 1] - points[asked], axis=1) > tolerance]
-        if not len(asked):
+def _with_radius(problem: Problem, branch: Branch, places: np.ndarray, tolerance: float) -> np.ndarray:
+    """Add places where the spectral radius bends or the stability of the gaits changes."""
+    points = plane(branch.at(places), problem.m)
+    radius = _radius(problem, branch.at(places))
+    segments = np.arange(len(places) - 1)
+    for _ in range(_MAX_ROUNDS):
+        # Points nearer than the tolerance show no bend, not even that of a corner.
+        segments = segments[np.linalg.norm(points[segments + 1] - points[segments], axis=1) > tolerance]
+        if not len(segments):
             break
         # Two places between any two: at one alone a corner and a bend may cancel.
-        pair = asked[None] + np.zeros((2, 1), int)
-        middle = places[pair] + np.array(PROBES)[:, None] * (places[pair + 1] - places[pair])
-        rows = found.at(middle.ravel())
-        at, there = _radius(problem, rows).reshape(middle.shape), plane(rows, problem.m).reshape(*middle.shape, 3)
-        near, far = (np.linalg.norm(there - points[pair + i], axis=2) for i in (0, 1))
+        pair = segments[None] + np.zeros((2, 1), int)
+        middle = places[pair] + np.array(_PROBES)[:, None] * (places[pair + 1] - places[pair])
+        rows = branch.at(middle.ravel())
+        middle_radius = _radius(problem, rows).reshape(middle.shape)
+        middle_points = plane(rows, problem.m).reshape(*middle.shape, 3)
+        near, far = (np.linalg.norm(middle_points - points[pair + i], axis=2) for i in (0, 1))
         with np.errstate(invalid="ignore"):
             line = (radius[pair] * far + radius[pair + 1] * near) / np.maximum(near + far, 1e-300)
-            off = np.nan_to_num(np.abs(at - line) / np.maximum(1.0, at), nan=np.inf)
-        worse = off.argmax(axis=0), np.arange(len(asked))
-        middle, at, there = middle[worse], at[worse], there[worse]
-        wanted = (off[worse] > 0.5 * tolerance) | ((radius[asked] < 1) != (radius[asked + 1] < 1))
-        after = asked[wanted] + 1
-        places, radius = np.insert(places, after, middle[wanted]), np.insert(radius, after, at[wanted])
-        points = np.insert(points, after, there[wanted], axis=0)
-        asked = (asked[wanted] + np.arange(len(after)))[:, None] + [0, 1]
-        asked = asked.ravel()
+            off = np.nan_to_num(np.abs(middle_radius - line) / np.maximum(1.0, middle_radius), nan=np.inf)
+        worse = off.argmax(axis=0), np.arange(len(segments))
+        is_split = (off[worse] > 0.5 * tolerance) | ((radius[segments] < 1) != (radius[segments + 1] < 1))
+        after = segments[is_split] + 1
+        places = np.insert(places, after, middle[worse][is_split])
+        radius = np.insert(radius, after, middle_radius[worse][is_split])
+        points = np.insert(points, after, middle_points[worse][is_split], axis=0)
+        segments = ((after - 1 + np.arange(len(after)))[:, None] + [0, 1]).ravel()
     return places

@@ -1,13 +1,13 @@
-"""Special points of a branch, each the root of a smooth test function with the corrector in the loop.
+"""Special points of a branch, each the root of a smooth test function that is evaluated at corrected points.
 
-Folds, flips, Neimark-Sacker and branch points; the ends of walking: heelstrike meets kneestrike, heelstrike turns
-tangential, an earlier strike cuts in; and the release of the knee, where the branch goes on.
+Folds, flips, Neimark-Sacker and branch points; the ends of walking, where heelstrike meets kneestrike, heelstrike turns
+tangential or an earlier strike occurs; and the hyperextension of the released knee, beyond which the branch continues.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,34 +20,72 @@ from tasks.step.problem import EPS, Problem
 from tasks.step.step_map import SAMPLES
 from tasks.step.verify_step import strike_distance
 
-Test = Callable[[Point, np.ndarray], float | bool]
-#: Splits of a segment on which an end or a fold lies, and how far off, over its length, the branch may be predicted.
-MAX_SPLITS, LED = 12, 1e-3
-#: Distance, over the segment, of the points a tangential end is read off.
+TestFunction = Callable[[Point, np.ndarray], float | bool]
+#: Splits of a segment on which an end or a fold lies, and the largest error of its polynomial over its length.
+_MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
+#: Spacing, over the segment, of the points from which a tangential end is extrapolated.
 SPACING = 4e-3
 
 
-def oriented(point: Point, way: np.ndarray) -> np.ndarray:
-    """The point's tangent, pointing along the branch."""
+@dataclass(frozen=True)
+class BranchEnd:
+    """Where walking ends on a branch: its kind, the point, the branch's direction there, and the error of ln slope."""
+
+    kind: str
+    point: Point
+    direction: np.ndarray
+    error: float
+
+
+def oriented_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
+    """Return the tangent of X at a point, turned along the branch.
+
+    Parameters
+    ----------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+
+    Returns
+    -------
+    ndarray, shape (m + 1,)
+    """
     tangent = point.tangent[:, 0]
-    return tangent if tangent @ way >= 0 else -tangent
+    return tangent if tangent @ direction >= 0 else -tangent
 
 
 def correct_at(problem: Problem, branch: Branch, segment: int, x: float) -> tuple[Point, np.ndarray]:
-    """The point of the branch at place x of a segment, and the branch's direction there."""
+    """Correct the point at coordinate x of a segment.
+
+    Returns
+    -------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+    """
     m = branch.m
     Z = branch.evaluate(np.array([segment]), np.array([x]))
-    way = branch.tangent[segment, : m + 1] + branch.tangent[segment + 1, : m + 1]
-    way = way / np.linalg.norm(way)
-    point = correct(problem, Z[:, : m + 1].T, Z[:, m + 1 :].T, way[:, None])
-    # The corrector's stride is that before its last step; a test function wants the derivative at the point itself.
-    again = correct(problem, point.X, point.times, way[:, None], most=1)
-    again.ok = point.ok
-    return again, way
+    direction = branch.tangent[segment, : m + 1] + branch.tangent[segment + 1, : m + 1]
+    direction = direction / np.linalg.norm(direction)
+    point = correct(problem, Z[:, : m + 1].T, Z[:, m + 1 :].T, direction[:, None])
+    # The corrector's derivative is that before its last step; a test function needs it at the point itself.
+    at_point = correct(problem, point.X, point.times, direction[:, None], max_iterations=1)
+    at_point.ok = point.ok
+    return at_point, direction
 
 
-def locate_root(problem: Problem, branch: Branch, segment: int, test: Test) -> tuple[Point, np.ndarray]:
-    """The root of a test function on a segment over which it changes sign, to rounding."""
+def locate_root(problem: Problem, branch: Branch, segment: int, test: TestFunction) -> tuple[Point, np.ndarray]:
+    """Locate the root of a test function on a segment over which it changes sign, to rounding.
+
+    Returns
+    -------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+    """
     axis = branch.axis[segment]
     a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
 
@@ -57,182 +95,195 @@ def locate_root(problem: Problem, branch: Branch, segment: int, test: Test) -> t
     try:
         root = bracketed_root(value, a, b, 1e-15 * max(1.0, abs(a)))
     except ValueError:
-        # The nodes' own values differ in sign by rounding only: the end nearer zero is the root.
+        # The values at the nodes differ in sign by rounding only: the end nearer zero is the root.
         root = a if abs(value(a)) < abs(value(b)) else b
     return correct_at(problem, branch, segment, root)
 
 
-def _at_tangency(problem: Problem, branch: Branch, segment: int) -> tuple[Point, np.ndarray, float]:
-    """Where heelstrike turns tangential on a segment, the branch's direction there, and the error of ln slope.
+def _tangential_end(problem: Problem, branch: Branch, segment: int) -> BranchEnd:
+    """Locate where heelstrike turns tangential on a segment.
 
-    At the point itself the event time has no derivative, though the branch is smooth. So it is read off polynomials
-    through six points beside it; those through the inner four bound their error, a hundred times too wide.
+    At the point itself the event time has no derivative, though the branch is smooth. So it is interpolated by
+    polynomials through six points beside it; those through the inner four bound their error, a hundred times too wide.
     """
-    test = ENDS["end_tangential_heelstrike"]
+    kind = "end_tangential_heelstrike"
+    test = _ENDS[kind]
     axis = branch.axis[segment]
     a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
     middle = bracketed_root(lambda x: test(*correct_at(problem, branch, segment, x)), a, b, 1e-3 * abs(b - a))
     h = SPACING * (b - a)
-    places = np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5])
-    points = [correct_at(problem, branch, segment, middle + h * p) for p in places]
-    values = np.array([np.concatenate([row(p), row_tangent(p, way), [test(p, way)]]) for p, way in points])
+    offsets = np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5])
+    points = [correct_at(problem, branch, segment, float(middle + h * offset)) for offset in offsets]
+    values = np.array(
+        [np.concatenate([row(p), row_tangent(p, direction), [test(p, direction)]]) for p, direction in points]
+    )
 
     def at_root(among: slice) -> np.ndarray:
-        coefficients = np.linalg.solve(np.vander(places[among]), values[among])
+        coefficients = np.linalg.solve(np.vander(offsets[among]), values[among])
         roots = np.roots(coefficients[:, -1])
         root = roots[np.argmin(np.abs(roots))].real
         return np.vander([root], len(coefficients))[0] @ coefficients
 
-    found, inner = at_root(slice(None)), at_root(slice(1, -1))
-    point, way = points[2]
+    node, inner = at_root(slice(None)), at_root(slice(1, -1))
+    point, direction = points[2]
     m, k = branch.m, len(point.times)
     size = m + 1 + k
-    found_point = replace(
+    point = replace(
         point,
-        X=found[: m + 1, None],
-        times=found[m + 1 : size, None],
-        tangent=found[size : size + m + 1, None],
-        times_tangent=found[size + m + 1 : -1, None],
+        X=node[: m + 1, None],
+        times=node[m + 1 : size, None],
+        tangent=node[size : size + m + 1, None],
+        times_tangent=node[size + m + 1 : -1, None],
     )
-    return found_point, way, abs(float(inner[m] - found[m]))
+    return BranchEnd(kind, point, direction, abs(float(inner[m] - node[m])))
 
 
 def row(point: Point) -> np.ndarray:
-    """One corrected point as a node of a branch."""
+    """Return a corrected point as a node of a branch.
+
+    Returns
+    -------
+    ndarray, shape (m + 1 + k,)
+        A row of Z.
+    """
     return np.concatenate([point.X[:, 0], point.times[:, 0]])
 
 
-def row_tangent(point: Point, way: np.ndarray) -> np.ndarray:
-    """Its tangent, pointing along the branch."""
+def row_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
+    """Return the tangent of a corrected point as that of a node.
+
+    Parameters
+    ----------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+
+    Returns
+    -------
+    ndarray, shape (m + 1 + k,)
+        Pointing along the branch.
+    """
     tangent = np.concatenate([point.tangent[:, 0], point.times_tangent[:, 0]])
-    return tangent if point.tangent[:, 0] @ way >= 0 else -tangent
+    return tangent if point.tangent[:, 0] @ direction >= 0 else -tangent
 
 
 def is_step(problem: Problem, point: Point) -> bool:
-    """True where a corrected point is a step that really happens."""
+    """Whether a corrected point is a step that happens."""
     m = problem.m
-    _, verdict = verify_steps(problem, np.vstack([point.X[:m], point.times]), point.X[m])
-    return bool(verdict.step[0])
+    _, check = verify_steps(problem, np.vstack([point.X[:m], point.times]), point.X[m])
+    return bool(check.step[0])
 
 
 #: Test functions of the ends of walking.
-ENDS: dict[str, Test] = {
-    "end_kneestrike_at_heelstrike": lambda point, way: float(point.times[-1, 0] - point.times[0, 0]),
-    "end_tangential_heelstrike": lambda point, way: float(point.stride.closing[0] / point.stride.y[0, 0]),
+_ENDS: dict[str, TestFunction] = {
+    "end_kneestrike_at_heelstrike": lambda point, direction: float(point.times[-1, 0] - point.times[0, 0]),
+    "end_tangential_heelstrike": lambda point, direction: float(point.stride.closing[0] / point.stride.y[0, 0]),
 }
 
 
-def narrowed(problem: Problem, branch: Branch, segment: int, like_left: Test) -> tuple[Branch, int]:
-    """Split a segment where something changes until its polynomial leads to the branch and to no other.
+def narrow_segment(problem: Problem, branch: Branch, segment: int, like_left: TestFunction) -> tuple[Branch, int]:
+    """Split a segment on which a property changes until its polynomial leads to this branch and to no other.
 
     Parameters
     ----------
     like_left : callable
-        Of a point and the branch's direction there: true where it is like the segment's left node.
+        Whether a point, with the branch's direction there, has the property of the segment's left node.
 
     Returns
     -------
-    Branch, int
-        The branch with the nodes put in, and the segment of it on which the change lies.
+    branch : Branch
+        With the new nodes.
+    segment : int
+        Number of its segment on which the change lies.
     """
-    for _ in range(MAX_SPLITS):
+    for _ in range(_MAX_SPLITS):
         alone = branch.part(segment, segment + 1)
-        # By all four nodes around; by its own two, where those farther off lead astray.
+        # By all four nodes around; by its own two where the others mislead.
         for part, at, share in ((branch, segment, 0.5), (alone, 0, 0.5), (alone, 0, 0.25), (alone, 0, 0.75)):
-            x = part.Z[at : at + 2, part.axis[at]] @ [1 - share, share]
+            x = float(part.Z[at : at + 2, part.axis[at]] @ [1 - share, share])
             guess = part.evaluate(np.array([at]), np.array([x]))[0, : branch.m + 1]
-            point, way = correct_at(problem, part, at, x)
+            point, direction = correct_at(problem, part, at, x)
             chord = np.linalg.norm(np.diff(part.Z[at : at + 2, : branch.m + 1], axis=0))
-            near = bool(np.linalg.norm(point.X[:, 0] - guess) < LED * chord)
+            near = bool(np.linalg.norm(point.X[:, 0] - guess) < _MAX_PREDICTION_ERROR * chord)
             if point.ok[0] and part.lies_between(np.array([at]), point.X, point.times)[0]:
                 break
         else:
             return branch, segment
         if near and part is branch:
             break
-        branch = branch.inserted(segment + 1, row(point), row_tangent(point, way))
-        segment += bool(like_left(point, way))
+        branch = branch.insert(segment + 1, row(point), row_tangent(point, direction))
+        segment += bool(like_left(point, direction))
     return branch, segment
 
 
-def end_of(problem: Problem, branch: Branch, good: int, bad: int) -> tuple[str, Point, np.ndarray, float]:
-    """What ends walking between two neighbouring nodes, one a step and one none, and where.
-
-    Returns
-    -------
-    kind : str
-    point : Point
-    way : ndarray
-        Direction of the branch there.
-    error : float
-        Of ln slope, beyond rounding.
-    """
+def locate_end(problem: Problem, branch: Branch, good: int, bad: int) -> BranchEnd:
+    """Locate the end of walking between two neighbouring nodes, of which `good` is a step and `bad` is none."""
     segment = min(good, bad)
     axis = branch.axis[segment]
     nodes = [correct_at(problem, branch, segment, branch.Z[i, axis]) for i in (good, bad)]
-    found: list[tuple[float, str, Point, np.ndarray, float]] = []
-    for kind, test in ENDS.items():
+    ends: list[tuple[float, BranchEnd]] = []
+    for kind, test in _ENDS.items():
         if kind == "end_kneestrike_at_heelstrike" and problem.phases == 1:
             continue
         if test(*nodes[0]) * test(*nodes[1]) < 0:
-            error = 0.0
             if kind == "end_tangential_heelstrike":
-                point, way, error = _at_tangency(problem, branch, segment)
+                end = _tangential_end(problem, branch, segment)
             else:
-                point, way = locate_root(problem, branch, segment, test)
-            apart = float(np.linalg.norm(point.X[:, 0] - branch.Z[good, : branch.m + 1]))
-            found.append((apart, kind, point, way, error))
-    if found:
-        return min(found, key=lambda f: f[0])[1:]
-    return "end_earlier_strike", *_at_earlier_strike(problem, branch, segment, good, bad)
+                end = BranchEnd(kind, *locate_root(problem, branch, segment, test), 0.0)
+            distance = float(np.linalg.norm(end.point.X[:, 0] - branch.Z[good, : branch.m + 1]))
+            ends.append((distance, end))
+    if ends:
+        return min(ends, key=lambda end: end[0])[1]
+    return _earlier_strike_end(problem, branch, segment, good, bad)
 
 
-def _at_earlier_strike(
-    problem: Problem, branch: Branch, segment: int, good: int, bad: int
-) -> tuple[Point, np.ndarray, float]:
-    """Where an earlier strike cuts in on a segment: a guard's minimum on the way touches zero."""
+def _earlier_strike_end(problem: Problem, branch: Branch, segment: int, good: int, bad: int) -> BranchEnd:
+    """Locate where an earlier strike occurs on a segment: a minimum of a guard touches zero."""
     axis = branch.axis[segment]
     a, b = branch.Z[good, axis], branch.Z[bad, axis]
 
-    def away(point: Point, way: np.ndarray, samples: int = 16 * SAMPLES) -> float:
+    def distance(point: Point, direction: np.ndarray, samples: int = 16 * SAMPLES) -> float:
         m = problem.m
         stride, _ = problem.stride(np.vstack([point.X[:m], point.times]), point.X[m], samples=samples)
         return float(strike_distance(stride.scaled_motion(), stride.times)[0])
 
-    # The verdict tells where; near there the guard's minimum tells how near.
-    for _ in range(8):
-        middle = 0.5 * (a + b)
-        point, way = correct_at(problem, branch, segment, middle)
-        if point.ok[0] and is_step(problem, point):
-            a = middle
-        else:
-            b = middle
-    ends = [away(*correct_at(problem, branch, segment, x)) for x in (a, b)]
-    if np.isfinite(ends).all() and ends[0] * ends[1] < 0:
-        root = bracketed_root(lambda x: away(*correct_at(problem, branch, segment, x)), a, b, 1e-15 * max(1.0, abs(a)))
-        point, way = correct_at(problem, branch, segment, root)
-        # Half as many samples tell how far off the cubic's minimum is.
-        error = abs(away(point, way, 8 * SAMPLES) / (ends[1] - ends[0]) * (b - a))
-    else:
-        for _ in range(40):
+    def bisect(a: float, b: float, rounds: int) -> tuple[float, float]:
+        for _ in range(rounds):
             middle = 0.5 * (a + b)
-            point, way = correct_at(problem, branch, segment, middle)
+            point, _ = correct_at(problem, branch, segment, middle)
             if point.ok[0] and is_step(problem, point):
                 a = middle
             else:
                 b = middle
-        point, way = correct_at(problem, branch, segment, a)
+        return a, b
+
+    # Bisection by whether the step happens brackets the point; the guard's minimum is smooth only near it.
+    a, b = bisect(a, b, 8)
+    ends = [distance(*correct_at(problem, branch, segment, x)) for x in (a, b)]
+    if np.isfinite(ends).all() and ends[0] * ends[1] < 0:
+        root = bracketed_root(
+            lambda x: distance(*correct_at(problem, branch, segment, x)), a, b, 1e-15 * max(1.0, abs(a))
+        )
+        point, direction = correct_at(problem, branch, segment, root)
+        # The value at half as many samples shows the error of the cubic's minimum.
+        error = abs(distance(point, direction, 8 * SAMPLES) / (ends[1] - ends[0]) * (b - a))
+    else:
+        a, b = bisect(a, b, 40)
+        point, direction = correct_at(problem, branch, segment, a)
         error = 0.0
-    tangent = oriented(point, way)
-    return point, way, abs(error * float(tangent[branch.m] / tangent[axis])) if axis <= branch.m else error
+    tangent = oriented_tangent(point, direction)
+    if axis <= branch.m:
+        error = abs(error * float(tangent[branch.m] / tangent[axis]))
+    return BranchEnd("end_earlier_strike", point, direction, error)
 
 
 def _eigen_products(A: np.ndarray) -> np.ndarray:
     """Product over i < j of (lambda_i lambda_j - 1), shape (n,): zero where a pair lies on the unit circle."""
     # Where heelstrike is tangential to the last digit the map has no derivative.
-    good = np.isfinite(A).all(axis=(-2, -1))
+    finite = np.isfinite(A).all(axis=(-2, -1))
     values = np.full(A.shape[:-1], np.nan, complex)
-    values[good] = np.linalg.eigvals(A[good])
+    values[finite] = np.linalg.eigvals(A[finite])
     m = A.shape[-1]
     out = np.ones(A.shape[:-2], complex)
     for i in range(m):
@@ -241,18 +292,20 @@ def _eigen_products(A: np.ndarray) -> np.ndarray:
     return out.real
 
 
-def _matrix(point: Point) -> np.ndarray:
+def _jacobians(point: Point) -> np.ndarray:
+    """Jacobians of the step map, shape (n, m, m)."""
     return np.moveaxis(point.stride.jacobian, -1, 0)
 
 
-def _release(point: Point) -> np.ndarray:
+def _release_rate(point: Point) -> np.ndarray:
+    """Rate of the knee's flexion just after its release, over the stance angle, shape (n,)."""
     return (point.stride.start[4] - point.stride.start[5]) / point.stride.y[0]
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore")
 def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | str]]:
-    """Every special point of a branch in its order, ends included.
+    """Locate every special point of a branch, in order along it, its ends included.
 
     Returns
     -------
@@ -264,46 +317,45 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
     nodes = correct(
         problem, X, times, branch.tangent[:, : m + 1].T / np.linalg.norm(branch.tangent[:, : m + 1], axis=1)
     )
-    way = branch.tangent[:, : m + 1].T
-    A = _matrix(nodes)
-    tests: dict[str, tuple[np.ndarray, Test]] = {
-        "fold": (branch.tangent[:, m], lambda p, w: float(oriented(p, w)[m])),
-        "flip": (np.linalg.det(A + np.eye(m)), lambda p, w: float(np.linalg.det(_matrix(p) + np.eye(m))[0])),
-        "neimark_sacker": (_eigen_products(A), lambda p, w: float(_eigen_products(_matrix(p))[0])),
+    direction = branch.tangent[:, : m + 1].T
+    A = _jacobians(nodes)
+    tests: dict[str, tuple[np.ndarray, TestFunction]] = {
+        "fold": (branch.tangent[:, m], lambda p, w: float(oriented_tangent(p, w)[m])),
+        "flip": (np.linalg.det(A + np.eye(m)), lambda p, w: float(np.linalg.det(_jacobians(p) + np.eye(m))[0])),
+        "neimark_sacker": (_eigen_products(A), lambda p, w: float(_eigen_products(_jacobians(p))[0])),
         "branch_point": (
-            branch_point_determinant(nodes, way),
+            branch_point_determinant(nodes, direction),
             lambda p, w: float(branch_point_determinant(p, w[:, None])[0]),
         ),
     }
     if problem.phases == 2:
-        tests["release_hyperextension"] = (_release(nodes), lambda p, w: float(_release(p)[0]))
-    found: list[tuple[float, dict[str, float | str]]] = []
+        tests["release_hyperextension"] = (_release_rate(nodes), lambda p, w: float(_release_rate(p)[0]))
+    records: list[tuple[float, dict[str, float | str]]] = []
     for kind, (values, test) in tests.items():
-        turned = np.sign(values[1:]) != np.sign(values[:-1])
+        crosses = np.sign(values[1:]) != np.sign(values[:-1])
         if kind == "fold":
-            # Folds have nodes of their own, whose tangent's sign is rounding.
-            turned = np.zeros(len(values) - 1, bool)
+            # Folds have nodes of their own, where the sign of the tangent is that of rounding.
+            crosses = np.zeros(len(values) - 1, bool)
             for first, _ in branch.pieces()[1:]:
-                found.append((float(first), _record("fold", problem, nodes, first)))
+                records.append((float(first), _record("fold", problem, nodes, first)))
         if kind in ("flip", "neimark_sacker", "branch_point"):
             # The derivative has a pole where heelstrike turns tangential: that sign change is no root.
-            turned[
-                [i for i, why in ((0, branch.why[0]), (-1, branch.why[1])) if why == "end_tangential_heelstrike"]
-            ] = False
-        for segment in np.nonzero(turned & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]:
+            for i in (0, -1):
+                crosses[i] &= branch.why[i] != "end_tangential_heelstrike"
+        for segment in np.nonzero(crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]:
             point, _ = locate_root(problem, branch, int(segment), test)
-            if point.ok[0] and _is(kind, point):
-                found.append((segment + 0.5, _record(kind, problem, point, 0)))
-    for index, kind, error in zip((0, len(branch.Z) - 1), branch.why, branch.end_errors):
+            if point.ok[0] and _is_genuine(kind, point):
+                records.append((segment + 0.5, _record(kind, problem, point, 0)))
+    for index, kind, error in zip((0, len(branch.Z) - 1), branch.why, branch.end_errors, strict=True):
         record = _record(END_NAMES.get(kind, kind), problem, nodes, index)
         if kind == "end_tangential_heelstrike":
-            # The point is read off its neighbours: the map's own derivative says nothing there.
+            # The point is interpolated: the map has no derivative there that could bound its error.
             record["error_bound"] = error + 64 * EPS
-        found.append((float(index), record))
-    return [record for _, record in sorted(found, key=lambda f: f[0])]
+        records.append((float(index), record))
+    return [record for _, record in sorted(records, key=lambda entry: entry[0])]
 
 
-#: How the ways a search can stop are named among special points.
+#: Names among special points of the reasons for which a branch is followed no further.
 END_NAMES = {
     "zero step length": "end_zero_step",
     "end of the window": "window",
@@ -312,11 +364,11 @@ END_NAMES = {
 }
 
 
-def _is(kind: str, point: Point) -> bool:
-    """True where a sign change of the test function is the point it stands for."""
-    if not np.isfinite(_matrix(point)).all():
+def _is_genuine(kind: str, point: Point) -> bool:
+    """Whether a sign change of the test function is a special point of its kind."""
+    if not np.isfinite(_jacobians(point)).all():
         return False
-    values = np.linalg.eigvals(_matrix(point)[0])
+    values = np.linalg.eigvals(_jacobians(point)[0])
     if kind == "flip":
         return bool(np.abs(values + 1).min() < 1e-6)
     if kind == "neimark_sacker":
@@ -325,25 +377,23 @@ def _is(kind: str, point: Point) -> bool:
     return True
 
 
-def _at_fold(point: Point, lane: int) -> float:
-    """Error of ln slope at a fold: rounding of the residual, seen along the only direction no section's change
-    undoes."""
-    by = point.derivative[lane]
-    least = np.linalg.svd(by[:, :-1])[0][:, -1]
+def _fold_error(point: Point, lane: int) -> float:
+    """Error of ln slope at a fold: rounding of the residual along the singular direction of I - DP."""
+    derivative = point.derivative[lane]
+    least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
     rounded = 3 * EPS * np.abs(np.vstack([point.stride.y[:, lane], point.stride.image[:, lane]])).sum(axis=0)
-    return float(np.abs(least) @ rounded / point.stride.y[0, lane] / abs(least @ by[:, -1]))
+    return float(np.abs(least) @ rounded / point.stride.y[0, lane] / abs(least @ derivative[:, -1]))
 
 
 def _record(kind: str, problem: Problem, point: Point, lane: int) -> dict[str, float | str]:
-    rounding_std = (
-        _at_fold(point, lane)
-        if kind == "fold"
-        else float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
-    )
+    if kind == "fold":
+        error = _fold_error(point, lane)
+    else:
+        error = float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
     return {
         "kind": kind,
         "slope": float(np.exp(point.X[problem.m, lane])),
         "stance_angle": float(np.exp(point.X[0, lane])),
         "period": float(point.times[-1, lane]),
-        "error_bound": rounding_std + 8 * EPS,
+        "error_bound": error + 8 * EPS,
     }

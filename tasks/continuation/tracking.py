@@ -1,8 +1,9 @@
-"""Branches of gaits followed in slope, through folds, to their ends.
+"""Branches of gaits continued in slope, through folds, to their ends.
 
 A point is X = (w, q): similarity coordinates of the section (ln angle, rates/angle) and q = ln slope; the event times
-follow as functions of X. Bordered Newton with exact derivatives, tangents from the null vector, second-order
-predictor, steps by predictor error and turning angle. Several branches advance side by side in SIMD lanes.
+follow as functions of X. Pseudo-arclength continuation: bordered Newton with exact derivatives, tangents from the null
+vector, a second-order predictor, and step lengths by predictor error and turning angle. Several branches advance side
+by side in SIMD lanes. In shapes, n counts lanes.
 """
 
 from __future__ import annotations
@@ -16,25 +17,37 @@ from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import EPS, Problem
 from tasks.step.step_map import Stride, matvec
 
-#: Slopes a branch is followed over [rad]; below, double precision no longer resolves a gait's tangent.
+#: Slopes over which branches are followed [rad]; below, double precision no longer resolves a gait's tangent.
 MIN_SLOPE, MAX_SLOPE = 1e-13, 0.7
 #: Largest ln of a stance angle that is no fall.
-HIGHEST = 0.5
-LONGEST_STEP, SHORTEST_STEP = 0.5, 1e-7
-#: Acceptance of a step: largest predictor error and turning angle.
-MAX_ERROR, MAX_TURN = 0.02, 0.3
-MAX_NODES = 1500
-#: A change of side over a longer step than this is a jump to a branch nearby; over a shorter one branches cross.
-CROSSING = 1e-4
-#: Points after which a branch is asked whether it still describes steps.
-CHECK_EVERY = 12
+_MAX_LOG_ANGLE = 0.5
+_MAX_STEP, _MIN_STEP = 0.5, 1e-7
+#: Acceptance of a continuation step: largest predictor error and turning angle [rad].
+_MAX_ERROR, _MAX_TURN = 0.02, 0.3
+_MAX_NODES = 1500
+#: Where the sign of the branch point determinant changes over a longer step than this, Newton has jumped to a branch
+#: nearby; over a shorter one branches cross.
+_MAX_CROSSING_STEP = 1e-4
+#: Number of points after which it is checked that a branch still consists of steps.
+_CHECK_EVERY = 12
 
 
 @dataclass
 class Point:
-    """Corrected points of n branches: X (m + 1, n), times (k, n), tangents of both, and whether Newton converged.
+    """Corrected points of n branches.
 
-    `stride` is the last one flown, at the point or a Newton step away; `derivative` (n, m, m + 1) of its P(y) - y by X.
+    Attributes
+    ----------
+    X, tangent : ndarray, shape (m + 1, n)
+        The points and the branches' unit tangents there.
+    times, times_tangent : ndarray, shape (k, n) [sqrt(leg/g)]
+        Event times, and their derivatives along the branches.
+    ok : ndarray of bool, shape (n,)
+        Whether Newton converged.
+    stride : Stride
+        The last one evaluated, at the point or a Newton step away.
+    derivative : ndarray, shape (n, m, m + 1)
+        Of its P(y) - y by X.
     """
 
     X: np.ndarray
@@ -47,9 +60,22 @@ class Point:
 
 
 def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residual P(y) - y and its derivative by X, shapes (n, m) and (n, m, m + 1)."""
+    """Residual and derivative of the fixed-point equations P(y) - y = 0, both over the stance angle.
+
+    Parameters
+    ----------
+    stride : Stride
+        Differentiated by the slope too.
+    X : ndarray, shape (m + 1, n)
+        Where it was evaluated.
+
+    Returns
+    -------
+    residual : ndarray, shape (n, m)
+    derivative : ndarray, shape (n, m, m + 1)
+        By X.
+    """
     m, n = stride.y.shape
-    assert stride.by_slope is not None
     frame = np.zeros((m, m, n))
     frame[:, 0] = stride.y
     for i in range(1, m):
@@ -57,15 +83,14 @@ def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     J = stride.jacobian - np.eye(m)[:, :, None]
     by_w = np.einsum("ijn,jkn->ikn", J, frame)
     by_q = stride.by_slope * np.exp(X[m])
-    # Rows over the angle: of order one on any slope.
-    full = np.concatenate([by_w, by_q[:, None]], axis=1) / stride.y[0]
-    return ((stride.image - stride.y) / stride.y[0]).T, full.transpose(2, 0, 1)
+    # Rows over the angle are of order one on any slope.
+    derivative = np.concatenate([by_w, by_q[:, None]], axis=1) / stride.y[0]
+    return ((stride.image - stride.y) / stride.y[0]).T, derivative.transpose(2, 0, 1)
 
 
 def _times_by_X(stride: Stride, X: np.ndarray) -> np.ndarray:
     """Derivative of the event times by X, shape (k, m + 1, n)."""
     m = len(stride.y)
-    assert stride.times_by_slope is not None
     by_first = matvec(stride.times_by_y, stride.y)[:, None]
     by_rest = stride.times_by_y[:, 1:] * stride.y[0]
     return np.concatenate([by_first, by_rest, (stride.times_by_slope * np.exp(X[m]))[:, None]], axis=1)
@@ -73,14 +98,25 @@ def _times_by_X(stride: Stride, X: np.ndarray) -> np.ndarray:
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore")
-def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray | None, most: int = 8) -> Point:
-    """Bordered Newton: the solution in the plane through X normal to `border` (None: at fixed slope).
+def correct(
+    problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray | None, max_iterations: int = 8
+) -> Point:
+    """Correct points by bordered Newton: the solutions in the plane through X normal to `border`.
 
     Parameters
     ----------
     X : ndarray, shape (m + 1, n)
-    times : ndarray, shape (k, n)
-    border : ndarray, shape (m + 1, n)
+        Predicted points.
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+        Their event times.
+    border : ndarray, shape (m + 1, n), or None
+        None for solutions at fixed slope.
+    max_iterations : int
+        Newton steps.
+
+    Returns
+    -------
+    Point
     """
     m, n = problem.m, X.shape[1]
     if border is None:
@@ -88,28 +124,27 @@ def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarr
         border[m] = 1
     X, times = X.copy(), times.copy()
     start = X.copy()
-    ok, over, last = np.zeros(n, bool), np.zeros(n, bool), np.full(n, np.inf)
-    for _ in range(most):
+    ok, failed, last = np.zeros(n, bool), np.zeros(n, bool), np.full(n, np.inf)
+    for _ in range(max_iterations):
         stride, _ = problem.stride(np.vstack([X[:m], times]), X[m], slope=True)
         residual, derivative = linearised(stride, X)
         matrix = np.concatenate([derivative, border.T[:, None]], axis=1)
         right = np.concatenate([-residual, (border * (start - X)).sum(axis=0)[:, None]], axis=1)
-        good = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-        # Where heelstrike is tangential but for the last digits, the derivative is infinite or one row over and over.
-        good[good] = np.linalg.det(matrix[good]) != 0
-        matrix[~good], right[~good] = np.eye(m + 1), 0.0
+        solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+        # Where heelstrike is tangential but for the last digits, the derivative is infinite or its rows are equal.
+        solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
+        matrix[~solvable], right[~solvable] = np.eye(m + 1), 0.0
         dX = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
         size = np.abs(dX).max(axis=0)
         by_X = _times_by_X(stride, X)
         new_times = stride.times + matvec(by_X, dX)
-        over |= ~good | (size > 1.0) | ~np.isfinite(new_times).all(axis=0)
-        moving = ~over & ~ok
+        failed |= ~solvable | (size > 1.0) | ~np.isfinite(new_times).all(axis=0)
+        moving = ~failed & ~ok
         X[:, moving] += dX[:, moving]
         times[:, moving] = new_times[:, moving]
-        rounding_std = _noise(matrix, stride)
-        ok |= moving & ((size < rounding_std) | ((size < 1e-9) & (size > 0.2 * last)))
+        ok |= moving & ((size < _rounding_step(matrix, stride)) | ((size < 1e-9) & (size > 0.2 * last)))
         last = size
-        if (ok | over).all():
+        if (ok | failed).all():
             break
     _, _, V = np.linalg.svd(np.nan_to_num(derivative))
     tangent = V[:, -1].T
@@ -117,7 +152,7 @@ def correct(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarr
     return Point(X, times, tangent, matvec(by_X, tangent), ok, stride, derivative)
 
 
-def _noise(matrix: np.ndarray, stride: Stride) -> np.ndarray:
+def _rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
     """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
     inverse = np.abs(np.linalg.inv(matrix))
     error = np.abs(stride.y) + matvec(np.abs(stride.jacobian), np.abs(stride.y))
@@ -127,7 +162,21 @@ def _noise(matrix: np.ndarray, stride: Stride) -> np.ndarray:
 
 @dataclass
 class BranchTrace:
-    """One branch followed in one direction: its points so far, and why it stopped."""
+    """One branch followed in one direction: its points so far, and why it stops.
+
+    Attributes
+    ----------
+    X, tangent : list of ndarray, shape (m + 1,)
+        Points and unit tangents.
+    times, times_tangent : list of ndarray, shape (k,)
+        Event times, and their derivatives along the branch.
+    step : float
+        Length of the next continuation step.
+    side : float
+        Sign of the branch point determinant.
+    stop_reason : str
+        Empty while the branch continues.
+    """
 
     X: list[np.ndarray] = field(default_factory=list)
     times: list[np.ndarray] = field(default_factory=list)
@@ -135,9 +184,18 @@ class BranchTrace:
     times_tangent: list[np.ndarray] = field(default_factory=list)
     step: float = 0.05
     side: float = 0.0
-    stopped: str = ""
+    stop_reason: str = ""
 
     def append(self, point: Point, lane: int, orientation: np.ndarray) -> None:
+        """Add the point of a lane.
+
+        Parameters
+        ----------
+        point : Point
+        lane : int
+        orientation : ndarray, shape (m + 1,)
+            The side to which the tangent is turned.
+        """
         sign = 1.0 if point.tangent[:, lane] @ orientation >= 0 else -1.0
         self.X.append(point.X[:, lane].copy())
         self.times.append(point.times[:, lane].copy())
@@ -145,7 +203,12 @@ class BranchTrace:
         self.times_tangent.append(sign * point.times_tangent[:, lane])
 
     def predict(self) -> np.ndarray:
-        """Next point: the tangent, bent by how it turned over the last step."""
+        """Predict the next point along the tangent, bent as it turned over the last step.
+
+        Returns
+        -------
+        ndarray, shape (m + 1,)
+        """
         X, t, h = self.X[-1], self.tangent[-1], self.step
         if len(self.X) < 2:
             return X + h * t
@@ -153,10 +216,16 @@ class BranchTrace:
         return X + h * t + 0.5 * h * h * (t - self.tangent[-2]) / back
 
     def predict_times(self) -> np.ndarray:
+        """Predict the next point's event times.
+
+        Returns
+        -------
+        ndarray, shape (k,) [sqrt(leg/g)]
+        """
         return self.times[-1] + self.step * self.times_tangent[-1]
 
-    def judge(self, m: int) -> str:
-        """Why the branch stops here, or nothing."""
+    def reason_to_stop(self, m: int) -> str:
+        """Return why the branch stops at its last point; empty where it continues."""
         X, times = self.X[-1], self.times[-1]
         if not np.log(MIN_SLOPE) < X[m] < np.log(MAX_SLOPE):
             return "end of the window"
@@ -168,27 +237,36 @@ class BranchTrace:
             return "zero step length"
         if len(times) == 2 and times[1] < times[0] - 0.5:
             return "heelstrike before kneestrike"
-        return "too many points" if len(self.X) > MAX_NODES else ""
+        return "too many points" if len(self.X) > _MAX_NODES else ""
 
 
 def fall_margin(X: np.ndarray, times: np.ndarray) -> float:
-    """Positive where a gait's angle or period is beyond those of a fall."""
-    return float(max(X[0] - HIGHEST, times[-1] - LONGEST_PERIOD))
+    """Return a number that is positive where a gait's angle or period exceeds those of walking.
+
+    Parameters
+    ----------
+    X : ndarray, shape (m + 1,)
+        Similarity coordinates and ln slope.
+    times : ndarray, shape (k,) [sqrt(leg/g)]
+        Event times.
+    """
+    return float(max(X[0] - _MAX_LOG_ANGLE, times[-1] - LONGEST_PERIOD))
 
 
 def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[BranchTrace]]:
-    """Follow branches both ways from solved gaits.
+    """Follow branches in both directions from solved gaits.
 
     Parameters
     ----------
     w : ndarray, shape (m + k, n)
         Gaits in similarity coordinates.
     log_slope : ndarray, shape (n,)
+        ln of the slope in rad.
 
     Returns
     -------
-    list of [Track down, Track up]
-        One pair a start, in its order; both begin with the start itself.
+    list of [BranchTrace, BranchTrace]
+        For each gait the traces towards lower and higher slopes; both begin with the gait itself.
     """
     m, n = problem.m, w.shape[1]
     first = correct(problem, np.vstack([w[:m], log_slope]), w[m:], None)
@@ -198,56 +276,64 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
     pairs: list[list[BranchTrace]] = []
     for lane in range(n):
         pair = [BranchTrace(), BranchTrace()]
-        for track, way in zip(pair, (-1.0, 1.0)):
-            orientation = np.zeros(m + 1)
-            orientation[m] = way
-            track.append(first, lane, orientation)
-            track.side = sides[lane] * way
+        for trace, sign in zip(pair, (-1.0, 1.0), strict=True):
+            trace.append(first, lane, sign * upwards[:, lane])
+            trace.side = sides[lane] * sign
             if not first.ok[lane]:
-                track.stopped = "no start"
+                trace.stop_reason = "no start"
         pairs.append(pair)
-    tracks = [t for pair in pairs for t in pair]
+    traces = [trace for pair in pairs for trace in pair]
     while True:
-        active = [t for t in tracks if not t.stopped]
+        active = [trace for trace in traces if not trace.stop_reason]
         if not active:
             return pairs
-        guess = np.array([t.predict() for t in active]).T
-        times = np.array([t.predict_times() for t in active]).T
-        border = np.array([t.tangent[-1] for t in active]).T
+        guess = np.array([trace.predict() for trace in active]).T
+        times = np.array([trace.predict_times() for trace in active]).T
+        border = np.array([trace.tangent[-1] for trace in active]).T
         point = correct(problem, guess, times, border)
         sides = np.sign(branch_point_determinant(point, border))
-        for lane, track in enumerate(active):
-            error = np.linalg.norm(point.X[:, lane] - guess[:, lane])
-            turn = abs(point.tangent[:, lane] @ track.tangent[-1])
-            fair = point.ok[lane] and error < MAX_ERROR and turn > np.cos(MAX_TURN)
-            if fair and not (track.side * sides[lane] < 0 and track.step > CROSSING):
-                track.side = sides[lane]
-                track.append(point, lane, track.tangent[-1])
-                track.stopped = track.judge(m)
-                if not track.stopped and len(track.X) % CHECK_EVERY == 0 and not _steps(problem, track):
-                    track.stopped = "not a step"
+        for lane, trace in enumerate(active):
+            error = float(np.linalg.norm(point.X[:, lane] - guess[:, lane]))
+            turn = abs(point.tangent[:, lane] @ trace.tangent[-1])
+            is_fair = point.ok[lane] and error < _MAX_ERROR and turn > np.cos(_MAX_TURN)
+            if is_fair and not (trace.side * sides[lane] < 0 and trace.step > _MAX_CROSSING_STEP):
+                trace.side = sides[lane]
+                trace.append(point, lane, trace.tangent[-1])
+                trace.stop_reason = trace.reason_to_stop(m)
+                if not trace.stop_reason and len(trace.X) % _CHECK_EVERY == 0 and not _are_steps(problem, trace):
+                    trace.stop_reason = "not a step"
                 growth = (2e-3 / max(error, 1e-12)) ** (1 / 3)
-                track.step = min(LONGEST_STEP, track.step * min(2.0, max(0.4, growth)))
+                trace.step = min(_MAX_STEP, trace.step * min(2.0, max(0.4, growth)))
             else:
-                track.step *= 0.3
-                if track.step < SHORTEST_STEP:
-                    track.stopped = "no further point"
+                trace.step *= 0.3
+                if trace.step < _MIN_STEP:
+                    trace.stop_reason = "no further point"
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore")
-def branch_point_determinant(point: Point, way: np.ndarray) -> np.ndarray:
-    """Determinant of [J - I; slope column | tangent], (n,), tangents pointing along `way`: zero where branches cross.
+def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
+    """Determinant that vanishes where branches cross, of the derivative by X and the tangent as its last row.
 
-    Its sign is the same all along a branch, and another on one that almost touches it.
+    Parameters
+    ----------
+    point : Point
+        Of n branches.
+    direction : ndarray, shape (m + 1, n)
+        The side on which the tangents are taken to point.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Its sign is the same all along a branch, and the opposite on one that almost touches it.
     """
-    tangent = point.tangent * np.sign((point.tangent * way).sum(axis=0))
+    tangent = point.tangent * np.sign((point.tangent * direction).sum(axis=0))
     return np.linalg.det(np.concatenate([point.derivative, tangent.T[:, None]], axis=1))
 
 
-def _steps(problem: Problem, track: BranchTrace) -> bool:
-    """True where the last points of a track are steps that really happen."""
-    recent = slice(-CHECK_EVERY // 3, None)
-    X, times = np.array(track.X[recent]).T, np.array(track.times[recent]).T
-    _, verdict = verify_steps(problem, np.vstack([X[: problem.m], times]), X[problem.m])
-    return bool(verdict.step.any())
+def _are_steps(problem: Problem, trace: BranchTrace) -> bool:
+    """Whether any of the last points of a trace is a step that happens."""
+    recent = slice(-_CHECK_EVERY // 3, None)
+    X, times = np.array(trace.X[recent]).T, np.array(trace.times[recent]).T
+    _, check = verify_steps(problem, np.vstack([X[: problem.m], times]), X[problem.m])
+    return bool(check.step.any())

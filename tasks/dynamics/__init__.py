@@ -1,1 +1,1 @@
-"""Walking that is not periodic: `initial_states`, `lyapunov` exponents, and the `crisis` in which walking is lost."""
+"""Walking that is not periodic: `initial_states`, `lyapunov` exponents, and the `crisis` that ends an attractor."""

@@ -1,9 +1,9 @@
-"""Where walking is lost: the slope beyond which orbits from an attractor's remains fall, or settle elsewhere.
+"""Crisis of an attractor: the slope beyond which orbits near its remains fall, or converge to another attractor.
 
-The last attractor of a cascade does not end at a fold or a flip but in a crisis: it touches the edge of its basin.
-That slope has no equation of its own here; it is bracketed by strides themselves, many starts at many slopes side by
-side. Starts that leave at once were not in the basin and say nothing; of those that stay, at a bracket's lower slope
-all walk on to the end, at its upper slope some do not.
+The last attractor of a cascade ends neither at a fold nor at a flip but in a crisis: it touches the boundary of its
+basin (C. Grebogi, E. Ott, J. A. Yorke, Physica D 7 (1983) 181-200). That slope solves no equation here; it is bracketed
+by simulation, from many initial states at many slopes side by side. Orbits that leave at once did not begin in the
+basin and are ignored; of the others all persist at the bracket's lower slope, and some do not at its upper slope.
 """
 
 from __future__ import annotations
@@ -13,58 +13,67 @@ import numpy as np
 from tasks.step.problem import Problem
 from tasks.step.simulate import STRUCK, stride
 
-#: An orbit whose last stride changes it by less than this has settled on a gait of period one.
-SETTLED = 1e-8
-#: Strides in which a start may leave without its slope being given up.
-TRANSIENT = 60
+#: An orbit whose last step changes it by less than this has converged to a gait of period one.
+_SETTLED = 1e-8
+#: Steps within which an orbit may leave without its slope being rejected.
+_TRANSIENT = 60
 
 
 def surviving_slopes(problem: Problem, starts: np.ndarray, slope: np.ndarray, strides: int) -> np.ndarray:
-    """Slopes at which the starts that outlast the transient all walk on, on no gait of period one; shape (n,).
+    """Find the slopes at which all orbits that outlast the transient persist and none converges to period one.
 
     Parameters
     ----------
-    starts : ndarray, shape (m, k)
-        Section coordinates [rad, rad/sqrt(leg/g)], the same at every slope.
+    starts : ndarray, shape (m, k) [rad, rad/sqrt(leg/g)]
+        Initial section coordinates, the same at every slope.
     slope : ndarray, shape (n,) [rad]
     strides : int
-        After the transient.
+        Steps after the transient.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        False too where no orbit outlasts the transient.
     """
     number = np.repeat(np.arange(len(slope)), starts.shape[1])
-    y, last = np.tile(starts, (1, len(slope))), np.ones(len(slope), bool)
-    for k in range(TRANSIENT + strides):
-        now = stride(problem, y, slope[number], exact=False)
-        stays = now.outcome == STRUCK
-        if k == TRANSIENT + strides - 1:
-            stays[stays] = np.abs(now.image - y)[:, stays].max(axis=0) > SETTLED
-        if k >= TRANSIENT:
-            # From here one start decides for its slope.
-            last[number[~stays]] = False
-            stays = last[number]
-        y, number = now.image[:, stays], number[stays]
+    y, survives = np.tile(starts, (1, len(slope))), np.ones(len(slope), bool)
+    for k in range(_TRANSIENT + strides):
+        steps = stride(problem, y, slope[number], exact=False)
+        persists = steps.outcome == STRUCK
+        if k == _TRANSIENT + strides - 1:
+            persists[persists] = np.abs(steps.image - y)[:, persists].max(axis=0) > _SETTLED
+        if k >= _TRANSIENT:
+            # After the transient one orbit that leaves decides for its slope.
+            survives[number[~persists]] = False
+            persists = survives[number]
+        y, number = steps.image[:, persists], number[persists]
         if not len(number):
             break
-    last[np.setdiff1d(np.arange(len(slope)), number)] = False
-    return last
+    survives[np.setdiff1d(np.arange(len(slope)), number)] = False
+    return survives
 
 
 def lost(
     problem: Problem, starts: np.ndarray, low: float, high: float, strides: int, at_once: int = 4, rounds: int = 3
 ) -> tuple[float, float]:
-    """The slopes between which an attractor is lost.
+    """Bracket the slope at which an attractor is lost.
 
     Parameters
     ----------
-    starts : ndarray, shape (m, k)
-        On the attractor at `low`.
+    starts : ndarray, shape (m, k) [rad, rad/sqrt(leg/g)]
+        Initial states on the attractor at `low`.
     low, high : float [rad]
-        The bracket to begin with, cut into `at_once` + 1 parts each of the `rounds`.
+        The bracket to begin with.
+    strides : int
+        Steps after the transient.
+    at_once, rounds : int
+        In each round the bracket is divided by so many slopes, simulated side by side.
 
     Returns
     -------
-    low, high
-        Neighbours of the last round. NaN for `low` where the starts do not last there either, and for `high` where
-        nothing is lost.
+    low, high : float [rad]
+        Neighbouring slopes of the last round. NaN for `low` where the attractor does not persist there either, and for
+        `high` where it is not lost.
     """
     ends = surviving_slopes(problem, starts, np.array([low, high]), strides)
     if not ends[0]:
@@ -73,7 +82,7 @@ def lost(
         return high, np.nan
     for _ in range(rounds):
         slope = np.linspace(low, high, at_once + 2)
-        last = np.append(surviving_slopes(problem, starts, slope[1:-1], strides), False)
-        k = int(np.argmin(last))
+        survives = np.append(surviving_slopes(problem, starts, slope[1:-1], strides), False)
+        k = int(np.argmin(survives))
         low, high = float(slope[k]), float(slope[k + 1])
     return low, high

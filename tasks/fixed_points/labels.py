@@ -4,34 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 
-#: A gait is long if its rate ratio just before heelstrike lies below.
-LONG_BELOW = 0.5
+#: A gait is long if its rate ratio just before heelstrike lies below this.
+_LONG_BELOW = 0.5
 
 
 def places(angle: np.ndarray, ratio: np.ndarray) -> np.ndarray:
-    """Which label each gait has, as its place in `GAITS`.
+    """Label of each gait, as its index in `GAITS`.
 
     Parameters
     ----------
     angle : ndarray, shape (k, n)
-        Stance angles, or anything that rises with them, of up to k gaits at each of n slopes; NaN where there is none.
+        Stance angles [rad], or any increasing function of them, of up to k gaits at each of n slopes; NaN for none.
     ratio : ndarray, shape (k, n)
         (thigh rate - stance rate)/|stance rate| just before heelstrike.
 
     Returns
     -------
     ndarray of int, shape (k, n)
-        0 (`long`) or 1 (`short`) for the largest angle of each, 2 and on for the others by falling angle, -1 where
-        there is no gait.
+        0 (`long`) or 1 (`short`) for the largest angle of each, from 2 on for the others by decreasing angle, -1
+        where there is no gait.
     """
-    there, long = np.isfinite(angle), ratio < LONG_BELOW
-    found = np.where(there, np.where(long, 0, 1), -1)
-    crowded = np.flatnonzero(((there & long).sum(axis=0) > 1) | ((there & ~long).sum(axis=0) > 1))
+    exists, long = np.isfinite(angle), ratio < _LONG_BELOW
+    labels = np.where(exists, np.where(long, 0, 1), -1)
+    crowded = np.flatnonzero(((exists & long).sum(axis=0) > 1) | ((exists & ~long).sum(axis=0) > 1))
     order = np.argsort(-angle[:, crowded], axis=0, kind="stable")
-    place = np.take_along_axis(found[:, crowded], order, axis=0)
+    place = np.take_along_axis(labels[:, crowded], order, axis=0)
     first = np.zeros(place.shape, bool)
     for label in (0, 1):
         first |= (place == label) & (np.cumsum(place == label, axis=0) == 1)
     place = np.where(first | (place < 0), place, 1 + np.cumsum(~first, axis=0))
-    found[order, crowded] = place
-    return found
+    labels[order, crowded] = place
+    return labels

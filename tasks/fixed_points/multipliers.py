@@ -1,4 +1,4 @@
-"""Stability of a gait: the eigenvalues of its stride map."""
+"""Stability of a gait: the eigenvalues of its step map."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ import numpy as np
 
 
 def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
-    """Eigenvalues of the stride map, largest magnitude first, its exact zeros last.
+    """Eigenvalues of the step map, largest magnitude first, its exact zeros last.
 
     Parameters
     ----------
     jacobian : ndarray, shape (m, m, n)
-        Of the map on its section.
+        Derivative of the map on its section.
     width : int
-        Multipliers to report; those the section has no room for are exactly zero (paper, section 2.2).
+        Number of multipliers, at least m; those beyond the section's dimension are exactly zero (paper, section 2.2).
 
     Returns
     -------
     ndarray of complex, shape (n, width)
+        NaN where the derivative is not finite.
     """
     m, n = jacobian.shape[0], jacobian.shape[2]
-    found = np.zeros((n, width), complex)
+    values = np.zeros((n, width), complex)
     if m == 2:
         (a, b), (c, d) = jacobian
         middle, gap = (a + d) / 2, ((a - d) / 2) ** 2 + b * c
@@ -29,13 +30,12 @@ def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
         large = middle + np.where(middle < 0, -root, root)
         with np.errstate(divide="ignore", invalid="ignore"):
             small = np.where(large != 0, (a * d - b * c) / large, 0.0)
-        found[:, 0] = np.where(gap >= 0, large, middle + 1j * root)
-        found[:, 1] = np.where(gap >= 0, small, middle - 1j * root)
+        values[:, 0] = np.where(gap >= 0, large, middle + 1j * root)
+        values[:, 1] = np.where(gap >= 0, small, middle - 1j * root)
     else:
-        good = np.isfinite(jacobian).all(axis=(0, 1))
-        found[:, :m] = np.nan
-        values = np.linalg.eigvals(np.moveaxis(jacobian[:, :, good], -1, 0))
-        found[good, :m] = values
-    order = np.lexsort((-found[:, :m].imag, -found[:, :m].real, -np.abs(found[:, :m])), axis=-1)
-    found[:, :m] = np.take_along_axis(found[:, :m], order, axis=1)
-    return found
+        finite = np.isfinite(jacobian).all(axis=(0, 1))
+        values[:, :m] = np.nan
+        values[finite, :m] = np.linalg.eigvals(np.moveaxis(jacobian[:, :, finite], -1, 0))
+    order = np.lexsort((-values[:, :m].imag, -values[:, :m].real, -np.abs(values[:, :m])), axis=-1)
+    values[:, :m] = np.take_along_axis(values[:, :m], order, axis=1)
+    return values

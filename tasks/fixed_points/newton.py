@@ -11,29 +11,41 @@ from tasks.fixed_points.rounding import rounding
 from tasks.step.problem import Problem, sizes
 from tasks.step.step_map import Stride, matvec
 
-#: Periods beyond are a fall: the stance leg has all but come to stand upright [sqrt(leg/g)].
+#: Periods beyond this are a fall: the stance leg nearly comes to rest upright [sqrt(leg/g)].
 LONGEST_PERIOD = 12.0
-#: Newton steps a start may take; an honest one takes 2 to 8.
-MAX_ITERATIONS = 25
-#: The same for a rough flight: what is not near by then hardly ever arrives.
-MAX_ROUGH = 10
+#: Newton steps an initial guess may take; one that converges takes 2 to 8.
+_MAX_ITERATIONS = 25
+#: The same for coarse integration: what is not near a gait by then hardly ever converges.
+_MAX_COARSE_ITERATIONS = 10
 
 
-def similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
+def _similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
     """Change of (ln angle, rates/angle) for a change dy of scaled coordinates y, to first order."""
     d = dy / y[0]
     return np.vstack([d[:1], d[1:] - y[1:] / y[0] * d[:1]])
 
 
 def newton_step(stride: Stride, w: np.ndarray) -> np.ndarray:
-    """The Newton step of a stride in similarity coordinates, shape (m + phases, n)."""
+    """Newton step of P(y) = y in similarity coordinates.
+
+    Parameters
+    ----------
+    stride : Stride
+        The step at w.
+    w : ndarray, shape (m + phases, n)
+        ln(angle), rates/angle and event times [sqrt(leg/g)].
+
+    Returns
+    -------
+    ndarray, shape (m + phases, n)
+    """
     times = stride.times + matvec(stride.times_by_y, stride.newton)
-    return np.vstack([similarity(stride.y, stride.newton), times - w[len(stride.y) :]])
+    return np.vstack([_similarity(stride.y, stride.newton), times - w[len(stride.y) :]])
 
 
 @dataclass
-class Solved:
-    """Outcome of Newton on n lanes: coordinates, and whether they converged."""
+class NewtonResult:
+    """Result of Newton on n lanes: similarity coordinates (m + phases, n), and which converged (n,)."""
 
     w: np.ndarray
     converged: np.ndarray
@@ -46,27 +58,32 @@ def newton(
     coarse: bool = False,
     max_step_by_iteration: Sequence[float] = (1e6,),
     merge_cell: float = 0.0,
-) -> Solved:
+) -> NewtonResult:
     """Damped Newton on every lane; finished lanes leave the batch.
 
     Parameters
     ----------
     w : ndarray, shape (m + phases, n)
-        Starts, in similarity coordinates.
+        Initial guesses in similarity coordinates.
     log_slope : ndarray, shape (n,)
-    rough : bool
+        ln of the slope in rad.
+    coarse : bool
         Only to the search's tolerance.
-    hopeless : sequence of float
-        Size of the first, second, ... step that ends a lane's search; the last holds from there on.
-    merge : float
-        After three steps, of lanes at one slope that share a cell of this size, only that with the least step goes on.
+    max_step_by_iteration : sequence of float
+        Size of the first, second, ... Newton step that ends a lane's search; the last holds for all that follow.
+    merge_cell : float
+        After three steps, of lanes at one slope in one cell of this size, only that with the smallest step continues.
+
+    Returns
+    -------
+    NewtonResult
     """
     w = w.copy()
     n = w.shape[1]
     converged = np.zeros(n, bool)
     active = np.arange(n)
     last = np.full(n, np.inf)
-    for taken in range(MAX_ROUGH if coarse else MAX_ITERATIONS):
+    for taken in range(_MAX_COARSE_ITERATIONS if coarse else _MAX_ITERATIONS):
         if not len(active):
             break
         stride, _ = problem.some(active).stride(w[:, active], log_slope[active], coarse=coarse)
@@ -87,11 +104,23 @@ def newton(
             active = active[np.argsort(last[active], kind="stable")]
             cells = np.vstack([log_slope[active], np.round(w[:, active] / merge_cell)])
             active = np.sort(active[np.unique(cells, axis=1, return_index=True)[1]])
-    return Solved(w, converged)
+    return NewtonResult(w, converged)
 
 
 def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Lipschitz estimate of the Newton map at solutions: max over directions of |J^-1 dJ|/|dw|, shape (n,)."""
+    """Lipschitz estimate of the Newton map at solutions: maximum over directions of |J^-1 dJ|/|dw|.
+
+    Parameters
+    ----------
+    X : ndarray, shape (m + 1, n)
+        ln(angle), rates/angle and ln slope.
+    times : ndarray, shape (phases, n) [sqrt(leg/g)]
+        Event times.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
     m = problem.m
     w = np.vstack([X[:m], times])
     base, _ = problem.stride(w, X[m])
@@ -100,8 +129,8 @@ def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
     for i in range(m):
         moved = w.copy()
         moved[i] += h
-        stride, scale = problem.stride(moved, X[m])
-        # Both in the base point's relative coordinates; a changed scale would only rescale rows and columns alike.
+        stride, _ = problem.stride(moved, X[m])
+        # In relative coordinates of the base point; another scale would multiply rows and divide columns by the same.
         change = (stride.jacobian - base.jacobian) / h
         size = sizes(base.y)
         weighted = np.einsum("ijn,jkn->ikn", base.inverse, change) * size[None] / size[:, None]

@@ -1,4 +1,4 @@
-"""From guesses to settled gaits: Newton's last steps, the error bound, more digits where needed, and the verdict."""
+"""From guesses to gaits: Newton's last steps, error bounds, more digits where needed, and whether steps happen."""
 
 from __future__ import annotations
 
@@ -14,29 +14,42 @@ from tasks.step import extended_precision
 from tasks.step.problem import EPS, Problem, sizes
 from tasks.step.step_map import Stride, matvec
 
-#: Where the atlas cannot vouch for a point's verdict.
+#: Leg passes where the atlas has not shown that a point's step happens.
 UNKNOWN = -1
 #: Newton steps a point may take from the atlas; nearly all take one.
 MAX_STEPS = 8
-#: Standard deviations of the measured rounding a gait may be off, besides half a rounding of its image: that of the
-#: constants, which no change of units shows.
+#: Error bound in standard deviations of the measured rounding. Half a rounding of the image is added for the constants,
+#: whose own rounding no change of units shows.
 SAFETY_FACTOR = 16.0
-#: Where not even the third digit is sure Newton's derivative leads more digits nowhere.
-MAX_BOUND = 1e-3
-#: Share of Newton's radius of convergence up to which the estimate of a segment's nodes serves its points.
-VOUCHED = 0.1
+#: Bound from which Newton's derivative in doubles cannot lead to more digits.
+_MAX_BOUND = 1e-3
+#: Share of Newton's radius of convergence up to which the Lipschitz estimate of a segment's nodes serves its points.
+_MAX_CONTRACTION = 0.1
 #: Relative distance from the fixed point at which multipliers are as good as at it.
-NEAR = 2e-12
+_NEAR = 2e-12
 
 
 @dataclass
 class Polished:
-    """Gaits of n lanes, scaled by `scale` (n,).
+    """Gaits of n lanes.
 
-    `y` (m, n) section; `state` (a, n) just after heelstrike; `times` (phases, n) [sqrt(leg/g)]; `stride` the last one
-    flown, its impacts carried to the fixed point; `bound` (n,) of the relative error of angle, rates and period, and
-    `doubles` what it was before more digits were asked for;
-    `converged`, `step` (n,) whether Newton settled, and on a step that really happens; `passes` (n,) of the legs.
+    Attributes
+    ----------
+    y : ndarray, shape (m, n)
+        Scaled section coordinates.
+    state : ndarray, shape (angles, n)
+        Scaled, just after heelstrike.
+    times : ndarray, shape (phases, n) [sqrt(leg/g)]
+    scale : ndarray, shape (n,)
+        Power of two by which angles and rates are divided.
+    stride : Stride
+        The last step evaluated, its impacts corrected to the fixed point.
+    bound, doubles : ndarray, shape (n,)
+        Bound of the relative error of angle, rates and period; the same before any extended precision.
+    converged, step : ndarray of bool, shape (n,)
+        Whether Newton converged, and to a step that happens.
+    leg_passes : ndarray of int, shape (n,)
+        How often the swing leg passes the stance leg.
     """
 
     y: np.ndarray
@@ -64,53 +77,60 @@ def settle(
     Parameters
     ----------
     Z : ndarray, shape (m + 1 + phases, n)
-        Guesses as a branch's nodes hold them.
-    slope, lipschitz : ndarray, shape (n,)
-    noise : ndarray, shape (o, n)
-        Standard deviation that rounding gives angle, rates and period, over their `reach`.
-    passes : ndarray, shape (n,)
-        How often the legs pass, where the atlas has shown the stride to be a step; elsewhere UNKNOWN.
+        Guesses in the coordinates of a branch's nodes.
+    slope : ndarray, shape (n,) [rad]
+    lipschitz : ndarray, shape (n,)
+        Lipschitz estimates of the Newton map.
+    rounding_std : ndarray, shape (o, n)
+        Standard deviation that rounding gives angle, rates and period, over their `sensitivity`.
+    leg_passes : ndarray of int, shape (n,)
+        How often the legs pass where the atlas has shown that the step happens; elsewhere UNKNOWN.
+
+    Returns
+    -------
+    Polished
     """
     m, n = problem.m, len(slope)
-    stride, scale, w = polish(problem, np.delete(Z, m, axis=0), slope, lipschitz)
+    stride, scale, w = _polish(problem, np.delete(Z, m, axis=0), slope, lipschitz)
     eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
-    lipschitz = _at_points(problem, w, slope, lipschitz, eta)
-    # What is measured at the impacts is carried to the fixed point, as the times are.
+    lipschitz = _lipschitz_at_points(problem, w, slope, lipschitz, eta)
+    # The states at the impacts are corrected to the fixed point, as the times are.
     stride.impact = stride.impact + matvec(stride.impact_by_y, stride.newton)
-    if stride.knee is not None and stride.knee_by_y is not None:
-        stride.knee = stride.knee + matvec(stride.knee_by_y, stride.newton)
-    at = apply_newton_step(problem, stride, problem.parameters(slope, scale))
-    y, times, state, by_y = at.y, at.times, at.state, np.abs(at.by_y)
-    error = at.sensitivity * (SAFETY_FACTOR * rounding_std + EPS / 2) + matvec(by_y, 2 * lipschitz * eta**2 * sizes(y))
-    bound = (error / at.size).max(axis=0) + 2 * EPS
+    stride.knee = stride.knee + matvec(stride.knee_by_y, stride.newton)
+    gait = apply_newton_step(problem, stride, problem.parameters(slope, scale))
+    y, times, state, by_y = gait.y, gait.times, gait.state, np.abs(gait.by_y)
+    error = gait.sensitivity * (SAFETY_FACTOR * rounding_std + EPS / 2) + matvec(
+        by_y, 2 * lipschitz * eta**2 * sizes(y)
+    )
+    bound = (error / gait.size).max(axis=0) + 2 * EPS
     doubles = bound.copy()
-    converged = (bound < MAX_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
-    golden_ratio_order = (matvec(by_y, sizes(y)) / at.size).max(axis=0)
-    for lane in np.nonzero((bound > extended_precision.ESCALATE) & (bound < MAX_BOUND))[0]:
+    converged = (bound < _MAX_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
+    amplification = (matvec(by_y, sizes(y)) / gait.size).max(axis=0)
+    for lane in np.flatnonzero((bound > extended_precision.ESCALATE) & (bound < _MAX_BOUND)).tolist():
         wide = extended_precision.refine(
             problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane]
         )
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
-        bound[lane] = wide.left * max(1.0, golden_ratio_order[lane]) + wide.rounding
+        bound[lane] = wide.last_step * max(1.0, amplification[lane]) + wide.rounding
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
     step = (stride.closing < 0) & (np.diff(stride.times, axis=0, prepend=0) > 0).all(axis=0)
     lanes = np.nonzero(leg_passes == UNKNOWN)[0]
     if len(lanes):
-        _, verdict = verify_steps(problem.some(lanes), w[:, lanes], np.log(slope[lanes]))
-        step[lanes], leg_passes = verdict.step, leg_passes.copy()
-        leg_passes[lanes] = verdict.leg_passes
+        _, check = verify_steps(problem.some(lanes), w[:, lanes], np.log(slope[lanes]))
+        step[lanes], leg_passes = check.step, leg_passes.copy()
+        leg_passes[lanes] = check.leg_passes
     return Polished(y, state, times, scale, stride, bound, doubles, converged, step, leg_passes)
 
 
-def _at_points(
+def _lipschitz_at_points(
     problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, eta: np.ndarray
 ) -> np.ndarray:
-    """Lipschitz estimates (n,), measured at the point itself where that of its segment's nodes does not vouch for it.
+    """Lipschitz estimates (n,), measured at the point itself where that of its segment's nodes does not suffice.
 
-    At a fold the map at fixed slope is singular, and beside it ever less so: the node there says nothing of the
-    segment.
+    At a fold the map at fixed slope is singular, and ever less so beside it: the estimate at that node says nothing of
+    the segment.
     """
-    lanes = np.nonzero(2 * lipschitz * eta > VOUCHED)[0]
+    lanes = np.nonzero(2 * lipschitz * eta > _MAX_CONTRACTION)[0]
     if len(lanes):
         X = np.vstack([w[: problem.m, lanes], np.log(slope[lanes])])
         lipschitz = lipschitz.copy()
@@ -118,12 +138,12 @@ def _at_points(
     return lipschitz
 
 
-def polish(
+def _polish(
     problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray
 ) -> tuple[Stride, np.ndarray, np.ndarray]:
-    """Strides at guesses close enough that one more Newton step is exact to rounding.
+    """Steps near enough to the fixed points that one more Newton step is exact to rounding, their scales and w.
 
-    Lanes that are close already are not touched again, so a lane's bits do not depend on the others.
+    Lanes that are near enough are not evaluated again, so a lane's bits do not depend on the others.
     """
     q = np.log(slope)
     w, before = w.copy(), np.full(len(q), np.inf)
@@ -131,14 +151,14 @@ def polish(
     for _ in range(MAX_STEPS):
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)
-        # Far: Newton's next step would still leave an error, or what is measured on this stride would show it.
-        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.01 * rounding(stride).max(axis=0))) | (eta > NEAR)
+        # Far: Newton's next step would leave an error, or the multipliers of this step would show the distance.
+        far = (lipschitz * eta**2 > np.maximum(1e-16, 0.01 * rounding(stride).max(axis=0))) | (eta > _NEAR)
         lanes = np.nonzero(far & np.isfinite(eta) & (eta < 0.1) & (eta < 0.5 * before))[0]
         if not len(lanes):
             break
         before = np.zeros(len(q))
         before[lanes] = eta[lanes]
         w[:, lanes] += step[:, lanes]
-        again, scale[lanes] = problem.some(lanes).stride(w[:, lanes], q[lanes])
-        stride.put(lanes, again)
+        update, scale[lanes] = problem.some(lanes).stride(w[:, lanes], q[lanes])
+        stride.assign(lanes, update)
     return stride, scale, w

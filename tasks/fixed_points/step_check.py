@@ -1,4 +1,4 @@
-"""Whether fixed points are steps that happen, and which kind of gait they are."""
+"""Whether fixed points are steps that happen, and what kind of gait they are."""
 
 from __future__ import annotations
 
@@ -10,30 +10,45 @@ from tasks.step.verify_step import StepCheck, verify
 
 
 def verify_steps(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tuple[Stride, StepCheck]:
-    """Strides with their verdicts; where samples leave a doubt, finer ones decide."""
+    """Verify that fixed points are steps; lanes that samples leave in doubt are sampled 16 times as finely.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + phases, n)
+        Fixed points in similarity coordinates.
+    log_slope : ndarray, shape (n,)
+        ln of the slope in rad.
+
+    Returns
+    -------
+    stride : Stride
+        The sampled steps.
+    check : StepCheck
+    """
     stride, _ = problem.stride(w, log_slope, samples=SAMPLES)
-    return stride, settled(problem, stride, w, log_slope)
-
-
-def settled(problem: Problem, stride: Stride, w: np.ndarray, log_slope: np.ndarray) -> StepCheck:
-    """The verdict on sampled strides; lanes in doubt are sampled again, sixteen times as finely."""
-    assert stride.motion is not None
-    verdict = verify(stride.motion, stride.closing, stride.times)
-    lanes = np.nonzero(verdict.doubt)[0]
+    check = verify(stride.motion, stride.closing, stride.times)
+    lanes = np.nonzero(check.doubt)[0]
     if len(lanes):
         fine, _ = problem.some(lanes).stride(w[:, lanes], log_slope[lanes], samples=16 * SAMPLES)
-        assert fine.motion is not None
         closer = verify(fine.motion, fine.closing, fine.times)
-        verdict.step[lanes], verdict.leg_passes[lanes], verdict.doubt[lanes] = (
-            closer.step,
-            closer.leg_passes,
-            closer.doubt,
-        )
-    return verdict
+        for name in ("step", "leg_passes", "doubt"):
+            getattr(check, name)[lanes] = getattr(closer, name)
+    return stride, check
 
 
 # Where heelstrike is tangential to the last digit its rates have no value.
 @np.errstate(invalid="ignore", divide="ignore")
 def gait_ratio(stride: Stride) -> np.ndarray:
-    """u = (swing rate - stance rate)/|stance rate| just before heelstrike: below 1/2 a gait is long."""
+    """Return the gait ratio (swing rate - stance rate)/|stance rate| just before heelstrike.
+
+    Parameters
+    ----------
+    stride : Stride
+        Of n lanes.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Below 1/2 a gait is long.
+    """
     return (stride.impact[1] - stride.impact[0]) / np.abs(stride.impact[0])

@@ -4,8 +4,8 @@ Stance shank, stance thigh, swing thigh and swing shank have the angles q; every
 
     x + iy = -R q_0 + iR + sum_j A_j exp(i q_j)
 
-with constant arms A_j. What holds the stance knee is what its thigh's own equation of motion misses when both stance
-links move as one. Plain arrays, one elementwise operation after another: this is for measuring, not for flying.
+with constant arms A_j. The torque that holds the stance knee is the residual of the thigh's own equation of motion when
+both stance links move as one. Plain arrays, elementwise operations only: this measures motions that are already known.
 """
 
 from __future__ import annotations
@@ -23,14 +23,26 @@ THIGH = 1
 
 
 def total(terms: Iterable[np.ndarray]) -> np.ndarray:
-    """Sum in order."""
+    """Sum of arrays, always added in the same order.
+
+    Parameters
+    ----------
+    terms : iterable of ndarray
+        Of one shape.
+
+    Returns
+    -------
+    ndarray
+        Of that shape.
+    """
     return functools.reduce(operator.add, terms)
 
 
 class Chain:
     """A walker whose stance knee is open, in units of its leg, its mass and g.
 
-    Arrays have the link first where they have one, any shape after it, and the lane last.
+    Arrays have the link first where they have one, then any shape, here (4, ...): stance shank, stance thigh, swing
+    thigh, swing shank. A complex number x + iy is a vector along the slope and the ground's normal.
     """
 
     def __init__(self, walker: Walker):
@@ -52,7 +64,7 @@ class Chain:
         )
         masses = np.array([m_s, m_t, walker.m_h / mass, m_t, m_s])
         I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
-        #: First moments and products of the arms; a massless leg's own rows are those of a unit point at its foot.
+        #: First moments and products of the arms; a massless leg's own rows are those of a unit point mass at its foot.
         self.S = masses @ arms
         self.K = arms.conj().T @ (masses[:, None] * arms) + np.diag([I_s, I_t, I_t, I_s])
         self.S_rows = self.S.copy()
@@ -61,11 +73,20 @@ class Chain:
             self.S_rows[2:] = arms[4, 2:]
 
     def groups(self, free_knee: bool) -> list[list[int]]:
-        """Links that move as one."""
+        """Links that move as one, by their indices."""
         return [[0, 1], [2], [3]] if free_knee else [[0, 1], [2, 3]]
 
     def matrix(self, q: np.ndarray) -> list[list[np.ndarray]]:
-        """Mass matrix of the four links, rows of arrays."""
+        """Mass matrix of the four links.
+
+        Parameters
+        ----------
+        q : ndarray, shape (4, ...) [rad]
+
+        Returns
+        -------
+        list of list of ndarray, shape (...)
+        """
         e = np.exp(1j * q)
         M = [[(self.K[i, j] * e[i].conj() * e[j]).real for j in range(4)] for i in range(4)]
         for j in range(4):
@@ -75,7 +96,18 @@ class Chain:
         return M
 
     def force(self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray) -> list[np.ndarray]:
-        """Right-hand side f of M q'' = f."""
+        """Right-hand side f of M q'' = f.
+
+        Parameters
+        ----------
+        q, rate : ndarray, shape (4, ...) [rad, rad/sqrt(leg/g)]
+        slope : ndarray, shape (...) [rad]
+
+        Returns
+        -------
+        list of ndarray, shape (...)
+            Generalised forces over mass, leg and g.
+        """
         e = np.exp(1j * q)
         gravity = np.sin(slope) - 1j * np.cos(slope)
         f = [
@@ -88,67 +120,157 @@ class Chain:
         return f
 
     def accelerations(self, q: np.ndarray, rate: np.ndarray, slope: np.ndarray, free_knee: bool) -> np.ndarray:
-        """Angular accelerations of the four links with the stance knee locked."""
-        M, f, groups = self.matrix(q), self.force(q, rate, slope), self.groups(free_knee)
-        A = _grouped(M, groups)
-        b = [total(f[i] for i in g) for g in groups]
-        x = _solve(A, b)
+        """Angular accelerations of the four links with the stance knee locked.
+
+        Parameters
+        ----------
+        q, rate : ndarray, shape (4, ...) [rad, rad/sqrt(leg/g)]
+        slope : ndarray, shape (...) [rad]
+        free_knee : bool
+            True where the swing knee is free.
+
+        Returns
+        -------
+        ndarray, shape (4, ...) [rad g/leg]
+        """
+        f, groups = self.force(q, rate, slope), self.groups(free_knee)
+        x = _solve(_group(self.matrix(q), groups), [total(f[i] for i in g) for g in groups])
         return np.stack([x[k] for k, g in enumerate(groups) for _ in g])
 
     def momentum(self, q: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Linear momentum, complex."""
-        lever = self.levers(q)
-        return total(rate[j] * lever[j] for j in range(4))
+        """Linear momentum, complex, over mass and sqrt(leg g).
+
+        Parameters
+        ----------
+        q, rate : ndarray, shape (4, ...) [rad, rad/sqrt(leg/g)]
+
+        Returns
+        -------
+        ndarray of complex, shape (...)
+        """
+        levers = self.levers(q)
+        return total(rate[j] * levers[j] for j in range(4))
 
     def levers(self, q: np.ndarray) -> np.ndarray:
-        """Linear momentum, complex, that a unit rate of each link gives."""
+        """Linear momentum, complex, that a unit rate of each link gives.
+
+        Parameters
+        ----------
+        q : ndarray, shape (4, ...) [rad]
+
+        Returns
+        -------
+        ndarray of complex, shape (4, ...)
+        """
         e = np.exp(1j * q)
         return np.stack([1j * self.S[0] * e[0] - self.R, *(1j * self.S[j] * e[j] for j in (1, 2, 3))])
 
     def ground_force(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Force of the ground on the stance foot, complex, over weight."""
+        """Force of the ground on the stance foot, complex, over weight.
+
+        Parameters
+        ----------
+        q, rate, acceleration : ndarray, shape (4, ...) [rad, rad/sqrt(leg/g), rad g/leg]
+        slope : ndarray, shape (...) [rad]
+
+        Returns
+        -------
+        ndarray of complex, shape (...)
+        """
         e = np.exp(1j * q)
-        moved = total((1j * acceleration[j] - rate[j] ** 2) * self.S[j] * e[j] for j in range(4))
-        return moved - self.R * acceleration[0] - np.sin(slope) + 1j * np.cos(slope)
+        inertial = total((1j * acceleration[j] - rate[j] ** 2) * self.S[j] * e[j] for j in range(4))
+        return inertial - self.R * acceleration[0] - np.sin(slope) + 1j * np.cos(slope)
 
     def holding(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Torque of the stance knee's lock on the thigh; negative where no stop could give it."""
+        """Torque of the stance knee's lock on the thigh; negative where no stop could give it.
+
+        Parameters
+        ----------
+        q, rate, acceleration : ndarray, shape (4, ...) [rad, rad/sqrt(leg/g), rad g/leg]
+        slope : ndarray, shape (...) [rad]
+
+        Returns
+        -------
+        ndarray, shape (...) [weight leg]
+        """
         M, f = self.matrix(q), self.force(q, rate, slope)
         return total(M[THIGH][j] * acceleration[j] for j in range(4)) - f[THIGH]
 
     def compliance(self, q: np.ndarray, rows: list[np.ndarray], free_knee: bool) -> list[list[np.ndarray]]:
-        """Rates along each of some rows of four for a unit impulse along each, stance knee locked: r M^-1 r^T."""
+        """Rates along some rows for a unit impulse along each, stance knee locked: r M^-1 r^T.
+
+        Parameters
+        ----------
+        q : ndarray, shape (4, ...) [rad]
+        rows : list of ndarray, shape (4, ...)
+            Directions of the generalised impulses.
+        free_knee : bool
+            True where the swing knee is free.
+
+        Returns
+        -------
+        list of list of ndarray, shape (...)
+            The symmetric matrix over the rows.
+        """
         groups = self.groups(free_knee)
-        M, own = _grouped(self.matrix(q), groups), [[total(r[i] for i in g) for g in groups] for r in rows]
-        moved = [_solve(M, r) for r in own]
-        return [[total(a * b for a, b in zip(r, x, strict=True)) for x in moved] for r in own]
+        M, impulses = _group(self.matrix(q), groups), [[total(r[i] for i in g) for g in groups] for r in rows]
+        responses = [_solve(M, r) for r in impulses]
+        return [[total(a * b for a, b in zip(r, x, strict=True)) for x in responses] for r in impulses]
 
     def height(self, q: np.ndarray) -> np.ndarray:
-        """Height of the swing foot's lowest point, without cancellation for short steps."""
+        """Height of the swing foot's lowest point over leg, without cancellation for short steps.
+
+        Parameters
+        ----------
+        q : ndarray, shape (4, ...) [rad]
+
+        Returns
+        -------
+        ndarray, shape (...)
+        """
         a, b, c = q[0], q[2], q[3]
         bent = 2 * np.sin((c - b) / 2) * (self.foot * np.exp(0.5j * (b + c))).real
         return -2 * self.l * np.sin((a + b) / 2) * np.sin((a - b) / 2) + bent
 
     def rise(self, q: np.ndarray) -> np.ndarray:
-        """Derivative of that height by the four angles."""
+        """Derivative of the swing foot's height by the four angles.
+
+        Parameters
+        ----------
+        q : ndarray, shape (4, ...) [rad]
+
+        Returns
+        -------
+        ndarray, shape (4, ...)
+        """
         knee = -1j * self.l - self.foot
         e = np.exp(1j * q)
         return np.stack([(arm * e[j]).real for j, arm in enumerate((-self.foot, -knee, knee, self.foot))])
 
     def lift(self, q: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        """Second derivative of that height by time."""
+        """Second derivative of the swing foot's height by time, over g.
+
+        Parameters
+        ----------
+        q, rate, acceleration : ndarray, shape (4, ...) [rad, rad/sqrt(leg/g), rad g/leg]
+
+        Returns
+        -------
+        ndarray, shape (...)
+        """
         knee = -1j * self.l - self.foot
         e = np.exp(1j * q)
         turning = total(rate[j] ** 2 * (arm * e[j]).imag for j, arm in enumerate((-self.foot, -knee, knee, self.foot)))
         return (self.rise(q) * acceleration).sum(axis=0) - turning
 
 
-def _grouped(M: list[list[np.ndarray]], groups: list[list[int]]) -> list[list[np.ndarray]]:
+def _group(M: list[list[np.ndarray]], groups: list[list[int]]) -> list[list[np.ndarray]]:
+    """Matrix of groups of links that move as one."""
     return [[total(M[i][j] for i in g for j in h) for h in groups] for g in groups]
 
 
 def _solve(A: list[list[np.ndarray]], b: list[np.ndarray]) -> list[np.ndarray]:
-    """Solve A x = b elementwise. The stance row goes last: a massless leg leaves its coupling zero."""
+    """Solve A x = b elementwise. The stance row is eliminated last: its coupling to a massless leg is zero."""
     A, b, n = [list(row) for row in A], list(b), len(b)
     for k in reversed(range(1, n)):
         for i in range(k):

@@ -1,6 +1,6 @@
 """Equations of motion with lumped constants, as symbols, for two links (knees locked) and three.
 
-Frame and angles as PHYSICS settles them: x down the slope, y along the ground normal, angles counter-clockwise
+Frame and angles are those of docs/physics.md: x down the slope, y along the ground normal, angles counter-clockwise
 from the normal; a vector of a leg is a complex number x + iy in the frame of that leg, rotated by exp(i angle).
 Unit of length is the leg l + R, of mass the whole walker, and g = 1.
 
@@ -11,21 +11,23 @@ With the lumped constants of `tasks.mechanics.lumped` the kinetic and potential 
 
 Rows of the swing links are divided by the leg's inertia `eps`, so the limit of a vanishing foot mass is exact.
 States are scaled, q = s x with s a power of two, so an absolute tolerance is a relative one on any slope.
-What depends on parameters alone is held: computed once a flight, not at every step of it. So the equations turn
-constants that are already multiplied out, and angles are taken from the vertical, where gravity needs one term.
+Expressions of parameters alone are held: computed once an integration, not at each of its Taylor steps. So the
+equations rotate constants that are already multiplied out, and angles are taken from the vertical, where gravity needs
+one term.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import heyoka as hy
 
 from tasks.mechanics.lumped import Structure
 
+#: A symbolic expression; heyoka's are compiled types without annotations.
+Sym: TypeAlias = Any
 ZERO, ONE = hy.expression(0.0), hy.expression(1.0)
-Sym = hy.expression
 
 
 @dataclass(frozen=True)
@@ -35,22 +37,23 @@ class Complex:
     re: Sym
     im: Sym
 
-    def turned(self, sine: Sym, cosine: Sym) -> Complex:
+    def rotate(self, sine: Sym, cosine: Sym) -> Complex:
+        """Rotate by an angle of that sine and cosine."""
         return Complex(self.re * cosine - self.im * sine, self.re * sine + self.im * cosine)
 
 
 class Symbols:
     """The runtime parameters of a structure as symbols, in compiled functions and in flows.
 
-    A flow may not use them but through `held`, which makes any expression of them one of the flow's own parameters;
-    `held_values` are these, in their order.
+    A flow uses them only through `hold`, which makes any expression of them one of the flow's own parameters;
+    `held_values` are these expressions in their order.
     """
 
     def __init__(self, structure: Structure, flow: bool = False):
         names = structure.parameters
         self.variables = list(hy.make_vars(*(f"p_{n}" for n in names)))
         self.held_values: list[Sym] | None = [] if flow else None
-        values = dict(zip(names, self.variables)) | {k: hy.expression(v) for k, v in structure.units}
+        values = dict(zip(names, self.variables, strict=True)) | {k: hy.expression(v) for k, v in structure.units}
         self.slope, self.scale = values["slope"], values["scale"]
         self.R, self.l, self.eps, self.C_aa = values["R"], values["l"], values["eps"], values["C_aa"]
         self.S_a = Complex(values["S_a_re"], values["S_a_im"])
@@ -60,17 +63,17 @@ class Symbols:
             self.S_c = Complex(values["S_c_re"], values["S_c_im"])
             self.C_cc, self.H = values["C_cc"], Complex(values["H_re"], values["H_im"])
 
-    def held(self, value: Sym) -> Sym:
-        """An expression of parameters alone, in a form this code may use."""
+    def hold(self, value: Sym) -> Sym:
+        """An expression of parameters alone, as the flow's own parameter where this is a flow."""
         if self.held_values is None or not hy.get_variables(value):
             return value
         if value not in self.held_values:
             self.held_values.append(value)
         return hy.par[self.held_values.index(value)]
 
-    def turned(self, constant: Complex, factor: Sym, trig: tuple[Sym, Sym]) -> Complex:
-        """factor constant e^{i angle}."""
-        return Complex(self.held(factor * constant.re), self.held(factor * constant.im)).turned(*trig)
+    def rotate(self, constant: Complex, factor: Sym, trig: tuple[Sym, Sym]) -> Complex:
+        """Product of a factor, a constant and e^{i angle}, the angle given by its sine and cosine."""
+        return Complex(self.hold(factor * constant.re), self.hold(factor * constant.im)).rotate(*trig)
 
     def locked(self) -> tuple[Complex, Sym]:
         """S and inertia of the whole swing leg with its knee locked."""
@@ -80,7 +83,7 @@ class Symbols:
 
 
 class Motion:
-    """Equations of motion M q'' = f in scaled coordinates, and their first variation.
+    """Equations of motion M q'' = f in scaled coordinates, and their first variations.
 
     Parameters
     ----------
@@ -103,35 +106,35 @@ class Motion:
 
     def __init__(self, p: Symbols, q: list[Sym], rate: list[Sym], free_knee: bool):
         self.p, self.rate, self.square = p, rate, [x**2.0 for x in rate]
-        s, hold = p.scale, p.held
+        s, hold = p.scale, p.hold
         scale = hold(s)
         angle = [scale * x for x in q]
         tilt = [(hy.sin(x), hy.cos(x)) for x in (x - hold(p.slope) for x in angle)]
-        # Constants that go with an angle from the ground's normal.
+        # These rotate constants of angles measured from the ground's normal.
         sine, cosine = hy.sin(p.slope), hy.cos(p.slope)
         swing = [(p.S_b, p.C_bb), (p.S_c, p.C_cc)] if free_knee else [p.locked()]
         n = 1 + len(swing)
         self.M = [[ZERO] * n for _ in range(n)]
         self.f = [ZERO] * n
         square, eps = self.square, hold(p.eps)
-        self.weighted = list(zip([p.S_a, *(S for S, _ in swing)], tilt))
+        self.weighted = list(zip([p.S_a, *(S for S, _ in swing)], tilt, strict=True))
 
         def rolling(S: Complex, j: int) -> tuple[Sym, Sym]:
-            """R Im(S e^{iq}) and s R Re(S e^{iq}), q from the ground's normal."""
-            normal = S.turned(sine, cosine)
-            return p.turned(normal, p.R, tilt[j]).im, p.turned(normal, s * p.R, tilt[j]).re
+            """R Im(S e^{iq}) and s R Re(S e^{iq}), with q from the ground's normal."""
+            normal = S.rotate(sine, cosine)
+            return p.rotate(normal, p.R, tilt[j]).im, p.rotate(normal, s * p.R, tilt[j]).re
 
         self.y, self.m = rolling(p.S_a, 0)
         self.M[0][0] = hold(p.C_aa) + 2.0 * self.y
-        self.f[0] = -(self.m * square[0]) - p.turned(p.S_a, ONE / s, tilt[0]).re - hold(p.R * sine / s)
-        #: One for each swing link, from 1.
+        self.f[0] = -(self.m * square[0]) - p.rotate(p.S_a, ONE / s, tilt[0]).re - hold(p.R * sine / s)
+        #: An entry for each swing link, from 1.
         self.c, self.k, self.by_stance, self.by_swing = [ZERO], [ZERO], [ZERO], [ZERO]
         for j, (S, C) in enumerate(swing, start=1):
             between = scale * (q[j] - q[0])
             trig = hy.sin(between), hy.cos(between)
             K = Complex(p.l * S.im, -p.l * S.re)
             roll, roll_by = rolling(S, j)
-            c, by_stance = p.turned(K, ONE, trig).re, p.turned(K, s, trig).im
+            c, by_stance = p.rotate(K, ONE, trig).re, p.rotate(K, s, trig).im
             k, by_swing = c + roll, roll_by - by_stance
             self.c.append(c)
             self.k.append(k)
@@ -139,22 +142,22 @@ class Motion:
             self.by_swing.append(by_swing)
             self.M[0][j], self.M[j][0], self.M[j][j] = eps * k, k, hold(C)
             self.f[0] = self.f[0] - eps * (by_swing * square[j])
-            self.f[j] = -(by_stance * square[0]) - p.turned(S, ONE / s, tilt[j]).re
+            self.f[j] = -(by_stance * square[0]) - p.rotate(S, ONE / s, tilt[j]).re
         if free_knee:
             bent = scale * (q[2] - q[1])
             trig = hy.sin(bent), hy.cos(bent)
-            self.h, self.h_by = p.turned(p.H, ONE, trig).re, p.turned(p.H, s, trig).im
+            self.h, self.h_by = p.rotate(p.H, ONE, trig).re, p.rotate(p.H, s, trig).im
             self.M[1][2] = self.M[2][1] = self.h
             self.f[1] = self.f[1] + self.h_by * square[2]
             self.f[2] = self.f[2] - self.h_by * square[1]
         self.last_pivot = hold(ONE / swing[-1][1])
 
-    def varied(self, u: list[Sym]) -> tuple[list[list[Sym]], list[list[Sym]]]:
-        """Derivatives of the residual M u - f at the accelerations u by the angles, and by the rates."""
+    def differentiate(self, u: list[Sym]) -> tuple[list[list[Sym]], list[list[Sym]]]:
+        """Derivatives of the residual M u - f at the accelerations u, by the angles and by the rates."""
         p, s, n = self.p, self.p.scale, len(u)
-        eps, s2, eps_s2 = (p.held(x) for x in (p.eps, s * s, p.eps * s * s))
+        eps, s2, eps_s2 = (p.hold(x) for x in (p.eps, s * s, p.eps * s * s))
         twice = [2.0 * x for x in self.rate]
-        falling = [p.turned(S, ONE, trig).im for S, trig in self.weighted]
+        falling = [p.rotate(S, ONE, trig).im for S, trig in self.weighted]
         by_q = [[ZERO] * n for _ in range(n)]
         by_rate = [[ZERO] * n for _ in range(n)]
         by_q[0][0] = 2.0 * (self.m * u[0]) - s2 * (self.y * self.square[0]) - falling[0]
@@ -169,7 +172,7 @@ class Motion:
             by_rate[j][0] = self.by_stance[j] * twice[0]
         if n == 3:
             for j, other, sign in ((1, 2, 1.0), (2, 1, -1.0)):
-                bend = self.h_by * u[other] + sign * (p.held(s * s) * (self.h * self.square[other]))
+                bend = self.h_by * u[other] + sign * (p.hold(s * s) * (self.h * self.square[other]))
                 by_q[j][1], by_q[j][2] = by_q[j][1] + bend, by_q[j][2] - bend
                 by_rate[j][other] = -sign * (self.h_by * twice[other])
         return by_q, by_rate
@@ -177,25 +180,25 @@ class Motion:
     def by_slope(self) -> list[Sym]:
         """Derivatives of the residual by the slope."""
         p = self.p
-        found = [p.turned(S, ONE / p.scale, trig).im for S, trig in self.weighted]
-        return [found[0] + p.held(p.R * hy.cos(p.slope) / p.scale), *found[1:]]
+        stance, *swing = (p.rotate(S, ONE / p.scale, trig).im for S, trig in self.weighted)
+        return [stance + p.hold(p.R * hy.cos(p.slope) / p.scale), *swing]
 
 
 def rows(p: Symbols, q: list[Sym], rate: list[Sym], free_knee: bool) -> tuple[list[list[Sym]], list[Sym]]:
-    """Mass matrix and force of the equations of motion, as `Motion` has them."""
+    """Mass matrix M and force f of the equations of motion M q'' = f, as `Motion` has them."""
     motion = Motion(p, q, rate, free_knee)
     return motion.M, motion.f
 
 
 class Solver:
-    """Solves M x = f in symbols for many right-hand sides, sharing the elimination; `last` is 1/M[-1][-1] if known."""
+    """Gaussian elimination of M x = f in symbols, shared by all right-hand sides; `last` is 1/M[-1][-1] if known."""
 
     def __init__(self, M: list[list[Sym]], last: Sym | None = None):
         n = len(M)
         self.U = [list(row) for row in M]
         self.factors: list[tuple[int, int, Sym]] = []
         self.pivots = [ZERO] * n
-        # The stance row goes last: with no foot mass its coupling vanishes and the elimination with it.
+        # The stance row is eliminated last: without a foot mass its coupling vanishes, and the elimination with it.
         for k in reversed(range(n)):
             self.pivots[k] = last if last is not None and k == n - 1 else ONE / self.U[k][k]
             for i in reversed(range(k)):
@@ -205,6 +208,7 @@ class Solver:
                     self.U[i][j] = self.U[i][j] - factor * self.U[k][j]
 
     def __call__(self, f: list[Sym]) -> list[Sym]:
+        """Solution x of M x = f."""
         f = list(f)
         for i, k, factor in self.factors:
             f[i] = f[i] - factor * f[k]
@@ -216,7 +220,7 @@ class Solver:
 
 @dataclass(frozen=True)
 class System:
-    """A flow's differential equations, and its parameters as expressions of the structure's (`variables`)."""
+    """A flow's differential equations, and its parameters as expressions `held` of the structure's (`variables`)."""
 
     equations: list[tuple[Sym, Sym]]
     held: list[Sym]
@@ -241,6 +245,11 @@ def system(structure: Structure, free_knee: bool, directions: int, with_slope: b
     with_slope : bool
         True where the last of them is the derivative by the slope.
 
+    Returns
+    -------
+    System
+        States are angles, then rates, then the same of each variation.
+
     Notes
     -----
     The variations are implicit: with r = M q'' - f, M dq'' = -(r_q dq + r_q' dq' + r_slope dslope), so the matrix is
@@ -253,9 +262,9 @@ def system(structure: Structure, free_knee: bool, directions: int, with_slope: b
     motion = Motion(p, q, rate, free_knee)
     solve = Solver(motion.M, motion.last_pivot)
     acceleration = solve(motion.f)
-    found = list(zip(q, rate)) + list(zip(rate, acceleration))
+    equations = [*zip(q, rate, strict=True), *zip(rate, acceleration, strict=True)]
     if directions:
-        by_q, by_rate = motion.varied(acceleration)
+        by_q, by_rate = motion.differentiate(acceleration)
     for d in range(directions):
         dq = list(hy.make_vars(*(f"dq{i}_{d}" for i in range(n))))
         dv = list(hy.make_vars(*(f"dv{i}_{d}" for i in range(n))))
@@ -265,5 +274,5 @@ def system(structure: Structure, free_knee: bool, directions: int, with_slope: b
             if with_slope and d == directions - 1:
                 total = total + motion.by_slope()[i]
             forces.append(-total)
-        found += list(zip(dq, dv)) + list(zip(dv, solve(forces)))
-    return System(found, p.held_values or [], p.variables)
+        equations += [*zip(dq, dv, strict=True), *zip(dv, solve(forces), strict=True)]
+    return System(equations, p.held_values or [], p.variables)

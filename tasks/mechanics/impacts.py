@@ -1,6 +1,6 @@
 """Kneestrike and heelstrike: plastic impacts, as linear maps of the rates (section 2.1 of the paper).
 
-Momentum is kept in every motion the constraints after the impact allow: with V the bodies' velocities,
+Momentum is conserved in every motion that the constraints after the impact allow: with V the bodies' velocities,
 M_after q'_after = sum m (dV/dq'_after)(V_before). Rows of the swing leg are divided by `eps` as in the equations of
 motion.
 """
@@ -13,6 +13,7 @@ from tasks.mechanics.equations import ZERO, Complex, Solver, Sym, Symbols, rows
 
 
 def _dot(u: Complex, v: Complex) -> Sym:
+    """Scalar product of two vectors."""
     return u.re * v.re + u.im * v.im
 
 
@@ -22,6 +23,7 @@ def heelstrike(p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_k
     Parameters
     ----------
     p : Symbols
+        The structure's parameters.
     angle : expression
         Scaled stance angle just after heelstrike; both feet touch, so the new swing leg stands at minus it.
     stance_rate, swing_rate : expression
@@ -36,7 +38,8 @@ def heelstrike(p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_k
 
     Notes
     -----
-    The impulse acts at the new contact only; the old stance leg becomes the swing leg.
+    Section 2.1 of the paper, with feet of any radius: the impulse acts at the new contact only, so angular momentum of
+    the whole walker about it and of the old stance leg about the hip are conserved. That leg becomes the swing leg.
     """
     new, old = p.scale * angle, -p.scale * angle
     trig_new, trig_old = (hy.sin(new), hy.cos(new)), (hy.sin(old), hy.cos(old))
@@ -44,13 +47,14 @@ def heelstrike(p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_k
     hip_old = Complex(-p.R - p.l * trig_old[1], -p.l * trig_old[0])
 
     def sweep(S: Complex, trig: tuple[Sym, Sym]) -> Complex:
-        turned = S.turned(*trig)
-        return Complex(-turned.im, turned.re)
+        """Momentum that a unit rate gives a leg of first moment S."""
+        rotated = S.rotate(*trig)
+        return Complex(-rotated.im, rotated.re)
 
     S, J = p.locked()
     angles = [angle, -angle] + ([-angle] if free_knee else [])
     M, _ = rows(p, angles, [ZERO] * len(angles), free_knee)
-    # hip_new . hip_old without cancellation for legs that open wide.
+    # The product hip_new . hip_old, without cancellation for legs at a wide angle.
     hips = p.R**2.0 + 2.0 * p.R * p.l * trig_new[1] + p.l**2.0 * hy.cos(2.0 * new)
     momentum = [
         (hips + p.eps * (_dot(sweep(S, trig_new), hip_old) + _dot(hip_new, sweep(S, trig_old)))) * stance_rate
@@ -68,8 +72,19 @@ def kneestrike(p: Symbols, q: list[Sym], rate: list[Sym]) -> list[Sym]:
     Parameters
     ----------
     p : Symbols
+        The structure's parameters.
     q, rate : list of expression
         Scaled angles and rates of the three links just before.
+
+    Returns
+    -------
+    list of expression
+        Rates of the stance leg and of the locked swing leg.
+
+    Notes
+    -----
+    Section 2.1 of the paper: the impulse is a torque in the knee, so the generalised momenta of the stance leg and of
+    the whole swing leg are conserved.
     """
     free, _ = rows(p, q, rate, True)
     locked, _ = rows(p, q[:2], rate[:2], False)

@@ -1,4 +1,4 @@
-"""Compiled flows: a structure's equations of motion, advanced over given times in SIMD lanes."""
+"""Compiled flows: a structure's equations of motion, integrated over given times in SIMD lanes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ import numpy as np
 from tasks.mechanics.equations import system
 from tasks.mechanics.lumped import Structure
 
-#: Steps a flow may take before it counts as lost; an honest stride takes 5 to 40.
-MAX_STEPS = 120
+#: Taylor steps a flow may take before it counts as lost; a step of a gait takes 5 to 40.
+_MAX_STEPS = 120
 LANES = hy.recommended_simd_size()
-#: Tolerance of the exact flows: order 18, whose truncation is fifty times below rounding.
-FINE = 1.75e-15
-#: Tolerance of a search's flows, which only lead to where the exact ones begin.
-COARSE = 1e-7
+#: Tolerance of the exact flows: order 18, whose truncation error is a fiftieth of rounding.
+_FINE = 1.75e-15
+#: Tolerance of a search's flows, which only give the exact ones their initial guesses.
+_COARSE = 1e-7
 
 
 @functools.cache
@@ -29,8 +29,8 @@ def prepare_compiler() -> None:
 
     Notes
     -----
-    heyoka reads its cache through when it opens it: one of our own, kept small, opens ten times as fast as one shared
-    with all its users. On a network disk it is slower than compiling; `GAITSWEEP_CACHE` names a local one.
+    heyoka reads its whole cache when it opens it: a small one of this program's own opens ten times as fast as one
+    shared with all users of heyoka. On a network disk it is slower than compiling; `GAITSWEEP_CACHE` names a local one.
     """
     named = os.environ.get("GAITSWEEP_CACHE")
     with contextlib.suppress(*() if named else (OSError, RuntimeError)):
@@ -43,7 +43,19 @@ def prepare_compiler() -> None:
 
 
 def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
-    """Values with the last lane repeated until the lanes fill whole groups, contiguous."""
+    """Repeat the last lane until the lanes fill whole groups.
+
+    Parameters
+    ----------
+    values : ndarray, shape (..., n)
+    lanes : int
+        Lanes of a group.
+
+    Returns
+    -------
+    ndarray, shape (..., a multiple of `lanes`)
+        Contiguous; the same array where nothing is missing.
+    """
     n = values.shape[-1]
     if not n % lanes:
         return np.ascontiguousarray(values)
@@ -55,99 +67,112 @@ def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
 class Flow:
     """A flow over given times, with its variations, for any number of lanes.
 
-    Work is counted in `evaluations` (lanes advanced) and `idle` (lanes that fill a group). Every lane runs the same
-    code at its own pace, so a lane's
-    bits do not depend on its neighbours; a group with a lost lane is run again lane by lane to keep that true.
+    Work is counted in `evaluations` (lanes integrated) and `idle` (lanes that fill up a group). Every lane runs the
+    same code with Taylor steps of its own, so its bits do not depend on its neighbours; a group with a lost lane is
+    integrated again lane by lane to keep that true.
     """
 
     def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool, coarse: bool):
-        flown = system(structure, free_knee, directions, with_slope)
-        self.size, self.angles = len(flown.equations), (6 if free_knee else 4)
-        # Without a foot mass the links do not couple: so few terms are left that two registers a step pay.
+        motion = system(structure, free_knee, directions, with_slope)
+        self.size, self.angles = len(motion.equations), (6 if free_knee else 4)
+        # Without a foot mass the links do not couple: with so few terms a group of two registers is faster.
         self.lanes = 2 * LANES if ("eps", 0.0) in structure.units else LANES
         self.evaluations = self.idle = 0
         self._ta = hy.taylor_adaptive_batch(
-            flown.equations, state=np.zeros((self.size, self.lanes)), tol=COARSE if coarse else FINE
+            motion.equations, state=np.zeros((self.size, self.lanes)), tol=_COARSE if coarse else _FINE
         )
-        self._parameters = flown.parameters()
+        self._parameters = motion.parameters()
         # Views of the integrator's own memory.
         ta: Any = self._ta
         self._state, self._pars, self._time = ta.state, ta.pars, ta.time
 
     def __call__(
         self, state: np.ndarray, parameters: np.ndarray, duration: np.ndarray, samples: int = 0
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Advance every lane by its own duration.
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Integrate every lane over its own duration.
 
         Parameters
         ----------
         state : ndarray, shape (size, n)
             Initial scaled state and variations.
         parameters : ndarray, shape (n_parameters, n)
+            Slope, scale and the structure's constants.
         duration : ndarray, shape (n,) [sqrt(leg/g)]
         samples : int
-            Number of equal intervals at whose ends the motion is also wanted.
+            Number of equal intervals at whose ends the motion is also returned.
 
         Returns
         -------
         final : ndarray, shape (size, n)
             NaN in lanes whose motion was lost.
-        motion : ndarray, shape (samples + 1, angles, n), or None
+        motion : ndarray, shape (samples + 1, angles, n)
+            Angles and rates; of no samples where none are asked for.
         """
         n = state.shape[1]
         state, duration = whole_groups(state, self.lanes), whole_groups(duration, self.lanes)
         parameters = self._parameters(whole_groups(parameters, self.lanes))
-        flown = len(duration)
-        final, reached = np.empty((self.size, flown)), np.full(flown, np.nan)
-        motion = np.empty((samples + 1, self.angles, flown)) if samples else None
-        fractions = np.linspace(0.0, 1.0, samples + 1)[:, None] if samples else None
+        width = len(duration)
+        final, reached = np.empty((self.size, width)), np.full(width, np.nan)
+        fractions = np.linspace(0.0, 1.0, samples + 1)[:, None] if samples else np.empty((0, 1))
+        motion = np.empty((len(fractions), self.angles, width))
 
-        def fly(lanes: slice | list[int], to: slice) -> None:
-            """Advance a group; what is put down of it is its lanes `to`."""
+        def integrate(lanes: slice | list[int], to: slice) -> None:
+            """Integrate a group of lanes and store the first of them as lanes `to`."""
             kept = slice(to.stop - to.start)
             self._state[:], self._pars[:] = state[:, lanes], parameters[:, lanes]
             try:
-                dense = self._advance(duration[lanes], fractions)
+                samples_of_group = self._advance(duration[lanes], fractions)
             except ValueError:
                 # heyoka refuses durations that are not finite.
                 return
             final[:, to], reached[to] = self._state[:, kept], self._time[kept]
-            if motion is not None and dense is not None:
-                motion[:, :, to] = dense[:, : self.angles, kept]
+            motion[:, :, to] = samples_of_group[:, : self.angles, kept]
 
-        for k in range(0, flown, self.lanes):
-            fly(slice(k, k + self.lanes), slice(k, k + self.lanes))
+        for k in range(0, width, self.lanes):
+            integrate(slice(k, k + self.lanes), slice(k, k + self.lanes))
         lost = np.nonzero(reached.reshape(-1, self.lanes) != duration.reshape(-1, self.lanes))[0]
         for k in np.unique(lost) * self.lanes:
             for lane in range(k, k + self.lanes):
                 reached[lane] = np.nan
-                fly([lane] * self.lanes, slice(lane, lane + 1))
+                integrate([lane] * self.lanes, slice(lane, lane + 1))
                 if reached[lane] != duration[lane]:
-                    final[:, lane] = np.nan
-                    if motion is not None:
-                        motion[:, :, lane] = np.nan
+                    final[:, lane] = motion[:, :, lane] = np.nan
         self.evaluations += n
-        self.idle += flown - n
-        return final[:, :n], motion if motion is None else motion[:, :, :n]
+        self.idle += width - n
+        return final[:, :n], motion[:, :, :n]
 
-    def _advance(self, duration: np.ndarray, fractions: np.ndarray | None) -> np.ndarray | None:
-        """Let heyoka fly a group, all of its time or to fractions of it; the states there."""
+    def _advance(self, duration: np.ndarray, fractions: np.ndarray) -> np.ndarray:
+        """Integrate a group by heyoka over its whole duration, or to fractions of it; the states there."""
         ta: Any = self._ta
         ta.set_time(0.0)
-        if fractions is None:
-            ta.propagate_until(duration, max_steps=MAX_STEPS)
-            return None
-        return ta.propagate_grid(fractions * duration, max_steps=MAX_STEPS)[1]
+        if not len(fractions):
+            ta.propagate_until(duration, max_steps=_MAX_STEPS)
+            return np.empty((0, *self._state.shape))
+        return ta.propagate_grid(fractions * duration, max_steps=_MAX_STEPS)[1]
 
 
-#: Every flow compiled by this process, by what it was compiled for; their counters tell what was flown.
+#: Every flow compiled by this process, by its structure and options; their counters hold the work done.
 FLOWS: dict[tuple[Any, ...], Flow] = {}
 
 
 def flow(
     structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False, coarse: bool = False
 ) -> Flow:
-    """The compiled flow of a structure; compiled once a process, kept on disk between them."""
+    """Return the compiled flow of a structure, one a process; the compiled code is kept on disk between processes.
+
+    Parameters
+    ----------
+    structure : Structure
+        Which constants exist.
+    free_knee : bool
+        Three links, or two.
+    directions : int
+        Number of variations carried along.
+    with_slope : bool
+        True where the last of them is the derivative by the slope.
+    coarse : bool
+        Integrate to the search's tolerance only.
+    """
     key = structure, free_knee, directions, with_slope, coarse
     if key not in FLOWS:
         prepare_compiler()

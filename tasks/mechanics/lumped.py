@@ -1,4 +1,4 @@
-"""A walker's lumped constants, and which of them it has at all: all its masses and lengths enter through these.
+"""A walker's lumped constants, through which all its masses and lengths enter, and which of them it has.
 
 With A and B the arms of the stance leg and of the swing links as complex numbers in the leg's frame (x + iy, the leg
 along y), in units of the leg l + R and of the whole walker's mass,
@@ -23,6 +23,7 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     Parameters
     ----------
     walker : Walker
+        Its table of masses and lengths, in any units.
     number : type
         `float`, or a wider type for constants to more digits: numpy's long double or heyoka's real128.
 
@@ -42,9 +43,9 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     l = key["l_t"] * cos_T + d * cos_S
     length, mass = l + key["R"], two * (key["m_t"] + key["m_s"]) + key["m_h"]
     R, l = key["R"] / length, l / length
-    knee = Vector(-key["l_t"] * sin_T, -key["l_t"] * cos_T) / length
-    thigh = Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
-    shank = Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
+    knee = _Vector(-key["l_t"] * sin_T, -key["l_t"] * cos_T) / length
+    thigh = _Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
+    shank = _Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
     if walker.massless_leg:
         # Only ratios of the swing leg's constants remain: a unit point at the foot.
         eps, m_t, m_s = zero, zero, one
@@ -54,14 +55,14 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     C_bb = m_t * (thigh.dot(thigh) + (key["r_t"] / length) ** two) + m_s * knee.dot(knee)
     C_cc = m_s * (shank.dot(shank) + (key["r_s"] / length) ** two)
     # H = conj(knee) S_c.
-    H = Vector(knee.dot(S_c), knee.x * S_c.y - knee.y * S_c.x)
+    H = _Vector(knee.dot(S_c), knee.x * S_c.y - knee.y * S_c.x)
     inertia = C_bb + C_cc + two * H.x
     leg_S = (S_b + S_c) * eps
-    found = {"R": R, "l": l, "eps": eps * inertia, **_pair("S_a", leg_S + Vector(zero, l))}
+    constants = {"R": R, "l": l, "eps": eps * inertia, **_pair("S_a", leg_S + _Vector(zero, l))}
     # Stance leg m|il + p|^2 + I, hip and swing leg (the rest of the unit mass) at |il|.
-    found["C_aa"] = R * R + l * l + two * l * leg_S.y + eps * inertia
+    constants["C_aa"] = R * R + l * l + two * l * leg_S.y + eps * inertia
     if walker.knees:
-        found |= {
+        constants |= {
             **_pair("S_b", S_b / inertia),
             "C_bb": C_bb / inertia,
             **_pair("S_c", S_c / inertia),
@@ -69,47 +70,50 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
             **_pair("H", H / inertia),
         }
     else:
-        found |= {**_pair("S_b", (S_b + S_c) / inertia), "C_bb": one}
-    return found
+        constants |= {**_pair("S_b", (S_b + S_c) / inertia), "C_bb": one}
+    return constants
 
 
 @dataclass(frozen=True)
-class Vector:
+class _Vector:
     """A vector of a leg, in any type of number."""
 
     x: Any
     y: Any
 
-    def __add__(self, other: Vector) -> Vector:
-        return Vector(self.x + other.x, self.y + other.y)
+    def __add__(self, other: _Vector) -> _Vector:
+        return _Vector(self.x + other.x, self.y + other.y)
 
-    def __mul__(self, factor: Any) -> Vector:
-        return Vector(self.x * factor, self.y * factor)
+    def __mul__(self, factor: Any) -> _Vector:
+        return _Vector(self.x * factor, self.y * factor)
 
-    def __truediv__(self, divisor: Any) -> Vector:
-        return Vector(self.x / divisor, self.y / divisor)
+    def __truediv__(self, divisor: Any) -> _Vector:
+        return _Vector(self.x / divisor, self.y / divisor)
 
-    def dot(self, other: Vector) -> Any:
+    def dot(self, other: _Vector) -> Any:
+        """Scalar product."""
         return self.x * other.x + self.y * other.y
 
 
 def _sine(x: Any) -> Any:
+    """Sine in the argument's type of number."""
     return math.sin(x) if isinstance(x, float) and type(x) is float else np.sin(np.array([x], dtype=type(x)))[0]
 
 
 def _cosine(x: Any) -> Any:
+    """Cosine in the argument's type of number."""
     return math.cos(x) if isinstance(x, float) and type(x) is float else np.cos(np.array([x], dtype=type(x)))[0]
 
 
-def _pair(name: str, v: Vector) -> dict[str, Any]:
-    """A complex constant as `_re` and `_im`; a part that is rounding of zero becomes zero."""
+def _pair(name: str, v: _Vector) -> dict[str, Any]:
+    """A complex constant as `_re` and `_im`; a part that is zero but for rounding becomes zero."""
     size = 4e-16 * max(abs(float(v.x)), abs(float(v.y)))
     return {f"{name}_{part}": x if abs(float(x)) > size else type(x)(0.0) for part, x in (("re", v.x), ("im", v.y))}
 
 
 @dataclass(frozen=True)
 class Structure:
-    """Which constants a walker has at all; code is compiled once per structure, never per value."""
+    """Which constants a walker has; code is compiled once per structure, never per value."""
 
     kneed: bool
     point_foot: bool
@@ -128,9 +132,9 @@ class Structure:
 
 
 def structure_of(walker: Walker) -> Structure:
-    """A walker's structure: constants that are 0 or 1 are part of a straight leg's code, all others are parameters."""
+    """Return a walker's structure: a straight leg's constants that are 0 or +-1 become code, all others parameters."""
     constants = lump(walker)
-    # Three links compile slowly and gain little from a zero: all kneed walkers share one structure.
+    # Three links compile slowly and gain little from a zero, so all kneed walkers share one structure.
     plain = () if walker.knees else (0.0, 1.0, -1.0)
     fixed = tuple((k, v) for k, v in constants.items() if v in plain)
     free = tuple(k for k, v in constants.items() if v not in plain)
@@ -138,6 +142,19 @@ def structure_of(walker: Walker) -> Structure:
 
 
 def constants_of(walker: Walker, structure: Structure) -> np.ndarray:
-    """Values of the structure's runtime constants, shape (len(structure.constants),), each rounded but once."""
+    """Values of the structure's runtime constants, each rounded only once.
+
+    Parameters
+    ----------
+    walker : Walker
+        Of that structure.
+    structure : Structure
+        Names the constants and their order.
+
+    Returns
+    -------
+    ndarray, shape (len(structure.constants),)
+        In units of the walker's leg, its mass and g.
+    """
     lumped = lump(walker, np.longdouble)
     return np.array([float(lumped[k]) for k in structure.constants])

@@ -1,8 +1,7 @@
-"""Fixed points to more digits than a double's stride map resolves.
+"""Fixed points to more digits than the step map in doubles resolves.
 
-Near vanishing slope I - DP is singular like slope^(2/3), and the rounding of P in doubles becomes the error of the
-gait.
-There the residual is evaluated in long double or in 128 bits; Newton keeps the double's derivative.
+Near vanishing slope I - DP is singular like slope^(2/3), and the rounding of P in doubles dominates the error of the
+gait. There the residual is evaluated in long double or in 128 bits; Newton keeps the derivative in doubles.
 """
 
 from __future__ import annotations
@@ -15,38 +14,39 @@ import heyoka as hy
 import numpy as np
 
 from tasks.mechanics.equations import Symbols, system
-from tasks.mechanics.impacts import heelstrike, kneestrike
 from tasks.mechanics.kernel import prepare_compiler
 from tasks.mechanics.lumped import Structure, lump
 from tasks.step.problem import EPS, Problem, sizes
-from tasks.step.step_map import Stride
+from tasks.step.step_map import Stride, end_of_step, lock_knee, start_of_step
 
-#: Bounds of a double's fixed point above which long double is asked, and 128 bits.
+#: Error bounds of a fixed point in doubles from which long double is used, and 128 bits.
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
-#: Each tier's number and its rounding unit.
+#: Each tier's type of number and its rounding unit.
 TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1.93e-34))
-MAX_STEPS = 6
+_MAX_STEPS = 6
 
 
-class Extended:
-    """The stride map of one structure, one lane at a time, in a wider number; no derivatives."""
+class _ExtendedStepMap:
+    """The step map of one structure in a wider number, one lane at a time and without derivatives."""
 
     def __init__(self, structure: Structure, number: Any, unit: float):
-        self.structure, self.number, self.missed = structure, number, 0.1 * unit**0.5
+        self.structure, self.number = structure, number
+        #: Newton's shift of an event time that is the last: the next, its square, would be rounding.
+        self.last_shift = 0.1 * unit**0.5
         self.m, self.kneed = structure.dimension, structure.kneed
         flows = [True, False] if self.kneed else [False]
         systems = [system(structure, free, 0, False) for free in flows]
         self._flows = [
             hy.taylor_adaptive(
-                flown.equations,
-                state=self._array(np.zeros(len(flown.equations))),
+                motion.equations,
+                state=self._array(np.zeros(len(motion.equations))),
                 fp_type=number,
                 tol=number(2 * unit),
                 compact_mode=True,
             )
-            for flown in systems
+            for motion in systems
         ]
-        self._held = [flown.parameters(fp_type=number, compact_mode=True) for flown in systems]
+        self._held = [motion.parameters(fp_type=number, compact_mode=True) for motion in systems]
         self._start, self._knee, self._finish = self._compile()
 
     def _array(self, values: Any) -> np.ndarray:
@@ -60,24 +60,13 @@ class Extended:
         def function(outputs: list[Any], variables: list[Any]) -> Any:
             return hy.cfunc(outputs, vars=[*variables, *p.variables], fp_type=self.number, compact_mode=True)
 
-        knee = None
-        if self.kneed:
-            start = [y[0], -y[0], -y[0], *heelstrike(p, y[0], y[1], y[2], True)]
-            knee = function([x[1] - x[2], x[4] - x[5], x[0], x[1], *kneestrike(p, x[:3], x[3:])], x)
-        elif self.structure.point_foot:
-            start = [y[0], -y[0], y[1], y[1] * hy.cos(2.0 * p.scale * y[0])]
-        else:
-            start = [y[0], -y[0], y[1], y[2]]
+        # A guard's function gives its value and rate, then the state or section beyond it.
+        knee = function([x[1] - x[2], x[4] - x[5], *lock_knee(p, x)], x) if self.kneed else None
         two = x[:4]
-        image = (
-            [two[1], two[2], two[3]]
-            if self.kneed
-            else [two[1], *heelstrike(p, two[1], two[2], two[3], False)[: self.m - 1]]
-        )
-        finish = [two[0] + two[1], two[2] + two[3], *image, two[2], two[3]]
-        return function(start, y), knee, function(finish, two)
+        finish = [two[0] + two[1], two[2] + two[3], *end_of_step(self.structure, p, two), two[2], two[3]]
+        return function(start_of_step(self.structure, p, y), y), knee, function(finish, two)
 
-    def _flow(self, k: int, state: np.ndarray, parameters: np.ndarray, duration: Any) -> np.ndarray:
+    def _integrate(self, k: int, state: np.ndarray, parameters: np.ndarray, duration: Any) -> np.ndarray:
         ta = self._flows[k]
         ta.time = self.number(0.0)
         ta.state[:] = state
@@ -87,20 +76,19 @@ class Extended:
 
     def _to_guard(
         self, k: int, state: np.ndarray, parameters: np.ndarray, duration: Any, guard: Any
-    ) -> tuple[np.ndarray, Any, np.ndarray]:
-        """Fly to where a guard closes: the state, its time, and what the guard's function says there."""
+    ) -> tuple[Any, np.ndarray]:
+        """Integrate to where a guard closes: the duration, and the values of the guard's function there."""
         total = duration
-        state = self._flow(k, state, parameters, duration)
-        said = self._call(guard, state, parameters)
+        state = self._integrate(k, state, parameters, duration)
+        values = self._call(guard, state, parameters)
         for _ in range(4):
-            shift = -said[0] / said[1]
-            state = self._flow(k, state, parameters, shift)
+            shift = -values[0] / values[1]
+            state = self._integrate(k, state, parameters, shift)
             total = total + shift
-            said = self._call(guard, state, parameters)
-            # What is left is the square of what was missed.
-            if not abs(float(shift)) > self.missed:
+            values = self._call(guard, state, parameters)
+            if not abs(float(shift)) > self.last_shift:
                 break
-        return state, total, said
+        return total, values
 
     def _call(self, function: Any, values: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         return function(np.concatenate([values, parameters]))
@@ -112,55 +100,81 @@ class Extended:
     def __call__(
         self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Image of y, the event times, and the rates just before heelstrike, all in this number."""
+        """Image of y (m,), the event times (k,), and the rates just before heelstrike (2,), all in this number."""
         state = self.start(y, parameters)
-        begun, ends = self.number(0.0), []
+        kneestrike, strikes = self.number(0.0), []
         if self.kneed:
-            state, begun, said = self._to_guard(0, state, parameters, times[0], self._knee)
-            ends.append(begun)
-            state = said[2:]
-        _, last, said = self._to_guard(-1, state, parameters, times[-1] - begun, self._finish)
-        return said[2 : 2 + self.m], np.array([*ends, begun + last], dtype=self.number), said[2 + self.m :]
+            kneestrike, values = self._to_guard(0, state, parameters, times[0], self._knee)
+            strikes.append(kneestrike)
+            state = values[2:]
+        duration, values = self._to_guard(-1, state, parameters, times[-1] - kneestrike, self._finish)
+        event_times = np.array([*strikes, kneestrike + duration], dtype=self.number)
+        return values[2 : 2 + self.m], event_times, values[2 + self.m :]
 
 
 @functools.lru_cache(maxsize=16)
-def _map(structure: Structure, tier: int) -> Extended:
+def _extended_step_map(structure: Structure, tier: int) -> _ExtendedStepMap:
     prepare_compiler()
-    return Extended(structure, *TIERS[tier])
+    return _ExtendedStepMap(structure, *TIERS[tier])
 
 
 @dataclass
-class Wide:
-    """One gait in a wider number: scaled section, event times, rates just before heelstrike, state just after.
+class ExtendedGait:
+    """One gait solved in a wider number, in scaled angles and rates and times in sqrt(leg/g).
 
-    `left` is the relative size of the last Newton step, `rounding` the error besides: of the number itself, and of
-    narrowing it.
+    Attributes
+    ----------
+    y : ndarray, shape (m,)
+        Section coordinates.
+    times : ndarray, shape (k,)
+        Kneestrike, for knees, and heelstrike.
+    impact : ndarray, shape (2,)
+        Rates just before heelstrike.
+    state : ndarray, shape (angles,)
+        Just after heelstrike.
+    last_step : float
+        Relative size of the last Newton step.
+    rounding : float
+        Relative error besides: that of the number itself and of rounding it to a double.
     """
 
     y: np.ndarray
     times: np.ndarray
     impact: np.ndarray
     state: np.ndarray
-    left: float
+    last_step: float
     rounding: float = 0.0
 
 
 def solved(
     problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np.ndarray, slope: float, scale: float, tier: int
-) -> Wide:
-    """A gait near (y, times) by Newton's method, its residual in the tier's number, its derivative the double's.
+) -> ExtendedGait:
+    """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles.
 
     Parameters
     ----------
+    problem : Problem
+        Gives the walker of the lane.
+    lane : int
+        Lane of `stride`.
     stride : Stride
-        The double's stride.
+        The step in doubles, whose derivative Newton keeps.
     y : ndarray, shape (m,)
-    times : ndarray, shape (phases,)
+        Scaled section coordinates to begin with.
+    times : ndarray, shape (k,) [sqrt(leg/g)]
+        Event times to begin with.
+    slope, scale : float
+        [rad], and the power of two by which angles and rates are divided.
     tier : int
         Index into `TIERS`.
+
+    Returns
+    -------
+    ExtendedGait
+        In the tier's number.
     """
     number, _ = TIERS[tier]
-    exact = _map(problem.structure, tier)
+    exact = _extended_step_map(problem.structure, tier)
     constants = lump(problem.walker_of(lane), number)
     parameters = np.array(
         [number(slope), number(scale), *(constants[k] for k in problem.structure.constants)], dtype=number
@@ -172,10 +186,9 @@ def solved(
     inverse = stride.inverse[:, :, lane]
     measure = sizes(y[:, None])[:, 0]
     before = size = np.inf
-    for _ in range(MAX_STEPS):
+    for _ in range(_MAX_STEPS):
         image, wide_times, impact = exact(wide, wide_times, parameters)
-        miss = np.array([float(v) for v in image - wide])
-        step = inverse @ miss
+        step = inverse @ np.array([float(v) for v in image - wide])
         shift = stride.times_by_y[:, :, lane] @ step
         size = float(max(np.max(np.abs(step / measure)), np.max(np.abs(shift / times))))
         if not size <= 0.5 * before:
@@ -185,7 +198,7 @@ def solved(
         before = size
         if size < EPS / 64:
             break
-    return Wide(wide, wide_times, impact, exact.start(wide, parameters), min(before, size))
+    return ExtendedGait(wide, wide_times, impact, exact.start(wide, parameters), min(before, size))
 
 
 def refine(
@@ -197,29 +210,32 @@ def refine(
     slope: float,
     scale: float,
     bound: float,
-) -> Wide:
-    """One gait to a double's last digits, narrowed to doubles; long double where that will do, else 128 bits.
+) -> ExtendedGait:
+    """Solve for a gait to the last digits of a double, in long double where that suffices, else in 128 bits.
 
     Parameters
     ----------
-    stride : Stride
-        The double's stride, whose derivative Newton keeps.
-    y : ndarray, shape (m,)
-    times : ndarray, shape (phases,)
+    problem, lane, stride, y, times, slope, scale
+        As in `solved`.
     bound : float
-        The double's error bound.
+        Relative error bound of the gait in doubles.
+
+    Returns
+    -------
+    ExtendedGait
+        Rounded to doubles.
     """
     tier = 0 if bound < ESCALATE_AGAIN else 1
-    found = solved(problem, lane, stride, y, times, slope, scale, tier)
+    gait = solved(problem, lane, stride, y, times, slope, scale, tier)
 
-    def narrow(values: np.ndarray) -> np.ndarray:
+    def rounded(values: np.ndarray) -> np.ndarray:
         return np.array([float(v) for v in values])
 
-    return Wide(
-        narrow(found.y),
-        narrow(found.times),
-        narrow(found.impact),
-        narrow(found.state),
-        found.left,
+    return ExtendedGait(
+        rounded(gait.y),
+        rounded(gait.times),
+        rounded(gait.impact),
+        rounded(gait.state),
+        gait.last_step,
         bound * TIERS[tier][1] / EPS + 4 * EPS,
     )

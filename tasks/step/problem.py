@@ -1,4 +1,4 @@
-"""A walker's step map with its constants in place, one walker for all lanes or one a lane."""
+"""A walker's step map with its constants filled in: one walker for all lanes, or one for each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ EPS = np.finfo(float).eps
 
 
 class Problem:
-    """One walker's stride map with its constants in place."""
+    """One walker's step map with its constants filled in.
+
+    `m` is the number of section coordinates, `phases` that of the phases of a step: 2 for knees, 1 for straight legs.
+    """
 
     def __init__(self, walker: Walker):
         self.walker = walker
@@ -24,31 +27,56 @@ class Problem:
         self.m, self.phases = self.map.m, 2 if walker.knees else 1
 
     def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
-        """Runtime parameters of every lane, shape (n_parameters, n)."""
+        """Runtime parameters of every lane.
+
+        Parameters
+        ----------
+        slope : ndarray, shape (n,) [rad]
+        scale : ndarray, shape (n,)
+            Power of two by which angles and rates are divided.
+
+        Returns
+        -------
+        ndarray, shape (n_parameters, n)
+        """
         return np.vstack([slope, scale, np.broadcast_to(self.constants[:, None], (len(self.constants), len(slope)))])
 
     def some(self, lanes: np.ndarray) -> Problem:
-        """The problem of some lanes: the same, where all lanes share a walker."""
+        """Return the problem of some lanes: the same where all lanes share a walker.
+
+        Parameters
+        ----------
+        lanes : ndarray of int, shape (k,)
+        """
         return self
 
     def walker_of(self, lane: int) -> Walker:
-        """The walker of a lane."""
+        """Return the walker of a lane."""
         return self.walker
 
     def stride(
         self, w: np.ndarray, log_slope: np.ndarray, slope: bool = False, samples: int = 0, coarse: bool = False
     ) -> tuple[Stride, np.ndarray]:
-        """Evaluate strides at similarity coordinates.
+        """Evaluate steps at similarity coordinates.
 
         Parameters
         ----------
         w : ndarray, shape (m + phases, n)
             ln(angle), rates/angle, event times: of order one over decades of slope.
         log_slope : ndarray, shape (n,)
+            ln of the slope in rad.
+        slope : bool
+            Also differentiate by the slope.
+        samples : int
+            Equal intervals of each phase at whose ends the motion is also returned.
+        coarse : bool
+            Integrate to the search's tolerance only.
 
         Returns
         -------
-        Stride, and the power-of-two scale (n,) its angles and rates are in.
+        stride : Stride
+        scale : ndarray, shape (n,)
+            Power of two by which its angles and rates are divided.
         """
         angle = np.exp(w[0])
         scale = np.exp2(np.floor(np.log2(angle)))
@@ -58,7 +86,7 @@ class Problem:
 
 
 class Lanes(Problem):
-    """The stride map with a walker of its own in every lane; all are of one structure."""
+    """The step map with a walker of its own in every lane; all are of one structure."""
 
     def __init__(
         self, walkers: Sequence[Walker], structure: Structure | None = None, constants: np.ndarray | None = None
@@ -66,23 +94,50 @@ class Lanes(Problem):
         self.walkers, self.walker = walkers, walkers[0]
         self.structure = structure or structure_of(walkers[0])
         self.map = stride_map(self.structure)
-        self.constants = (
-            constants if constants is not None else np.array([constants_of(w, self.structure) for w in walkers]).T
-        )
+        if constants is None:
+            constants = np.array([constants_of(walker, self.structure) for walker in walkers]).T
+        self.constants = constants
         self.m, self.phases = self.map.m, 2 if self.structure.kneed else 1
 
     def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        """Runtime parameters of every lane.
+
+        Parameters
+        ----------
+        slope : ndarray, shape (n,) [rad]
+        scale : ndarray, shape (n,)
+            Power of two by which angles and rates are divided.
+
+        Returns
+        -------
+        ndarray, shape (n_parameters, n)
+        """
         return np.vstack([slope, scale, self.constants])
 
     def some(self, lanes: np.ndarray) -> Lanes:
+        """Return the problem of some lanes, each with its walker.
+
+        Parameters
+        ----------
+        lanes : ndarray of int, shape (k,)
+        """
         return Lanes([self.walkers[i] for i in lanes], self.structure, self.constants[:, lanes])
 
     def walker_of(self, lane: int) -> Walker:
+        """Return the walker of a lane."""
         return self.walkers[lane]
 
 
 def sizes(y: np.ndarray) -> np.ndarray:
-    """What errors of (angle, rates...) are measured by: the angle, and the largest rate for every rate, shape (m,
-    n)."""
+    """Scales by which errors of (angle, rates...) are relative: the angle, and for every rate the largest of them.
+
+    Parameters
+    ----------
+    y : ndarray, shape (m, n)
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+    """
     rates = y[1:]
     return np.vstack([np.abs(y[:1]), np.broadcast_to(np.abs(rates).max(axis=0), rates.shape)])

@@ -1,10 +1,10 @@
-"""Strides from any start: when the strikes come, what the walker does then, and how it falls.
+"""Steps from any initial state: the times of the strikes, the state after them, and falls.
 
-A fixed point knows its event times; any other start does not. Here they are found: all lanes advance together by a
-fixed step of Dormand and Prince's fifth-order formula, every lane watches its own guard, and a lane that strikes
-leaves the batch. The time found is good to about 1e-8; the exact stride map, given that time, corrects it and the image
-to the last digits and adds the Jacobian, which is as good as the time it was given. A lane's bits depend on its start
-alone.
+The step map needs event times. At a fixed point they are unknowns beside the state; from any other state they are
+located here: all lanes advance together by a fixed time step of Dormand and Prince's fifth-order formula, each monitors
+its own guard, and a lane that strikes leaves the batch. The times are accurate to about 1e-8; the exact step map
+corrects them and the image to the last digits and adds the Jacobian, which is as accurate as the times before
+correction. A lane's bits depend on its initial state alone.
 """
 
 from __future__ import annotations
@@ -16,21 +16,20 @@ import heyoka as hy
 import numpy as np
 
 from tasks.mechanics.equations import ZERO, Solver, Symbols, rows
-from tasks.mechanics.impacts import heelstrike, kneestrike
 from tasks.mechanics.kernel import LANES, prepare_compiler
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Problem
-from tasks.step.step_map import Stride
+from tasks.step.step_map import Stride, end_of_step, lock_knee
 
-#: What becomes of a stride. Everything but STRUCK is a fall.
+#: Outcomes of a step. All but STRUCK are falls.
 STRUCK, BACKWARD, FORWARD, NO_KNEESTRIKE, NO_HEELSTRIKE, LOST = range(6)
 CAUSES = ("walks", "fell backward", "fell forward", "knee never struck", "foot never struck", "motion lost")
-#: Stance angle beyond which a walker has fallen [rad], and the longest a stride may take [sqrt(leg/g)].
-FALLEN, LONGEST = 1.2, 12.0
-#: Step of the scan [sqrt(leg/g)]; a free shank swings faster.
-STEP = {False: 0.125, True: 0.0625}
+#: Stance angle beyond which a walker has fallen [rad], and the longest time a step may take [sqrt(leg/g)].
+_MAX_ANGLE, _MAX_TIME = 1.2, 12.0
+#: Time step of the scan [sqrt(leg/g)], by whether there are knees: a free shank swings faster.
+_TIME_STEP = {False: 0.125, True: 0.0625}
 
-#: Dormand and Prince (1980), fifth order in six stages.
+#: Dormand and Prince (J. Comput. Appl. Math. 6 (1980) 19-26), fifth order in six stages.
 _STAGES = (
     (1 / 5,),
     (3 / 40, 9 / 40),
@@ -42,11 +41,19 @@ _STAGES = (
 
 
 @dataclass
-class Strides:
-    """One stride of n lanes from any start.
+class SimulatedSteps:
+    """One step of n lanes from any initial state.
 
-    `image` (m, n) section coordinates after it, NaN where the walker fell; `times` (k, n) of the strikes
-    [sqrt(leg/g)]; `outcome` (n,) an index of CAUSES; `jacobian` (m, m, n) where the strides are exact.
+    Attributes
+    ----------
+    image : ndarray, shape (m, n) [rad, rad/sqrt(leg/g)]
+        Section coordinates after it, NaN where the walker fell.
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+        Kneestrike, for knees, and heelstrike.
+    outcome : ndarray of int, shape (n,)
+        Index of CAUSES.
+    jacobian : ndarray, shape (m, m, n), or None
+        Where the steps are exact.
     """
 
     image: np.ndarray
@@ -56,7 +63,7 @@ class Strides:
 
 
 class Scanner:
-    """A structure's compiled steps and impacts, for stepping many lanes to their strikes."""
+    """A structure's compiled time steps and impacts, to integrate many lanes to their strikes."""
 
     def __init__(self, structure: Structure):
         self.structure = structure
@@ -69,27 +76,26 @@ class Scanner:
         n = 3 if free else 2
         x = list(hy.make_vars(*(f"x{i}" for i in range(2 * n))))
         h = hy.make_vars("h")
-        now, slopes = x, []
+        stage, derivatives = x, []
         for weights in _STAGES:
-            M, f = rows(p, now[:n], now[n:], free)
-            slopes.append([*now[n:], *Solver(M)(f)])
-            used = [(a, s) for a, s in zip(weights, slopes, strict=True) if a]
-            now = [x[i] + h * sum((a * s[i] for a, s in used), ZERO) for i in range(2 * n)]
-        return hy.cfunc(now, vars=[*x, h, *p.variables], compact_mode=False)
+            M, f = rows(p, stage[:n], stage[n:], free)
+            derivatives.append([*stage[n:], *Solver(M)(f)])
+            terms = [(a, d) for a, d in zip(weights, derivatives, strict=True) if a]
+            stage = [x[i] + h * sum((a * d[i] for a, d in terms), ZERO) for i in range(2 * n)]
+        return hy.cfunc(stage, vars=[*x, h, *p.variables], compact_mode=False)
 
     def _compile_lock(self) -> hy.cfunc:
         p = Symbols(self.structure)
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
-        return hy.cfunc([x[0], x[1], *kneestrike(p, x[:3], x[3:])], vars=[*x, *p.variables], compact_mode=False)
+        return hy.cfunc(lock_knee(p, x), vars=[*x, *p.variables], compact_mode=False)
 
     def _compile_strike(self) -> hy.cfunc:
         p = Symbols(self.structure)
         x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-        rates = heelstrike(p, x[1], x[2], x[3], False)[: self.structure.dimension - 1]
-        return hy.cfunc([x[1], *rates], vars=[*x, *p.variables], compact_mode=False)
+        return hy.cfunc(end_of_step(self.structure, p, x), vars=[*x, *p.variables], compact_mode=False)
 
     @staticmethod
-    def call(function: hy.cfunc, *inputs: np.ndarray) -> np.ndarray:
+    def _call(function: hy.cfunc, *inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes padded to whole SIMD groups."""
         n = inputs[0].shape[1]
         padded = np.empty((sum(map(len, inputs)), n + -n % (4 * LANES)))
@@ -97,22 +103,46 @@ class Scanner:
         padded[:, n:] = padded[:, n - 1 : n]
         return function(padded)[:, :n]
 
-    def advance(self, free: bool, x: np.ndarray, h: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """One step of length h (n,) of the formula, two links or three."""
-        return self.call(self._step[free], x, h[None], parameters)
+    def _advance(self, free: bool, x: np.ndarray, h: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """States after a time step h (n,) of the formula, of three links or two."""
+        return self._call(self._step[free], x, h[None], parameters)
 
     def lock(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """State of two links after kneestrike."""
-        return self.call(self._lock, x, parameters)
+        """State of two links after kneestrike.
+
+        Parameters
+        ----------
+        x : ndarray, shape (6, n)
+            Scaled state of three links before it.
+        parameters : ndarray, shape (n_parameters, n)
+            Slope, scale and the structure's constants.
+
+        Returns
+        -------
+        ndarray, shape (4, n)
+        """
+        return self._call(self._lock, x, parameters)
 
     def strike(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """Section coordinates after (straight) or before (kneed) heelstrike."""
-        return x[1:4].copy() if self._strike is None else self.call(self._strike, x, parameters)
+        """Section coordinates at heelstrike: just after it for straight legs, just before it for knees.
 
-    def until(
+        Parameters
+        ----------
+        x : ndarray, shape (4, n)
+            Scaled state of two links just before it.
+        parameters : ndarray, shape (n_parameters, n)
+            Slope, scale and the structure's constants.
+
+        Returns
+        -------
+        ndarray, shape (m, n)
+        """
+        return x[1:4].copy() if self._strike is None else self._call(self._strike, x, parameters)
+
+    def integrate_to_event(
         self, free: bool, x: np.ndarray, begin: np.ndarray, parameters: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Fly every lane to its strike.
+        """Integrate every lane to its strike.
 
         Parameters
         ----------
@@ -121,164 +151,173 @@ class Scanner:
         x : ndarray, shape (size, n)
             Scaled states.
         begin : ndarray, shape (n,)
-            Time already spent [sqrt(leg/g)].
+            Time since the step began [sqrt(leg/g)].
         parameters : ndarray, shape (n_parameters, n)
+            Slope, scale and the structure's constants.
 
         Returns
         -------
-        state (size, n), time (n,) since the phase began, outcome (n,)
+        state : ndarray, shape (size, n)
+            At the strike, NaN where there is none.
+        time : ndarray, shape (n,) [sqrt(leg/g)]
+            Since the phase began.
+        outcome : ndarray of int, shape (n,)
+            Index of CAUSES.
         """
-        n, h = x.shape[1], STEP[self.structure.kneed]
+        n, h = x.shape[1], _TIME_STEP[self.structure.kneed]
         state, time, outcome = np.full_like(x, np.nan), np.zeros(n), np.full(n, LOST)
-        lanes, now, held, scale = np.arange(n), x, parameters, parameters[1]
-        step = np.full(n, h)
-        for i in range(int(LONGEST / h)):
+        lanes, steps = np.arange(n), np.full(n, h)
+        for i in range(int(_MAX_TIME / h)):
             if not len(lanes):
                 return state, time, outcome
-            new = self.advance(free, now, step[: len(lanes)], held)
-            tau = _crossing(free, now, new, h)
-            hit = tau >= 0
-            if hit.any():
-                at, final = self._refined(free, now[:, hit], tau[hit], h, held[:, hit])
-                state[:, lanes[hit]], time[lanes[hit]], outcome[lanes[hit]] = final, i * h + at, STRUCK
-            angle = new[0] * scale
+            x_next = self._advance(free, x, steps[: len(lanes)], parameters)
+            fraction = _crossing(free, x, x_next, h)
+            strikes = fraction >= 0
+            if strikes.any():
+                at, final = self._refine(free, x[:, strikes], fraction[strikes], h, parameters[:, strikes])
+                state[:, lanes[strikes]], time[lanes[strikes]], outcome[lanes[strikes]] = final, i * h + at, STRUCK
+            angle = x_next[0] * parameters[1]
             with np.errstate(invalid="ignore"):
-                gone = {BACKWARD: angle > FALLEN, FORWARD: angle < -FALLEN, LOST: ~np.isfinite(new).all(axis=0)}
-            done = hit.copy()
-            for cause, which in gone.items():
-                which &= ~hit
-                outcome[lanes[which]] = cause
-                time[lanes[which]] = (i + 1) * h
-                done |= which
-            late = ~done & (begin[lanes] + (i + 1) * h > LONGEST)
+                falls = {
+                    BACKWARD: angle > _MAX_ANGLE,
+                    FORWARD: angle < -_MAX_ANGLE,
+                    LOST: ~np.isfinite(x_next).all(axis=0),
+                }
+            done = strikes.copy()
+            for cause, fallen in falls.items():
+                fallen &= ~strikes
+                outcome[lanes[fallen]] = cause
+                time[lanes[fallen]] = (i + 1) * h
+                done |= fallen
+            late = ~done & (begin[lanes] + (i + 1) * h > _MAX_TIME)
             outcome[lanes[late]] = NO_KNEESTRIKE if free else NO_HEELSTRIKE
             done |= late
+            x = x_next
             if done.any():
-                keep = ~done
-                lanes, now, held, scale = lanes[keep], new[:, keep], held[:, keep], scale[keep]
-            else:
-                now = new
+                lanes, x, parameters = lanes[~done], x[:, ~done], parameters[:, ~done]
         outcome[lanes] = NO_KNEESTRIKE if free else NO_HEELSTRIKE
         return state, time, outcome
 
-    def _refined(
-        self, free: bool, x: np.ndarray, tau: np.ndarray, h: float, parameters: np.ndarray
+    def _refine(
+        self, free: bool, x: np.ndarray, fraction: np.ndarray, h: float, parameters: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Time within the step at which the guard vanishes, by Newton on the formula itself, and the state there."""
-        at = tau * h
+        """Time within the time step at which the guard vanishes, by Newton on the formula, and the state there."""
+        at = fraction * h
         for _ in range(2):
-            final = self.advance(free, x, at, parameters)
-            g, rate = guard(free, final)
+            final = self._advance(free, x, at, parameters)
+            g, rate = _guard(free, final)
             at = np.clip(at - g / rate, 0.0, h)
-        return at, self.advance(free, x, at, parameters)
+        return at, self._advance(free, x, at, parameters)
 
 
-def guard(free: bool, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The guard of the next strike and its rate: flexion of the knee, or the sum of the legs' angles."""
+def _guard(free: bool, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Guard of the next strike and its rate: flexion of the knee, or the sum of the legs' angles."""
     return (x[1] - x[2], x[4] - x[5]) if free else (x[0] + x[1], x[2] + x[3])
 
 
-def _crossing(free: bool, x: np.ndarray, new: np.ndarray, h: float) -> np.ndarray:
-    """Fraction of the step at which the guard falls through zero, shape (n,); -1 where it does not.
+def _crossing(free: bool, x: np.ndarray, x_next: np.ndarray, h: float) -> np.ndarray:
+    """Fraction of the time step at which the guard falls through zero, shape (n,); -1 where it does not.
 
     Notes
     -----
-    A strike is the guard, once positive, falling to zero; at the start it is exactly zero and so no strike. Between
-    steps the guard is its cubic Hermite polynomial, so a dip below zero and back within a step is seen too. Heel
-    strikes count only with the stance leg behind.
+    At a strike the guard, once positive, falls to zero; at the start it is exactly zero, which is no strike. Within a
+    time step the guard is its cubic Hermite polynomial, so that a dip below zero and back is detected too. Heelstrikes
+    count only with the stance leg behind.
     """
-    (a, da), (b, db) = guard(free, x), guard(free, new)
+    (a, da), (b, db) = _guard(free, x), _guard(free, x_next)
     da, db = h * da, h * db
     with np.errstate(invalid="ignore"):
         through = (a > 0) & (b <= 0)
         dips = (a > 0) & (b > 0) & (da < 0) & (db > 0)
         if not free:
-            through &= new[0] < 0
-            dips &= new[0] < 0
-    tau = np.full(len(a), -1.0)
-    which = np.nonzero(through | dips)[0]
-    if not len(which):
-        return tau
-    a, b, da, db = a[which], b[which], da[which], db[which]
+            through &= x_next[0] < 0
+            dips &= x_next[0] < 0
+    fraction = np.full(len(a), -1.0)
+    lanes = np.nonzero(through | dips)[0]
+    if not len(lanes):
+        return fraction
+    a, b, da, db = a[lanes], b[lanes], da[lanes], db[lanes]
     s = np.linspace(0.0, 1.0, 17)[:, None]
     value = a * (1 + 2 * s) * (1 - s) ** 2 + da * s * (1 - s) ** 2 + b * s * s * (3 - 2 * s) + db * s * s * (s - 1)
     below = value <= 0
     first = np.argmax(below, axis=0)
-    lane = np.arange(len(which))
-    high, low = value[np.maximum(first - 1, 0), lane], value[first, lane]
+    column = np.arange(len(lanes))
+    high, low = value[np.maximum(first - 1, 0), column], value[first, column]
     with np.errstate(divide="ignore", invalid="ignore"):
         at = (first - 1 + high / (high - low)) / 16
-    tau[which] = np.where(below.any(axis=0), at, -1.0)
-    return tau
+    fraction[lanes] = np.where(below.any(axis=0), at, -1.0)
+    return fraction
 
 
 @functools.lru_cache(maxsize=16)
 def scanner(structure: Structure) -> Scanner:
-    """The compiled scanner of a structure."""
+    """Return the compiled scanner of a structure, one a process."""
     prepare_compiler()
     return Scanner(structure)
 
 
-def stride(problem: Problem, y: np.ndarray, slope: np.ndarray, exact: bool = True) -> Strides:
-    """One stride from any section state.
+def stride(problem: Problem, y: np.ndarray, slope: np.ndarray, exact: bool = True) -> SimulatedSteps:
+    """Simulate one step from any state on the section.
 
     Parameters
     ----------
     problem : Problem
+        The walker.
     y : ndarray, shape (m, n)
         Section coordinates [rad, rad/sqrt(leg/g)].
     slope : ndarray, shape (n,) [rad]
     exact : bool
-        Polish with the exact stride map and give its Jacobian (to about 1e-7); otherwise the image is good to 1e-8.
+        Correct by the exact step map and give its Jacobian (to about 1e-7); otherwise the image is accurate to 1e-8.
+
+    Returns
+    -------
+    SimulatedSteps
     """
-    found, scale, parameters = _found(problem, y, slope)
-    walks = np.nonzero(found.outcome == STRUCK)[0]
-    if not exact or not len(walks):
-        return found
-    at = problem.map(y[:, walks] / scale[walks], found.times[:, walks], parameters[:, walks])
-    return _polished(found, walks, at, scale)
+    steps, scale, parameters = _scan(problem, y, slope)
+    lanes = np.nonzero(steps.outcome == STRUCK)[0]
+    if exact and len(lanes):
+        stride = problem.map(y[:, lanes] / scale[lanes], steps.times[:, lanes], parameters[:, lanes])
+        _correct(steps, lanes, stride, scale[lanes])
+    return steps
 
 
-def _polished(found: Strides, walks: np.ndarray, at: Stride, scale: np.ndarray) -> Strides:
-    """The strides with the exact map's images, times and Jacobians in place of the scan's."""
-    m = len(found.image)
-    found.jacobian = np.full((m, m, len(found.outcome)), np.nan)
-    found.image[:, walks], found.times[:, walks] = at.image * scale[walks], at.times
-    found.jacobian[:, :, walks] = at.jacobian
-    lost = ~np.isfinite(found.image[:, walks]).all(axis=0)
-    found.outcome[walks[lost]] = LOST
-    return found
+def _correct(steps: SimulatedSteps, lanes: np.ndarray, stride: Stride, scale: np.ndarray) -> None:
+    """Put the exact map's images, times and Jacobians in place of the scan's."""
+    m = len(steps.image)
+    steps.jacobian = np.full((m, m, len(steps.outcome)), np.nan)
+    steps.image[:, lanes], steps.times[:, lanes] = stride.image * scale, stride.times
+    steps.jacobian[:, :, lanes] = stride.jacobian
+    lost = ~np.isfinite(steps.image[:, lanes]).all(axis=0)
+    steps.outcome[lanes[lost]] = LOST
 
 
-def _found(problem: Problem, y: np.ndarray, slope: np.ndarray) -> tuple[Strides, np.ndarray, np.ndarray]:
-    """Strides by the scan alone, with the scales and parameters of every lane."""
+def _scan(problem: Problem, y: np.ndarray, slope: np.ndarray) -> tuple[SimulatedSteps, np.ndarray, np.ndarray]:
+    """Steps by the scan alone, with the scales and parameters of every lane."""
     scan = scanner(problem.structure)
     m, n = y.shape
-    good = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < FALLEN)
-    angle = np.where(good, y[0], 0.5)
+    valid = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < _MAX_ANGLE)
+    angle = np.where(valid, y[0], 0.5)
     scale = np.exp2(np.floor(np.log2(angle)))
     parameters = problem.parameters(slope, scale)
     image, times, outcome = np.full((m, n), np.nan), np.full((problem.phases, n), np.nan), np.full(n, LOST)
-    # A step that ends with the new stance leg behind or level leads nowhere but back.
+    # With the new stance leg behind or upright the walker falls back.
     outcome[np.isfinite(y[0]) & (y[0] <= 0)] = BACKWARD
-    outcome[y[0] >= FALLEN] = FORWARD
-    lanes = np.nonzero(good)[0]
+    outcome[y[0] >= _MAX_ANGLE] = FORWARD
+    lanes = np.nonzero(valid)[0]
     x = problem.map.start(y[:, lanes] / scale[lanes], parameters[:, lanes])[: problem.map.start_size]
     begin = np.zeros(len(lanes))
     if problem.phases == 2:
-        x, time, what = scan.until(True, x, begin, parameters[:, lanes])
-        outcome[lanes] = what
-        times[0, lanes] = np.where(what == STRUCK, time, np.nan)
-        on = what == STRUCK
-        lanes, begin, x = lanes[on], time[on], x[:, on]
+        x, time, outcome[lanes] = scan.integrate_to_event(True, x, begin, parameters[:, lanes])
+        struck = outcome[lanes] == STRUCK
+        times[0, lanes] = np.where(struck, time, np.nan)
+        lanes, begin, x = lanes[struck], time[struck], x[:, struck]
         if len(lanes):
             x = scan.lock(x, parameters[:, lanes])
     if len(lanes):
-        x, time, what = scan.until(False, x, begin, parameters[:, lanes])
-        outcome[lanes] = what
-        on = what == STRUCK
-        lanes, x = lanes[on], x[:, on]
-        times[-1, lanes] = begin[on] + time[on]
+        x, time, outcome[lanes] = scan.integrate_to_event(False, x, begin, parameters[:, lanes])
+        struck = outcome[lanes] == STRUCK
+        lanes, x = lanes[struck], x[:, struck]
+        times[-1, lanes] = begin[struck] + time[struck]
     if len(lanes):
         image[:, lanes] = scan.strike(x, parameters[:, lanes]) * scale[lanes]
-    return Strides(image, times, outcome), scale, parameters
+    return SimulatedSteps(image, times, outcome), scale, parameters

@@ -1,11 +1,12 @@
-"""The stride map and its exact derivatives, with the event times as unknowns.
+"""The step map and its exact derivatives, with the event times as unknowns.
 
 A gait is a zero of P(y) - y. The section's coordinates y are, just after heelstrike,
 (stance angle, stance rate) for point feet, whose impact leaves no other freedom,
 (stance angle, stance rate, swing rate) for straight legs, and, just before heelstrike,
 (stance angle, old stance rate, old swing rate) for kneed ones, whose locked legs need no fourth coordinate.
-Each phase is a flow over a given time; what its end misses of its guard is corrected to first order, which gives
-the saltation terms exactly and the event times quadratically.
+Each phase is a flow over a given time; the value of its guard at the end is corrected to first order, which gives the
+saltation terms exactly and makes the event times converge quadratically. In shapes, n counts lanes, m section
+coordinates and k phases.
 """
 
 from __future__ import annotations
@@ -27,14 +28,33 @@ SAMPLES = 16
 
 @dataclass
 class Stride:
-    """One stride of n lanes, to first order. Scaled angles and rates; times in sqrt(leg/g).
+    """One step of n lanes, to first order, in scaled angles and rates and times in sqrt(leg/g).
 
-    `y` (m, n) the section's start; `image` (m, n) P(y) after the correction of the times; `jacobian` (m, m, n) dP/dy;
-    `inverse` (m, m, n) of I - dP/dy; `newton` (m, n) the Newton step; `times` (k, n) kneestrike and heelstrike,
-    corrected; `times_by_y` (k, m, n); `by_slope` (m, n) and `times_by_slope` (k, n) where asked for; `impact` (2, n)
-    rates just before heelstrike and `impact_by_y` (2, m, n); `start` (a, n) state after heelstrike; `closing` (n,)
-    rate of the heelstrike guard; `knee` (6, n) state at
-    kneestrike and `knee_by_y` (6, m, n); `motion` samples of each phase.
+    Attributes
+    ----------
+    y : ndarray, shape (m, n)
+        Section coordinates at the start.
+    image : ndarray, shape (m, n)
+        P(y), the event times corrected.
+    jacobian, inverse : ndarray, shape (m, m, n)
+        dP/dy, and the inverse of I - dP/dy.
+    newton : ndarray, shape (m, n)
+        Newton step of P(y) = y.
+    times : ndarray, shape (k, n)
+        Kneestrike, for knees, and heelstrike, corrected.
+    times_by_y : ndarray, shape (k, m, n)
+    by_slope, times_by_slope : ndarray, shape (m, n) and (k, n)
+        Derivatives of P(y) and of the times by the slope; empty where not asked for.
+    impact, impact_by_y : ndarray, shape (2, n) and (2, m, n)
+        Rates just before heelstrike.
+    start : ndarray, shape (angles, n)
+        State just after heelstrike.
+    closing : ndarray, shape (n,)
+        Rate of the heelstrike guard.
+    knee, knee_by_y : ndarray, shape (6, n) and (6, m, n)
+        State at kneestrike; empty for straight legs.
+    motion : list of ndarray, shape (samples + 1, angles, n)
+        Samples of each phase; of no samples where not asked for.
     """
 
     y: np.ndarray
@@ -44,36 +64,70 @@ class Stride:
     newton: np.ndarray
     times: np.ndarray
     times_by_y: np.ndarray
-    by_slope: np.ndarray | None
-    times_by_slope: np.ndarray | None
+    by_slope: np.ndarray
+    times_by_slope: np.ndarray
     impact: np.ndarray
     impact_by_y: np.ndarray
     start: np.ndarray
     closing: np.ndarray
-    knee: np.ndarray | None
-    knee_by_y: np.ndarray | None
-    motion: list[np.ndarray] | None
+    knee: np.ndarray
+    knee_by_y: np.ndarray
+    motion: list[np.ndarray]
 
     def scaled_motion(self) -> list[np.ndarray]:
-        """Samples of each phase over the stance angle, so that those of neighbours on a branch compare."""
-        assert self.motion is not None
+        """Samples of each phase over the stance angle, by which neighbours on a branch are compared.
+
+        Returns
+        -------
+        list of ndarray, shape (samples + 1, angles, n)
+        """
         return [phase / self.y[0] for phase in self.motion]
 
-    def put(self, lanes: np.ndarray, other: Stride) -> None:
-        """Take some lanes from another stride."""
-        for name, mine in vars(self).items():
-            theirs = getattr(other, name)
-            for a, b in zip(mine, theirs) if isinstance(mine, list) else [(mine, theirs)]:
-                if a is not None:
-                    a[..., lanes] = b
+    def assign(self, lanes: np.ndarray, other: Stride) -> None:
+        """Replace some lanes by those of another stride.
+
+        Parameters
+        ----------
+        lanes : ndarray of int, shape (k,)
+        other : Stride
+            Of k lanes.
+        """
+        for name, values in vars(self).items():
+            new = getattr(other, name)
+            for a, b in zip(values, new, strict=True) if isinstance(values, list) else [(values, new)]:
+                a[..., lanes] = b
+
+
+def start_of_step(structure: Structure, p: Symbols, y: list[Sym]) -> list[Sym]:
+    """State just after heelstrike at section coordinates y, as symbols."""
+    if structure.kneed:
+        return [y[0], -y[0], -y[0], *heelstrike(p, y[0], y[1], y[2], True)]
+    if structure.point_foot:
+        # The impulse has no moment about the hip of a leg whose mass is at the foot that leaves the ground.
+        return [y[0], -y[0], y[1], y[1] * hy.cos(2.0 * p.scale * y[0])]
+    return [y[0], -y[0], y[1], y[2]]
+
+
+def lock_knee(p: Symbols, x: list[Sym]) -> list[Sym]:
+    """State of two links after kneestrike from that of three before it, as symbols."""
+    return [x[0], x[1], *kneestrike(p, x[:3], x[3:])]
+
+
+def end_of_step(structure: Structure, p: Symbols, x: list[Sym]) -> list[Sym]:
+    """Section coordinates of two links' state x just before heelstrike, as symbols."""
+    if structure.kneed:
+        return [x[1], x[2], x[3]]
+    return [x[1], *heelstrike(p, x[1], x[2], x[3], False)[: structure.dimension - 1]]
 
 
 def _matrix(name: str, n: int, m: int) -> list[list[Sym]]:
+    """Variables of an n x m matrix."""
     flat = hy.make_vars(*(f"{name}{i}_{j}" for i in range(n) for j in range(m)))
     return [list(flat[i * m : (i + 1) * m]) for i in range(n)]
 
 
 def _flat(matrix: list[list[Sym]]) -> list[Sym]:
+    """Entries of a matrix, row by row."""
     return [x for row in matrix for x in row]
 
 
@@ -95,14 +149,24 @@ def _inverse(J: list[list[Sym]]) -> list[list[Sym]]:
     return [[minor[j][i] / det for j in range(3)] for i in range(3)]
 
 
-def _directions(rows_by: list[Sym], q: list[Sym], D: list[list[Sym]]) -> list[list[Sym]]:
-    """Gradient of each row by q, times the directions D."""
-    gradients = [[hy.diff(r, x) for x in q] for r in rows_by]
+def _derivatives_along(values: list[Sym], x: list[Sym], D: list[list[Sym]]) -> list[list[Sym]]:
+    """Derivative of each value by x along the directions D."""
+    gradients = [[hy.diff(v, coordinate) for coordinate in x] for v in values]
     return [[sum((g * D[i][d] for i, g in enumerate(row)), ZERO) for d in range(len(D[0]))] for row in gradients]
 
 
 def matvec(A: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """A v for every lane, (i, j, n) times (j, n), always added in the same order."""
+    """Product A v of every lane, always added in the same order.
+
+    Parameters
+    ----------
+    A : ndarray, shape (i, j, n)
+    v : ndarray, shape (j, n)
+
+    Returns
+    -------
+    ndarray, shape (i, n)
+    """
     total = A[:, 0] * v[0]
     for j in range(1, A.shape[1]):
         total = total + A[:, j] * v[j]
@@ -110,7 +174,7 @@ def matvec(A: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 class StrideMap:
-    """The stride map of one structure: compiled flows and the compiled algebra between them."""
+    """The step map of one structure: compiled flows and the compiled algebra between them."""
 
     def __init__(self, structure: Structure):
         self.structure, self.m = structure, structure.dimension
@@ -127,19 +191,13 @@ class StrideMap:
     def _compile_start(self) -> hy.cfunc:
         p = Symbols(self.structure)
         y = list(hy.make_vars(*(f"y{i}" for i in range(self.m))))
-        if self.kneed:
-            state = [y[0], -y[0], -y[0], *heelstrike(p, y[0], y[1], y[2], True)]
-        elif self.structure.point_foot:
-            # No moment about the hip reaches a leg whose mass is at the foot that leaves the ground.
-            state = [y[0], -y[0], y[1], y[1] * hy.cos(2.0 * p.scale * y[0])]
-        else:
-            state = [y[0], -y[0], y[1], y[2]]
+        state = start_of_step(self.structure, p, y)
         return self._function(state + _flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
 
     def _compile_knee(self) -> hy.cfunc:
         """From the end of three links to the start of two, with directions (y, defect, slope).
 
-        After it, two links fly along the field and three unit vectors beside it, whatever the directions: what lies
+        The flow of two links carries its own field and three unit vectors beside it, whatever the directions: a part
         along the field is only a shift of time, which the next event takes up. So each direction is given by its
         four parts, the field's first.
         """
@@ -155,13 +213,13 @@ class StrideMap:
         shift_by = [-(D[1][d] - D[2][d]) / closing for d in range(m)]
         moved = [[D[i][d] + field[i] * shift_by[d] for d in range(m)] for i in range(6)]
         defect = [field[i] * shift for i in range(6)]
-        lock = [q[0], q[1], *kneestrike(p, q, rate)]
+        lock = lock_knee(p, x)
         columns = [[*moved[i][: self.m], defect[i], *moved[i][self.m :]] for i in range(6)]
-        out = _directions(lock, x, columns)
+        by_direction = _derivatives_along(lock, x, columns)
         M, f = rows(p, lock[:2], lock[2:], False)
         after = [lock[2], lock[3], *Solver(M)(f)]
-        along = [d / after[0] for d in out[0]]
-        parts = [along] + [[d - c * after[i] for d, c in zip(out[i], along)] for i in range(1, 4)]
+        along = [d / after[0] for d in by_direction[0]]
+        parts = [along] + [[d - c * after[i] for d, c in zip(by_direction[i], along, strict=True)] for i in range(1, 4)]
         strike = [x[i] + defect[i] for i in range(6)] + _flat([moved[i][: self.m] for i in range(6)])
         return self._function(lock + _flat(parts) + [shift, *shift_by, *strike], [*x, *_flat(D), *p.variables])
 
@@ -171,12 +229,12 @@ class StrideMap:
         m, defect = self.m, int(self.kneed)
         y = list(hy.make_vars(*(f"y{i}" for i in range(m))))
         x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-        flown = D = _matrix("d", 4, 4 if self.kneed else m + 1)
+        carried = D = _matrix("d", 4, 4 if self.kneed else m + 1)
         parts: list[list[Sym]] = _matrix("c", 4, m + 2) if self.kneed else []
         if self.kneed:
             D = [
                 [
-                    sum((parts[1 + k][d] * flown[i][k] for k in range(3)), flown[i][3] if d > m else ZERO)
+                    sum((parts[1 + k][d] * carried[i][k] for k in range(3)), carried[i][3] if d > m else ZERO)
                     for d in range(m + 2)
                 ]
                 for i in range(4)
@@ -189,19 +247,16 @@ class StrideMap:
         shift_by = [-(D[0][d] + D[1][d]) / closing for d in range(m + defect + 1)]
         keep = [d for d in range(m + defect + 1) if not (defect and d == m)]
         columns = [[D[i][d] + field[i] * shift_by[d] for d in keep] + [base[i] + field[i] * shift] for i in range(4)]
-        if self.kneed:
-            image = [x[1], x[2], x[3]]
-        else:
-            image = [x[1], *heelstrike(p, x[1], x[2], x[3], False)[: m - 1]]
-        out = _directions(image, x, columns)
-        jacobian = [row[:m] for row in out]
-        moved = [image[i] + out[i][-1] for i in range(m)]
+        image = end_of_step(self.structure, p, x)
+        by_direction = _derivatives_along(image, x, columns)
+        jacobian = [row[:m] for row in by_direction]
+        moved = [image[i] + by_direction[i][-1] for i in range(m)]
         inverse = _inverse([[float(i == j) - jacobian[i][j] for j in range(m)] for i in range(m)])
-        miss = [image[i] - y[i] + out[i][-1] for i in range(m)]
-        newton = [sum((inverse[i][j] * miss[j] for j in range(m)), ZERO) for i in range(m)]
+        residual = [image[i] - y[i] + by_direction[i][-1] for i in range(m)]
+        newton = [sum((inverse[i][j] * residual[j] for j in range(m)), ZERO) for i in range(m)]
         impact = [x[2] + base[2] + field[2] * shift, x[3] + base[3] + field[3] * shift]
         if parts:
-            shift, shift_by = shift - parts[0][m], [a - b for a, b in zip(shift_by, parts[0])]
+            shift, shift_by = shift - parts[0][m], [a - b for a, b in zip(shift_by, parts[0], strict=True)]
         outputs = [
             *moved,
             *_flat(jacobian),
@@ -213,16 +268,29 @@ class StrideMap:
             *columns[2][:m],
             *columns[3][:m],
             closing,
-            *(row[m] for row in out),
+            *(row[m] for row in by_direction),
         ]
-        return self._function(outputs, [*y, *x, *_flat(flown), *_flat(parts), *p.variables])
+        return self._function(outputs, [*y, *x, *_flat(carried), *_flat(parts), *p.variables])
 
     def _apply(self, function: hy.cfunc, inputs: np.ndarray) -> np.ndarray:
-        """Call a compiled function on lanes padded to whole SIMD groups, so every lane runs the same code."""
+        """Call a compiled function on lanes padded to whole SIMD groups, so that every lane runs the same code."""
         return function(whole_groups(inputs, 4 * LANES))[:, : inputs.shape[1]]
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """State just after heelstrike at y, then its derivative by y, rows flattened."""
+        """State just after heelstrike, then its derivatives by y.
+
+        Parameters
+        ----------
+        y : ndarray, shape (m, n)
+            Scaled section coordinates.
+        parameters : ndarray, shape (n_parameters, n)
+            Slope, scale and the structure's constants.
+
+        Returns
+        -------
+        ndarray, shape (start_size (1 + m), n)
+            Scaled angles and rates; the matrix of derivatives follows row by row.
+        """
         return self._apply(self._start, np.vstack([y, parameters]))
 
     def __call__(
@@ -234,27 +302,27 @@ class StrideMap:
         samples: int = 0,
         coarse: bool = False,
     ) -> Stride:
-        """Evaluate strides and their derivatives.
+        """Evaluate steps and their derivatives.
 
         Parameters
         ----------
         y : ndarray, shape (m, n)
             Scaled section coordinates.
         times : ndarray, shape (k, n) [sqrt(leg/g)]
-            Guesses of the heelstrike time, or of (kneestrike, heelstrike).
+            Initial guesses of the heelstrike time, or of (kneestrike, heelstrike).
         parameters : ndarray, shape (n_parameters, n)
             Slope, scale and the structure's constants.
         slope : bool
             Also differentiate by the slope.
         samples : int
-            Equal intervals of each phase at whose ends the motion is also wanted.
-        rough : bool
-            Fly to the search's tolerance only.
+            Equal intervals of each phase at whose ends the motion is also returned.
+        coarse : bool
+            Integrate to the search's tolerance only.
 
         Returns
         -------
         Stride
-            NaN in lanes whose motion was lost.
+            NaN in lanes whose integration failed.
         """
         m, n = y.shape
         begin = self.start(y, parameters)
@@ -262,30 +330,30 @@ class StrideMap:
         start, seeds = begin[:size], begin[size:].reshape(size, m, n)
         zeros = np.zeros((size, 1, n))
         D = np.concatenate([seeds, zeros], axis=1) if slope else seeds
-        sampled, knee, knee_by_y, parts = [], None, None, np.empty((0, n))
+        motion, strike, parts = [], np.empty((0, n)), np.empty((0, n))
         if self.kneed:
-            run = flow(self.structure, True, m + slope, slope, coarse)
-            final, moved = run(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
-            sampled.append(moved)
+            integrate = flow(self.structure, True, m + slope, slope, coarse)
+            final, phase = integrate(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
+            motion.append(phase)
             out = self._apply(self._knee, np.vstack([final[:6], _unlanes(final[6:], 6, m + 1), parameters]))
             start2, parts, knee_shift, strike = np.split(out, np.cumsum([4, 4 * (m + 2), 2 + m]))
-            knee, knee_by_y = strike[:6], strike[6:].reshape(6, m, n)
             D = np.broadcast_to(np.eye(4, 3 + slope, -1)[:, :, None], (4, 3 + slope, n))
             duration = times[1] - times[0]
         else:
             start2, duration = start, times[0]
-        run = flow(self.structure, False, D.shape[1], slope, coarse)
-        final, moved = run(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
-        sampled.append(moved)
+        integrate = flow(self.structure, False, D.shape[1], slope, coarse)
+        final, phase = integrate(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
+        motion.append(phase)
         directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)
         out = self._apply(self._finish, np.vstack([y, final[:4], directions, parts, parameters]))
-        cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + 1, 2, 2 * m, 1]))
-        image, jacobian, inverse, newton, shift, shift_by, impact, impact_by_y, closing, by_slope = cut
+        image, jacobian, inverse, newton, shift, shift_by, impact, impact_by_y, closing, by_slope = np.split(
+            out, np.cumsum([m, m * m, m * m, m, 1, m + 1, 2, 2 * m, 1])
+        )
         all_times, all_by = times[-1:] + shift, shift_by[None]
         if self.kneed:
             first = times[:1] + knee_shift[:1]
             first_by = knee_shift[1:][None]
-            # Heelstrike is counted from the start of the step; its flow began at kneestrike.
+            # Heelstrike is timed from the start of the step; its flow begins at kneestrike.
             all_times = np.vstack([first, all_times + knee_shift[:1]])
             all_by = np.concatenate([first_by, all_by + first_by])
         return Stride(
@@ -296,15 +364,15 @@ class StrideMap:
             newton,
             all_times,
             all_by[:, :m],
-            by_slope if slope else None,
-            all_by[:, m] if slope else None,
+            by_slope if slope else by_slope[:0],
+            all_by[:, m] if slope else all_by[:0, m],
             impact,
             impact_by_y.reshape(2, m, n),
             start,
             closing[0],
-            knee,
-            knee_by_y,
-            sampled if samples else None,
+            strike[:6],
+            strike[6:].reshape(-1, m, n),
+            motion,
         )
 
 
@@ -314,7 +382,7 @@ def _lanes(D: np.ndarray) -> np.ndarray:
 
 
 def _unlanes(flat: np.ndarray, size: int, directions: int) -> np.ndarray:
-    """Back from the flow's order to rows of (size, directions); the slope's direction is zero where none was flown."""
+    """Back from the flow's order to rows of (size, directions); the slope's direction is zero where it has none."""
     n = flat.shape[1]
     rows = np.zeros((size, directions, n))
     rows[:, : len(flat) // size] = flat.reshape(-1, size, n).transpose(1, 0, 2)
@@ -323,6 +391,6 @@ def _unlanes(flat: np.ndarray, size: int, directions: int) -> np.ndarray:
 
 @functools.lru_cache(maxsize=64)
 def stride_map(structure: Structure) -> StrideMap:
-    """The compiled stride map of a structure."""
+    """Return the compiled step map of a structure, one a process."""
     prepare_compiler()
     return StrideMap(structure)

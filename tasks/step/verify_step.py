@@ -1,4 +1,4 @@
-"""Is a solved stride a step? The guards' signs along the motion that was flown."""
+"""Whether a solved step happens: the signs of the guards along its motion."""
 
 from __future__ import annotations
 
@@ -11,9 +11,16 @@ import numpy as np
 class StepCheck:
     """What the sampled motion of n lanes shows.
 
-    `step` (n,) the first heelstrike (and kneestrike) are the ones solved for and run the right way; `passes` (n,)
-    how often the swing leg passes the stance leg; `doubt` (n,) a guard comes so near zero between samples that
-    finer ones must decide; `hyperextends` (n,) the freed knee first moves against its stop.
+    Attributes
+    ----------
+    step : ndarray of bool, shape (n,)
+        The first heelstrike (and kneestrike) is the one solved for, and its guard falls.
+    leg_passes : ndarray of int, shape (n,)
+        How often the swing leg passes the stance leg.
+    doubt : ndarray of bool, shape (n,)
+        A guard comes so near zero between samples that finer ones must decide.
+    hyperextends : ndarray of bool, shape (n,)
+        The released knee first moves against its stop.
     """
 
     step: np.ndarray
@@ -27,7 +34,7 @@ class StepCheck:
         return self.step & (self.leg_passes == 1)
 
 
-def chord_error_bound(g: np.ndarray) -> np.ndarray:
+def _chord_error_bound(g: np.ndarray) -> np.ndarray:
     """Largest distance of a guard from its chord between samples, shape (intervals, n).
 
     |g - chord| <= h^2/8 max|g''|, with g'' from second differences of the neighbouring samples, doubled.
@@ -38,37 +45,39 @@ def chord_error_bound(g: np.ndarray) -> np.ndarray:
 
 
 def _unclear(g: np.ndarray, rate: np.ndarray, margin: float | np.ndarray) -> np.ndarray:
-    """Intervals in which a guard could touch zero unseen, shape (intervals, n).
+    """Intervals in which a guard could touch zero undetected, shape (intervals, n).
 
-    It could where it comes nearer zero than the samples resolve, unless its rate has one sign all along: then the
-    samples' signs tell of every crossing.
+    It could where it comes nearer zero than the samples resolve, unless its rate keeps its sign: then the samples'
+    signs show every crossing.
     """
     low = np.minimum(np.abs(g[:-1]), np.abs(g[1:]))
-    steady = np.minimum(np.abs(rate[:-1]), np.abs(rate[1:])) > chord_error_bound(rate) + margin
+    steady = np.minimum(np.abs(rate[:-1]), np.abs(rate[1:])) > _chord_error_bound(rate) + margin
     steady &= np.signbit(rate[:-1]) == np.signbit(rate[1:])
-    return (low < chord_error_bound(g) + margin) & ~steady
+    return (low < _chord_error_bound(g) + margin) & ~steady
 
 
-# Where a motion was lost its guards have no values.
+# Where the integration failed the guards have no values.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def strike_distance(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
-    """How far a stride is from an earlier strike, shape (n,): negative where a foot or a knee strikes earlier.
+    """Distance of a step from an earlier strike: negative where a foot or a knee strikes earlier.
 
     Parameters
     ----------
     motion : list of ndarray, shape (samples + 1, angles, n)
-        As `verify` takes it.
-    times : ndarray, shape (phases, n)
+        Each phase's angles and rates at equal times; three links before two.
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+        Event times.
 
     Returns
     -------
-    ndarray
-        Infinite where no guard turns on its way. It is continuous as long as the same extremes exist.
+    ndarray, shape (n,)
+        In the units of the angles; infinite where no guard has an extremum. It is continuous as long as the same
+        extrema exist.
 
     Notes
     -----
-    A guard strikes earlier where it has been positive and then is not: where a minimum lies below zero and a maximum
-    before it above. So the distance at a minimum is the larger of its value and minus the highest value before.
+    A guard strikes earlier where it falls through zero: where a minimum lies below zero and a maximum before it above.
+    So the distance at a minimum is the larger of its value and minus the highest value before.
     """
     durations = np.diff(times, axis=0, prepend=0)
     sums, behind = [], []
@@ -81,7 +90,7 @@ def strike_distance(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
     if len(motion) == 2:
         three = motion[0]
         rate = durations[0] / (len(three) - 1) * (three[:, 4] - three[:, 5])
-        # The knee starts straight, and may first move against its stop: only maxima tell that it has flexed.
+        # The knee starts straight, and may first move against its stop: only maxima show that it has flexed.
         least = np.fmin(least, _least_distance([(three[:, 1] - three[:, 2], rate)], [np.zeros(rate.shape, bool)], True))
     return least
 
@@ -89,26 +98,27 @@ def strike_distance(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
 def _least_distance(
     phases: list[tuple[np.ndarray, np.ndarray]], counts: list[np.ndarray], always: bool = False
 ) -> np.ndarray:
-    """Least distance (n,) of a guard from an earlier strike; values and rates per interval of each phase.
+    """Least distance (n,) of a guard from an earlier strike, by its values and rates per interval of each phase.
 
-    `counts` tells at which samples the guard counts for itself, and with `always` its extremes count everywhere.
+    `counts` says at which samples the guard's values count; with `always` its extrema count everywhere.
     """
     least = np.full(phases[0][0].shape[1], np.inf)
-    highest, before = np.full(len(least), -np.inf), None
-    for (g, rate), own in zip(phases, counts, strict=True):
-        low, high = _extremes(g, rate)
-        if before is not None:
-            # Rates jump at kneestrike: a guard may turn there.
-            least = np.fmin(least, np.where((before < 0) & (rate[0] >= 0) & own[0], np.maximum(g[0], -highest), np.inf))
+    highest, rate_before = np.full(len(least), -np.inf), None
+    for (g, rate), counted in zip(phases, counts, strict=True):
+        low, high = _extrema(g, rate)
+        if rate_before is not None:
+            # Rates jump at kneestrike: a guard may have a minimum there.
+            turns = (rate_before < 0) & (rate[0] >= 0) & counted[0]
+            least = np.fmin(least, np.where(turns, np.maximum(g[0], -highest), np.inf))
         for i in range(len(low)):
-            highest = np.where(own[i], np.maximum(highest, g[i]), highest)
-            least = np.where(own[i + 1] | always, np.fmin(least, np.maximum(low[i], -highest)), least)
-            highest = np.where(own[i + 1] | always, np.maximum(highest, high[i]), highest)
-        before = rate[-1]
+            highest = np.where(counted[i], np.maximum(highest, g[i]), highest)
+            least = np.where(counted[i + 1] | always, np.fmin(least, np.maximum(low[i], -highest)), least)
+            highest = np.where(counted[i + 1] | always, np.maximum(highest, high[i]), highest)
+        rate_before = rate[-1]
     return least
 
 
-def _extremes(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _extrema(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Minimum and maximum within each interval, (intervals, n), of the cubic through values and rates at its ends.
 
     Infinite, and minus infinite, where it has none.
@@ -116,17 +126,18 @@ def _extremes(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     a, b, da, db = g[:-1], g[1:], rate[:-1], rate[1:]
     second, third = 3 * (b - a) - 2 * da - db, da + db - 2 * (b - a)
     root = np.sqrt(np.maximum(second**2 - 3 * third * da, 0.0))
-    found = []
-    for sign, turns, none in ((1.0, (da < 0) & (db >= 0), np.inf), (-1.0, (da > 0) & (db <= 0), -np.inf)):
+
+    def extremum(sign: float, turns: np.ndarray) -> np.ndarray:
         s = -da / (second + sign * root)
-        found.append(np.where(turns, a + s * (da + s * (second + s * third)), none))
-    return found[0], found[1]
+        return np.where(turns, a + s * (da + s * (second + s * third)), sign * np.inf)
+
+    return extremum(1.0, (da < 0) & (db >= 0)), extremum(-1.0, (da > 0) & (db <= 0))
 
 
 def verify(
     motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray, margin: float | np.ndarray = 0.0
 ) -> StepCheck:
-    """Judge a stride by samples of its motion.
+    """Verify that solved steps happen, by samples of their motion.
 
     Parameters
     ----------
@@ -134,15 +145,19 @@ def verify(
         Each phase's angles and rates at equal times; three links before two.
     closing : ndarray, shape (n,)
         Rate of the heelstrike guard at the solved time.
-    times : ndarray, shape (phases, n)
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
         The solved event times, which must follow each other.
-    stray : float or ndarray, shape (n,)
-        How far, besides, the guards may lie from the samples: leaves a doubt where their signs could change.
+    margin : float or ndarray, shape (n,)
+        How far the guards may besides lie from the samples: leaves a doubt where their signs could change.
+
+    Returns
+    -------
+    StepCheck
 
     Notes
     -----
-    A step ends when stance + swing angle, once positive, falls to zero with the stance angle negative. So the
-    guard must be positive wherever the stance angle is negative, once it has become so.
+    A step ends when stance + swing angle, once positive, falls to zero with the stance angle negative. So this guard,
+    once positive, must stay so wherever the stance angle is negative.
     """
     two = motion[-1]
     a, b = two[:, 0], two[:, 1]
@@ -153,7 +168,7 @@ def verify(
     behind = np.minimum(a[:-1], a[1:]) - margin < 0
     falls = (guard[1:] <= 0) & (guard[:-1] > 0) & (a[1:] < 0)
     falls[-1] = False
-    # A guard that closes at zero was positive just before: the swing foot has come up behind the stance foot.
+    # A guard that falls to zero was positive just before.
     step = (closing < 0) & ~falls.any(axis=0) & (a[-1] < 0) & (np.diff(times, axis=0, prepend=0) > 0).all(axis=0)
     doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0)
     leg_passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
@@ -170,11 +185,11 @@ def verify(
         bent = np.maximum.accumulate(inner > 0, axis=0)
         straight_again = (bent[:-1] & (inner[1:] <= 0)).any(axis=0)
         step = step & bent.any(axis=0) & ~straight_again & (inner[-1] > 0)
-        # The foot could come down before the knee has struck.
+        # The foot could strike before the knee.
         sum_, closing_in = three[:, 0] + three[:, 1], three[:, 3] + three[:, 4]
         step &= ~((sum_[1:] <= 0) & (sum_[:-1] > 0) & (three[1:, 0] < 0)).any(axis=0)
         behind = np.minimum(three[:-1, 0], three[1:, 0]) - margin < 0
         doubt |= (behind & _unclear(sum_, closing_in, margin)).any(axis=0)
-        # The knee starts straight: that first touch is no strike.
+        # The knee starts straight: the guard's first zero is no strike.
         doubt |= _unclear(flexion, rate, margin)[1:].any(axis=0)
     return StepCheck(step, leg_passes, doubt & np.isfinite(closing), hyperextends)
