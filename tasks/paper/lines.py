@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -109,8 +109,9 @@ def curve(problem: Problem, found: Branch) -> Arrays:
 
 
 _LINES: dict[tuple[str, tuple[tuple[str, float], ...]], Line] = {}
-#: Tables that a study's own task made of its lines, by walker: several lines of one walker stand one below the other.
-_TABLES: dict[str, Arrays] = {}
+#: Tables by walker: those that the task of the study at hand made of its lines, and those that claims made themselves.
+_STUDY_TABLES: dict[str, Arrays] = {}
+_MADE_TABLES: dict[str, Arrays] = {}
 
 
 def line(walker: str, **settings: float) -> Line:
@@ -128,18 +129,25 @@ def cache_atlas(walker: str, settings: Mapping[str, float], known: Arrays) -> No
         _LINES[key] = Line(walker, settings, known)
 
 
-def cache_tables(walker: str, tables: Arrays) -> None:
-    """Take the tables of a line as made elsewhere."""
-    mine = _TABLES.setdefault(walker, {})
-    for name, column in tables.items():
-        mine[name] = np.concatenate([mine[name], column]) if name in mine else column
+def set_tables(tables: Iterable[tuple[str, Arrays]]) -> None:
+    """Replace the study's tables by those of its lines (walker, columns); lines of one walker are joined in order."""
+    _STUDY_TABLES.clear()
+    for walker, columns in tables:
+        joined = _STUDY_TABLES.setdefault(walker, {})
+        for name, column in columns.items():
+            joined[name] = np.concatenate([joined[name], column]) if name in joined else column
 
 
 def table(group: str, walker: str, make: Callable[[], Arrays]) -> Arrays:
-    """Columns of one table of a walker: the study's own, or else what `make` gives."""
-    if not any(name.startswith(f"{group}/") for name in _TABLES.get(walker, {})):
-        cache_tables(walker, make())
-    return {name.partition("/")[2]: column for name, column in _TABLES[walker].items() if name.startswith(f"{group}/")}
+    """Columns of one table of a walker: the study's own, or else those that `make` returns, made once a process."""
+
+    def columns(tables: Mapping[str, Arrays]) -> Arrays:
+        named = (name.partition("/") for name in tables.get(walker, {}))
+        return {column: tables[walker][f"{group}/{column}"] for prefix, _, column in named if prefix == group}
+
+    if not columns(_STUDY_TABLES) and not columns(_MADE_TABLES):
+        _MADE_TABLES.setdefault(walker, {}).update(make())
+    return columns(_STUDY_TABLES) or columns(_MADE_TABLES)
 
 
 def root(function: Callable[[float], float], slope: np.ndarray, values: np.ndarray, last: bool = False) -> float:
