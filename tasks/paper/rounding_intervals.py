@@ -24,7 +24,7 @@ from tasks.paper.lines import Line, line
 from tasks.paper.published import HALF_UNITS
 from tasks.step.problem import Lanes, Problem
 from tasks.step.step_map import Stride
-from tasks.walkers.catalogue import _exactly_tuned
+from tasks.walkers.catalogue import tune_exactly
 from tasks.walkers.walker import Walker
 
 #: Steps of the central differences: of X, and of parameters relative to their size and the gait's angle (offsets of
@@ -117,7 +117,7 @@ class Interval:
 def changed(walker: str, base: Walker, key: str, change: float) -> Walker:
     """A walker with one key moved; exact A and C stay on the tuned manifold."""
     moved = replace(base, **{key: getattr(base, key) + change})
-    return _exactly_tuned(moved) if walker in ("A", "C") else moved
+    return tune_exactly(moved) if walker in ("A", "C") else moved
 
 
 def place(found: Line, mark: Landmark) -> tuple[np.ndarray, np.ndarray]:
