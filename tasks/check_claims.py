@@ -1,8 +1,7 @@
-"""The ledger: what the paper claims, what was computed of it, and the verdict."""
+"""The ledger: what the paper claims, what is computed of it, and the verdict."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from tasks.paper import published_tables, tuned_walkers
 from tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResult
-from tasks.paper.lines import cache_atlas, cache_tables
+from tasks.paper.lines import cache_atlas, set_tables
 from tasks.registry import VARIABLES
 
 Arrays = dict[str, np.ndarray]
@@ -30,15 +29,14 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `ids`, names of claims; `lines` of the study.
     inputs : list
-        One dict a line, with its atlas and the tables of the study's own task; what a claim needs and the study has not
-        is computed here.
+        One dict a line, with its atlas and the tables of the study's own task; what a claim needs beyond them is
+        computed in place.
 
     Returns
     -------
     dict
         Table `claims`: id, printed, source, computed, value, interval, interval_low, interval_high, verdict, figure,
-        command;
-        with claim P1 `rounding`, with Z6 `figure9` and `figure10`, with T7 `offsets`.
+        command, shape (claims,); with claim P1 `rounding`, with Z6 `figure9` and `figure10`, with T7 `offsets`.
 
     Raises
     ------
@@ -48,15 +46,17 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     unknown = [name for name in params["ids"] if name not in CLAIMS]
     if unknown:
         raise ValueError(f"there is no claim {unknown[0]}; there are {', '.join(CLAIMS)}")
-    for line, data in zip(params["lines"], inputs, strict=False):
-        if not isinstance(line["walker"], str):
-            continue
+    # Claims are about walkers of the catalogue, which alone go by a name.
+    named = [
+        (line, data) for line, data in zip(params["lines"], inputs, strict=False) if isinstance(line["walker"], str)
+    ]
+    for line, data in named:
         atlas = {k: v for k, v in data.items() if k not in VARIABLES and k not in ("slope", "reasons") and "/" not in k}
         if atlas:
             cache_atlas(line["walker"], line["set"], atlas)
-        cache_tables(line["walker"], {k: v for k, v in data.items() if "/" in k})
-    wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(re.sub(r"\D", "", c.id))))
-    rows = [_row(claim, _found(claim)) for claim in wanted]
+    set_tables((line["walker"], {k: v for k, v in data.items() if "/" in k}) for line, data in named)
+    wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(c.id[1:])))
+    rows = [_row(claim, _check(claim)) for claim in wanted]
     out: Arrays = {f"claims/{k}": np.array([row[k] for row in rows]) for k in (rows[0] if rows else {})}
     for claim in wanted:
         for table in _TABLES.get(claim.id, ()):
@@ -64,8 +64,8 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     return out
 
 
-def _found(claim: Claim) -> ClaimResult:
-    """What a claim's function finds; a claim whose gaits are lost is not checkable, and says why."""
+def _check(claim: Claim) -> ClaimResult:
+    """Result of a claim's function; a claim whose gaits are lost is not checkable, and says why."""
     try:
         with np.errstate(all="ignore"):
             return claim.find()
@@ -73,17 +73,17 @@ def _found(claim: Claim) -> ClaimResult:
         return ClaimResult(f"{type(error).__name__}: {error}", NOT_CHECKABLE)
 
 
-def _row(claim: Claim, found: ClaimResult) -> dict[str, Any]:
+def _row(claim: Claim, result: ClaimResult) -> dict[str, Any]:
     return {
         "id": claim.id,
         "printed": claim.printed,
         "source": claim.source,
-        "computed": found.computed,
-        "value": float(found.value),
-        "interval": f"{found.low:.12g} to {found.high:.12g}" if found.low <= found.high else "",
-        "interval_low": float(found.low),
-        "interval_high": float(found.high),
-        "verdict": found.verdict,
+        "computed": result.computed,
+        "value": float(result.value),
+        "interval": f"{result.low:.12g} to {result.high:.12g}" if result.low <= result.high else "",
+        "interval_low": float(result.low),
+        "interval_high": float(result.high),
+        "verdict": result.verdict,
         "figure": claim.figure,
         "command": claim.command,
     }

@@ -1,1 +1,1 @@
-"""Laws fitted to arrays: `power_law`, the `transition` between two of them, and `feigenbaum` ratios."""
+"""Laws fitted to arrays: `power_law`, the `transition` between two power laws, and `feigenbaum` ratios."""

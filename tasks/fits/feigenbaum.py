@@ -1,4 +1,4 @@
-"""Feigenbaum's scaling of a cascade: ratios of its intervals and the slope they accumulate at."""
+"""Feigenbaum's scaling of a cascade: ratios of its intervals and the slope of accumulation."""
 
 from __future__ import annotations
 
@@ -9,25 +9,39 @@ DELTA = 4.669201609102990
 
 
 def ratios(flips: np.ndarray) -> np.ndarray:
-    """(s_k - s_(k-1)) / (s_(k+1) - s_k) of successive flips, shape (n,), NaN where there are no three."""
-    flips = np.asarray(flips, float)
-    found = np.full(len(flips), np.nan)
-    step = np.diff(flips)
-    found[2:] = step[:-1] / step[1:]
-    return found
+    """Compute the ratios (s_(k-1) - s_(k-2)) / (s_k - s_(k-1)) of successive flips.
 
-
-def accumulation(flips: np.ndarray) -> tuple[float, float, float]:
-    """Where the flips accumulate, with an interval.
+    Parameters
+    ----------
+    flips : ndarray, shape (n,) [rad]
 
     Returns
     -------
-    value, low, high
+    ndarray, shape (n,)
+        NaN for the first two.
+    """
+    intervals = np.diff(np.asarray(flips, float))
+    result = np.full(len(flips), np.nan)
+    result[2:] = intervals[:-1] / intervals[1:]
+    return result
+
+
+def accumulation(flips: np.ndarray) -> tuple[float, float, float]:
+    """Extrapolate the slope at which flips accumulate, with an interval.
+
+    Parameters
+    ----------
+    flips : ndarray, shape (n,) [rad]
+
+    Returns
+    -------
+    value, low, high : float [rad]
+        NaN below three flips.
 
     Notes
     -----
-    The remaining geometric series has the ratio DELTA up to corrections that shrink from flip to flip, so the
-    difference of the last two extrapolations is more than what the last one still misses.
+    The remaining intervals form a geometric series of ratio DELTA up to corrections that shrink from flip to flip, so
+    the difference of the last two extrapolations exceeds the error of the last one.
     """
     flips = np.asarray(flips, float)
     if len(flips) < 3:

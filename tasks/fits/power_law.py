@@ -1,4 +1,4 @@
-"""Power laws y = a x^p over a range chosen by rule: where the local exponent stands still."""
+"""Power laws y = a x^p, fitted over the range where the local exponent is constant to a tolerance."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-#: How far the local exponent may wander on a plateau, and the decades a plateau must span.
+#: Range of the local exponent allowed on a plateau, and the decades and points that a plateau must span.
 FLATNESS, MIN_DECADES, MIN_POINTS = 0.01, 1.0, 5
 
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """A fitted law: exponent with its interval, amplitude, and the range it was fitted over.
+    """A fitted law: exponent with its interval, amplitude, and the range and number of points of the fit.
 
     The interval joins the 95 % confidence interval of the regression with the range of local exponents on the
-    plateau: for computed data the curve's own bend, not scatter, is the error.
+    plateau: for computed data the curvature of the function, not scatter, is the error.
     """
 
     exponent: float
@@ -30,34 +30,22 @@ class PowerLaw:
 
 
 def local_exponents(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """d ln y / d ln x between neighbouring points, shape (n - 1,)."""
+    """Compute d ln y / d ln x between neighbouring points.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n,)
+        Positive.
+
+    Returns
+    -------
+    ndarray, shape (n - 1,)
+    """
     return np.diff(np.log(y)) / np.diff(np.log(x))
 
 
 def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
-    """Least squares of ln y on ln x over all points given; None below three points."""
-    if len(x) < 3:
-        return None
-    log_x, log_y = np.log(x), np.log(y)
-    line = stats.linregress(log_x, log_y)
-    local = local_exponents(x, y)
-    # From the residuals themselves: through 1 - r^2, as linregress has it, a good fit's error is rounding.
-    residual = log_y - (line.intercept + line.slope * log_x)
-    error = np.sqrt(residual @ residual / (len(x) - 2) / np.sum((log_x - log_x.mean()) ** 2))
-    golden_ratio_order = stats.t.ppf(0.975, len(x) - 2) * error
-    return PowerLaw(
-        line.slope,
-        min(line.slope - golden_ratio_order, local.min()),
-        max(line.slope + golden_ratio_order, local.max()),
-        float(np.exp(line.intercept)),
-        float(x[0]),
-        float(x[-1]),
-        len(x),
-    )
-
-
-def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[tuple[int, int]]:
-    """Runs of points over which the local exponent changes by less than `flatness`, longest first.
+    """Fit ln y to ln x by least squares.
 
     Parameters
     ----------
@@ -66,12 +54,47 @@ def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[t
 
     Returns
     -------
+    PowerLaw or None
+        None below three points.
+    """
+    if len(x) < 3:
+        return None
+    log_x, log_y = np.log(x), np.log(y)
+    line = stats.linregress(log_x, log_y)
+    local = local_exponents(x, y)
+    # From the residuals: computed from 1 - r^2, as by linregress, the error of a good fit is lost to rounding.
+    residual = log_y - (line.intercept + line.slope * log_x)
+    error = np.sqrt(residual @ residual / (len(x) - 2) / np.sum((log_x - log_x.mean()) ** 2))
+    half_width = stats.t.ppf(0.975, len(x) - 2) * error
+    return PowerLaw(
+        line.slope,
+        min(line.slope - half_width, local.min()),
+        max(line.slope + half_width, local.max()),
+        float(np.exp(line.intercept)),
+        float(x[0]),
+        float(x[-1]),
+        len(x),
+    )
+
+
+def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[tuple[int, int]]:
+    """Find the runs of points over which the local exponent changes by less than `flatness`, longest first.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (n,)
+        Positive, x increasing.
+    flatness : float
+        Allowed range of the local exponent.
+
+    Returns
+    -------
     list of (first, last)
         Inclusive indices; runs shorter than a decade or five points are no plateau.
     """
     p = local_exponents(x, y)
     runs, start = [], 0
-    # Places of the largest and the smallest exponents of the run and of all that may become so, in order.
+    # Monotonic queues: indices of the run's largest and smallest exponents and of those that may succeed them.
     high: deque[int] = deque()
     low: deque[int] = deque()
     for i, value in enumerate(p):
@@ -83,7 +106,7 @@ def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[t
         low.append(i)
         if p[high[0]] - p[low[0]] >= flatness:
             runs.append((start, i))
-        # The next run reaches back over points that agree with it.
+        # The next run extends back over points that agree with it.
         while p[high[0]] - p[low[0]] >= flatness:
             start += 1
             for extremes in (high, low):

@@ -8,22 +8,42 @@ import numpy as np
 
 from tasks.fits.power_law import fit
 
-#: Above the transition every light foot walks like walker D: angle = B slope^(1/3) as slope -> 0 (Garcia et al. 1998).
+#: Above the transition all walkers with light feet follow walker D: angle = B slope^(1/3) as slope -> 0
+#: (M. Garcia et al., J. Biomech. Eng. 120, 1998).
 CUBE_ROOT = math.tanh(math.pi / 2) ** (2 / 3)
 
 
 def asymptotic(ratio: np.ndarray) -> np.ndarray:
-    """Crossing of the two laws as the foot mass ratio -> 0: ratio^(3/2) coth^2(pi/2)/8."""
+    """Slope at which the two laws cross, to leading order in the foot mass ratio: ratio^(3/2) coth^2(pi/2)/8.
+
+    Parameters
+    ----------
+    ratio : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n,) [rad]
+    """
     return ratio**1.5 / (8 * math.tanh(math.pi / 2) ** 2)
 
 
 def linear_amplitude(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float, float, int]:
-    """Limit of angle/slope as slope -> 0, its relative standard error, the largest slope used and the number of points.
+    """Fit the limit of angle/slope as slope -> 0.
+
+    Parameters
+    ----------
+    slope, angle : ndarray, shape (n,) [rad]
+        Slope increasing.
+
+    Returns
+    -------
+    amplitude, error, largest, n : float, float, float [rad], int
+        The limit, its relative standard error, the largest slope and the number of points of the fit; NaN below four.
 
     Notes
     -----
-    ln(angle/slope) = A + B slope^2 over the slopes where the law is bent by less than 2 %: the energy balance
-    slope angle ~ ratio angle^2 + angle^4 has no term between.
+    The fit is ln(angle/slope) = A + B slope^2 over the slopes where angle/slope changes by less than 2 %: the energy
+    balance slope angle ~ ratio angle^2 + angle^4 has no term between.
     """
     y = np.log(angle / slope)
     near = np.abs(y - y[0]) < 0.02
@@ -38,16 +58,22 @@ def linear_amplitude(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float
 
 
 def crossing(linear: float, cube_root: float) -> float:
-    """Slope where linear * slope = cube_root * slope^(1/3)."""
+    """Slope at which linear * slope = cube_root * slope^(1/3) [rad]."""
     return (cube_root / linear) ** 1.5
 
 
 def fitted_crossing(slope: np.ndarray, angle: np.ndarray, expected: float) -> tuple[float, float, float]:
-    """Crossing of best-fit straight lines, as the paper draws them on figure 5.
+    """Compute the crossing of best-fit straight lines, as in figure 5 of the paper.
+
+    Parameters
+    ----------
+    slope, angle : ndarray, shape (n,) [rad]
+    expected : float [rad]
+        Crossing of the exact asymptotes.
 
     Returns
     -------
-    crossing, low, high : float
+    crossing, low, high : float [rad]
         The lower line is fitted over slopes below low = expected/10, the upper, held at power 1/3, above
         high = 3 expected; NaN where either has fewer than three points.
     """

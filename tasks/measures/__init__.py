@@ -1,2 +1,1 @@
-"""What is measured of a gait: impact `losses`, `kinematics` over a step, and `violations` of the model's
-assumptions."""
+"""Measures of a gait: impact `losses`, `kinematics` over a step, and `violations` of the model's assumptions."""

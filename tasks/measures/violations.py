@@ -1,6 +1,6 @@
-"""Appendix A of the paper: by how much a verified gait breaks what the model takes for granted.
+"""Appendix A of the paper: by how much a verified gait violates the assumptions of the model.
 
-Every item is a flag and an amount, computed on the chain of four links whose stance knee is open.
+Every item is a flag and an amount, computed on the chain of four links whose stance knee is free.
 """
 
 from __future__ import annotations
@@ -15,21 +15,27 @@ from tasks.registry import VARIABLES, VIOLATIONS
 from tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
-#: Intervals of each phase; with extremes of a quartic through five samples, amounts are good to about 1e-8.
+#: Intervals of each phase; with extremes of a quartic through five samples, amounts are accurate to about 1e-8.
 SAMPLES = 96
-#: Contact friction above which a gait is flagged, unless a study says otherwise.
+#: Friction coefficient above which a gait is flagged, unless a study sets another.
 FRICTION_LIMIT = 1.0
 #: Lanes measured at a time, to bound memory.
-BLOCK = 128
-#: A velocity that is this small beside what it is the sum of counts as zero.
-ROUNDING = 1e-12
+_BLOCK = 128
+#: A velocity this small relative to its summands counts as zero.
+_ROUNDING = 1e-12
 #: Coefficients, times 24, of the quartic through values at 0, 1, 2, 3, 4.
-POWERS = ((24, 0, 0, 0, 0), (-50, 96, -72, 32, -6), (35, -104, 114, -56, 11), (-10, 36, -48, 28, -6), (1, -4, 6, -4, 1))
+_POWERS = (
+    (24, 0, 0, 0, 0),
+    (-50, 96, -72, 32, -6),
+    (35, -104, 114, -56, 11),
+    (-10, 36, -48, 28, -6),
+    (1, -4, 6, -4, 1),
+)
 
 
-@dataclass
-class Phase:
-    """Samples of one phase: links' angles and rates (4, samples + 1, n), and times (samples + 1, n)."""
+@dataclass(frozen=True)
+class _Phase:
+    """Samples of one phase: angles and rates of the links, shape (4, samples + 1, n), times, shape (samples + 1, n)."""
 
     q: np.ndarray
     rate: np.ndarray
@@ -37,14 +43,14 @@ class Phase:
     free_knee: bool
 
 
-def _phases(motion: list[np.ndarray], times: np.ndarray) -> list[Phase]:
-    found, begin = [], np.zeros(times.shape[1])
+def _phases(motion: list[np.ndarray], times: np.ndarray) -> list[_Phase]:
+    phases, begin = [], np.zeros(times.shape[1])
     for samples, end in zip(motion, times, strict=True):
         half = samples.shape[1] // 2
         links = [0, 0, 1, half - 1]
         clock = begin + np.linspace(0, 1, len(samples))[:, None] * (end - begin)
-        found.append(
-            Phase(
+        phases.append(
+            _Phase(
                 np.stack([samples[:, i] for i in links]),
                 np.stack([samples[:, half + i] for i in links]),
                 clock,
@@ -52,46 +58,51 @@ def _phases(motion: list[np.ndarray], times: np.ndarray) -> list[Phase]:
             )
         )
         begin = end
-    return found
+    return phases
 
 
 def greatest(x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Largest value of sampled functions and where, in intervals: a quartic through the five samples around it.
+    """Find the largest value of sampled functions, by a quartic through the five samples around it.
 
     Parameters
     ----------
     x : ndarray, shape (samples + 1, n)
     among : ndarray of bool, same shape
         Samples that may be the largest; all, if absent.
+
+    Returns
+    -------
+    value, position : ndarray, shape (n,)
+        The position is in intervals from the first sample.
     """
     top = len(x) - 1
     lane = np.arange(x.shape[1])
     best = np.argmax(np.where(np.isnan(x), -np.inf, x) if among is None else np.where(among, x, -np.inf), axis=0)
     first = np.clip(best - 2, 0, top - 4)
     y = np.stack([x[first + k, lane] for k in range(5)])
-    powers = [total(c * y[k] for k, c in enumerate(row)) / 24 for row in POWERS]
+    powers = [total(c * y[k] for k, c in enumerate(row)) / 24 for row in _POWERS]
     low, high = np.maximum(best - 1, 0) - first, np.minimum(best + 1, top) - first
     t = (best - first).astype(float)
     value = x[best, lane]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for _ in range(6):
-            slope, bend = _at(powers, t, 1), _at(powers, t, 2)
-            # Uphill either way: where the curve bends up, its greatest value is at an end.
-            step = np.where(bend < 0, -slope / bend, np.sign(slope))
+            slope, curvature = _polynomial(powers, t, 1), _polynomial(powers, t, 2)
+            # Uphill in either case: where the quartic is convex, its greatest value is at an end.
+            step = np.where(curvature < 0, -slope / curvature, np.sign(slope))
             t = np.clip(t + np.where(np.isfinite(step), step, 0.0), low, high)
-        refined = _at(powers, t)
-        # At an end the value is a sample's; only inside can the curve rise above them.
-        better = (refined > value) & (t > low) & (t < high)
-    return np.where(better, refined, value), first + np.where(better, t, best - first)
+        refined = _polynomial(powers, t)
+        # At an end the value is that of a sample; only inside can the quartic exceed the samples.
+        is_larger = (refined > value) & (t > low) & (t < high)
+    return np.where(is_larger, refined, value), first + np.where(is_larger, t, best - first)
 
 
-def _passing(chain: Chain, phase: Phase, acceleration: np.ndarray) -> np.ndarray:
-    """Greatest depth of a straight swing leg's foot where it passes the stance leg.
+def _passing(chain: Chain, phase: _Phase, acceleration: np.ndarray) -> np.ndarray:
+    """Greatest depth of a straight swing leg's foot as it passes the stance leg, shape (n,) [leg].
 
     Notes
     -----
-    The foot is below the ground between the zeros of a - b and a + b. On long steps at small slopes these are closer
-    to each other than samples are, so the angles are taken as quintics through both ends of the interval of passing.
+    With a and b the leg angles, the foot is below the ground between the zeros of a - b and a + b. On long steps at
+    small slopes these lie within one interval of the samples, so the angles are interpolated there by quintics.
     """
     apart = phase.q[0] - phase.q[2]
     lane = np.arange(apart.shape[1])
@@ -115,19 +126,19 @@ def _passing(chain: Chain, phase: Phase, acceleration: np.ndarray) -> np.ndarray
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         middle = apart[i, lane] / (apart[i, lane] - apart[i + 1, lane])
         for _ in range(5):
-            middle = middle - _at(minus, middle) / _at(minus, middle, 1)
+            middle = middle - _polynomial(minus, middle) / _polynomial(minus, middle, 1)
         # Depth 2 l sin((a + b)/2) sin((a - b)/2) is greatest halfway between the zeros, to first order.
-        t = middle - 0.5 * _at(plus, middle) / _at(plus, middle, 1)
+        t = middle - 0.5 * _polynomial(plus, middle) / _polynomial(plus, middle, 1)
         for _ in range(5):
-            u, v = [[_at(c, t, k) for k in range(3)] for c in (plus, minus)]
+            u, v = [[_polynomial(c, t, k) for k in range(3)] for c in (plus, minus)]
             slope = u[1] * v[0] + u[0] * v[1]
             t = t - slope / (u[2] * v[0] + 2 * u[1] * v[1] + u[0] * v[2])
-        depth = 2 * chain.l * np.sin(_at(plus, t) / 2) * np.sin(_at(minus, t) / 2)
+        depth = 2 * chain.l * np.sin(_polynomial(plus, t) / 2) * np.sin(_polynomial(minus, t) / 2)
         return np.where((np.abs(t - middle) < 1) & (depth > 0), depth, 0.0)
 
 
-def _at(powers: list[np.ndarray], t: np.ndarray, order: int = 0) -> np.ndarray:
-    """Value or derivative of a polynomial with coefficients lowest first."""
+def _polynomial(powers: list[np.ndarray], t: np.ndarray, order: int = 0) -> np.ndarray:
+    """Value or derivative of a polynomial, coefficients in ascending order."""
     for _ in range(order):
         powers = [k * c for k, c in enumerate(powers)][1:]
     value = powers[-1]
@@ -137,55 +148,57 @@ def _at(powers: list[np.ndarray], t: np.ndarray, order: int = 0) -> np.ndarray:
 
 
 def _ratio(force: np.ndarray) -> np.ndarray:
-    """|tangential|/normal; infinite where the contact would have to pull."""
+    """Ratio |tangential|/normal of a force; infinite under contact tension."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(force.imag > 0, np.abs(force.real) / force.imag, np.where(np.isnan(force.imag), np.nan, np.inf))
 
 
-def _released(chain: Chain, first: Phase, slope: np.ndarray) -> Arrays:
-    """Items 4 to 6: what the leg does that has just been let go."""
+def _released(chain: Chain, first: _Phase, slope: np.ndarray) -> Arrays:
+    """Items 4 to 6: motion of the leg just released."""
     q, rate = first.q[:, 0], first.rate[:, 0]
     rise = chain.rise(q)
     velocity = (rise * rate).sum(axis=0)
-    still = np.abs(velocity) <= ROUNDING * np.abs(rise * rate).sum(axis=0)
-    down = np.where(still, chain.lift(q, rate, chain.accelerations(q, rate, slope, first.free_knee)), velocity) < 0
+    is_still = np.abs(velocity) <= _ROUNDING * np.abs(rise * rate).sum(axis=0)
+    down = np.where(is_still, chain.lift(q, rate, chain.accelerations(q, rate, slope, first.free_knee)), velocity) < 0
     depth = -chain.height(first.q)
     depth[0] = 0.0
     under = np.logical_and.accumulate(depth >= 0, axis=0)
     sinks = np.where(down, np.maximum(greatest(depth, under)[0], 0.0), 0.0)
     impulse = np.zeros_like(velocity)
     if not chain.massless:
-        impulse = np.where(~still & (velocity < 0), -velocity / chain.compliance(q, [rise], first.free_knee)[0][0], 0.0)
-    found = {"penetration_depth": sinks, "trailing_impulse": impulse, "release_penetrates": down}
+        impulse = np.where(
+            ~is_still & (velocity < 0), -velocity / chain.compliance(q, [rise], first.free_knee)[0][0], 0.0
+        )
+    amounts = {"penetration_depth": sinks, "trailing_impulse": impulse, "release_penetrates": down}
     if chain.kneed:
         over = first.q[3] - first.q[2]
         over[0] = over[-1] = 0.0
-        found["hyperextension"] = greatest(over)[0]
-        found["release_hyperextends"] = rate[2] < rate[3]
-    return found
+        amounts["hyperextension"] = greatest(over)[0]
+        amounts["release_hyperextends"] = rate[2] < rate[3]
+    return amounts
 
 
-def _heelstrike(chain: Chain, first: Phase, impact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ground impulse (complex) and angular impulse of the new stance knee's lock on its thigh.
+def _heelstrike(chain: Chain, first: _Phase, impact: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ground impulse (complex) and angular impulse of the new stance knee's lock on its thigh at heelstrike.
 
     Notes
     -----
-    Before it, the walker moves as the new stance leg's chain with the old rates does, carried along with the
-    velocity of the point that is about to touch the ground (paper, eq. 12 with its sign mended).
+    Before heelstrike, the walker moves as the new stance leg's chain with the old rates, translating with the velocity
+    of the point that is about to touch the ground (paper, eq. 12 with the sign of its first line corrected).
     """
     q, after = first.q[:, 0], first.rate[:, 0]
     before = np.stack([impact[1], impact[1], impact[0], impact[0]])
-    carried = -(chain.R + chain.l * np.cos(q[0])) * (impact[0] - impact[1]) + 1j * chain.l * np.sin(q[0]) * (
+    translation = -(chain.R + chain.l * np.cos(q[0])) * (impact[0] - impact[1]) + 1j * chain.l * np.sin(q[0]) * (
         impact[0] + impact[1]
     )
-    ground = chain.momentum(q, after) - chain.momentum(q, before) - carried
+    ground = chain.momentum(q, after) - chain.momentum(q, before) - translation
     M = chain.matrix(q)
     lever = 1j * chain.S[THIGH] * np.exp(1j * q[THIGH])
-    lock = total(M[THIGH][j] * (after[j] - before[j]) for j in range(4)) - (lever.conj() * carried).real
+    lock = total(M[THIGH][j] * (after[j] - before[j]) for j in range(4)) - (lever.conj() * translation).real
     return ground, lock
 
 
-def _moving(chain: Chain, phases: list[Phase], slope: np.ndarray) -> Arrays:
+def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
     """Items 1 to 3 between the impacts."""
     n = len(slope)
     least, friction, scuff = np.full(n, np.inf), np.zeros(n), np.zeros(n)
@@ -198,37 +211,37 @@ def _moving(chain: Chain, phases: list[Phase], slope: np.ndarray) -> Arrays:
         pulls = np.isinf(demand).any(axis=0)
         friction = np.maximum(friction, np.where(pulls, np.inf, greatest(np.where(pulls, 0.0, demand))[0]))
         depth = -chain.height(phase.q)
-        # Both feet touch when the step begins and when it ends: what is left there is rounding.
+        # Both feet touch the ground when the step begins and when it ends: the rest is rounding.
         depth[0] = 0.0 if phase is phases[0] else depth[0]
         depth[-1] = 0.0 if phase is phases[-1] else depth[-1]
         scuff = np.maximum(scuff, greatest(depth)[0])
         if not chain.kneed:
             scuff = np.maximum(scuff, _passing(chain, phase, acceleration))
             continue
-        worst, at = greatest(-chain.holding(phase.q, phase.rate, acceleration, slope))
-        later = worst > torque
+        worst, position = greatest(-chain.holding(phase.q, phase.rate, acceleration, slope))
+        is_worse = worst > torque
         begin, end = phase.time[0], phase.time[-1]
-        torque = np.where(later, worst, torque)
-        when = np.where(later, begin + at / (len(phase.time) - 1) * (end - begin), when)
+        torque = np.where(is_worse, worst, torque)
+        when = np.where(is_worse, begin + position / (len(phase.time) - 1) * (end - begin), when)
     knee = {"unlocking_torque": torque, "unlocking_torque_time": when} if chain.kneed else {}
     return {"scuff_depth": scuff, "least_normal_force": least, "friction_demand": friction, **knee}
 
 
-def _struck(chain: Chain, phases: list[Phase], impact: np.ndarray) -> tuple[Arrays, np.ndarray]:
-    """Items 2 and 3 at the impacts, and whether one of them pulls at the ground."""
+def _impacts(chain: Chain, phases: list[_Phase], impact: np.ndarray) -> tuple[Arrays, np.ndarray]:
+    """Items 2 and 3 at the impacts, and whether one of them requires contact tension."""
     ground, lock = _heelstrike(chain, phases[0], impact)
-    found = {"friction_demand_heelstrike": _ratio(ground)}
+    amounts = {"friction_demand_heelstrike": _ratio(ground)}
     pulls = ground.imag < 0
     if chain.kneed:
         q, jump = phases[1].q[:, 0], phases[1].rate[:, 0] - phases[0].rate[:, -1]
         M, ground = chain.matrix(q), chain.momentum(q, jump)
-        found |= {
+        amounts |= {
             "friction_demand_kneestrike": _ratio(ground),
             "unlocking_impulse_heelstrike": -lock,
             "unlocking_impulse_kneestrike": -total(M[THIGH][j] * jump[j] for j in range(4)),
         }
         pulls |= ground.imag < 0
-    return found, pulls
+    return amounts, pulls
 
 
 def _dimensionless(
@@ -239,27 +252,27 @@ def _dimensionless(
     slope: np.ndarray,
     friction_limit: float,
 ) -> Arrays:
-    """Every amount, with the flags that follow from them; what is absent is left out."""
+    """Every amount that the walker has, and the flags that follow from them."""
     phases = _phases(motion, times)
-    struck, pulls = _struck(chain, phases, impact)
-    found = _moving(chain, phases, slope) | struck | _released(chain, phases[0], slope)
+    at_impacts, pulls = _impacts(chain, phases, impact)
+    amounts = _moving(chain, phases, slope) | at_impacts | _released(chain, phases[0], slope)
 
     def worst(*names: str) -> np.ndarray:
-        return functools.reduce(np.maximum, [found[k] for k in names if k in found], np.full(len(slope), -np.inf))
+        return functools.reduce(np.maximum, [amounts[k] for k in names if k in amounts], np.full(len(slope), -np.inf))
 
-    opened = worst("unlocking_torque", "unlocking_impulse_kneestrike", "unlocking_impulse_heelstrike") > 0
+    unlocks = worst("unlocking_torque", "unlocking_impulse_kneestrike", "unlocking_impulse_heelstrike") > 0
     slips = worst("friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike") > friction_limit
     flags = {
-        "scuff": found["scuff_depth"] > 0,
-        "stance_knee_unlocks": opened,
-        "contact_tension": (found["least_normal_force"] < 0) | pulls,
+        "scuff": amounts["scuff_depth"] > 0,
+        "stance_knee_unlocks": unlocks,
+        "contact_tension": (amounts["least_normal_force"] < 0) | pulls,
         "friction": slips,
-        "release_hyperextends": found.pop("release_hyperextends", np.zeros(len(slope), bool)),
-        "release_penetrates": found.pop("release_penetrates"),
-        "trailing_foot_pulls": found["trailing_impulse"] > 0,
+        "release_hyperextends": amounts.pop("release_hyperextends", np.zeros(len(slope), bool)),
+        "release_penetrates": amounts.pop("release_penetrates"),
+        "trailing_foot_pulls": amounts["trailing_impulse"] > 0,
     }
-    found["violations"] = total(flags[name].astype(np.int32) << k for k, name in enumerate(VIOLATIONS))
-    return found
+    amounts["violations"] = total(flags[name].astype(np.int32) << k for k, name in enumerate(VIOLATIONS))
+    return amounts
 
 
 def measure(
@@ -270,7 +283,7 @@ def measure(
     slope: np.ndarray,
     friction_limit: float = FRICTION_LIMIT,
 ) -> Arrays:
-    """Every item of Appendix A, in the walker's units.
+    """Measure every item of Appendix A, in the walker's units.
 
     Parameters
     ----------
@@ -288,34 +301,34 @@ def measure(
     Returns
     -------
     dict
-        The variables of the registry's group `violations`, shape (n,). What a stance knee does is NaN without knees.
+        The variables of the registry's group `violations`, shape (n,). Those of knees are NaN without knees.
 
     Notes
     -----
-    Amounts are positive where the assumption is broken. Torque and impulses of the stance knee keep their sign: a
-    negative one is what its stop can give. A contact counts as pulled by the force of the motion or by an impulse; the
-    friction it demands is then infinite. The trailing impulse is that of the smallest complementarity problem in
-    which the foot let go may be pushed but not pulled, without friction, while the new contact holds.
+    Paper, appendix A. Amounts are positive where the assumption is violated. Torque and impulses of the stance knee
+    keep their sign: its stop can provide negative ones. Contact tension may arise from the force during the motion or
+    from an impulse; the friction demand is then infinite. The trailing impulse is that of the linear complementarity
+    problem in which the released foot may be pushed but not pulled, without friction, while the new contact holds.
     """
     chain = Chain(walker)
     n = len(slope)
     names = [v.name for v in VARIABLES.values() if v.group == "violations"]
     parts: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    for k in range(0, n, BLOCK):
-        lanes = slice(k, k + BLOCK)
+    for k in range(0, n, _BLOCK):
+        lanes = slice(k, k + _BLOCK)
         with np.errstate(invalid="ignore"):
-            found = _dimensionless(
+            amounts = _dimensionless(
                 chain, [m[..., lanes] for m in motion], impact[:, lanes], times[:, lanes], slope[lanes], friction_limit
             )
         for name in names:
-            parts[name].append(found[name] if name in found else np.full(len(slope[lanes]), np.nan))
+            parts[name].append(amounts[name] if name in amounts else np.full(len(slope[lanes]), np.nan))
     unit = _units(walker)
     joined = {name: np.concatenate(part) if part else np.zeros(0) for name, part in parts.items()}
     return {name: x if x.dtype == np.int32 else x * unit[VARIABLES[name].kind] for name, x in joined.items()}
 
 
 def _units(walker: Walker) -> dict[str, float]:
-    """Size, in the walker's units, of one of each kind of quantity."""
+    """Unit of each kind of quantity inside the solver, in the walker's units."""
     length, mass = walker.leg, walker.total_mass
     time = float(np.sqrt(length / walker.g))
     return {

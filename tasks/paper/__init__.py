@@ -1,6 +1,6 @@
-"""The ledger of the paper's claims: each is one small function, entered under its id by `claim`.
+"""The ledger of the paper's claims: each is one small function, entered under its id by the decorator `claim`.
 
-A new claim is one such function in any module named here; importing this package fills `CLAIMS`.
+Importing this package fills `CLAIMS`; a new claim is one such function in any module imported here.
 """
 
 from tasks.paper import (

@@ -1,4 +1,4 @@
-"""Appendix A of the paper: what the simulated gaits take for granted, and by how much they break it."""
+"""Appendix A of the paper: the assumptions of the model, and by how much the simulated gaits violate them."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from tasks.paper.lines import LONG, SHORT, Arrays, line
 from tasks.registry import VARIABLES, VIOLATIONS
 
 _WANT = ("stance_angle", *(v for v in VARIABLES if VARIABLES[v].group == "violations"))
-#: Walkers and slopes, those of the paper's figures, whose gaits are looked through.
+#: Walkers and slopes of the paper's figures, whose gaits are examined.
 _WALKERS = ("A", "B", "C", "D", "E", "physical", "physical-straight")
 _SLOPES = (1e-5, 1e-4, 1e-3, 0.01, 0.02, 0.025, 0.03, 0.036, 0.045, 0.06, 0.1)
 _STRAIGHT = ("A", "B", "D", "E", "physical-straight")
 
 
-def _measured(walker: str, slopes: tuple[float, ...]) -> Arrays:
+def _measure(walker: str, slopes: tuple[float, ...]) -> Arrays:
     return line(walker).at(list(slopes), _WANT)
 
 
-def _flagged(found: Arrays, name: str) -> np.ndarray:
-    """Where a gait is flagged, among those there are; shape (n,)."""
-    there = np.isfinite(found["stance_angle"])
-    return (found["violations"][there] >> VIOLATIONS.index(name) & 1).astype(bool)
+def _flags(gaits: Arrays, name: str) -> np.ndarray:
+    """Whether each existing gait violates an assumption, shape (n,)."""
+    exists = np.isfinite(gaits["stance_angle"])
+    return (gaits["violations"][exists] >> VIOLATIONS.index(name) & 1).astype(bool)
 
 
 @claim(
@@ -33,12 +33,13 @@ def _flagged(found: Arrays, name: str) -> np.ndarray:
     "gaitsweep solve --walker physical --slope 0.036 --json",
 )
 def scuffing() -> ClaimResult:
-    straight = np.concatenate([_flagged(_measured(w, _SLOPES), "scuff") for w in _STRAIGHT])
-    kneed = np.concatenate([_flagged(_measured(w, _SLOPES), "scuff") for w in ("C", "physical")])
-    depth = _measured("physical", (0.036,))["scuff_depth"][0, LONG]
+    """Count the gaits whose swing foot scuffs."""
+    straight = np.concatenate([_flags(_measure(w, _SLOPES), "scuff") for w in _STRAIGHT])
+    kneed = np.concatenate([_flags(_measure(w, _SLOPES), "scuff") for w in ("C", "physical")])
+    depth = _measure("physical", (0.036,))["scuff_depth"][0, LONG]
     return ClaimResult(
-        f"{straight.sum()} of {len(straight)} straight-legged gaits scuff, {kneed.sum()} of {len(kneed)} "
-        f"kneed ones; the gait of figure 3 by {1e3 * depth:.3g} mm",
+        f"{straight.sum()} of {len(straight)} straight-legged gaits and {kneed.sum()} of {len(kneed)} kneed gaits "
+        f"scuff; scuff depth of the gait of figure 3: {1e3 * depth:.3g} mm",
         verdict(bool(straight.all()) and not kneed.all()),
         float(depth),
     )
@@ -52,17 +53,18 @@ def scuffing() -> ClaimResult:
     "gaitsweep solve --walker physical --slope 0.036 --json",
 )
 def unlocking() -> ClaimResult:
-    found = {
+    """Evaluate impulses and torque on the stance knee of the gait of figure 3."""
+    amounts = {
         k: float(v[0, LONG])
-        for k, v in _measured("physical", (0.036,)).items()
+        for k, v in _measure("physical", (0.036,)).items()
         if v.ndim == 2 and k.startswith("unlocking")
     }
-    impulse = found["unlocking_impulse_kneestrike"]
-    torque = found["unlocking_torque"]
+    impulse = amounts["unlocking_impulse_kneestrike"]
+    torque = amounts["unlocking_torque"]
     return ClaimResult(
-        f"unlocking impulse {impulse:.4g} N m s at kneestrike, {found['unlocking_impulse_heelstrike']:.4g} "
-        f"at heelstrike; the largest unlocking torque over the step is {torque:.4g} N m, at "
-        f"{found['unlocking_torque_time']:.3f} s (negative: held by the stop)",
+        f"unlocking impulse {impulse:.4g} N m s at kneestrike, {amounts['unlocking_impulse_heelstrike']:.4g} N m s "
+        f"at heelstrike; largest unlocking torque over the step {torque:.4g} N m, at "
+        f"{amounts['unlocking_torque_time']:.3f} s (negative: the knee stop holds)",
         verdict(impulse > 0 and torque < 0, impulse > 0),
         impulse,
     )
@@ -70,25 +72,26 @@ def unlocking() -> ClaimResult:
 
 @claim(
     "A3",
-    "no contact tension; enough friction is assumed",
+    "no contact tension; sufficient friction is assumed",
     "appendix A, 3",
     "figure3/angles",
     "gaitsweep solve --walker physical --slope 0.036 --json",
 )
 def tension() -> ClaimResult:
+    """Evaluate the least normal force and the friction that gaits demand."""
     names = (*_STRAIGHT, "C", "physical")
-    found = {w: _measured(w, _SLOPES) for w in names}
-    least = min(float(np.nanmin(f["least_normal_force"])) for f in found.values())
-    tense = sum(int(_flagged(f, "contact_tension").sum()) for f in found.values())
+    gaits = {w: _measure(w, _SLOPES) for w in names}
+    least = min(float(np.nanmin(g["least_normal_force"])) for g in gaits.values())
+    tense = sum(int(_flags(g, "contact_tension").sum()) for g in gaits.values())
     figure3 = _SLOPES.index(0.036)
     demand = {
-        k: float(found["physical"][k][figure3, LONG])
+        k: float(gaits["physical"][k][figure3, LONG])
         for k in ("friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike")
     }
     return ClaimResult(
         f"least normal force {least:.3f} of the weight over gaits of {', '.join(names)} at slopes from "
-        f"1e-5 to 0.1; the ground would have to pull at an impact in {tense} of them; friction asked of "
-        f"the gait of figure 3: {demand['friction_demand']:.3f} in motion, "
+        f"1e-5 to 0.1; an impact requires contact tension in {tense} of them; friction coefficient that the "
+        f"gait of figure 3 requires: {demand['friction_demand']:.3f} during the step, "
         f"{demand['friction_demand_heelstrike']:.3f} at heelstrike, "
         f"{demand['friction_demand_kneestrike']:.3f} at kneestrike",
         verdict(least > 0 and not tense, least > 0),
@@ -104,17 +107,18 @@ def tension() -> ClaimResult:
     "gaitsweep solve --walker C --slope 1e-4 --json",
 )
 def hyperextension() -> ClaimResult:
+    """Locate the slopes at which the released knee begins to hyperextend."""
     release = line("physical").special_of("release_hyperextension")
-    exact = {
+    tuned = {
         ("long", "short")[p["branch"] != _branch_of("C")]: p["slope"]
         for p in line("C").special_of("release_hyperextension")
     }
-    deep = _measured("C", (1e-4,))["hyperextension"][0]
-    tuned = ", ".join(f"{k} below {s:.7g}" for k, s in sorted(exact.items()))
+    deep = _measure("C", (1e-4,))["hyperextension"][0]
+    limits = ", ".join(f"{k} step below slope {s:.7g}" for k, s in sorted(tuned.items()))
     return ClaimResult(
-        f"the machine does below angle {release[0]['stance_angle']:.5f} (point 3, slope "
-        f"{release[0]['slope']:.6f}); so does the tuned walker C: {tuned}; at 1e-4 by "
-        f"{deep[LONG]:.2g} and {deep[SHORT]:.2g} rad",
+        f"the physical walker hyperextends below stance angle {release[0]['stance_angle']:.5f} (point 3, slope "
+        f"{release[0]['slope']:.6f}), as does the tuned walker C: {limits}; at slope 1e-4 by "
+        f"{deep[LONG]:.2g} rad (long) and {deep[SHORT]:.2g} rad (short)",
         verdict(bool(release)),
         release[0]["slope"],
     )
@@ -127,10 +131,10 @@ def _branch_of(walker: str) -> int:
 
 
 def _count(name: str) -> tuple[int, int, str]:
-    """How many gaits are flagged, of how many, and of which walkers."""
-    flags = {w: _flagged(_measured(w, _SLOPES), name) for w in _WALKERS}
-    said = ", ".join(f"{w} {f.sum()} of {len(f)}" for w, f in flags.items())
-    return sum(int(f.sum()) for f in flags.values()), sum(len(f) for f in flags.values()), said
+    """Number of gaits that violate an assumption, number of all gaits, and both by walker in words."""
+    flags = {w: _flags(_measure(w, _SLOPES), name) for w in _WALKERS}
+    by_walker = ", ".join(f"{w} {f.sum()} of {len(f)}" for w, f in flags.items())
+    return sum(int(f.sum()) for f in flags.values()), sum(len(f) for f in flags.values()), by_walker
 
 
 @claim(
@@ -141,14 +145,15 @@ def _count(name: str) -> tuple[int, int, str]:
     "gaitsweep solve --walker physical-straight --slope 0.3 --json",
 )
 def penetration() -> ClaimResult:
-    some, of, said = _count("release_penetrates")
-    steep = _measured("physical-straight", (0.3,))
+    """Count the gaits whose released foot penetrates the ground."""
+    count, total, by_walker = _count("release_penetrates")
+    steep = _measure("physical-straight", (0.3,))
     return ClaimResult(
-        f"{some} of {of} gaits at {len(_SLOPES)} slopes from 1e-5 to 0.1 ({said}); on steeper slopes it "
-        f"happens: the machine with its knees locked at 0.3 by "
+        f"{count} of {total} gaits at {len(_SLOPES)} slopes from 1e-5 to 0.1 ({by_walker}); it occurs on steeper "
+        f"slopes: the physical walker with locked knees at slope 0.3 by "
         f"{1e3 * np.nanmax(steep['penetration_depth']):.2g} mm",
-        verdict(some > 0),
-        float(some),
+        verdict(count > 0),
+        float(count),
     )
 
 
@@ -160,12 +165,13 @@ def penetration() -> ClaimResult:
     "gaitsweep solve --walker physical --slope 0.036 --json",
 )
 def trailing_foot() -> ClaimResult:
-    some, of, said = _count("trailing_foot_pulls")
-    steep = np.nanmax(_measured("physical-straight", (0.3,))["trailing_impulse"])
+    """Count the gaits in which simultaneous contact of both feet would push the trailing foot."""
+    count, total, by_walker = _count("trailing_foot_pulls")
+    steep = np.nanmax(_measure("physical-straight", (0.3,))["trailing_impulse"])
     return ClaimResult(
-        f"two contacts would push the trailing foot in {some} of {of} gaits at {len(_SLOPES)} slopes from "
-        f"1e-5 to 0.1 ({said}); on steeper slopes they do: the machine with its knees locked at 0.3 "
-        f"by {steep:.2g} N s",
-        verdict(some == 0, some < of / 10),
-        float(some),
+        f"an impulse would act on the trailing foot in {count} of {total} gaits at {len(_SLOPES)} slopes from "
+        f"1e-5 to 0.1 ({by_walker}); it does on steeper slopes: {steep:.2g} N s for the physical walker with locked "
+        f"knees at slope 0.3",
+        verdict(count == 0, count < total / 10),
+        float(count),
     )

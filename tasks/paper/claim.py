@@ -1,4 +1,4 @@
-"""A claim of the paper and what was found of it; the one list all claims are in."""
+"""A claim of the paper and the result of checking it; the list of all claims."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-#: The four things that can be said of a claim.
+#: The four verdicts on a claim.
 REPRODUCED, APPROXIMATELY = "reproduced", "reproduced approximately"
 NOT_REPRODUCED, NOT_CHECKABLE = "not reproduced", "not checkable"
 VERDICTS = (REPRODUCED, APPROXIMATELY, NOT_REPRODUCED, NOT_CHECKABLE)
@@ -14,10 +14,19 @@ VERDICTS = (REPRODUCED, APPROXIMATELY, NOT_REPRODUCED, NOT_CHECKABLE)
 
 @dataclass(frozen=True)
 class ClaimResult:
-    """What was computed of a claim.
+    """The computed counterpart of a claim.
 
-    `value` is the claim's own number where it has one; `low` and `high` bound it under the rounding of the printed
-    parameters, or, where the walker is exact, under the rounding of the printed number.
+    Attributes
+    ----------
+    computed : str
+        The result in words.
+    verdict : str
+        One of `VERDICTS`.
+    value : float
+        The claim's own number; NaN where it has none.
+    low, high : float
+        Bounds of `value` under the rounding of the printed parameters, or, where the walker is exact, under the
+        rounding of the printed number.
     """
 
     computed: str
@@ -33,7 +42,7 @@ class ClaimResult:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim: its name in the ledger, the paper's words in short, where they stand, and what computes it."""
+    """A claim: its name in the ledger, a paraphrase of the paper, the place there, and the function that checks it."""
 
     id: str
     printed: str
@@ -43,7 +52,7 @@ class Claim:
     find: Callable[[], ClaimResult]
 
 
-#: Every claim by its id, in the order they are written down.
+#: Every claim by its id, in order of definition.
 CLAIMS: dict[str, Claim] = {}
 
 
@@ -55,11 +64,16 @@ def claim(
     Parameters
     ----------
     id, printed, source : str
-        Its name, a paraphrase of what the paper says, and where.
+        Its name, a paraphrase of what the paper says, and the place there.
     figure : str
-        The picture that shows it, as "study/figure".
+        The figure that shows it, as "study/figure".
     command : str
-        A command that computes its number, or the gaits it is read from, again.
+        A command that reproduces its number, or the gaits it is read from.
+
+    Raises
+    ------
+    ValueError
+        If the claim is entered twice.
     """
 
     def enter(find: Callable[[], ClaimResult]) -> Callable[[], ClaimResult]:
@@ -72,20 +86,20 @@ def claim(
 
 
 def verdict(holds: bool, nearly: bool = False) -> str:
-    """`reproduced` where a claim holds, `reproduced approximately` where it nearly does."""
+    """Give the verdict `reproduced` where a claim holds, `reproduced approximately` where it nearly does."""
     return REPRODUCED if holds else APPROXIMATELY if nearly else NOT_REPRODUCED
 
 
 def within(printed: float, low: float, high: float) -> str:
-    """The verdict on a printed number: is it in the interval that rounding leaves around the computed one?"""
+    """Give the verdict on a printed number by whether it lies in the interval that rounding allows."""
     return verdict(low <= printed <= high)
 
 
 def rounded(printed: float, half_unit: float, computed: float) -> ClaimResult:
-    """A finding of an exact walker: the interval is what rounds to the printed number."""
+    """Compare a number of an exact walker with the printed one: the interval is all that rounds to the latter."""
     low, high = printed - half_unit, printed + half_unit
     return ClaimResult(
-        f"{computed:.10g}, where {low:g} to {high:g} is printed as {printed:g}",
+        f"{computed:.10g}; {low:g}-{high:g} rounds to the printed {printed:g}",
         within(computed, low, high),
         computed,
         low,

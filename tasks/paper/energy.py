@@ -26,29 +26,32 @@ _RUN = "gaitsweep run data/studies/paper/figure11.toml"
     "gaitsweep walkers E",
 )
 def diagonal() -> ClaimResult:
+    """Evaluate the contact mass matrices at stance angle zero."""
     M = {w: contact_mass(CATALOGUE[w], np.zeros(1))[0] for w in TUNED}
-    off = max(max(abs(m[0, 1]), abs(m[1, 1] - 1)) for m in M.values())
+    deviation = max(max(abs(m[0, 1]), abs(m[1, 1] - 1)) for m in M.values())
     light = {
         f"{r:g}": contact_mass(line("E", foot_mass_ratio=r).walker, np.zeros(1))[0, 0, 0] / r
         for r in (0.1, 0.01, 1e-3, 1e-4)
     }
-    other = contact_mass(CATALOGUE["physical"], np.zeros(1))[0, 0, 1]
+    untuned = contact_mass(CATALOGUE["physical"], np.zeros(1))[0, 0, 1]
     return ClaimResult(
-        f"off-diagonal and y - 1 at most {off:g} of the total mass (the untuned machine: {other:.2g}); x "
-        f"over the foot's mass at {numbers(light, 5)}",
-        verdict(off < 1e-14 and abs(light["0.0001"] - 1) < 1e-3),
+        f"off-diagonal entry and deviation of M_yy from the total mass at most {deviation:g} of it (untuned physical "
+        f"walker: {untuned:.2g}); M_xx over the foot mass, at foot mass ratios {numbers(light, 5)}",
+        verdict(deviation < 1e-14 and abs(light["0.0001"] - 1) < 1e-3),
         float(light["0.0001"]),
     )
 
 
 @claim("M2", "losses equal the drop in height", "sections 3 and 6.2", "figure11/loglog", _RUN)
 def balance() -> ClaimResult:
+    """Compare the losses of the impacts with the loss of potential energy."""
     worst = {}
     for name in (*TUNED, "physical", "physical-straight"):
-        found = line(name).grid(1e-6, 0.2, 85)["energy_imbalance"]
-        worst[name] = float(np.nanmax(np.abs(found)))
+        imbalance = line(name).grid(1e-6, 0.2, 85)["energy_imbalance"]
+        worst[name] = float(np.nanmax(np.abs(imbalance)))
     return ClaimResult(
-        f"losses of the impacts less the drop, over the drop, at most {numbers(worst, 2)} from 1e-6 to 0.2",
+        f"relative difference of impact losses and loss of potential energy at most {numbers(worst, 2)} over slopes "
+        f"1e-6 to 0.2",
         verdict(max(worst.values()) < 1e-12, max(worst.values()) < 1e-10),
         max(worst.values()),
     )
@@ -56,11 +59,14 @@ def balance() -> ClaimResult:
 
 @claim("M3", "step lengths can scale as slope or as slope^(1/3) only", "sections 6.2 and 6.4", "figure11/loglog", _RUN)
 def exponents() -> ClaimResult:
-    found = {
+    """Compute the exponents of the stance angle at a vanishing slope."""
+    exponent = {
         f"{w} {name}": line(w).exponent(g, VANISHING) for w in TUNED for g, name in ((LONG, "long"), (SHORT, "short"))
     }
-    off = max(min(abs(p - 1), abs(p - 1 / 3)) for p in found.values())
-    return ClaimResult(f"at {VANISHING:g}: {numbers(found, 6)}", verdict(off < 1e-3), off)
+    deviation = max(min(abs(p - 1), abs(p - 1 / 3)) for p in exponent.values())
+    return ClaimResult(
+        f"exponents at slope {VANISHING:g}: {numbers(exponent, 6)}", verdict(deviation < 1e-3), deviation
+    )
 
 
 @claim(
@@ -71,25 +77,29 @@ def exponents() -> ClaimResult:
     _RUN,
 )
 def powers() -> ClaimResult:
-    found, right = {}, []
+    """Compute the exponents of power in speed at a vanishing slope."""
+    exponent, agrees = {}, []
     for name in TUNED:
         for g, gait in ((LONG, "long"), (SHORT, "short")):
             power = line(name).exponent(g, VANISHING, "power", "speed")
             step = line(name).exponent(g, VANISHING)
-            found[f"{name} {gait}"] = power
-            right.append(abs(power - (4 if step < 2 / 3 else 2)) < 0.01)
-    return ClaimResult(f"P ~ v^p at {VANISHING:g}: {numbers(found, 5)}", verdict(all(right)), found["E long"])
+            exponent[f"{name} {gait}"] = power
+            agrees.append(abs(power - (4 if step < 2 / 3 else 2)) < 0.01)
+    return ClaimResult(
+        f"P ~ v^p at slope {VANISHING:g}: {numbers(exponent, 5)}", verdict(all(agrees)), exponent["E long"]
+    )
 
 
 @claim(
     "M5",
-    "the loss at kneestrike goes as speed^2",
+    "the loss at kneestrike scales as speed^2",
     "section 6.4",
     "figure11/loglog",
     "gaitsweep solve --walker C --slope 1e-5 --json",
 )
 def kneestrike() -> ClaimResult:
-    found = {
+    """Compute the exponent of the kneestrike loss in speed."""
+    exponent = {
         gait: line("C").exponent(g, VANISHING, "loss_kneestrike", "speed")
         for g, gait in ((LONG, "long"), (SHORT, "short"))
     }
@@ -97,15 +107,15 @@ def kneestrike() -> ClaimResult:
     losses = sum(grid[k][0, :2] for k in ("loss_normal", "loss_tangential", "loss_kneestrike"))
     share = grid["loss_kneestrike"][0, :2] / losses
     return ClaimResult(
-        f"exponents at {VANISHING:g}: {numbers(found, 6)}; its share of all losses at 1e-8: long "
-        f"{share[0]:.4f}, short {share[1]:.4f}",
-        verdict(max(abs(p - 2) for p in found.values()) < 1e-3),
-        found["long"],
+        f"exponents at slope {VANISHING:g}: {numbers(exponent, 6)}; share of the kneestrike loss in all losses at "
+        f"slope 1e-8: long {share[0]:.4f}, short {share[1]:.4f}",
+        verdict(max(abs(p - 2) for p in exponent.values()) < 1e-3),
+        exponent["long"],
     )
 
 
-def power_at(walker: str, gait: int, froude: float) -> float:
-    """Power over weight and sqrt(g leg) of a gait at a given Froude speed: that speed times the sine of its slope."""
+def _power_at(walker: str, gait: int, froude: float) -> float:
+    """Power over weight and sqrt(g leg) of a gait at a given Froude speed: that speed times its slope."""
     grid = line(walker).grid()
     speed = grid["froude_speed"][:, gait]
     return float(np.exp(np.interp(np.log(froude), np.log(speed), np.log(grid["slope"] * speed))))
@@ -113,11 +123,12 @@ def power_at(walker: str, gait: int, froude: float) -> float:
 
 @claim("M6", "at a given small speed the long step needs far less power", "section 5.3", "figure11/loglog", _RUN)
 def cheaper() -> ClaimResult:
+    """Compare the power of both gaits at equal Froude speeds."""
     speeds = (0.01, 0.03)
-    ratio = {v: {w: power_at(w, SHORT, v) / power_at(w, LONG, v) for w in TUNED} for v in speeds}
+    ratio = {v: {w: _power_at(w, SHORT, v) / _power_at(w, LONG, v) for w in TUNED} for v in speeds}
     tuned = [ratio[0.01][w] for w in TUNED if w != "D"]
     return ClaimResult(
-        f"power of the short step over the long one's at Froude speed 0.01: {numbers(ratio[0.01], 3)}; at "
+        f"ratio of power, short step over long step, at Froude speed 0.01: {numbers(ratio[0.01], 3)}; at "
         f"0.03: {numbers(ratio[0.03], 3)} (D has no tangential loss)",
         verdict(min(tuned) > 5, min(tuned) > 2),
         ratio[0.01]["E"],
@@ -132,16 +143,17 @@ def cheaper() -> ClaimResult:
     "gaitsweep walkers C",
 )
 def freed_knee() -> ClaimResult:
+    """Compare the contact mass matrices of C with its knee free and locked."""
     change = {}
     for hip in (0.0, 10.0, 100.0):
         kneed = replace(CATALOGUE["C"], m_h=hip)
         free, locked = (contact_mass(replace(kneed, knees=k), np.array([0.1]))[0] for k in (True, False))
         change[f"{hip:g} kg"] = float(np.linalg.norm(free - locked) / np.linalg.norm(locked))
-    own = change["0 kg"]
+    hipless = change["0 kg"]
     return ClaimResult(
-        f"|M free - M locked|/|M locked| of C at angle 0.1 with a hip mass of {numbers(change, 3)}",
-        verdict(own < 0.05 and change["100 kg"] < own, change["100 kg"] < own),
-        own,
+        f"|M_free - M_locked|/|M_locked| of C at stance angle 0.1 with a hip mass of {numbers(change, 3)}",
+        verdict(hipless < 0.05 and change["100 kg"] < hipless, change["100 kg"] < hipless),
+        hipless,
     )
 
 
@@ -153,24 +165,25 @@ def freed_knee() -> ClaimResult:
     "gaitsweep solve --walker B --set R=0.9 --slope 1e-4 --json",
 )
 def silly_wheel() -> ClaimResult:
+    """Compute the slope and the mismatch of leg rates that a given long step of B needs, as its feet grow."""
     need, mismatch = {}, {}
     for radius in (0.2, 0.5, 0.8, 0.9, 0.95, 0.98):
         problem = Problem(replace(CATALOGUE["B"], R=radius))
         # Slope for an angle of about 0.1, from angle^3 = slope (l + R)/(l k)^2 with k near 1.
         slope = 1e-3 * problem.walker.l**2 / problem.walker.leg
-        w, stride, verify_steps = search(problem, slope)
-        if stride is None or verify_steps is None:
+        w, stride, steps = search(problem, slope)
+        if stride is None or steps is None:
             continue
-        long = np.nonzero(verify_steps.anthropomorphic & (gait_ratio(stride) < 0.5))[0]
+        long = np.nonzero(steps.anthropomorphic & (gait_ratio(stride) < 0.5))[0]
         if len(long):
             angle = float(np.exp(w[0, long[-1]]))
             need[f"{radius:g}"] = slope / angle**3
             mismatch[f"{radius:g}"] = float(gait_ratio(stride)[long[-1]]) / angle**2
     values = list(mismatch.values())
     return ClaimResult(
-        f"long gait of B with R of {', '.join(need)}: slope over angle^3 {numbers(need, 3)}; mismatch of "
-        f"the legs' rates over stance rate and angle^2 {numbers(mismatch, 3)}: at a given step both "
-        f"vanish with leg - R",
+        f"long gait of B with foot radius R, slope/angle^3: {numbers(need, 3)}; mismatch of the legs' rates over "
+        f"(stance rate x angle^2): {numbers(mismatch, 3)}; for a given step length both vanish as R tends to "
+        f"the leg length",
         verdict(values[-1] < 0.2 * values[0] and list(need.values())[-1] < 0.05 * need["0.2"]),
         values[-1],
     )
@@ -184,11 +197,12 @@ def silly_wheel() -> ClaimResult:
     "gaitsweep solve --walker physical --slope 0.036 --json",
 )
 def dimension() -> ClaimResult:
+    """Evaluate the multipliers of the physical walker, kneed and straight-legged."""
     kneed, straight = line("physical").at([0.036]), line("physical-straight").at([0.036])
     four = np.hypot(kneed["multiplier_real"][0, LONG], kneed["multiplier_imag"][0, LONG])
     three = np.hypot(straight["multiplier_real"][0, LONG], straight["multiplier_imag"][0, LONG])
     return ClaimResult(
-        f"|multipliers| at 0.036: kneed {', '.join(f'{x:.6g}' for x in four)}; straight "
+        f"magnitudes of multipliers at slope 0.036: kneed {', '.join(f'{x:.6g}' for x in four)}; straight-legged "
         f"{', '.join(f'{x:.6g}' for x in three)}",
         verdict(bool(four[3] == 0 and four[2] > 1e-9 and three[2] > 1e-9)),
         float(four[2]),

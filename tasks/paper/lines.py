@@ -1,9 +1,9 @@
-"""What claims are computed from: the gaits of a line, solved once a process and then looked up."""
+"""The data of claims: the gaits of a line, solved once a process, and tables of studies."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,8 @@ from tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
 LONG, SHORT = GAITS.index("long"), GAITS.index("short")
-#: What a look-up brings along.
-USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
+#: Variables that a look-up returns unless told otherwise.
+_USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
 #: The walkers that meet the static conditions exactly.
 TUNED = ("A", "B", "C", "D", "E", "F")
 
@@ -41,35 +41,52 @@ class Line:
         self.branches: list[Branch] = atlases.from_arrays(self.arrays)
         self._grids: dict[tuple[float, float, int], Arrays] = {}
 
-    def at(self, slope: np.ndarray | list[float] | float, want: tuple[str, ...] = USUAL) -> Arrays:
-        """Variables of every gait at those slopes, shape (n, gaits[, multipliers])."""
+    def at(self, slope: np.ndarray | list[float] | float, want: tuple[str, ...] = _USUAL) -> Arrays:
+        """Variables of every gait at given slopes.
+
+        Parameters
+        ----------
+        slope : ndarray, shape (n,) [rad]
+        want : tuple of str
+            Names of variables.
+
+        Returns
+        -------
+        dict
+            `slope`, and arrays of shape (n, gaits[, multipliers]) in the walker's units.
+        """
         slope = np.atleast_1d(np.asarray(slope, float))
-        found = points({**self.params, "slope": slope, "want": want, "gaits": GAITS}, [self.arrays])
-        return {"slope": slope, **found}
+        return {"slope": slope, **points({**self.params, "slope": slope, "want": want, "gaits": GAITS}, [self.arrays])}
 
     def grid(self, low: float = 1e-8, high: float = 0.2, n: int = 97) -> Arrays:
-        """The usual variables over a log grid of slopes."""
+        """Variables of every gait over a logarithmic grid of n slopes from low to high [rad], as `at`."""
         key = (low, high, n)
         if key not in self._grids:
             self._grids[key] = self.at(np.geomspace(low, high, n))
         return self._grids[key]
 
     def exponent(self, gait: int, slope: float, ordinate: str = "stance_angle", abscissa: str = "slope") -> float:
-        """Local exponent d ln ordinate/d ln abscissa, from slopes a twentieth to either side."""
-        found = self.at(slope * np.array([0.95, 1.05]))
-        if any(np.diff(found[name][:, gait])[0] for name in ("branch", "piece")):
-            raise ValueError(f"the {GAITS[gait]} gaits around slope {slope:g} lie on two curves")
-        x = found["slope"] if abscissa == "slope" else found[abscissa][:, gait]
-        return float(np.diff(np.log(found[ordinate][:, gait]))[0] / np.diff(np.log(x))[0])
+        """Local exponent d ln ordinate/d ln abscissa, by a difference over slopes 5 % to either side.
 
-    def short(self, Z: np.ndarray) -> bool:
-        """Whether a row (X, times) of a branch is a short step."""
+        Raises
+        ------
+        ValueError
+            If the gaits at those slopes lie on different curves.
+        """
+        pair = self.at(slope * np.array([0.95, 1.05]))
+        if any(np.diff(pair[name][:, gait])[0] for name in ("branch", "piece")):
+            raise ValueError(f"the {GAITS[gait]} gaits around slope {slope:g} lie on two curves")
+        x = pair["slope"] if abscissa == "slope" else pair[abscissa][:, gait]
+        return float(np.diff(np.log(pair[ordinate][:, gait]))[0] / np.diff(np.log(x))[0])
+
+    def is_short(self, Z: np.ndarray) -> bool:
+        """Whether a row (X, times) of a branch, shape (m + 1 + phases,), is a short step."""
         m = self.problem.m
         stride, _ = self.problem.stride(np.delete(Z, m)[:, None], Z[m : m + 1])
         return not gait_ratio(stride)[0] < 0.5
 
     def ends(self) -> tuple[float, float]:
-        """Smallest and largest slope of any branch."""
+        """Smallest and largest slope of any branch [rad]."""
         q = np.concatenate([b.q for b in self.branches])
         return float(np.exp(q.min())), float(np.exp(q.max()))
 
@@ -85,15 +102,21 @@ class Line:
         return sorted((p for p in self.special if p["kind"] == kind), key=lambda p: p["slope"])
 
     def curve(self, branch: int = 0) -> Arrays:
-        """A branch at its nodes, in its own order: what a gait is there, in the walker's units."""
-        return curve(self.problem, self.branches[branch])
+        """Gaits at the nodes of a branch, in its own order.
+
+        Returns
+        -------
+        dict of ndarray, shape (nodes,)
+            slope, stance_angle, period and speed in the walker's units; knee_share, the kneestrike's time over the
+            period; closing, the rate at which the foot meets the ground over the angle; short; spectral_radius.
+        """
+        return _evaluate_nodes(self.problem, self.branches[branch])
 
 
-def curve(problem: Problem, found: Branch) -> Arrays:
-    """The nodes of a branch: slope, angle, times, speed, stability and label."""
-    m, walker = found.m, problem.walker
-    X, times = found.Z[:, : m + 1].T, found.Z[:, m + 1 :].T
-    nodes = correct(problem, X, times, found.tangent[:, : m + 1].T)
+def _evaluate_nodes(problem: Problem, branch: Branch) -> Arrays:
+    m, walker = branch.m, problem.walker
+    X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
+    nodes = correct(problem, X, times, branch.tangent[:, : m + 1].T)
     time_unit = np.sqrt(walker.leg / walker.g)
     slope, angle = np.exp(X[m]), np.exp(X[0])
     return {
@@ -109,12 +132,13 @@ def curve(problem: Problem, found: Branch) -> Arrays:
 
 
 _LINES: dict[tuple[str, tuple[tuple[str, float], ...]], Line] = {}
-#: Tables that a study's own task made of its lines, by walker: several lines of one walker stand one below the other.
-_TABLES: dict[str, Arrays] = {}
+#: Tables by walker: those that the task of the study at hand made of its lines, and those that claims made themselves.
+_STUDY_TABLES: dict[str, Arrays] = {}
+_MADE_TABLES: dict[str, Arrays] = {}
 
 
 def line(walker: str, **settings: float) -> Line:
-    """The line of a catalogue walker; solved once a process."""
+    """Line of a catalogue walker with some keys set; solved once a process."""
     key = walker, tuple(sorted(settings.items()))
     if key not in _LINES:
         _LINES[key] = Line(walker, settings)
@@ -122,48 +146,81 @@ def line(walker: str, **settings: float) -> Line:
 
 
 def cache_atlas(walker: str, settings: Mapping[str, float], known: Arrays) -> None:
-    """Take a line's atlas as solved elsewhere."""
+    """Use an atlas that is known already for a line."""
     key = walker, tuple(sorted(settings.items()))
     if key not in _LINES:
         _LINES[key] = Line(walker, settings, known)
 
 
-def cache_tables(walker: str, tables: Arrays) -> None:
-    """Take the tables of a line as made elsewhere."""
-    mine = _TABLES.setdefault(walker, {})
-    for name, column in tables.items():
-        mine[name] = np.concatenate([mine[name], column]) if name in mine else column
+def set_tables(tables: Iterable[tuple[str, Arrays]]) -> None:
+    """Replace the study's tables by those of its lines (walker, columns); lines of one walker are joined in order."""
+    _STUDY_TABLES.clear()
+    for walker, columns in tables:
+        joined = _STUDY_TABLES.setdefault(walker, {})
+        for name, column in columns.items():
+            joined[name] = np.concatenate([joined[name], column]) if name in joined else column
 
 
 def table(group: str, walker: str, make: Callable[[], Arrays]) -> Arrays:
-    """Columns of one table of a walker: the study's own, or else what `make` gives."""
-    if not any(name.startswith(f"{group}/") for name in _TABLES.get(walker, {})):
-        cache_tables(walker, make())
-    return {name.partition("/")[2]: column for name, column in _TABLES[walker].items() if name.startswith(f"{group}/")}
+    """Columns of one table of a walker: the study's own, or else those that `make` returns, made once a process."""
+
+    def columns(tables: Mapping[str, Arrays]) -> Arrays:
+        named = (name.partition("/") for name in tables.get(walker, {}))
+        return {column: tables[walker][f"{group}/{column}"] for prefix, _, column in named if prefix == group}
+
+    if not columns(_STUDY_TABLES) and not columns(_MADE_TABLES):
+        _MADE_TABLES.setdefault(walker, {}).update(make())
+    return columns(_STUDY_TABLES) or columns(_MADE_TABLES)
 
 
 def root(function: Callable[[float], float], slope: np.ndarray, values: np.ndarray, last: bool = False) -> float:
-    """The slope at which a function of slope, known at some slopes, changes sign; NaN where it does not."""
-    turns = np.nonzero(np.sign(values[1:]) * np.sign(values[:-1]) < 0)[0]
-    if not len(turns):
+    """Find the slope at which a function of slope changes sign.
+
+    Parameters
+    ----------
+    function : callable
+        Of one slope [rad].
+    slope, values : ndarray, shape (n,) [rad, any]
+        Slopes and the function's values there, between which its sign is followed.
+    last : bool
+        Take the last change of sign, not the first.
+
+    Returns
+    -------
+    float [rad]
+        NaN where the sign does not change.
+    """
+    changes = np.nonzero(np.sign(values[1:]) * np.sign(values[:-1]) < 0)[0]
+    if not len(changes):
         return float("nan")
-    k = turns[-1 if last else 0]
+    k = changes[-1 if last else 0]
     return float(
         np.exp(brentq(lambda q: function(float(np.exp(q))), np.log(slope[k]), np.log(slope[k + 1]), xtol=1e-11))
     )
 
 
 def foot_ratio(walker: Walker, data: Arrays) -> np.ndarray:
-    """|x'/y'| of the swing foot just before heelstrike, shape (n, gaits) (paper, eq. 12, its sign mended).
+    """Ratio |x'/y'| of the swing foot's velocities just before heelstrike.
+
+    Parameters
+    ----------
+    walker : Walker
+    data : dict
+        `stance_angle` [rad] and `heelstrike_rate_ratio`, shape (n, gaits).
+
+    Returns
+    -------
+    ndarray, shape (n, gaits)
 
     Notes
     -----
-    With u the rate ratio: x' = (R + l cos angle) u, y' = -l sin angle (2 - u), over the stance rate.
+    Paper, equation 12 with the sign of its first line corrected. With u the rate ratio, x' = (R + l cos angle) u and
+    y' = -l sin angle (2 - u), over the stance rate.
     """
     angle, u = data["stance_angle"], data["heelstrike_rate_ratio"]
     return np.abs((walker.R + walker.l * np.cos(angle)) * u / (walker.l * np.sin(angle) * (2 - u)))
 
 
 def numbers(pairs: Mapping[str, float], digits: int = 4) -> str:
-    """Named numbers on one line."""
+    """Format named numbers on one line."""
     return ", ".join(f"{name} {value:.{digits}g}" for name, value in pairs.items())

@@ -1,4 +1,4 @@
-"""The machine of figure 3, kneed and with its knees locked (section 4.2 of the paper, figure 6)."""
+"""The physical walker of figure 3, with knees free and locked (section 4.2 of the paper, figure 6)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from tasks.paper.rounding_intervals import Interval, interval
 _RUN = "gaitsweep run data/studies/paper/figure6.toml"
 
 
-def _said(found: Interval) -> str:
-    return f"{found.value:.7g} ({found.low:.4g} to {found.high:.4g}; {found.most} matters most)"
+def _format(mark: Interval) -> str:
+    return f"{mark.value:.7g} (rounding allows {mark.low:.4g}-{mark.high:.4g}, mostly that of {mark.most})"
 
 
 @claim(
@@ -23,10 +23,15 @@ def _said(found: Interval) -> str:
     "gaitsweep solve --walker physical --slope 0.01912288",
 )
 def smallest_slopes() -> ClaimResult:
+    """Locate the folds at the smallest slopes."""
     kneed, straight = interval("smallest slope, kneed"), interval("smallest slope, straight")
     both = kneed.low <= 0.020 <= kneed.high and straight.low <= 0.016 <= straight.high
     return ClaimResult(
-        f"folds at {_said(kneed)} kneed, {_said(straight)} straight", verdict(both), kneed.value, kneed.low, kneed.high
+        f"folds at slope {_format(kneed)} kneed, {_format(straight)} straight-legged",
+        verdict(both),
+        kneed.value,
+        kneed.low,
+        kneed.high,
     )
 
 
@@ -38,6 +43,7 @@ def smallest_slopes() -> ClaimResult:
     _RUN,
 )
 def stability() -> ClaimResult:
+    """Evaluate the multipliers along both curves."""
     straight = [line("physical-straight").curve(k) for k in range(len(line("physical-straight").branches))]
     shown = [c["spectral_radius"][c["slope"] < 0.1] for c in straight]
     least = min(float(r.min()) for r in shown if len(r))
@@ -46,7 +52,7 @@ def stability() -> ClaimResult:
     slopes = kneed["slope"][stable]
     flips = [f"{p['slope']:.7f}" for p in line("physical").special_of("flip")]
     return ClaimResult(
-        f"straight: largest multiplier at least {least:.3f} below slope 0.1; kneed: stable from slope "
+        f"straight-legged: spectral radius at least {least:.3f} below slope 0.1; kneed: stable from slope "
         f"{slopes.min():.5f} to {slopes.max():.5f} (flips at {', '.join(flips)})",
         verdict(least > 1 and bool(stable.any()) and not stable.all()),
         float(slopes.max()),
@@ -61,12 +67,13 @@ def stability() -> ClaimResult:
     "gaitsweep solve --walker physical --slope 0.03 --all",
 )
 def one_stable() -> ClaimResult:
+    """Count the stable gaits at each slope."""
     most, points = 0, 0
     for name in ("A", "B", "C", "D", "E", "F", "physical", "physical-straight"):
         stable = (line(name).grid()["spectral_radius"] < 1).sum(axis=1)
         most, points = max(most, int(stable.max())), points + len(stable)
     return ClaimResult(
-        f"at most {most} over {points} walkers and slopes from 1e-8 to 0.2", verdict(most == 1), float(most)
+        f"at most {most} at {points} combinations of walker and slope from 1e-8 to 0.2", verdict(most == 1), float(most)
     )
 
 
@@ -78,54 +85,57 @@ def one_stable() -> ClaimResult:
     "gaitsweep solve --walker physical --slope 0.036387",
 )
 def point_1() -> ClaimResult:
-    found = interval("point 1")
+    """Locate the end of the kneed curve at large slopes."""
+    mark = interval("point 1")
     last = line("physical").curve(0)["knee_share"][[0, -1]]
     return ClaimResult(
-        f"at slope {_said(found)}, angle {found.angle:.7g}; kneestrike at {last.max():.12g} of the step",
+        f"at slope {_format(mark)}, stance angle {mark.angle:.7g}; kneestrike at {100 * last.max():.12g} % of the step",
         verdict(abs(last.max() - 1) < 1e-9),
-        found.value,
-        found.low,
-        found.high,
+        mark.value,
+        mark.low,
+        mark.high,
     )
 
 
 @claim(
     "P5",
-    "the straight curve ends as heelstrike turns tangential (point 2)",
+    "the straight-legged curve ends as heelstrike becomes tangential (point 2)",
     "section 4.2, 2",
     "figure6/locus",
     "gaitsweep solve --walker physical-straight --slope 0.05611781",
 )
 def point_2() -> ClaimResult:
-    found = interval("point 2")
-    own = line("physical-straight")
-    closing = min(float(np.abs(own.curve(k)["closing"][[0, -1]]).min()) for k in range(len(own.branches)))
+    """Locate the end of the straight-legged curve at large slopes."""
+    mark = interval("point 2")
+    straight = line("physical-straight")
+    closing = min(float(np.abs(straight.curve(k)["closing"][[0, -1]]).min()) for k in range(len(straight.branches)))
     return ClaimResult(
-        f"at slope {_said(found)}, angle {found.angle:.7g}, where the foot meets the ground at a rate of "
+        f"at slope {_format(mark)}, stance angle {mark.angle:.7g}, where the foot meets the ground at a rate of "
         f"{closing:.0e} of the angle",
         verdict(closing < 1e-5),
-        found.value,
-        found.low,
-        found.high,
+        mark.value,
+        mark.low,
+        mark.high,
     )
 
 
 @claim(
     "P6",
-    "the straight curve ends in steps of no length (point 4), the kneed one in kneestrike at once (point 3)",
+    "the straight-legged curve ends at zero step length (point 4), the kneed one with immediate kneestrike (point 3)",
     "section 4.2, 3",
     "figure6/locus",
     "gaitsweep solve --walker physical --slope 0.0215416",
 )
 def points_3_4() -> ClaimResult:
+    """Locate the ends of both curves at small steps."""
     third = interval("point 3")
     fourth = line("physical-straight").special_of("end_zero_step")[0]
     end = line("physical").special_of("end_tangential_heelstrike")
-    goes_on = f"; the branch goes on, flagged, to slope {end[0]['slope']:.5f}" if end else ""
+    beyond = f"; the branch continues, flagged, to slope {end[0]['slope']:.5f}" if end else ""
     return ClaimResult(
-        f"point 4 at slope {fourth['slope']:.6g}, angle {fourth['stance_angle']:.1e}; point 3, where the "
-        f"released knee first moves against its stop, at slope {_said(third)}, angle "
-        f"{third.angle:.6g}{goes_on}",
+        f"point 4 at slope {fourth['slope']:.6g}, stance angle {fourth['stance_angle']:.1e}; point 3, where the "
+        f"released knee first moves against its stop, at slope {_format(third)}, stance angle "
+        f"{third.angle:.6g}{beyond}",
         verdict(fourth["stance_angle"] < 1e-4),
         third.value,
         third.low,
@@ -141,18 +151,19 @@ def points_3_4() -> ClaimResult:
     _RUN,
 )
 def slowest() -> ClaimResult:
-    said, right = [], []
+    """Locate the slowest gait of each curve."""
+    sentences, agrees = [], []
     for name, end in (("physical", interval("point 3").angle), ("physical-straight", 0.0)):
-        found = line(name).curve(0)
-        shown = found["stance_angle"] >= end
-        slope, speed = found["slope"][shown], found["speed"][shown]
+        gaits = line(name).curve(0)
+        shown = gaits["stance_angle"] >= end
+        slope, speed = gaits["slope"][shown], gaits["speed"][shown]
         slow, small = int(np.argmin(speed)), int(np.argmin(slope))
-        said.append(
-            f"{name}: slowest {speed[slow]:.3g} m/s at slope {slope[slow]:.5f}, and {speed[small]:.3g} m/s at "
-            f"its smallest slope {slope[small]:.5f}"
+        sentences.append(
+            f"{name}: slowest gait {speed[slow]:.3g} m/s at slope {slope[slow]:.5f}, and {speed[small]:.3g} m/s at "
+            f"the smallest slope {slope[small]:.5f}"
         )
-        right.append(speed[slow] < 0.5 * speed[small])
-    return ClaimResult("; ".join(said), verdict(all(right)), float(speed[small]))
+        agrees.append(speed[slow] < 0.5 * speed[small])
+    return ClaimResult("; ".join(sentences), verdict(all(agrees)), float(speed[small]))
 
 
 @claim(
@@ -163,15 +174,16 @@ def slowest() -> ClaimResult:
     _RUN,
 )
 def later_kneestrike() -> ClaimResult:
-    found = line("physical").curve(0)
-    share = found["knee_share"] if found["knee_share"][-1] > found["knee_share"][0] else found["knee_share"][::-1]
-    angle = found["stance_angle"] if found["knee_share"][-1] > found["knee_share"][0] else found["stance_angle"][::-1]
+    """Follow the time of kneestrike along the kneed curve."""
+    gaits = line("physical").curve(0)
+    share, angle = gaits["knee_share"], gaits["stance_angle"]
+    if share[-1] <= share[0]:
+        share, angle = share[::-1], angle[::-1]
     first = int(np.argmin(np.abs(np.log(angle[: len(angle) // 2] / interval("point 3").angle))))
-    rises = np.diff(share[first:])
-    falls = float(np.minimum(rises, 0).sum())
+    falls = float(np.minimum(np.diff(share[first:]), 0).sum())
     return ClaimResult(
-        f"from {share[first]:.4f} of the step at point 3 to {share[-1]:.4f} at point 1, "
-        + ("rising throughout" if falls == 0 else f"with falls of {-falls:.4f} in all"),
+        f"from {100 * share[first]:.2f} % of the step at point 3 to {100 * share[-1]:.2f} % at point 1, "
+        + ("rising throughout" if falls == 0 else f"with decreases of {-100 * falls:.2f} % in total"),
         verdict(falls == 0, -falls < 0.02),
         float(share[first]),
     )

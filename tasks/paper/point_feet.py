@@ -14,7 +14,7 @@ from tasks.paper.lines import LONG, SHORT, foot_ratio, line, numbers, root
 from tasks.step.problem import Problem
 from tasks.step.step_map import stride_map
 
-#: Foot masses over the total mass whose transition is followed down to where the 3/2 power is exact.
+#: Foot mass ratios at which the transition is located, down to where the 3/2 power is exact.
 RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)
 
 
@@ -26,33 +26,33 @@ RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)
     "gaitsweep solve --walker E --slope 0.01 --json",
 )
 def two_dimensional() -> ClaimResult:
-    worst = max(_third(w) for w in ("E", "F"))
-    stored = line("E").at([0.01])
-    zero = bool((stored["multiplier_real"][0, :2, 2] == 0).all() and (stored["multiplier_imag"][0, :2, 2] == 0).all())
+    """Evaluate the third multiplier of E and F."""
+    worst = max(_third_multiplier(w) for w in ("E", "F"))
+    gaits = line("E").at([0.01])
+    zero = bool((gaits["multiplier_real"][0, :2, 2] == 0).all() and (gaits["multiplier_imag"][0, :2, 2] == 0).all())
     return ClaimResult(
-        f"third multiplier exactly 0 on the two-dimensional section; on the general three-dimensional one "
-        f"it is {worst:.1g}",
+        f"third multiplier exactly 0 on the two-dimensional section, {worst:.1g} on the general three-dimensional one",
         verdict(zero and worst < 1e-12),
         worst,
     )
 
 
-def _third(walker: str) -> float:
+def _third_multiplier(walker: str) -> float:
     """Smallest multiplier of both gaits at slope 0.01 on the section of a general straight-legged walker."""
     problem = Problem(line(walker).walker)
     problem.structure = replace(problem.structure, point_foot=False)
     problem.map = stride_map(problem.structure)
     problem.constants = constants_of(problem.walker, problem.structure)
     problem.m = problem.map.m
-    found = line(walker).at([0.01])
+    gaits = line(walker).at([0.01])
     unit = np.sqrt(problem.walker.leg / problem.walker.g)
-    angle = found["stance_angle"][0, :2]
+    angle = gaits["stance_angle"][0, :2]
     w = np.stack(
         [
             np.log(angle),
-            found["stance_rate"][0, :2] / angle * unit,
-            found["thigh_rate"][0, :2] / angle * unit,
-            found["period"][0, :2] / unit,
+            gaits["stance_rate"][0, :2] / angle * unit,
+            gaits["thigh_rate"][0, :2] / angle * unit,
+            gaits["period"][0, :2] / unit,
         ]
     )
     stride, _ = problem.stride(w, np.full(2, np.log(0.01)))
@@ -67,12 +67,13 @@ def _third(walker: str) -> float:
     "gaitsweep run data/studies/paper/figure5.toml",
 )
 def long_cube_root() -> ClaimResult:
+    """Compute the local exponents of the long step."""
     small = {w: line(w).exponent(LONG, 1e-8) for w in ("E", "F")}
     large = {w: line(w).exponent(LONG, 0.05) for w in ("E", "F")}
-    off = max(abs(p - 1 / 3) for p in small.values())
+    deviation = max(abs(p - 1 / 3) for p in small.values())
     return ClaimResult(
-        f"local exponents at 1e-8: {numbers(small, 6)}; at 0.05: {numbers(large)}",
-        verdict(off < 1e-4 and max(abs(p - 1 / 3) for p in large.values()) < 0.05),
+        f"local exponents at slope 1e-8: {numbers(small, 6)}; at 0.05: {numbers(large)}",
+        verdict(deviation < 1e-4 and max(abs(p - 1 / 3) for p in large.values()) < 0.05),
         small["E"],
     )
 
@@ -85,23 +86,24 @@ def long_cube_root() -> ClaimResult:
     "gaitsweep run data/studies/paper/figure5.toml",
 )
 def short_two_laws() -> ClaimResult:
+    """Compute the local exponents of the short step on both sides of the transition."""
     small = {w: line(w).exponent(SHORT, 1e-8) for w in ("E", "F")}
     large = {w: line(w).exponent(SHORT, 0.1) for w in ("E", "F")}
     light = line("E", foot_mass_ratio=1e-4).exponent(SHORT, 1e-3)
     linear = max(abs(p - 1) for p in small.values()) < 1e-4
     cube = max(abs(p - 1 / 3) for p in large.values()) < 0.05 and abs(light - 1 / 3) < 0.01
     return ClaimResult(
-        f"local exponents at 1e-8: {numbers(small, 6)}; at 0.1: {numbers(large)} (at 0.01 still "
-        f"{line('E').exponent(SHORT, 0.01):.3f} and {line('F').exponent(SHORT, 0.01):.3f}); feet of 1e-4 of "
-        f"the mass at 1e-3: {light:.4f}",
+        f"local exponents at slope 1e-8: {numbers(small, 6)}; at 0.1: {numbers(large)} (at 0.01 still "
+        f"{line('E').exponent(SHORT, 0.01):.3f} and {line('F').exponent(SHORT, 0.01):.3f}); with a foot mass ratio "
+        f"of 1e-4 at slope 1e-3: {light:.4f}",
         verdict(linear and cube),
         large["E"],
     )
 
 
 @functools.lru_cache(maxsize=1)
-def ladder() -> dict[str, np.ndarray]:
-    """The transition's table for feet of `RATIOS`."""
+def _transitions() -> dict[str, np.ndarray]:
+    """Tables of task `transition` for the foot mass ratios in `RATIOS`."""
     slope = np.geomspace(1e-11, 0.2, 220)
     lines = [{"walker": "E", "set": {"foot_mass_ratio": r}} for r in RATIOS]
     inputs = [line("E", foot_mass_ratio=r).at(slope, ("stance_angle",)) for r in RATIOS]
@@ -110,23 +112,24 @@ def ladder() -> dict[str, np.ndarray]:
 
 @claim(
     "E4",
-    "the transition slope goes as (foot mass/total)^(3/2): a ratio of 2.83 between walkers E and F",
+    "the transition slope scales as (foot mass/total)^(3/2): a ratio of 2.83 between walkers E and F",
     "section 4.1, figure 5; section 6.3",
     "transition/transition_ladder",
     "gaitsweep run data/studies/paper/figure5.toml data/studies/paper/transition.toml",
 )
 def transition_power() -> ClaimResult:
-    table = ladder()
+    """Compute the ratio of transition slopes and their local exponent in the foot mass ratio."""
+    table = _transitions()
     exact = float(table["fits/transition_ratio/exact_asymptotes"][0])
     fitted = float(table["fits/transition_ratio/fitted_lines"][0])
     powers = table["fits/transition/local_exponent"][:-1]
-    steps = ", ".join(f"{p:.4f}" for p in powers)
-    limit = abs(powers[-1] - 1.5) < 0.01
+    listed = ", ".join(f"{p:.4f}" for p in powers)
+    tends = abs(powers[-1] - 1.5) < 0.01
     return ClaimResult(
-        f"E over F {fitted:.3f} by fitted lines as the paper draws them, {exact:.3f} by the exact "
-        f"asymptotes (2^1.5 = 2.828); local power between foot masses "
-        f"{', '.join(f'{r:g}' for r in RATIOS)}: {steps}, tending to 3/2",
-        APPROXIMATELY if limit else verdict(False),
+        f"ratio of E to F {fitted:.3f} by fitted lines as in the paper, {exact:.3f} by the exact "
+        f"asymptotes (2^1.5 = 2.828); local exponents between foot mass ratios "
+        f"{', '.join(f'{r:g}' for r in RATIOS)}: {listed}, tending to 3/2",
+        APPROXIMATELY if tends else verdict(False),
         fitted,
     )
 
@@ -138,28 +141,30 @@ def transition_power() -> ClaimResult:
     "figure5/loglog",
     "gaitsweep solve --walker F --slope 0.1 --json",
 )
-def one_line() -> ClaimResult:
+def similar_curves() -> ClaimResult:
+    """Compare the steps of E and F at equal slopes."""
     slopes = np.array([1e-6, 0.01, 0.05, 0.1, 0.2])
     e, f = (line(w).at(slopes)["stance_angle"] for w in ("E", "F"))
     short, long = f[:, SHORT] / e[:, SHORT], f[:, LONG] / e[:, LONG]
     listed = ", ".join(f"{r:.4f} at {s:g}" for r, s in zip(short, slopes, strict=True))
     return ClaimResult(
-        f"short step of F over that of E: {listed}; long step within {np.abs(long - 1).max():.3f}",
+        f"ratio of short steps, F to E, at slopes: {listed}; long steps differ by at most "
+        f"{100 * np.abs(long - 1).max():.1f} %",
         verdict(abs(short[3] - 1) < 0.02, abs(short[3] - 1) < 0.1),
         float(short[3]),
     )
 
 
 def speed_crossing(walker: str) -> float:
-    """The slope at which a walker's short step becomes the faster one; NaN where it never changes."""
-    own = line(walker)
+    """Slope at which a walker's short step becomes the faster one [rad]; NaN where the order never changes."""
+    gaits = line(walker)
 
-    def lead(slope: float) -> float:
-        speed = own.at([slope], ("speed",))["speed"][0]
+    def log_ratio(slope: float) -> float:
+        speed = gaits.at([slope], ("speed",))["speed"][0]
         return float(np.log(speed[SHORT] / speed[LONG]))
 
-    grid = own.grid()
-    return root(lead, grid["slope"], np.log(grid["speed"][:, SHORT] / grid["speed"][:, LONG]))
+    grid = gaits.grid()
+    return root(log_ratio, grid["slope"], np.log(grid["speed"][:, SHORT] / grid["speed"][:, LONG]))
 
 
 @claim(
@@ -170,16 +175,14 @@ def speed_crossing(walker: str) -> float:
     "gaitsweep solve --walker E --slope 0.01 --json",
 )
 def faster() -> ClaimResult:
-    found = {w: speed_crossing(w) for w in ("A", "B", "C", "E", "F")}
-    small = {w: line(w).grid() for w in found}
-    ahead = all(
-        g["speed"][0, LONG] > g["speed"][0, SHORT] and g["speed"][-1, SHORT] > g["speed"][-1, LONG]
-        for g in small.values()
-    )
+    """Locate the slopes at which both gaits are equally fast."""
+    crossing = {w: speed_crossing(w) for w in ("A", "B", "C", "E", "F")}
+    speeds = [line(w).grid()["speed"] for w in crossing]
+    in_order = all(v[0, LONG] > v[0, SHORT] and v[-1, SHORT] > v[-1, LONG] for v in speeds)
     return ClaimResult(
-        f"speeds cross at slope {numbers(found, 6)}; of D the short step is faster at every slope",
-        verdict(ahead and all(np.isfinite(v) for v in found.values())),
-        found["E"],
+        f"speeds are equal at slope {numbers(crossing, 6)}; for D the short step is faster at every slope",
+        verdict(in_order and all(np.isfinite(v) for v in crossing.values())),
+        crossing["E"],
     )
 
 
@@ -191,13 +194,14 @@ def faster() -> ClaimResult:
     "gaitsweep solve --walker E --slope 1e-4 --json",
 )
 def tangential() -> ClaimResult:
+    """Evaluate the ratio of the swing foot's velocities just before heelstrike."""
     slopes = [1e-6, 1e-4, 1e-2, 0.1]
     ratio = {w: foot_ratio(line(w).walker, line(w).at(slopes)) for w in ("E", "F")}
     long = ", ".join(f"{r:.2g}" for r in ratio["E"][:, LONG])
     short = ", ".join(f"{r:.3g}" for r in ratio["E"][:, SHORT])
-    clear = all(
+    is_clear = all(
         (r[:, LONG] < 0.1).all() and (r[:, SHORT] > 3).all() and (r[:2, SHORT] > 100).all() for r in ratio.values()
     )
     return ClaimResult(
-        f"E at slopes 1e-6, 1e-4, 0.01, 0.1: long {long}; short {short}", verdict(clear), float(ratio["E"][1, SHORT])
+        f"E at slopes 1e-6, 1e-4, 0.01, 0.1: long {long}; short {short}", verdict(is_clear), float(ratio["E"][1, SHORT])
     )

@@ -1,4 +1,4 @@
-"""Figures 9 and 10 of the paper as computed tables, and the table of rounding."""
+"""Figures 9 and 10 of the paper as computed tables, and the effect of rounding."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from tasks.walkers.walker import NUMBERS
 Columns = dict[str, np.ndarray]
 #: Slopes at which figure 10's laws are read: vanishing, small (above C's last transition), larger.
 VANISHING, SMALL, LARGE = 1e-9, 3e-3, 0.05
-#: Figure 10 as printed: whether steps of each gait scale as slope^(1/3) at those slopes (short, long), who is faster.
+#: Figure 10 as printed: whether steps (short, long) scale as slope^(1/3) at those slopes, and the faster gait at
+#: vanishing and at larger slopes. None: no entry.
 PRINTED = {
     "D": ((True, True, True), (True, True, True), "short", "short"),
     "E": ((False, None, True), (True, True, True), "long", "short"),
@@ -34,7 +35,13 @@ def _columns(group: str, rows: list[dict[str, Any]]) -> Columns:
 
 
 def figure9() -> Columns:
-    """Parameters of the tuned walkers, as used and as printed, with the residuals of the static conditions."""
+    """Tabulate the parameters of the tuned walkers, as used and as printed, in each walker's units.
+
+    Returns
+    -------
+    dict
+        Table `figure9`: walker, description, knees, every walker key, and the residuals of the static conditions.
+    """
     rows = []
     for name in ("A", "A-printed", "B", "C", "C-printed", "D", "E", "F"):
         walker = CATALOGUE[name]
@@ -56,18 +63,18 @@ def figure9() -> Columns:
 def _figure10() -> tuple[dict[str, Any], ...]:
     rows = []
     for name in ROWS:
-        own = line(name)
+        gaits = line(name)
         row: dict[str, Any] = {
             "walker": name,
             "description": DESCRIPTIONS[name],
-            "zero_slope_capable": int((own.at([1e-10])["status"][0, :2] == 0).all()),
+            "zero_slope_capable": int((gaits.at([1e-10])["status"][0, :2] == 0).all()),
         }
         for gait, g in (("short", SHORT), ("long", LONG)):
             for when, slope in (("vanishing", VANISHING), ("small", SMALL), ("larger", LARGE)):
-                row[f"{gait}_angle_{when}"] = own.exponent(g, slope)
-                row[f"{gait}_power_{when}"] = own.exponent(g, slope, "power", "speed")
+                row[f"{gait}_angle_{when}"] = gaits.exponent(g, slope)
+                row[f"{gait}_power_{when}"] = gaits.exponent(g, slope, "power", "speed")
         for when, slope in (("vanishing", VANISHING), ("larger", LARGE)):
-            speed = own.at([slope])["speed"][0]
+            speed = gaits.at([slope])["speed"][0]
             row[f"faster_{when}"] = "short" if speed[SHORT] > speed[LONG] else "long"
         row["crossing_slope"] = speed_crossing(name)
         row["chaotic"], row["chaos"] = chaos(name)
@@ -76,74 +83,93 @@ def _figure10() -> tuple[dict[str, Any], ...]:
 
 
 def figure10() -> Columns:
-    """Every cell of figure 10: exponents of the angle in slope and of power in speed, and the faster gait."""
+    """Tabulate figure 10: exponents of the stance angle in slope and of power in speed, the faster gait, and chaos.
+
+    Returns
+    -------
+    dict
+        Table `figure10`, a row per walker.
+    """
     return _columns("figure10", list(_figure10()))
 
 
 def rounding() -> Columns:
-    """Every landmark by every printed parameter: sensitivity, half unit, and what it adds to the interval."""
+    """Tabulate every landmark by every printed parameter.
+
+    Returns
+    -------
+    dict
+        Table `rounding`: landmark, walker, kind, slope, stance_angle, slope_low, slope_high and printed [rad];
+        parameter, its sensitivity, angle_sensitivity and half_unit, its contribution to the interval [rad], and
+        matters_most.
+    """
     rows = []
     for name, mark in LANDMARKS.items():
-        found = interval(name)
+        bounds = interval(name)
         rows += [
             {
                 "landmark": name,
                 "walker": mark.walker,
                 "kind": mark.test,
-                "slope": found.value,
-                "stance_angle": found.angle,
-                "slope_low": found.low,
-                "slope_high": found.high,
+                "slope": bounds.value,
+                "stance_angle": bounds.angle,
+                "slope_low": bounds.low,
+                "slope_high": bounds.high,
                 "printed": mark.printed,
                 "parameter": key,
                 "sensitivity": s,
-                "angle_sensitivity": found.angle_sensitivity[key],
-                "half_unit": found.half_unit[key],
-                "contribution": found.contribution[key],
-                "matters_most": int(key == found.most),
+                "angle_sensitivity": bounds.angle_sensitivity[key],
+                "half_unit": bounds.half_unit[key],
+                "contribution": bounds.contribution[key],
+                "matters_most": int(key == bounds.most),
             }
-            for key, s in found.sensitivity.items()
+            for key, s in bounds.sensitivity.items()
         ]
     return _columns("rounding", rows)
 
 
 @claim(
     "Z6",
-    "figure 10: which walkers walk at zero slope, their scaling laws, and the faster gait",
+    "figure 10: the walkers that walk at vanishing slope, their scaling laws, and the faster gait",
     "figure 10",
     "figure11/loglog",
     "gaitsweep run data/studies/paper/figure11.toml",
 )
 def whole_table() -> ClaimResult:
+    """Compare every cell of figure 10 with the computed exponents."""
     rows = {row["walker"]: row for row in _figure10()}
     strict, loose, cells = 0, 0, 0
     worst = ""
-    far = 0.0
-    for name, (short, long, first, then) in PRINTED.items():
+    largest = 0.0
+    for name, (short, long, faster_vanishing, faster_larger) in PRINTED.items():
         row = rows[name]
-        right = [row["zero_slope_capable"] == 1, row["faster_vanishing"] == first, row["faster_larger"] == then]
-        right += [row["chaotic"] == 1] if name in "CD" else []
-        strict, loose, cells = strict + sum(right), loose + sum(right), cells + len(right)
+        agrees = [
+            row["zero_slope_capable"] == 1,
+            row["faster_vanishing"] == faster_vanishing,
+            row["faster_larger"] == faster_larger,
+        ]
+        agrees += [row["chaotic"] == 1] if name in "CD" else []
+        strict, loose, cells = strict + sum(agrees), loose + sum(agrees), cells + len(agrees)
         for gait, laws in (("short", short), ("long", long)):
             for when, cube in zip(("vanishing", "small", "larger"), laws, strict=True):
                 if cube is None:
                     continue
-                off = max(
+                deviation = max(
                     abs(row[f"{gait}_angle_{when}"] - (1 / 3 if cube else 1)),
                     abs(row[f"{gait}_power_{when}"] - (4 if cube else 2)) / 10,
                 )
-                strict, loose, cells = strict + (off < 0.01), loose + (off < 0.1), cells + 1
-                if off > far:
-                    far = off
+                strict, loose, cells = strict + (deviation < 0.01), loose + (deviation < 0.1), cells + 1
+                if deviation > largest:
+                    largest = deviation
                     worst = (
-                        f"{name} {gait} at {when} slope: angle ~ slope^{row[f'{gait}_angle_{when}']:.3f}, "
+                        f"{name} {gait} step at {when} slope: angle ~ slope^{row[f'{gait}_angle_{when}']:.3f}, "
                         f"P ~ v^{row[f'{gait}_power_{when}']:.2f}"
                     )
     unchecked = ", ".join(f"{name}: {rows[name]['chaos']}" for name in ("E", "A", "B"))
     return ClaimResult(
-        f"{strict} of {cells} cells hold to within 0.01 of the angle's and 0.1 of the "
-        f"power's exponent, {loose} to within ten times that (at slope {LARGE:g} for the larger ones); "
-        f"farthest off: {worst}; chaos where the paper did not check: {unchecked}",
+        f"{strict} of {cells} cells agree to within 0.01 in the exponent of the angle and 0.1 in that of the "
+        f"power, {loose} to within ten times as much (larger slopes: {LARGE:g}); largest deviation: {worst}; chaos "
+        f"in walkers that the paper did not check: {unchecked}",
         verdict(strict == cells, loose == cells),
         float(strict),
     )

@@ -1,9 +1,9 @@
 """How far the rounding of a walker's printed parameters can move a landmark: its interval (sections 4 and 5).
 
 A landmark is a zero of G(X, p) = (P(X, p) - X, test(X, p)), with X the gait and ln slope and p the printed parameters.
-Implicit differentiation gives dX/dp = -G_X^-1 G_p. G is evaluated with its event times settled; the fixed point's
+Implicit differentiation gives dX/dp = -G_X^-1 G_p. G is evaluated with converged event times; the fixed point's
 part of G_X comes from the variational equations, G_p and the test's own row from central differences at two step
-sizes, extrapolated. The interval is the printed walker's value give or take the sum of |sensitivity| x half unit.
+sizes, extrapolated. The interval is the printed walker's value plus or minus the sum of |sensitivity| x half unit.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from tasks.paper.lines import Line, line
 from tasks.paper.published import HALF_UNITS
 from tasks.step.problem import Lanes, Problem
 from tasks.step.step_map import Stride
-from tasks.walkers.catalogue import _exactly_tuned
+from tasks.walkers.catalogue import tune_exactly
 from tasks.walkers.walker import Walker
 
-#: Steps of the central differences: of X, and of parameters relative to their size and the gait's angle (offsets of
-#: the masses matter beside the angle).
+#: Step of the central differences: of X, and of parameters relative to their size and the gait's angle (what counts is
+#: an offset of a mass relative to the angle).
 STEP = 2e-4
+#: A test function: of a step and X, shape (m + 1, n), to values whose zero is the landmark, shape (n,).
 Test = Callable[[Stride, np.ndarray], np.ndarray]
 
 
@@ -51,6 +52,7 @@ def _exponent(stride: Stride, X: np.ndarray) -> np.ndarray:
     return -np.linalg.solve(derivative[:, :, :-1], derivative[:, :, -1:])[:, 0, 0] - 2 / 3
 
 
+#: Test functions by kind of landmark.
 TESTS: dict[str, Test] = {
     "fold": _fold,
     "flip": _flip,
@@ -63,7 +65,7 @@ TESTS: dict[str, Test] = {
 
 @dataclass(frozen=True)
 class Landmark:
-    """A special point of a walker: its test, the branch's label there, which of several, and what is printed of it."""
+    """A special point of a walker: its test, the gait's label, which of several, and the printed slope [rad]."""
 
     name: str
     walker: str
@@ -94,7 +96,7 @@ LANDMARKS = {
 
 @dataclass(frozen=True)
 class Interval:
-    """A landmark's slope and angle, its sensitivities to each printed parameter, and its interval of slopes."""
+    """A landmark's slope and stance angle [rad], its interval of slopes, and its sensitivity to each parameter."""
 
     value: float
     angle: float
@@ -106,22 +108,28 @@ class Interval:
 
     @property
     def contribution(self) -> dict[str, float]:
+        """Contribution of each parameter's rounding to the interval's half width [rad]."""
         return {k: abs(s) * self.half_unit[k] for k, s in self.sensitivity.items()}
 
     @property
     def most(self) -> str:
-        """The parameter that matters most."""
+        """The parameter that contributes most."""
         return max(self.contribution, key=lambda k: self.contribution[k])
 
 
 def changed(walker: str, base: Walker, key: str, change: float) -> Walker:
-    """A walker with one key moved; exact A and C stay on the tuned manifold."""
+    """Change one key of a walker; exact A and C stay on the tuned manifold."""
     moved = replace(base, **{key: getattr(base, key) + change})
-    return _exactly_tuned(moved) if walker in ("A", "C") else moved
+    return tune_exactly(moved) if walker in ("A", "C") else moved
 
 
-def place(found: Line, mark: Landmark) -> tuple[np.ndarray, np.ndarray]:
-    """X and event times of a landmark, from the branches of its walker.
+def place(gaits: Line, mark: Landmark) -> tuple[np.ndarray, np.ndarray]:
+    """Locate a landmark on the branches of its walker.
+
+    Returns
+    -------
+    X, times : ndarray, shape (m + 1,) and (phases,)
+        The gait with ln slope last, and its event times.
 
     Raises
     ------
@@ -129,17 +137,16 @@ def place(found: Line, mark: Landmark) -> tuple[np.ndarray, np.ndarray]:
         If the walker has no such point.
     """
     rows = []
-    for branch in found.branches:
-        for Z in _candidates(found.problem, branch, mark.test):
-            if mark.label and mark.label != ("short" if found.short(Z) else "long"):
-                continue
-            rows.append(Z)
-    rows.sort(key=lambda Z: Z[found.problem.m])
+    for branch in gaits.branches:
+        for Z in _candidates(gaits.problem, branch, mark.test):
+            if not mark.label or mark.label == ("short" if gaits.is_short(Z) else "long"):
+                rows.append(Z)
+    rows.sort(key=lambda Z: Z[gaits.problem.m])
     if len(rows) <= mark.which:
         raise ValueError(f"{mark.walker} has no {mark.name}")
-    Z, m = rows[mark.which], found.problem.m
+    Z, m = rows[mark.which], gaits.problem.m
     if mark.test == "end_tangential_heelstrike":
-        return grazed(found, Z[: m + 1], Z[m + 1 :])
+        return _locate_grazing(gaits, Z[: m + 1], Z[m + 1 :])
     return Z[: m + 1], Z[m + 1 :]
 
 
@@ -153,13 +160,13 @@ def _candidates(problem: Problem, branch: Branch, test: str) -> list[np.ndarray]
     X = branch.Z[:, : m + 1].T
     stride, _ = problem.stride(np.delete(branch.Z, m, axis=1).T, X[m], slope=True)
     values = TESTS[test](stride, X)
-    # A step from pole to pole is no root: values on both sides must be small.
-    turns = np.nonzero((np.sign(values[1:]) != np.sign(values[:-1])) & (np.abs(np.diff(values)) < 2))[0]
+    # A jump across a pole is no root: values on both sides must be small.
+    changes = np.nonzero((np.sign(values[1:]) != np.sign(values[:-1])) & (np.abs(np.diff(values)) < 2))[0]
 
-    def at(point: Point, way: np.ndarray) -> float:
+    def value(point: Point, direction: np.ndarray) -> float:
         return float(TESTS[test](point.stride, point.X)[0])
 
-    points = [locate_root(problem, branch, int(k), at)[0] for k in turns]
+    points = [locate_root(problem, branch, int(k), value)[0] for k in changes]
     return [np.concatenate([p.X[:, 0], p.times[:, 0]]) for p in points if p.ok[0]]
 
 
@@ -197,13 +204,13 @@ def _grazing(walkers: list[Walker], Z: np.ndarray) -> np.ndarray:
     return np.vstack([b - y[0], rates - y[1:], a + b, a_rate + b_rate]) / y[0]
 
 
-def grazed(found: Line, X: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """X and the period where heelstrike is tangential, by Newton on G: beside it, branches end a little early."""
+def _locate_grazing(gaits: Line, X: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """X and the period where heelstrike is tangential, by Newton on G, from a branch's end shortly before it."""
     Z = np.concatenate([X[:-1], times, X[-1:]])
     n = len(Z)
     for _ in range(4):
         places = np.concatenate([Z + factor * STEP * np.eye(n) for factor in (1.0, -1.0, 2.0, -2.0)] + [Z[None]])
-        G = _grazing([found.walker] * len(places), places.T)
+        G = _grazing([gaits.walker] * len(places), places.T)
         Z = Z - np.linalg.solve(_central(G[:, :-1], np.full(n, STEP)), G[:, -1])
     return np.concatenate([Z[: len(X) - 1], Z[-1:]]), Z[len(X) - 1 : -1]
 
@@ -211,7 +218,7 @@ def grazed(found: Line, X: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, n
 def grazing_sensitivities(
     mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str], step: float = STEP
 ) -> np.ndarray:
-    """dX/dp of the end where heelstrike turns tangential, as `sensitivities`."""
+    """Sensitivities dX/dp of the end where heelstrike becomes tangential, as `sensitivities`."""
     Z = np.concatenate([X[:-1], times, X[-1:]])
     sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
     walkers, places, n = [], [], len(Z)
@@ -220,20 +227,37 @@ def grazing_sensitivities(
         walkers += [changed(mark.walker, base, k, factor * size) for k, size in zip(keys, sizes, strict=True)]
         places += [*(Z + factor * step * np.eye(n)), *([Z] * len(keys))]
     slopes = _central(_grazing(walkers, np.array(places).T), np.concatenate([np.full(n, step), sizes]))
-    by = -np.linalg.solve(slopes[:, :n], slopes[:, n:])
-    return np.vstack([by[: len(X) - 1], by[-1:]])
+    by_key = -np.linalg.solve(slopes[:, :n], slopes[:, n:])
+    return np.vstack([by_key[: len(X) - 1], by_key[-1:]])
 
 
 def _central(values: np.ndarray, h: np.ndarray) -> np.ndarray:
     """Derivatives from values at +h, -h, +2h, -2h, side by side."""
-    one, less, two, less2 = np.split(values, 4, axis=1)
-    return (8 * (one - less) - (two - less2)) / (12 * h)
+    plus, minus, plus_2, minus_2 = np.split(values, 4, axis=1)
+    return (8 * (plus - minus) - (plus_2 - minus_2)) / (12 * h)
 
 
 def sensitivities(
     mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str], step: float = STEP
 ) -> np.ndarray:
-    """dX/dp of a landmark for each key, shape (m + 1, keys)."""
+    """Compute the sensitivities dX/dp of a landmark.
+
+    Parameters
+    ----------
+    mark : Landmark
+    X, times : ndarray, shape (m + 1,) and (phases,)
+        The landmark, as from `place`.
+    base : Walker
+    keys : list of str
+        Parameters p.
+    step : float
+        Step of the central differences.
+
+    Returns
+    -------
+    ndarray, shape (m + 1, keys)
+        Per unit of each key.
+    """
     m = len(X) - 1
     sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
     walkers, places = [], []
@@ -255,7 +279,7 @@ def sensitivities(
 
 
 def _size(walker: Walker, key: str) -> float:
-    """The scale a key's steps are taken on."""
+    """Scale of a key's steps."""
     if key in ("m_t", "m_s", "m_h"):
         return walker.total_mass
     return {"g": walker.g, "eps_T": 1.0}.get(key, walker.leg)
@@ -263,16 +287,16 @@ def _size(walker: Walker, key: str) -> float:
 
 @functools.lru_cache(maxsize=32)
 def interval(name: str) -> Interval:
-    """A landmark with its interval."""
+    """Compute the interval of a landmark, by its name."""
     mark = LANDMARKS[name]
-    found = line(mark.walker)
-    X, times = place(found, mark)
+    gaits = line(mark.walker)
+    X, times = place(gaits, mark)
     half = dict(HALF_UNITS[mark.walker])
     keys = list(half)
     slope, angle = float(np.exp(X[-1])), float(np.exp(X[0]))
     differentiate = grazing_sensitivities if mark.test == "end_tangential_heelstrike" else sensitivities
-    by = differentiate(mark, X, times, found.walker, keys)
-    sensitivity = {k: slope * float(d) for k, d in zip(keys, by[-1], strict=True)}
+    by_key = differentiate(mark, X, times, gaits.walker, keys)
+    sensitivity = {k: slope * float(d) for k, d in zip(keys, by_key[-1], strict=True)}
     total = sum(abs(sensitivity[k]) * half[k] for k in keys)
     return Interval(
         slope,
@@ -280,6 +304,6 @@ def interval(name: str) -> Interval:
         slope - total,
         slope + total,
         sensitivity,
-        {k: angle * float(d) for k, d in zip(keys, by[0], strict=True)},
+        {k: angle * float(d) for k, d in zip(keys, by_key[0], strict=True)},
         half,
     )

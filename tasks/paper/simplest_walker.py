@@ -10,12 +10,12 @@ from tasks.paper.claim import ClaimResult, claim, rounded, verdict
 from tasks.paper.lines import LONG, SHORT, foot_ratio, line, numbers
 from tasks.trace_motion import trace
 
-#: Periods of the limit of vanishing slope: tan(t/2) = -3 tanh(t/2), and pi.
+#: Periods as the slope vanishes, long and short step: the root of tan(t/2) = -3 tanh(t/2), and pi [sqrt(l/g)].
 PERIODS = (3.8120917950, math.pi)
 
 
-def power_factor(period: float) -> float:
-    """P/v^4 of walker D as the slope vanishes, with m = g = l = 1: period^3/(8 tanh^2(period/2))."""
+def _power_factor(period: float) -> float:
+    """Limit of P/v^4 of walker D as the slope vanishes, with m = g = l = 1: period^3/(8 tanh^2(period/2))."""
     return period**3 / (8 * math.tanh(period / 2) ** 2)
 
 
@@ -23,12 +23,12 @@ def power_factor(period: float) -> float:
     "D1", "two gaits at every slope up to 0.2", "section 3", "figure11/linear", "gaitsweep solve --walker D --slope 0.2"
 )
 def two_gaits() -> ClaimResult:
-    found = line("D").grid(1e-8, 0.2, 97)
-    both = np.isfinite(found["stance_angle"][:, [LONG, SHORT]]).all(axis=1)
-    spans = [(np.exp(b.q.min()), np.exp(b.q.max())) for b in line("D").branches]
-    upper = float(min(high for _, high in spans))
+    """Solve both gaits over a grid of slopes."""
+    gaits = line("D").grid(1e-8, 0.2, 97)
+    both = np.isfinite(gaits["stance_angle"][:, [LONG, SHORT]]).all(axis=1)
+    upper = min(float(np.exp(b.q.max())) for b in line("D").branches)
     return ClaimResult(
-        f"both gaits at each of {both.size} slopes from 1e-8 to 0.2; their branches reach beyond {upper:.2f}",
+        f"both gaits at each of {both.size} slopes from 1e-8 to 0.2; their branches extend to slope {upper:.2f}",
         verdict(bool(both.all()) and upper > 0.2),
         upper,
     )
@@ -42,16 +42,16 @@ def two_gaits() -> ClaimResult:
     "gaitsweep solve --walker D --slope 0.0150884379411",
 )
 def long_stable() -> ClaimResult:
-    flips = line("D").special_of("flip")
-    found = line("D").grid(1e-8, flips[0]["slope"], 61)
-    worst = float(found["spectral_radius"][:-1, LONG].max())
-    finding = rounded(0.015, 5e-4, flips[0]["slope"])
+    """Locate the flip of the long step and evaluate its multipliers below."""
+    flip = line("D").special_of("flip")[0]["slope"]
+    largest = float(line("D").grid(1e-8, flip, 61)["spectral_radius"][:-1, LONG].max())
+    result = rounded(0.015, 5e-4, flip)
     return ClaimResult(
-        f"stable from 1e-8 (largest multiplier {worst:.4f} at most) to the flip at {flips[0]['slope']:.15g}",
-        finding.verdict if worst < 1 else verdict(False),
-        finding.value,
-        finding.low,
-        finding.high,
+        f"stable from slope 1e-8 (spectral radius at most {largest:.4f}) to the flip at slope {flip:.15g}",
+        result.verdict if largest < 1 else verdict(False),
+        result.value,
+        result.low,
+        result.high,
     )
 
 
@@ -59,10 +59,11 @@ def long_stable() -> ClaimResult:
     "D3", "the short step is never stable", "section 3", "figure11/linear", "gaitsweep solve --walker D --slope 0.009"
 )
 def short_unstable() -> ClaimResult:
+    """Evaluate the multipliers of the short step over a grid of slopes."""
     radius = line("D").grid(1e-8, 0.2, 97)["spectral_radius"][:, SHORT]
     least = float(radius.min())
     return ClaimResult(
-        f"largest multiplier from {least:.4f} to {radius.max():.4f} over slopes 1e-8 to 0.2", verdict(least > 1), least
+        f"spectral radius {least:.4f}-{radius.max():.4f} over slopes 1e-8 to 0.2", verdict(least > 1), least
     )
 
 
@@ -74,37 +75,34 @@ def short_unstable() -> ClaimResult:
     "gaitsweep solve --walker D --slope 1e-6 --json",
 )
 def heelstrike_direction() -> ClaimResult:
+    """Evaluate the swing foot's direction at heelstrike and the asymmetry of the motion under time reversal."""
     slopes = [1e-3, 1e-5, 1e-7]
     ratios = {w: foot_ratio(line(w).walker, line(w).at(slopes)) for w in ("D", "A", "B", "E", "F")}
     power = {w: np.diff(np.log(r[1:, :2]), axis=0)[0] / np.log(slopes[2] / slopes[1]) for w, r in ratios.items()}
-    uneven = [_asymmetry(s) for s in slopes]
+    asymmetry = [_asymmetry(s) for s in slopes]
     falls = all(p[LONG] > 0.3 for p in power.values())
     rises = all(abs(power[w][SHORT] + 1) < 0.02 for w in "ABEF")
-    even = uneven[2][0] < 1e-3 and uneven[2][1] > 0.1
+    symmetric = asymmetry[2][0] < 1e-3 and asymmetry[2][1] > 0.1
     shorts = numbers({w: power[w][SHORT] for w in power}, 3)
     return ClaimResult(
-        f"long: x'/y' of D {ratios['D'][0, LONG]:.2g}, {ratios['D'][1, LONG]:.2g}, {ratios['D'][2, LONG]:.2g} at "
-        f"slopes 1e-3, 1e-5, 1e-7; motion off its time reversal by {uneven[0][0]:.1g}, {uneven[1][0]:.1g}, "
-        f"{uneven[2][0]:.1g} of the step (short: {uneven[2][1]:.2g}); short: x'/y' ~ slope^p with p = {shorts}",
-        verdict(falls and rises and even),
+        f"long step of D at slopes 1e-3, 1e-5, 1e-7: x'/y' {ratios['D'][0, LONG]:.2g}, {ratios['D'][1, LONG]:.2g}, "
+        f"{ratios['D'][2, LONG]:.2g}; deviation from time-reversal symmetry, over the stance angle, "
+        f"{asymmetry[0][0]:.1g}, {asymmetry[1][0]:.1g}, {asymmetry[2][0]:.1g} (short step: {asymmetry[2][1]:.2g}); "
+        f"short steps: x'/y' ~ slope^p with p = {shorts}",
+        verdict(falls and rises and symmetric),
         float(power["E"][SHORT]),
     )
 
 
 def _asymmetry(slope: float) -> tuple[float, float]:
     """Largest distance of both gaits of D from their time reversal (t, angles) -> (T - t, -angles), over the angle."""
-    found = trace({**line("D").params, "slope": np.array([slope]), "gaits": ("long", "short")}, [line("D").arrays])
-    out = []
-    for gait in ("long", "short"):
-        mine = found["trace/gait"] == gait
-        out.append(
-            max(
-                float(np.abs(found[f"trace/{k}"][mine] + found[f"trace/{k}"][mine][::-1]).max())
-                for k in ("theta_st", "theta_th")
-            )
-            / float(found["trace/theta_st"][mine][0])
-        )
-    return out[0], out[1]
+    motion = trace({**line("D").params, "slope": np.array([slope]), "gaits": ("long", "short")}, [line("D").arrays])
+
+    def distance(gait: str) -> float:
+        angles = [motion[f"trace/{k}"][motion["trace/gait"] == gait] for k in ("theta_st", "theta_th")]
+        return max(float(np.abs(a + a[::-1]).max()) for a in angles) / float(angles[0][0])
+
+    return distance("long"), distance("short")
 
 
 @claim(
@@ -115,17 +113,18 @@ def _asymmetry(slope: float) -> tuple[float, float]:
     "gaitsweep run data/studies/paper/figure11.toml",
 )
 def cube_roots() -> ClaimResult:
-    found = line("D").at([1e-9])
+    """Compute exponents and periods at vanishing slopes."""
+    gaits = line("D").at([1e-9])
     names = ("long", "short")
     angle = {n: line("D").exponent(g, 1e-8) for g, n in enumerate(names)}
     speed = {n: line("D").exponent(g, 1e-8, "speed") for g, n in enumerate(names)}
-    period = {n: float(found["period"][0, g]) for g, n in enumerate(names)}
-    off = max(abs(p - 1 / 3) for p in (*angle.values(), *speed.values()))
+    period = {n: float(gaits["period"][0, g]) for g, n in enumerate(names)}
+    deviation = max(abs(p - 1 / 3) for p in (*angle.values(), *speed.values()))
     drift = max(abs(period[n] - limit) for n, limit in zip(names, PERIODS, strict=True))
     return ClaimResult(
-        f"exponents of the angle: {numbers(angle, 6)}, of the speed: {numbers(speed, 6)} at 1e-8; "
-        f"periods at 1e-9: {numbers(period, 10)}",
-        verdict(off < 1e-4 and drift < 1e-4),
+        f"exponents at slope 1e-8 of the angle: {numbers(angle, 6)}, of the speed: {numbers(speed, 6)}; "
+        f"periods at slope 1e-9: {numbers(period, 10)}",
+        verdict(deviation < 1e-4 and drift < 1e-4),
         angle["long"],
     )
 
@@ -138,16 +137,17 @@ def cube_roots() -> ClaimResult:
     "gaitsweep run data/studies/paper/figure11.toml",
 )
 def fourth_power() -> ClaimResult:
+    """Compute exponents and factors of power in speed at vanishing slopes."""
     d = line("D")
     exponents = [d.exponent(g, 1e-8, "power", "speed") for g in (LONG, SHORT)]
-    found, unit = d.at([1e-9]), d.walker.total_mass * d.walker.g
-    factors = [float(found["power"][0, g] / found["speed"][0, g] ** 4) / unit for g in (LONG, SHORT)]
-    limits = [power_factor(p) for p in PERIODS]
-    off = max(abs(a / b - 1) for a, b in zip(factors, limits, strict=True))
+    gaits, weight = d.at([1e-9]), d.walker.total_mass * d.walker.g
+    factors = [float(gaits["power"][0, g] / gaits["speed"][0, g] ** 4) / weight for g in (LONG, SHORT)]
+    limits = [_power_factor(p) for p in PERIODS]
+    deviation = max(abs(a / b - 1) for a, b in zip(factors, limits, strict=True))
     return ClaimResult(
         f"exponents {exponents[0]:.6f} long, {exponents[1]:.6f} short; P/v^4 = {factors[0]:.6f} and "
         f"{factors[1]:.6f} (closed form {limits[0]:.6f} and {limits[1]:.6f})",
-        verdict(max(abs(p - 4) for p in exponents) < 1e-3 and off < 1e-4),
+        verdict(max(abs(p - 4) for p in exponents) < 1e-3 and deviation < 1e-4),
         exponents[0],
     )
 
@@ -160,10 +160,11 @@ def fourth_power() -> ClaimResult:
     "gaitsweep solve --walker D --slope 0.01 --json",
 )
 def short_faster() -> ClaimResult:
+    """Compare the speeds of both gaits over a grid of slopes."""
     speed = line("D").grid(1e-8, 0.2, 97)["speed"]
     ratio = speed[:, SHORT] / speed[:, LONG]
     return ClaimResult(
-        f"v short / v long from {ratio.min():.4f} to {ratio.max():.4f} over slopes 1e-8 to 0.2",
+        f"ratio of speeds, short step to long step, {ratio.min():.4f}-{ratio.max():.4f} over slopes 1e-8 to 0.2",
         verdict(bool((ratio > 1).all())),
         float(ratio.min()),
     )
@@ -171,20 +172,21 @@ def short_faster() -> ClaimResult:
 
 @claim(
     "D10",
-    "at heelstrike the swing leg still goes forward on the short step and has turned back on the long one",
+    "at heelstrike the swing leg still swings forward on the short step and has turned back on the long one",
     "section 3",
     "figure3/angles",
     "gaitsweep solve --walker D --slope 0.009 --json",
 )
 def swing_at_heelstrike() -> ClaimResult:
+    """Evaluate the rate of the swing leg just before heelstrike."""
     # Swing leg rate over the stance leg's, both from the ground normal: u - 1, positive is forward.
     rate = line("D").grid(1e-8, 0.2, 97)["heelstrike_rate_ratio"] - 1
     long, short = rate[:, LONG], rate[:, SHORT]
     at = line("D").at([0.009])["heelstrike_rate_ratio"][0] - 1
     return ClaimResult(
-        f"swing rate over stance rate just before heelstrike, forward positive: short {at[SHORT]:.4f}, long "
-        f"{at[LONG]:.4f} at 0.009; over slopes 1e-8 to 0.2 short {short.min():.2g} (it tends to rest as the "
-        f"slope vanishes) to {short.max():.3f}, long {long.min():.3f} to {long.max():.3f}",
+        f"ratio of swing rate to stance rate just before heelstrike (forward positive) at slope 0.009: short "
+        f"{at[SHORT]:.4f}, long {at[LONG]:.4f}; over slopes 1e-8 to 0.2: short from {short.min():.2g} (it tends to "
+        f"zero as the slope vanishes) to {short.max():.3f}, long from {long.min():.3f} to {long.max():.3f}",
         verdict(bool((long <= 0).all() and (short > 0).all())),
         float(at[SHORT]),
     )

@@ -1,4 +1,4 @@
-"""Walkers: `walker` is one, checked; `catalogue` has the paper's; `resolve` makes one of a name or a table and keys.
+"""Walkers: `walker` defines and checks one, `catalogue` holds the paper's, `resolve` makes one of a name or a table.
 
-`tuning` has the static conditions of section 5.1, `describe` what is shown of a walker.
+`tuning` has the static conditions of section 5.1 of the paper, `describe` what is shown of a walker.
 """

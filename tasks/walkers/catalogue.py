@@ -1,9 +1,11 @@
+"""The paper's walkers (figures 3 and 9), by name."""
+
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 
-from tasks.walkers.walker import NUMBERS, Walker
+from tasks.walkers.walker import Walker
 
 _PHYSICAL = Walker(
     l_t=0.35,
@@ -28,14 +30,15 @@ _POINT = Walker(
 )
 
 
-def _exactly_tuned(walker: Walker) -> Walker:
-    """Offsets that meet section 5.1 exactly; the printed ones are rounded to a millimetre."""
+def tune_exactly(walker: Walker) -> Walker:
+    """Give a kneed walker the offsets w_t and w_s that meet section 5.1 exactly; those printed are rounded to 1 mm."""
     w_s = walker.c_s * math.tan(walker.eps_S)
     w_t = -math.tan(walker.eps_T) * (walker.c_t + walker.m_s * walker.l_t / walker.m_t)
     return replace(walker, w_t=w_t, w_s=w_s)
 
 
-_C = _exactly_tuned(_C_PRINTED)
+_C = tune_exactly(_C_PRINTED)
+#: Walkers by name. A, C and the physical walker are in SI units, the others have g = 1.
 CATALOGUE: dict[str, Walker] = {
     "A": replace(_C, knees=False),
     "B": replace(_POINT, m_t=0.4, m_s=0.1, R=0.2),
@@ -48,20 +51,16 @@ CATALOGUE: dict[str, Walker] = {
     "A-printed": replace(_C_PRINTED, knees=False),
     "C-printed": _C_PRINTED,
 }
+#: Each walker in words.
 DESCRIPTIONS = {
     "A": "straight-legged, round feet, exactly tuned",
-    "B": "straight-legged, round feet, the feet's mass at their bottom",
+    "B": "straight-legged, round feet, foot mass at the contact point",
     "C": "kneed, round feet, exactly tuned",
     "D": "the simplest walker: point feet of vanishing mass",
-    "E": "point feet, each a tenth of the mass",
-    "F": "point feet, each a twentieth of the mass",
-    "physical": "the kneed machine of figure 3",
-    "physical-straight": "the machine of figure 3, knees locked",
+    "E": "point feet, each a tenth of the total mass",
+    "F": "point feet, each a twentieth of the total mass",
+    "physical": "the kneed physical walker of figure 3",
+    "physical-straight": "the physical walker of figure 3, knees locked",
     "A-printed": "A with the offsets as printed",
     "C-printed": "C with the offsets as printed",
 }
-
-
-def number_keys() -> tuple[str, ...]:
-    """Keys that hold a number and may be swept."""
-    return NUMBERS

@@ -1,4 +1,4 @@
-"""What `gaitsweep walkers` shows."""
+"""Description of walkers, for `gaitsweep walkers`."""
 
 from __future__ import annotations
 
@@ -6,31 +6,36 @@ from collections.abc import Mapping
 from typing import Any
 
 from tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
-from tasks.walkers.resolve import from_table, named
+from tasks.walkers.resolve import from_catalogue, from_table
+from tasks.walkers.tuning import statics
 from tasks.walkers.walker import Walker
 
 
 def describe(params: Mapping[str, Any]) -> dict[str, Any]:
-    """The catalogue, or one walker: parameters, drawing and statics.
+    """Describe the catalogue, or one walker.
 
     Parameters
     ----------
     params : mapping
         `name` (str or None) or `walker` (a table).
 
+    Returns
+    -------
+    dict
+        `walkers`, a list of dicts: name, description, parameters and geometry (in the walker's units), drawing, and
+        statics (residuals of the static conditions).
+
     Raises
     ------
     WalkerError
         If there is no such walker.
     """
-    from tasks.walkers.tuning import statics
-
     if params.get("walker") is not None:
-        found = {"custom": from_table(params["walker"])}
+        walkers = {"custom": from_table(params["walker"])}
     elif params.get("name"):
-        found = {params["name"]: named(params["name"])}
+        walkers = {params["name"]: from_catalogue(params["name"])}
     else:
-        found = CATALOGUE
+        walkers = CATALOGUE
     return {
         "walkers": [
             {
@@ -41,13 +46,13 @@ def describe(params: Mapping[str, Any]) -> dict[str, Any]:
                 "drawing": drawing(w),
                 "statics": statics(w),
             }
-            for name, w in found.items()
+            for name, w in walkers.items()
         ]
     }
 
 
 def drawing(walker: Walker) -> str:
-    """A few lines of text: the walker's hip, knees and feet, to no scale."""
+    """Sketch the walker's hip, knees and feet in a few lines of text, not to scale."""
     foot = "(_)" if walker.R > 0 else " * "
     rows = ["        o        hip"]
     if walker.knees:

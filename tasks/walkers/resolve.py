@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from typing import Any
 
+from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.walker import KEYS, NUMBERS, Walker, WalkerError
 
 #: Keys of a line that set several of a walker's.
-DERIVED = ("foot_mass_ratio", "detuning")
+_DERIVED = ("foot_mass_ratio", "detuning")
+#: The walker that `detuning` = 1 gives, for each tuned walker (paper, section 5.2 and figure 8).
+_PARTNERS = {"A": "physical-straight", "C": "physical"}
 
 
-def from_table(table: Mapping[str, Any], catalogue: Mapping[str, Walker] | None = None) -> Walker:
+def from_table(table: Mapping[str, Any]) -> Walker:
     """Read a `[walker]` table: every key, or `base` and the keys that differ.
 
     Raises
@@ -21,82 +24,81 @@ def from_table(table: Mapping[str, Any], catalogue: Mapping[str, Walker] | None 
     WalkerError
         If a key is unknown or missing, or the walker cannot be.
     """
-    table = dict(table)
-    base = table.pop("base", None)
-    for key in table:
-        if key not in KEYS:
-            near = difflib.get_close_matches(key, KEYS, 1)
-            raise WalkerError(
-                key, table[key], "is not a walker key" + (f" (did you mean `{near[0]}`?)" if near else "")
-            )
+    values = dict(table)
+    base = values.pop("base", None)
+    _check_names(values, KEYS, KEYS)
     if base is not None:
-        return replace(named(base, catalogue), **table)
-    missing = [f.name for f in fields(Walker) if f.default is f.default_factory and f.name not in table]
+        return replace(from_catalogue(base), **values)
+    missing = [f.name for f in fields(Walker) if f.default is f.default_factory and f.name not in values]
     if missing:
-        raise WalkerError(missing[0], ", ".join(table) or "no key", "is missing from the walker")
-    return Walker(**table)
+        raise WalkerError(missing[0], ", ".join(values) or "no key", "is missing from the walker")
+    return Walker(**values)
 
 
-def named(name: object, catalogue: Mapping[str, Walker] | None = None) -> Walker:
-    """The catalogue's walker of that name.
+def from_catalogue(name: object) -> Walker:
+    """Look up a walker of the catalogue.
 
     Raises
     ------
     WalkerError
-        If there is none.
+        If no walker has that name.
     """
-    if catalogue is None:
-        from tasks.walkers.catalogue import CATALOGUE as catalogue
-    if not isinstance(name, str) or name not in catalogue:
-        near = difflib.get_close_matches(str(name), catalogue, 1)
+    if not isinstance(name, str) or name not in CATALOGUE:
+        near = difflib.get_close_matches(str(name), CATALOGUE, 1)
         raise WalkerError("walker", name, "is not a known walker" + (f" (did you mean {near[0]}?)" if near else ""))
-    return catalogue[name]
+    return CATALOGUE[name]
+
+
+def _check_names(values: Mapping[str, Any], known: Iterable[str], suggested: Iterable[str]) -> None:
+    """Raise WalkerError at the first key that is not known."""
+    for key in values:
+        if key not in known:
+            near = difflib.get_close_matches(key, list(suggested), 1)
+            raise WalkerError(
+                key, values[key], "is not a walker key" + (f" (did you mean `{near[0]}`?)" if near else "")
+            )
 
 
 def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | bool] | None = None) -> Walker:
-    """A walker from its name or table and a line's axis values, incl. `foot_mass_ratio` and `detuning`, or `knees`.
+    """Make a walker of its name or table and a line's axis values.
+
+    Parameters
+    ----------
+    walker : str or mapping
+        Name in the catalogue, or a `[walker]` table.
+    overrides : mapping, optional
+        Values of walker keys, `knees`, `foot_mass_ratio` and `detuning`, in the walker's units.
 
     Raises
     ------
     WalkerError
         If the walker, a key or a value cannot be.
     """
-    overrides = dict(overrides or {})
-    found = named(walker) if isinstance(walker, str) else from_table(walker)
-    derived = {key: float(overrides.pop(key)) for key in DERIVED if overrides.get(key) is not None}
-    own = dict(walker) if isinstance(walker, Mapping) and "base" in walker else {}
+    changes: dict[str, Any] = dict(overrides or {})
+    result = from_catalogue(walker) if isinstance(walker, str) else from_table(walker)
+    derived = {key: float(changes.pop(key)) for key in _DERIVED if changes.get(key) is not None}
+    table = dict(walker) if isinstance(walker, Mapping) and "base" in walker else {}
     for owner, value in derived.items():
-        if owner == "detuning":
-            pass
-
-            found = detuned(walker, value)
-        else:
-            found = with_foot_mass_ratio(found, value)
+        result = detuned(walker, value) if owner == "detuning" else _with_foot_mass_ratio(result, value)
         keys = owned(owner, walker)
-        for key in (k for k in (*own, *overrides) if k in keys):
+        for key in (k for k in (*table, *changes) if k in keys):
             raise WalkerError(
-                key, overrides.get(key, own.get(key)), f"is set by `{owner}`, which owns {', '.join(keys)}"
+                key, changes.get(key, table.get(key)), f"is set by `{owner}`, which owns {', '.join(keys)}"
             )
-    for key in overrides:
-        if key not in NUMBERS and not (key == "knees" and isinstance(overrides[key], bool)):
-            near = difflib.get_close_matches(key, [*NUMBERS, "foot_mass_ratio", "detuning", "slope"], 1)
-            raise WalkerError(
-                key, overrides[key], "is not a walker key" + (f" (did you mean `{near[0]}`?)" if near else "")
-            )
-    return replace(found, **overrides) if overrides else found
+    numbers = {k: v for k, v in changes.items() if not (k == "knees" and isinstance(v, bool))}
+    _check_names(numbers, NUMBERS, [*NUMBERS, *_DERIVED, "slope"])
+    return replace(result, **changes) if changes else result
 
 
 def owned(derived: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
     """Keys that a derived key sets: the masses, or those in which the tuned walker and the physical one differ."""
     if derived == "foot_mass_ratio":
         return tuple(key for key, kind in KEYS.items() if kind == "mass")
-    pass
-
-    tuned, physical = ends(walker)
+    tuned, physical = _detuning_ends(walker)
     return tuple(key for key in NUMBERS if getattr(tuned, key) != getattr(physical, key))
 
 
-def with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
+def _with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
     """A point-foot walker with each foot `ratio` of the total mass; the hip carries the rest (section 4.1)."""
     if not walker.point_foot:
         raise WalkerError("foot_mass_ratio", ratio, "needs a point-foot walker (D, E or F)")
@@ -107,14 +109,28 @@ def with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
 
 
 def check(params: Mapping[str, Any]) -> dict[str, Any]:
-    """What a study needs to know of a walker before anything runs; raises WalkerError where it cannot be.
+    """What a study needs to know of a walker before anything runs.
 
-    `table` is the walker as it is before `set`, and `varied` says which key of `set` moves each of its own.
+    Parameters
+    ----------
+    params : mapping
+        `walker` (name or table) and `set` (values of keys, in the walker's units).
+
+    Returns
+    -------
+    dict
+        `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker before `set`), and `varied` (for each
+        of the walker's keys that `set` moves, the key of `set` that does).
+
+    Raises
+    ------
+    WalkerError
+        If the walker, a key or a value cannot be.
     """
-    given = params.get("set") or {}
-    walker = resolve(params["walker"], given)
+    overrides = params.get("set") or {}
+    walker = resolve(params["walker"], overrides)
     varied = {
-        key: owner for owner in given for key in (owned(owner, params["walker"]) if owner in DERIVED else [owner])
+        key: owner for owner in overrides for key in (owned(owner, params["walker"]) if owner in _DERIVED else [owner])
     }
     return {
         "si": walker.si,
@@ -125,20 +141,34 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-#: What `detuning` = 1 means for each tuned walker (paper, section 5.2 and figure 8).
-PARTNERS = {"A": "physical-straight", "C": "physical"}
-
-
-def ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
-    """The tuned walker of the catalogue and its physical partner, between which `detuning` mixes."""
+def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
+    """The tuned walker of the catalogue and its physical partner, between which `detuning` interpolates."""
     name = walker if isinstance(walker, str) else str(walker.get("base"))
-    return named(name), named(PARTNERS[name])
+    return from_catalogue(name), from_catalogue(_PARTNERS[name])
 
 
 def detuned(walker: str | Mapping[str, Any], amount: float) -> Walker:
-    """Mix what differs linearly from the tuned walker (0) to the physical one (1); beyond is allowed."""
-    if (walker if isinstance(walker, str) else walker.get("base")) not in PARTNERS:
+    """Interpolate linearly between the tuned walker and the physical one.
+
+    Parameters
+    ----------
+    walker : str or mapping
+        Walker A or C, or a table with one of them as its `base`.
+    amount : float
+        0 is the tuned walker, 1 the physical one; values beyond extrapolate.
+
+    Raises
+    ------
+    WalkerError
+        If the walker is neither A nor C.
+
+    Notes
+    -----
+    Paper, section 5.2 and figure 8.
+    """
+    if (walker if isinstance(walker, str) else walker.get("base")) not in _PARTNERS:
         raise WalkerError("detuning", amount, "needs walker A or C")
-    tuned, physical = ends(walker)
-    mixed = {k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in owned("detuning", walker)}
-    return replace(tuned if isinstance(walker, str) else from_table(walker), **mixed if amount else {})
+    tuned, physical = _detuning_ends(walker)
+    keys = owned("detuning", walker) if amount else ()
+    mixed: dict[str, Any] = {k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in keys}
+    return replace(tuned if isinstance(walker, str) else from_table(walker), **mixed)

@@ -7,7 +7,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-#: Kind of quantity of every walker key.
+#: The kind of quantity that each walker key holds.
 KEYS = {
     "l_t": "length",
     "w_t": "length",
@@ -26,8 +26,10 @@ KEYS = {
     "knees": "flag",
     "units": "text",
 }
+#: Keys that hold a number.
 NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
-#: Sizes a number may have beside 0, and a length over the leg: squares and quotients of them stay doubles.
+#: Bounds on the size of a number other than 0, and on a length over the leg: squares and quotients of them do not
+#: overflow.
 MIN_SIZE, MAX_SIZE, MAX_LEGS = 1e-50, 1e50, 1e4
 
 
@@ -39,13 +41,41 @@ class WalkerError(ValueError):
         self.key, self.value, self.bound = key, value, bound
 
 
+def _check_number(key: str, value: object) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise WalkerError(key, repr(value), "must be a number")
+    if value != value or (abs(value) == math.inf and key != "m_t"):
+        raise WalkerError(key, value, "must be finite")
+    if value and not MIN_SIZE <= abs(value) <= MAX_SIZE and abs(value) != math.inf:
+        # A whole number may be too long to be shown.
+        shown = value if isinstance(value, float) else f"a number of {value.bit_length()} bits"
+        raise WalkerError(key, shown, f"must be 0 or of a size from {MIN_SIZE:g} to {MAX_SIZE:g}")
+
+
 @dataclass(frozen=True)
 class Walker:
     """Parameters of a walker with two equal legs (paper, figure 1).
 
-    Lengths, masses and `g` are in any consistent units (`units = "1"`) or SI. `r_t` and `r_s` are radii of
-    gyration about each link's own centre of mass, `l_s` runs from the knee to the bottom of the foot, `w_t`
-    and `w_s` are backward offsets of the centres of mass, `m_h` is a point mass at the hip.
+    Parameters
+    ----------
+    l_t, l_s : float [length]
+        Thigh, and shank from the knee to the bottom of the foot.
+    w_t, w_s, c_t, c_s : float [length]
+        Centres of mass: backward offset, and distance below hip or knee.
+    m_t, m_s, m_h : float [mass]
+        Thigh, shank, and a point mass at the hip.
+    r_t, r_s : float [length]
+        Radii of gyration about each link's own centre of mass.
+    R : float [length]
+        Radius of the foot.
+    eps_T : float [rad]
+        Angle between the thigh and the line from hip to foot centre at full extension.
+    g : float [length/time^2]
+        Acceleration of gravity.
+    knees : bool
+        Whether the swing leg's knee is free.
+    units : str
+        "SI", or "1" for any consistent units.
 
     Raises
     ------
@@ -72,56 +102,49 @@ class Walker:
 
     def __post_init__(self) -> None:
         for key in NUMBERS:
-            value = getattr(self, key)
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise WalkerError(key, repr(value), "must be a number")
-            if value != value or (abs(value) == math.inf and key != "m_t"):
-                raise WalkerError(key, value, "must be finite")
-            if value and not MIN_SIZE <= abs(value) <= MAX_SIZE and abs(value) != math.inf:
-                # A whole number may be too long to be shown.
-                shown = value if isinstance(value, float) else f"a number of {value.bit_length()} bits"
-                raise WalkerError(key, shown, f"must be 0 or of a size from {MIN_SIZE:g} to {MAX_SIZE:g}")
+            _check_number(key, getattr(self, key))
         if self.units not in ("1", "SI"):
             raise WalkerError("units", repr(self.units), 'must be "SI" or "1"')
         if not isinstance(self.knees, bool):
             raise WalkerError("knees", repr(self.knees), "must be true or false")
-        for key in ("l_t", "l_s", "g"):
-            if getattr(self, key) <= 0:
-                raise WalkerError(key, getattr(self, key), "must be > 0")
-        for key in ("m_t", "m_s", "m_h", "r_t", "r_s", "R"):
-            if getattr(self, key) < 0:
-                raise WalkerError(key, getattr(self, key), "must be >= 0")
+        self._refuse("must be > 0", {key: getattr(self, key) <= 0 for key in ("l_t", "l_s", "g")})
+        self._refuse("must be >= 0", {k: getattr(self, k) < 0 for k in ("m_t", "m_s", "m_h", "r_t", "r_s", "R")})
         if math.isinf(self.m_t):
             # The paper's spelling of walker D: an infinitely heavy hip, so the foot's mass vanishes beside it.
-            if self.c_t or self.w_t or self.r_t:
-                raise WalkerError("m_t", self.m_t, "may be infinite only as a point at the hip (c_t = w_t = r_t = 0)")
+            hip_offset = bool(self.c_t or self.w_t or self.r_t)
+            self._refuse("may be infinite only as a point at the hip (c_t = w_t = r_t = 0)", {"m_t": hip_offset})
             object.__setattr__(self, "m_t", 0.5)
             object.__setattr__(self, "m_s", 0.0)
-        if not abs(self.eps_T) < math.pi / 2:
-            raise WalkerError("eps_T", self.eps_T, "must lie in (-pi/2, pi/2) rad")
-        if self.total_mass <= 0:
-            raise WalkerError("m_t", self.m_t, "must leave the walker some mass (m_t, m_s or m_h > 0)")
+        self._check_geometry()
+        self._check_inertia()
+
+    def _refuse(self, bound: str, broken: dict[str, bool]) -> None:
+        """Raise WalkerError at the first key that breaks a bound."""
+        for key in (k for k, is_broken in broken.items() if is_broken):
+            raise WalkerError(key, getattr(self, key), bound)
+
+    def _check_geometry(self) -> None:
+        self._refuse("must lie in (-pi/2, pi/2) rad", {"eps_T": abs(self.eps_T) >= math.pi / 2})
+        self._refuse("must leave the walker some mass (m_t, m_s or m_h > 0)", {"m_t": self.total_mass <= 0})
         d, sine = self.l_s - self.R, self.l_t * math.sin(self.eps_T)
-        if abs(sine) > abs(d) or (d == 0 and self.knees):
-            raise WalkerError(
-                "eps_T", self.eps_T, f"must satisfy |l_t sin eps_T| <= |l_s - R| = {abs(d):g} or the leg cannot close"
-            )
-        if self.l <= 0:
-            raise WalkerError("R", self.R, "must leave the hip above the foot's centre")
-        for key in (k for k, kind in KEYS.items() if kind == "length"):
-            if abs(getattr(self, key)) > MAX_LEGS * self.leg:
-                raise WalkerError(key, getattr(self, key), f"must be at most {MAX_LEGS:g} legs l + R = {self.leg:g}")
-        if self.knees and self.m_s == 0:
-            raise WalkerError("m_s", self.m_s, "must be > 0 with a free knee")
-        if self.knees and self.shank_inertia == 0:
-            raise WalkerError("r_s", self.r_s, "must leave the shank some inertia about its knee")
-        if not self.knees and self.massless_leg and not self.point_foot:
-            raise WalkerError("m_s", self.m_s, "may vanish only for a point foot: the swing leg has no inertia")
-        if not self.massless_leg and self.leg_inertia < 1e-100 * self.total_mass * self.leg**2:
-            raise WalkerError("m_s", self.m_s, "must leave the leg some inertia about the hip")
+        bound = f"must satisfy |l_t sin eps_T| <= |l_s - R| = {abs(d):g} or the leg cannot close"
+        self._refuse(bound, {"eps_T": abs(sine) > abs(d) or (d == 0 and self.knees)})
+        self._refuse("must leave the hip above the foot's centre", {"R": self.l <= 0})
+        lengths = [key for key, kind in KEYS.items() if kind == "length"]
+        bound = f"must be at most {MAX_LEGS:g} legs l + R = {self.leg:g}"
+        self._refuse(bound, {key: abs(getattr(self, key)) > MAX_LEGS * self.leg for key in lengths})
+
+    def _check_inertia(self) -> None:
+        no_swing = not self.knees and self.massless_leg and not self.point_foot
+        too_light = not self.massless_leg and self.leg_inertia < 1e-100 * self.total_mass * self.leg**2
+        self._refuse("must be > 0 with a free knee", {"m_s": self.knees and self.m_s == 0})
+        self._refuse("must leave the shank some inertia about its knee", {"r_s": self.knees and not self.shank_inertia})
+        self._refuse("may vanish only for a point foot: the swing leg has no inertia", {"m_s": no_swing})
+        self._refuse("must leave the leg some inertia about the hip", {"m_s": too_light})
 
     @property
     def total_mass(self) -> float:
+        """Mass of both legs and the hip."""
         return 2 * (self.m_t + self.m_s) + self.m_h
 
     @property
@@ -132,7 +155,7 @@ class Walker:
 
     @property
     def l(self) -> float:
-        """Distance from hip to foot centre."""
+        """Length from hip to foot centre, with the knee extended."""
         return self.l_t * math.cos(self.eps_T) + (self.l_s - self.R) * math.cos(self.eps_S)
 
     @property
@@ -142,47 +165,48 @@ class Walker:
 
     @property
     def knee(self) -> complex:
-        """Knee from the hip in the frame of the extended leg: x forward, y up."""
+        """Position of the knee from the hip, in the frame of the extended leg: x forward, y up."""
         return complex(-self.l_t * math.sin(self.eps_T), -self.l_t * math.cos(self.eps_T))
 
     @property
     def thigh_centre(self) -> complex:
-        """Thigh's centre of mass from the hip, in the frame of the extended leg."""
+        """Position of the thigh's centre of mass from the hip, in the frame of the extended leg."""
         return cmath.exp(-1j * self.eps_T) * complex(-self.w_t, -self.c_t)
 
     @property
     def shank_centre(self) -> complex:
-        """Shank's centre of mass from the knee, in the frame of the extended leg."""
+        """Position of the shank's centre of mass from the knee, in the frame of the extended leg."""
         return cmath.exp(1j * self.eps_S) * complex(-self.w_s, -self.c_s)
 
     @property
     def shank_inertia(self) -> float:
-        """Inertia of the shank about its knee."""
+        """Moment of inertia of the shank about its knee."""
         return self.m_s * (self.r_s**2 + abs(self.shank_centre) ** 2)
 
     @property
     def leg_inertia(self) -> float:
-        """Inertia of the extended leg about the hip."""
+        """Moment of inertia of the extended leg about the hip."""
         thigh = self.m_t * (self.r_t**2 + abs(self.thigh_centre) ** 2)
         return thigh + self.m_s * (self.r_s**2 + abs(self.knee + self.shank_centre) ** 2)
 
     @property
     def massless_leg(self) -> bool:
-        """True where the swing leg has no inertia about the hip: the limit of a vanishing foot mass."""
+        """Whether the swing leg has no inertia about the hip: the limit of vanishing foot mass."""
         thigh = self.m_t * (self.r_t**2 + abs(self.thigh_centre) ** 2)
         return self.m_s == 0 and thigh == 0
 
     @property
     def point_foot(self) -> bool:
-        """True where the leg's mass is one point at a foot of no radius (the stride map is then 2-D)."""
+        """Whether the leg's mass is one point at a foot of zero radius (the step map is then two-dimensional)."""
         hip_thigh = self.m_t == 0 or not (self.c_t or self.w_t or self.r_t)
         foot = self.c_s == self.l_s and not (self.w_s or self.r_s)
         return hip_thigh and foot and not (self.R or self.eps_T or self.knees)
 
     @property
     def si(self) -> bool:
+        """Whether the parameters are in SI units."""
         return self.units == "SI"
 
     def table(self) -> dict[str, Any]:
-        """Plain table of every key, as written in TOML."""
+        """All keys and values, as written in TOML."""
         return asdict(self)

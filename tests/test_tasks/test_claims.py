@@ -206,11 +206,6 @@ def test_the_table_of_claims_is_whole():
     assert sorted(set(table["rounding/landmark"])) == sorted(table["rounding/landmark"][most])
 
 
-@pytest.fixture
-def no_tables(monkeypatch):
-    monkeypatch.setattr(lines, "_TABLES", {})
-
-
 def read(name, walker, **tables):
     """A claim as a study wants it whose own task gave these tables."""
     lines = [{"walker": walker, "set": {}}]
@@ -218,10 +213,9 @@ def read(name, walker, **tables):
     return {k.removeprefix("claims/"): v[0] for k, v in found.items() if k.startswith("claims/")}
 
 
-def test_the_count_of_gaits_is_read_from_the_study(no_tables, monkeypatch):
+def test_the_count_of_gaits_is_read_from_the_study(monkeypatch):
     monkeypatch.setattr(kneed_chaos, "WALKERS", ("E",))
     for most, said in ((2, "reproduced"), (3, "not reproduced")):
-        monkeypatch.setattr(lines, "_TABLES", {})
         found = read(
             "G1",
             "E",
@@ -262,12 +256,34 @@ def cascade_of_d(end=0.01904, fold=0.0122808):
         ("D9", {"fold": 0.0126}, "not reproduced"),
     ],
 )
-def test_doublings_are_read_from_the_study(no_tables, name, changed, verdict):
+def test_doublings_are_read_from_the_study(name, changed, verdict):
     assert read(name, "D", **cascade_of_d(**changed))["verdict"] == verdict
 
 
+def test_a_second_study_in_one_process_gets_the_row_of_a_fresh_one():
+    first = read("D9", "D", **cascade_of_d())
+    read("D9", "D", **cascade_of_d(fold=0.0126))
+    again = read("D9", "D", **cascade_of_d())
+    assert {k: v.tobytes() for k, v in again.items()} == {k: v.tobytes() for k, v in first.items()}
+
+
+def test_tables_that_no_study_gave_are_made_once_and_are_not_those_of_the_study_before():
+    made = []
+
+    def make():
+        made.append(1)
+        return {"toy/x": np.arange(3)}
+
+    lines.set_tables([("D", {"toy/x": np.zeros(1)}), ("D", {"toy/x": np.ones(1)})])
+    assert lines.table("toy", "D", make)["x"].tolist() == [0, 1]
+    for _ in range(2):
+        lines.set_tables([])
+        assert lines.table("toy", "D", make)["x"].tolist() == [0, 1, 2]
+    assert len(made) == 1
+
+
 @pytest.mark.parametrize(("far", "verdict"), [(0.74, "reproduced"), (0.70, "not reproduced")])
-def test_branches_touch_where_folds_are_on_one_side_only(no_tables, far, verdict):
+def test_branches_touch_where_folds_are_on_one_side_only(far, verdict):
     found = read(
         "T6",
         "C",
