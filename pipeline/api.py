@@ -43,10 +43,10 @@ def load(archive: str | Path, table: str | None = None) -> Any:
         If the file is not an archive of gaitsweep, or has no such table.
     """
     path = Path(archive)
-    with read.opened(path) as file:
+    with read.open_archive(path) as file:
         tables = list(read.tables(file))
     if table is None:
-        return _decoded(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
+        return _decode(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
     if table not in tables:
         raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
     columns = xr.load_dataset(path, group=table, engine="netcdf4")
@@ -55,24 +55,24 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     return frame
 
 
-def _decoded(grid: xr.Dataset) -> xr.Dataset:
+def _decode(grid: xr.Dataset) -> xr.Dataset:
     """A grid with words for its flags and complex multipliers."""
-    words = {}
+    texts = {}
     if "status" in grid:
         names = dict(zip(grid.status.flag_values.tolist(), grid.status.flag_meanings.split(), strict=True))
-        words["status"] = np.vectorize(names.get, otypes=[object])(grid.status.values)
-        words["reason"] = grid.reason_text.values[grid.reason.values]
+        texts["status"] = np.vectorize(names.get, otypes=[object])(grid.status.values)
+        texts["reason"] = grid.reason_text.values[grid.reason.values]
     grid = grid.assign(
-        {name: (grid[name].dims, text, {"long_name": grid[name].long_name}) for name, text in words.items()}
+        {name: (grid[name].dims, text, {"long_name": grid[name].long_name}) for name, text in texts.items()}
     ).drop_vars("reason_text", errors="ignore")
     if "violations" in grid:
         bits = grid.violations
-        kind = xr.DataArray(bits.flag_meanings.split(), dims="violation", name="violation")
-        masks = xr.DataArray(bits.flag_masks, coords={"violation": kind}, dims="violation")
+        violation = xr.DataArray(bits.flag_meanings.split(), dims="violation", name="violation")
+        masks = xr.DataArray(bits.flag_masks, coords={"violation": violation}, dims="violation")
         grid = grid.assign(violations=((bits & masks) != 0).assign_attrs(long_name=bits.long_name))
     if "multiplier_real" in grid and "multiplier_imag" in grid:
-        both = grid.multiplier_real + 1j * grid.multiplier_imag
-        grid = grid.assign(multipliers=both.assign_attrs(long_name="eigenvalues of the stride map", units="1"))
+        multipliers = grid.multiplier_real + 1j * grid.multiplier_imag
+        grid = grid.assign(multipliers=multipliers.assign_attrs(long_name="eigenvalues of the stride map", units="1"))
     return grid
 
 
@@ -113,15 +113,15 @@ def run(
     GaitsweepError
         If the run cannot begin or go on; what was finished is kept.
     """
-    found = _study(wanted)
-    path = Path(archive) if archive else Path("data", "archive", f"{found.name}.nc")
-    runner.run(found, path, runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))
+    study = _study(wanted)
+    path = Path(archive) if archive else Path("data", "archive", f"{study.name}.nc")
+    runner.run(study, path, runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))
     return load(path)
 
 
 def _study(wanted: str | Path | Mapping[str, Any]) -> model.Study:
     if isinstance(wanted, Mapping):
-        wanted = "".join(f"{key} = {_toml(value, key)}\n" for key, value in wanted.items())
+        wanted = "".join(f"{key} = {_to_toml(value, key)}\n" for key, value in wanted.items())
     elif isinstance(wanted, Path) or "=" not in wanted:
         return parse.read(wanted)
     try:
@@ -131,14 +131,14 @@ def _study(wanted: str | Path | Mapping[str, Any]) -> model.Study:
     return parse.parse(table, wanted, Path("study"))
 
 
-def _toml(value: Any, key: str) -> str:
+def _to_toml(value: Any, key: str) -> str:
     """A value as TOML; mappings become inline tables."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_toml(str(k), key)} = {_toml(v, key)}" for k, v in value.items()) + " }"
+        return "{ " + ", ".join(f"{_to_toml(str(k), key)} = {_to_toml(v, key)}" for k, v in value.items()) + " }"
     if isinstance(value, list | tuple | range):
-        return "[" + ", ".join(_toml(v, key) for v in value) + "]"
+        return "[" + ", ".join(_to_toml(v, key) for v in value) + "]"
     if isinstance(value, str | Path):
         return json.dumps(str(value))
     if isinstance(value, float) and not math.isfinite(value):
@@ -173,16 +173,16 @@ def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = Fa
     StudyError
         If there is no such walker, key or slope.
     """
-    one = dict(walker) if isinstance(walker, Mapping) else str(walker)
-    found = single_point.solve(one, float(slope), {key: float(value) for key, value in keys.items()}, every)
+    definition = dict(walker) if isinstance(walker, Mapping) else str(walker)
+    answer = single_point.solve(definition, float(slope), {key: float(value) for key, value in keys.items()}, every)
     rows = [
         {
             **{name: math.nan if value is None else value for name, value in gait.items()},
             "multipliers": tuple(complex(*pair) for pair in gait["multipliers"]),
             "violations": tuple(gait["violations"] or ()),
         }
-        for gait in found["gaits"]
+        for gait in answer["gaits"]
     ]
     frame = pd.DataFrame(rows)
-    frame.attrs["search"] = found["search"]
+    frame.attrs["search"] = answer["search"]
     return frame

@@ -16,15 +16,15 @@ def sidecar_path(path: Path, what: str) -> Path:
 SECRET = secrets.token_hex(16)
 
 
-def of(place: Path, secret: str = SECRET) -> Path:
+def of(file: Path, secret: str = SECRET) -> Path:
     """The draft of the file at `place`."""
-    return place.with_name(f".{place.name}.{secret}")
+    return file.with_name(f".{file.name}.{secret}")
 
 
-def discard(place: Path, secret: object = SECRET) -> None:
+def discard(file: Path, secret: object = SECRET) -> None:
     """Remove the draft of the file at `place`, if there is one, and what SQLite keeps beside it."""
     if isinstance(secret, str) and re.fullmatch("[0-9a-f]{32}", secret):  # a lock may be damaged
         for suffix in ("", "-wal", "-shm"):
-            draft = of(place, secret)
+            draft = of(file, secret)
             with contextlib.suppress(OSError):
                 draft.with_name(draft.name + suffix).unlink()

@@ -46,11 +46,11 @@ def load(data: bytes) -> Any:
     """
     try:
         (size,) = struct.unpack_from("<I", data)
-        place = 4 + size
-        place += -place % _ALIGN
+        offset = 4 + size
+        offset += -offset % _ALIGN
 
-        def array(x: dict[str, Any]) -> Any:
-            nonlocal place
+        def restore(x: dict[str, Any]) -> Any:
+            nonlocal offset
             if "" not in x:
                 return x
             text, shape = x[""]
@@ -58,10 +58,10 @@ def load(data: bytes) -> Any:
             if dtype.kind not in "fiubU" or not all(isinstance(n, int) and n >= 0 for n in shape):
                 raise ValueError("unknown array")
             count = math.prod(shape)
-            found = np.frombuffer(data, dtype, count, place) if count else np.empty(0, dtype)
-            place += found.nbytes + -found.nbytes % _ALIGN
-            return found.reshape(shape)
+            values = np.frombuffer(data, dtype, count, offset) if count else np.empty(0, dtype)
+            offset += values.nbytes + -values.nbytes % _ALIGN
+            return values.reshape(shape)
 
-        return json.loads(data[4 : 4 + size], object_hook=array)
+        return json.loads(data[4 : 4 + size], object_hook=restore)
     except (struct.error, KeyError, TypeError, RecursionError, UnicodeDecodeError) as error:
         raise ValueError(f"not packed data: {error}") from error

@@ -20,14 +20,14 @@ import numpy as np
 from pipeline.archive.layout import Box
 
 #: Every so manieth byte is looked at, a prime number so that no dimension hides.
-_STRIDE = 13
+_SAMPLING = 13
 #: How uneven bytes are worth deflating, and how many must repeat one so many places before: a gait's, a multiplier's.
-_UNEVEN, _REPEATED, _LAGS = 1.1, 0.02, (1, 2, 3, 4, 6, 8)
+_MIN_UNEVENNESS, _MIN_REPETITION, _LAGS = 1.1, 0.02, (1, 2, 3, 4, 6, 8)
 _READ_WRITE = 1  # H5F_ACC_RDWR
 _ID = ctypes.c_int64  # hid_t
 
 
-def cut(values: np.ndarray, box: Box, extent: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
+def split(values: np.ndarray, box: Box, extent: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
     """Chunks of a box that starts on a chunk's corner: where each starts in the variable, and its values, contiguous.
 
     Dimensions after the box's are whole. A chunk that sticks out of the variable is filled up with zeros.
@@ -36,48 +36,48 @@ def cut(values: np.ndarray, box: Box, extent: tuple[int, ...]) -> Iterator[tuple
     for corner in itertools.product(*(range(0, n, c) for n, c in zip(values.shape, extent, strict=True))):
         part = values[tuple(slice(i, i + c) for i, c in zip(corner, extent, strict=True))]
         if part.shape != extent:
-            whole = np.zeros(extent, values.dtype)
-            whole[tuple(map(slice, part.shape))] = part
-            part = whole
+            padded = np.zeros(extent, values.dtype)
+            padded[tuple(map(slice, part.shape))] = part
+            part = padded
         yield tuple(map(sum, zip(start, corner, strict=True))), np.ascontiguousarray(part)  # type: ignore[arg-type]
 
 
-def packed(values: np.ndarray) -> bytes:
+def pack(values: np.ndarray) -> bytes:
     """What the filters fletcher32, shuffle and deflate, in this order, make of a chunk."""
     data, size = values.reshape(-1).view(np.uint8), values.itemsize
     data = np.concatenate([data, np.frombuffer(struct.pack("<I", fletcher32(data)), np.uint8)])
     n = len(data) // size
     planes = np.ascontiguousarray(data[: n * size].reshape(n, size).T)
-    check, stream = 1, [b"\x78\x01"]  # RFC 1950
-    worthy = _worth(planes) if values.dtype.kind == "f" else [True] * size
-    for worth, run in itertools.groupby(zip(worthy, planes, strict=True), key=lambda pair: pair[0]):
-        deflate = zlib.compressobj(int(worth), zlib.DEFLATED, -15)
+    checksum, stream = 1, [b"\x78\x01"]  # RFC 1950
+    compressible_planes = _compressible_planes(planes) if values.dtype.kind == "f" else [True] * size
+    for compressible, run in itertools.groupby(zip(compressible_planes, planes, strict=True), key=lambda pair: pair[0]):
+        deflate = zlib.compressobj(int(compressible), zlib.DEFLATED, -15)
         for _, plane in run:
-            check = zlib.adler32(plane, check)
+            checksum = zlib.adler32(plane, checksum)
             stream.append(deflate.compress(plane))
         stream.append(deflate.flush(zlib.Z_SYNC_FLUSH))
     rest = data[n * size :].tobytes()
     last = zlib.compressobj(0, zlib.DEFLATED, -15)
-    return b"".join([*stream, last.compress(rest), last.flush(), struct.pack(">I", zlib.adler32(rest, check))])
+    return b"".join([*stream, last.compress(rest), last.flush(), struct.pack(">I", zlib.adler32(rest, checksum))])
 
 
-def _worth(planes: np.ndarray) -> list[bool]:
+def _compressible_planes(planes: np.ndarray) -> list[bool]:
     """Which rows of bytes, by a sample, are less even than chance, or repeat what stands a few places before."""
     size, last = planes.shape[0], max(1, planes.shape[1] - _LAGS[-1])
-    sample = planes[:, :last:_STRIDE]
+    sample = planes[:, :last:_SAMPLING]
     n = sample.shape[1]
-    often = np.bincount((sample + 256 * np.arange(size)[:, None]).ravel(), minlength=256 * size).reshape(size, 256)
-    worth = np.sum(often**2, axis=1) > _UNEVEN * (n + n * (n - 1) / 256)
+    histogram = np.bincount((sample + 256 * np.arange(size)[:, None]).ravel(), minlength=256 * size).reshape(size, 256)
+    compressible = np.sum(histogram**2, axis=1) > _MIN_UNEVENNESS * (n + n * (n - 1) / 256)
     for lag in _LAGS if planes.shape[1] > _LAGS[-1] else ():
-        worth |= np.mean(sample == planes[:, lag : last + lag : _STRIDE], axis=1) > _REPEATED
-    return worth.tolist()
+        compressible |= np.mean(sample == planes[:, lag : last + lag : _SAMPLING], axis=1) > _MIN_REPETITION
+    return compressible.tolist()
 
 
 def fletcher32(data: np.ndarray) -> int:
     """HDF5's checksum of bytes; to an odd number of them belongs a zero."""
     words = np.append(data, np.zeros(len(data) % 2, np.uint8)).view(">u2").astype(np.int64)
-    one, two = int(words.sum()), int(words @ np.arange(len(words), 0, -1))
-    return (two % 65535 or 65535 * (two > 0)) << 16 | (one % 65535 or 65535 * (one > 0))
+    low, high = int(words.sum()), int(words @ np.arange(len(words), 0, -1))
+    return (high % 65535 or 65535 * (high > 0)) << 16 | (low % 65535 or 65535 * (low > 0))
 
 
 class Chunks:
@@ -98,22 +98,22 @@ class Chunks:
     def _call(self, name: str, *arguments: Any) -> int:
         function = getattr(self._hdf5, name)
         function.restype = _ID if "open" in name else ctypes.c_int
-        found = function(*arguments)
-        if found < 0:
+        result = function(*arguments)
+        if result < 0:
             raise OSError(f"HDF5 fails in {name}")
-        return found
+        return result
 
     def write(self, name: str, corner: tuple[int, ...], data: bytes) -> None:
         """Write a packed chunk of the variable of that name."""
         if name not in self._variables:
             self._variables[name] = self._call("H5Dopen2", _ID(self._file), name.encode(), _ID(0))
-        place = (ctypes.c_uint64 * len(corner))(*corner)
+        offset = (ctypes.c_uint64 * len(corner))(*corner)
         self._call(
             "H5Dwrite_chunk",
             _ID(self._variables[name]),
             _ID(0),
             ctypes.c_uint32(0),
-            place,
+            offset,
             ctypes.c_size_t(len(data)),
             data,
         )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.archive.read import columns, opened
+from pipeline.archive.read import columns, open_archive
 from pipeline.errors import ArchiveError
 from pipeline.statuses import ALL_STATUSES
 
@@ -44,9 +44,9 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
     ArchiveError
         If `own` names what neither archive holds.
     """
-    within = Tolerance(rtol, own or {})
-    with opened(a) as left, opened(b) as right:
-        found = [
+    tolerance = Tolerance(rtol, own or {})
+    with open_archive(a) as left, open_archive(b) as right:
+        differences = [
             f"the {what} differs: {getattr(left, what, None)} and {getattr(right, what, None)}"
             for what in ("kind",)
             if getattr(left, what, None) != getattr(right, what, None)
@@ -56,24 +56,24 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
             if name == "reason_index":
                 continue
             if name not in left.dimensions or name not in right.dimensions:
-                found.append(f"the dimension `{name}` is only in {a if name in left.dimensions else b}")
+                differences.append(f"the dimension `{name}` is only in {a if name in left.dimensions else b}")
                 continue
             places[name], sentences = _aligned(name, left, right, a, b)
-            found += sentences
+            differences += sentences
         for name in sorted(set(left.variables) | set(right.variables)):
             if name in left.dimensions or name in right.dimensions or name == "reason_text":
                 continue
             if name not in left.variables or name not in right.variables:
-                found.append(f"`{name}` is only in {a if name in left.variables else b}")
+                differences.append(f"`{name}` is only in {a if name in left.variables else b}")
             elif set(left.variables[name].dimensions) <= set(places):
-                found += _compare(name, left, right, places, within)
+                differences += _compare(name, left, right, places, tolerance)
         shared = {name: np.ma.getdata(left.variables[name][...])[pair[0]] for name, pair in places.items()}
-        found += _compare_groups(left, right, within, shared, a, b)
-        known = {name for file in (left, right) for name in (*file.variables, *columns(file))}
-        for name in within.own:
-            if name not in known:
+        differences += _compare_groups(left, right, tolerance, shared, a, b)
+        names = {name for file in (left, right) for name in (*file.variables, *columns(file))}
+        for name in tolerance.own:
+            if name not in names:
                 raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
-        return found
+        return differences
 
 
 def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[Pair, list[str]]:
@@ -84,14 +84,14 @@ def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[Pair, 
     _, i, j = np.intersect1d(x, y, return_indices=True)
     order = np.argsort(i)
     sentences = [
-        f"{len(one) - len(i):,} of {len(one):,} values of `{name}` are only in {where}"
-        for one, where in ((x, a), (y, b))
-        if len(one) > len(i)
+        f"{len(values) - len(i):,} of {len(values):,} values of `{name}` are only in {archive}"
+        for values, archive in ((x, a), (y, b))
+        if len(values) > len(i)
     ]
     return (i[order], j[order]), sentences
 
 
-def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], within: Tolerance) -> list[str]:
+def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], tolerance: Tolerance) -> list[str]:
     dims = left.variables[name].dimensions
     if right.variables[name].dimensions != dims:
         return [f"`{name}` has other dimensions"]
@@ -111,7 +111,7 @@ def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], within: 
     if name in ("multiplier_real", "multiplier_imag") and {"multiplier_real", "multiplier_imag"} <= set(left.variables):
         real, imag = (np.ma.getdata(left.variables[f"multiplier_{part}"][...]) for part in ("real", "imag"))
         scale = np.hypot(real, imag)[np.ix_(*(places[d][0] for d in dims))]
-    return _different(name, x, y, within, scale)
+    return _compare_values(name, x, y, tolerance, scale)
 
 
 def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
@@ -123,19 +123,19 @@ def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
     ]
 
 
-def _different(
-    name: str, x: np.ndarray, y: np.ndarray, within: Tolerance, scale: np.ndarray | None = None
+def _compare_values(
+    name: str, x: np.ndarray, y: np.ndarray, tolerance: Tolerance, scale: np.ndarray | None = None
 ) -> list[str]:
     if x.shape != y.shape:
         return [f"`{name}` has {x.size:,} values and {y.size:,}"]
     if x.dtype.kind != "f" or y.dtype.kind != "f":
         unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
         return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
-    rtol = within.of(name)
+    rtol = tolerance.of(name)
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.maximum(np.abs(x), np.abs(y)) if scale is None else scale
         if rtol is None:
-            rtol, size = within.rtol, np.ones(x.shape)
+            rtol, size = tolerance.rtol, np.ones(x.shape)
         gap = np.abs(x - y)
         unequal = ~((gap <= rtol * size) | (x == y) | (np.isnan(x) & np.isnan(y)))
         worst = np.max(np.where(unequal & np.isfinite(gap) & (size > 0), gap / size, 0.0), initial=0.0)
@@ -145,25 +145,28 @@ def _different(
 
 
 def _compare_groups(
-    left: Any, right: Any, within: Tolerance, shared: dict[str, np.ndarray], a: Path, b: Path, path: str = ""
+    left: Any, right: Any, tolerance: Tolerance, shared: dict[str, np.ndarray], a: Path, b: Path, path: str = ""
 ) -> list[str]:
     """How the tables differ on the lines both archives have; `shared` holds the coordinates of those."""
-    found = []
+    differences = []
     for name in sorted(set(left.groups) | set(right.groups)):
-        place = f"{path}/{name}"
+        group_path = f"{path}/{name}"
         if name not in left.groups or name not in right.groups:
-            found.append(f"the group {place} is only in {a if name in left.groups else b}")
+            differences.append(f"the group {group_path} is only in {a if name in left.groups else b}")
             continue
-        one, two = left.groups[name], right.groups[name]
-        rows = [_rows_of(group, shared) for group in (one, two)]
-        for column in sorted(set(one.variables) | set(two.variables)):
-            if column not in one.variables or column not in two.variables:
-                found.append(f"`{place}/{column}` is only in {a if column in one.variables else b}")
+        left_group, right_group = left.groups[name], right.groups[name]
+        rows = [_rows_of(group, shared) for group in (left_group, right_group)]
+        for column in sorted(set(left_group.variables) | set(right_group.variables)):
+            if column not in left_group.variables or column not in right_group.variables:
+                differences.append(f"`{group_path}/{column}` is only in {a if column in left_group.variables else b}")
             else:
-                x, y = (np.ma.getdata(g.variables[column][...])[kept] for g, kept in zip((one, two), rows, strict=True))
-                found += _different(f"{place}/{column}".lstrip("/"), x, y, within)
-        found += _compare_groups(one, two, within, shared, a, b, place)
-    return found
+                x, y = (
+                    np.ma.getdata(g.variables[column][...])[indices]
+                    for g, indices in zip((left_group, right_group), rows, strict=True)
+                )
+                differences += _compare_values(f"{group_path}/{column}".lstrip("/"), x, y, tolerance)
+        differences += _compare_groups(left_group, right_group, tolerance, shared, a, b, group_path)
+    return differences
 
 
 def _rows_of(group: Any, shared: dict[str, np.ndarray]) -> np.ndarray:

@@ -17,7 +17,7 @@ CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box that
 Box = tuple[slice, ...]
 
 
-def si(study: Study) -> bool:
+def is_si(study: Study) -> bool:
     """Whether every walker of a study is in SI units."""
     return all(check["si"] for check in study.checks)
 
@@ -26,10 +26,10 @@ def axis_units(study: Study, name: str) -> str:
     """CF units of an axis."""
     kind = {"slope": "angle", "foot_mass_ratio": "number", "detuning": "number"}.get(name)
     kind = kind or resolve("tasks.walkers.walker:KEYS")[name]
-    return SI_UNITS[kind] if kind == "angle" or si(study) else "1"
+    return SI_UNITS[kind] if kind == "angle" or is_si(study) else "1"
 
 
-def cut(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
+def chunk_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
     """Extent of a box of at most so many points: along the slope first, then the last axes."""
     extent: dict[str, int] = {}
     for name in sorted(sizes, key=lambda d: (d == "slope", list(sizes).index(d)), reverse=True):
@@ -37,20 +37,20 @@ def cut(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
     return tuple(extent[d] for d in sizes)
 
 
-def boxes(sizes: Mapping[str, int]) -> Iterator[Box]:
+def regions(sizes: Mapping[str, int]) -> Iterator[Box]:
     """Boxes of at most `REGION` points, whole chunks all, that cover the grid."""
-    chunk = dict(zip(sizes, cut(sizes, CHUNK), strict=True))
-    many = cut({d: -(-sizes[d] // c) for d, c in chunk.items()}, REGION // math.prod(chunk.values()))
-    extent = tuple(c * n for c, n in zip(chunk.values(), many, strict=True))
+    chunk = dict(zip(sizes, chunk_shape(sizes, CHUNK), strict=True))
+    chunks = chunk_shape({d: -(-sizes[d] // c) for d, c in chunk.items()}, REGION // math.prod(chunk.values()))
+    extent = tuple(c * n for c, n in zip(chunk.values(), chunks, strict=True))
     for corner in itertools.product(*(range(0, n, c) for n, c in zip(sizes.values(), extent, strict=True))):
         yield tuple(slice(i, min(i + c, n)) for i, c, n in zip(corner, extent, sizes.values(), strict=True))
 
 
 def checksum(values: np.ndarray, box: Box = ()) -> int:
     """Checksum of a variable in a box; a variable's is the sum of its boxes', modulo 2^32."""
-    place = ",".join(str(s.start) for s in box)
+    corner = ",".join(str(s.start) for s in box)
     data = "\0".join(values.ravel()).encode() if values.dtype.kind == "O" else np.ascontiguousarray(values).tobytes()
-    return zlib.crc32(data, zlib.crc32(place.encode()))
+    return zlib.crc32(data, zlib.crc32(corner.encode()))
 
 
 class Grid:
@@ -66,9 +66,9 @@ class Grid:
         """Every line that crosses a box: its place in the box without the slope, and its number."""
         spans = dict(zip(self.sizes, box, strict=True))
         shape = self.study.line_shape if self.study.walker_axis else self.study.line_shape[1:]
-        for place in itertools.product(*(range(spans[d].start, spans[d].stop) for d in self.lines)):
-            number = int(np.ravel_multi_index(place, shape)) if place else 0
-            yield tuple(i - spans[d].start for i, d in zip(place, self.lines, strict=True)), number
+        for index in itertools.product(*(range(spans[d].start, spans[d].stop) for d in self.lines)):
+            number = int(np.ravel_multi_index(index, shape)) if index else 0
+            yield tuple(i - spans[d].start for i, d in zip(index, self.lines, strict=True)), number
 
     def slopes(self, box: Box) -> np.ndarray:
         """Slopes of a box."""

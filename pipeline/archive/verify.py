@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.archive import layout
-from pipeline.archive.read import columns, opened
+from pipeline.archive.read import columns, open_archive
 from pipeline.statuses import ALL_STATUSES
 from tasks.registry import ALWAYS, GAITS, VARIABLES
 
@@ -30,7 +30,7 @@ _ATTRIBUTES = (
 
 def verify(path: Path) -> list[str]:
     """What is wrong with an archive, one sentence each; empty if it is whole, complete and of this schema."""
-    with opened(path) as file:
+    with open_archive(path) as file:
         return [*_heads(file), *_states(file), *_values(file), *_groups(file)]
 
 
@@ -77,30 +77,30 @@ def _values(file: Any) -> Iterator[str]:
     """Read every value, so that every checksum is checked; a number stands only where something converged."""
     sums = json.loads(getattr(file, "checksums", "{}"))
     tabled = list(columns(file))
-    held = {*file.variables, *tabled}
-    yield from (f"`{name}` is missing." for name in sums if name not in held)
+    present = {*file.variables, *tabled}
+    yield from (f"`{name}` is missing." for name in sums if name not in present)
     for name in tabled:
         if layout.checksum(np.ma.getdata(file[name][...])) % 2**32 != sums.get(name) and name in sums:
             yield f"`{name}` is not as it was written."
     for name, variable in file.variables.items():
-        about, sizes = VARIABLES.get(name), dict(zip(variable.dimensions, variable.shape, strict=True))
-        wrong = total = 0
+        description, sizes = VARIABLES.get(name), dict(zip(variable.dimensions, variable.shape, strict=True))
+        misplaced = total = 0
         large = "gait" in sizes and name != "gait"
-        places = layout.boxes({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
-        for box in places:
+        boxes = layout.regions({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
+        for box in boxes:
             values = np.ma.getdata(variable[box] if large else variable[...])
             total += layout.checksum(values, box)
-            if large and about and about.dtype == "f8":
+            if large and description and description.dtype == "f8":
                 other = np.asarray(file.variables["status"][box]) != ALL_STATUSES["converged"]
-                wrong += int(np.count_nonzero(~np.isnan(values[other])))
+                misplaced += int(np.count_nonzero(~np.isnan(values[other])))
         if total % 2**32 != sums.get(name):
             yield f"`{name}` is not as it was written."
-        if wrong:
-            yield f"`{name}` has {wrong:,} values where nothing converged."
+        if misplaced:
+            yield f"`{name}` has {misplaced:,} values where nothing converged."
 
 
-def _groups(place: Any, path: str = "") -> Iterator[str]:
-    for name, group in place.groups.items():
+def _groups(parent: Any, path: str = "") -> Iterator[str]:
+    for name, group in parent.groups.items():
         for column, variable in group.variables.items():
             if "units" not in variable.ncattrs() or "long_name" not in variable.ncattrs():
                 yield f"`{path}/{name}/{column}` has no units or long_name."

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 from pipeline.errors import ArchiveError, GaitsweepError, StudyError, unwritten
 
 #: Exit codes of several studies: the first of these that one of them ends with is that of all.
-_GRAVEST = (143, 130, 129, 4, 3, 2, 5, 1, 0)
+_EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -32,7 +32,7 @@ class _Version(argparse.Action):
         sys.exit(0)
 
 
-def _natural(text: str) -> int:
+def _positive_integer(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 10**9:
         raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; got {text}")
     return int(text)
@@ -66,20 +66,24 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action=_Version, nargs=0, help="show the version")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
-    def add(function: Callable[[argparse.Namespace], int], about: str) -> argparse.ArgumentParser:
-        command = commands.add_parser(function.__name__.strip("_"), help=about, description=about, allow_abbrev=False)
+    def add(function: Callable[[argparse.Namespace], int], summary: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(
+            function.__name__.strip("_"), help=summary, description=summary, allow_abbrev=False
+        )
         command.set_defaults(function=function)
         command.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
         return command
 
     c = add(_run, "run studies; the same command again resumes")
     c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
-    c.add_argument("--jobs", type=_natural, default=2, metavar="N", help="worker processes (default 2)")
+    c.add_argument("--jobs", type=_positive_integer, default=2, metavar="N", help="worker processes (default 2)")
     c.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT, or local:N")
     c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
     c.add_argument("--fresh", action="store_true", help="forget what earlier runs found")
     c.add_argument("--retry-failed", action="store_true", help="try again what failed")
-    c.add_argument("--chunk", type=_natural, metavar="N", help="points in a chunk (default: about a second of work)")
+    c.add_argument(
+        "--chunk", type=_positive_integer, metavar="N", help="points in a chunk (default: about a second of work)"
+    )
     c.add_argument(
         "--snapshot",
         type=_number,
@@ -145,15 +149,15 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; its exit code."""
-    given, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
-    with _told(codes, "--debug" in given):
-        options = parser().parse_args(given)
+    words, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
+    with _report_errors(codes, "--debug" in words):
+        options = parser().parse_args(words)
         codes.append(options.function(options))
     return codes[-1]
 
 
 @contextlib.contextmanager
-def _told(codes: list[int], debug: bool) -> Iterator[None]:
+def _report_errors(codes: list[int], debug: bool) -> Iterator[None]:
     """Tell an error in one line, and add its exit code to those there are."""
     try:
         yield
@@ -187,13 +191,13 @@ def _archives(options: argparse.Namespace, codes: list[int] | None = None) -> li
         raise StudyError("`--archive` names one file, but there are several studies.")
     studies = []
     for path in options.studies:
-        with contextlib.nullcontext() if codes is None else _told(codes, options.debug):
+        with contextlib.nullcontext() if codes is None else _report_errors(codes, options.debug):
             studies.append(parse.read(path))
-    found = [(s, options.archive or Path("data", "archive", f"{s.name}.nc")) for s in studies]
-    for i, (one, path) in enumerate(found):
-        if any(path == other for _, other in found[:i]):
-            raise StudyError(f"Two studies are called {one.name}.")
-    return found
+    targets = [(s, options.archive or Path("data", "archive", f"{s.name}.nc")) for s in studies]
+    for i, (study, path) in enumerate(targets):
+        if any(path == other for _, other in targets[:i]):
+            raise StudyError(f"Two studies are called {study.name}.")
+    return targets
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -202,7 +206,7 @@ def _run(options: argparse.Namespace) -> int:
     from pipeline.cli import text
     from pipeline.execution import runner
 
-    how = runner.Options(
+    run_options = runner.Options(
         options.jobs,
         options.cluster,
         options.fresh,
@@ -212,18 +216,18 @@ def _run(options: argparse.Namespace) -> int:
         options.verbose,
         options.snapshot,
     )
-    began, ended = time.monotonic(), {}
+    start, finished = time.monotonic(), {}
     for study, path in studies:
-        with _told(codes, options.debug):
-            codes.append(runner.run(study, path, how))
-            ended[study.path] = path
+        with _report_errors(codes, options.debug):
+            codes.append(runner.run(study, path, run_options))
+            finished[study.path] = path
         if codes[-1] > 128:  # a signal is meant for all of them
             break
     if not options.quiet:
-        others = [str(path) for path in options.studies if path not in ended]
-        for line in text.after(list(ended.values()), others, time.monotonic() - began):
+        others = [str(path) for path in options.studies if path not in finished]
+        for line in text.after(list(finished.values()), others, time.monotonic() - start):
             print(line, file=sys.stderr)
-    return min(codes, key=_GRAVEST.index)
+    return min(codes, key=_EXIT_CODES_BY_SEVERITY.index)
 
 
 def _plan(options: argparse.Namespace) -> int:
@@ -234,8 +238,8 @@ def _plan(options: argparse.Namespace) -> int:
 
     for study, path in _archives(options):
         journal = Journal(paths.sidecar_path(path, ".journal"), write=False)
-        found = missing.Plan(study, journal, options.retry_failed)
-        print("\n".join(text.plan(found, missing.summary(found), path)))
+        planned = missing.Plan(study, journal, options.retry_failed)
+        print("\n".join(text.plan(planned, missing.summary(planned), path)))
     return 0
 
 
@@ -261,7 +265,7 @@ def _report(options: argparse.Namespace) -> int:
 
     read.probe(options.archives)
     for path in options.archives:
-        with read.opened(path):
+        with read.open_archive(path):
             pass
     from pipeline.report import pages
 
@@ -281,15 +285,15 @@ def _report(options: argparse.Namespace) -> int:
 def _solve(options: argparse.Namespace) -> int:
     from pipeline.study.single_point import solve
 
-    found = solve(options.walker, options.slope, dict(options.set), options.all)
-    for line in found.get("search", []):
+    answer = solve(options.walker, options.slope, dict(options.set), options.all)
+    for line in answer.get("search", []):
         print(line, file=sys.stderr)
     if options.json:
-        print(json.dumps(found["gaits"]))
+        print(json.dumps(answer["gaits"]))
         return 0
     from pipeline.cli import text
 
-    print("\n".join(text.gaits(found["gaits"], found["units"])))
+    print("\n".join(text.gaits(answer["gaits"], answer["units"])))
     return 0
 
 
@@ -298,13 +302,13 @@ def _walkers(options: argparse.Namespace) -> int:
     from pipeline.study import files
 
     table = files.walker(options.name, Path()) if options.name else None
-    found = ask("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
+    walkers = ask("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(walkers))
         return 0
     from pipeline.cli import text
 
-    print("\n".join(text.walkers(found, whole=options.name is not None)))
+    print("\n".join(text.walkers(walkers, in_full=options.name is not None)))
     return 0
 
 
@@ -315,13 +319,13 @@ def _tune(options: argparse.Namespace) -> int:
     params: dict[str, Any] = {"walker": files.walker(options.walker, Path())}
     if options.free:
         params["free"] = options.free
-    found = ask("tune", params)
+    answer = ask("tune", params)
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(answer))
         return 0
     from pipeline.cli import text
 
-    print("\n".join(text.tuned(found)))
+    print("\n".join(text.tuned(answer)))
     return 0
 
 
@@ -330,13 +334,13 @@ def _verify(options: argparse.Namespace) -> int:
 
     try:
         read.probe([options.archive])
-        found = verify.verify(options.archive)
+        problems = verify.verify(options.archive)
     except ArchiveError as error:
         if not options.archive.is_file():
             raise
-        found = [str(error)]
-    print("\n".join(found) if found else f"{options.archive} is whole, complete and of this schema.")
-    return 1 if found else 0
+        problems = [str(error)]
+    print("\n".join(problems) if problems else f"{options.archive} is whole, complete and of this schema.")
+    return 1 if problems else 0
 
 
 def _diff(options: argparse.Namespace) -> int:
@@ -344,9 +348,9 @@ def _diff(options: argparse.Namespace) -> int:
 
     read.probe([options.a, options.b])
     own = dict(options.rtol)
-    found = diff.diff(options.a, options.b, own.pop("", 0.0), own)
-    print("\n".join(found) if found else "They agree.")
-    return 1 if found else 0
+    differences = diff.diff(options.a, options.b, own.pop("", 0.0), own)
+    print("\n".join(differences) if differences else "They agree.")
+    return 1 if differences else 0
 
 
 def _completion(options: argparse.Namespace) -> int:

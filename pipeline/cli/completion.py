@@ -40,12 +40,12 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
     assert isinstance(commands, dict)
     walkers = list(dispatch.resolve("tasks.walkers.catalogue:CATALOGUE"))
     keys = dispatch.resolve("tasks.walkers.walker:NUMBERS")
-    words = {name: [*_options(one), *_choices(one)] for name, one in commands.items()}
+    words = {name: [*_options(command), *_choices(command)] for name, command in commands.items()}
     words["walkers"] += walkers
     text = _BASH.format(
         commands="|".join(commands),
         top=" ".join([*commands, *_options(parser)]),
-        cases="\n".join(f'    {name}) words="{" ".join(mine)}";;' for name, mine in words.items()),
+        cases="\n".join(f'    {name}) words="{" ".join(names)}";;' for name, names in words.items()),
         walkers=" ".join(walkers),
         keys=" ".join(keys),
         settings=" ".join(f"{key}=" for key in (*keys, *EXTRA_AXES[1:], "knees")),

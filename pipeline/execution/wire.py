@@ -24,16 +24,16 @@ def receive(stream: BinaryIO) -> list[bytes]:
     EOFError
         If the other end is gone.
     """
-    (count,) = struct.unpack("<Q", _exactly(stream, 8))
-    sizes = struct.unpack(f"<{count}Q", _exactly(stream, 8 * count))
-    return [_exactly(stream, size) for size in sizes]
+    (count,) = struct.unpack("<Q", _read_exactly(stream, 8))
+    sizes = struct.unpack(f"<{count}Q", _read_exactly(stream, 8 * count))
+    return [_read_exactly(stream, size) for size in sizes]
 
 
-def _exactly(stream: BinaryIO, size: int) -> bytes:
-    data, got = memoryview(bytearray(size)), 0
-    while got < size:
-        n = stream.readinto(data[got:])  # type: ignore[attr-defined]
+def _read_exactly(stream: BinaryIO, size: int) -> bytes:
+    data, received = memoryview(bytearray(size)), 0
+    while received < size:
+        n = stream.readinto(data[received:])  # type: ignore[attr-defined]
         if not n:
             raise EOFError
-        got += n
+        received += n
     return bytes(data)

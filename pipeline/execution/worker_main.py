@@ -52,7 +52,7 @@ def serve(parent: int) -> None:
             continue
         if len(sys.modules) != modules:  # a library may have come with a pool of its own
             threads, modules = one_thread(), len(sys.modules)
-        _bound_memory(request["memory"])
+        _limit_memory(request["memory"])
         params, trees = request["params"], [serialize.load(i) for i in inputs]
         for key in ("want", "gaits"):
             if key in params:
@@ -60,11 +60,11 @@ def serve(parent: int) -> None:
         line = serialize.dump(params.get("line"))
         if request["points"] and line not in warm:
             # Loading compiled code is not charged to the first point.
-            _attempt(function, {**params, "slope": params["slope"][:0]}, trees)
+            _try(function, {**params, "slope": params["slope"][:0]}, trees)
             warm.add(line)
         send(answers, b"started", struct.pack("<QQ", _pages(1), threads))
         began = time.perf_counter()
-        outcome, result = _attempt(function, params, trees)
+        outcome, result = _try(function, params, trees)
         if outcome == b"ok":
             try:
                 parts = _rows(params, result) if request["points"] else [serialize.dump(result)]
@@ -75,11 +75,11 @@ def serve(parent: int) -> None:
         send(answers, outcome, struct.pack("<d", time.perf_counter() - began), *parts)
 
 
-def _bound_memory(growth: int) -> None:
+def _limit_memory(growth: int) -> None:
     """Let this process grow no further than that; the parent, who looks now and then, ends it well before."""
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    bound = _pages(5) + growth + _SLACK
-    resource.setrlimit(resource.RLIMIT_DATA, (bound if hard == resource.RLIM_INFINITY else min(bound, hard), hard))
+    limit = _pages(5) + growth + _SLACK
+    resource.setrlimit(resource.RLIMIT_DATA, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
 def _pages(field: int) -> int:
@@ -96,7 +96,7 @@ def one_thread() -> int:
     return max((pool["num_threads"] for pool in threadpoolctl.threadpool_info()), default=1)
 
 
-def _attempt(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[bytes, Any]:
+def _try(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[bytes, Any]:
     try:
         return b"ok", function(params, inputs)
     except MemoryError:
@@ -122,7 +122,7 @@ def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
     from pipeline import serialize
 
     n, status = len(params["slope"]), np.asarray(result["status"], np.int8)
-    live = status.shape[1]
+    n_gaits = status.shape[1]
     columns = {name: np.asarray(result[name]) for name in params["want"] if name not in ("status", "reason")}
     for name, a in columns.items():
         if a.shape[:2] != status.shape or len(status) != n:
@@ -134,15 +134,15 @@ def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
             for name, a in columns.items()
         )
 
-    while live and empty(live - 1):
-        live -= 1
+    while n_gaits and empty(n_gaits - 1):
+        n_gaits -= 1
     reasons = np.asarray(result["reasons"])
     states = {
         "status": status,
         "reason": np.asarray(result["reason"], np.int16),
         "reasons": reasons if reasons.size else np.zeros(0, "U1"),
     }
-    return [serialize.dump(states), serialize.dump({name: a[:, :live] for name, a in columns.items()})]
+    return [serialize.dump(states), serialize.dump({name: a[:, :n_gaits] for name, a in columns.items()})]
 
 
 if __name__ == "__main__":

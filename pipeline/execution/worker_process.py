@@ -27,12 +27,12 @@ from pipeline.errors import WorkerError
 from pipeline.execution import wire
 from tasks.registry import GAITS
 
-_LOOK, _LATE = 0.1, 0.5  # s between looks at a worker, and at most charged to it for one
-_START = 300.0  # s a worker may take to load its task
+_POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # s between looks at a worker, and at most charged to it for one
+_LOAD_TIMEOUT = 300.0  # s a worker may take to load its task
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
 _PIECES = 16  # a bad block is cut into as many
-_own = threading.local()
-_alive: set[WorkerProcess] = set()
+_local = threading.local()
+_workers: set[WorkerProcess] = set()
 _closing = threading.Event()
 
 
@@ -59,11 +59,11 @@ class WorkerProcess:
                 fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[arg-type]
         self.threads = 1
         self.lock = threading.Lock()  # held while it is asked something
-        _alive.add(self)
+        _workers.add(self)
 
     def close(self) -> int:
         """End the process; how it ended."""
-        _alive.discard(self)
+        _workers.discard(self)
         with contextlib.suppress(OSError):
             self.process.kill()
         for pipe in (self.process.stdin, self.process.stdout):
@@ -75,7 +75,7 @@ class WorkerProcess:
         """One request: how it ended ("ok" or a name of `worker.ENDINGS`), and its parts or a sentence."""
         try:
             wire.send(self.process.stdin, request, *inputs)  # type: ignore[arg-type]
-            kind, *parts = self._answer(_START)
+            kind, *parts = self._answer(_LOAD_TIMEOUT)
             if kind == b"broken":
                 raise WorkerError(f"A worker cannot load its task: {parts[0].decode()}.")
             resident, self.threads = struct.unpack("<QQ", parts[0])
@@ -103,15 +103,15 @@ class WorkerProcess:
             self.lock.release()
 
     def _answer(self, seconds: float, memory: int | None = None) -> list[bytes]:
-        stream, looked = self.process.stdout, time.monotonic()
+        stream, last_poll = self.process.stdout, time.monotonic()
         poll = select.poll()
         poll.register(stream, select.POLLIN)  # type: ignore[arg-type]
-        while not poll.poll(1000 * min(_LOOK, max(0.0, seconds))):
+        while not poll.poll(1000 * min(_POLL_INTERVAL, max(0.0, seconds))):
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.")
             # Who looks so late was stopped itself, as a scheduler may do, and the worker with it.
-            now = time.monotonic()
-            seconds, looked = seconds - min(_LATE, now - looked), now
+            clock = time.monotonic()
+            seconds, last_poll = seconds - min(_MAX_CHARGED, clock - last_poll), clock
             if seconds <= 0:
                 raise TimeoutError
             if memory is not None and self.resident() > memory:
@@ -130,8 +130,8 @@ class WorkerProcess:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(5)  # it is on its way: let its own end be seen, not our kill
         code = self.close()
-        how = f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
-        return f"The worker died {how}."
+        cause = f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+        return f"The worker died {cause}."
 
 
 def _size(memory: int) -> str:
@@ -144,37 +144,37 @@ def _size(memory: int) -> str:
 def stop() -> None:
     """Kill every worker process and end every wait for one; may be called from a signal handler."""
     _closing.set()
-    for cell in list(_alive):
+    for worker in list(_workers):
         with contextlib.suppress(OSError):
-            cell.process.kill()
+            worker.process.kill()
 
 
 def close_all() -> None:
     """End every worker process, and be ready for another run."""
     stop()
-    for cell in list(_alive):
-        cell.close()
+    for worker in list(_workers):
+        worker.close()
     _closing.clear()
 
 
 def members() -> list[dict[str, Any]]:
     """Host, process id, resident memory [byte] and threads of every worker process of this process."""
-    return [_member(c) for c in list(_alive)]
+    return [_member(c) for c in list(_workers)]
 
 
-def _member(cell: WorkerProcess) -> dict[str, Any]:
-    return {"host": platform.node(), "pid": cell.process.pid, "memory": cell.resident(), "threads": cell.threads}
+def _member(worker: WorkerProcess) -> dict[str, Any]:
+    return {"host": platform.node(), "pid": worker.process.pid, "memory": worker.resident(), "threads": worker.threads}
 
 
 def _ask(job: dict[str, Any], params: dict[str, Any]) -> tuple[str, Any]:
     request = serialize.dump({**{k: job[k] for k in ("function", "points", "memory")}, "params": params})
     while True:
-        cell = getattr(_own, "cell", None)
-        if cell is None or cell not in _alive:
-            cell = _own.cell = WorkerProcess()
-        with cell.lock:
-            if cell in _alive:  # it may have left meanwhile
-                return cell.ask(request, job["inputs"], job["seconds"], job["memory"])
+        worker = getattr(_local, "cell", None)
+        if worker is None or worker not in _workers:
+            worker = _local.cell = WorkerProcess()
+        with worker.lock:
+            if worker in _workers:  # it may have left meanwhile
+                return worker.ask(request, job["inputs"], job["seconds"], job["memory"])
 
 
 def run(job: dict[str, Any]) -> dict[str, Any]:
@@ -193,45 +193,45 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
         `seconds` taken and `rows` of a block, each (slopes, packed states, packed variables); of another job
         `outcome` and `data` (packed result) or `reason`. And `worker`, which process did it.
     """
-    began = time.perf_counter()
-    if timer := getattr(_own, "timer", None):
+    start = time.perf_counter()
+    if timer := getattr(_local, "timer", None):
         timer.cancel()
     if job["points"]:
-        done: dict[str, Any] = {"rows": _block(job, np.asarray(job["params"]["slope"]))}
+        answer: dict[str, Any] = {"rows": _run_block(job, np.asarray(job["params"]["slope"]))}
     else:
-        outcome, found = _ask(job, job["params"])
+        outcome, parts = _ask(job, job["params"])
         if outcome == "worker_died":  # someone else may have killed it: twice is no accident
-            outcome, found = _ask(job, job["params"])
-        done = (
-            {"outcome": outcome, "data": found[1], "reason": ""}
+            outcome, parts = _ask(job, job["params"])
+        answer = (
+            {"outcome": outcome, "data": parts[1], "reason": ""}
             if outcome == "ok"
-            else {"outcome": outcome, "data": b"", "reason": found}
+            else {"outcome": outcome, "data": b"", "reason": parts}
         )
-    cell = getattr(_own, "cell", None)
-    if cell:
-        done["worker"] = _member(cell)
-    if cell and job["idle"] is not None:
-        timer = _own.timer = threading.Timer(job["idle"], cell.leave)
+    worker = getattr(_local, "cell", None)
+    if worker:
+        answer["worker"] = _member(worker)
+    if worker and job["idle"] is not None:
+        timer = _local.timer = threading.Timer(job["idle"], worker.leave)
         timer.daemon = True
         timer.start()
-    return {**done, "seconds": time.perf_counter() - began, "pid": os.getpid()}
+    return {**answer, "seconds": time.perf_counter() - start, "pid": os.getpid()}
 
 
-def _block(job: dict[str, Any], slopes: np.ndarray) -> list[tuple[bytes, bytes, bytes]]:
-    outcome, found = _ask(job, {**job["params"], "slope": slopes})
+def _run_block(job: dict[str, Any], slopes: np.ndarray) -> list[tuple[bytes, bytes, bytes]]:
+    outcome, parts = _ask(job, {**job["params"], "slope": slopes})
     if outcome == "ok":
-        return [(slopes.tobytes(), found[1], found[2])]
+        return [(slopes.tobytes(), parts[1], parts[2])]
     if len(slopes) > 1:
         pieces = np.array_split(slopes, min(_PIECES, len(slopes)))
-        return [row for piece in pieces for row in _block(job, piece)]
+        return [row for piece in pieces for row in _run_block(job, piece)]
     if outcome == "worker_died":
-        outcome, found = _ask(job, {**job["params"], "slope": slopes})
+        outcome, parts = _ask(job, {**job["params"], "slope": slopes})
         if outcome == "ok":
-            return [(slopes.tobytes(), found[1], found[2])]
-    return [(slopes.tobytes(), serialize.dump(failed(1, outcome, found)), serialize.dump({}))]
+            return [(slopes.tobytes(), parts[1], parts[2])]
+    return [(slopes.tobytes(), serialize.dump(failed_states(1, outcome, parts)), serialize.dump({}))]
 
 
-def failed(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:
+def failed_states(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:
     """States of `n` points that all ended the same way for their worker."""
     return {
         "status": np.full((n, len(GAITS)), statuses.ENDINGS[outcome], np.int8),

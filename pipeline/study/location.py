@@ -19,8 +19,8 @@ class Location:
         return Location(self.file, *self.keys, *keys)
 
     def error(self, sentence: str) -> StudyError:
-        where = ", ".join(filter(None, (self.file, ".".join(self.keys) if self.file else "")))
-        return StudyError(f"{sentence.rstrip('.')} ({where})." if where else f"{sentence.rstrip('.')}.")
+        position = ", ".join(filter(None, (self.file, ".".join(self.keys) if self.file else "")))
+        return StudyError(f"{sentence.rstrip('.')} ({position})." if position else f"{sentence.rstrip('.')}.")
 
     def wrong(self, bound: str, value: object) -> StudyError:
         return self.error(f"`{self.keys[-1]}` {bound}; got {_show(value)}")
@@ -39,10 +39,10 @@ class Location:
         return float(value)
 
 
-def clip(text: str, most: int = 60) -> str:
+def clip(text: str, max_length: int = 60) -> str:
     """Text from elsewhere as an error may show it."""
     text = "".join(c if c.isprintable() else "?" for c in text)
-    return text if len(text) <= most else text[: most - 3] + "..."
+    return text if len(text) <= max_length else text[: max_length - 3] + "..."
 
 
 def _show(value: object) -> str:

@@ -11,7 +11,7 @@ from pipeline.study import files
 from pipeline.study.location import Location
 
 
-def solve(one: str | dict[str, Any], slope: float, keys: Mapping[str, float], every: bool) -> dict[str, Any]:
+def solve(definition: str | dict[str, Any], slope: float, keys: Mapping[str, float], every: bool) -> dict[str, Any]:
     """Gaits of a walker (a name, a file or a table) at one slope [rad]: `gaits`, and `search`, how they were sought.
 
     Raises
@@ -21,4 +21,4 @@ def solve(one: str | dict[str, Any], slope: float, keys: Mapping[str, float], ev
     """
     if not 0 < slope < 0.5:
         raise Location("", "slope").wrong("must lie in (0, 0.5) rad", slope)
-    return ask("solve", {"walker": files.walker(one, Path()), "slope": slope, "set": dict(keys), "all": every})
+    return ask("solve", {"walker": files.walker(definition, Path()), "slope": slope, "set": dict(keys), "all": every})

@@ -366,7 +366,7 @@ def test_a_full_disk_is_said_wherever_it_is_met(toy, monkeypatch, capsys):
 
     monkeypatch.chdir(toy.folder)
     toy("run", "toy.toml")
-    monkeypatch.setattr("pipeline.execution.runner.locked", full)
+    monkeypatch.setattr("pipeline.execution.runner.lock_archive", full)
     monkeypatch.setattr("pipeline.report.pages.write", full)
     for arguments in (["run", "toy.toml"], ["report", "data/archive/toy.nc"]):
         assert commands.main(arguments) == 4

@@ -11,7 +11,7 @@ import pytest
 from conftest import STUDY
 from pipeline import serialize
 from pipeline.execution.executors import Engine
-from pipeline.execution.scheduler import Loop
+from pipeline.execution.scheduler import Scheduler
 from pipeline.plan.missing import Plan
 from pipeline.store.journal import Journal
 from pipeline.study import parse
@@ -74,8 +74,8 @@ def test_what_is_left_is_told_to_a_quarter_after_a_fifth_of_the_work(tmp_path, n
     found = parse.read(tmp_path / "s.toml")
     engine, told = Simulated(cost), []
     journal = Journal(tmp_path / "j")
-    loop = Loop(Plan(found, journal), engine, lambda *_: told.append((engine.spent, loop.costs.left())), found.points)
-    loop.run()
+    scheduler = Scheduler(Plan(found, journal), engine, lambda *_: told.append((engine.spent, scheduler.costs.seconds_left())), found.points)
+    scheduler.run()
     journal.close()
     wrong = [
         abs(left / (engine.spent - spent) - 1)
