@@ -1,7 +1,7 @@
-"""Plain data and arrays as bytes and back: what crosses a pipe and what the journal keeps.
+"""Nested data and arrays as bytes, for pipes and the journal.
 
-No pickle: a header of JSON in which an array is `{"": [dtype, shape]}`, then the arrays' bytes. Reading bytes
-from elsewhere can raise ValueError and nothing worse.
+Not pickle: a header of JSON, in which an array is `{"": [dtype, shape]}`, then the bytes of the arrays. Untrusted bytes
+can raise only ValueError.
 """
 
 from __future__ import annotations
@@ -17,7 +17,13 @@ _ALIGN = 16
 
 
 def dump(tree: Any) -> bytes:
-    """Bytes of nested dicts, lists, strings, numbers and arrays. Equal trees give equal bytes."""
+    """Pack nested dicts, lists, strings, numbers and arrays. Equal trees give equal bytes.
+
+    Raises
+    ------
+    TypeError
+        If the tree contains an array of objects or another kind of value.
+    """
     arrays: list[np.ndarray] = []
 
     def plain(x: Any) -> Any:
@@ -37,12 +43,12 @@ def dump(tree: Any) -> bytes:
 
 
 def load(data: bytes) -> Any:
-    """The tree that `dump` made; arrays are read-only views of `data`.
+    """Unpack the result of `dump`; arrays are read-only views of `data`.
 
     Raises
     ------
     ValueError
-        If `data` is not what `dump` makes.
+        If `data` is not a result of `dump`.
     """
     try:
         (size,) = struct.unpack_from("<I", data)

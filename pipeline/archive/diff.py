@@ -1,4 +1,4 @@
-"""How two archives differ."""
+"""Differences between two archives."""
 
 from __future__ import annotations
 
@@ -14,35 +14,45 @@ from pipeline.errors import ArchiveError
 from pipeline.statuses import ALL_STATUSES
 
 Pair = tuple[np.ndarray, np.ndarray]
-#: Variables that measure rounding, relative to what they speak of: a tolerance is held against their difference.
+#: Variables that measure relative rounding: a tolerance applies to their absolute difference.
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Relative tolerance of every variable, and of some by name."""
+    """Relative tolerance of every variable, and exceptions `own` by name."""
 
     rtol: float
     own: Mapping[str, float]
 
     def of(self, name: str) -> float | None:
-        """Relative tolerance of a variable; None where it is one of its own size, as `rtol` is."""
+        """Relative tolerance of a variable; None if `rtol` applies to its absolute difference."""
         if name in self.own:
             return self.own[name]
         return None if name.rpartition("/")[2] in _ROUNDING else self.rtol
 
 
 def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = None) -> list[str]:
-    """How archive `b` differs from `a`, one sentence each, aligned by coordinates.
+    """List the differences between two archives, aligned by coordinates.
 
-    Numbers are equal if they differ by at most `rtol` times the larger, or `own[name]` where a variable or a column
-    "group/column" has a tolerance of its own; parts of an eigenvalue are held against its magnitude, and what measures
-    rounding, itself relative, against one.
+    Parameters
+    ----------
+    a, b : Path
+    rtol : float
+        Relative tolerance: numbers are equal if they differ by at most `rtol` times the larger. Parts of an eigenvalue
+        are compared with its magnitude, measures of rounding with one.
+    own : mapping, optional
+        Relative tolerances of single variables, or of columns as "group/column".
+
+    Returns
+    -------
+    list of str
+        One sentence for each difference.
 
     Raises
     ------
     ArchiveError
-        If `own` names what neither archive holds.
+        If an archive cannot be read, or neither has a variable that `own` names.
     """
     tolerance = Tolerance(rtol, own or {})
     with open_archive(a) as left, open_archive(b) as right:
@@ -77,7 +87,7 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
 
 
 def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[Pair, list[str]]:
-    """Positions of the coordinates both have, and what only one has."""
+    """Indices of the coordinate values that both have, and sentences on those that only one has."""
     x, y = np.ma.getdata(left.variables[name][...]), np.ma.getdata(right.variables[name][...])
     if x.dtype.kind == "O" or y.dtype.kind == "O":
         x, y = x.astype(str), y.astype(str)
@@ -102,7 +112,7 @@ def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], toleranc
         np.ma.getdata(file.variables[name][...])[np.ix_(*(places[d][k] for d in dims))]
         for k, file in enumerate((left, right))
     )
-    x, y = np.atleast_1d(x), np.atleast_1d(y)  # of a single line: numbers
+    x, y = np.atleast_1d(x), np.atleast_1d(y)  # scalars of a single line
     if name == "reason":
         x, y = (np.ma.getdata(f.variables["reason_text"][...]).astype(str)[v] for f, v in ((left, x), (right, y)))
     elif name == "status":
@@ -147,7 +157,7 @@ def _compare_values(
 def _compare_groups(
     left: Any, right: Any, tolerance: Tolerance, shared: dict[str, np.ndarray], a: Path, b: Path, path: str = ""
 ) -> list[str]:
-    """How the tables differ on the lines both archives have; `shared` holds the coordinates of those."""
+    """Differences between tables on the lines of both archives, whose coordinates are `shared`."""
     differences = []
     for name in sorted(set(left.groups) | set(right.groups)):
         group_path = f"{path}/{name}"
@@ -160,20 +170,18 @@ def _compare_groups(
             if column not in left_group.variables or column not in right_group.variables:
                 differences.append(f"`{group_path}/{column}` is only in {a if column in left_group.variables else b}")
             else:
-                x, y = (
-                    np.ma.getdata(g.variables[column][...])[indices]
-                    for g, indices in zip((left_group, right_group), rows, strict=True)
-                )
+                pairs = zip((left_group, right_group), rows, strict=True)
+                x, y = (np.ma.getdata(group.variables[column][...])[indices] for group, indices in pairs)
                 differences += _compare_values(f"{group_path}/{column}".lstrip("/"), x, y, tolerance)
         differences += _compare_groups(left_group, right_group, tolerance, shared, a, b, group_path)
     return differences
 
 
 def _rows_of(group: Any, shared: dict[str, np.ndarray]) -> np.ndarray:
-    """Rows of a table whose line both archives have."""
+    """Mask of the rows of a table whose line both archives have."""
     rows = np.ones(len(group.dimensions["row"]) if "row" in group.dimensions else 0, bool)
     for name, values in shared.items():
-        # A column `slope` may hold slopes of its own: along a branch, of a fold.
+        # A column `slope` may be a result, as along a branch or at a fold.
         if name in group.variables and name not in ("slope", "gait", "multiplier"):
             rows &= np.isin(np.ma.getdata(group.variables[name][...]).astype(values.dtype), values)
     return rows

@@ -1,4 +1,4 @@
-"""Read archives with care: is one ours, and can it be read at all?"""
+"""Reading archives that may be foreign or damaged."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from pipeline.archive import layout
 from pipeline.errors import ArchiveError, GaitsweepError
 
 SCHEMA = 1
-_TIMEOUT, _MIN_SPEED = 30.0, 5e6  # s, and byte per s, that reading an archive may take
+_TIMEOUT, _MIN_SPEED = 30.0, 5e6  # time [s] and speed [byte/s] allowed to read an archive
 _MAX_VALUES = 1 << 20  # values read at a time
 
 
 @contextlib.contextmanager
 def open_archive(path: Path) -> Iterator[Any]:
-    """An archive of this schema, open for reading.
+    """Open an archive of this schema for reading.
 
     Raises
     ------
     ArchiveError
-        If it cannot be read or is none of ours.
+        If it cannot be read or is not an archive of gaitsweep.
     """
     import netCDF4
 
@@ -46,7 +46,7 @@ def open_archive(path: Path) -> Iterator[Any]:
         except GaitsweepError:
             raise
         except Exception as error:
-            # Where the file is as it was written, whatever else goes wrong is a bug of ours.
+            # An error while reading an intact file is a bug of this package.
             damage = _one_line(error) if _is_read_error(error) else next(_damage(file), "")
             if not damage:
                 raise
@@ -57,12 +57,12 @@ def open_archive(path: Path) -> Iterator[Any]:
 
 
 def _is_read_error(error: Exception) -> bool:
-    """Whether an exception is the netCDF library's: it could not read, or what it read is no text."""
+    """Whether the netCDF library raised an error because it could not read, or read invalid text."""
     return isinstance(error, OSError | UnicodeDecodeError) or str(error).startswith("NetCDF:")
 
 
 def _damage(file: Any) -> Iterator[str]:
-    """What is not as its checksum says, one sentence each; empty where the file is as it was written."""
+    """Variables that do not match their checksums, one sentence each."""
     try:
         sums = json.loads(file.checksums)
         for name in sums:
@@ -76,7 +76,7 @@ def _damage(file: Any) -> Iterator[str]:
 
 
 def _checksum(variable: Any) -> int:
-    """Checksum of a variable as the archive keeps it: the sum of its boxes'."""
+    """Checksum of a variable: the sum over its boxes."""
     sizes = dict(zip(variable.dimensions, variable.shape, strict=True))
     large = "gait" in sizes and len(sizes) > 1
     boxes = layout.regions({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
@@ -98,12 +98,12 @@ def columns(parent: Any) -> Iterator[str]:
 
 
 def probe(paths: Iterable[Path]) -> None:
-    """Let another process read the archives whole first: a mangled file can crash or hang the netCDF library.
+    """Read archives completely in another process first: a damaged file can crash or hang the netCDF library.
 
     Raises
     ------
     ArchiveError
-        If one does.
+        If one crashes or hangs it.
     """
     for path in paths:
         size = path.stat().st_size if path.is_file() else 0
@@ -117,13 +117,13 @@ def probe(paths: Iterable[Path]) -> None:
                 timeout=_TIMEOUT + size / _MIN_SPEED,
             )
         except subprocess.TimeoutExpired as error:
-            raise ArchiveError(f"{path} is damaged: the netCDF library does not come back from it.") from error
+            raise ArchiveError(f"{path} is damaged: the netCDF library hangs on it.") from error
         if process.returncode:
-            raise ArchiveError(f"{path} is damaged: the netCDF library does not survive it.")
+            raise ArchiveError(f"{path} is damaged: the netCDF library crashes on it.")
 
 
 def _read_whole(path: Path) -> None:
-    """Read all there is; what can be caught is left to those who read in earnest."""
+    """Read all variables; errors are left to the actual reader."""
     with contextlib.suppress(Exception), open_archive(path) as file:
         groups = [file]
         for group in groups:
@@ -140,7 +140,13 @@ def _one_line(error: Exception) -> str:
 
 
 def check_replaceable(path: Path) -> None:
-    """Check that `path` may be replaced by an archive of ours."""
+    """Check that `path` is an archive of gaitsweep, which may be replaced.
+
+    Raises
+    ------
+    ArchiveError
+        If it is another file or cannot be read.
+    """
     try:
         with open_archive(path):
             pass
@@ -149,7 +155,7 @@ def check_replaceable(path: Path) -> None:
 
 
 def not_attempted(path: Path) -> int | None:
-    """How many points of an archive were not come to; None where there is none."""
+    """Number of points of an archive that were not attempted; None if there is no archive."""
     try:
         with open_archive(path) as file:
             return int(file.not_attempted)

@@ -19,7 +19,7 @@ Columns = dict[str, np.ndarray]
 
 
 def write(file: Any, plan: Plan) -> None:
-    """Write every table the study's tasks gave; a task that failed leaves its name and the reason."""
+    """Write the tables of all tasks of a study; of failed tasks, their names and reasons."""
     failures: list[tuple[str, str, str]] = []
     for name, layer in plan.layers.items():
         if name in ("atlas", "points"):
@@ -38,16 +38,12 @@ def write(file: Any, plan: Plan) -> None:
             _group(file, plan, group, _stack(parts[group]))
     if failures:
         names, outcomes, reasons = zip(*failures, strict=True)
-        _group(
-            file,
-            plan,
-            "failed_tasks",
-            {"task": np.array(names), "outcome": np.array(outcomes), "reason": np.array(reasons)},
-        )
+        columns = {"task": np.array(names), "outcome": np.array(outcomes), "reason": np.array(reasons)}
+        _group(file, plan, "failed_tasks", columns)
 
 
 def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str]]:
-    """Coordinates and key of every run of a task, in the order of the grid."""
+    """Coordinates and key of every execution of a task, in the order of the grid."""
     if not per_line:
         yield {}, plan.study_keys()[name].key
         return
@@ -56,12 +52,22 @@ def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str
 
 
 def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:
-    """Columns by group.
+    """Group columns by table.
+
+    Parameters
+    ----------
+    table : mapping
+        Columns by name "group/column", each of shape (n,).
+
+    Returns
+    -------
+    dict
+        Columns of each group.
 
     Raises
     ------
     ValueError
-        If a name is no "group/column" or columns of a group differ in length.
+        If a name is not "group/column", or columns of a group differ in length.
     """
     groups: dict[str, Columns] = {}
     for name, values in table.items():
@@ -89,28 +95,17 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
     netcdf_group.createDimension("row", len(next(iter(columns.values()))))
     for name, values in columns.items():
         text = values.dtype.kind == "U"
-        options = (
-            {}
-            if text
-            else {
-                "fill_value": np.nan if values.dtype.kind == "f" else False,
-                "fletcher32": True,
-                "zlib": True,
-                "complevel": 1,
-                "shuffle": True,
-            }
-        )
-        if not len(values):
-            options.pop("fletcher32", None)
-        variable = netcdf_group.createVariable(
-            name, str if text else values.dtype.newbyteorder("="), ("row",), **options
-        )
+        fill_value = np.nan if values.dtype.kind == "f" else False
+        filters = {"fletcher32": len(values) > 0, "zlib": True, "complevel": 1, "shuffle": True}
+        options = {} if text else {"fill_value": fill_value, **filters}
+        dtype = str if text else values.dtype.newbyteorder("=")
+        variable = netcdf_group.createVariable(name, dtype, ("row",), **options)
         variable.setncatts(_attributes(plan, group, name))
         variable[:] = values.astype(object) if text else values
 
 
 def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
-    """Attributes of a column. A column that nobody has described is called by its name."""
+    """Attributes of a column; one without a description is called by its name."""
     study, is_si = plan.study, layout.is_si(plan.study)
     kind, meaning = COLUMNS.get(f"{group}/{name}") or COLUMNS.get(name) or ("number", name.replace("_", " "))
     if f"{group}/{name}" not in COLUMNS and name in registry.VARIABLES:

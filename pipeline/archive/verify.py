@@ -1,4 +1,4 @@
-"""Is an archive intact, complete and valid?"""
+"""Check that an archive is intact, complete and valid."""
 
 from __future__ import annotations
 
@@ -14,27 +14,23 @@ from pipeline.archive.read import columns, open_archive
 from pipeline.statuses import ALL_STATUSES
 from tasks.registry import ALWAYS, GAITS, VARIABLES
 
-_ATTRIBUTES = (
-    "Conventions",
-    "title",
-    "institution",
-    "source",
-    "history",
-    "references",
-    "provenance",
-    "study",
-    "kind",
-    "checksums",
-)
+_CF_ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references")
+_ATTRIBUTES = (*_CF_ATTRIBUTES, "provenance", "study", "kind", "checksums")
 
 
 def verify(path: Path) -> list[str]:
-    """What is wrong with an archive, one sentence each; empty if it is whole, complete and of this schema."""
+    """List the problems of an archive, one sentence each; empty if it is intact, complete and valid.
+
+    Raises
+    ------
+    ArchiveError
+        If it cannot be read or is not an archive of gaitsweep.
+    """
     with open_archive(path) as file:
-        return [*_heads(file), *_states(file), *_values(file), *_groups(file)]
+        return [*_attributes(file), *_dimensions(file), *_states(file), *_values(file), *_groups(file)]
 
 
-def _heads(file: Any) -> Iterator[str]:
+def _attributes(file: Any) -> Iterator[str]:
     for name in _ATTRIBUTES:
         if not isinstance(getattr(file, name, None), str):
             yield f"The attribute `{name}` is missing."
@@ -46,6 +42,9 @@ def _heads(file: Any) -> Iterator[str]:
     for name in (*(ALWAYS if getattr(file, "kind", "grid") == "grid" else ("status", "reason")), "reason_text"):
         if name not in file.variables:
             yield f"`{name}` is missing."
+
+
+def _dimensions(file: Any) -> Iterator[str]:
     order = list(file.dimensions)
     for name, variable in file.variables.items():
         if [order.index(d) for d in variable.dimensions] != sorted({order.index(d) for d in variable.dimensions}):
@@ -74,7 +73,7 @@ def _states(file: Any) -> Iterator[str]:
 
 
 def _values(file: Any) -> Iterator[str]:
-    """Read every value, so that every checksum is checked; a number stands only where something converged."""
+    """Compare every checksum, and check that numbers stand only where a gait converged."""
     sums = json.loads(getattr(file, "checksums", "{}"))
     tabled = list(columns(file))
     present = {*file.variables, *tabled}

@@ -1,7 +1,7 @@
-"""The archive: a study's results as one CF netCDF-4 file, written beside its name and then moved there.
+"""The archive: results of a study as one CF netCDF-4 file, written as a draft and then moved into place.
 
-Everything in it follows from the study and the results: no clock, path, worker count or order of arrival. It
-is written region by region, so its size is not bounded by memory.
+Its bytes depend on the study and the results only: not on the time, paths, workers or order of arrival. It is written
+region by region, so memory does not limit its size.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pipeline.archive import chunks, layout, read, result_tables
 from pipeline.archive.citation import PAPER
 from pipeline.archive.provenance import provenance
 from pipeline.archive.read import SCHEMA
-from pipeline.errors import ArchiveError, DiskFullError
+from pipeline.errors import ArchiveError, DiskFullError, is_disk_full
 from pipeline.plan.missing import Plan
 from pipeline.statuses import ALL_STATUSES, ANSWERS
 from pipeline.store import lines
@@ -32,7 +32,7 @@ from pipeline.study.model import Study
 from tasks.registry import GAITS, STATUSES, VARIABLES, VIOLATIONS, Variable
 
 _FILTERS = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-#: What is said of a line on which a curve could not begin.
+#: Reason of a line on which a curve has no starting point.
 NO_CURVE = "None of the points to follow was found, neither at the walker's own value nor at the range's ends."
 _LONG_NAMES = {
     "slope": "slope of the ground",
@@ -43,7 +43,7 @@ _LONG_NAMES = {
 
 @dataclass
 class Written:
-    """What stands in an archive: points (or lines) by status, and the failed ones by reason, with one of each."""
+    """Contents of an archive: points (or lines) by status, and failures by reason with an example of each."""
 
     counts: Counter[str] = field(default_factory=Counter)
     failures: Counter[str] = field(default_factory=Counter)
@@ -56,14 +56,25 @@ class Written:
 
 
 def write(plan: Plan, path: Path, threads: int = 1) -> Written:
-    """Write the archive of what the journal holds and put it at `path`; so many threads pack its chunks.
+    """Write the results in the journal as the archive at `path`.
+
+    Parameters
+    ----------
+    plan : Plan
+    path : Path
+    threads : int
+        Number of threads that pack chunks.
+
+    Returns
+    -------
+    Written
 
     Raises
     ------
     ArchiveError, DiskFullError
-        If it cannot be written. What was at `path` stays.
+        If it cannot be written. An earlier archive at `path` is kept.
     """
-    target = path.resolve()  # what a link leads to is replaced, not the link
+    target = path.resolve()  # replace the target of a link, not the link
     draft = paths.of(target)
     try:
         written = _write(plan, draft, threads)
@@ -75,8 +86,8 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
         os.close(folder)
     except (OSError, RuntimeError) as error:
         free = os.statvfs(target.parent)
-        if getattr(error, "errno", None) == 28 or free.f_bavail * free.f_frsize < 1 << 20:
-            raise DiskFullError(f"The disk is full: {path} stays as it was; what was finished is kept.") from error
+        if is_disk_full(error) or free.f_bavail * free.f_frsize < 1 << 20:
+            raise DiskFullError(f"The disk is full: {path} is unchanged; finished results are kept.") from error
         raise ArchiveError(f"{path} cannot be written: {error}.") from error
     finally:
         paths.discard(target)
@@ -141,7 +152,7 @@ def _write_header(file: Any, plan: Plan, writer: _PointWriter | _LineWriter) -> 
 
 
 def _write_checksums(file: Any, sums: Counter[str]) -> None:
-    """Write the checksum of every variable; `sums` holds those of the large ones."""
+    """Write the checksum of every variable; `sums` holds those of large variables."""
     small = [name for name in (*file.variables, *read.columns(file)) if name not in sums]
     checksums = {name: layout.checksum(np.ma.getdata(file[name][...])) for name in small}
     file.checksums = json.dumps({name: n % 2**32 for name, n in {**checksums, **sums}.items()}, sort_keys=True)
@@ -173,12 +184,12 @@ def _describe(variable: Any, description: Variable, is_si: bool, is_mixed: bool)
 
 
 def _line_description(study: Study, number: int) -> str:
-    """A line as a user would name it."""
+    """Name of a line in messages: its walker and parameters."""
     return " ".join([study.name_of(number), *(f"{key}={value!r}" for key, value in study.line(number)["set"].items())])
 
 
 class _PointWriter:
-    """The main group of a grid study."""
+    """Writes the main group of a study of kind `grid`."""
 
     def __init__(self, plan: Plan):
         self.plan, self.study, self.grid = plan, plan.study, layout.Grid(plan.study)
@@ -255,7 +266,7 @@ class _PointWriter:
             _describe(variable, description, is_si, is_mixed)
 
     def fill(self, draft: Path, threads: int) -> None:
-        """Write the values region by region; while one is packed the next is put together."""
+        """Write values region by region; while one region is packed the next is assembled."""
         packed: list[tuple[str, tuple[int, ...], Future[bytes]]] = []
         with ThreadPoolExecutor(threads) as pool, chunks.Chunks(draft) as out:
             for box in [*layout.regions(self.grid.sizes), ()]:
@@ -272,7 +283,7 @@ class _PointWriter:
                 self.sums.update({name: checksum.result() for name, checksum in sums.items()})
 
     def _region(self, box: layout.Box) -> dict[str, np.ndarray]:
-        """Every variable in a box."""
+        """Values of every variable in a box."""
         extent = tuple(s.stop - s.start for s in box)
         values = {
             name: np.empty((*extent, max(self.columns) + 1, *shape[len(box) + 1 :]), self.dtypes[name])
@@ -291,7 +302,7 @@ class _PointWriter:
 
 
 class _LineWriter:
-    """The main group of a study of another kind: what became of each line."""
+    """Writes the main group of a study of another kind: the outcome of each line."""
 
     def __init__(self, plan: Plan):
         self.plan, self.study, self.grid = plan, plan.study, layout.Grid(plan.study)
@@ -327,4 +338,4 @@ class _LineWriter:
             variable[...] = values
 
     def fill(self, draft: Path, threads: int) -> None:
-        """Nothing is left to be written."""
+        """Do nothing: all values are written by `define`."""

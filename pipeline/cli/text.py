@@ -1,4 +1,4 @@
-"""What the commands print for people."""
+"""Text output of the commands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.plan.missing import Plan, Summary
 
 
 def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
-    """A plan: per task what runs and why, what is cached, what is not wanted."""
+    """Describe a plan: for each task what runs and why, what is cached, and what is not requested."""
     study = planned.study
     walkers = [f"{len(study.walkers)} walkers"] if study.walker_axis else []
     shape = " x ".join([*walkers, *(f"{len(a)} {a.name}" for a in study.axes)])
@@ -32,7 +32,7 @@ def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
 
 
 def after(archives: list[Path], unfinished: list[str], seconds: float) -> Iterator[str]:
-    """What a run ends with: how its studies went, which `others` did not come to their end, and how to see it."""
+    """Closing lines of a run: outcomes of its studies, unfinished ones, and how to see the results."""
     counts: Counter[str] = Counter()
     for path in archives:
         try:
@@ -51,7 +51,7 @@ def after(archives: list[Path], unfinished: list[str], seconds: float) -> Iterat
 
 
 def state(path: Path) -> dict[str, Any] | None:
-    """State of the run of an archive, with `running` and, if so, who holds it."""
+    """State of the run of an archive, with `running` and, if so, its `holder`; None without a record."""
     last = last_state(sidecar_path(path, ".events.jsonl"))
     if last is None:
         return None
@@ -68,9 +68,9 @@ def state(path: Path) -> dict[str, Any] | None:
 
 
 def status(path: Path, run_state: dict[str, Any] | None) -> Iterator[str]:
-    """A state in a few lines."""
+    """Describe the state of a run in a few lines."""
     if run_state is None:
-        yield f"{path}: no run has left a trace."
+        yield f"{path}: there is no record of a run."
         return
     holder = run_state.get("holder", {})
     condition = (
@@ -89,25 +89,25 @@ def status(path: Path, run_state: dict[str, Any] | None) -> Iterator[str]:
 
 
 def table(name: str, values: dict[str, Any]) -> Iterator[str]:
-    """A TOML table."""
+    """Format a TOML table."""
     yield f"[{name}]"
     for key, value in values.items():
         yield f"{key} = {json.dumps(value)}"
 
 
 def tuned(answer: dict[str, Any]) -> Iterator[str]:
-    """The nearest tuned walker as a TOML table; what moved and what the conditions miss stand above it as comments."""
+    """Nearest tuned walker as a TOML table; changed keys and residuals of the conditions precede it as comments."""
     if not answer["moved"]:
-        yield "# It meets the zero-slope conditions as it is; nothing was moved."
+        yield "# It meets the zero-slope conditions already; no key was changed."
     for key, (old, new) in answer["moved"].items():
-        yield f"# {key} moved from {old!r} to {new!r}"
+        yield f"# {key} changed from {old!r} to {new!r}"
     for name, before in answer["before"].items():
         yield f"# {name.replace('_', ' ')}: {before + 0.0:.3g} before, {answer['after'][name] + 0.0:.3g} after"
     yield from table("walker", answer["walker"])
 
 
 def gaits(all_gaits: Iterable[dict[str, Any]], units: dict[str, str]) -> Iterator[str]:
-    """Gaits at one point, a paragraph each; numbers with their units, where they have any."""
+    """Gaits at one point, a paragraph each, with units."""
     is_empty = True
     for gait in all_gaits:
         is_empty = False
@@ -127,7 +127,7 @@ def gaits(all_gaits: Iterable[dict[str, Any]], units: dict[str, str]) -> Iterato
 
 
 def walkers(descriptions: Iterable[dict[str, Any]], in_full: bool) -> Iterator[str]:
-    """The catalogue, a line each, or one walker whole."""
+    """The catalogue, a line for each walker, or one walker in full."""
     for walker in descriptions:
         if not in_full:
             yield f"{walker['name']:<18} {walker['description']}"
@@ -138,4 +138,4 @@ def walkers(descriptions: Iterable[dict[str, Any]], in_full: bool) -> Iterator[s
         yield ""
         for key, value in walker["statics"].items():
             yield f"{key:<16} {value + 0.0:.12g}"
-        yield "Zero where a walker may walk on slopes near zero; `gaitsweep tune` shows the nearest that is."
+        yield "Zero residuals mean that it can walk at vanishing slope; `gaitsweep tune` shows the nearest one."

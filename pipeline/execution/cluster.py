@@ -51,7 +51,7 @@ def connect(address: str) -> Iterator[Any]:
 
 
 def backend(client: Any) -> Any:
-    """Dask backend of joblib for a cluster of any size; joblib itself runs the jobs of a single slot in this process."""
+    """Dask backend of joblib for any cluster; joblib itself runs the jobs of a single slot in this process."""
     from joblib._dask import DaskDistributedBackend
 
     class Backend(DaskDistributedBackend):

@@ -1,4 +1,4 @@
-"""How a run shows itself: a line on the terminal, an event log beside the journal, and `status` that reads it.
+"""Progress of a run: a line on the terminal, an event log beside the journal, and `status`, which reads it.
 
 Progress only listens; nothing waits for it.
 """
@@ -20,11 +20,11 @@ from pipeline.plan.missing import Plan, Summary
 if TYPE_CHECKING:
     from pipeline.execution.scheduler import Scheduler
 
-_LOG, _SLOW, _FAST = 5.0, 60.0, 0.5  # s between states in the log, lines without a terminal, and with one
+_LOG, _SLOW, _FAST = 5.0, 60.0, 0.5  # intervals of states in the log, of lines without a terminal, and with one [s]
 
 
 class Progress:
-    """Counts what happens; writes `FILE.events.jsonl` and, unless `quiet`, tells on stderr."""
+    """Counts events, writes them to `FILE.events.jsonl` and, unless `quiet`, shows progress on stderr."""
 
     def __init__(
         self,
@@ -37,7 +37,7 @@ class Progress:
     ):
         self.plan, self.log, self.quiet, self.verbose = plan, log, quiet, verbose
         self.stream = stream or sys.stderr
-        self.tty = self.stream.isatty()
+        self.is_terminal = self.stream.isatty()
         self.bar = None if quiet else notebook_bar()
         self.start = self.last_log = self.last_shown = time.time()
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
@@ -66,12 +66,12 @@ class Progress:
             self._log("end", {})
         if self.bar:
             self.bar(self.state())
-        if self.tty and not self.quiet:
+        if self.is_terminal and not self.quiet:
             self.stream.write("\r\033[K")
         self.file.close()
 
     def __call__(self, event: str, details: dict[str, Any]) -> None:
-        """Take note of an event."""
+        """Record an event."""
         worker = details.pop("worker", None)
         if worker and self.scheduler and self.scheduler.engine.address:
             self.remote_workers[worker["host"], worker["pid"]] = time.time(), worker
@@ -85,18 +85,17 @@ class Progress:
                 self.counts[details["outcome"]] += details["lost"]
         self._log(event, details)
         if self.verbose or event == "engine":
-            self.say(
-                f"{event}: " + ", ".join(f"{k} {_format(v)}" for k, v in details.items() if v not in ("", 0, None))
-            )
+            shown = (f"{key} {_format(value)}" for key, value in details.items() if value not in ("", 0, None))
+            self.say(f"{event}: " + ", ".join(shown))
 
     def say(self, text: str) -> None:
         """Print a line on stderr."""
         if not self.quiet:
-            self.stream.write(("\r\033[K" if self.tty else "") + text + "\n")
+            self.stream.write(("\r\033[K" if self.is_terminal else "") + text + "\n")
             self.stream.flush()
 
     def state(self) -> dict[str, Any]:
-        """Where the run stands: counts, rate, seconds to go, memory and workers."""
+        """State of the run: counts, rate [1/s], remaining time `eta` [s], memory [byte] and workers."""
         elapsed, stages = time.time() - self.start, self._stages()
         with open("/proc/self/statm") as file:
             memory = int(file.read().split()[1]) * 4096
@@ -116,21 +115,20 @@ class Progress:
         }
 
     def _recent_remote_workers(self) -> list[dict[str, Any]]:
-        """Workers of other processes that have answered in the last minute, as they were then."""
+        """Workers of other processes that answered in the last minute."""
         return [worker for when, worker in list(self.remote_workers.values()) if time.time() - when < _SLOW]
 
     def _stages(self) -> dict[str, dict[str, float]]:
-        """How far each task is, and its seconds to go on all workers."""
+        """Progress of each task, and its remaining time on all workers [s]."""
         at_once, stages = self.scheduler.engine.jobs if self.scheduler else 1, {}
         for name, count in self.todo.items():
-            mean_seconds = (
-                self.seconds[name] / self.done[name] if self.done[name] else self.plan.layers[name].task.seconds
-            )
-            seconds_left = mean_seconds * max(0, count - self.done[name])
+            done = self.done[name]
+            mean_seconds = self.seconds[name] / done if done else self.plan.layers[name].task.seconds
+            seconds_left = mean_seconds * max(0, count - done)
             if name == "points":
                 seconds_left = self.scheduler.costs.seconds_left() if self.scheduler else 0.0
             if count:
-                stages[name] = {"done": self.done[name], "todo": count, "eta": round(seconds_left / at_once, 1)}
+                stages[name] = {"done": done, "todo": count, "eta": round(seconds_left / at_once, 1)}
         return stages
 
     def _log(self, event: str, details: dict[str, Any]) -> None:
@@ -144,19 +142,19 @@ class Progress:
             if clock - self.last_log >= _LOG:
                 self.last_log = clock
                 self._log("state", self.state())
-            if not self.quiet and clock - self.last_shown >= (_FAST if self.tty or self.bar else _SLOW):
+            if not self.quiet and clock - self.last_shown >= (_FAST if self.is_terminal or self.bar else _SLOW):
                 self.last_shown = clock
                 state = self.state()
                 if self.bar:
                     self.bar(state)
                     continue
                 text = sentence(state)
-                self.stream.write(f"\r\033[K{text[:118]}" if self.tty else text + "\n")
+                self.stream.write(f"\r\033[K{text[:118]}" if self.is_terminal else text + "\n")
                 self.stream.flush()
 
 
 def notebook_bar() -> Callable[[dict[str, Any]], None] | None:
-    """A bar under the cell of a notebook that follows the states it is given; None outside of notebooks."""
+    """Show a bar under the cell of a notebook; returns its update by a state, None outside notebooks."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if not hasattr(shell, "kernel"):
         return None
@@ -180,7 +178,7 @@ def _format(value: Any) -> str:
 
 
 def sentence(state: dict[str, Any]) -> str:
-    """A state of a run in one line."""
+    """State of a run in one line."""
     failed = {k: n for k, n in state["counts"].items() if k not in ("converged", "no_gait", "fell")}
     parts = []
     if state["points"]:
@@ -196,7 +194,7 @@ def sentence(state: dict[str, Any]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A length of time for people."""
+    """Format a time, given in seconds."""
     if seconds < 120:
         return f"{seconds:.3g} s"
     if seconds < 7200:
@@ -205,7 +203,7 @@ def duration(seconds: float) -> str:
 
 
 def last_state(log: Path) -> dict[str, Any] | None:
-    """The last state in an event log, with `over` if the run ended; None where there is none."""
+    """Last state in an event log, with `over` if the run ended; None if there is none."""
     try:
         with open(log, "rb") as file:
             file.seek(0, 2)

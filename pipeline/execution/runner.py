@@ -1,4 +1,4 @@
-"""One study from its file to its archive: lock, journal, plan, execution, archive, and the record of the run."""
+"""Run one study from its lock to its archive: journal, plan, execution, archive and the record of the run."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from pipeline.store.compact import compact
 from pipeline.store.journal import CorruptJournalError, Journal, forget, repair
 from pipeline.study.model import Study
 
-_SNAPSHOT = 60.0  # s at least between published snapshots
-_MAX_REASONS = 10  # reasons told at the end of a run
-_SNAPSHOT_PAUSE = 20  # and as many times as long as writing one takes
+_SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
+_MAX_REASONS = 10  # reasons listed at the end of a run
+_SNAPSHOT_PAUSE = 20  # and at least this many times the time of writing one
 
 
 @dataclass(frozen=True)
 class Options:
-    """How to run, never what."""
+    """How a study is run; results do not depend on it."""
 
     jobs: int = 2
     cluster: str | None = None
@@ -52,7 +52,7 @@ class Options:
 
 @contextlib.contextmanager
 def lock_archive(path: Path) -> Iterator[None]:
-    """Hold an archive; a lock dies with its process, and what it left half done is removed.
+    """Lock an archive. A lock ends with its process; drafts it left behind are removed.
 
     Raises
     ------
@@ -64,15 +64,10 @@ def lock_archive(path: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             holder = _holder(file)
-            is_known = {"pid", "host", "started"} <= holder.keys()
-            raise BusyError(
-                f"{path} is held by another run: "
-                + (
-                    f"process {holder['pid']} on {holder['host']}, started {holder['started']}."
-                    if is_known
-                    else "its name is not known yet."
-                )
-            ) from error
+            name = "its process is not known yet."
+            if {"pid", "host", "started"} <= holder.keys():
+                name = f"process {holder['pid']} on {holder['host']}, started {holder['started']}."
+            raise BusyError(f"{path} is held by another run: {name}") from error
         for file_path in (path.resolve(), sidecar_path(path, ".journal"), sidecar_path(path, ".run.json")):
             paths.discard(file_path, _holder(file).get("drafts"))
         file.seek(0)
@@ -84,7 +79,7 @@ def lock_archive(path: Path) -> Iterator[None]:
 
 
 def _holder(file: Any) -> dict[str, Any]:
-    """Who holds a lock, or held it last, as far as is known."""
+    """Holder of a lock, or the last one, as far as is known."""
     try:
         file.seek(0)
         holder = json.load(file)
@@ -94,9 +89,9 @@ def _holder(file: Any) -> dict[str, Any]:
 
 
 class Signals:
-    """INT, TERM and HUP stop a run at once, but not between a result and its journal; a second one is hard.
+    """Stop a run at INT, TERM or HUP, but never while a result is written; a second signal kills.
 
-    One that was ignored when the run began, as `nohup` has it, stays ignored.
+    Signals that were ignored at the start, as under `nohup`, stay ignored.
     """
 
     def __init__(self) -> None:
@@ -104,7 +99,7 @@ class Signals:
 
     @contextlib.contextmanager
     def handle(self) -> Iterator[None]:
-        """Handle signals inside; only a main thread can."""
+        """Handle signals inside; only the main thread can."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -118,7 +113,7 @@ class Signals:
         except StoppedError:
             raise
         except Exception:
-            if self.received:  # what a library makes of being stopped amid its work
+            if self.received:  # an error of a library that was interrupted
                 self._stop()
             raise
         finally:
@@ -135,7 +130,7 @@ class Signals:
 
     def _stop(self) -> None:
         name = signal.Signals(self.received).name
-        raise StoppedError(self.received, f"Stopped by {name}; what was finished is kept.") from None
+        raise StoppedError(self.received, f"Stopped by {name}; finished results are kept.") from None
 
     def __enter__(self) -> None:
         self.postponed = True
@@ -147,12 +142,12 @@ class Signals:
 
 
 def run(study: Study, path: Path, options: Options) -> int:
-    """Run a study into the archive at `path`; the exit code.
+    """Run a study into the archive at `path` and return the exit code.
 
     Raises
     ------
     GaitsweepError
-        If the run cannot begin or cannot go on; what was finished is kept.
+        If the run cannot start or continue; finished results are kept.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -201,8 +196,10 @@ def _run_repairing(study: Study, path: Path, journal_path: Path, options: Option
         except CorruptJournalError:
             repair(journal_path)
             if not options.quiet:
-                print(f"{journal_path} was damaged; it is mended, and what is lost is computed again.", file=sys.stderr)
-    raise ArchiveError(f"{journal_path} cannot be mended; run again with --fresh.")
+                print(
+                    f"{journal_path} was damaged; it is repaired, and lost results are computed again.", file=sys.stderr
+                )
+    raise ArchiveError(f"{journal_path} cannot be repaired; run again with --fresh.")
 
 
 def _attempt(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> int:
@@ -219,7 +216,7 @@ def _attempt(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -
                 progress.scheduler.run()
             record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
             written = write.write(plan, path, min(options.jobs, os.cpu_count() or 1))
-            if written.counts["not_attempted"]:  # what was kept is not found again
+            if written.counts["not_attempted"]:  # stored results are missing
                 raise CorruptJournalError(plan.journal.path)
             compact(plan.journal)
         finally:
@@ -238,25 +235,21 @@ def _attempt(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -
 
 
 def _warn_of_changed_code(plan: Plan, progress: Progress) -> None:
-    """Say when `tasks` changed since results were kept and no version did; comments do not count."""
+    """Warn if the code of `tasks` changed since results were stored and no version did."""
     stored_digest, digest = plan.journal.note("code"), code_digest()
     versions = json.dumps({name: layer.task.version for name, layer in plan.layers.items()}, sort_keys=True)
-    if (
-        stored_digest
-        and stored_digest != digest
-        and plan.journal.note("versions") == versions
-        and any(progress.cached_tasks)
-    ):
+    has_changed = stored_digest not in (None, digest) and plan.journal.note("versions") == versions
+    if has_changed and progress.cached_tasks:
         progress.say(
-            "The code of `tasks` has changed since some of these results were kept, its versions have not; "
-            "if numbers may change, bump the task's version or run with --fresh."
+            "The code of `tasks` has changed since some of these results were stored, its versions have not; "
+            "if numbers may change, increase the task's version or run with --fresh."
         )
     plan.journal.set_note("code", digest)
     plan.journal.set_note("versions", versions)
 
 
 class _Snapshots:
-    """Listens for the progress, and publishes the archive of a long run now and then."""
+    """Passes events on to the progress, and publishes the archive of a long run from time to time."""
 
     def __init__(self, plan: Plan, path: Path, every: float, progress: Progress):
         self.plan, self.path, self.progress = plan, path, progress
@@ -267,7 +260,7 @@ class _Snapshots:
         if event != "chunk" or time.monotonic() < self.next:
             return
         began = time.monotonic()
-        # A whole archive is not replaced by part of one.
+        # A partial archive does not replace a complete one.
         if read.not_attempted(self.path) != 0:
             write.write(self.plan, self.path)
         duration = time.monotonic() - began
@@ -275,7 +268,7 @@ class _Snapshots:
 
 
 def _failed_tasks(plan: Plan) -> list[str]:
-    """Tasks that are no points and failed, one sentence each."""
+    """Failed tasks other than points, one sentence each."""
     failures = []
     for name, layer in plan.layers.items():
         if name not in ("atlas", "points", plan.study.kind):

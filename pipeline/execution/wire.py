@@ -22,7 +22,7 @@ def receive(stream: BinaryIO) -> list[bytes]:
     Raises
     ------
     EOFError
-        If the other end is gone.
+        If the other end is closed.
     """
     (count,) = struct.unpack("<Q", _read_exactly(stream, 8))
     sizes = struct.unpack(f"<{count}Q", _read_exactly(stream, 8 * count))

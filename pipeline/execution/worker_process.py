@@ -1,7 +1,7 @@
-"""One worker process under guard: it may crash, hang or eat memory, and only the guilty point pays.
+"""A guarded worker process: a crash, hang or excess of memory fails only the point that caused it.
 
-`run` is what an engine executes, in a thread of this process or on a node of a cluster. Each thread keeps one
-worker process. A block of points that ends badly is cut and tried again, down to the point that did it.
+Engines execute `run` in a thread of this process or on a node of a cluster. Each thread has one worker process. A
+block of points that fails is divided and tried again, down to the point responsible.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from pipeline.errors import WorkerError
 from pipeline.execution import wire
 from tasks.registry import GAITS
 
-_POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # s between looks at a worker, and at most charged to it for one
-_LOAD_TIMEOUT = 300.0  # s a worker may take to load its task
+_POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # interval of checks of a worker, and most time charged to it for one [s]
+_LOAD_TIMEOUT = 300.0  # time a worker may take to load its task [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
-_PIECES = 16  # a bad block is cut into as many
+_PIECES = 16  # parts of a failed block
 _local = threading.local()
 _workers: set[WorkerProcess] = set()
 _closing = threading.Event()
@@ -43,7 +43,7 @@ class WorkerProcess:
         if _closing.is_set():
             raise WorkerError("The run is being stopped.")
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
-        # A group of its own: Ctrl-C in a terminal reaches the parent alone. No buffer: `poll` must see every answer.
+        # Its own process group, so that Ctrl-C reaches only the parent. Unbuffered, so that `poll` sees every answer.
         command = [sys.executable, "-P", "-m", "pipeline.execution.worker_main", str(os.getpid())]
         self.process = subprocess.Popen(
             command,
@@ -58,11 +58,11 @@ class WorkerProcess:
             with contextlib.suppress(OSError):
                 fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[arg-type]
         self.threads = 1
-        self.lock = threading.Lock()  # held while it is asked something
+        self.lock = threading.Lock()  # held during a request
         _workers.add(self)
 
     def close(self) -> int:
-        """End the process; how it ended."""
+        """End the process and return its exit code."""
         _workers.discard(self)
         with contextlib.suppress(OSError):
             self.process.kill()
@@ -72,7 +72,7 @@ class WorkerProcess:
         return self.process.wait()
 
     def ask(self, request: bytes, inputs: list[bytes], seconds: float, memory: int) -> tuple[str, Any]:
-        """One request: how it ended ("ok" or a name of `worker.ENDINGS`), and its parts or a sentence."""
+        """Send one request; returns "ok" or a name of `statuses.ENDINGS`, and the parts of the answer or a sentence."""
         try:
             wire.send(self.process.stdin, request, *inputs)  # type: ignore[arg-type]
             kind, *parts = self._answer(_LOAD_TIMEOUT)
@@ -86,7 +86,7 @@ class WorkerProcess:
         except MemoryError:
             self.close()
             return "out_of_memory", f"It needed more than {_size(memory)} of memory."
-        except (EOFError, OSError, ValueError):  # ValueError: its pipes were closed by `stop`
+        except (EOFError, OSError, ValueError):  # ValueError: `stop` closed its pipes
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.") from None
             return "worker_died", self._death()
@@ -97,7 +97,7 @@ class WorkerProcess:
         return outcome.decode(), f"It raised {parts[1].decode()}."
 
     def leave(self) -> None:
-        """End the process if nothing is asked of it."""
+        """End the process if no request is pending."""
         if self.lock.acquire(blocking=False):
             self.close()
             self.lock.release()
@@ -109,7 +109,7 @@ class WorkerProcess:
         while not poll.poll(1000 * min(_POLL_INTERVAL, max(0.0, seconds))):
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.")
-            # Who looks so late was stopped itself, as a scheduler may do, and the worker with it.
+            # A late check means that this process was suspended, and the worker with it.
             clock = time.monotonic()
             seconds, last_poll = seconds - min(_MAX_CHARGED, clock - last_poll), clock
             if seconds <= 0:
@@ -119,7 +119,7 @@ class WorkerProcess:
         return wire.receive(stream)  # type: ignore[arg-type]
 
     def resident(self) -> int:
-        """Resident memory of the process [byte]; 0 once it is gone."""
+        """Resident memory of the process [byte]; 0 after its end."""
         try:
             with open(f"/proc/{self.process.pid}/statm") as file:
                 return int(file.read().split()[1]) * resource.getpagesize()
@@ -128,7 +128,7 @@ class WorkerProcess:
 
     def _death(self) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(5)  # it is on its way: let its own end be seen, not our kill
+            self.process.wait(5)  # wait for its own exit code instead of that of our signal
         code = self.close()
         cause = f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
         return f"The worker died {cause}."
@@ -142,7 +142,7 @@ def _size(memory: int) -> str:
 
 
 def stop() -> None:
-    """Kill every worker process and end every wait for one; may be called from a signal handler."""
+    """Kill every worker process and end all waits; may be called from a signal handler."""
     _closing.set()
     for worker in list(_workers):
         with contextlib.suppress(OSError):
@@ -150,7 +150,7 @@ def stop() -> None:
 
 
 def close_all() -> None:
-    """End every worker process, and be ready for another run."""
+    """End every worker process and allow new ones."""
     stop()
     for worker in list(_workers):
         worker.close()
@@ -169,29 +169,34 @@ def _member(worker: WorkerProcess) -> dict[str, Any]:
 def _ask(job: dict[str, Any], params: dict[str, Any]) -> tuple[str, Any]:
     request = serialize.dump({**{k: job[k] for k in ("function", "points", "memory")}, "params": params})
     while True:
-        worker = getattr(_local, "cell", None)
+        worker = getattr(_local, "worker", None)
         if worker is None or worker not in _workers:
-            worker = _local.cell = WorkerProcess()
+            worker = _local.worker = WorkerProcess()
         with worker.lock:
-            if worker in _workers:  # it may have left meanwhile
+            if worker in _workers:  # it may have ended meanwhile
                 return worker.ask(request, job["inputs"], job["seconds"], job["memory"])
 
 
 def run(job: dict[str, Any]) -> dict[str, Any]:
-    """Do one job in this thread's worker process; never raises for what a task does.
+    """Run one job in the worker process of this thread; errors of the task are returned, not raised.
 
     Parameters
     ----------
     job : dict
-        `function`, `params`, `inputs` (packed), `points` (whether it is a block of points), the limits
-        `seconds` and `memory` [byte] of one point, or of the whole job where it is no block, and `idle`: for how
-        many seconds the process may wait for another job, None for as long as this one lives.
+        `function`, `params`, `inputs` (packed), `points` (whether it is a block of points), the limits `seconds` [s]
+        and `memory` [byte] of one point, or of the job if it is not a block, and `idle` [s], how long the process
+        may wait for another job, None for no limit.
 
     Returns
     -------
     dict
-        `seconds` taken and `rows` of a block, each (slopes, packed states, packed variables); of another job
-        `outcome` and `data` (packed result) or `reason`. And `worker`, which process did it.
+        `seconds` [s] taken; `rows` of a block, each (slopes, packed states, packed variables), or `outcome` and
+        `data` (packed result) or `reason` of another job; `worker`, the process that ran it.
+
+    Raises
+    ------
+    WorkerError
+        If the worker cannot load the task, or the run is being stopped.
     """
     start = time.perf_counter()
     if timer := getattr(_local, "timer", None):
@@ -200,14 +205,11 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
         answer: dict[str, Any] = {"rows": _run_block(job, np.asarray(job["params"]["slope"]))}
     else:
         outcome, parts = _ask(job, job["params"])
-        if outcome == "worker_died":  # someone else may have killed it: twice is no accident
+        if outcome == "worker_died":  # it may have been killed from outside; a second death has another cause
             outcome, parts = _ask(job, job["params"])
-        answer = (
-            {"outcome": outcome, "data": parts[1], "reason": ""}
-            if outcome == "ok"
-            else {"outcome": outcome, "data": b"", "reason": parts}
-        )
-    worker = getattr(_local, "cell", None)
+        is_ok = outcome == "ok"
+        answer = {"outcome": outcome, "data": parts[1] if is_ok else b"", "reason": "" if is_ok else parts}
+    worker = getattr(_local, "worker", None)
     if worker:
         answer["worker"] = _member(worker)
     if worker and job["idle"] is not None:
@@ -232,7 +234,20 @@ def _run_block(job: dict[str, Any], slopes: np.ndarray) -> list[tuple[bytes, byt
 
 
 def failed_states(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:
-    """States of `n` points that all ended the same way for their worker."""
+    """States of `n` points whose worker ended the same way.
+
+    Parameters
+    ----------
+    n : int
+    outcome : str
+        A name of `statuses.ENDINGS`.
+    reason : str
+
+    Returns
+    -------
+    dict
+        `status` and `reason`, shape (n, gait), and the sentences `reasons`.
+    """
     return {
         "status": np.full((n, len(GAITS)), statuses.ENDINGS[outcome], np.int8),
         "reason": np.zeros((n, len(GAITS)), np.int16),

@@ -10,15 +10,22 @@ from pipeline import dispatch
 from pipeline.errors import StudyError
 from pipeline.study.location import Location, clip
 
-MAX_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 
 
 def read_toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
+    """Read a TOML file and return its text and table; errors call it `shown`.
+
+    Raises
+    ------
+    StudyError
+        If it is missing, too large or not TOML.
+    """
     shown = clip(shown, 200)
     try:
         if not path.is_file():
             raise StudyError(f"{shown} is not a file." if path.exists() else f"There is no file {shown}.")
-        if path.stat().st_size > MAX_BYTES:
+        if path.stat().st_size > _MAX_BYTES:
             raise StudyError(f"{shown} is larger than 1 MiB.")
         text = path.read_text(encoding="utf-8")
         return text, tomllib.loads(text)
@@ -31,7 +38,21 @@ def read_toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
 
 
 def walker(value: str | dict[str, Any], folder: Path, location: Location | None = None) -> str | dict[str, Any]:
-    """A walker's name, or its table where `value` names a file beside `folder` or is a table."""
+    """Name of a catalogue walker, or the table of a walker.
+
+    Parameters
+    ----------
+    value : str or dict
+        A name, a file relative to `folder`, or a table.
+    folder : Path
+    location : Location, optional
+        Place of the value in a study.
+
+    Raises
+    ------
+    StudyError
+        If the name is unknown or the file is not a walker.
+    """
     location = location or Location("", "walker")
     if isinstance(value, dict):
         return value

@@ -1,7 +1,7 @@
-"""Read a study: which walker, which axes, and what is wanted of every point.
+"""Read a study: its walkers, axes and requested results.
 
-A study is checked whole before anything runs. Every error names the key, its value, the bound it breaks (or
-the nearest known key), the file and the place in it.
+A study is checked completely before anything runs. Every error names the key, its value, the violated bound or the
+nearest known key, the file and the place in it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
 from tasks.registry import ALWAYS, CLAIMS, CURVE, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
-#: Tasks that no study is named after.
+#: Tasks that are not kinds of study.
 _INTERNAL_TASKS = ("atlas", "points", "trace")
-#: Axis keys that are not a walker's own.
+#: Axes that are not keys of a walker.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
-#: Longest axis and largest grid that are taken for meant.
+#: Largest axis and grid; anything above is taken for a mistake.
 MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
 _UNITS = {
     "": 1,
@@ -36,7 +36,7 @@ _UNITS = {
 
 
 def kinds() -> tuple[str, ...]:
-    """Kinds of study; every one but `grid` is the task of that name, over each line."""
+    """Kinds of study; each except `grid` is the task of that name over each line."""
     return ("grid", *(t.name for t in TASKS.values() if set(t.needs) <= {"atlas"} and t.name not in _INTERNAL_TASKS))
 
 
@@ -46,7 +46,7 @@ def read(path: str | Path) -> Study:
     Raises
     ------
     StudyError
-        If the file cannot be read or anything in it cannot be.
+        If the file cannot be read or is invalid.
     """
     path = Path(path)
     text, table = read_toml(path, str(path))
@@ -54,12 +54,26 @@ def read(path: str | Path) -> Study:
 
 
 def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
-    """Check a study's table; `path` names it in errors and anchors the files it names."""
+    """Check the table of a study.
+
+    Parameters
+    ----------
+    table : mapping
+    text : str
+        Source of the table, for the archive.
+    path : Path
+        Name of the study in errors; files it names are relative to its folder.
+
+    Raises
+    ------
+    StudyError
+        If anything in it is invalid.
+    """
     top = Location(path.name)
     known = ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options")
     for key in table:
         if key not in known:
-            raise top.unknown(key, known)
+            raise top.unknown(key, known, "key")
     name = table.get("name")
     if name is None:
         raise top.error("A study needs a `name`")
@@ -100,7 +114,7 @@ def _table(value: object, known: Iterable[str], location: Location) -> dict[str,
         raise location.wrong("must be a table", value)
     for key in value:
         if key not in known:
-            raise location.unknown(key, known)
+            raise location.unknown(key, known, "key")
     return value
 
 
@@ -126,17 +140,17 @@ def _walkers(value: object, path: Path, location: Location) -> tuple[str | dict[
 
 
 def _axis_keys() -> tuple[str, ...]:
-    """What an axis may be called."""
+    """Names that an axis may have."""
     return (*EXTRA_AXES, *dispatch.resolve("tasks.walkers.walker:NUMBERS"))
 
 
 def _axes(value: object, location: Location, kind: str) -> tuple[tuple[Axis, ...], float]:
-    """The axes, and the tolerance of an adaptive slope axis (0: none)."""
+    """Axes, and the tolerance of an adaptive slope axis (0: none)."""
     if not isinstance(value, dict) or not value:
         raise location.error("A study needs axes, at least `slope`")
     for key in value:
         if key not in _axis_keys():
-            raise location.unknown(key, _axis_keys())
+            raise location.unknown(key, _axis_keys(), "key")
     if "slope" not in value:
         raise location.error("A study needs the axis `slope`")
     slope, tolerance = value["slope"], 0.0
@@ -151,7 +165,7 @@ def _axes(value: object, location: Location, kind: str) -> tuple[tuple[Axis, ...
 
 
 def _adaptive(slope: dict[str, Any], location: Location, kind: str) -> tuple[float, dict[str, Any]]:
-    """The tolerance of an adaptive slope axis, and its window as an axis of two values."""
+    """Tolerance of an adaptive slope axis, and its window as an axis of two values."""
     if kind != "branch":
         raise location.at("adaptive").error('`adaptive` is for studies of kind "branch", whose points follow the gaits')
     window = _table(slope, ("from", "to", "adaptive"), location)
@@ -188,7 +202,7 @@ def _values(value: object, location: Location) -> np.ndarray:
         raise location.at("from").wrong("must be > 0 for log spacing", start)
     values = (np.geomspace if spacing == "log" else np.linspace)(start, stop, n)
     if n > 1 and not np.all(np.diff(values) > 0):
-        raise location.at("n").wrong("is too many: neighbouring values would be equal", n)
+        raise location.at("n").wrong("is too large: neighbouring values would be equal", n)
     return values
 
 
@@ -202,9 +216,8 @@ def _want(value: object, kind: str, location: Location) -> dict[str, tuple[str, 
     names = {key: _free_names(table.get(key, []), location.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:
-            raise location.at("fits").unknown(
-                fit, [t for t in TASKS if t not in (*kinds(), *_INTERNAL_TASKS, "claims")]
-            )
+            others = (*kinds(), *_INTERNAL_TASKS, "claims")
+            raise location.at("fits").unknown(fit, [name for name in TASKS if name not in others])
     for figure in names["figures"]:
         if figure not in FIGURES:
             raise location.at("figures").unknown(figure, FIGURES)
@@ -240,7 +253,7 @@ def _limits(table: Mapping[str, Any], top: Location) -> Limits:
 
 
 def _check_walkers(study: Study, top: Location) -> Study:
-    """Check every walker at the corners of the grid of lines; keep what `tasks` says of each."""
+    """Check every walker at the corners of the grid of lines; store the properties of each."""
     ends = [sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes]
     names = [a.name for a in study.line_axes]
     checks = []
@@ -254,16 +267,14 @@ def _check_walkers(study: Study, top: Location) -> Study:
                 location = top.at("axes", key) if key in names else top.at("walker")
                 raise location.error(str(error)) from error
             if study.kind == "curve":
-                _check_curve_range(study, candidate, values, top.at("options"))
+                _check_curve(study, candidate, values, top.at("options"))
         checks.append(check)
     object.__setattr__(study, "checks", tuple(checks))
     return study
 
 
-def _check_curve_range(
-    study: Study, walker: str | dict[str, Any], values: dict[str, float], location: Location
-) -> None:
-    """Check a walker at both ends of the range of the key that curves are followed over."""
+def _check_curve(study: Study, walker: str | dict[str, Any], values: dict[str, float], location: Location) -> None:
+    """Check a walker at both ends of the range over which curves are continued."""
     options = {**CURVE, **study.options}
     for end in ("from", "to"):
         try:

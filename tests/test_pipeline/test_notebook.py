@@ -126,7 +126,7 @@ def test_a_wrong_study_is_one_sentence(wanted, said):
     ("arguments", "keys", "said"),
     [
         (("D", 0.7), {}, r"`slope` must lie in \(0, 0.5\) rad; got 0.7"),
-        (("Q", 0.1), {}, "`Q` is not known here, known: A, B"),
+        (("Q", 0.1), {}, "Unknown name `Q`, known: A, B"),
         (("D", 0.1), {"l_tt": 1}, "did you mean `l_t`"),
     ],
 )
