@@ -72,7 +72,7 @@ def _decode(grid: xr.Dataset) -> xr.Dataset:
         grid = grid.assign(violations=((bits & masks) != 0).assign_attrs(long_name=bits.long_name))
     if "multiplier_real" in grid and "multiplier_imag" in grid:
         multipliers = grid.multiplier_real + 1j * grid.multiplier_imag
-        grid = grid.assign(multipliers=multipliers.assign_attrs(long_name="eigenvalues of the stride map", units="1"))
+        grid = grid.assign(multipliers=multipliers.assign_attrs(long_name="eigenvalues of the step map", units="1"))
     return grid
 
 

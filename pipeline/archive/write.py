@@ -33,7 +33,7 @@ from tasks.registry import GAITS, STATUSES, VARIABLES, VIOLATIONS, Variable
 
 _FILTERS = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 #: Reason of a line on which a curve has no starting point.
-NO_CURVE = "None of the points to follow was found, neither at the walker's own value nor at the range's ends."
+_NO_CURVE = "No point to start a curve from was found, neither at the value of the walker nor at the ends of the range."
 _LONG_NAMES = {
     "slope": "slope of the ground",
     "foot_mass_ratio": "mass of each foot over the total mass",
@@ -327,8 +327,8 @@ class _LineWriter:
         if self.study.kind == "curve":
             result = self.plan.journal.result(keys["curve"].key)
             if result is not None and not len(serialize.load(result.data)["curves/slope"]):
-                return "converged", NO_CURVE
-        return "converged", "The line was followed; what was found is in the groups."
+                return "converged", _NO_CURVE
+        return "converged", "The line was followed; its results are in the groups."
 
     def define(self, file: Any) -> None:
         """Create and write every variable."""

@@ -262,7 +262,7 @@ class Scheduler:
         }
 
     def _record(self, job: Job, result: dict[str, Any]) -> list[Job]:
-        """Keep a result and return the jobs that it makes ready."""
+        """Store a result and return the jobs that it makes ready."""
         event = {
             "task": job.name,
             "line": job.work.number if job.work else None,
@@ -271,19 +271,8 @@ class Scheduler:
             "worker": result.get("worker"),
         }
         if job.work and job.indices is not None:
-            n, cost = len(job.indices), result["seconds"] / len(job.indices)
-            counts: Counter[str] = Counter()
-            with self.hold:
-                for row in result["rows"]:
-                    self.journal.add_points(*job.keys, self.tokens, row, cost * (len(row[0]) // 8))
-                    counts += lines.count(serialize.load(row[1])["status"][:, self.columns])
-            weight = n / (n + min(self.points_measured, 20 * n))
-            self.cost += weight * (cost - self.cost)
-            self.points_measured += n
-            self.costs.add(job.work.number, job.indices, result["seconds"], job.probe)
-            if job.work.number not in self.costs.probed and self.costs.seconds_left(job.work.number) > _PROBED_SECONDS:
-                self.queue.probe(job.work)
-            self.listen("chunk", {**event, "points": n, "counts": dict(counts)})
+            counts = self._record_points(job, job.work, job.indices, result)
+            self.listen("chunk", {**event, "points": len(job.indices), "counts": dict(counts)})
             return []
         outcome, reason, data = result["outcome"], result["reason"], result["data"]
         seen = self.plan.last_block() if job.work is None else 0
@@ -295,6 +284,22 @@ class Scheduler:
             self.costs.abandon(job.work.number)
         self.listen("task", {**event, "outcome": outcome, "reason": reason, "lost": unsolved})
         return self._dependent_jobs(job.work, (data,)) if job.name == "atlas" and outcome == "ok" and job.work else []
+
+    def _record_points(self, job: Job, work: LineWork, indices: np.ndarray, result: dict[str, Any]) -> Counter[str]:
+        """Store a chunk of points, update the costs and return the points by outcome."""
+        n, cost = len(indices), result["seconds"] / len(indices)
+        counts: Counter[str] = Counter()
+        with self.hold:
+            for row in result["rows"]:
+                self.journal.add_points(*job.keys, self.tokens, row, cost * (len(row[0]) // 8))
+                counts += lines.count(serialize.load(row[1])["status"][:, self.columns])
+        weight = n / (n + min(self.points_measured, 20 * n))
+        self.cost += weight * (cost - self.cost)
+        self.points_measured += n
+        self.costs.add(work.number, indices, result["seconds"], job.probe)
+        if work.number not in self.costs.probed and self.costs.seconds_left(work.number) > _PROBED_SECONDS:
+            self.queue.probe(work)
+        return counts
 
     def _study_jobs(self, ran: bool) -> list[Job]:
         """Jobs over the whole study, inputs first."""

@@ -12,7 +12,7 @@ from pipeline.store.journal import Block, Journal, TaskKey
 from pipeline.study.model import Study
 from tasks.registry import GAITS, VARIABLES
 
-NOT_ATTEMPTED = "The run has not come to it."
+NOT_ATTEMPTED = "The run has not reached it."
 _NAMES = {code: name for name, code in ALL_STATUSES.items()}
 _BEST = tuple(ALL_STATUSES[name] for name in ("converged", "fell", "no_gait"))
 _BASE = 1 + max(_NAMES)

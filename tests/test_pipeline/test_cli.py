@@ -202,7 +202,7 @@ def test_a_study_that_is_refused_does_not_end_the_list(toy):
         if line.startswith("2 of 5 studies in ")
         and line.endswith(": converged 80; not run to the end: wrong.toml, busy.toml, foreign.toml")
     ]
-    for words in ("Unknown name `nonsense`", "busy.nc is held by another run", "foreign.journal is not a journal"):
+    for words in ("Unknown key `nonsense`", "busy.nc is held by another run", "foreign.journal is not a journal"):
         assert said.count(words) == 1
     assert all((toy.folder / "data" / "archive" / f"{name}.nc").exists() for name in ("a", "z"))
 

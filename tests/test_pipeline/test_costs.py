@@ -74,7 +74,11 @@ def test_what_is_left_is_told_to_a_quarter_after_a_fifth_of_the_work(tmp_path, n
     found = parse.read(tmp_path / "s.toml")
     engine, told = Simulated(cost), []
     journal = Journal(tmp_path / "j")
-    scheduler = Scheduler(Plan(found, journal), engine, lambda *_: told.append((engine.spent, scheduler.costs.seconds_left())), found.points)
+
+    def listen(*_):
+        told.append((engine.spent, scheduler.costs.seconds_left()))
+
+    scheduler = Scheduler(Plan(found, journal), engine, listen, found.points)
     scheduler.run()
     journal.close()
     wrong = [
