@@ -52,7 +52,7 @@ def split(values: np.ndarray, box: Box, extent: tuple[int, ...]) -> Iterator[tup
             padded = np.zeros(extent, values.dtype)
             padded[tuple(map(slice, part.shape))] = part
             part = padded
-        yield tuple(map(sum, zip(start, corner, strict=True))), np.ascontiguousarray(part)  # type: ignore[arg-type]
+        yield tuple(a + b for a, b in zip(start, corner, strict=True)), np.ascontiguousarray(part)
 
 
 def pack(values: np.ndarray) -> bytes:

@@ -13,7 +13,7 @@ from pipeline.archive.read import columns, open_archive
 from pipeline.errors import ArchiveError
 from pipeline.statuses import ALL_STATUSES
 
-Pair = tuple[np.ndarray, np.ndarray]
+_Pair = tuple[np.ndarray, np.ndarray]
 #: Variables that measure relative rounding: a tolerance applies to their absolute difference.
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")
 
@@ -61,7 +61,7 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
             for what in ("kind",)
             if getattr(left, what, None) != getattr(right, what, None)
         ]
-        places: dict[str, Pair] = {}
+        places: dict[str, _Pair] = {}
         for name in sorted(set(left.dimensions) | set(right.dimensions)):
             if name == "reason_index":
                 continue
@@ -86,7 +86,7 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
         return differences
 
 
-def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[Pair, list[str]]:
+def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[_Pair, list[str]]:
     """Indices of the coordinate values that both have, and sentences on those that only one has."""
     x, y = np.ma.getdata(left.variables[name][...]), np.ma.getdata(right.variables[name][...])
     if x.dtype.kind == "O" or y.dtype.kind == "O":
@@ -101,7 +101,7 @@ def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[Pair, 
     return (i[order], j[order]), sentences
 
 
-def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], tolerance: Tolerance) -> list[str]:
+def _compare(name: str, left: Any, right: Any, places: dict[str, _Pair], tolerance: Tolerance) -> list[str]:
     dims = left.variables[name].dimensions
     if right.variables[name].dimensions != dims:
         return [f"`{name}` has other dimensions"]

@@ -37,7 +37,6 @@ autoload -U +X bashcompinit && bashcompinit
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
     """Completion script for a shell, "bash" or "zsh"."""
     (commands,) = (a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    assert isinstance(commands, dict)
     walkers = list(dispatch.resolve("tasks.walkers.catalogue:CATALOGUE"))
     keys = dispatch.resolve("tasks.walkers.walker:NUMBERS")
     words = {name: [*_options(command), *_choices(command)] for name, command in commands.items()}

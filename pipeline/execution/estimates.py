@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-REGIONS = 64
+_REGIONS = 64
 _PROBE = 50  # a probe is this fraction of its region, inverted
 
 
@@ -27,7 +27,7 @@ class Costs:
     def __init__(self, slopes: int, points: int, guess: float):
         self.slopes, self.points, self.mean = max(1, slopes), points, guess
         self.lines: dict[int, np.ndarray] = {}  # open lines: points left, points, seconds, and those of probes
-        self.totals = np.zeros((2, REGIONS))  # points and seconds of all lines
+        self.totals = np.zeros((2, _REGIONS))  # points and seconds of all lines
         self.probed: set[int] = set()
         self.overhead = 0.0  # fixed time of a chunk [s], from regions measured in probes and in blocks
 
@@ -43,15 +43,15 @@ class Costs:
         -------
         ndarray of int, shape (n,)
         """
-        return indices * REGIONS // self.slopes
+        return indices * _REGIONS // self.slopes
 
     def _counts_by_region(self, indices: np.ndarray) -> np.ndarray:
-        return np.bincount(self.region(indices), minlength=REGIONS)
+        return np.bincount(self.region(indices), minlength=_REGIONS)
 
     def open_line(self, line: int, indices: np.ndarray) -> None:
         """Open a line, whose slopes of these indices, shape (n,), are to be solved."""
         if len(indices):
-            self.lines[line] = np.zeros((5, REGIONS))
+            self.lines[line] = np.zeros((5, _REGIONS))
             self.lines[line][0] = self._counts_by_region(indices)
             self.points -= len(indices)
 
@@ -94,7 +94,7 @@ class Costs:
 
         Returns
         -------
-        ndarray, shape (REGIONS,) [s]
+        ndarray, shape (64,) [s]
         """
         overall = _interpolate(self.totals[0], self.totals[1], self.mean)
         regions = self.lines.get(line)
@@ -135,7 +135,7 @@ class Costs:
         self.probed.add(line)
         probes, remainder = [], []
         for piece in np.split(indices, np.flatnonzero(np.diff(self.region(indices))) + 1):
-            middle, n = len(piece) // 2, 1 + self.slopes // (REGIONS * _PROBE)
+            middle, n = len(piece) // 2, 1 + self.slopes // (_REGIONS * _PROBE)
             probes.append(piece[middle : middle + n])
             remainder += [part for part in (piece[:middle], piece[middle + n :]) if len(part)]
         return probes, remainder

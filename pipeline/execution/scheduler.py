@@ -40,7 +40,7 @@ _JOBS_PER_WORKER = 4  # jobs submitted or not yet read, for each worker
 _IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
 _MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
 _MAX_RETRIES = 3  # consecutive restarts of a broken engine
-Listener = Callable[[str, dict[str, Any]], None]
+_Listener = Callable[[str, dict[str, Any]], None]
 
 
 @dataclass
@@ -56,7 +56,7 @@ class Job:
     probe: bool = False
 
 
-def golden_ratio_order(pieces: list[Any]) -> list[Any]:
+def _golden_ratio_order(pieces: list[Any]) -> list[Any]:
     """Reorder pieces so that any leading part of them samples the whole evenly."""
     n = len(pieces)
     step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
@@ -122,10 +122,10 @@ class JobQueue:
         with self.lock:
             blocks = [job for job in self.ready if job.work is work and job.indices is not None]
             if blocks:
-                indices = np.sort(np.concatenate([job.indices for job in blocks]))  # type: ignore[misc]
+                indices = np.sort(np.concatenate([job.indices for job in blocks if job.indices is not None]))
                 probes, remainder = self.scheduler.costs.probes(work.number, indices)
                 self.ready = deque(job for job in self.ready if not any(job is block for block in blocks))
-                self.ready.extend(dataclasses.replace(blocks[0], indices=p) for p in golden_ratio_order(remainder))
+                self.ready.extend(dataclasses.replace(blocks[0], indices=p) for p in _golden_ratio_order(remainder))
                 self.ready.extendleft(dataclasses.replace(blocks[0], indices=p, probe=True) for p in probes)
 
     def requeue(self) -> None:
@@ -156,7 +156,7 @@ class Scheduler:
         self,
         plan: Plan,
         engine: Engine,
-        listen: Listener,
+        listen: _Listener,
         points: int,
         chunk: int | None = None,
         hold: contextlib.AbstractContextManager[Any] | None = None,
@@ -223,7 +223,7 @@ class Scheduler:
         jobs = [self._line_job(name, work, inputs) for name in work.why if name not in ("atlas", "points")]
         if not len(work.missing):
             return jobs
-        pieces = golden_ratio_order(np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size())))
+        pieces = _golden_ratio_order(np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size())))
         if len(work.missing) * self.cost > _TARGET_SECONDS:  # a probe of the line before the next ones are opened
             pieces[:1] = filter(len, (pieces[0][:_FIRST_CHUNK], pieces[0][_FIRST_CHUNK:]))
         points = self._line_job("points", work, inputs)

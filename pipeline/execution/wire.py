@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import struct
-from typing import BinaryIO
+
+Stream = io.RawIOBase | io.BufferedIOBase
 
 
-def send(stream: BinaryIO, *parts: bytes) -> None:
+def send(stream: Stream, *parts: bytes) -> None:
     """Write one message of several parts."""
     stream.write(struct.pack(f"<{1 + len(parts)}Q", len(parts), *map(len, parts)))
     for part in parts:
@@ -16,7 +18,7 @@ def send(stream: BinaryIO, *parts: bytes) -> None:
     stream.flush()
 
 
-def receive(stream: BinaryIO) -> list[bytes]:
+def receive(stream: Stream) -> list[bytes]:
     """Read one message.
 
     Raises
@@ -29,10 +31,10 @@ def receive(stream: BinaryIO) -> list[bytes]:
     return [_read_exactly(stream, size) for size in sizes]
 
 
-def _read_exactly(stream: BinaryIO, size: int) -> bytes:
+def _read_exactly(stream: Stream, size: int) -> bytes:
     data, received = memoryview(bytearray(size)), 0
     while received < size:
-        n = stream.readinto(data[received:])  # type: ignore[attr-defined]
+        n = stream.readinto(data[received:])
         if not n:
             raise EOFError
         received += n

@@ -51,7 +51,7 @@ def serve(parent: int) -> None:
             send(answers, b"broken", _sentence(error).encode())
             continue
         if len(sys.modules) != modules:  # a newly loaded library may have its own thread pool
-            threads, modules = one_thread(), len(sys.modules)
+            threads, modules = _limit_to_one_thread(), len(sys.modules)
         _limit_memory(request["memory"])
         params, trees = request["params"], [serialize.load(i) for i in inputs]
         for key in ("want", "gaits"):
@@ -88,7 +88,7 @@ def _pages(field: int) -> int:
         return int(file.read().split()[field]) * resource.getpagesize()
 
 
-def one_thread() -> int:
+def _limit_to_one_thread() -> int:
     """Limit every numerical library of this process to one thread; returns the largest number still in use."""
     import threadpoolctl
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import io
 import os
 import platform
 import resource
@@ -18,7 +19,7 @@ import subprocess
 import sys
 import threading
 import time
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -54,9 +55,10 @@ class WorkerProcess:
             process_group=0,
             bufsize=0,
         )
-        for pipe in (self.process.stdin, self.process.stdout):
+        self.pipes = cast(io.FileIO, self.process.stdin), cast(io.FileIO, self.process.stdout)
+        for pipe in self.pipes:
             with contextlib.suppress(OSError):
-                fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[arg-type]
+                fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)
         self.threads = 1
         self.lock = threading.Lock()  # held during a request
         _workers.add(self)
@@ -66,15 +68,15 @@ class WorkerProcess:
         _workers.discard(self)
         with contextlib.suppress(OSError):
             self.process.kill()
-        for pipe in (self.process.stdin, self.process.stdout):
+        for pipe in self.pipes:
             with contextlib.suppress(OSError):
-                pipe.close()  # type: ignore[union-attr]
+                pipe.close()
         return self.process.wait()
 
     def ask(self, request: bytes, inputs: list[bytes], seconds: float, memory: int) -> tuple[str, Any]:
         """Send one request; returns "ok" or a name of `statuses.ENDINGS`, and the parts of the answer or a sentence."""
         try:
-            wire.send(self.process.stdin, request, *inputs)  # type: ignore[arg-type]
+            wire.send(self.pipes[0], request, *inputs)
             kind, *parts = self._answer(_LOAD_TIMEOUT)
             if kind == b"broken":
                 raise WorkerError(f"A worker cannot load its task: {parts[0].decode()}.")
@@ -103,9 +105,9 @@ class WorkerProcess:
             self.lock.release()
 
     def _answer(self, seconds: float, memory: int | None = None) -> list[bytes]:
-        stream, last_poll = self.process.stdout, time.monotonic()
+        stream, last_poll = self.pipes[1], time.monotonic()
         poll = select.poll()
-        poll.register(stream, select.POLLIN)  # type: ignore[arg-type]
+        poll.register(stream, select.POLLIN)
         while not poll.poll(1000 * min(_POLL_INTERVAL, max(0.0, seconds))):
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.")
@@ -116,7 +118,7 @@ class WorkerProcess:
                 raise TimeoutError
             if memory is not None and self.resident() > memory:
                 raise MemoryError
-        return wire.receive(stream)  # type: ignore[arg-type]
+        return wire.receive(stream)
 
     def resident(self) -> int:
         """Resident memory of the process [byte]; 0 after its end."""
@@ -230,10 +232,10 @@ def _run_block(job: dict[str, Any], slopes: np.ndarray) -> list[tuple[bytes, byt
         outcome, parts = _ask(job, {**job["params"], "slope": slopes})
         if outcome == "ok":
             return [(slopes.tobytes(), parts[1], parts[2])]
-    return [(slopes.tobytes(), serialize.dump(failed_states(1, outcome, parts)), serialize.dump({}))]
+    return [(slopes.tobytes(), serialize.dump(_failed_states(1, outcome, parts)), serialize.dump({}))]
 
 
-def failed_states(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:
+def _failed_states(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:
     """States of `n` points whose worker ended the same way.
 
     Parameters

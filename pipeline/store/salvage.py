@@ -28,10 +28,10 @@ _SIZES = {
     9: 0,
 }  # size of a value of each type [byte]; 7 is a double
 _MAX_INVALID = 4  # consecutive invalid pointers that end the array
-Row = TypeVar("Row")
+_Row = TypeVar("_Row")
 
 
-def rows(path: Path, size: int, parse: Callable[[int, list[Any]], Row | None]) -> Iterator[Row]:
+def rows(path: Path, size: int, parse: Callable[[int, list[Any]], _Row | None]) -> Iterator[_Row]:
     """Rows of every table of a file with pages of `size` byte, and of its write-ahead log.
 
     Parameters
@@ -61,7 +61,7 @@ def _log(file: BinaryIO, size: int) -> dict[int, tuple[BinaryIO, int]]:
     return frames
 
 
-def _rows(pages: _Pages, parse: Callable[[int, list[Any]], Row | None]) -> Iterator[Row]:
+def _rows(pages: _Pages, parse: Callable[[int, list[Any]], _Row | None]) -> Iterator[_Row]:
     used: set[int] = set()
     # Leaves first. A page that holds no part of their rows may be a leaf whose type is damaged.
     for leaf in (True, False):

@@ -26,7 +26,7 @@ _INTERNAL_TASKS = ("atlas", "points", "trace")
 #: Axes that are not keys of a walker.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
 #: Largest axis and grid; anything above is taken for a mistake.
-MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
+_MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
 _UNITS = {
     "": 1,
     "B": 1,
@@ -192,8 +192,8 @@ def _values(value: object, location: Location) -> np.ndarray:
             raise location.error(f"`{key}` is missing")
     start, stop = location.at("from").number(table["from"]), location.at("to").number(table["to"])
     n, spacing = table["n"], table.get("spacing", "linear")
-    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= MAX_VALUES:
-        raise location.at("n").wrong(f"must be a whole number from 1 to {MAX_VALUES:,}", n)
+    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= _MAX_VALUES:
+        raise location.at("n").wrong(f"must be a whole number from 1 to {_MAX_VALUES:,}", n)
     if spacing not in ("linear", "log"):
         raise location.at("spacing").wrong('must be "linear" or "log"', spacing)
     if start >= stop:
