@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.execution import worker_process
+from pipeline.execution.worker_process import Request
 
 NOOP_JOB, _NOOP_SECONDS = -1, 0.05  # number of a job that does nothing, and its duration [s]
 
@@ -36,12 +37,12 @@ class Engine:
                 stack.enter_context(joblib.parallel_config(cluster.backend(client)))
                 self.jobs = cluster.workers(client)
             parallel = stack.enter_context(joblib.Parallel(self.jobs, pre_dispatch=2 * self.jobs, **options))
-            yield lambda jobs: parallel(joblib.delayed(run_job)(number, job) for number, job in jobs)
+            yield lambda jobs: parallel(joblib.delayed(_run_job)(number, job) for number, job in jobs)
 
 
-def run_job(number: int, job: dict[str, Any]) -> tuple[int, dict[str, Any]]:
+def _run_job(number: int, request: Request | None) -> tuple[int, dict[str, Any]]:
     """Run a numbered job in a guarded worker process."""
-    if number == NOOP_JOB:
+    if request is None:
         time.sleep(_NOOP_SECONDS)
         return number, {}
-    return number, worker_process.run(job)
+    return number, worker_process.run(request)

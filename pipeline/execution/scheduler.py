@@ -22,6 +22,7 @@ from pipeline import serialize
 from pipeline.errors import GaitsweepError, WorkerError
 from pipeline.execution.estimates import Costs
 from pipeline.execution.executors import NOOP_JOB, Engine
+from pipeline.execution.worker_process import Request
 from pipeline.plan import graph
 from pipeline.plan.missing import LineWork, Plan
 from pipeline.store import lines
@@ -76,10 +77,10 @@ class JobQueue:
     def __bool__(self) -> bool:
         return bool(self.ready) or not self.exhausted
 
-    def __iter__(self) -> Iterator[tuple[int, dict[str, Any]]]:
+    def __iter__(self) -> Iterator[tuple[int, Request | None]]:
         return self
 
-    def __next__(self) -> tuple[int, dict[str, Any]]:
+    def __next__(self) -> tuple[int, Request | None]:
         with self.lock:
             while not self.exhausted and (not self.ready or self._opens_line()):
                 work = next(self.lines, None)
@@ -90,7 +91,7 @@ class JobQueue:
             if len(self.running) >= _JOBS_PER_WORKER * self.scheduler.engine.jobs:
                 raise StopIteration  # joblib runs ahead of a slow reader, and its backlog takes memory
             if not self.ready and self.running:
-                return NOOP_JOB, {}  # an exhausted iterator is never asked again; a running job may add more
+                return NOOP_JOB, None  # an exhausted iterator is never asked again; a running job may add more
             if not self.ready:
                 raise StopIteration
             job = self.ready.popleft()
@@ -245,21 +246,16 @@ class Scheduler:
         seconds = min(_TARGET_SECONDS, max(_MIN_SECONDS, share), self.study.limits.seconds / 4)
         return max(1, min(_MAX_CHUNK, int(seconds / cost)))
 
-    def request(self, job: Job) -> dict[str, Any]:
-        """A job in the form that `worker_process.run` reads."""
+    def request(self, job: Job) -> Request:
+        """Request to a worker process for a job."""
         layer, limits = self.plan.layers[job.name], self.study.limits
         params = dict(job.params)
         if job.indices is not None:
             params |= {"slope": self.study.slope[job.indices], "want": self.plan.variables, "gaits": self.study.gaits}
-        return {
-            "function": layer.task.function,
-            "params": params,
-            "inputs": list(job.inputs),
-            "points": job.indices is not None,
-            "memory": limits.memory,
-            "idle": None if self.engine.address is None else _IDLE_TIMEOUT,
-            "seconds": limits.seconds * (_WHOLE_TASK_FACTOR if job.indices is None else 1),
-        }
+        is_block = job.indices is not None
+        seconds = limits.seconds * (1 if is_block else _WHOLE_TASK_FACTOR)
+        idle = None if self.engine.address is None else _IDLE_TIMEOUT
+        return Request(layer.task.function, params, list(job.inputs), is_block, seconds, limits.memory, idle)
 
     def _record(self, job: Job, result: dict[str, Any]) -> list[Job]:
         """Store a result and return the jobs that it makes ready."""

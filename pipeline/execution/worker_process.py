@@ -19,6 +19,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -35,6 +36,23 @@ _PIECES = 16  # parts of a failed block
 _local = threading.local()
 _workers: set[WorkerProcess] = set()
 _closing = threading.Event()
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A task to run in a worker process.
+
+    `params["slope"]` of a block of points, shape (n,) [rad], may be divided. `seconds` and `memory` [byte] limit one
+    point, or the whole task if it is not a block. The process ends after waiting `idle` seconds for another request.
+    """
+
+    function: str
+    params: dict[str, Any]
+    inputs: list[bytes]
+    is_block: bool
+    seconds: float
+    memory: int
+    idle: float | None = None
 
 
 class WorkerProcess:
@@ -73,10 +91,10 @@ class WorkerProcess:
                 pipe.close()
         return self.process.wait()
 
-    def ask(self, request: bytes, inputs: list[bytes], seconds: float, memory: int) -> tuple[str, Any]:
+    def ask(self, message: bytes, inputs: list[bytes], seconds: float, memory: int) -> tuple[str, Any]:
         """Send one request; returns "ok" or a name of `statuses.ENDINGS`, and the parts of the answer or a sentence."""
         try:
-            wire.send(self.pipes[0], request, *inputs)
+            wire.send(self.pipes[0], message, *inputs)
             kind, *parts = self._answer(_LOAD_TIMEOUT)
             if kind == b"broken":
                 raise WorkerError(f"A worker cannot load its task: {parts[0].decode()}.")
@@ -168,32 +186,30 @@ def _member(worker: WorkerProcess) -> dict[str, Any]:
     return {"host": platform.node(), "pid": worker.process.pid, "memory": worker.resident(), "threads": worker.threads}
 
 
-def _ask(job: dict[str, Any], params: dict[str, Any]) -> tuple[str, Any]:
-    request = serialize.dump({**{k: job[k] for k in ("function", "points", "memory")}, "params": params})
+def _ask(request: Request, params: dict[str, Any]) -> tuple[str, Any]:
+    head = {"function": request.function, "points": request.is_block, "memory": request.memory, "params": params}
+    message = serialize.dump(head)
     while True:
         worker = getattr(_local, "worker", None)
         if worker is None or worker not in _workers:
             worker = _local.worker = WorkerProcess()
         with worker.lock:
             if worker in _workers:  # it may have ended meanwhile
-                return worker.ask(request, job["inputs"], job["seconds"], job["memory"])
+                return worker.ask(message, request.inputs, request.seconds, request.memory)
 
 
-def run(job: dict[str, Any]) -> dict[str, Any]:
-    """Run one job in the worker process of this thread; errors of the task are returned, not raised.
+def run(request: Request) -> dict[str, Any]:
+    """Run a request in the worker process of this thread; errors of the task are returned, not raised.
 
     Parameters
     ----------
-    job : dict
-        `function`, `params`, `inputs` (packed), `points` (whether it is a block of points), the limits `seconds` [s]
-        and `memory` [byte] of one point, or of the job if it is not a block, and `idle` [s], how long the process
-        may wait for another job, None for no limit.
+    request : Request
 
     Returns
     -------
     dict
         `seconds` [s] taken; `rows` of a block, each (slopes, packed states, packed variables), or `outcome` and
-        `data` (packed result) or `reason` of another job; `worker`, the process that ran it.
+        `data` (packed result) or `reason` of another task; `worker`, the process that ran it.
 
     Raises
     ------
@@ -203,33 +219,33 @@ def run(job: dict[str, Any]) -> dict[str, Any]:
     start = time.perf_counter()
     if timer := getattr(_local, "timer", None):
         timer.cancel()
-    if job["points"]:
-        answer: dict[str, Any] = {"rows": _run_block(job, np.asarray(job["params"]["slope"]))}
+    if request.is_block:
+        answer: dict[str, Any] = {"rows": _run_block(request, np.asarray(request.params["slope"]))}
     else:
-        outcome, parts = _ask(job, job["params"])
+        outcome, parts = _ask(request, request.params)
         if outcome == "worker_died":  # it may have been killed from outside; a second death has another cause
-            outcome, parts = _ask(job, job["params"])
+            outcome, parts = _ask(request, request.params)
         is_ok = outcome == "ok"
         answer = {"outcome": outcome, "data": parts[1] if is_ok else b"", "reason": "" if is_ok else parts}
     worker = getattr(_local, "worker", None)
     if worker:
         answer["worker"] = _member(worker)
-    if worker and job["idle"] is not None:
-        timer = _local.timer = threading.Timer(job["idle"], worker.leave)
+    if worker and request.idle is not None:
+        timer = _local.timer = threading.Timer(request.idle, worker.leave)
         timer.daemon = True
         timer.start()
     return {**answer, "seconds": time.perf_counter() - start, "pid": os.getpid()}
 
 
-def _run_block(job: dict[str, Any], slopes: np.ndarray) -> list[tuple[bytes, bytes, bytes]]:
-    outcome, parts = _ask(job, {**job["params"], "slope": slopes})
+def _run_block(request: Request, slopes: np.ndarray) -> list[tuple[bytes, bytes, bytes]]:
+    outcome, parts = _ask(request, {**request.params, "slope": slopes})
     if outcome == "ok":
         return [(slopes.tobytes(), parts[1], parts[2])]
     if len(slopes) > 1:
         pieces = np.array_split(slopes, min(_PIECES, len(slopes)))
-        return [row for piece in pieces for row in _run_block(job, piece)]
+        return [row for piece in pieces for row in _run_block(request, piece)]
     if outcome == "worker_died":
-        outcome, parts = _ask(job, {**job["params"], "slope": slopes})
+        outcome, parts = _ask(request, {**request.params, "slope": slopes})
         if outcome == "ok":
             return [(slopes.tobytes(), parts[1], parts[2])]
     return [(slopes.tobytes(), serialize.dump(_failed_states(1, outcome, parts)), serialize.dump({}))]

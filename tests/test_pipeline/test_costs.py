@@ -51,9 +51,9 @@ class Simulated(Engine):
             for number, job in jobs:
                 took = 0.01
                 result = {"outcome": "ok", "reason": "", "data": serialize.dump({})}
-                if job["points"]:
-                    slope = job["params"]["slope"]
-                    line = round(job["params"]["line"]["set"].get("w_t", 0) / 0.1 * 59)
+                if job.is_block:
+                    slope = job.params["slope"]
+                    line = round(job.params["line"]["set"].get("w_t", 0) / 0.1 * 59)
                     took = 0.01 + float(np.sum(self.cost(line, slope)))
                     states = {
                         "status": np.zeros((len(slope), 4), np.int8),
