@@ -96,6 +96,6 @@ class Grid:
         """Slopes of a box, shape (n,) [rad]."""
         return self.study.slope[dict(zip(self.sizes, box, strict=True))["slope"]]
 
-    def lined_up(self, values: np.ndarray) -> np.ndarray:
+    def slope_last(self, values: np.ndarray) -> np.ndarray:
         """View of the values of a box with the slope after the axes of the lines."""
         return np.moveaxis(values, list(self.sizes).index("slope"), len(self.lines))

@@ -267,7 +267,7 @@ class _PointWriter:
 
     def fill(self, draft: Path, threads: int) -> None:
         """Write values region by region; while one region is packed the next is assembled."""
-        packed: list[tuple[str, tuple[int, ...], Future[bytes]]] = []
+        previous: list[tuple[str, tuple[int, ...], Future[bytes]]] = []
         with ThreadPoolExecutor(threads) as pool, chunks.Chunks(draft) as out:
             for box in [*layout.regions(self.grid.sizes), ()]:
                 region = self._region(box) if box else {}
@@ -277,9 +277,9 @@ class _PointWriter:
                     for name, values in region.items()
                     for corner, part in chunks.split(values, box, self.shapes[name])
                 ]
-                for name, corner, data in packed:
+                for name, corner, data in previous:
                     out.write(name, corner, data.result())
-                packed = packing
+                previous = packing
                 self.sums.update({name: checksum.result() for name, checksum in sums.items()})
 
     def _region(self, box: layout.Box) -> dict[str, np.ndarray]:
@@ -289,13 +289,13 @@ class _PointWriter:
             name: np.empty((*extent, max(self.columns) + 1, *shape[len(box) + 1 :]), self.dtypes[name])
             for name, shape in self.shapes.items()
         }
-        lined_up = {name: self.grid.lined_up(v) for name, v in values.items()}
+        views = {name: self.grid.slope_last(v) for name, v in values.items()}
         index = {sentence: i for i, sentence in enumerate(self.sentences)}
         for position, _, line in self._lines(box, tuple(n for n in values if n not in ("status", "reason"))):
             table = np.array([index.get(s, 0) for s in line["reasons"].tolist()])
             line["reason"] = table[line["reason"]]
-            for name, along in lined_up.items():
-                along[position] = line[name]
+            for name, view in views.items():
+                view[position] = line[name]
         if self.columns == list(range(len(self.columns))):
             return values
         return {name: v.take(self.columns, axis=len(box)) for name, v in values.items()}

@@ -316,7 +316,7 @@ def _tune(options: argparse.Namespace) -> int:
         return 0
     from pipeline.cli import text
 
-    print("\n".join(text.tuned(answer)))
+    print("\n".join(text.tuned_walker(answer)))
     return 0
 
 

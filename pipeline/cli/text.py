@@ -26,7 +26,7 @@ def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
         parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
         yield f"  {name:<12} version {layer.task.version}  per {what}: {', '.join(parts) or 'none'}"
-    tasks, variables = planned.unwanted()
+    tasks, variables = planned.omissions()
     yield f"  not wanted: {', '.join(tasks + variables) or 'nothing'}"
     yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
 
@@ -95,7 +95,7 @@ def table(name: str, values: dict[str, Any]) -> Iterator[str]:
         yield f"{key} = {json.dumps(value)}"
 
 
-def tuned(answer: dict[str, Any]) -> Iterator[str]:
+def tuned_walker(answer: dict[str, Any]) -> Iterator[str]:
     """Nearest tuned walker as a TOML table; changed keys and residuals of the conditions precede it as comments."""
     if not answer["moved"]:
         yield "# It meets the zero-slope conditions already; no key was changed."

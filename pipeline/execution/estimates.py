@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 _REGIONS = 64
-_PROBE = 50  # a probe is this fraction of its region, inverted
+_PROBE = 50  # a probe is one part in this many of its region
 
 
 class Costs:

@@ -33,7 +33,7 @@ from pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
 _MAX_REASONS = 10  # reasons listed at the end of a run
-_SNAPSHOT_PAUSE = 20  # and at least this many times the time of writing one
+_SNAPSHOT_PAUSE = 20  # minimum interval, in multiples of the time of writing one
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ from pipeline.store import lines
 from pipeline.store.journal import Result, TaskKey
 from tasks.registry import GAITS, READS, VARIABLES
 
-_TARGET_SECONDS = 1.0  # of work in a chunk [s]
+_TARGET_SECONDS = 1.0  # work in a chunk [s]
 _MAX_CHUNK = 32768  # points in a chunk: this bounds the memory of a worker
 _CHUNKS_PER_WORKER = 4  # chunks for each worker at least, where there is enough work
 _MIN_SECONDS = 0.25  # less work than this is not divided [s]

@@ -21,7 +21,7 @@ from pipeline.execution.wire import receive, send
 from tasks.registry import STATUSES, VARIABLES
 
 _PR_SET_PDEATHSIG = 1
-_SLACK = 256 << 20  # byte
+_SLACK = 256 << 20  # growth above the limit that the kernel allows [byte]
 
 
 def serve(parent: int) -> None:

@@ -48,26 +48,26 @@ class Plan:
         study, line = self.study, self.study.line(number)
         keys = graph.line_keys(study, self.layers, line)
         why: dict[str, str] = {}
-        absent = np.arange(0)
-        failed = False
+        missing = np.arange(0)
+        has_failed = False
         if "atlas" in keys:
-            failed = not fresh and self._failed(keys["atlas"].key)
+            has_failed = not fresh and self._has_failed(keys["atlas"].key)
         for name, (key, unversioned_key) in keys.items():
             if name == "points":
-                absent = self._missing(key, fresh, failed)
-                if len(absent):
-                    why[name] = "new" if fresh else self._why_points(key, unversioned_key, len(absent))
-            elif name != "atlas" and not failed and (fresh or self._stale(key)):
+                missing = self._missing_points(key, fresh, has_failed)
+                if len(missing):
+                    why[name] = "new" if fresh else self._why_points(key, unversioned_key)
+            elif name != "atlas" and not has_failed and (fresh or self._is_stale(key)):
                 why[name] = "new" if fresh else self._why(unversioned_key)
         # Tasks over the study read the atlas too, so a lost row is computed again.
         readers = [*why, *(name for name, layer in self.layers.items() if not layer.per_line)]
         if "atlas" in keys and any("atlas" in self.layers[name].needs for name in readers):
             key, unversioned_key = keys["atlas"]
-            if fresh or self._stale(key):
+            if fresh or self._is_stale(key):
                 why["atlas"] = "new" if fresh else self._why(unversioned_key)
-        return LineWork(number, line, keys, why, absent)
+        return LineWork(number, line, keys, why, missing)
 
-    def _missing(self, key: str, fresh: bool, failed: bool) -> np.ndarray:
+    def _missing_points(self, key: str, fresh: bool, failed: bool) -> np.ndarray:
         slopes = self.study.slope
         if fresh:
             return np.arange(len(slopes))
@@ -75,19 +75,19 @@ class Plan:
             return np.arange(0)
         return lines.missing(self.journal, key, self.want, slopes, self.study.gaits, self.retry)
 
-    def _failed(self, key: str) -> bool:
+    def _has_failed(self, key: str) -> bool:
         """Whether the task failed before and is not to be retried."""
         outcome = self.journal.outcome(key)
         return outcome is not None and outcome.status != "ok" and not self.retry
 
-    def _stale(self, key: str) -> bool:
+    def _is_stale(self, key: str) -> bool:
         outcome = self.journal.outcome(key)
         return outcome is None or (self.retry and outcome.status != "ok")
 
     def _why(self, unversioned_key: str) -> str:
         return "changed" if self.journal.knows(unversioned_key) else "new"
 
-    def _why_points(self, key: str, unversioned_key: str, n: int) -> str:
+    def _why_points(self, key: str, unversioned_key: str) -> str:
         if not self.journal.last_block(key):
             return self._why(unversioned_key)
         slopes = self.study.slope
@@ -138,7 +138,7 @@ class Plan:
         keys = (line["points"].key for line in self._line_keys() if "points" in line)
         return max(map(self.journal.last_block, keys), default=0)
 
-    def unwanted(self) -> tuple[list[str], list[str]]:
+    def omissions(self) -> tuple[list[str], list[str]]:
         """Tasks and variables that the study does not request."""
         return [t for t in TASKS if t not in self.layers], [v for v in VARIABLES if v not in self.variables]
 

@@ -53,7 +53,7 @@ def needed(variables: Iterable[str], gaits: Iterable[str]) -> frozenset[str]:
     return frozenset([*variables, *(f"@{gait}" for gait in gaits)])
 
 
-def bad(states: dict[str, np.ndarray], gaits: Collection[str]) -> np.ndarray:
+def has_failed(states: dict[str, np.ndarray], gaits: Collection[str]) -> np.ndarray:
     """Points of a block that failed in any of the given gaits.
 
     Parameters
@@ -101,7 +101,7 @@ def missing(
     for block in journal.blocks(line):  # all blocks: the slope range of a damaged row is not reliable
         if want <= block.variables:
             inside, positions = order.find(block.slopes)
-            present[positions] = ~bad(block.states, gaits)[inside] if retry else True
+            present[positions] = ~has_failed(block.states, gaits)[inside] if retry else True
     return np.flatnonzero(~present)
 
 

@@ -15,18 +15,8 @@ from typing import Any, BinaryIO, TypeVar
 _LEAF, _HEAD = b"\x0d", 8  # type of a page that holds rows, and offset of its cell pointers
 _FILE_HEAD = 100  # bytes before the first page's own header
 _LOG_HEAD, _FRAME_HEAD = 32, 24  # header sizes of a write-ahead log and of each frame [byte]
-_SIZES = {
-    0: 0,
-    1: 1,
-    2: 2,
-    3: 3,
-    4: 4,
-    5: 6,
-    6: 8,
-    7: 8,
-    8: 0,
-    9: 0,
-}  # size of a value of each type [byte]; 7 is a double
+#: Size of a value of each type [byte]; 7 is a double.
+_SIZES = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 7: 8, 8: 0, 9: 0}
 _MAX_INVALID = 4  # consecutive invalid pointers that end the array
 _Row = TypeVar("_Row")
 
