@@ -1,4 +1,6 @@
-"""How a grid of points is run, kept and shown: study, plan, graph, journal, archive, report.
+"""Run a grid of points, store the results and report them.
+
+The folders follow a number from study to page: `study`, `plan`, `execution`, `store`, `archive`, `report`.
 
 In a notebook, `from pipeline import load, run, solve`.
 """
@@ -9,7 +11,7 @@ __all__ = ["load", "run", "solve"]
 
 
 def __getattr__(name: str) -> Any:
-    # Late, so that the command line loads no more than a command needs.
+    # Imported on use, so that a command loads only what it needs.
     if name in __all__:
         from pipeline import api
 

@@ -1,4 +1,4 @@
-"""What notebooks and scripts use: `from pipeline import load, run, solve`. The command line's ways, with Datasets."""
+"""Functions for notebooks and scripts: the commands of the command line, returning Datasets and tables."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     Parameters
     ----------
     archive : str or Path
-        An archive as `run` leaves it.
+        An archive written by `run`.
     table : str, optional
         A group of the archive: `"fits/scaling"`, `"branches"`, `"special_points"`, `"claims"`, …
 
@@ -33,20 +33,20 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     -------
     xarray.Dataset
         The grid, in memory, with its flags decoded: `status` and `reason` in words, `violations` as booleans along
-        a dimension `violation`, and `multipliers`, complex, beside their parts. `attrs["tables"]` lists the tables.
+        a dimension `violation`, and complex `multipliers` beside their parts. `attrs["tables"]` lists the tables.
     pandas.DataFrame
-        The table, if one is asked for; `attrs["units"]` holds the units of its columns.
+        The requested table; `attrs["units"]` holds the units of its columns.
 
     Raises
     ------
     ArchiveError
-        If the file is not an archive of gaitsweep, or has no such table.
+        If the file is not an archive of gaitsweep, or does not have the table.
     """
     path = Path(archive)
-    with read.opened(path) as file:
+    with read.open_archive(path) as file:
         tables = list(read.tables(file))
     if table is None:
-        return _decoded(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
+        return _decode(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
     if table not in tables:
         raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
     columns = xr.load_dataset(path, group=table, engine="netcdf4")
@@ -55,24 +55,24 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     return frame
 
 
-def _decoded(grid: xr.Dataset) -> xr.Dataset:
-    """A grid with words for its flags and complex multipliers."""
-    words = {}
+def _decode(grid: xr.Dataset) -> xr.Dataset:
+    """Decode the flags of a grid and combine the parts of its multipliers."""
+    texts = {}
     if "status" in grid:
         names = dict(zip(grid.status.flag_values.tolist(), grid.status.flag_meanings.split(), strict=True))
-        words["status"] = np.vectorize(names.get, otypes=[object])(grid.status.values)
-        words["reason"] = grid.reason_text.values[grid.reason.values]
+        texts["status"] = np.vectorize(names.get, otypes=[object])(grid.status.values)
+        texts["reason"] = grid.reason_text.values[grid.reason.values]
     grid = grid.assign(
-        {name: (grid[name].dims, text, {"long_name": grid[name].long_name}) for name, text in words.items()}
+        {name: (grid[name].dims, text, {"long_name": grid[name].long_name}) for name, text in texts.items()}
     ).drop_vars("reason_text", errors="ignore")
     if "violations" in grid:
         bits = grid.violations
-        kind = xr.DataArray(bits.flag_meanings.split(), dims="violation", name="violation")
-        masks = xr.DataArray(bits.flag_masks, coords={"violation": kind}, dims="violation")
+        violation = xr.DataArray(bits.flag_meanings.split(), dims="violation", name="violation")
+        masks = xr.DataArray(bits.flag_masks, coords={"violation": violation}, dims="violation")
         grid = grid.assign(violations=((bits & masks) != 0).assign_attrs(long_name=bits.long_name))
     if "multiplier_real" in grid and "multiplier_imag" in grid:
-        both = grid.multiplier_real + 1j * grid.multiplier_imag
-        grid = grid.assign(multipliers=both.assign_attrs(long_name="eigenvalues of the stride map", units="1"))
+        multipliers = grid.multiplier_real + 1j * grid.multiplier_imag
+        grid = grid.assign(multipliers=multipliers.assign_attrs(long_name="eigenvalues of the step map", units="1"))
     return grid
 
 
@@ -86,42 +86,42 @@ def run(
     retry_failed: bool = False,
     quiet: bool = False,
 ) -> xr.Dataset:
-    """Run a study, or what is left of it, and load its archive.
+    """Run a study, or the rest of it, and load its archive.
 
     Parameters
     ----------
     wanted : str, Path or mapping
-        A study: its file, its TOML text, or the same as a mapping, where an axis may be an array.
+        A study: its file, its TOML text, or a mapping with the same keys, in which an axis may be an array.
     jobs : int
         Worker processes.
     archive : str or Path, optional
-        Where the archive goes; by default `data/archive/NAME.nc` under the current folder.
+        Path of the archive; by default `data/archive/NAME.nc` under the current folder.
     cluster : str, optional
         A Dask scheduler, `tcp://HOST:PORT`, or `local:N`, instead of `jobs`.
     fresh, retry_failed, quiet : bool
-        As on the command line: forget what earlier runs found, try again what failed, show no progress.
+        As on the command line: discard earlier results, retry failed points and tasks, show no progress.
 
     Returns
     -------
     xarray.Dataset
-        As `load` gives it. Points that failed say so in `status` and `reason`.
+        As `load` returns it. `status` and `reason` tell which points failed and why.
 
     Raises
     ------
     StudyError
-        If the study is wrong: one sentence that names the key, the value and what is allowed.
+        If the study is invalid: one sentence that names the key, its value and the bound.
     GaitsweepError
-        If the run cannot begin or go on; what was finished is kept.
+        If the run cannot start or continue; finished results are kept.
     """
-    found = _study(wanted)
-    path = Path(archive) if archive else Path("data", "archive", f"{found.name}.nc")
-    runner.run(found, path, runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))
+    study = _study(wanted)
+    path = Path(archive) if archive else Path("data", "archive", f"{study.name}.nc")
+    runner.run(study, path, runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))
     return load(path)
 
 
 def _study(wanted: str | Path | Mapping[str, Any]) -> model.Study:
     if isinstance(wanted, Mapping):
-        wanted = "".join(f"{key} = {_toml(value, key)}\n" for key, value in wanted.items())
+        wanted = "".join(f"{key} = {_to_toml(value, key)}\n" for key, value in wanted.items())
     elif isinstance(wanted, Path) or "=" not in wanted:
         return parse.read(wanted)
     try:
@@ -131,14 +131,14 @@ def _study(wanted: str | Path | Mapping[str, Any]) -> model.Study:
     return parse.parse(table, wanted, Path("study"))
 
 
-def _toml(value: Any, key: str) -> str:
-    """A value as TOML; mappings become inline tables."""
+def _to_toml(value: Any, key: str) -> str:
+    """Format a value as TOML; mappings become inline tables."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_toml(str(k), key)} = {_toml(v, key)}" for k, v in value.items()) + " }"
+        return "{ " + ", ".join(f"{_to_toml(str(k), key)} = {_to_toml(v, key)}" for k, v in value.items()) + " }"
     if isinstance(value, list | tuple | range):
-        return "[" + ", ".join(_toml(v, key) for v in value) + "]"
+        return "[" + ", ".join(_to_toml(v, key) for v in value) + "]"
     if isinstance(value, str | Path):
         return json.dumps(str(value))
     if isinstance(value, float) and not math.isfinite(value):
@@ -149,40 +149,40 @@ def _toml(value: Any, key: str) -> str:
 
 
 def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = False, **keys: float) -> pd.DataFrame:
-    """Find every gait of a walker at one slope, from nothing.
+    """Find every gait of a walker at one slope.
 
     Parameters
     ----------
     walker : str, Path or mapping
-        A name of the catalogue, a walker file, or a walker's table.
+        A name from the catalogue, a walker file, or the table of a walker.
     slope : float [rad]
         Slope of the ground, in (0, 0.5).
     every : bool
-        Also gaits whose legs pass more than once.
+        Include gaits whose swing leg passes the stance leg more than once.
     **keys : float
         Walker keys to change, `foot_mass_ratio` or `detuning`.
 
     Returns
     -------
     pandas.DataFrame
-        A row a gait, its columns as in archives, with `multipliers` and `violations` as tuples. Empty where there is
-        no gait; `attrs["search"]` says how it was sought.
+        One row for each gait, with the columns of archives, and `multipliers` and `violations` as tuples. Empty if
+        there is no gait; `attrs["search"]` describes the search.
 
     Raises
     ------
     StudyError
-        If there is no such walker, key or slope.
+        If the walker, a key or the slope is invalid.
     """
-    one = dict(walker) if isinstance(walker, Mapping) else str(walker)
-    found = single_point.solve(one, float(slope), {key: float(value) for key, value in keys.items()}, every)
+    definition = dict(walker) if isinstance(walker, Mapping) else str(walker)
+    answer = single_point.solve(definition, float(slope), {key: float(value) for key, value in keys.items()}, every)
     rows = [
         {
             **{name: math.nan if value is None else value for name, value in gait.items()},
             "multipliers": tuple(complex(*pair) for pair in gait["multipliers"]),
             "violations": tuple(gait["violations"] or ()),
         }
-        for gait in found["gaits"]
+        for gait in answer["gaits"]
     ]
     frame = pd.DataFrame(rows)
-    frame.attrs["search"] = found["search"]
+    frame.attrs["search"] = answer["search"]
     return frame

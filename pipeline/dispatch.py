@@ -11,23 +11,23 @@ from tasks.registry import CALLS
 
 
 def resolve(name: str) -> Any:
-    """The object called "module:name"."""
+    """Import the object named "module:name"."""
     module, _, attribute = name.partition(":")
     return getattr(importlib.import_module(module), attribute)
 
 
 def call(name: str, params: dict[str, Any]) -> Any:
-    """Answer one of `tasks.registry.CALLS` in this process."""
+    """Call a function of `tasks.registry.CALLS` in this process."""
     return resolve(CALLS[name])(params)
 
 
 def ask(call: str, params: dict[str, Any]) -> Any:
-    """Answer of one of the calls `tasks` offers.
+    """Call a function of `tasks` by its name in the registry.
 
     Raises
     ------
     StudyError
-        If it finds the walker or another parameter wrong.
+        If the walker or another parameter is invalid.
     """
     try:
         return dispatch.call(call, params)

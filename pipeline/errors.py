@@ -1,4 +1,4 @@
-"""Everything that can go wrong, as one tree: each branch is one exit code of the command line."""
+"""One tree of exceptions: each branch is one exit code of the command line."""
 
 import errno
 from pathlib import Path
@@ -10,16 +10,16 @@ class GaitsweepError(Exception):
     exit_code = 2
 
     def __init__(self, message: str = ""):
-        # A name in a file from elsewhere may hold a line's end, or what a terminal obeys.
+        # Names in foreign files may contain line ends or terminal control characters.
         super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
 
 
 class StudyError(GaitsweepError):
-    """A study, walker file or option that cannot be."""
+    """An invalid study, walker file or option."""
 
 
 class ArchiveError(GaitsweepError):
-    """An archive or journal that cannot be read, is foreign, or cannot be written where it should be."""
+    """An archive or journal that cannot be read or written, or is not one of gaitsweep."""
 
 
 class WorkerError(GaitsweepError):
@@ -29,14 +29,19 @@ class WorkerError(GaitsweepError):
 
 
 class DiskFullError(GaitsweepError):
-    """The disk is full; what was finished is kept."""
+    """The disk is full; finished results are kept."""
 
     exit_code = 4
 
 
+def is_disk_full(error: BaseException) -> bool:
+    """Whether the operating system reports a full disk or an exhausted quota."""
+    return getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
+
+
 def unwritten(path: Path, error: OSError) -> GaitsweepError:
-    """The error of a file or folder that cannot be written."""
-    kind = DiskFullError if error.errno in (errno.ENOSPC, errno.EDQUOT) else ArchiveError
+    """Error for a file or folder that cannot be written."""
+    kind = DiskFullError if is_disk_full(error) else ArchiveError
     return kind(f"{path} cannot be written: {error.strerror}.")
 
 
@@ -47,7 +52,7 @@ class BusyError(GaitsweepError):
 
 
 class StoppedError(GaitsweepError):
-    """A signal ended the run; what was finished is kept."""
+    """A signal ended the run; finished results are kept."""
 
     def __init__(self, signum: int, message: str):
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""What lies beside an archive: its journal, lock and records, and the drafts it is written in."""
+"""Files beside an archive: journal, lock, records, and drafts of each."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ import secrets
 from pathlib import Path
 
 
-def sidecar_path(path: Path, what: str) -> Path:
-    """A companion of an archive: its journal, event log, lock or record."""
-    return path.with_name(path.name.removesuffix(".nc") + what)
+def sidecar_path(path: Path, suffix: str) -> Path:
+    """Path of the journal, event log, lock or record of an archive."""
+    return path.with_name(path.name.removesuffix(".nc") + suffix)
 
 
 SECRET = secrets.token_hex(16)
 
 
-def of(place: Path, secret: str = SECRET) -> Path:
-    """The draft of the file at `place`."""
-    return place.with_name(f".{place.name}.{secret}")
+def of(file: Path, secret: str = SECRET) -> Path:
+    """Path of the draft of a file."""
+    return file.with_name(f".{file.name}.{secret}")
 
 
-def discard(place: Path, secret: object = SECRET) -> None:
-    """Remove the draft of the file at `place`, if there is one, and what SQLite keeps beside it."""
-    if isinstance(secret, str) and re.fullmatch("[0-9a-f]{32}", secret):  # a lock may be damaged
+def discard(file: Path, secret: object = SECRET) -> None:
+    """Remove the draft of a file, if there is one, and the files of SQLite beside it."""
+    if isinstance(secret, str) and re.fullmatch("[0-9a-f]{32}", secret):  # a damaged lock may hold anything
         for suffix in ("", "-wal", "-shm"):
-            draft = of(place, secret)
+            draft = of(file, secret)
             with contextlib.suppress(OSError):
                 draft.with_name(draft.name + suffix).unlink()

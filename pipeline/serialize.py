@@ -1,7 +1,7 @@
-"""Plain data and arrays as bytes and back: what crosses a pipe and what the journal keeps.
+"""Nested data and arrays as bytes, for pipes and the journal.
 
-No pickle: a header of JSON in which an array is `{"": [dtype, shape]}`, then the arrays' bytes. Reading bytes
-from elsewhere can raise ValueError and nothing worse.
+Not pickle: a header of JSON, in which an array is `{"": [dtype, shape]}`, then the bytes of the arrays. Untrusted bytes
+can raise only ValueError.
 """
 
 from __future__ import annotations
@@ -17,7 +17,13 @@ _ALIGN = 16
 
 
 def dump(tree: Any) -> bytes:
-    """Bytes of nested dicts, lists, strings, numbers and arrays. Equal trees give equal bytes."""
+    """Pack nested dicts, lists, strings, numbers and arrays. Equal trees give equal bytes.
+
+    Raises
+    ------
+    TypeError
+        If the tree contains an array of objects or another kind of value.
+    """
     arrays: list[np.ndarray] = []
 
     def plain(x: Any) -> Any:
@@ -37,20 +43,20 @@ def dump(tree: Any) -> bytes:
 
 
 def load(data: bytes) -> Any:
-    """The tree that `dump` made; arrays are read-only views of `data`.
+    """Unpack the result of `dump`; arrays are read-only views of `data`.
 
     Raises
     ------
     ValueError
-        If `data` is not what `dump` makes.
+        If `data` is not a result of `dump`.
     """
     try:
         (size,) = struct.unpack_from("<I", data)
-        place = 4 + size
-        place += -place % _ALIGN
+        offset = 4 + size
+        offset += -offset % _ALIGN
 
-        def array(x: dict[str, Any]) -> Any:
-            nonlocal place
+        def restore(x: dict[str, Any]) -> Any:
+            nonlocal offset
             if "" not in x:
                 return x
             text, shape = x[""]
@@ -58,10 +64,10 @@ def load(data: bytes) -> Any:
             if dtype.kind not in "fiubU" or not all(isinstance(n, int) and n >= 0 for n in shape):
                 raise ValueError("unknown array")
             count = math.prod(shape)
-            found = np.frombuffer(data, dtype, count, place) if count else np.empty(0, dtype)
-            place += found.nbytes + -found.nbytes % _ALIGN
-            return found.reshape(shape)
+            values = np.frombuffer(data, dtype, count, offset) if count else np.empty(0, dtype)
+            offset += values.nbytes + -values.nbytes % _ALIGN
+            return values.reshape(shape)
 
-        return json.loads(data[4 : 4 + size], object_hook=array)
+        return json.loads(data[4 : 4 + size], object_hook=restore)
     except (struct.error, KeyError, TypeError, RecursionError, UnicodeDecodeError) as error:
         raise ValueError(f"not packed data: {error}") from error

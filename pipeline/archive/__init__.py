@@ -1,5 +1,5 @@
 """The netCDF file: `layout` of its chunks, `write`, `read`, `verify` and `diff`.
 
-`chunks` packs variables, `result_tables` gives columns their names and units, `provenance` and `citation` say where an
-archive is from.
+`chunks` packs variables, `result_tables` writes tables with units, `provenance` and `citation` record the origin of an
+archive.
 """

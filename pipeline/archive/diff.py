@@ -1,4 +1,4 @@
-"""How two archives differ."""
+"""Differences between two archives."""
 
 from __future__ import annotations
 
@@ -9,89 +9,99 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.archive.read import columns, opened
+from pipeline.archive.read import columns, open_archive
 from pipeline.errors import ArchiveError
 from pipeline.statuses import ALL_STATUSES
 
-Pair = tuple[np.ndarray, np.ndarray]
-#: Variables that measure rounding, relative to what they speak of: a tolerance is held against their difference.
+_Pair = tuple[np.ndarray, np.ndarray]
+#: Variables that measure relative rounding: a tolerance applies to their absolute difference.
 _ROUNDING = ("residual", "error_bound", "energy_imbalance")
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Relative tolerance of every variable, and of some by name."""
+    """Relative tolerance of every variable, and exceptions `own` by name."""
 
     rtol: float
     own: Mapping[str, float]
 
     def of(self, name: str) -> float | None:
-        """Relative tolerance of a variable; None where it is one of its own size, as `rtol` is."""
+        """Relative tolerance of a variable; None if `rtol` applies to its absolute difference."""
         if name in self.own:
             return self.own[name]
         return None if name.rpartition("/")[2] in _ROUNDING else self.rtol
 
 
 def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = None) -> list[str]:
-    """How archive `b` differs from `a`, one sentence each, aligned by coordinates.
+    """List the differences between two archives, aligned by coordinates.
 
-    Numbers are equal if they differ by at most `rtol` times the larger, or `own[name]` where a variable or a column
-    "group/column" has a tolerance of its own; parts of an eigenvalue are held against its magnitude, and what measures
-    rounding, itself relative, against one.
+    Parameters
+    ----------
+    a, b : Path
+    rtol : float
+        Relative tolerance: numbers are equal if they differ by at most `rtol` times the larger. Parts of an eigenvalue
+        are compared with its magnitude, measures of rounding with one.
+    own : mapping, optional
+        Relative tolerances of single variables, or of columns as "group/column".
+
+    Returns
+    -------
+    list of str
+        One sentence for each difference.
 
     Raises
     ------
     ArchiveError
-        If `own` names what neither archive holds.
+        If an archive cannot be read, or neither has a variable that `own` names.
     """
-    within = Tolerance(rtol, own or {})
-    with opened(a) as left, opened(b) as right:
-        found = [
+    tolerance = Tolerance(rtol, own or {})
+    with open_archive(a) as left, open_archive(b) as right:
+        differences = [
             f"the {what} differs: {getattr(left, what, None)} and {getattr(right, what, None)}"
             for what in ("kind",)
             if getattr(left, what, None) != getattr(right, what, None)
         ]
-        places: dict[str, Pair] = {}
+        places: dict[str, _Pair] = {}
         for name in sorted(set(left.dimensions) | set(right.dimensions)):
             if name == "reason_index":
                 continue
             if name not in left.dimensions or name not in right.dimensions:
-                found.append(f"the dimension `{name}` is only in {a if name in left.dimensions else b}")
+                differences.append(f"the dimension `{name}` is only in {a if name in left.dimensions else b}")
                 continue
             places[name], sentences = _aligned(name, left, right, a, b)
-            found += sentences
+            differences += sentences
         for name in sorted(set(left.variables) | set(right.variables)):
             if name in left.dimensions or name in right.dimensions or name == "reason_text":
                 continue
             if name not in left.variables or name not in right.variables:
-                found.append(f"`{name}` is only in {a if name in left.variables else b}")
+                differences.append(f"`{name}` is only in {a if name in left.variables else b}")
             elif set(left.variables[name].dimensions) <= set(places):
-                found += _compare(name, left, right, places, within)
+                differences += _compare(name, left, right, places, tolerance)
         shared = {name: np.ma.getdata(left.variables[name][...])[pair[0]] for name, pair in places.items()}
-        found += _compare_groups(left, right, within, shared, a, b)
-        known = {name for file in (left, right) for name in (*file.variables, *columns(file))}
-        for name in within.own:
-            if name not in known:
+        differences += _compare_groups(left, right, tolerance, shared, a, b)
+        names = {name for file in (left, right) for name in (*file.variables, *columns(file))}
+        for name in tolerance.own:
+            if name not in names:
                 raise ArchiveError(f"Neither {a} nor {b} holds `{name}`.")
-        return found
+        return differences
 
 
-def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[Pair, list[str]]:
-    """Positions of the coordinates both have, and what only one has."""
+def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[_Pair, list[str]]:
+    """Indices of the coordinate values that both have, and sentences on those that only one has."""
     x, y = np.ma.getdata(left.variables[name][...]), np.ma.getdata(right.variables[name][...])
     if x.dtype.kind == "O" or y.dtype.kind == "O":
         x, y = x.astype(str), y.astype(str)
     _, i, j = np.intersect1d(x, y, return_indices=True)
     order = np.argsort(i)
     sentences = [
-        f"{len(one) - len(i):,} of {len(one):,} values of `{name}` are only in {where}"
-        for one, where in ((x, a), (y, b))
-        if len(one) > len(i)
+        f"{len(values) - len(i):,} of {len(values):,} values of `{name}` are only in {archive}"
+        for values, archive in ((x, a), (y, b))
+        if len(values) > len(i)
     ]
     return (i[order], j[order]), sentences
 
 
-def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], within: Tolerance) -> list[str]:
+def _compare(name: str, left: Any, right: Any, places: dict[str, _Pair], tolerance: Tolerance) -> list[str]:
     dims = left.variables[name].dimensions
     if right.variables[name].dimensions != dims:
         return [f"`{name}` has other dimensions"]
@@ -102,7 +112,7 @@ def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], within: 
         np.ma.getdata(file.variables[name][...])[np.ix_(*(places[d][k] for d in dims))]
         for k, file in enumerate((left, right))
     )
-    x, y = np.atleast_1d(x), np.atleast_1d(y)  # of a single line: numbers
+    x, y = np.atleast_1d(x), np.atleast_1d(y)  # scalars of a single line
     if name == "reason":
         x, y = (np.ma.getdata(f.variables["reason_text"][...]).astype(str)[v] for f, v in ((left, x), (right, y)))
     elif name == "status":
@@ -111,7 +121,7 @@ def _compare(name: str, left: Any, right: Any, places: dict[str, Pair], within: 
     if name in ("multiplier_real", "multiplier_imag") and {"multiplier_real", "multiplier_imag"} <= set(left.variables):
         real, imag = (np.ma.getdata(left.variables[f"multiplier_{part}"][...]) for part in ("real", "imag"))
         scale = np.hypot(real, imag)[np.ix_(*(places[d][0] for d in dims))]
-    return _different(name, x, y, within, scale)
+    return _compare_values(name, x, y, tolerance, scale)
 
 
 def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
@@ -123,19 +133,19 @@ def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:
     ]
 
 
-def _different(
-    name: str, x: np.ndarray, y: np.ndarray, within: Tolerance, scale: np.ndarray | None = None
+def _compare_values(
+    name: str, x: np.ndarray, y: np.ndarray, tolerance: Tolerance, scale: np.ndarray | None = None
 ) -> list[str]:
     if x.shape != y.shape:
         return [f"`{name}` has {x.size:,} values and {y.size:,}"]
     if x.dtype.kind != "f" or y.dtype.kind != "f":
         unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
         return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
-    rtol = within.of(name)
+    rtol = tolerance.of(name)
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.maximum(np.abs(x), np.abs(y)) if scale is None else scale
         if rtol is None:
-            rtol, size = within.rtol, np.ones(x.shape)
+            rtol, size = tolerance.rtol, np.ones(x.shape)
         gap = np.abs(x - y)
         unequal = ~((gap <= rtol * size) | (x == y) | (np.isnan(x) & np.isnan(y)))
         worst = np.max(np.where(unequal & np.isfinite(gap) & (size > 0), gap / size, 0.0), initial=0.0)
@@ -145,32 +155,33 @@ def _different(
 
 
 def _compare_groups(
-    left: Any, right: Any, within: Tolerance, shared: dict[str, np.ndarray], a: Path, b: Path, path: str = ""
+    left: Any, right: Any, tolerance: Tolerance, shared: dict[str, np.ndarray], a: Path, b: Path, path: str = ""
 ) -> list[str]:
-    """How the tables differ on the lines both archives have; `shared` holds the coordinates of those."""
-    found = []
+    """Differences between tables on the lines of both archives, whose coordinates are `shared`."""
+    differences = []
     for name in sorted(set(left.groups) | set(right.groups)):
-        place = f"{path}/{name}"
+        group_path = f"{path}/{name}"
         if name not in left.groups or name not in right.groups:
-            found.append(f"the group {place} is only in {a if name in left.groups else b}")
+            differences.append(f"the group {group_path} is only in {a if name in left.groups else b}")
             continue
-        one, two = left.groups[name], right.groups[name]
-        rows = [_rows_of(group, shared) for group in (one, two)]
-        for column in sorted(set(one.variables) | set(two.variables)):
-            if column not in one.variables or column not in two.variables:
-                found.append(f"`{place}/{column}` is only in {a if column in one.variables else b}")
+        left_group, right_group = left.groups[name], right.groups[name]
+        rows = [_rows_of(group, shared) for group in (left_group, right_group)]
+        for column in sorted(set(left_group.variables) | set(right_group.variables)):
+            if column not in left_group.variables or column not in right_group.variables:
+                differences.append(f"`{group_path}/{column}` is only in {a if column in left_group.variables else b}")
             else:
-                x, y = (np.ma.getdata(g.variables[column][...])[kept] for g, kept in zip((one, two), rows, strict=True))
-                found += _different(f"{place}/{column}".lstrip("/"), x, y, within)
-        found += _compare_groups(one, two, within, shared, a, b, place)
-    return found
+                pairs = zip((left_group, right_group), rows, strict=True)
+                x, y = (np.ma.getdata(group.variables[column][...])[indices] for group, indices in pairs)
+                differences += _compare_values(f"{group_path}/{column}".lstrip("/"), x, y, tolerance)
+        differences += _compare_groups(left_group, right_group, tolerance, shared, a, b, group_path)
+    return differences
 
 
 def _rows_of(group: Any, shared: dict[str, np.ndarray]) -> np.ndarray:
-    """Rows of a table whose line both archives have."""
+    """Mask of the rows of a table whose line both archives have."""
     rows = np.ones(len(group.dimensions["row"]) if "row" in group.dimensions else 0, bool)
     for name, values in shared.items():
-        # A column `slope` may hold slopes of its own: along a branch, of a fold.
+        # A column `slope` may be a result, as along a branch or at a fold.
         if name in group.variables and name not in ("slope", "gait", "multiplier"):
             rows &= np.isin(np.ma.getdata(group.variables[name][...]).astype(values.dtype), values)
     return rows

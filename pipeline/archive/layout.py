@@ -1,4 +1,4 @@
-"""The grid of an archive, and the boxes it is written and read in: neither needs it whole in memory."""
+"""The grid of an archive, and the boxes in which it is written and read with bounded memory."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pipeline.dispatch import resolve
 from pipeline.study.model import Study
 from tasks.registry import SI_UNITS
 
-CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box that is put together in memory
+CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box assembled in memory
 Box = tuple[slice, ...]
 
 
-def si(study: Study) -> bool:
+def is_si(study: Study) -> bool:
     """Whether every walker of a study is in SI units."""
     return all(check["si"] for check in study.checks)
 
@@ -26,35 +26,57 @@ def axis_units(study: Study, name: str) -> str:
     """CF units of an axis."""
     kind = {"slope": "angle", "foot_mass_ratio": "number", "detuning": "number"}.get(name)
     kind = kind or resolve("tasks.walkers.walker:KEYS")[name]
-    return SI_UNITS[kind] if kind == "angle" or si(study) else "1"
+    return SI_UNITS[kind] if kind == "angle" or is_si(study) else "1"
 
 
-def cut(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
-    """Extent of a box of at most so many points: along the slope first, then the last axes."""
+def chunk_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
+    """Shape of a box of at most `points` points, extended along the slope first, then along the last axes.
+
+    Parameters
+    ----------
+    sizes : mapping
+        Size of each dimension.
+    points : int
+
+    Returns
+    -------
+    tuple of int
+    """
     extent: dict[str, int] = {}
     for name in sorted(sizes, key=lambda d: (d == "slope", list(sizes).index(d)), reverse=True):
         extent[name] = min(sizes[name], max(1, points // math.prod(extent.values())))
     return tuple(extent[d] for d in sizes)
 
 
-def boxes(sizes: Mapping[str, int]) -> Iterator[Box]:
-    """Boxes of at most `REGION` points, whole chunks all, that cover the grid."""
-    chunk = dict(zip(sizes, cut(sizes, CHUNK), strict=True))
-    many = cut({d: -(-sizes[d] // c) for d, c in chunk.items()}, REGION // math.prod(chunk.values()))
-    extent = tuple(c * n for c, n in zip(chunk.values(), many, strict=True))
+def regions(sizes: Mapping[str, int]) -> Iterator[Box]:
+    """Boxes of at most `REGION` points, each of complete chunks, that cover the grid."""
+    chunk = dict(zip(sizes, chunk_shape(sizes, CHUNK), strict=True))
+    chunks = chunk_shape({d: -(-sizes[d] // c) for d, c in chunk.items()}, REGION // math.prod(chunk.values()))
+    extent = tuple(c * n for c, n in zip(chunk.values(), chunks, strict=True))
     for corner in itertools.product(*(range(0, n, c) for n, c in zip(sizes.values(), extent, strict=True))):
         yield tuple(slice(i, min(i + c, n)) for i, c, n in zip(corner, extent, sizes.values(), strict=True))
 
 
 def checksum(values: np.ndarray, box: Box = ()) -> int:
-    """Checksum of a variable in a box; a variable's is the sum of its boxes', modulo 2^32."""
-    place = ",".join(str(s.start) for s in box)
+    """Checksum of a variable in a box; that of the variable is the sum over its boxes modulo 2^32.
+
+    Parameters
+    ----------
+    values : ndarray
+        Values in the box.
+    box : Box
+
+    Returns
+    -------
+    int
+    """
+    corner = ",".join(str(s.start) for s in box)
     data = "\0".join(values.ravel()).encode() if values.dtype.kind == "O" else np.ascontiguousarray(values).tobytes()
-    return zlib.crc32(data, zlib.crc32(place.encode()))
+    return zlib.crc32(data, zlib.crc32(corner.encode()))
 
 
 class Grid:
-    """Dimensions of a study's archive: the walkers if there are several, then the axes as written."""
+    """Dimensions of the archive of a study: walkers if there are several, then the axes in order."""
 
     def __init__(self, study: Study):
         self.study = study
@@ -63,17 +85,17 @@ class Grid:
         self.lines = [d for d in self.sizes if d != "slope"]
 
     def lines_in(self, box: Box) -> Iterator[tuple[tuple[int, ...], int]]:
-        """Every line that crosses a box: its place in the box without the slope, and its number."""
+        """Lines that cross a box: index in the box without the slope, and number."""
         spans = dict(zip(self.sizes, box, strict=True))
         shape = self.study.line_shape if self.study.walker_axis else self.study.line_shape[1:]
-        for place in itertools.product(*(range(spans[d].start, spans[d].stop) for d in self.lines)):
-            number = int(np.ravel_multi_index(place, shape)) if place else 0
-            yield tuple(i - spans[d].start for i, d in zip(place, self.lines, strict=True)), number
+        for index in itertools.product(*(range(spans[d].start, spans[d].stop) for d in self.lines)):
+            number = int(np.ravel_multi_index(index, shape)) if index else 0
+            yield tuple(i - spans[d].start for i, d in zip(index, self.lines, strict=True)), number
 
     def slopes(self, box: Box) -> np.ndarray:
-        """Slopes of a box."""
+        """Slopes of a box, shape (n,) [rad]."""
         return self.study.slope[dict(zip(self.sizes, box, strict=True))["slope"]]
 
-    def lined_up(self, values: np.ndarray) -> np.ndarray:
-        """A view of a box with the slope after the axes of the lines."""
+    def slope_last(self, values: np.ndarray) -> np.ndarray:
+        """View of the values of a box with the slope after the axes of the lines."""
         return np.moveaxis(values, list(self.sizes).index("slope"), len(self.lines))

@@ -1,4 +1,4 @@
-"""Where an archive comes from: study, walkers, versions, processor and commit, as one JSON string."""
+"""Origin of an archive: study, walkers, versions, processor and commit, as one JSON string."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from pipeline.plan.missing import Plan
 
 _PACKAGES = ("gaitsweep", "heyoka", "joblib", "netCDF4", "numpy", "scipy")
-#: Processor features that decide which instructions the compiled code uses, and so its last bits.
+#: Processor features that determine the instructions of compiled code, and so the last bits of results.
 _FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "avx512dq", "avx512bw", "avx512vl", "asimd", "sve")
 
 
 def provenance(plan: Plan) -> str:
-    """The provenance of what `plan` makes. Equal science on equal machines gives equal strings."""
+    """Provenance of the results of a plan. Equal studies on equal processors give equal strings."""
     study = plan.study
     return json.dumps(
         {
@@ -47,7 +47,7 @@ def version(package: str) -> str:
 
 
 def code_digest() -> str:
-    """Digest of the code of `tasks`; docstrings, comments and layout do not count."""
+    """Digest of the code of `tasks` without docstrings, comments and layout."""
     digest = hashlib.sha256()
     for file in sorted(Path(tasks.__file__).parent.rglob("*.py")):
         text = re.sub(r'"""(.|\n)*?"""|#[^\n]*', "", file.read_text(encoding="utf-8"))
@@ -56,7 +56,7 @@ def code_digest() -> str:
 
 
 def cpu_features() -> list[str]:
-    """The machine's architecture and the features that matter."""
+    """Architecture of the processor and its features that affect results."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         flags = next(line for line in lines if line.lower().startswith(("flags", "features"))).split()
@@ -66,7 +66,7 @@ def cpu_features() -> list[str]:
 
 
 def commit() -> str:
-    """Commit of the working tree this package runs from; empty where there is none."""
+    """Commit of the working tree of this package; empty if there is none."""
     git = Path(__file__).resolve().parent.parent / ".git"
     try:
         head = (git / "HEAD").read_text().strip()

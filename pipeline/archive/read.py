@@ -1,4 +1,4 @@
-"""Read archives with care: is one ours, and can it be read at all?"""
+"""Reading archives that may be foreign or damaged."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from pipeline.archive import layout
 from pipeline.errors import ArchiveError, GaitsweepError
 
 SCHEMA = 1
-_PATIENCE, _PACE = 30.0, 5e6  # s, and byte per s, that reading an archive may take
-_ROWS = 1 << 20  # values read at a time
+_TIMEOUT, _MIN_SPEED = 30.0, 5e6  # time [s] and speed [byte/s] allowed to read an archive
+_MAX_VALUES = 1 << 20  # values read at a time
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """An archive of this schema, open for reading.
+def open_archive(path: Path) -> Iterator[Any]:
+    """Open an archive of this schema for reading.
 
     Raises
     ------
     ArchiveError
-        If it cannot be read or is none of ours.
+        If it cannot be read or is not an archive of gaitsweep.
     """
     import netCDF4
 
@@ -46,23 +46,23 @@ def opened(path: Path) -> Iterator[Any]:
         except GaitsweepError:
             raise
         except Exception as error:
-            # Where the file is as it was written, whatever else goes wrong is a bug of ours.
-            found = _line(error) if _unread(error) else next(_torn(file), "")
-            if not found:
+            # An error while reading an intact file is a bug of this package.
+            damage = _one_line(error) if _is_read_error(error) else next(_damage(file), "")
+            if not damage:
                 raise
-            raise ArchiveError(f"{path} is damaged: {found.rstrip('.')}.") from error
+            raise ArchiveError(f"{path} is damaged: {damage.rstrip('.')}.") from error
     finally:
         with contextlib.suppress(RuntimeError):
             file.close()
 
 
-def _unread(error: Exception) -> bool:
-    """Whether an exception is the netCDF library's: it could not read, or what it read is no text."""
+def _is_read_error(error: Exception) -> bool:
+    """Whether the netCDF library raised an error because it could not read, or read invalid text."""
     return isinstance(error, OSError | UnicodeDecodeError) or str(error).startswith("NetCDF:")
 
 
-def _torn(file: Any) -> Iterator[str]:
-    """What is not as its checksum says, one sentence each; empty where the file is as it was written."""
+def _damage(file: Any) -> Iterator[str]:
+    """Variables that do not match their checksums, one sentence each."""
     try:
         sums = json.loads(file.checksums)
         for name in sums:
@@ -72,86 +72,92 @@ def _torn(file: Any) -> Iterator[str]:
             except (IndexError, KeyError):
                 yield f"`{name}` is missing."
     except Exception as error:
-        yield f"its checksums cannot be checked, {_line(error)}."
+        yield f"its checksums cannot be checked, {_one_line(error)}."
 
 
 def _checksum(variable: Any) -> int:
-    """Checksum of a variable as the archive keeps it: the sum of its boxes'."""
+    """Checksum of a variable: the sum over its boxes."""
     sizes = dict(zip(variable.dimensions, variable.shape, strict=True))
     large = "gait" in sizes and len(sizes) > 1
-    boxes = layout.boxes({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
+    boxes = layout.regions({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
     return sum(layout.checksum(np.ma.getdata(variable[box] if large else variable[...]), box) for box in boxes) % 2**32
 
 
-def tables(place: Any, path: str = "") -> Iterator[str]:
+def tables(parent: Any, path: str = "") -> Iterator[str]:
     """Names of the tables in an open archive, as "fits/scaling"."""
-    for name, group in place.groups.items():
+    for name, group in parent.groups.items():
         if group.variables:
             yield f"{path}{name}"
         yield from tables(group, f"{path}{name}/")
 
 
-def columns(place: Any) -> Iterator[str]:
+def columns(parent: Any) -> Iterator[str]:
     """Names of all columns of tables, as "fits/scaling/exponent"."""
-    for name, group in place.groups.items():
+    for name, group in parent.groups.items():
         yield from (f"{name}/{column}" for column in (*group.variables, *columns(group)))
 
 
 def probe(paths: Iterable[Path]) -> None:
-    """Let another process read the archives whole first: a mangled file can crash or hang the netCDF library.
+    """Read archives completely in another process first: a damaged file can crash or hang the netCDF library.
 
     Raises
     ------
     ArchiveError
-        If one does.
+        If one crashes or hangs it.
     """
     for path in paths:
         size = path.stat().st_size if path.is_file() else 0
         command = [sys.executable, "-P", "-m", "pipeline.archive.read", str(path)]
         try:
-            done = subprocess.run(
+            process = subprocess.run(
                 command,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                timeout=_PATIENCE + size / _PACE,
+                timeout=_TIMEOUT + size / _MIN_SPEED,
             )
         except subprocess.TimeoutExpired as error:
-            raise ArchiveError(f"{path} is damaged: the netCDF library does not come back from it.") from error
-        if done.returncode:
-            raise ArchiveError(f"{path} is damaged: the netCDF library does not survive it.")
+            raise ArchiveError(f"{path} is damaged: the netCDF library hangs on it.") from error
+        if process.returncode:
+            raise ArchiveError(f"{path} is damaged: the netCDF library crashes on it.")
 
 
 def _read_whole(path: Path) -> None:
-    """Read all there is; what can be caught is left to those who read in earnest."""
-    with contextlib.suppress(Exception), opened(path) as file:
-        places = [file]
-        for place in places:
-            for variable in place.variables.values():
+    """Read all variables; errors are left to the actual reader."""
+    with contextlib.suppress(Exception), open_archive(path) as file:
+        groups = [file]
+        for group in groups:
+            for variable in group.variables.values():
                 with contextlib.suppress(Exception):
-                    rows = max(1, _ROWS // max(1, int(np.prod(variable.shape[1:]))))
+                    rows = max(1, _MAX_VALUES // max(1, int(np.prod(variable.shape[1:]))))
                     for start in range(0, variable.shape[0] if variable.shape else 1, rows):
                         variable[start : start + rows] if variable.shape else variable[...]
-            places += place.groups.values()
+            groups += group.groups.values()
 
 
-def _line(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
-def ours(path: Path) -> None:
-    """Check that `path` may be replaced by an archive of ours."""
+def check_replaceable(path: Path) -> None:
+    """Check that `path` is an archive of gaitsweep, which may be replaced.
+
+    Raises
+    ------
+    ArchiveError
+        If it is another file or cannot be read.
+    """
     try:
-        with opened(path):
+        with open_archive(path):
             pass
     except ArchiveError as error:
         raise ArchiveError(f"{str(error).rstrip('.')}; move it away.") from error
 
 
 def not_attempted(path: Path) -> int | None:
-    """How many points of an archive were not come to; None where there is none."""
+    """Number of points of an archive that were not attempted; None if there is no archive."""
     try:
-        with opened(path) as file:
+        with open_archive(path) as file:
             return int(file.not_attempted)
     except (ArchiveError, ValueError, TypeError, AttributeError):
         return None

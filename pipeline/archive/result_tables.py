@@ -19,49 +19,55 @@ Columns = dict[str, np.ndarray]
 
 
 def write(file: Any, plan: Plan) -> None:
-    """Write every table the study's tasks gave; a task that failed leaves its name and the reason."""
-    failed: list[tuple[str, str, str]] = []
+    """Write the tables of all tasks of a study; of failed tasks, their names and reasons."""
+    failures: list[tuple[str, str, str]] = []
     for name, layer in plan.layers.items():
         if name in ("atlas", "points"):
             continue
         parts: dict[str, list[Columns]] = {}
-        for coordinates, key in _runs(plan, name, layer.per_line):
-            found = plan.journal.result(key)
-            if found is None:
+        for coordinates, key in _task_runs(plan, name, layer.per_line):
+            result = plan.journal.result(key)
+            if result is None:
                 continue
-            if found.outcome != "ok":
-                failed.append((name, found.outcome, found.reason))
+            if result.outcome != "ok":
+                failures.append((name, result.outcome, result.reason))
                 continue
-            for group, columns in split(serialize.load(found.data)).items():
+            for group, columns in split(serialize.load(result.data)).items():
                 parts.setdefault(group, []).append({**_repeat(coordinates, columns), **columns})
         for group in sorted(parts):
             _group(file, plan, group, _stack(parts[group]))
-    if failed:
-        names, outcomes, reasons = zip(*failed, strict=True)
-        _group(
-            file,
-            plan,
-            "failed_tasks",
-            {"task": np.array(names), "outcome": np.array(outcomes), "reason": np.array(reasons)},
-        )
+    if failures:
+        names, outcomes, reasons = zip(*failures, strict=True)
+        columns = {"task": np.array(names), "outcome": np.array(outcomes), "reason": np.array(reasons)}
+        _group(file, plan, "failed_tasks", columns)
 
 
-def _runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str]]:
-    """Coordinates and key of every run of a task, in the order of the grid."""
+def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str]]:
+    """Coordinates and key of every execution of a task, in the order of the grid."""
     if not per_line:
-        yield {}, plan.study_keys()[name][0]
+        yield {}, plan.study_keys()[name].key
         return
     for i in range(plan.study.lines):
-        yield {"walker": plan.study.name_of(i), **plan.study.line(i)["set"]}, plan.line_keys(i)[name][0]
+        yield {"walker": plan.study.name_of(i), **plan.study.line(i)["set"]}, plan.line_keys(i)[name].key
 
 
 def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:
-    """Columns by group.
+    """Group columns by table.
+
+    Parameters
+    ----------
+    table : mapping
+        Columns by name "group/column", each of shape (n,).
+
+    Returns
+    -------
+    dict
+        Columns of each group.
 
     Raises
     ------
     ValueError
-        If a name is no "group/column" or columns of a group differ in length.
+        If a name is not "group/column", or columns of a group differ in length.
     """
     groups: dict[str, Columns] = {}
     for name, values in table.items():
@@ -85,31 +91,22 @@ def _stack(parts: list[Columns]) -> Columns:
 
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
-    place = file.createGroup(group)
-    place.createDimension("row", len(next(iter(columns.values()))))
+    netcdf_group = file.createGroup(group)
+    netcdf_group.createDimension("row", len(next(iter(columns.values()))))
     for name, values in columns.items():
         text = values.dtype.kind == "U"
-        options = (
-            {}
-            if text
-            else {
-                "fill_value": np.nan if values.dtype.kind == "f" else False,
-                "fletcher32": True,
-                "zlib": True,
-                "complevel": 1,
-                "shuffle": True,
-            }
-        )
-        if not len(values):
-            options.pop("fletcher32", None)
-        variable = place.createVariable(name, str if text else values.dtype.newbyteorder("="), ("row",), **options)
+        fill_value = np.nan if values.dtype.kind == "f" else False
+        filters = {"fletcher32": len(values) > 0, "zlib": True, "complevel": 1, "shuffle": True}
+        options = {} if text else {"fill_value": fill_value, **filters}
+        dtype = str if text else values.dtype.newbyteorder("=")
+        variable = netcdf_group.createVariable(name, dtype, ("row",), **options)
         variable.setncatts(_attributes(plan, group, name))
         variable[:] = values.astype(object) if text else values
 
 
 def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
-    """Attributes of a column. A column that nobody has described is called by its name."""
-    study, si = plan.study, layout.si(plan.study)
+    """Attributes of a column; one without a description is called by its name."""
+    study, is_si = plan.study, layout.is_si(plan.study)
     kind, meaning = COLUMNS.get(f"{group}/{name}") or COLUMNS.get(name) or ("number", name.replace("_", " "))
     if f"{group}/{name}" not in COLUMNS and name in registry.VARIABLES:
         kind, meaning = registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name
@@ -117,7 +114,7 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
         kind, meaning = keys[name], f"walker's {name}"
     elif name == "slope":
         kind, meaning = "angle", "slope of the ground"
-    found = {"long_name": meaning, "units": registry.SI_UNITS[kind] if si or kind == "angle" else "1"}
+    attributes = {"long_name": meaning, "units": registry.SI_UNITS[kind] if is_si or kind == "angle" else "1"}
     if len({check["si"] for check in study.checks}) > 1 and kind not in ("number", "angle"):
-        found["comment"] = "in the units of each walker: SI, or any consistent ones"
-    return found
+        attributes["comment"] = "in the units of each walker: SI, or any consistent ones"
+    return attributes

@@ -1,4 +1,4 @@
-"""Is an archive intact, complete and valid?"""
+"""Check that an archive is intact, complete and valid."""
 
 from __future__ import annotations
 
@@ -10,31 +10,27 @@ from typing import Any
 import numpy as np
 
 from pipeline.archive import layout
-from pipeline.archive.read import columns, opened
+from pipeline.archive.read import columns, open_archive
 from pipeline.statuses import ALL_STATUSES
 from tasks.registry import ALWAYS, GAITS, VARIABLES
 
-_ATTRIBUTES = (
-    "Conventions",
-    "title",
-    "institution",
-    "source",
-    "history",
-    "references",
-    "provenance",
-    "study",
-    "kind",
-    "checksums",
-)
+_CF_ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references")
+_ATTRIBUTES = (*_CF_ATTRIBUTES, "provenance", "study", "kind", "checksums")
 
 
 def verify(path: Path) -> list[str]:
-    """What is wrong with an archive, one sentence each; empty if it is whole, complete and of this schema."""
-    with opened(path) as file:
-        return [*_heads(file), *_states(file), *_values(file), *_groups(file)]
+    """List the problems of an archive, one sentence each; empty if it is intact, complete and valid.
+
+    Raises
+    ------
+    ArchiveError
+        If it cannot be read or is not an archive of gaitsweep.
+    """
+    with open_archive(path) as file:
+        return [*_attributes(file), *_dimensions(file), *_states(file), *_values(file), *_groups(file)]
 
 
-def _heads(file: Any) -> Iterator[str]:
+def _attributes(file: Any) -> Iterator[str]:
     for name in _ATTRIBUTES:
         if not isinstance(getattr(file, name, None), str):
             yield f"The attribute `{name}` is missing."
@@ -46,6 +42,9 @@ def _heads(file: Any) -> Iterator[str]:
     for name in (*(ALWAYS if getattr(file, "kind", "grid") == "grid" else ("status", "reason")), "reason_text"):
         if name not in file.variables:
             yield f"`{name}` is missing."
+
+
+def _dimensions(file: Any) -> Iterator[str]:
     order = list(file.dimensions)
     for name, variable in file.variables.items():
         if [order.index(d) for d in variable.dimensions] != sorted({order.index(d) for d in variable.dimensions}):
@@ -74,33 +73,33 @@ def _states(file: Any) -> Iterator[str]:
 
 
 def _values(file: Any) -> Iterator[str]:
-    """Read every value, so that every checksum is checked; a number stands only where something converged."""
+    """Compare every checksum, and check that numbers stand only where a gait converged."""
     sums = json.loads(getattr(file, "checksums", "{}"))
     tabled = list(columns(file))
-    held = {*file.variables, *tabled}
-    yield from (f"`{name}` is missing." for name in sums if name not in held)
+    present = {*file.variables, *tabled}
+    yield from (f"`{name}` is missing." for name in sums if name not in present)
     for name in tabled:
         if layout.checksum(np.ma.getdata(file[name][...])) % 2**32 != sums.get(name) and name in sums:
             yield f"`{name}` is not as it was written."
     for name, variable in file.variables.items():
-        about, sizes = VARIABLES.get(name), dict(zip(variable.dimensions, variable.shape, strict=True))
-        wrong = total = 0
+        description, sizes = VARIABLES.get(name), dict(zip(variable.dimensions, variable.shape, strict=True))
+        misplaced = total = 0
         large = "gait" in sizes and name != "gait"
-        places = layout.boxes({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
-        for box in places:
+        boxes = layout.regions({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
+        for box in boxes:
             values = np.ma.getdata(variable[box] if large else variable[...])
             total += layout.checksum(values, box)
-            if large and about and about.dtype == "f8":
+            if large and description and description.dtype == "f8":
                 other = np.asarray(file.variables["status"][box]) != ALL_STATUSES["converged"]
-                wrong += int(np.count_nonzero(~np.isnan(values[other])))
+                misplaced += int(np.count_nonzero(~np.isnan(values[other])))
         if total % 2**32 != sums.get(name):
             yield f"`{name}` is not as it was written."
-        if wrong:
-            yield f"`{name}` has {wrong:,} values where nothing converged."
+        if misplaced:
+            yield f"`{name}` has {misplaced:,} values where nothing converged."
 
 
-def _groups(place: Any, path: str = "") -> Iterator[str]:
-    for name, group in place.groups.items():
+def _groups(parent: Any, path: str = "") -> Iterator[str]:
+    for name, group in parent.groups.items():
         for column, variable in group.variables.items():
             if "units" not in variable.ncattrs() or "long_name" not in variable.ncattrs():
                 yield f"`{path}/{name}/{column}` has no units or long_name."

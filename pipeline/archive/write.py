@@ -1,7 +1,7 @@
-"""The archive: a study's results as one CF netCDF-4 file, written beside its name and then moved there.
+"""The archive: results of a study as one CF netCDF-4 file, written as a draft and then moved into place.
 
-Everything in it follows from the study and the results: no clock, path, worker count or order of arrival. It
-is written region by region, so its size is not bounded by memory.
+Its bytes depend on the study and the results only: not on the time, paths, workers or order of arrival. It is written
+region by region, so memory does not limit its size.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ from pipeline.archive import chunks, layout, read, result_tables
 from pipeline.archive.citation import PAPER
 from pipeline.archive.provenance import provenance
 from pipeline.archive.read import SCHEMA
-from pipeline.errors import ArchiveError, DiskFullError
+from pipeline.errors import ArchiveError, DiskFullError, is_disk_full
 from pipeline.plan.missing import Plan
 from pipeline.statuses import ALL_STATUSES, ANSWERS
 from pipeline.store import lines
+from pipeline.store.journal import Outcome, TaskKey
 from pipeline.study.model import Study
 from tasks.registry import GAITS, STATUSES, VARIABLES, VIOLATIONS, Variable
 
-_PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-#: What is said of a line on which a curve could not begin.
-NO_CURVE = "None of the points to follow was found, neither at the walker's own value nor at the range's ends."
+_FILTERS = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
+#: Reason of a line on which a curve has no starting point.
+_NO_CURVE = "No point to start a curve from was found, neither at the value of the walker nor at the ends of the range."
 _LONG_NAMES = {
     "slope": "slope of the ground",
     "foot_mass_ratio": "mass of each foot over the total mass",
@@ -42,57 +43,68 @@ _LONG_NAMES = {
 
 @dataclass
 class Written:
-    """What stands in an archive: points (or lines) by status, and the failed ones by reason, with one of each."""
+    """Contents of an archive: points (or lines) by status, and failures by reason with an example of each."""
 
     counts: Counter[str] = field(default_factory=Counter)
     failures: Counter[str] = field(default_factory=Counter)
     examples: dict[str, str] = field(default_factory=dict)
 
-    def fail(self, reason: str, n: int, example: str) -> None:
+    def add_failure(self, reason: str, n: int, example: str) -> None:
         """Count failures of one reason."""
         self.failures[reason] += n
         self.examples.setdefault(reason, example)
 
 
 def write(plan: Plan, path: Path, threads: int = 1) -> Written:
-    """Write the archive of what the journal holds and put it at `path`; so many threads pack its chunks.
+    """Write the results in the journal as the archive at `path`.
+
+    Parameters
+    ----------
+    plan : Plan
+    path : Path
+    threads : int
+        Number of threads that pack chunks.
+
+    Returns
+    -------
+    Written
 
     Raises
     ------
     ArchiveError, DiskFullError
-        If it cannot be written. What was at `path` stays.
+        If it cannot be written. An earlier archive at `path` is kept.
     """
-    place = path.resolve()  # what a link leads to is replaced, not the link
-    draft = paths.of(place)
+    target = path.resolve()  # replace the target of a link, not the link
+    draft = paths.of(target)
     try:
         written = _write(plan, draft, threads)
         with open(draft, "rb") as file:
             os.fsync(file.fileno())
-        os.replace(draft, place)
-        folder = os.open(place.parent, os.O_RDONLY)
+        os.replace(draft, target)
+        folder = os.open(target.parent, os.O_RDONLY)
         os.fsync(folder)
         os.close(folder)
     except (OSError, RuntimeError) as error:
-        free = os.statvfs(place.parent)
-        if getattr(error, "errno", None) == 28 or free.f_bavail * free.f_frsize < 1 << 20:
-            raise DiskFullError(f"The disk is full: {path} stays as it was; what was finished is kept.") from error
+        free = os.statvfs(target.parent)
+        if is_disk_full(error) or free.f_bavail * free.f_frsize < 1 << 20:
+            raise DiskFullError(f"The disk is full: {path} is unchanged; finished results are kept.") from error
         raise ArchiveError(f"{path} cannot be written: {error}.") from error
     finally:
-        paths.discard(place)
+        paths.discard(target)
     return written
 
 
 def _write(plan: Plan, draft: Path, threads: int) -> Written:
     import netCDF4
 
-    writer = _Points(plan) if plan.study.kind == "grid" else _Lines(plan)
+    writer = _PointWriter(plan) if plan.study.kind == "grid" else _LineWriter(plan)
     with netCDF4.Dataset(draft, "w", format="NETCDF4") as file:
-        _head(file, plan, writer)
+        _write_header(file, plan, writer)
         writer.define(file)
         result_tables.write(file, plan)
     writer.fill(draft, threads)
     with netCDF4.Dataset(draft, "a") as file:
-        _seal(file, writer.sums)
+        _write_checksums(file, writer.sums)
     with netCDF4.Dataset(draft) as file:
         if "status" not in file.variables or file.variables["status"].dimensions != (*writer.dims,):
             raise ArchiveError(f"{draft} does not read back.")
@@ -100,7 +112,7 @@ def _write(plan: Plan, draft: Path, threads: int) -> Written:
     return writer.written
 
 
-def _head(file: Any, plan: Plan, writer: _Points | _Lines) -> None:
+def _write_header(file: Any, plan: Plan, writer: _PointWriter | _LineWriter) -> None:
     study = plan.study
     file.setncatts(
         {
@@ -139,11 +151,11 @@ def _head(file: Any, plan: Plan, writer: _Points | _Lines) -> None:
     _strings(file, "reason_text", "reason_index", writer.sentences, "sentences that `reason` counts from 0")
 
 
-def _seal(file: Any, sums: Counter[str]) -> None:
-    """Write the checksum of every variable; `sums` holds those of the large ones."""
+def _write_checksums(file: Any, sums: Counter[str]) -> None:
+    """Write the checksum of every variable; `sums` holds those of large variables."""
     small = [name for name in (*file.variables, *read.columns(file)) if name not in sums]
-    whole = {name: layout.checksum(np.ma.getdata(file[name][...])) for name in small}
-    file.checksums = json.dumps({name: n % 2**32 for name, n in {**whole, **sums}.items()}, sort_keys=True)
+    checksums = {name: layout.checksum(np.ma.getdata(file[name][...])) for name in small}
+    file.checksums = json.dumps({name: n % 2**32 for name, n in {**checksums, **sums}.items()}, sort_keys=True)
 
 
 def _strings(file: Any, name: str, dim: str, values: list[str], long_name: str) -> None:
@@ -152,32 +164,32 @@ def _strings(file: Any, name: str, dim: str, values: list[str], long_name: str) 
     variable[:] = np.array(values, object)
 
 
-def _describe(variable: Any, about: Variable, si: bool, mixed: bool) -> None:
-    variable.setncatts({"long_name": about.long_name, "units": about.units(si)})
-    if about.name == "status":
+def _describe(variable: Any, description: Variable, is_si: bool, is_mixed: bool) -> None:
+    variable.setncatts({"long_name": description.long_name, "units": description.units(is_si)})
+    if description.name == "status":
         variable.setncatts(
             {"flag_values": np.array(list(ALL_STATUSES.values()), np.int8), "flag_meanings": " ".join(ALL_STATUSES)}
         )
-    elif about.name == "violations":
+    elif description.name == "violations":
         variable.setncatts(
             {
                 "flag_masks": np.array([1 << i for i in range(len(VIOLATIONS))], np.int32),
                 "flag_meanings": " ".join(VIOLATIONS),
             }
         )
-    if about.name not in ("status", "reason"):
+    if description.name not in ("status", "reason"):
         variable.ancillary_variables = "status reason"
-    if mixed and about.kind not in ("number", "angle"):
+    if is_mixed and description.kind not in ("number", "angle"):
         variable.comment = "in the units of each walker: see walker_units"
 
 
-def _spot(study: Study, number: int) -> str:
-    """A line as a user would name it."""
+def _line_description(study: Study, number: int) -> str:
+    """Name of a line in messages: its walker and parameters."""
     return " ".join([study.name_of(number), *(f"{key}={value!r}" for key, value in study.line(number)["set"].items())])
 
 
-class _Points:
-    """The main group of a grid study."""
+class _PointWriter:
+    """Writes the main group of a study of kind `grid`."""
 
     def __init__(self, plan: Plan):
         self.plan, self.study, self.grid = plan, plan.study, layout.Grid(plan.study)
@@ -186,41 +198,41 @@ class _Points:
         self.shapes: dict[str, tuple[int, ...]] = {}
         self.dtypes: dict[str, np.dtype] = {}
         self.columns = [GAITS.index(g) for g in self.study.gaits]
-        asked = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
-        live = np.array([asked or not GAITS[c].startswith("other") for c in self.columns])
+        others_wanted = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
+        is_solved = np.array([others_wanted or not GAITS[c].startswith("other") for c in self.columns])
         solved = [code for name, code in STATUSES.items() if name != "no_gait"]
-        used: set[str] = set()
-        for box in layout.boxes(self.grid.sizes):
-            for _, number, found in self._lines(box, ()):
-                status, reason = found["status"][:, self.columns], found["reason"][:, self.columns]
+        sentences: set[str] = set()
+        for box in layout.regions(self.grid.sizes):
+            for _, number, line in self._lines(box, ()):
+                status, reason = line["status"][:, self.columns], line["reason"][:, self.columns]
                 rows = lines.rows(status)
                 self.written.counts += lines.count(status)
-                live |= np.isin(list(rows), solved).any(axis=0)
-                used.update(found["reasons"][np.flatnonzero(np.bincount(reason.ravel()))].tolist())
+                is_solved |= np.isin(list(rows), solved).any(axis=0)
+                sentences.update(line["reasons"][np.flatnonzero(np.bincount(reason.ravel()))].tolist())
                 if not set(ANSWERS).issuperset(itertools.chain(*rows)):
-                    self._note_failures(number, found, status, reason)
-        self.sentences = sorted(used)
-        self.columns = self.columns[: max(np.flatnonzero(live), default=0) + 1]
+                    self._count_failures(number, line, status, reason)
+        self.sentences = sorted(sentences)
+        self.columns = self.columns[: max(np.flatnonzero(is_solved), default=0) + 1]
         self.dims = (*self.grid.sizes, "gait")
 
-    def _note_failures(self, number: int, found: dict[str, Any], status: np.ndarray, reason: np.ndarray) -> None:
+    def _count_failures(self, number: int, line: dict[str, Any], status: np.ndarray, reason: np.ndarray) -> None:
         failed = ~np.isin(status, ANSWERS)
         rows = np.flatnonzero(failed.any(axis=1))
         reasons = reason[rows, failed[rows].argmax(axis=1)]
         for k in np.unique(reasons):
-            those = rows[reasons == k]
-            self.written.fail(
-                str(found["reasons"][k]),
-                len(those),
-                f"{_spot(self.study, number)} slope={float(found['slope'][those[0]])!r}",
+            failed_rows = rows[reasons == k]
+            self.written.add_failure(
+                str(line["reasons"][k]),
+                len(failed_rows),
+                f"{_line_description(self.study, number)} slope={float(line['slope'][failed_rows[0]])!r}",
             )
 
     def _lines(self, box: layout.Box, names: tuple[str, ...]) -> Iterator[tuple[tuple[int, ...], int, dict[str, Any]]]:
         slopes = self.grid.slopes(box)
-        for place, number in self.grid.lines_in(box):
+        for index, number in self.grid.lines_in(box):
             keys = self.plan.line_keys(number)
             yield (
-                place,
+                index,
                 number,
                 lines.line(self.plan.journal, keys, self.plan.want, self.study, names, slopes, max(self.columns) + 1),
             )
@@ -233,69 +245,69 @@ class _Points:
         names = self.plan.variables
         if any("multiplier" in VARIABLES[n].dims for n in names):
             file.createDimension("multiplier", multipliers)
-            number = file.createVariable("multiplier", "i4", ("multiplier",), fill_value=False)
-            number.setncatts({"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"})
-            number[:] = np.arange(multipliers)
-        si, mixed = layout.si(self.study), len({c["si"] for c in self.study.checks}) > 1
-        chunk = layout.cut(self.grid.sizes, layout.CHUNK)
+            multiplier = file.createVariable("multiplier", "i4", ("multiplier",), fill_value=False)
+            multiplier.setncatts({"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"})
+            multiplier[:] = np.arange(multipliers)
+        is_si, is_mixed = layout.is_si(self.study), len({c["si"] for c in self.study.checks}) > 1
+        chunk = layout.chunk_shape(self.grid.sizes, layout.CHUNK)
         for name in names:
-            about = VARIABLES[name]
-            wide = name == "reason" and len(self.sentences) > np.iinfo(np.int16).max
-            extra = [len(self.columns), multipliers][: len(about.dims)]
+            description = VARIABLES[name]
+            is_wide = name == "reason" and len(self.sentences) > np.iinfo(np.int16).max
+            gait_and_multiplier = [len(self.columns), multipliers][: len(description.dims)]
             variable = file.createVariable(
                 name,
-                "i4" if wide else about.dtype,
-                (*self.grid.sizes, *about.dims),
-                **_PACKED,
-                chunksizes=(*chunk, *extra),
-                fill_value=np.nan if about.dtype == "f8" else False,
+                "i4" if is_wide else description.dtype,
+                (*self.grid.sizes, *description.dims),
+                **_FILTERS,
+                chunksizes=(*chunk, *gait_and_multiplier),
+                fill_value=np.nan if description.dtype == "f8" else False,
             )
             self.shapes[name], self.dtypes[name] = tuple(variable.chunking()), variable.dtype
-            _describe(variable, about, si, mixed)
+            _describe(variable, description, is_si, is_mixed)
 
     def fill(self, draft: Path, threads: int) -> None:
-        """Write the values region by region; while one is packed the next is put together."""
-        before: list[tuple[str, tuple[int, ...], Future[bytes]]] = []
+        """Write values region by region; while one region is packed the next is assembled."""
+        previous: list[tuple[str, tuple[int, ...], Future[bytes]]] = []
         with ThreadPoolExecutor(threads) as pool, chunks.Chunks(draft) as out:
-            for box in [*layout.boxes(self.grid.sizes), ()]:
+            for box in [*layout.regions(self.grid.sizes), ()]:
                 region = self._region(box) if box else {}
                 sums = {name: pool.submit(layout.checksum, values, box) for name, values in region.items()}
-                now = [
-                    (name, corner, pool.submit(chunks.packed, part))
+                packing = [
+                    (name, corner, pool.submit(chunks.pack, part))
                     for name, values in region.items()
-                    for corner, part in chunks.cut(values, box, self.shapes[name])
+                    for corner, part in chunks.split(values, box, self.shapes[name])
                 ]
-                for name, corner, data in before:
+                for name, corner, data in previous:
                     out.write(name, corner, data.result())
-                before = now
-                self.sums.update({name: found.result() for name, found in sums.items()})
+                previous = packing
+                self.sums.update({name: checksum.result() for name, checksum in sums.items()})
 
     def _region(self, box: layout.Box) -> dict[str, np.ndarray]:
-        """Every variable in a box."""
+        """Values of every variable in a box."""
         extent = tuple(s.stop - s.start for s in box)
         values = {
             name: np.empty((*extent, max(self.columns) + 1, *shape[len(box) + 1 :]), self.dtypes[name])
             for name, shape in self.shapes.items()
         }
-        lined_up = {name: self.grid.lined_up(v) for name, v in values.items()}
+        views = {name: self.grid.slope_last(v) for name, v in values.items()}
         index = {sentence: i for i, sentence in enumerate(self.sentences)}
-        for place, _, found in self._lines(box, tuple(n for n in values if n not in ("status", "reason"))):
-            table = np.array([index.get(s, 0) for s in found["reasons"].tolist()])
-            found["reason"] = table[found["reason"]]
-            for name, along in lined_up.items():
-                along[place] = found[name]
+        for position, _, line in self._lines(box, tuple(n for n in values if n not in ("status", "reason"))):
+            table = np.array([index.get(s, 0) for s in line["reasons"].tolist()])
+            line["reason"] = table[line["reason"]]
+            for name, view in views.items():
+                view[position] = line[name]
         if self.columns == list(range(len(self.columns))):
             return values
         return {name: v.take(self.columns, axis=len(box)) for name, v in values.items()}
 
 
-class _Lines:
-    """The main group of a study of another kind: what became of each line."""
+class _LineWriter:
+    """Writes the main group of a study of another kind: the outcome of each line."""
 
     def __init__(self, plan: Plan):
         self.plan, self.study, self.grid = plan, plan.study, layout.Grid(plan.study)
         self.dims, self.sums = tuple(self.grid.sizes), Counter[str]()
-        ends = [self._end(plan.line_keys(i)) for i in range(plan.study.lines)]
+        ends = [self._outcome(plan.line_keys(i)) for i in range(plan.study.lines)]
         self.sentences = sorted({reason for _, reason in ends})
         shape = tuple(self.grid.sizes.values())
         self.status = np.array([ALL_STATUSES[status] for status, _ in ends], np.int8).reshape(shape)
@@ -303,20 +315,20 @@ class _Lines:
         self.written = Written(Counter(status for status, _ in ends))
         for i, (status, reason) in enumerate(ends):
             if ALL_STATUSES[status] not in ANSWERS:
-                self.written.fail(reason, 1, _spot(plan.study, i))
+                self.written.add_failure(reason, 1, _line_description(plan.study, i))
 
-    def _end(self, keys: dict[str, tuple[str, str]]) -> tuple[str, str]:
+    def _outcome(self, keys: dict[str, TaskKey]) -> tuple[str, str]:
         for name in ("atlas", self.study.kind):
-            found = self.plan.journal.outcome(keys[name][0]) if name in keys else ("ok", "", 0)
-            if found is None:
+            outcome = self.plan.journal.outcome(keys[name].key) if name in keys else Outcome("ok", "", 0)
+            if outcome is None:
                 return "not_attempted", lines.NOT_ATTEMPTED
-            if found[0] != "ok":
-                return found[0], f"{'The atlas of the line: ' if name == 'atlas' else ''}{found[1]}"
+            if outcome.status != "ok":
+                return outcome.status, f"{'The atlas of the line: ' if name == 'atlas' else ''}{outcome.reason}"
         if self.study.kind == "curve":
-            result = self.plan.journal.result(keys["curve"][0])
+            result = self.plan.journal.result(keys["curve"].key)
             if result is not None and not len(serialize.load(result.data)["curves/slope"]):
-                return "converged", NO_CURVE
-        return "converged", "The line was followed; what was found is in the groups."
+                return "converged", _NO_CURVE
+        return "converged", "The line was followed; its results are in the groups."
 
     def define(self, file: Any) -> None:
         """Create and write every variable."""
@@ -326,4 +338,4 @@ class _Lines:
             variable[...] = values
 
     def fill(self, draft: Path, threads: int) -> None:
-        """Nothing is left to be written."""
+        """Do nothing: all values are written by `define`."""

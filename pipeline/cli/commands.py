@@ -1,9 +1,10 @@
-"""The command line: `gaitsweep COMMAND`. Loads no more than the command needs."""
+"""The command line: `gaitsweep COMMAND`. Each command imports only what it needs."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import json
 import os
 import sys
@@ -15,8 +16,8 @@ from typing import Any, NoReturn
 
 from pipeline.errors import ArchiveError, GaitsweepError, StudyError, unwritten
 
-#: Exit codes of several studies: the first of these that one of them ends with is that of all.
-_GRAVEST = (143, 130, 129, 4, 3, 2, 5, 1, 0)
+#: Exit codes of several studies, gravest first: the gravest is that of all.
+_EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -32,7 +33,7 @@ class _Version(argparse.Action):
         sys.exit(0)
 
 
-def _natural(text: str) -> int:
+def _count(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 10**9:
         raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; got {text}")
     return int(text)
@@ -60,44 +61,46 @@ def _setting(text: str) -> tuple[str, float | bool]:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Every command and its options."""
-    top = _Parser(prog="gaitsweep", description="Gaits of passive walkers, swept over grids and kept as CF netCDF.")
+    """Parser of every command and its options."""
+    top = _Parser(prog="gaitsweep", description="Gait sweeps of passive dynamic walkers.")
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
     top.add_argument("--version", action=_Version, nargs=0, help="show the version")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
-    def add(function: Callable[[argparse.Namespace], int], about: str) -> argparse.ArgumentParser:
-        command = commands.add_parser(function.__name__.strip("_"), help=about, description=about, allow_abbrev=False)
+    def add(function: Callable[[argparse.Namespace], int], purpose: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(
+            function.__name__.strip("_"), help=purpose, description=purpose, allow_abbrev=False
+        )
         command.set_defaults(function=function)
         command.add_argument("--debug", action="store_true", default=argparse.SUPPRESS, help=argparse.SUPPRESS)
         return command
 
     c = add(_run, "run studies; the same command again resumes")
     c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
-    c.add_argument("--jobs", type=_natural, default=2, metavar="N", help="worker processes (default 2)")
+    c.add_argument("--jobs", type=_count, default=2, metavar="N", help="worker processes (default 2)")
     c.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT, or local:N")
     c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
-    c.add_argument("--fresh", action="store_true", help="forget what earlier runs found")
-    c.add_argument("--retry-failed", action="store_true", help="try again what failed")
-    c.add_argument("--chunk", type=_natural, metavar="N", help="points in a chunk (default: about a second of work)")
+    c.add_argument("--fresh", action="store_true", help="discard the results of earlier runs")
+    c.add_argument("--retry-failed", action="store_true", help="retry failed points and tasks")
+    c.add_argument("--chunk", type=_count, metavar="N", help="points in a chunk (default: about a second of work)")
     c.add_argument(
         "--snapshot",
         type=_number,
         default=60.0,
         metavar="SECONDS",
-        help="publish the archive of a run in flight no more often than this (default 60)",
+        help="minimum interval at which a running study publishes its archive (default 60)",
     )
-    c.add_argument("--quiet", action="store_true", help="say nothing but errors")
-    c.add_argument("--verbose", action="store_true", help="tell of every chunk")
-    c = add(_plan, "what would run and why; runs nothing")
+    c.add_argument("--quiet", action="store_true", help="print errors only")
+    c.add_argument("--verbose", action="store_true", help="report every chunk")
+    c = add(_plan, "show what would run and why, without running it")
     c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
     c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
     c.add_argument("--retry-failed", action="store_true", help="as `run` would")
-    c = add(_status, "progress of a run in flight or last stopped")
+    c = add(_status, "progress of the current or last run")
     c.add_argument("studies", nargs="*", metavar="STUDY.toml", type=Path)
     c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
     c.add_argument("--json", action="store_true", help="for machines")
-    c = add(_report, "HTML from archives alone")
+    c = add(_report, "HTML report from archives")
     c.add_argument("archives", nargs="+", metavar="ARCHIVE.nc", type=Path)
     c.add_argument(
         "-o",
@@ -105,26 +108,26 @@ def parser() -> argparse.ArgumentParser:
         type=Path,
         default=Path("reports"),
         metavar="DIR",
-        help="where pages are added (default reports)",
+        help="folder to which pages are added (default reports)",
     )
-    c.add_argument("--only", action="store_true", help="take other pages there away")
-    c.add_argument("--open", action="store_true", help="show the index in a browser")
-    c = add(_solve, "every gait at one point")
+    c.add_argument("--only", action="store_true", help="remove other pages there")
+    c.add_argument("--open", action="store_true", help="open the index in a browser")
+    c = add(_solve, "all gaits at one point")
     c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
     c.add_argument("--slope", required=True, type=_number, metavar="S", help="rad")
     c.add_argument("--set", action="append", type=_setting, default=[], metavar="KEY=VALUE", help="a walker key")
-    c.add_argument("--all", action="store_true", help="gaits that are not anthropomorphic too")
+    c.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
     c.add_argument("--json", action="store_true", help="for machines")
-    c = add(_walkers, "the catalogue, or one walker")
+    c = add(_walkers, "the catalogue of walkers, or one walker")
     c.add_argument("name", nargs="?", metavar="NAME")
     c.add_argument("--json", action="store_true", help="for machines")
-    c = add(_tune, "the nearest walker that walks on slopes near zero")
+    c = add(_tune, "the nearest walker that can walk at vanishing slope")
     c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
     c.add_argument("--free", action="append", default=[], metavar="KEY", help="a key that may change")
     c.add_argument("--json", action="store_true", help="for machines")
-    c = add(_verify, "is an archive whole, complete and of this schema?")
+    c = add(_verify, "check that an archive is intact, complete and valid")
     c.add_argument("archive", type=Path, metavar="ARCHIVE.nc")
-    c = add(_diff, "what differs between two archives")
+    c = add(_diff, "differences between two archives")
     c.add_argument("a", type=Path, metavar="A.nc")
     c.add_argument("b", type=Path, metavar="B.nc")
     c.add_argument(
@@ -135,26 +138,26 @@ def parser() -> argparse.ArgumentParser:
         metavar="R|NAME=R",
         help="relative tolerance (default 0), or that of one variable",
     )
-    c = add(_completion, "a script that completes commands in a shell")
+    c = add(_completion, "shell script that completes commands")
     c.add_argument("shell", choices=("bash", "zsh"))
-    c = add(_bench, "run time against error, with the peers")
+    c = add(_bench, "run time against error, compared with other codes")
     c.add_argument("--quick", action="store_true")
     c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR")
     return top
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; its exit code."""
-    given, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
-    with _told(codes, "--debug" in given):
-        options = parser().parse_args(given)
+    """Run one command and return its exit code."""
+    words, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
+    with _report_errors(codes, "--debug" in words):
+        options = parser().parse_args(words)
         codes.append(options.function(options))
     return codes[-1]
 
 
 @contextlib.contextmanager
-def _told(codes: list[int], debug: bool) -> Iterator[None]:
-    """Tell an error in one line, and add its exit code to those there are."""
+def _report_errors(codes: list[int], debug: bool) -> Iterator[None]:
+    """Print an error on one line and append its exit code to `codes`."""
     try:
         yield
     except GaitsweepError as error:
@@ -180,20 +183,20 @@ def _told(codes: list[int], debug: bool) -> Iterator[None]:
 
 
 def _archives(options: argparse.Namespace, codes: list[int] | None = None) -> list[tuple[Any, Path]]:
-    """Each study, read and checked, and its archive; with `codes` those that are wrong are told and left out."""
+    """Read and check each study and name its archive; with `codes`, invalid studies are reported and skipped."""
     from pipeline.study import parse
 
     if options.archive and len(options.studies) > 1:
         raise StudyError("`--archive` names one file, but there are several studies.")
     studies = []
     for path in options.studies:
-        with contextlib.nullcontext() if codes is None else _told(codes, options.debug):
+        with contextlib.nullcontext() if codes is None else _report_errors(codes, options.debug):
             studies.append(parse.read(path))
-    found = [(s, options.archive or Path("data", "archive", f"{s.name}.nc")) for s in studies]
-    for i, (one, path) in enumerate(found):
-        if any(path == other for _, other in found[:i]):
-            raise StudyError(f"Two studies are called {one.name}.")
-    return found
+    targets = [(s, options.archive or Path("data", "archive", f"{s.name}.nc")) for s in studies]
+    for i, (study, path) in enumerate(targets):
+        if any(path == other for _, other in targets[:i]):
+            raise StudyError(f"Two studies are called {study.name}.")
+    return targets
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -202,28 +205,20 @@ def _run(options: argparse.Namespace) -> int:
     from pipeline.cli import text
     from pipeline.execution import runner
 
-    how = runner.Options(
-        options.jobs,
-        options.cluster,
-        options.fresh,
-        options.retry_failed,
-        options.chunk,
-        options.quiet,
-        options.verbose,
-        options.snapshot,
-    )
-    began, ended = time.monotonic(), {}
+    names = (field.name for field in dataclasses.fields(runner.Options))
+    run_options = runner.Options(**{name: getattr(options, name) for name in names})
+    start, finished = time.monotonic(), {}
     for study, path in studies:
-        with _told(codes, options.debug):
-            codes.append(runner.run(study, path, how))
-            ended[study.path] = path
-        if codes[-1] > 128:  # a signal is meant for all of them
+        with _report_errors(codes, options.debug):
+            codes.append(runner.run(study, path, run_options))
+            finished[study.path] = path
+        if codes[-1] > 128:  # a signal stops all studies
             break
     if not options.quiet:
-        others = [str(path) for path in options.studies if path not in ended]
-        for line in text.after(list(ended.values()), others, time.monotonic() - began):
+        others = [str(path) for path in options.studies if path not in finished]
+        for line in text.after(list(finished.values()), others, time.monotonic() - start):
             print(line, file=sys.stderr)
-    return min(codes, key=_GRAVEST.index)
+    return min(codes, key=_EXIT_CODES_BY_SEVERITY.index)
 
 
 def _plan(options: argparse.Namespace) -> int:
@@ -234,8 +229,8 @@ def _plan(options: argparse.Namespace) -> int:
 
     for study, path in _archives(options):
         journal = Journal(paths.sidecar_path(path, ".journal"), write=False)
-        found = missing.Plan(study, journal, options.retry_failed)
-        print("\n".join(text.plan(found, missing.summary(found), path)))
+        planned = missing.Plan(study, journal, options.retry_failed)
+        print("\n".join(text.plan(planned, missing.summary(planned), path)))
     return 0
 
 
@@ -252,7 +247,7 @@ def _status(options: argparse.Namespace) -> int:
     for path, state in states.items():
         print("\n".join(text.status(path, state)))
     if not states:
-        print("No run has left a trace in data/archive.")
+        print("There is no record of a run in data/archive.")
     return 0
 
 
@@ -261,7 +256,7 @@ def _report(options: argparse.Namespace) -> int:
 
     read.probe(options.archives)
     for path in options.archives:
-        with read.opened(path):
+        with read.open_archive(path):
             pass
     from pipeline.report import pages
 
@@ -281,15 +276,15 @@ def _report(options: argparse.Namespace) -> int:
 def _solve(options: argparse.Namespace) -> int:
     from pipeline.study.single_point import solve
 
-    found = solve(options.walker, options.slope, dict(options.set), options.all)
-    for line in found.get("search", []):
+    answer = solve(options.walker, options.slope, dict(options.set), options.all)
+    for line in answer.get("search", []):
         print(line, file=sys.stderr)
     if options.json:
-        print(json.dumps(found["gaits"]))
+        print(json.dumps(answer["gaits"]))
         return 0
     from pipeline.cli import text
 
-    print("\n".join(text.gaits(found["gaits"], found["units"])))
+    print("\n".join(text.gaits(answer["gaits"], answer["units"])))
     return 0
 
 
@@ -298,13 +293,13 @@ def _walkers(options: argparse.Namespace) -> int:
     from pipeline.study import files
 
     table = files.walker(options.name, Path()) if options.name else None
-    found = ask("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
+    walkers = ask("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(walkers))
         return 0
     from pipeline.cli import text
 
-    print("\n".join(text.walkers(found, whole=options.name is not None)))
+    print("\n".join(text.walkers(walkers, in_full=options.name is not None)))
     return 0
 
 
@@ -315,13 +310,13 @@ def _tune(options: argparse.Namespace) -> int:
     params: dict[str, Any] = {"walker": files.walker(options.walker, Path())}
     if options.free:
         params["free"] = options.free
-    found = ask("tune", params)
+    answer = ask("tune", params)
     if options.json:
-        print(json.dumps(found))
+        print(json.dumps(answer))
         return 0
     from pipeline.cli import text
 
-    print("\n".join(text.tuned(found)))
+    print("\n".join(text.tuned_walker(answer)))
     return 0
 
 
@@ -330,13 +325,14 @@ def _verify(options: argparse.Namespace) -> int:
 
     try:
         read.probe([options.archive])
-        found = verify.verify(options.archive)
+        problems = verify.verify(options.archive)
     except ArchiveError as error:
         if not options.archive.is_file():
             raise
-        found = [str(error)]
-    print("\n".join(found) if found else f"{options.archive} is whole, complete and of this schema.")
-    return 1 if found else 0
+        problems = [str(error)]
+    intact = f"{options.archive} is intact, complete and valid (schema {read.SCHEMA})."
+    print("\n".join(problems) if problems else intact)
+    return 1 if problems else 0
 
 
 def _diff(options: argparse.Namespace) -> int:
@@ -344,9 +340,9 @@ def _diff(options: argparse.Namespace) -> int:
 
     read.probe([options.a, options.b])
     own = dict(options.rtol)
-    found = diff.diff(options.a, options.b, own.pop("", 0.0), own)
-    print("\n".join(found) if found else "They agree.")
-    return 1 if found else 0
+    differences = diff.diff(options.a, options.b, own.pop("", 0.0), own)
+    print("\n".join(differences) if differences else "They agree.")
+    return 1 if differences else 0
 
 
 def _completion(options: argparse.Namespace) -> int:

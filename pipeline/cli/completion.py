@@ -1,4 +1,4 @@
-"""The script that lets bash or zsh complete `gaitsweep` commands: made from the parser, so it knows what that knows."""
+"""Scripts that complete `gaitsweep` commands in bash or zsh, generated from the parser."""
 
 from __future__ import annotations
 
@@ -28,24 +28,23 @@ _gaitsweep() {{
 complete -o filenames -F _gaitsweep gaitsweep
 """
 
-#: zsh runs bash's own functions.
+#: zsh runs the bash functions.
 _ZSH = """# zsh completion for gaitsweep; in ~/.zshrc, after compinit: eval "$(gaitsweep completion zsh)"
 autoload -U +X bashcompinit && bashcompinit
 """
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
-    """The script for a shell, "bash" or "zsh"."""
+    """Completion script for a shell, "bash" or "zsh"."""
     (commands,) = (a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
-    assert isinstance(commands, dict)
     walkers = list(dispatch.resolve("tasks.walkers.catalogue:CATALOGUE"))
     keys = dispatch.resolve("tasks.walkers.walker:NUMBERS")
-    words = {name: [*_options(one), *_choices(one)] for name, one in commands.items()}
+    words = {name: [*_options(command), *_choices(command)] for name, command in commands.items()}
     words["walkers"] += walkers
     text = _BASH.format(
         commands="|".join(commands),
         top=" ".join([*commands, *_options(parser)]),
-        cases="\n".join(f'    {name}) words="{" ".join(mine)}";;' for name, mine in words.items()),
+        cases="\n".join(f'    {name}) words="{" ".join(names)}";;' for name, names in words.items()),
         walkers=" ".join(walkers),
         keys=" ".join(keys),
         settings=" ".join(f"{key}=" for key in (*keys, *EXTRA_AXES[1:], "knees")),
@@ -54,10 +53,10 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
 
 
 def _options(parser: argparse.ArgumentParser) -> list[str]:
-    """Options a parser shows in its help."""
+    """Options that a parser shows in its help."""
     return [name for action in parser._actions if action.help != argparse.SUPPRESS for name in action.option_strings]
 
 
 def _choices(parser: argparse.ArgumentParser) -> list[str]:
-    """Words that an argument without an option may be."""
+    """Choices of positional arguments."""
     return [word for action in parser._actions if not action.option_strings for word in action.choices or ()]

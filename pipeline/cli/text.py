@@ -1,4 +1,4 @@
-"""What the commands print for people."""
+"""Text output of the commands."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from pipeline.paths import sidecar_path
 from pipeline.plan.missing import Plan, Summary
 
 
-def plan(found: Plan, counts: Summary, path: Path) -> Iterator[str]:
-    """A plan: per task what runs and why, what is cached, what is not wanted."""
-    study = found.study
+def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
+    """Describe a plan: for each task what runs and why, what is cached, and what is not requested."""
+    study = planned.study
     walkers = [f"{len(study.walkers)} walkers"] if study.walker_axis else []
     shape = " x ".join([*walkers, *(f"{len(a)} {a.name}" for a in study.axes)])
     yield f"{study.name}: {shape}, {study.points:,} points -> {path}"
-    for name, layer in found.layers.items():
+    for name, layer in planned.layers.items():
         what = "point" if name == "points" else "line" if layer.per_line else "study"
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
         parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
         yield f"  {name:<12} version {layer.task.version}  per {what}: {', '.join(parts) or 'none'}"
-    tasks, variables = found.unwanted()
+    tasks, variables = planned.omissions()
     yield f"  not wanted: {', '.join(tasks + variables) or 'nothing'}"
     yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
 
 
-def after(archives: list[Path], others: list[str], seconds: float) -> Iterator[str]:
-    """What a run ends with: how its studies went, which `others` did not come to their end, and how to see it."""
+def after(archives: list[Path], unfinished: list[str], seconds: float) -> Iterator[str]:
+    """Closing lines of a run: outcomes of its studies, unfinished ones, and how to see the results."""
     counts: Counter[str] = Counter()
     for path in archives:
         try:
             counts.update(json.loads(sidecar_path(path, ".run.json").read_text(encoding="utf-8"))["counts"])
         except (OSError, ValueError, KeyError):
             continue
-    if len(archives) + len(others) > 1:
-        ended = f"{len(archives)} of {len(archives) + len(others)}" if others else f"{len(archives)}"
-        told = [", ".join(f"{k} {n:,}" for k, n in counts.items())] if counts else []
-        told += [f"not run to the end: {', '.join(others)}"] if others else []
-        yield f"{ended} studies in {duration(seconds)}: {'; '.join(told)}"
+    if len(archives) + len(unfinished) > 1:
+        count = f"{len(archives)} of {len(archives) + len(unfinished)}" if unfinished else f"{len(archives)}"
+        parts = [", ".join(f"{k} {n:,}" for k, n in counts.items())] if counts else []
+        parts += [f"not run to the end: {', '.join(unfinished)}"] if unfinished else []
+        yield f"{count} studies in {duration(seconds)}: {'; '.join(parts)}"
     if archives:
         folder = archives[0].parent / "*.nc" if len(archives) > 1 and len({p.parent for p in archives}) == 1 else None
         shown = str(folder) if folder else " ".join(shlex.quote(str(path)) for path in archives)
@@ -51,66 +51,66 @@ def after(archives: list[Path], others: list[str], seconds: float) -> Iterator[s
 
 
 def state(path: Path) -> dict[str, Any] | None:
-    """State of the run of an archive, with `running` and, if so, who holds it."""
-    found = last_state(sidecar_path(path, ".events.jsonl"))
-    if found is None:
+    """State of the run of an archive, with `running` and, if so, its `holder`; None without a record."""
+    last = last_state(sidecar_path(path, ".events.jsonl"))
+    if last is None:
         return None
-    found["running"] = False
+    last["running"] = False
     try:
         with open(sidecar_path(path, ".lock"), encoding="utf-8") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except OSError:
-                found |= {"running": True, "holder": json.load(file)}
+                last |= {"running": True, "holder": json.load(file)}
     except (OSError, ValueError):
         pass
-    return found
+    return last
 
 
-def status(path: Path, found: dict[str, Any] | None) -> Iterator[str]:
-    """A state in a few lines."""
-    if found is None:
-        yield f"{path}: no run has left a trace."
+def status(path: Path, run_state: dict[str, Any] | None) -> Iterator[str]:
+    """Describe the state of a run in a few lines."""
+    if run_state is None:
+        yield f"{path}: there is no record of a run."
         return
-    holder = found.get("holder", {})
-    how = (
+    holder = run_state.get("holder", {})
+    condition = (
         f"running as process {holder.get('pid')} on {holder.get('host')}"
-        if found["running"]
+        if run_state["running"]
         else "finished"
-        if found.get("over")
+        if run_state.get("over")
         else "stopped"
     )
-    yield f"{path}: {how}; {sentence(found)}"
-    yield f"  after {duration(found['elapsed'])}; memory {found['memory'] / 2**20:.0f} MiB" + "".join(
-        f"; worker {w['pid']} {w['memory'] / 2**20:.0f} MiB" for w in found["workers"]
+    yield f"{path}: {condition}; {sentence(run_state)}"
+    yield f"  after {duration(run_state['elapsed'])}; memory {run_state['memory'] / 2**20:.0f} MiB" + "".join(
+        f"; worker {w['pid']} {w['memory'] / 2**20:.0f} MiB" for w in run_state["workers"]
     )
-    if found["counts"]:
-        yield "  " + ", ".join(f"{name} {n:,}" for name, n in sorted(found["counts"].items()))
+    if run_state["counts"]:
+        yield "  " + ", ".join(f"{name} {n:,}" for name, n in sorted(run_state["counts"].items()))
 
 
 def table(name: str, values: dict[str, Any]) -> Iterator[str]:
-    """A TOML table."""
+    """Format a TOML table."""
     yield f"[{name}]"
     for key, value in values.items():
         yield f"{key} = {json.dumps(value)}"
 
 
-def tuned(found: dict[str, Any]) -> Iterator[str]:
-    """The nearest tuned walker as a TOML table; what moved and what the conditions miss stand above it as comments."""
-    if not found["moved"]:
-        yield "# It meets the zero-slope conditions as it is; nothing was moved."
-    for key, (old, new) in found["moved"].items():
-        yield f"# {key} moved from {old!r} to {new!r}"
-    for name, before in found["before"].items():
-        yield f"# {name.replace('_', ' ')}: {before + 0.0:.3g} before, {found['after'][name] + 0.0:.3g} after"
-    yield from table("walker", found["walker"])
+def tuned_walker(answer: dict[str, Any]) -> Iterator[str]:
+    """Nearest tuned walker as a TOML table; changed keys and residuals of the conditions precede it as comments."""
+    if not answer["moved"]:
+        yield "# It meets the zero-slope conditions already; no key was changed."
+    for key, (old, new) in answer["moved"].items():
+        yield f"# {key} changed from {old!r} to {new!r}"
+    for name, before in answer["before"].items():
+        yield f"# {name.replace('_', ' ')}: {before + 0.0:.3g} before, {answer['after'][name] + 0.0:.3g} after"
+    yield from table("walker", answer["walker"])
 
 
-def gaits(found: Iterable[dict[str, Any]], units: dict[str, str]) -> Iterator[str]:
-    """Gaits at one point, a paragraph each; numbers with their units, where they have any."""
-    nothing = True
-    for gait in found:
-        nothing = False
+def gaits(all_gaits: Iterable[dict[str, Any]], units: dict[str, str]) -> Iterator[str]:
+    """Gaits at one point, a paragraph each, with units."""
+    is_empty = True
+    for gait in all_gaits:
+        is_empty = False
         yield f"{gait['gait']} ({'stable' if gait['stable'] else 'unstable'}, {gait['status']})"
         for key, value in gait.items():
             if key in ("gait", "stable", "status") or value is None:
@@ -122,20 +122,20 @@ def gaits(found: Iterable[dict[str, Any]], units: dict[str, str]) -> Iterator[st
             elif isinstance(value, list):
                 value = ", ".join(map(str, value)) or "none"
             yield f"  {key:<16} {value}"
-    if nothing:
+    if is_empty:
         yield "no gait"
 
 
-def walkers(found: Iterable[dict[str, Any]], whole: bool) -> Iterator[str]:
-    """The catalogue, a line each, or one walker whole."""
-    for one in found:
-        if not whole:
-            yield f"{one['name']:<18} {one['description']}"
+def walkers(descriptions: Iterable[dict[str, Any]], in_full: bool) -> Iterator[str]:
+    """The catalogue, a line for each walker, or one walker in full."""
+    for walker in descriptions:
+        if not in_full:
+            yield f"{walker['name']:<18} {walker['description']}"
             continue
-        yield f"{one['name']}: {one['description']}"
-        yield one["drawing"]
-        yield from table("walker", one["parameters"])
+        yield f"{walker['name']}: {walker['description']}"
+        yield walker["drawing"]
+        yield from table("walker", walker["parameters"])
         yield ""
-        for key, value in one["statics"].items():
+        for key, value in walker["statics"].items():
             yield f"{key:<16} {value + 0.0:.12g}"
-        yield "Zero where a walker may walk on slopes near zero; `gaitsweep tune` shows the nearest that is."
+        yield "Zero residuals mean that it can walk at vanishing slope; `gaitsweep tune` shows the nearest one."

@@ -1,8 +1,6 @@
-"""How a plan is carried out.
+"""How a plan is executed.
 
-`runner` runs a study from its lock to its archive; `scheduler` decides what is next; `executors` and `cluster` say
-where jobs
-run; `worker_process` guards a worker, `worker_main` is the worker's own program and `wire` carries messages between
-them;
-`progress` and `estimates` tell how far a run is.
+`runner` runs a study from its lock to its archive; `scheduler` orders the jobs; `executors` and `cluster` provide the
+places where they run; `worker_process` guards a worker, `worker_main` is the program of the worker and `wire` carries
+messages between them; `progress` and `estimates` report how far a run is.
 """

@@ -1,4 +1,4 @@
-"""A Dask cluster as the place where jobs run (extra `cluster`)."""
+"""Running jobs on a Dask cluster (extra `cluster`)."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any
 
 from pipeline.errors import StudyError, WorkerError
 
-_PATIENCE = 20  # s to find the scheduler and a first worker
+_TIMEOUT = 20  # time to find the scheduler and a first worker [s]
 
 
 @contextlib.contextmanager
 def connect(address: str) -> Iterator[Any]:
-    """A client of the scheduler at `address`, or of a cluster of N processes here for "local:N".
+    """Connect to the scheduler at `address`, or to N processes on this computer for "local:N".
 
     Raises
     ------
@@ -31,7 +31,7 @@ def connect(address: str) -> Iterator[Any]:
         import distributed
     except ImportError as error:
         raise StudyError('`--cluster` needs the extra "cluster": pip install "gaitsweep[cluster]".') from error
-    # What they say in their own time is said by this package in one line.
+    # Their messages are replaced by one line of this package.
     for name in list(logging.root.manager.loggerDict):
         if name.startswith(("distributed", "tornado", "asyncio")):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -43,15 +43,15 @@ def connect(address: str) -> Iterator[Any]:
                         n_workers=max(1, int(local[1])), threads_per_worker=1, dashboard_address=None
                     )
                 ).scheduler_address
-            client = stack.enter_context(distributed.Client(address, timeout=_PATIENCE, set_as_default=False))
-            client.wait_for_workers(1, timeout=_PATIENCE)
+            client = stack.enter_context(distributed.Client(address, timeout=_TIMEOUT, set_as_default=False))
+            client.wait_for_workers(1, timeout=_TIMEOUT)
         except (OSError, TimeoutError) as error:
             raise WorkerError(f"No cluster with a worker answers at {address}.") from error
         yield client
 
 
 def backend(client: Any) -> Any:
-    """joblib's Dask backend for a cluster of any size; joblib itself would do a single slot's jobs in this process."""
+    """Dask backend of joblib for any cluster; joblib itself runs the jobs of a single slot in this process."""
     from joblib._dask import DaskDistributedBackend
 
     class Backend(DaskDistributedBackend):
@@ -62,5 +62,5 @@ def backend(client: Any) -> Any:
 
 
 def workers(client: Any) -> int:
-    """How many jobs the cluster can do at once."""
+    """Number of jobs the cluster can run at once."""
     return max(1, sum(info["nthreads"] for info in client.scheduler_info(n_workers=-1)["workers"].values()))

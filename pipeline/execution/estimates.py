@@ -1,109 +1,149 @@
-"""What points cost by region: a point near a singularity may cost as much as a thousand others.
+"""Cost of points by region: a point near a singularity may cost as much as a thousand others.
 
-A region is one part of one line's slopes. Long lines are probed: a few points from each region, before the rest.
+A region is an interval of the slopes of one line. Long lines are probed: a few points of each region run first.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-REGIONS = 64
-_PROBE = 50  # a probe is so manieth part of its region
+_REGIONS = 64
+_PROBE = 50  # a probe is one part in this many of its region
 
 
 class Costs:
-    """Seconds that were measured and points that are left, by line and region.
+    """Measured times and remaining points by line and region.
 
     Parameters
     ----------
     slopes : int
-        How many each line has.
+        Number of slopes on each line.
     points : int
-        How many are to be solved on all lines.
-    guess : float
-        Seconds of a point, before anything is measured.
+        Number of points to solve on all lines.
+    guess : float [s]
+        Time of a point until one is measured.
     """
 
     def __init__(self, slopes: int, points: int, guess: float):
         self.slopes, self.points, self.mean = max(1, slopes), points, guess
-        self.lines: dict[int, np.ndarray] = {}  # of lines at work, each region's: left, points and seconds, of probes
-        self.whole = np.zeros((2, REGIONS))  # points and seconds of all lines
+        self.lines: dict[int, np.ndarray] = {}  # open lines: points left, points, seconds, and those of probes
+        self.totals = np.zeros((2, _REGIONS))  # points and seconds of all lines
         self.probed: set[int] = set()
-        self.overhead = 0.0  # s a chunk takes whatever is in it; shows where more of a region than a probe was measured
+        self.overhead = 0.0  # fixed time of a chunk [s], from regions measured in probes and in blocks
 
-    def region(self, places: np.ndarray) -> np.ndarray:
-        """Region of each place."""
-        return places * REGIONS // self.slopes
+    def region(self, indices: np.ndarray) -> np.ndarray:
+        """Region of each slope.
 
-    def _often(self, places: np.ndarray) -> np.ndarray:
-        return np.bincount(self.region(places), minlength=REGIONS)
+        Parameters
+        ----------
+        indices : ndarray of int, shape (n,)
+            Indices of slopes.
 
-    def begin(self, line: int, places: np.ndarray) -> None:
-        """The line is at work on the slopes at those places."""
-        if len(places):
-            self.lines[line] = np.zeros((5, REGIONS))
-            self.lines[line][0] = self._often(places)
-            self.points -= len(places)
+        Returns
+        -------
+        ndarray of int, shape (n,)
+        """
+        return indices * _REGIONS // self.slopes
 
-    def begun(self) -> float:
-        """How many points are left on lines at work."""
+    def _counts_by_region(self, indices: np.ndarray) -> np.ndarray:
+        return np.bincount(self.region(indices), minlength=_REGIONS)
+
+    def open_line(self, line: int, indices: np.ndarray) -> None:
+        """Open a line, whose slopes of these indices, shape (n,), are to be solved."""
+        if len(indices):
+            self.lines[line] = np.zeros((5, _REGIONS))
+            self.lines[line][0] = self._counts_by_region(indices)
+            self.points -= len(indices)
+
+    def open_points(self) -> float:
+        """Number of points left on open lines."""
         return sum(regions[0].sum() for regions in self.lines.values())
 
-    def give_up(self, line: int) -> None:
-        """Nothing of the line is left to be done."""
+    def abandon(self, line: int) -> None:
+        """Close a line."""
         self.lines.pop(line, None)
 
-    def add(self, line: int, places: np.ndarray, seconds: float, probe: bool) -> None:
-        """Points of a line took so long."""
-        where = self._often(places)
-        measured = np.stack([where, seconds * where / len(places)])
-        self.whole += measured
-        self.mean = self.whole[1].sum() / self.whole[0].sum()
-        if line in self.lines:
-            self.lines[line][0] -= where
-            self.lines[line][slice(3, 5) if probe else slice(1, 3)] += measured
-            if not self.lines[line][0].any():
-                self.give_up(line)
+    def add(self, line: int, indices: np.ndarray, seconds: float, probe: bool) -> None:
+        """Add a measurement.
 
-    def each(self, line: int) -> np.ndarray:
-        """Seconds of a point in each region of a line."""
-        whole = _filled(self.whole[0], self.whole[1], self.mean)
+        Parameters
+        ----------
+        line : int
+        indices : ndarray of int, shape (n,)
+            Indices of the slopes that were solved.
+        seconds : float [s]
+        probe : bool
+            Whether they were a probe.
+        """
+        counts = self._counts_by_region(indices)
+        counts_and_seconds = np.stack([counts, seconds * counts / len(indices)])
+        self.totals += counts_and_seconds
+        self.mean = self.totals[1].sum() / self.totals[0].sum()
+        if line in self.lines:
+            self.lines[line][0] -= counts
+            self.lines[line][slice(3, 5) if probe else slice(1, 3)] += counts_and_seconds
+            if not self.lines[line][0].any():
+                self.abandon(line)
+
+    def cost_per_point(self, line: int) -> np.ndarray:
+        """Time of a point by region.
+
+        Parameters
+        ----------
+        line : int
+
+        Returns
+        -------
+        ndarray, shape (64,) [s]
+        """
+        overall = _interpolate(self.totals[0], self.totals[1], self.mean)
         regions = self.lines.get(line)
         if regions is None:
-            return whole
-        _, n, seconds, n_probe, probe = regions
-        found, known = whole, n > 0
+            return overall
+        _, n, seconds, n_probe, probe_seconds = regions
+        estimate, in_blocks = overall, n > 0
         if n_probe.any():
-            both = known & (n_probe > 0)
+            both = in_blocks & (n_probe > 0)
             if both.any():
-                self.overhead = max(0.0, np.median(probe[both] - n_probe[both] * seconds[both] / n[both]))
-            found = _filled(n_probe, np.maximum(probe - self.overhead, 0.0), self.mean)
-        elif known.any():
-            found = whole * seconds.sum() / (n @ whole)
-        return np.divide(seconds, n, out=found.copy(), where=known)
+                self.overhead = max(0.0, np.median(probe_seconds[both] - n_probe[both] * seconds[both] / n[both]))
+            estimate = _interpolate(n_probe, np.maximum(probe_seconds - self.overhead, 0.0), self.mean)
+        elif in_blocks.any():
+            estimate = overall * seconds.sum() / (n @ overall)
+        return np.divide(seconds, n, out=estimate.copy(), where=in_blocks)
 
-    def left(self, line: int | None = None) -> float:
-        """Seconds of work that is left, on one line at work or on all."""
-        lines = dict(self.lines)  # it may change while another thread reads
+    def seconds_left(self, line: int | None = None) -> float:
+        """Remaining work [s], on one open line or on all lines."""
+        lines = dict(self.lines)  # another thread may change it
         if line is not None:
-            return float(self.each(line) @ lines[line][0]) if line in lines else 0.0
-        begun = sum(float(self.each(line) @ regions[0]) for line, regions in lines.items())
-        return begun + self.points * float(_filled(self.whole[0], self.whole[1], self.mean).mean())
+            return float(self.cost_per_point(line) @ lines[line][0]) if line in lines else 0.0
+        open_lines = sum(float(self.cost_per_point(line) @ regions[0]) for line, regions in lines.items())
+        return open_lines + self.points * float(_interpolate(self.totals[0], self.totals[1], self.mean).mean())
 
-    def probes(self, line: int, places: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """A few points of each region, and the rest of it."""
+    def probes(self, line: int, indices: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Divide slopes into probes, a few points of each region, and the rest.
+
+        Parameters
+        ----------
+        line : int
+        indices : ndarray of int, shape (n,)
+            Indices of slopes in ascending order.
+
+        Returns
+        -------
+        probes, remainder : list of ndarray of int
+        """
         self.probed.add(line)
-        few, rest = [], []
-        for piece in np.split(places, np.flatnonzero(np.diff(self.region(places))) + 1):
-            at, n = len(piece) // 2, 1 + self.slopes // (REGIONS * _PROBE)
-            few.append(piece[at : at + n])
-            rest += [part for part in (piece[:at], piece[at + n :]) if len(part)]
-        return few, rest
+        probes, remainder = [], []
+        for piece in np.split(indices, np.flatnonzero(np.diff(self.region(indices))) + 1):
+            middle, n = len(piece) // 2, 1 + self.slopes // (_REGIONS * _PROBE)
+            probes.append(piece[middle : middle + n])
+            remainder += [part for part in (piece[:middle], piece[middle + n :]) if len(part)]
+        return probes, remainder
 
 
-def _filled(n: np.ndarray, seconds: np.ndarray, guess: float) -> np.ndarray:
-    """Seconds of a point by region; where nothing was measured, between those beside it."""
-    known = np.flatnonzero(n)
-    if not len(known):
+def _interpolate(n: np.ndarray, seconds: np.ndarray, guess: float) -> np.ndarray:
+    """Time of a point by region [s], interpolated where none was measured."""
+    measured = np.flatnonzero(n)
+    if not len(measured):
         return np.full(len(n), guess)
-    return np.interp(np.arange(len(n)), known, seconds[known] / n[known])
+    return np.interp(np.arange(len(n)), measured, seconds[measured] / n[measured])

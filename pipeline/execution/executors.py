@@ -1,4 +1,4 @@
-"""Where jobs run: worker processes here, each guarded by a thread, or the same guards on the nodes of a cluster."""
+"""Executors: worker processes on this computer, each guarded by a thread, or the same guards on cluster nodes."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.execution import worker_process
+from pipeline.execution.worker_process import Request
 
-_NOOP_JOB, _IDLE = -1, 0.05  # number of a job of nothing, and how long it lasts [s]
+NOOP_JOB, _NOOP_SECONDS = -1, 0.05  # number of a job that does nothing, and its duration [s]
 
 
 @dataclass
 class Engine:
-    """Where jobs run: `jobs` worker processes here, or the cluster at `address` ("local:4" starts one)."""
+    """Executor of jobs: `jobs` worker processes, or the cluster at `address` ("local:4" starts one)."""
 
     jobs: int = 2
     address: str | None = None
 
     @contextlib.contextmanager
     def parallel(self) -> Iterator[Callable[[Iterator[Any]], Iterator[Any]]]:
-        """A function that does numbered jobs and yields what they give, as it comes."""
+        """Provide a function that runs numbered jobs and yields their results as they arrive."""
         import joblib
 
         options: dict[str, Any] = {"return_as": "generator_unordered", "batch_size": 1}
@@ -36,12 +37,12 @@ class Engine:
                 stack.enter_context(joblib.parallel_config(cluster.backend(client)))
                 self.jobs = cluster.workers(client)
             parallel = stack.enter_context(joblib.Parallel(self.jobs, pre_dispatch=2 * self.jobs, **options))
-            yield lambda jobs: parallel(joblib.delayed(do)(number, job) for number, job in jobs)
+            yield lambda jobs: parallel(joblib.delayed(_run_job)(number, job) for number, job in jobs)
 
 
-def do(number: int, job: dict[str, Any]) -> tuple[int, dict[str, Any]]:
-    """What an engine executes: a numbered job, under guard."""
-    if number == _NOOP_JOB:
-        time.sleep(_IDLE)
+def _run_job(number: int, request: Request | None) -> tuple[int, dict[str, Any]]:
+    """Run a numbered job in a guarded worker process."""
+    if request is None:
+        time.sleep(_NOOP_SECONDS)
         return number, {}
-    return number, worker_process.run(job)
+    return number, worker_process.run(request)

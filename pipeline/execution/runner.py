@@ -1,4 +1,4 @@
-"""One study from its file to its archive: lock, journal, plan, execution, archive, and the record of the run."""
+"""Run one study from its lock to its archive: journal, plan, execution, archive and the record of the run."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from pipeline.errors import ArchiveError, BusyError, GaitsweepError, StoppedErro
 from pipeline.execution import worker_process
 from pipeline.execution.executors import Engine
 from pipeline.execution.progress import Progress, duration
-from pipeline.execution.scheduler import Loop
+from pipeline.execution.scheduler import Scheduler
 from pipeline.paths import sidecar_path
 from pipeline.plan.missing import Plan, summary
 from pipeline.store.compact import compact
 from pipeline.store.journal import CorruptJournalError, Journal, forget, repair
 from pipeline.study.model import Study
 
-_SNAPSHOT = 60.0  # s at least between published snapshots
-_LISTED = 10  # reasons told at the end of a run
-_SHARE = 20  # and as many times as long as writing one takes
+_SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
+_MAX_REASONS = 10  # reasons listed at the end of a run
+_SNAPSHOT_PAUSE = 20  # minimum interval, in multiples of the time of writing one
 
 
 @dataclass(frozen=True)
 class Options:
-    """How to run, never what."""
+    """How a study is run; results do not depend on it."""
 
     jobs: int = 2
     cluster: str | None = None
@@ -51,8 +51,8 @@ class Options:
 
 
 @contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold an archive; a lock dies with its process, and what it left half done is removed.
+def lock_archive(path: Path) -> Iterator[None]:
+    """Lock an archive. A lock ends with its process; drafts it left behind are removed.
 
     Raises
     ------
@@ -63,18 +63,13 @@ def locked(path: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            who = _holder(file)
-            known = {"pid", "host", "started"} <= who.keys()
-            raise BusyError(
-                f"{path} is held by another run: "
-                + (
-                    f"process {who['pid']} on {who['host']}, started {who['started']}."
-                    if known
-                    else "its name is not known yet."
-                )
-            ) from error
-        for place in (path.resolve(), sidecar_path(path, ".journal"), sidecar_path(path, ".run.json")):
-            paths.discard(place, _holder(file).get("drafts"))
+            holder = _holder(file)
+            name = "its process is not known yet."
+            if {"pid", "host", "started"} <= holder.keys():
+                name = f"process {holder['pid']} on {holder['host']}, started {holder['started']}."
+            raise BusyError(f"{path} is held by another run: {name}") from error
+        for file_path in (path.resolve(), sidecar_path(path, ".journal"), sidecar_path(path, ".run.json")):
+            paths.discard(file_path, _holder(file).get("drafts"))
         file.seek(0)
         file.truncate()
         started = time.strftime("%Y-%m-%d %H:%M:%S")
@@ -84,32 +79,32 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def _holder(file: Any) -> dict[str, Any]:
-    """Who holds a lock, or held it last, as far as is known."""
+    """Holder of a lock, or the last one, as far as is known."""
     try:
         file.seek(0)
-        who = json.load(file)
-        return who if isinstance(who, dict) else {}
+        holder = json.load(file)
+        return holder if isinstance(holder, dict) else {}
     except (ValueError, RecursionError):
         return {}
 
 
 class Signals:
-    """INT, TERM and HUP stop a run at once, but not between a result and its journal; a second one is hard.
+    """Stop a run at INT, TERM or HUP, but never while a result is written; a second signal kills.
 
-    One that was ignored when the run began, as `nohup` has it, stays ignored.
+    Signals that were ignored at the start, as under `nohup`, stay ignored.
     """
 
     def __init__(self) -> None:
-        self.held, self.got = False, 0
+        self.postponed, self.received = False, 0
 
     @contextlib.contextmanager
-    def caught(self) -> Iterator[None]:
-        """Handle signals inside; only a main thread can."""
+    def handle(self) -> Iterator[None]:
+        """Handle signals inside; only the main thread can."""
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        kept = {
-            s: signal.signal(s, self._handle)
+        handlers = {
+            s: signal.signal(s, self._receive)
             for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
             if signal.getsignal(s) not in (signal.SIG_IGN, None)
         }
@@ -118,57 +113,57 @@ class Signals:
         except StoppedError:
             raise
         except Exception:
-            if self.got:  # what a library makes of being stopped amid its work
+            if self.received:  # an error of a library that was interrupted
                 self._stop()
             raise
         finally:
-            for signum, handler in kept.items():
+            for signum, handler in handlers.items():
                 signal.signal(signum, handler)
 
-    def _handle(self, signum: int, frame: FrameType | None) -> None:
+    def _receive(self, signum: int, frame: FrameType | None) -> None:
         worker_process.stop()
-        if self.got:
+        if self.received:
             os._exit(128 + signum)
-        self.got = signum
-        if not self.held:
+        self.received = signum
+        if not self.postponed:
             self._stop()
 
     def _stop(self) -> None:
-        name = signal.Signals(self.got).name
-        raise StoppedError(self.got, f"Stopped by {name}; what was finished is kept.") from None
+        name = signal.Signals(self.received).name
+        raise StoppedError(self.received, f"Stopped by {name}; finished results are kept.") from None
 
     def __enter__(self) -> None:
-        self.held = True
+        self.postponed = True
 
     def __exit__(self, *_: object) -> None:
-        self.held = False
-        if self.got:
+        self.postponed = False
+        if self.received:
             self._stop()
 
 
 def run(study: Study, path: Path, options: Options) -> int:
-    """Run a study into the archive at `path`; the exit code.
+    """Run a study into the archive at `path` and return the exit code.
 
     Raises
     ------
     GaitsweepError
-        If the run cannot begin or cannot go on; what was finished is kept.
+        If the run cannot start or continue; finished results are kept.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        lock = locked(path)
+        lock = lock_archive(path)
         with lock:
             if path.exists():
-                read.ours(path)
+                read.check_replaceable(path)
             return _run(study, path, options)
     except OSError as error:
         raise unwritten(path.parent, error) from error
 
 
 def _run(study: Study, path: Path, options: Options) -> int:
-    place = sidecar_path(path, ".journal")
+    journal = sidecar_path(path, ".journal")
     if options.fresh:
-        forget(place)
+        forget(journal)
     record: dict[str, Any] = {
         "study": study.name,
         "archive": path.name,
@@ -181,7 +176,7 @@ def _run(study: Study, path: Path, options: Options) -> int:
     }
     clock, code = time.monotonic(), 1
     try:
-        code = _attempts(study, path, place, options, record)
+        code = _run_repairing(study, path, journal, options, record)
         return code
     except GaitsweepError as error:
         code = error.exit_code
@@ -193,39 +188,41 @@ def _run(study: Study, path: Path, options: Options) -> int:
             _write_record(sidecar_path(path, ".run.json"), record)
 
 
-def _attempts(study: Study, path: Path, place: Path, options: Options, record: dict[str, Any]) -> int:
+def _run_repairing(study: Study, path: Path, journal_path: Path, options: Options, record: dict[str, Any]) -> int:
     for _ in range(3):
         try:
-            with contextlib.closing(Journal(place, points=study.points)) as journal:
-                return _once(Plan(study, journal, options.retry_failed), path, options, record)
+            with contextlib.closing(Journal(journal_path, points=study.points)) as journal:
+                return _attempt(Plan(study, journal, options.retry_failed), path, options, record)
         except CorruptJournalError:
-            repair(place)
+            repair(journal_path)
             if not options.quiet:
-                print(f"{place} was damaged; it is mended, and what is lost is computed again.", file=sys.stderr)
-    raise ArchiveError(f"{place} cannot be mended; run again with --fresh.")
+                print(
+                    f"{journal_path} was damaged; it is repaired, and lost results are computed again.", file=sys.stderr
+                )
+    raise ArchiveError(f"{journal_path} cannot be repaired; run again with --fresh.")
 
 
-def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> int:
+def _attempt(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> int:
     todo = summary(plan)
     engine, signals = Engine(options.jobs, options.cluster), Signals()
     log = sidecar_path(path, ".events.jsonl")
-    with signals.caught(), Progress(plan, todo, log, options.quiet, options.verbose) as progress:
-        _warn_of_moved_code(plan, progress)
+    with signals.handle(), Progress(plan, todo, log, options.quiet, options.verbose) as progress:
+        _warn_of_changed_code(plan, progress)
         listen = _Snapshots(plan, path, options.snapshot, progress)
         try:
             if any(todo.todo.values()):
                 points = sum(todo.todo.get("points", {}).values())
-                progress.loop = Loop(plan, engine, listen, points, options.chunk, signals)
-                progress.loop.run()
+                progress.scheduler = Scheduler(plan, engine, listen, points, options.chunk, signals)
+                progress.scheduler.run()
             record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
             written = write.write(plan, path, min(options.jobs, os.cpu_count() or 1))
-            if written.counts["not_attempted"]:  # what was kept is not found again
+            if written.counts["not_attempted"]:  # stored results are missing
                 raise CorruptJournalError(plan.journal.path)
             compact(plan.journal)
         finally:
             record |= {"state": progress.state()}
             worker_process.close_all()
-    failed = tasks_failed(plan)
+    failed = _failed_tasks(plan)
     record |= {
         "points": sum(written.counts.values()),
         "counts": dict(written.counts),
@@ -237,60 +234,61 @@ def _once(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> i
     return 1 if written.failures or failed else 0
 
 
-def _warn_of_moved_code(plan: Plan, progress: Progress) -> None:
-    """Say when `tasks` changed since results were kept and no version did; comments do not count."""
-    note, now = plan.journal.note("code"), code_digest()
+def _warn_of_changed_code(plan: Plan, progress: Progress) -> None:
+    """Warn if the code of `tasks` changed since results were stored and no version did."""
+    stored_digest, digest = plan.journal.note("code"), code_digest()
     versions = json.dumps({name: layer.task.version for name, layer in plan.layers.items()}, sort_keys=True)
-    if note and note != now and plan.journal.note("versions") == versions and any(progress.cached_tasks):
+    has_changed = stored_digest not in (None, digest) and plan.journal.note("versions") == versions
+    if has_changed and progress.cached_tasks:
         progress.say(
-            "The code of `tasks` has changed since some of these results were kept, its versions have not; "
-            "if numbers may change, bump the task's version or run with --fresh."
+            "The code of `tasks` has changed since some of these results were stored, its versions have not; "
+            "if numbers may change, increase the task's version or run with --fresh."
         )
-    plan.journal.set_note("code", now)
+    plan.journal.set_note("code", digest)
     plan.journal.set_note("versions", versions)
 
 
 class _Snapshots:
-    """Listens for the progress, and publishes the archive of a long run now and then."""
+    """Passes events on to the progress, and publishes the archive of a long run from time to time."""
 
     def __init__(self, plan: Plan, path: Path, every: float, progress: Progress):
         self.plan, self.path, self.progress = plan, path, progress
         self.every, self.next = every, time.monotonic() + every
 
-    def __call__(self, event: str, about: dict[str, Any]) -> None:
-        self.progress(event, about)
+    def __call__(self, event: str, details: dict[str, Any]) -> None:
+        self.progress(event, details)
         if event != "chunk" or time.monotonic() < self.next:
             return
         began = time.monotonic()
-        # A whole archive is not replaced by part of one.
+        # A partial archive does not replace a complete one.
         if read.not_attempted(self.path) != 0:
             write.write(self.plan, self.path)
-        took = time.monotonic() - began
-        self.next = time.monotonic() + max(self.every, _SHARE * took)
+        duration = time.monotonic() - began
+        self.next = time.monotonic() + max(self.every, _SNAPSHOT_PAUSE * duration)
 
 
-def tasks_failed(plan: Plan) -> list[str]:
-    """Tasks that are no points and failed, one sentence each."""
-    found = []
+def _failed_tasks(plan: Plan) -> list[str]:
+    """Failed tasks other than points, one sentence each."""
+    failures = []
     for name, layer in plan.layers.items():
         if name not in ("atlas", "points", plan.study.kind):
             for keys in map(plan.line_keys, range(plan.study.lines)) if layer.per_line else [plan.study_keys()]:
-                outcome, reason, _ = plan.journal.outcome(keys[name][0]) or ("ok", "", 0)
+                outcome, reason, _ = plan.journal.outcome(keys[name].key) or ("ok", "", 0)
                 if outcome != "ok":
-                    found.append(f"{name}: {outcome}; {reason}")
-    return found
+                    failures.append(f"{name}: {outcome}; {reason}")
+    return failures
 
 
 def _summarise(plan: Plan, progress: Progress, written: write.Written, failed: list[str], path: Path) -> None:
     total = "points" if plan.study.kind == "grid" else "lines"
     by_status = ", ".join(f"{name} {n:,}" for name, n in written.counts.items())
-    seconds = time.time() - progress.began
+    seconds = time.time() - progress.start
     n = sum(written.counts.values())
     progress.say(f"{plan.study.name}: {n:,} {total} ({by_status}) in {duration(seconds)}; {path}")
-    for reason, n in written.failures.most_common(_LISTED):
+    for reason, n in written.failures.most_common(_MAX_REASONS):
         progress.say(f"  {n:,} x {reason} First: {written.examples[reason]}")
-    if len(written.failures) > _LISTED:
-        progress.say(f"  ... and {len(written.failures) - _LISTED:,} more reasons: see reason_text in the archive")
+    if len(written.failures) > _MAX_REASONS:
+        progress.say(f"  ... and {len(written.failures) - _MAX_REASONS:,} more reasons: see reason_text in the archive")
     for sentence in failed:
         progress.say(f"  {sentence}")
 

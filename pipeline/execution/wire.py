@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import struct
-from typing import BinaryIO
+
+Stream = io.RawIOBase | io.BufferedIOBase
 
 
-def send(stream: BinaryIO, *parts: bytes) -> None:
+def send(stream: Stream, *parts: bytes) -> None:
     """Write one message of several parts."""
     stream.write(struct.pack(f"<{1 + len(parts)}Q", len(parts), *map(len, parts)))
     for part in parts:
@@ -16,24 +18,24 @@ def send(stream: BinaryIO, *parts: bytes) -> None:
     stream.flush()
 
 
-def receive(stream: BinaryIO) -> list[bytes]:
+def receive(stream: Stream) -> list[bytes]:
     """Read one message.
 
     Raises
     ------
     EOFError
-        If the other end is gone.
+        If the other end is closed.
     """
-    (count,) = struct.unpack("<Q", _exactly(stream, 8))
-    sizes = struct.unpack(f"<{count}Q", _exactly(stream, 8 * count))
-    return [_exactly(stream, size) for size in sizes]
+    (count,) = struct.unpack("<Q", _read_exactly(stream, 8))
+    sizes = struct.unpack(f"<{count}Q", _read_exactly(stream, 8 * count))
+    return [_read_exactly(stream, size) for size in sizes]
 
 
-def _exactly(stream: BinaryIO, size: int) -> bytes:
-    data, got = memoryview(bytearray(size)), 0
-    while got < size:
-        n = stream.readinto(data[got:])  # type: ignore[attr-defined]
+def _read_exactly(stream: Stream, size: int) -> bytes:
+    data, received = memoryview(bytearray(size)), 0
+    while received < size:
+        n = stream.readinto(data[received:])
         if not n:
             raise EOFError
-        got += n
+        received += n
     return bytes(data)

@@ -1,4 +1,4 @@
-"""A worker's own program: reads requests from its standard input and answers on its standard output until that closes.
+"""Program of a worker process: it reads requests from standard input and answers on standard output.
 
 Started as `python -m pipeline.execution.worker_main PARENT` by `pipeline.execution.worker_process`.
 """
@@ -21,17 +21,17 @@ from pipeline.execution.wire import receive, send
 from tasks.registry import STATUSES, VARIABLES
 
 _PR_SET_PDEATHSIG = 1
-_SLACK = 256 << 20  # byte
+_SLACK = 256 << 20  # growth above the limit that the kernel allows [byte]
 
 
 def serve(parent: int) -> None:
-    """Answer requests of the process `parent` until it closes the pipe or dies."""
+    """Answer requests of the process `parent` until it closes the pipe or ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if os.getppid() != parent:
         return
-    # What a task or a library prints must not reach the answers.
+    # Output of tasks and libraries must not mix with the answers.
     requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
@@ -50,21 +50,21 @@ def serve(parent: int) -> None:
         except Exception as error:
             send(answers, b"broken", _sentence(error).encode())
             continue
-        if len(sys.modules) != modules:  # a library may have come with a pool of its own
-            threads, modules = one_thread(), len(sys.modules)
-        _bound_memory(request["memory"])
+        if len(sys.modules) != modules:  # a newly loaded library may have its own thread pool
+            threads, modules = _limit_to_one_thread(), len(sys.modules)
+        _limit_memory(request["memory"])
         params, trees = request["params"], [serialize.load(i) for i in inputs]
         for key in ("want", "gaits"):
             if key in params:
                 params[key] = tuple(params[key])
         line = serialize.dump(params.get("line"))
         if request["points"] and line not in warm:
-            # Loading compiled code is not charged to the first point.
-            _attempt(function, {**params, "slope": params["slope"][:0]}, trees)
+            # The time to load compiled code does not count for the first point.
+            _try(function, {**params, "slope": params["slope"][:0]}, trees)
             warm.add(line)
         send(answers, b"started", struct.pack("<QQ", _pages(1), threads))
         began = time.perf_counter()
-        outcome, result = _attempt(function, params, trees)
+        outcome, result = _try(function, params, trees)
         if outcome == b"ok":
             try:
                 parts = _rows(params, result) if request["points"] else [serialize.dump(result)]
@@ -75,38 +75,38 @@ def serve(parent: int) -> None:
         send(answers, outcome, struct.pack("<d", time.perf_counter() - began), *parts)
 
 
-def _bound_memory(growth: int) -> None:
-    """Let this process grow no further than that; the parent, who looks now and then, ends it well before."""
+def _limit_memory(growth: int) -> None:
+    """Limit the growth of this process [byte]; the parent, which samples its memory, ends it well before."""
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    bound = _pages(5) + growth + _SLACK
-    resource.setrlimit(resource.RLIMIT_DATA, (bound if hard == resource.RLIM_INFINITY else min(bound, hard), hard))
+    limit = _pages(5) + growth + _SLACK
+    resource.setrlimit(resource.RLIMIT_DATA, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
 def _pages(field: int) -> int:
-    """Memory of this process [byte]: field 1 of the kernel's list is what is resident, 5 its data."""
+    """Memory of this process [byte]: field 1 of `/proc/self/statm` is resident memory, 5 is data."""
     with open("/proc/self/statm") as file:
         return int(file.read().split()[field]) * resource.getpagesize()
 
 
-def one_thread() -> int:
-    """Bind every numerical library of this process to one thread; how many they use now."""
+def _limit_to_one_thread() -> int:
+    """Limit every numerical library of this process to one thread; returns the largest number still in use."""
     import threadpoolctl
 
     threadpoolctl.threadpool_limits(1)
     return max((pool["num_threads"] for pool in threadpoolctl.threadpool_info()), default=1)
 
 
-def _attempt(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[bytes, Any]:
+def _try(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[bytes, Any]:
     try:
         return b"ok", function(params, inputs)
     except MemoryError:
         return b"out_of_memory", ""
-    except BaseException as error:  # sys.exit and KeyboardInterrupt too: nothing a task does ends a worker's loop
+    except BaseException as error:  # sys.exit and KeyboardInterrupt too: no task ends the worker
         return b"raised", _sentence(error)
 
 
 def _sentence(error: BaseException) -> str:
-    """What an exception says, on one line and the same in every process."""
+    """Message of an exception on one line, the same in every process."""
     try:
         text = " ".join(str(error).split())
     except Exception:
@@ -116,13 +116,13 @@ def _sentence(error: BaseException) -> str:
 
 
 def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
-    """A block of points as the journal keeps it: states, then variables, without gaits that nowhere exist."""
+    """Pack a block of points for the journal: states, then variables, without trailing gaits that do not exist."""
     import numpy as np
 
     from pipeline import serialize
 
     n, status = len(params["slope"]), np.asarray(result["status"], np.int8)
-    live = status.shape[1]
+    n_gaits = status.shape[1]
     columns = {name: np.asarray(result[name]) for name in params["want"] if name not in ("status", "reason")}
     for name, a in columns.items():
         if a.shape[:2] != status.shape or len(status) != n:
@@ -134,15 +134,15 @@ def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
             for name, a in columns.items()
         )
 
-    while live and empty(live - 1):
-        live -= 1
+    while n_gaits and empty(n_gaits - 1):
+        n_gaits -= 1
     reasons = np.asarray(result["reasons"])
     states = {
         "status": status,
         "reason": np.asarray(result["reason"], np.int16),
         "reasons": reasons if reasons.size else np.zeros(0, "U1"),
     }
-    return [serialize.dump(states), serialize.dump({name: a[:, :live] for name, a in columns.items()})]
+    return [serialize.dump(states), serialize.dump({name: a[:, :n_gaits] for name, a in columns.items()})]
 
 
 if __name__ == "__main__":

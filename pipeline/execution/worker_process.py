@@ -1,13 +1,14 @@
-"""One worker process under guard: it may crash, hang or eat memory, and only the guilty point pays.
+"""A guarded worker process: a crash, hang or excess of memory fails only the point that caused it.
 
-`run` is what an engine executes, in a thread of this process or on a node of a cluster. Each thread keeps one
-worker process. A block of points that ends badly is cut and tried again, down to the point that did it.
+Engines execute `run` in a thread of this process or on a node of a cluster. Each thread has one worker process. A
+block of points that fails is divided and tried again, down to the point responsible.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import io
 import os
 import platform
 import resource
@@ -18,7 +19,8 @@ import subprocess
 import sys
 import threading
 import time
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 
@@ -27,13 +29,30 @@ from pipeline.errors import WorkerError
 from pipeline.execution import wire
 from tasks.registry import GAITS
 
-_LOOK, _LATE = 0.1, 0.5  # s between looks at a worker, and at most charged to it for one
-_START = 300.0  # s a worker may take to load its task
+_POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # interval of checks of a worker, and most time charged to it for one [s]
+_LOAD_TIMEOUT = 300.0  # time a worker may take to load its task [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
-_PIECES = 16  # a bad block is cut into as many
-_own = threading.local()
-_alive: set[WorkerProcess] = set()
+_PIECES = 16  # parts of a failed block
+_local = threading.local()
+_workers: set[WorkerProcess] = set()
 _closing = threading.Event()
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A task to run in a worker process.
+
+    `params["slope"]` of a block of points, shape (n,) [rad], may be divided. `seconds` and `memory` [byte] limit one
+    point, or the whole task if it is not a block. The process ends after waiting `idle` seconds for another request.
+    """
+
+    function: str
+    params: dict[str, Any]
+    inputs: list[bytes]
+    is_block: bool
+    seconds: float
+    memory: int
+    idle: float | None = None
 
 
 class WorkerProcess:
@@ -43,7 +62,7 @@ class WorkerProcess:
         if _closing.is_set():
             raise WorkerError("The run is being stopped.")
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
-        # A group of its own: Ctrl-C in a terminal reaches the parent alone. No buffer: `poll` must see every answer.
+        # Its own process group, so that Ctrl-C reaches only the parent. Unbuffered, so that `poll` sees every answer.
         command = [sys.executable, "-P", "-m", "pipeline.execution.worker_main", str(os.getpid())]
         self.process = subprocess.Popen(
             command,
@@ -54,28 +73,29 @@ class WorkerProcess:
             process_group=0,
             bufsize=0,
         )
-        for pipe in (self.process.stdin, self.process.stdout):
+        self.pipes = cast(io.FileIO, self.process.stdin), cast(io.FileIO, self.process.stdout)
+        for pipe in self.pipes:
             with contextlib.suppress(OSError):
-                fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)  # type: ignore[arg-type]
+                fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)
         self.threads = 1
-        self.lock = threading.Lock()  # held while it is asked something
-        _alive.add(self)
+        self.lock = threading.Lock()  # held during a request
+        _workers.add(self)
 
     def close(self) -> int:
-        """End the process; how it ended."""
-        _alive.discard(self)
+        """End the process and return its exit code."""
+        _workers.discard(self)
         with contextlib.suppress(OSError):
             self.process.kill()
-        for pipe in (self.process.stdin, self.process.stdout):
+        for pipe in self.pipes:
             with contextlib.suppress(OSError):
-                pipe.close()  # type: ignore[union-attr]
+                pipe.close()
         return self.process.wait()
 
-    def ask(self, request: bytes, inputs: list[bytes], seconds: float, memory: int) -> tuple[str, Any]:
-        """One request: how it ended ("ok" or a name of `worker.ENDINGS`), and its parts or a sentence."""
+    def ask(self, message: bytes, inputs: list[bytes], seconds: float, memory: int) -> tuple[str, Any]:
+        """Send one request; returns "ok" or a name of `statuses.ENDINGS`, and the parts of the answer or a sentence."""
         try:
-            wire.send(self.process.stdin, request, *inputs)  # type: ignore[arg-type]
-            kind, *parts = self._answer(_START)
+            wire.send(self.pipes[0], message, *inputs)
+            kind, *parts = self._answer(_LOAD_TIMEOUT)
             if kind == b"broken":
                 raise WorkerError(f"A worker cannot load its task: {parts[0].decode()}.")
             resident, self.threads = struct.unpack("<QQ", parts[0])
@@ -86,7 +106,7 @@ class WorkerProcess:
         except MemoryError:
             self.close()
             return "out_of_memory", f"It needed more than {_size(memory)} of memory."
-        except (EOFError, OSError, ValueError):  # ValueError: its pipes were closed by `stop`
+        except (EOFError, OSError, ValueError):  # ValueError: `stop` closed its pipes
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.") from None
             return "worker_died", self._death()
@@ -97,29 +117,29 @@ class WorkerProcess:
         return outcome.decode(), f"It raised {parts[1].decode()}."
 
     def leave(self) -> None:
-        """End the process if nothing is asked of it."""
+        """End the process if no request is pending."""
         if self.lock.acquire(blocking=False):
             self.close()
             self.lock.release()
 
     def _answer(self, seconds: float, memory: int | None = None) -> list[bytes]:
-        stream, looked = self.process.stdout, time.monotonic()
+        stream, last_poll = self.pipes[1], time.monotonic()
         poll = select.poll()
-        poll.register(stream, select.POLLIN)  # type: ignore[arg-type]
-        while not poll.poll(1000 * min(_LOOK, max(0.0, seconds))):
+        poll.register(stream, select.POLLIN)
+        while not poll.poll(1000 * min(_POLL_INTERVAL, max(0.0, seconds))):
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.")
-            # Who looks so late was stopped itself, as a scheduler may do, and the worker with it.
-            now = time.monotonic()
-            seconds, looked = seconds - min(_LATE, now - looked), now
+            # A late check means that this process was suspended, and the worker with it.
+            clock = time.monotonic()
+            seconds, last_poll = seconds - min(_MAX_CHARGED, clock - last_poll), clock
             if seconds <= 0:
                 raise TimeoutError
             if memory is not None and self.resident() > memory:
                 raise MemoryError
-        return wire.receive(stream)  # type: ignore[arg-type]
+        return wire.receive(stream)
 
     def resident(self) -> int:
-        """Resident memory of the process [byte]; 0 once it is gone."""
+        """Resident memory of the process [byte]; 0 after its end."""
         try:
             with open(f"/proc/{self.process.pid}/statm") as file:
                 return int(file.read().split()[1]) * resource.getpagesize()
@@ -128,10 +148,10 @@ class WorkerProcess:
 
     def _death(self) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self.process.wait(5)  # it is on its way: let its own end be seen, not our kill
+            self.process.wait(5)  # wait for its own exit code instead of that of our signal
         code = self.close()
-        how = f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
-        return f"The worker died {how}."
+        cause = f"of {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+        return f"The worker died {cause}."
 
 
 def _size(memory: int) -> str:
@@ -142,97 +162,110 @@ def _size(memory: int) -> str:
 
 
 def stop() -> None:
-    """Kill every worker process and end every wait for one; may be called from a signal handler."""
+    """Kill every worker process and end all waits; may be called from a signal handler."""
     _closing.set()
-    for cell in list(_alive):
+    for worker in list(_workers):
         with contextlib.suppress(OSError):
-            cell.process.kill()
+            worker.process.kill()
 
 
 def close_all() -> None:
-    """End every worker process, and be ready for another run."""
+    """End every worker process and allow new ones."""
     stop()
-    for cell in list(_alive):
-        cell.close()
+    for worker in list(_workers):
+        worker.close()
     _closing.clear()
 
 
 def members() -> list[dict[str, Any]]:
     """Host, process id, resident memory [byte] and threads of every worker process of this process."""
-    return [_member(c) for c in list(_alive)]
+    return [_member(c) for c in list(_workers)]
 
 
-def _member(cell: WorkerProcess) -> dict[str, Any]:
-    return {"host": platform.node(), "pid": cell.process.pid, "memory": cell.resident(), "threads": cell.threads}
+def _member(worker: WorkerProcess) -> dict[str, Any]:
+    return {"host": platform.node(), "pid": worker.process.pid, "memory": worker.resident(), "threads": worker.threads}
 
 
-def _ask(job: dict[str, Any], params: dict[str, Any]) -> tuple[str, Any]:
-    request = serialize.dump({**{k: job[k] for k in ("function", "points", "memory")}, "params": params})
+def _ask(request: Request, params: dict[str, Any]) -> tuple[str, Any]:
+    head = {"function": request.function, "points": request.is_block, "memory": request.memory, "params": params}
+    message = serialize.dump(head)
     while True:
-        cell = getattr(_own, "cell", None)
-        if cell is None or cell not in _alive:
-            cell = _own.cell = WorkerProcess()
-        with cell.lock:
-            if cell in _alive:  # it may have left meanwhile
-                return cell.ask(request, job["inputs"], job["seconds"], job["memory"])
+        worker = getattr(_local, "worker", None)
+        if worker is None or worker not in _workers:
+            worker = _local.worker = WorkerProcess()
+        with worker.lock:
+            if worker in _workers:  # it may have ended meanwhile
+                return worker.ask(message, request.inputs, request.seconds, request.memory)
 
 
-def run(job: dict[str, Any]) -> dict[str, Any]:
-    """Do one job in this thread's worker process; never raises for what a task does.
+def run(request: Request) -> dict[str, Any]:
+    """Run a request in the worker process of this thread; errors of the task are returned, not raised.
 
     Parameters
     ----------
-    job : dict
-        `function`, `params`, `inputs` (packed), `points` (whether it is a block of points), the limits
-        `seconds` and `memory` [byte] of one point, or of the whole job where it is no block, and `idle`: for how
-        many seconds the process may wait for another job, None for as long as this one lives.
+    request : Request
 
     Returns
     -------
     dict
-        `seconds` taken and `rows` of a block, each (slopes, packed states, packed variables); of another job
-        `outcome` and `data` (packed result) or `reason`. And `worker`, which process did it.
+        `seconds` [s] taken; `rows` of a block, each (slopes, packed states, packed variables), or `outcome` and
+        `data` (packed result) or `reason` of another task; `worker`, the process that ran it.
+
+    Raises
+    ------
+    WorkerError
+        If the worker cannot load the task, or the run is being stopped.
     """
-    began = time.perf_counter()
-    if timer := getattr(_own, "timer", None):
+    start = time.perf_counter()
+    if timer := getattr(_local, "timer", None):
         timer.cancel()
-    if job["points"]:
-        done: dict[str, Any] = {"rows": _block(job, np.asarray(job["params"]["slope"]))}
+    if request.is_block:
+        answer: dict[str, Any] = {"rows": _run_block(request, np.asarray(request.params["slope"]))}
     else:
-        outcome, found = _ask(job, job["params"])
-        if outcome == "worker_died":  # someone else may have killed it: twice is no accident
-            outcome, found = _ask(job, job["params"])
-        done = (
-            {"outcome": outcome, "data": found[1], "reason": ""}
-            if outcome == "ok"
-            else {"outcome": outcome, "data": b"", "reason": found}
-        )
-    cell = getattr(_own, "cell", None)
-    if cell:
-        done["worker"] = _member(cell)
-    if cell and job["idle"] is not None:
-        timer = _own.timer = threading.Timer(job["idle"], cell.leave)
+        outcome, parts = _ask(request, request.params)
+        if outcome == "worker_died":  # it may have been killed from outside; a second death has another cause
+            outcome, parts = _ask(request, request.params)
+        is_ok = outcome == "ok"
+        answer = {"outcome": outcome, "data": parts[1] if is_ok else b"", "reason": "" if is_ok else parts}
+    worker = getattr(_local, "worker", None)
+    if worker:
+        answer["worker"] = _member(worker)
+    if worker and request.idle is not None:
+        timer = _local.timer = threading.Timer(request.idle, worker.leave)
         timer.daemon = True
         timer.start()
-    return {**done, "seconds": time.perf_counter() - began, "pid": os.getpid()}
+    return {**answer, "seconds": time.perf_counter() - start, "pid": os.getpid()}
 
 
-def _block(job: dict[str, Any], slopes: np.ndarray) -> list[tuple[bytes, bytes, bytes]]:
-    outcome, found = _ask(job, {**job["params"], "slope": slopes})
+def _run_block(request: Request, slopes: np.ndarray) -> list[tuple[bytes, bytes, bytes]]:
+    outcome, parts = _ask(request, {**request.params, "slope": slopes})
     if outcome == "ok":
-        return [(slopes.tobytes(), found[1], found[2])]
+        return [(slopes.tobytes(), parts[1], parts[2])]
     if len(slopes) > 1:
         pieces = np.array_split(slopes, min(_PIECES, len(slopes)))
-        return [row for piece in pieces for row in _block(job, piece)]
+        return [row for piece in pieces for row in _run_block(request, piece)]
     if outcome == "worker_died":
-        outcome, found = _ask(job, {**job["params"], "slope": slopes})
+        outcome, parts = _ask(request, {**request.params, "slope": slopes})
         if outcome == "ok":
-            return [(slopes.tobytes(), found[1], found[2])]
-    return [(slopes.tobytes(), serialize.dump(failed(1, outcome, found)), serialize.dump({}))]
+            return [(slopes.tobytes(), parts[1], parts[2])]
+    return [(slopes.tobytes(), serialize.dump(_failed_states(1, outcome, parts)), serialize.dump({}))]
 
 
-def failed(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:
-    """States of `n` points that all ended the same way for their worker."""
+def _failed_states(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:
+    """States of `n` points whose worker ended the same way.
+
+    Parameters
+    ----------
+    n : int
+    outcome : str
+        A name of `statuses.ENDINGS`.
+    reason : str
+
+    Returns
+    -------
+    dict
+        `status` and `reason`, shape (n, gait), and the sentences `reasons`.
+    """
     return {
         "status": np.full((n, len(GAITS)), statuses.ENDINGS[outcome], np.int8),
         "reason": np.zeros((n, len(GAITS)), np.int16),

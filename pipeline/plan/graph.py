@@ -1,7 +1,7 @@
-"""The graph of a study: plain data, culled to what is wanted.
+"""The task graph of a study as plain data, restricted to what the study requests.
 
-A study's graph is a few layers, each one task over every line or over the whole study, so a grid of a million
-points costs no object a point. `expand` writes it out as Dask does: key -> (task, parameters, keys of inputs).
+The graph has a few layers, each one task over every line or over the whole study, so a grid of a million points
+needs no object per point. `expand` writes it in Dask's form: key -> (task, parameters, keys of inputs).
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.store.journal import TaskKey
 from pipeline.study.model import Study
 from tasks.registry import ALWAYS, READS, TASKS, VARIABLES, Task
 
 
 @dataclass(frozen=True)
 class Layer:
-    """One task over each line, or once over the study; `needs` are other layers."""
+    """One task over each line, or once over the study; `needs` names the layers it reads."""
 
     task: Task
     per_line: bool
@@ -28,17 +29,17 @@ class Layer:
 
 
 def layers(study: Study) -> dict[str, Layer]:
-    """The layers a study needs, inputs first."""
-    found: dict[str, Layer] = {}
+    """Layers that a study needs, inputs first."""
+    needed: dict[str, Layer] = {}
 
     def add(name: str, per_line: bool) -> None:
-        if name in found:
+        if name in needed:
             return
         task = TASKS[name]
         needs = tuple(need for need in task.needs if need in TASKS)
         for need in needs:
             add(need, per_line or need == "points" or _over_lines(need))
-        found[name] = Layer(task, per_line, needs)
+        needed[name] = Layer(task, per_line, needs)
 
     add("points" if study.kind == "grid" else study.kind, True)
     for name in (*study.figures, *study.claims):
@@ -48,10 +49,10 @@ def layers(study: Study) -> dict[str, Layer]:
     for name in study.fits:
         add(name, False)
     if study.claims and "claims" in TASKS:
-        # Claims read what the study is about: its points or the tables of its own task, and their atlas.
+        # Claims read the main results of the study, its points or the tables of its task, and their atlas.
         own = "points" if study.kind == "grid" else study.kind
-        found["claims"] = Layer(TASKS["claims"], False, (own, *TASKS[own].needs))
-    return found
+        needed["claims"] = Layer(TASKS["claims"], False, (own, *TASKS[own].needs))
+    return needed
 
 
 def _over_lines(name: str) -> bool:
@@ -59,7 +60,7 @@ def _over_lines(name: str) -> bool:
 
 
 def variables(study: Study) -> tuple[str, ...]:
-    """Point variables to compute: what is wanted, and what the wanted fits, figures and claims read."""
+    """Point variables to compute: those requested, and those that requested fits, figures and claims read."""
     names = {*study.variables, *ALWAYS}
     readers = (*study.fits, *study.figures, *study.claims, *(("claims",) if study.claims else ()))
     names.update(read for reader in readers for read in READS.get(reader, ()))
@@ -67,7 +68,7 @@ def variables(study: Study) -> tuple[str, ...]:
 
 
 def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of a task over one line. A block of points is told its own slopes besides."""
+    """Parameters of a task over one line, except the slopes of a block of points."""
     if name == "atlas":
         return {"line": line}
     if name == "points":
@@ -87,12 +88,12 @@ def study_params(study: Study, name: str) -> dict[str, Any]:
     return params
 
 
-def key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> tuple[str, str]:
-    """Key of a task with those parameters and inputs, and its kin: the same whatever the versions."""
+def key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> TaskKey:
+    """Key of a task with these parameters and the keys of its inputs."""
     plain = _canonical(params)
-    whole = json.dumps([task.name, task.version, plain, list(inputs)], separators=(",", ":"))
-    unversioned_key = json.dumps([task.name, plain], separators=(",", ":"))
-    return f"{task.name}-{_hash(whole.encode())}", f"{task.name}-{_hash(unversioned_key.encode())}"
+    versioned = json.dumps([task.name, task.version, plain, list(inputs)], separators=(",", ":"))
+    unversioned = json.dumps([task.name, plain], separators=(",", ":"))
+    return TaskKey(*(f"{task.name}-{_hash(text.encode())}" for text in (versioned, unversioned)))
 
 
 def _hash(data: bytes) -> str:
@@ -111,28 +112,28 @@ def _canonical(x: Any) -> Any:
     return x
 
 
-def line_keys(study: Study, graph: Mapping[str, Layer], line: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Key and kin of every task over that line."""
-    keys: dict[str, tuple[str, str]] = {}
+def line_keys(study: Study, graph: Mapping[str, Layer], line: Mapping[str, Any]) -> dict[str, TaskKey]:
+    """Keys of every task over one line."""
+    keys: dict[str, TaskKey] = {}
     for name, layer in graph.items():
         if layer.per_line:
-            keys[name] = key(layer.task, line_params(study, name, line), [keys[need][0] for need in layer.needs])
+            keys[name] = key(layer.task, line_params(study, name, line), [keys[need].key for need in layer.needs])
     return keys
 
 
-def study_keys(study: Study, graph: Mapping[str, Layer], lines: Iterable[str]) -> dict[str, tuple[str, str]]:
-    """Key and kin of every task over the study, whose lines' keys are given."""
-    keys: dict[str, tuple[str, str]] = {}
-    over = [_hash("".join(lines).encode()), _hash(study.slope.tobytes()), *study.gaits]
+def study_keys(study: Study, graph: Mapping[str, Layer], lines: Iterable[str]) -> dict[str, TaskKey]:
+    """Keys of every task over the study; `lines` are the joined keys of its lines."""
+    keys: dict[str, TaskKey] = {}
+    study_inputs = [_hash("".join(lines).encode()), _hash(study.slope.tobytes()), *study.gaits]
     for name, layer in graph.items():
         if not layer.per_line:
-            inputs = [keys[need][0] for need in layer.needs if need in keys]
-            keys[name] = key(layer.task, study_params(study, name), [*over, *inputs])
+            inputs = [keys[need].key for need in layer.needs if need in keys]
+            keys[name] = key(layer.task, study_params(study, name), [*study_inputs, *inputs])
     return keys
 
 
 def expand(study: Study) -> dict[str, tuple[str, dict[str, Any], list[str]]]:
-    """The whole graph in Dask's shape, for small studies and curious eyes."""
+    """The whole graph in Dask's form, for inspecting small studies."""
     graph = layers(study)
     nodes: dict[str, tuple[str, dict[str, Any], list[str]]] = {}
     by_line = []
@@ -141,9 +142,10 @@ def expand(study: Study) -> dict[str, tuple[str, dict[str, Any], list[str]]]:
         keys = line_keys(study, graph, line)
         by_line.append(keys)
         for name, (node, _) in keys.items():
-            nodes[node] = (name, line_params(study, name, line), [keys[need][0] for need in graph[name].needs])
-    over = study_keys(study, graph, ("".join(k for k, _ in keys.values()) for keys in by_line))
-    for name, (node, _) in over.items():
-        inputs = [keys[need][0] for need in graph[name].needs for keys in (by_line if graph[need].per_line else [over])]
+            nodes[node] = (name, line_params(study, name, line), [keys[need].key for need in graph[name].needs])
+    over_study = study_keys(study, graph, ("".join(k for k, _ in keys.values()) for keys in by_line))
+    for name, (node, _) in over_study.items():
+        sources = {need: by_line if graph[need].per_line else [over_study] for need in graph[name].needs}
+        inputs = [keys[need].key for need, all_keys in sources.items() for keys in all_keys]
         nodes[node] = (name, study_params(study, name), inputs)
     return nodes

@@ -1,4 +1,4 @@
-"""What a study still needs, and why: the same answer for `plan`, which prints it, and `run`, which does it."""
+"""The tasks a study still needs, and why: `plan` prints them and `run` executes them."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ import numpy as np
 
 from pipeline.plan import graph
 from pipeline.store import lines
-from pipeline.store.journal import Journal
+from pipeline.store.journal import Journal, TaskKey
 from pipeline.study.model import Study
 from tasks.registry import TASKS, VARIABLES
 
 
 @dataclass(frozen=True)
 class LineWork:
-    """What one line needs: its keys, why each task over it would run, and which of its slopes are to be solved."""
+    """Work on one line: its keys, why each task over it would run, and the indices of slopes to solve."""
 
     number: int
     line: dict[str, Any]
-    keys: dict[str, tuple[str, str]]
+    keys: dict[str, TaskKey]
     why: dict[str, str]
     missing: np.ndarray
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A study beside its journal."""
+    """A study compared with its journal; with `retry`, failed tasks and points run again."""
 
     study: Study
     journal: Journal
@@ -44,30 +44,30 @@ class Plan:
         object.__setattr__(self, "want", lines.needed(self.variables, self.study.gaits))
 
     def line(self, number: int, fresh: bool = False) -> LineWork:
-        """What the line of that number needs; `fresh` where nothing can be known of it."""
+        """Work on the line of that number; `fresh` if the journal is empty."""
         study, line = self.study, self.study.line(number)
         keys = graph.line_keys(study, self.layers, line)
         why: dict[str, str] = {}
-        absent = np.arange(0)
-        failed = False
+        missing = np.arange(0)
+        has_failed = False
         if "atlas" in keys:
-            failed = not fresh and self._failed(keys["atlas"][0])
+            has_failed = not fresh and self._has_failed(keys["atlas"].key)
         for name, (key, unversioned_key) in keys.items():
             if name == "points":
-                absent = self._missing(key, fresh, failed)
-                if len(absent):
-                    why[name] = "new" if fresh else self._why_points(key, unversioned_key, len(absent))
-            elif name != "atlas" and not failed and (fresh or self._stale(key)):
+                missing = self._missing_points(key, fresh, has_failed)
+                if len(missing):
+                    why[name] = "new" if fresh else self._why_points(key, unversioned_key)
+            elif name != "atlas" and not has_failed and (fresh or self._is_stale(key)):
                 why[name] = "new" if fresh else self._why(unversioned_key)
-        # Tasks over the study read it again: where its row was lost, points alone do not do.
+        # Tasks over the study read the atlas too, so a lost row is computed again.
         readers = [*why, *(name for name, layer in self.layers.items() if not layer.per_line)]
         if "atlas" in keys and any("atlas" in self.layers[name].needs for name in readers):
             key, unversioned_key = keys["atlas"]
-            if fresh or self._stale(key):
+            if fresh or self._is_stale(key):
                 why["atlas"] = "new" if fresh else self._why(unversioned_key)
-        return LineWork(number, line, keys, why, absent)
+        return LineWork(number, line, keys, why, missing)
 
-    def _missing(self, key: str, fresh: bool, failed: bool) -> np.ndarray:
+    def _missing_points(self, key: str, fresh: bool, failed: bool) -> np.ndarray:
         slopes = self.study.slope
         if fresh:
             return np.arange(len(slopes))
@@ -75,19 +75,19 @@ class Plan:
             return np.arange(0)
         return lines.missing(self.journal, key, self.want, slopes, self.study.gaits, self.retry)
 
-    def _failed(self, key: str) -> bool:
-        """Whether that task failed before and is not to be tried again."""
-        found = self.journal.outcome(key)
-        return found is not None and found[0] != "ok" and not self.retry
+    def _has_failed(self, key: str) -> bool:
+        """Whether the task failed before and is not to be retried."""
+        outcome = self.journal.outcome(key)
+        return outcome is not None and outcome.status != "ok" and not self.retry
 
-    def _stale(self, key: str) -> bool:
-        found = self.journal.outcome(key)
-        return found is None or (self.retry and found[0] != "ok")
+    def _is_stale(self, key: str) -> bool:
+        outcome = self.journal.outcome(key)
+        return outcome is None or (self.retry and outcome.status != "ok")
 
     def _why(self, unversioned_key: str) -> str:
         return "changed" if self.journal.knows(unversioned_key) else "new"
 
-    def _why_points(self, key: str, unversioned_key: str, n: int) -> str:
+    def _why_points(self, key: str, unversioned_key: str) -> str:
         if not self.journal.last_block(key):
             return self._why(unversioned_key)
         slopes = self.study.slope
@@ -96,7 +96,7 @@ class Plan:
         return "new"
 
     def lines(self) -> Iterator[LineWork]:
-        """Every line that needs anything, far ones early: a part of the work is a sample of the whole."""
+        """Lines with work to do, in an order whose leading part samples the study evenly."""
         fresh, n = self.journal.empty(), self.study.lines
         step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if np.gcd(k, n) == 1)
         for i in range(n):
@@ -104,48 +104,48 @@ class Plan:
             if work.why:
                 yield work
 
-    def over_study(self, ran: bool) -> dict[str, tuple[tuple[str, str], str]]:
-        """Tasks over the whole study that would run: keys and why; `ran` if anything beneath them runs."""
+    def over_study(self, ran: bool) -> dict[str, tuple[TaskKey, str]]:
+        """Keys of the tasks over the whole study that would run, and why; `ran` if any of their inputs run."""
         names = [name for name, layer in self.layers.items() if not layer.per_line]
         if not names:
             return {}
         keys, last = self.study_keys(), self.last_block()
-        todo: dict[str, tuple[tuple[str, str], str]] = {}
+        todo: dict[str, tuple[TaskKey, str]] = {}
         for name in names:
-            found = self.journal.outcome(keys[name][0])
-            if found is None:
-                todo[name] = keys[name], self._why(keys[name][1])
-            elif ran or found[2] < last or any(need in todo for need in self.layers[name].needs):
+            outcome = self.journal.outcome(keys[name].key)
+            if outcome is None:
+                todo[name] = keys[name], self._why(keys[name].unversioned)
+            elif ran or outcome.seen < last or any(need in todo for need in self.layers[name].needs):
                 todo[name] = keys[name], "its inputs change"
-            elif found[0] != "ok" and self.retry:
+            elif outcome.status != "ok" and self.retry:
                 todo[name] = keys[name], "retried"
         return todo
 
-    def line_keys(self, number: int) -> dict[str, tuple[str, str]]:
-        """Key and kin of every task over the line of that number."""
+    def line_keys(self, number: int) -> dict[str, TaskKey]:
+        """Keys of every task over the line of that number."""
         return graph.line_keys(self.study, self.layers, self.study.line(number))
 
-    def _line_keys(self) -> Iterator[dict[str, tuple[str, str]]]:
+    def _line_keys(self) -> Iterator[dict[str, TaskKey]]:
         return map(self.line_keys, range(self.study.lines))
 
-    def study_keys(self) -> dict[str, tuple[str, str]]:
-        """Key and kin of every task over the whole study."""
+    def study_keys(self) -> dict[str, TaskKey]:
+        """Keys of every task over the whole study."""
         lines = ("".join(key for key, _ in keys.values()) for keys in self._line_keys())
         return graph.study_keys(self.study, self.layers, lines)
 
     def last_block(self) -> int:
         """Number of the latest block of any line of the study."""
-        keys = (line["points"][0] for line in self._line_keys() if "points" in line)
+        keys = (line["points"].key for line in self._line_keys() if "points" in line)
         return max(map(self.journal.last_block, keys), default=0)
 
-    def unwanted(self) -> tuple[list[str], list[str]]:
-        """Tasks and variables that the study does not ask for."""
+    def omissions(self) -> tuple[list[str], list[str]]:
+        """Tasks and variables that the study does not request."""
         return [t for t in TASKS if t not in self.layers], [v for v in VARIABLES if v not in self.variables]
 
 
 @dataclass
 class Summary:
-    """Counts of a plan: `todo[layer][why]`, `cached[layer]`, and a guess of the work in core seconds."""
+    """Counts of a plan: `todo[layer][why]`, `cached[layer]`, and the estimated work in core seconds."""
 
     todo: dict[str, Counter[str]]
     cached: dict[str, int]
@@ -153,7 +153,7 @@ class Summary:
 
 
 def summary(plan: Plan) -> Summary:
-    """Count a plan without keeping it."""
+    """Count the work of a plan without storing it."""
     study = plan.study
     todo: dict[str, Counter[str]] = {name: Counter() for name in plan.layers}
     ran = False
@@ -169,18 +169,18 @@ def summary(plan: Plan) -> Summary:
                 todo[name][why] += len(work.missing) if name == "points" else 1
     for name, (_, why) in _over_study(plan, ran).items():
         todo[name][why] += 1
-    whole = {
+    totals = {
         name: study.points if name == "points" else study.lines if layer.per_line else 1
         for name, layer in plan.layers.items()
     }
-    found = Summary(todo, {name: whole[name] - sum(todo[name].values()) for name in plan.layers})
+    result = Summary(todo, {name: totals[name] - sum(todo[name].values()) for name in plan.layers})
     measured = plan.journal.seconds_per_point()
     for name, layer in plan.layers.items():
-        each = layer.task.seconds
+        seconds_each = layer.task.seconds
         if name == "points":
-            each = measured or layer.task.seconds_per_point
-        found.seconds += each * sum(todo[name].values())
-    return found
+            seconds_each = measured or layer.task.seconds_per_point
+        result.seconds += seconds_each * sum(todo[name].values())
+    return result
 
 
 def _over_study(plan: Plan, ran: bool) -> dict[str, tuple[Any, str]]:

@@ -1,5 +1,5 @@
-"""Finished results, safe against whatever ends a run.
+"""Finished results, safe against any interruption of a run.
 
-`journal` keeps them in SQLite; `rows` says what a row holds and checks it; `salvage` reads rows from a damaged file;
-`compact` puts small blocks together; `lines` reads the points of a line back.
+`journal` stores them in SQLite; `rows` defines and checks rows; `salvage` reads rows from a damaged file; `compact`
+joins small blocks; `lines` reads the points of a line.
 """

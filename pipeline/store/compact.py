@@ -1,4 +1,4 @@
-"""Put small blocks of the journal together: a line in ten thousand pieces is slow to read and large."""
+"""Join small blocks of the journal: a line in ten thousand blocks is large and slow to read."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _MAX = 32768  # points in a block
 
 
 def compact(journal: Journal) -> None:
-    """Join neighbouring blocks of lines that were computed in small chunks, the later point over the earlier."""
+    """Join consecutive blocks of lines that were computed in small chunks; later points replace earlier ones."""
     for line in journal.small_lines():
         for group in list(_groups(journal, line)):
             if len(group) > 1:
-                journal.replace_points([b.id for b in group], line, group[0].variables, _joined(journal, group))
+                journal.replace_points([b.id for b in group], line, group[0].variables, _join(journal, group))
     journal.shrink()
 
 
 def _groups(journal: Journal, line: str) -> Iterator[list[Block]]:
-    """Runs of blocks with the same variables and few points altogether."""
+    """Runs of blocks with the same variables and at most `_MAX` points altogether."""
     group: list[Block] = []
     for block in journal.blocks(line):
         if group and (
@@ -36,9 +36,9 @@ def _groups(journal: Journal, line: str) -> Iterator[list[Block]]:
         yield group
 
 
-def _joined(journal: Journal, group: list[Block]) -> tuple[bytes, bytes, bytes]:
+def _join(journal: Journal, group: list[Block]) -> tuple[bytes, bytes, bytes]:
     slopes = np.concatenate([b.slopes for b in group])
-    # The last of equal slopes counts.
+    # Of equal slopes the last counts.
     _, last = np.unique(slopes[::-1], return_index=True)
     keep = len(slopes) - 1 - last
     sentences: dict[str, int] = {}
@@ -55,7 +55,7 @@ def _joined(journal: Journal, group: list[Block]) -> tuple[bytes, bytes, bytes]:
     parts = [journal.variables(b.id) for b in group]
     names = sorted({name for part in parts for name in part})
     data = {
-        name: _stacked(
+        name: _stack(
             [(part.get(name), len(b.slopes)) for part, b in zip(parts, group, strict=True)], VARIABLES[name].absent
         )[keep]
         for name in names
@@ -63,14 +63,14 @@ def _joined(journal: Journal, group: list[Block]) -> tuple[bytes, bytes, bytes]:
     return slopes[keep].tobytes(), serialize.dump(states), serialize.dump(data)
 
 
-def _stacked(parts: list[tuple[np.ndarray | None, int]], absent: float) -> np.ndarray:
-    """Blocks of one variable under each other, as wide as the widest; `absent` where one has no such gait."""
-    there = [p for p, _ in parts if p is not None]
-    shape = tuple(max(p.shape[k] for p in there) for k in range(1, there[0].ndim))
-    values = np.full((sum(n for _, n in parts), *shape), absent, there[0].dtype)
+def _stack(parts: list[tuple[np.ndarray | None, int]], absent: float) -> np.ndarray:
+    """Concatenate blocks of one variable, as wide as the widest; `absent` where a block has no such gait."""
+    present = [p for p, _ in parts if p is not None]
+    shape = tuple(max(p.shape[k] for p in present) for k in range(1, present[0].ndim))
+    values = np.full((sum(n for _, n in parts), *shape), absent, present[0].dtype)
     start = 0
     for part, n in parts:
         if part is not None:
-            values[(slice(start, start + n), *(slice(k) for k in part.shape[1:]))] = part
+            values[(slice(start, start + n), *map(slice, part.shape[1:]))] = part
         start += n
     return values

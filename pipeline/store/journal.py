@@ -1,14 +1,13 @@
-"""The journal of a run: every finished result, in SQLite, safe against whatever ends the run.
+"""The journal of a run: every finished result, in SQLite, safe against any interruption.
 
-A point is found by its line's key and its slope; slopes are compared as arrays, so a grid may be cut into
-chunks in any way and made denser later. Where a point was computed twice the later result counts. Everything a
-row holds is under its checksum, which is looked at first: a torn journal loses the rows that are torn and no other.
+A point is identified by the key of its line and its slope. Slopes are compared as arrays, so a grid may be divided into
+chunks in any way and refined later. Where a point was computed twice the later result counts. Each row is verified by
+its checksum before use: a damaged journal loses its damaged rows only.
 """
 
 from __future__ import annotations
 
 import contextlib
-import errno
 import functools
 import os
 import sqlite3
@@ -19,45 +18,62 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 from urllib.parse import quote
 
 import numpy as np
 
 from pipeline import paths, serialize
-from pipeline.errors import ArchiveError, DiskFullError
+from pipeline.errors import ArchiveError, DiskFullError, is_disk_full
 from pipeline.store import rows, salvage
 
-_MARK = 0x67735732  # in the header of a journal of this version
-_SYNC = 0.5  # s: how much finished work a power cut may cost
-_MANY, _FEW = 64, 1000  # blocks of a line, and points in one, from which they are put together
-#: Size of a page [byte], and of one where so many points come in blocks of megabytes: every page costs.
-_PAGE, _LARGE_PAGE, _LARGE = 4096, 32768, 100_000
-#: What SQLite says where the disk is full, and what is no fault of the file's; anything else is.
+_APPLICATION_ID = 0x67735732  # in the header of a journal of this format
+_SYNC_INTERVAL = 0.5  # finished work that a power failure may cost [s]
+_MIN_SMALL_BLOCKS, _SMALL_BLOCK = 64, 1000  # a line in more blocks than this, of fewer points, is compacted
+#: Page sizes [byte]; from `_LARGE_JOURNAL` points on, blocks take megabytes and larger pages are faster.
+_PAGE, _LARGE_PAGE, _LARGE_JOURNAL = 4096, 32768, 100_000
+#: SQLite errors of a full disk, and errors that do not mean a damaged file; any other does.
 _FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
-_INNOCENT = (
-    sqlite3.SQLITE_PERM,
-    sqlite3.SQLITE_BUSY,
-    sqlite3.SQLITE_LOCKED,
-    sqlite3.SQLITE_NOMEM,
-    sqlite3.SQLITE_READONLY,
-    sqlite3.SQLITE_PROTOCOL,
-    sqlite3.SQLITE_CANTOPEN,
-    sqlite3.SQLITE_AUTH,
-)
-_UNREAD = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
+_HARMLESS = ("PERM", "BUSY", "LOCKED", "NOMEM", "READONLY", "PROTOCOL", "CANTOPEN", "AUTH")
+_NOT_THE_FILE = tuple(getattr(sqlite3, f"SQLITE_{name}") for name in _HARMLESS)
+_READ_ERRORS = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
 
 
 class CorruptJournalError(ArchiveError):
-    """The journal does not hold what was written; `mend` it and plan again."""
+    """The journal does not hold what was written; `repair` it and plan again."""
 
     def __init__(self, path: Path):
-        super().__init__(f"{path} is damaged; the next run mends it.")
+        super().__init__(f"{path} is damaged; the next run repairs it.")
+
+
+class TaskKey(NamedTuple):
+    """Keys of a task with its parameters and inputs; `unversioned` is the same for all versions of the task."""
+
+    key: str
+    unversioned: str
+
+
+class Outcome(NamedTuple):
+    """How a task over a line or a study ended; `seen` is the last block of points it read."""
+
+    status: str
+    reason: str
+    seen: int
 
 
 @dataclass(frozen=True)
 class Block:
-    """Some points of one line as the journal holds them, without their variables."""
+    """Some points of one line as the journal holds them, without their variables.
+
+    Attributes
+    ----------
+    id : int
+    variables : frozenset of str
+        Names of the variables, and of the gaits as `@long`.
+    slopes : ndarray, shape (n,) [rad]
+    states : dict
+        `status` and `reason`, shape (n, gait), and the sentences `reasons`.
+    """
 
     id: int
     variables: frozenset[str]
@@ -67,7 +83,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Result:
-    """What a task over a line or a study gave; `seen` is the last block of points it read."""
+    """Result of a task over a line or a study; `seen` is the last block of points it read."""
 
     outcome: str
     reason: str
@@ -76,9 +92,19 @@ class Result:
 
 
 class Journal:
-    """One archive's journal. The run is its only writer; others open it with `write=False`.
+    """The journal of one archive. The run is its only writer; others open it with `write=False`.
 
-    `points` is how many there may come, to lay out a new one.
+    Parameters
+    ----------
+    path : Path
+    write : bool
+    points : int
+        Expected number of points, which sets the page size of a new journal.
+
+    Raises
+    ------
+    ArchiveError, DiskFullError
+        If it cannot be opened or is not a journal; CorruptJournalError if it is damaged.
     """
 
     def __init__(self, path: Path, write: bool = True, points: int = 0):
@@ -86,11 +112,11 @@ class Journal:
         self._recent: OrderedDict[int, dict[str, np.ndarray]] = OrderedDict()
         self._last: dict[str, int] = {}
         try:
-            there = _is_ours(path)
-            page = 0 if there else _LARGE_PAGE if points >= _LARGE else _PAGE
-            self._db = _connect(path if there or write else None, write, page)
+            exists = _is_ours(path)
+            page = 0 if exists else _LARGE_PAGE if points >= _LARGE_JOURNAL else _PAGE
+            self._db = _connect(path if exists or write else None, write, page)
         except (sqlite3.Error, OSError) as error:
-            _fail(error, path)
+            _raise_for(error, path)
 
     def close(self) -> None:
         """Fold the write-ahead log into the file and close it."""
@@ -104,14 +130,15 @@ class Journal:
             with self._lock:
                 return self._db.execute(sql, values).fetchall()
         except (sqlite3.Error, OverflowError) as error:
-            _fail(error, self.path)
+            _raise_for(error, self.path)
 
-    def _rows(self, table: str, where: str, *values: Any) -> list[tuple[Any, ...]]:
-        """Rows without their data, from the id on, whose checksum was looked at."""
-        found = self._read(f"SELECT id, {', '.join(rows.COLUMNS[table][:-1])} FROM {table} WHERE {where}", *values)
-        if not all(rows.is_whole(table, row) for row in found):
+    def _rows(self, table: str, condition: str, *values: Any) -> list[tuple[Any, ...]]:
+        """Rows from the id on, without their data, after checking their checksums."""
+        columns = ", ".join(rows.COLUMNS[table][:-1])
+        table_rows = self._read(f"SELECT id, {columns} FROM {table} WHERE {condition}", *values)
+        if not all(rows.is_intact(table, row) for row in table_rows):
             raise CorruptJournalError(self.path)
-        return found
+        return table_rows
 
     def _data(self, table: str, number: int) -> bytes:
         for check, data in self._read(f"SELECT data_sum, data FROM {table} WHERE id = ?", number):
@@ -124,57 +151,69 @@ class Journal:
             if table not in self._last:
                 self._last[table] = self._read(f"SELECT ifnull(max(id), 0) FROM {table}")[0][0]
             self._last[table] += 1
-            self._write(rows.insert(table), *rows.summed(table, self._last[table], *row))
+            self._write(rows.insert(table), *rows.with_checksums(table, self._last[table], *row))
 
     def _write(self, sql: str, *values: Any) -> None:
-        """One durable statement: against a crash of the run at once, of the machine within `_SYNC`."""
-        now = time.monotonic()
-        full = now - self._synced > _SYNC
-        self._read(f"PRAGMA synchronous={'FULL' if full else 'NORMAL'}")
+        """Execute one statement, durable at once if the run crashes, within `_SYNC_INTERVAL` if the power fails."""
+        clock = time.monotonic()
+        synchronous = clock - self._synced > _SYNC_INTERVAL
+        self._read(f"PRAGMA synchronous={'FULL' if synchronous else 'NORMAL'}")
         self._read(sql, *values)
-        if full:
-            self._synced = now
+        if synchronous:
+            self._synced = clock
 
     def add_points(
         self, line: str, unversioned_key: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes], seconds: float
     ) -> None:
-        """Keep a block of points (slopes, packed states, packed variables) of the line with that key."""
-        self._add("points", line, *_points(unversioned_key, variables, row, seconds))
+        """Store a block of points of one line.
+
+        Parameters
+        ----------
+        line, unversioned_key : str
+        variables : iterable of str
+            Names of the variables, and of the gaits as `@long`.
+        row : tuple of bytes
+            Slopes (n float64 [rad]), packed states and packed variables.
+        seconds : float [s]
+            Time they took.
+        """
+        self._add("points", line, *_points_row(unversioned_key, variables, row, seconds))
 
     def add_result(self, key: str, unversioned_key: str, result: Result, seconds: float) -> None:
-        """Keep the result of a task that is no block of points."""
+        """Store the result of a task over a line or a study."""
         self._add(
             "results", key, unversioned_key, result.outcome, result.reason, result.seen, float(seconds), result.data
         )
 
     def _latest(self, key: str) -> tuple[Any, ...] | None:
-        found = self._rows("results", "key = ? ORDER BY id DESC LIMIT 1", key)
-        return found[0] if found else None
+        latest = self._rows("results", "key = ? ORDER BY id DESC LIMIT 1", key)
+        return latest[0] if latest else None
 
     def result(self, key: str) -> Result | None:
         """The latest result of that key."""
-        found = self._latest(key)
-        if not found:
+        latest = self._latest(key)
+        if not latest:
             return None
-        number, _, _, outcome, reason, seen, *_ = found
+        number, _, _, outcome, reason, seen, *_ = latest
         return Result(outcome, reason, seen, self._data("results", number))
 
-    def outcome(self, key: str) -> tuple[str, str, int] | None:
-        """How the latest result of that key ended, the reason, and the last block it had seen."""
-        found = self._latest(key)
-        return found[3:6] if found else None  # type: ignore[return-value]
+    def outcome(self, key: str) -> Outcome | None:
+        """How the latest result of that key ended."""
+        latest = self._latest(key)
+        return Outcome(*latest[3:6]) if latest else None
 
     def blocks(self, line: str, low: float = -np.inf, high: float = np.inf) -> Iterator[Block]:
-        """Blocks of the line with that key and slopes in [low, high], earliest first."""
-        found_in = "FROM points WHERE line = ? AND high >= ? AND low <= ? ORDER BY id"
-        for (number,) in self._read(f"SELECT id {found_in}", line, low, high):
-            found = self._rows("points", "id = ? AND line = ?", number, line)
-            if not found:
+        """Blocks of the line with that key and slopes in [low, high] [rad], earliest first."""
+        query = "SELECT id FROM points WHERE line = ? AND high >= ? AND low <= ? ORDER BY id"
+        for (number,) in self._read(query, line, low, high):
+            block_rows = self._rows("points", "id = ? AND line = ?", number, line)
+            if not block_rows:
                 raise CorruptJournalError(self.path)
-            yield Block(number, _words(found[0][3]), np.frombuffer(found[0][10]), serialize.load(found[0][11]))
+            _, _, _, variables, *_, slopes, states = block_rows[0]
+            yield Block(number, _split_words(variables), np.frombuffer(slopes), serialize.load(states))
 
     def variables(self, block: int) -> dict[str, np.ndarray]:
-        """Variables of one block; the last two are kept at hand."""
+        """Variables of one block, each of shape (n, gait, ...); the last two blocks are cached."""
         if block in self._recent:
             self._recent.move_to_end(block)
             return self._recent[block]
@@ -188,99 +227,83 @@ class Journal:
         return self._read("SELECT max(id) FROM points WHERE line = ?", line)[0][0] or 0
 
     def knows(self, unversioned_key: str) -> bool:
-        """Whether there is anything from any version of that task with those parameters."""
+        """Whether any version of the task has a result for these parameters."""
         return any(
             self._read(f"SELECT 1 FROM {table} WHERE kin = ? LIMIT 1", unversioned_key) for table in rows.COLUMNS
         )
 
     def empty(self) -> bool:
-        """Whether there is nothing at all."""
+        """Whether the journal holds no result."""
         return not any(self._read(f"SELECT 1 FROM {table} LIMIT 1") for table in rows.COLUMNS)
 
     def seconds_per_point(self) -> float | None:
-        """Mean measured cost of the latest thousand blocks."""
+        """Mean cost of a point in the latest thousand blocks [s]; None if there is none."""
         latest = "SELECT n, seconds FROM points ORDER BY id DESC LIMIT 1000"
         n, seconds = self._read(f"SELECT sum(n), sum(seconds) FROM ({latest})")[0]
         return seconds / n if n else None
 
     def small_lines(self) -> list[str]:
-        """Keys of lines that are kept in many blocks of few points."""
-        return [
-            key
-            for (key,) in self._read(
-                f"SELECT line FROM points GROUP BY line HAVING count(*) > {_MANY} AND avg(n) < {_FEW}"
-            )
-        ]
+        """Keys of lines stored in many blocks of few points."""
+        many_small = f"count(*) > {_MIN_SMALL_BLOCKS} AND avg(n) < {_SMALL_BLOCK}"
+        return [key for (key,) in self._read(f"SELECT line FROM points GROUP BY line HAVING {many_small}")]
 
     def replace_points(
         self, numbers: Iterable[int], line: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes]
     ) -> None:
-        """Put one block in the place of several: all of it or nothing."""
+        """Replace several blocks by one, in one transaction."""
         numbers = sorted(numbers)
-        unversioned_key, seconds = self._read(
-            f"SELECT max(kin), sum(seconds) FROM points WHERE id IN ({_list(numbers)})"
-        )[0]
+        selection = f"FROM points WHERE id IN ({','.join(map(str, numbers))})"
+        unversioned_key, seconds = self._read(f"SELECT max(kin), sum(seconds) {selection}")[0]
         self._recent.clear()
         with self._lock:
             self._write("BEGIN IMMEDIATE")
-            self._read(f"DELETE FROM points WHERE id IN ({_list(numbers)})")
-            whole = rows.summed("points", numbers[-1], line, *_points(unversioned_key, variables, row, seconds))
-            self._read(rows.insert("points"), *whole)
+            self._read(f"DELETE {selection}")
+            values = _points_row(unversioned_key, variables, row, seconds)
+            self._read(rows.insert("points"), *rows.with_checksums("points", numbers[-1], line, *values))
             self._read("COMMIT")
 
     def shrink(self) -> None:
-        """Give the space of what was replaced back to the disk."""
+        """Return the space of replaced rows to the disk."""
         pages, free = (self._read(f"PRAGMA {what}")[0][0] for what in ("page_count", "freelist_count"))
         if 2 * free > pages:
             self._read("VACUUM")
 
     def note(self, key: str) -> str | None:
-        """A note kept beside the results."""
-        found = self._read("SELECT value FROM notes WHERE key = ?", key)
-        return found[0][0] if found else None
+        """Value of a note stored beside the results; None if there is none."""
+        values = self._read("SELECT value FROM notes WHERE key = ?", key)
+        return values[0][0] if values else None
 
     def set_note(self, key: str, value: str) -> None:
-        """Keep a note beside the results."""
+        """Store a note beside the results."""
         self._write("INSERT OR REPLACE INTO notes VALUES (?, ?)", key, value)
 
 
 @functools.lru_cache(256)
-def _words(text: str) -> frozenset[str]:
+def _split_words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-def _list(numbers: Iterable[int]) -> str:
-    return ",".join(str(int(n)) for n in numbers)
-
-
-def _points(
+def _points_row(
     unversioned_key: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes], seconds: float
 ) -> tuple[Any, ...]:
-    """What a block of points holds beside its line, checksums left out."""
+    """Columns of a block of points after its line, without checksums."""
     slopes = np.frombuffer(row[0])
-    return (
-        unversioned_key,
-        " ".join(sorted(variables)),
-        float(slopes.min()),
-        float(slopes.max()),
-        len(slopes),
-        float(seconds),
-        *row,
-    )
+    limits = float(slopes.min()), float(slopes.max())
+    return unversioned_key, " ".join(sorted(variables)), *limits, len(slopes), float(seconds), *row
 
 
 def _connect(path: Path | None, write: bool = True, page: int = 0) -> sqlite3.Connection:
-    """Open a journal, or make one with pages of that size; without a path in memory."""
+    """Open a journal, or create one with pages of `page` byte; without a path, in memory."""
     options: dict[str, Any] = {"timeout": 10, "isolation_level": None, "check_same_thread": False}
     if path and not write and not os.access(path.parent, os.W_OK):
-        # SQLite shares a lock file even to read; where it cannot, nobody else writes.
+        # SQLite creates a shared lock file even to read; in a read-only folder nobody else writes.
         db = sqlite3.connect(f"file:{quote(str(path))}?immutable=1", uri=True, **options)
     else:
         db = sqlite3.connect(path or ":memory:", **options)
     try:
         if page:
             db.execute(f"PRAGMA page_size={page}")
-            db.execute(f"PRAGMA application_id={_MARK}")
+            db.execute(f"PRAGMA application_id={_APPLICATION_ID}")
         if write:
             db.execute("PRAGMA journal_mode=WAL")
         for pragma in ("trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192"):
@@ -290,9 +313,9 @@ def _connect(path: Path | None, write: bool = True, page: int = 0) -> sqlite3.Co
             for statement in rows.SCHEMA:
                 db.execute(statement)
             db.execute("COMMIT")
-        found = {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
-        # An index that misses rows would hide them; to read a journal through is little beside what comes of it.
-        if found != set(rows.SCHEMA) or (write and db.execute("PRAGMA integrity_check(1)").fetchone() != ("ok",)):
+        schema = {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
+        # An incomplete index would hide rows; reading the whole journal is cheap beside computing them.
+        if schema != set(rows.SCHEMA) or (write and db.execute("PRAGMA integrity_check(1)").fetchone() != ("ok",)):
             raise sqlite3.DatabaseError("malformed")
     except BaseException:
         db.close()
@@ -301,31 +324,37 @@ def _connect(path: Path | None, write: bool = True, page: int = 0) -> sqlite3.Co
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether there is a journal of this version at `path`: it has the mark of one, or a row.
+    """Whether there is a journal of this format at `path`: it has the application id or an intact row.
 
     Raises
     ------
     ArchiveError
-        If there is anything else.
+        If there is another file.
     """
     if not path.exists() or not path.stat().st_size:
         return False
     with open(path, "rb") as file:
         file.seek(68)
         mark = file.read(4)
-    if mark != _MARK.to_bytes(4, "big") and not any(True for _ in _whole_rows(path)):
+    if mark != _APPLICATION_ID.to_bytes(4, "big") and not any(True for _ in _intact_rows(path)):
         raise ArchiveError(f"{path} is not a journal of this version of gaitsweep; move it away.")
     return True
 
 
-def _whole_rows(path: Path) -> Iterator[tuple[str, tuple[Any, ...]]]:
-    """Every row of a journal, and its table, that is as it was written, whatever became of the rest."""
+def _intact_rows(path: Path) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Intact rows of a journal, each with its table, however damaged the rest is."""
     for size in (_PAGE, _LARGE_PAGE):
-        yield from salvage.rows(path, size, rows.found)
+        yield from salvage.rows(path, size, rows.parse)
 
 
 def forget(path: Path) -> None:
-    """Remove a journal, but no file of somebody else's."""
+    """Remove a journal; a file that is none is left alone.
+
+    Raises
+    ------
+    ArchiveError
+        If there is another file at `path`.
+    """
     if _is_ours(path):
         _remove(path)
 
@@ -336,31 +365,31 @@ def _remove(path: Path, *suffixes: str) -> None:
 
 
 def repair(path: Path) -> None:
-    """Write the journal anew with every row that is whole."""
-    fresh = paths.of(path)
+    """Rewrite the journal with its intact rows."""
+    draft = paths.of(path)
     paths.discard(path)
     try:
         page = _LARGE_PAGE if path.stat().st_size > 1 << 24 else _PAGE
-        with contextlib.closing(_connect(fresh, page=page)) as new:
-            for table, row in _whole_rows(path):
-                if table == "points":  # what took the place of several has the number of the last, and more points
-                    new.execute("DELETE FROM points WHERE id = ? AND n < ?", (row[0], row[6]))
-                new.execute(rows.insert(table, "OR IGNORE"), row)
-            new.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        with contextlib.closing(_connect(draft, page=page)) as journal:
+            for table, row in _intact_rows(path):
+                if table == "points":  # a compacted block has the number of its last part, and more points
+                    journal.execute("DELETE FROM points WHERE id = ? AND n < ?", (row[0], row[6]))
+                journal.execute(rows.insert(table, "OR IGNORE"), row)
+            journal.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         _remove(path, "-wal", "-shm")
-        os.replace(fresh, path)
+        os.replace(draft, path)
     except (sqlite3.Error, OSError) as error:
-        _fail(error, path)
+        _raise_for(error, path)
     finally:
         paths.discard(path)
 
 
-def _fail(error: Exception, path: Path) -> NoReturn:
+def _raise_for(error: Exception, path: Path) -> NoReturn:
     if isinstance(error, sqlite3.ProgrammingError):
         raise error
     code = getattr(error, "sqlite_errorcode", 0)
-    if (code & 0xFF in _FULL and code not in _UNREAD) or getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT):
-        raise DiskFullError(f"The disk is full: {path} cannot grow; what was finished is kept.") from error
-    if code & 0xFF in _INNOCENT or isinstance(error, OSError):
+    if (code & 0xFF in _FULL and code not in _READ_ERRORS) or is_disk_full(error):
+        raise DiskFullError(f"The disk is full: {path} cannot grow; finished results are kept.") from error
+    if code & 0xFF in _NOT_THE_FILE or isinstance(error, OSError):
         raise ArchiveError(f"{path} cannot be used: {error}.") from error
     raise CorruptJournalError(path) from error

@@ -1,4 +1,4 @@
-"""Points of one line, put together from the journal's blocks in the order of the slopes asked for."""
+"""Points of one line, assembled from the blocks of the journal in the order of the given slopes."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from collections.abc import Collection, Iterable
 import numpy as np
 
 from pipeline.statuses import ALL_STATUSES, ANSWERS
-from pipeline.store.journal import Block, Journal
+from pipeline.store.journal import Block, Journal, TaskKey
 from pipeline.study.model import Study
 from tasks.registry import GAITS, VARIABLES
 
-NOT_ATTEMPTED = "The run has not come to it."
+NOT_ATTEMPTED = "The run has not reached it."
 _NAMES = {code: name for name, code in ALL_STATUSES.items()}
 _BEST = tuple(ALL_STATUSES[name] for name in ("converged", "fell", "no_gait"))
 _BASE = 1 + max(_NAMES)
-#: Places in an array.
-Places = np.ndarray | slice
-#: A block's number, places in it, and their places among the slopes asked for.
-Source = tuple[int, Places, Places]
+#: Indices into an array.
+Indices = np.ndarray | slice
+#: Number of a block, indices in it, and the corresponding indices among the given slopes.
+Source = tuple[int, Indices, Indices]
 
 
 class Order:
-    """Slopes sorted once, to find blocks' points among them."""
+    """Slopes, shape (n,) [rad], sorted once to look up the points of blocks."""
 
     def __init__(self, slopes: np.ndarray):
         self.slopes = slopes
@@ -31,20 +31,41 @@ class Order:
         self.sorted = slopes[self.order]
 
     def find(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions in a block of the slopes asked for, and their positions among those."""
-        place = np.searchsorted(self.sorted, slopes)
-        place[place == len(self.sorted)] = 0
-        there = np.flatnonzero(self.sorted[place] == slopes)
-        return there, self.order[place[there]]
+        """Look up the slopes of a block.
+
+        Parameters
+        ----------
+        slopes : ndarray, shape (m,) [rad]
+
+        Returns
+        -------
+        inside, indices : ndarray, shape (k,)
+            Indices into the block of the slopes that match, and into the slopes of this object.
+        """
+        position = np.searchsorted(self.sorted, slopes)
+        position[position == len(self.sorted)] = 0
+        inside = np.flatnonzero(self.sorted[position] == slopes)
+        return inside, self.order[position[inside]]
 
 
 def needed(variables: Iterable[str], gaits: Iterable[str]) -> frozenset[str]:
-    """What a block must hold to count: variables, and gaits as `@long`."""
+    """Contents a block must hold to count: variables, and gaits as `@long`."""
     return frozenset([*variables, *(f"@{gait}" for gait in gaits)])
 
 
-def bad(states: dict[str, np.ndarray], gaits: Collection[str]) -> np.ndarray:
-    """Which points of a block failed in any of those gaits."""
+def has_failed(states: dict[str, np.ndarray], gaits: Collection[str]) -> np.ndarray:
+    """Points of a block that failed in any of the given gaits.
+
+    Parameters
+    ----------
+    states : dict
+        `status`, shape (n, gait).
+    gaits : collection of str
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
     columns = [GAITS.index(g) for g in gaits]
     return np.any(~np.isin(states["status"][:, columns], ANSWERS), axis=1)
 
@@ -57,19 +78,46 @@ def missing(
     gaits: Collection[str] = (),
     retry: bool = False,
 ) -> np.ndarray:
-    """Positions of the slopes no block of that line holds; with `retry` also of those that failed."""
-    order, there = Order(slopes), np.zeros(len(slopes), bool)
-    for block in journal.blocks(line):  # all of them: where a row is damaged so may be the range it tells
+    """Find the slopes that no block of a line holds.
+
+    Parameters
+    ----------
+    journal : Journal
+    line : str
+        Key of the line's points.
+    want : frozenset of str
+        Contents a block must hold to count, as `needed` gives them.
+    slopes : ndarray, shape (n,) [rad]
+    gaits : collection of str
+    retry : bool
+        Count points that failed in any of these gaits as missing.
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
+        Indices into `slopes`.
+    """
+    order, present = Order(slopes), np.zeros(len(slopes), bool)
+    for block in journal.blocks(line):  # all blocks: the slope range of a damaged row is not reliable
         if want <= block.variables:
-            inside, place = order.find(block.slopes)
-            there[place] = ~bad(block.states, gaits)[inside] if retry else True
-    return np.flatnonzero(~there)
+            inside, positions = order.find(block.slopes)
+            present[positions] = ~has_failed(block.states, gaits)[inside] if retry else True
+    return np.flatnonzero(~present)
 
 
 def states(
     journal: Journal, line: str, want: frozenset[str], slopes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, list[str], list[Source]]:
-    """States of a line's points.
+    """Read the states of the points of a line.
+
+    Parameters
+    ----------
+    journal : Journal
+    line : str
+        Key of the line's points.
+    want : frozenset of str
+        Contents a block must hold to count.
+    slopes : ndarray, shape (n,) [rad]
 
     Returns
     -------
@@ -77,7 +125,7 @@ def states(
         `reason` indexes the sentences.
     sentences : list of str
     sources : list of Source
-        Where the variables are; a later one overwrites an earlier one.
+        Locations of the variables; later ones overwrite earlier ones.
     """
     order = Order(slopes)
     status = np.full((len(slopes), len(GAITS)), ALL_STATUSES["not_attempted"], np.int8)
@@ -87,53 +135,72 @@ def states(
     for block in journal.blocks(line, order.sorted[0], order.sorted[-1]):
         if not want <= block.variables:
             continue
-        indices, places = order.find(block.slopes)
-        if len(indices):
-            inside, place = _run(indices), _run(places)
-            status[place] = block.states["status"][inside]
-            reason[place] = _numbers(block, sentences)[inside]
-            sources.append((block.id, inside, place))
+        inside, positions = order.find(block.slopes)
+        if len(inside):
+            source, target = _as_slice(inside), _as_slice(positions)
+            status[target] = block.states["status"][source]
+            reason[target] = _reason_numbers(block, sentences)[source]
+            sources.append((block.id, source, target))
     return status, reason, list(sentences), sources
 
 
 def line(
     journal: Journal,
-    keys: dict[str, tuple[str, str]],
+    keys: dict[str, TaskKey],
     want: frozenset[str],
     study: Study,
     names: Iterable[str],
     slopes: np.ndarray | None = None,
     gaits: int = len(GAITS),
 ) -> dict[str, np.ndarray]:
-    """Everything about one line's points: `slope`, `status`, `reason`, `reasons` and the variables named.
+    """Read states and variables of the points of one line. If its atlas failed, every point failed with it.
 
-    Of so many gaits, from the first. Where the line's atlas failed every point shares its fate.
+    Parameters
+    ----------
+    journal : Journal
+    keys : dict
+        Keys of the tasks over the line.
+    want : frozenset of str
+        Contents a block must hold to count.
+    study : Study
+    names : iterable of str
+        Variables to read.
+    slopes : ndarray, shape (n,) [rad], optional
+        By default those of the study.
+    gaits : int
+        Number of gaits, from the first.
+
+    Returns
+    -------
+    dict
+        `slope`, shape (n,) [rad]; `status` and `reason`, shape (n, gaits); `reasons`, the sentences; each variable,
+        shape (n, gaits) or (n, gaits, multipliers), in its units.
     """
     slopes = study.slope if slopes is None else slopes
-    status, reason, sentences, sources = states(journal, keys["points"][0], want, slopes)
-    atlas = journal.outcome(keys["atlas"][0]) if "atlas" in keys else None
-    if atlas and atlas[0] != "ok":
-        lost = status == ALL_STATUSES["not_attempted"]
-        status[lost], reason[lost] = ALL_STATUSES[atlas[0]], len(sentences)
-        sentences.append(f"The atlas of the line: {atlas[1][:1].lower()}{atlas[1][1:]}")
+    status, reason, sentences, sources = states(journal, keys["points"].key, want, slopes)
+    atlas = journal.outcome(keys["atlas"].key) if "atlas" in keys else None
+    if atlas and atlas.status != "ok":
+        unsolved = status == ALL_STATUSES["not_attempted"]
+        status[unsolved], reason[unsolved] = ALL_STATUSES[atlas.status], len(sentences)
+        sentences.append(f"The atlas of the line: {atlas.reason[:1].lower()}{atlas.reason[1:]}")
     multipliers = max(check["multipliers"] for check in study.checks)
-    found = fill(journal, names, sources, len(slopes), multipliers, gaits)
+    values = fill(journal, names, sources, len(slopes), multipliers, gaits)
     return {
         "slope": slopes,
-        **found,
+        **values,
         "status": status[:, :gaits],
         "reason": reason[:, :gaits],
         "reasons": np.array(sentences),
     }
 
 
-def _run(places: np.ndarray) -> Places:
-    """Those places as a slice if they are one run: copied at once, not one by one."""
-    first, n = int(places[0]), len(places)
-    return slice(first, first + n) if np.array_equal(places, np.arange(first, first + n)) else places
+def _as_slice(indices: np.ndarray) -> Indices:
+    """Consecutive indices as a slice, which copies faster."""
+    first, n = int(indices[0]), len(indices)
+    return slice(first, first + n) if np.array_equal(indices, np.arange(first, first + n)) else indices
 
 
-def _numbers(block: Block, sentences: dict[str, int]) -> np.ndarray:
+def _reason_numbers(block: Block, sentences: dict[str, int]) -> np.ndarray:
     names = [str(s) for s in block.states["reasons"]]
     table = np.array([sentences.setdefault(s, len(sentences)) for s in names] or [0], np.int32)
     return table[block.states["reason"]]
@@ -142,37 +209,72 @@ def _numbers(block: Block, sentences: dict[str, int]) -> np.ndarray:
 def fill(
     journal: Journal, names: Iterable[str], sources: Iterable[Source], n: int, multipliers: int, gaits: int = len(GAITS)
 ) -> dict[str, np.ndarray]:
-    """Variables over `n` slopes of one line; where there is no gait as the registry says."""
+    """Read variables of one line.
+
+    Parameters
+    ----------
+    journal : Journal
+    names : iterable of str
+    sources : iterable of Source
+        As `states` returns them.
+    n, multipliers, gaits : int
+        Number of slopes, multipliers and gaits.
+
+    Returns
+    -------
+    dict
+        Each variable, shape (n, gaits) or (n, gaits, multipliers); the registry's `absent` where there is no gait.
+    """
     empty = {name: VARIABLES[name].absent for name in names}
-    extra = {name: (multipliers,) if "multiplier" in VARIABLES[name].dims else () for name in empty}
-    values = {name: np.full((n, gaits, *extra[name]), empty[name], VARIABLES[name].dtype) for name in empty}
-    for block, inside, place in sources:
+    extents = {name: (multipliers,) if "multiplier" in VARIABLES[name].dims else () for name in empty}
+    values = {name: np.full((n, gaits, *extents[name]), empty[name], VARIABLES[name].dtype) for name in empty}
+    for block, inside, target in sources:
         data = journal.variables(block)
-        for name, whole in values.items():
-            found = data.get(name)
-            if found is None or found.shape[1:] != whole.shape[1:]:
-                whole[place] = empty[name]  # what an earlier block may have left there
-            if found is not None:
-                part = tuple(slice(min(a, b)) for a, b in zip(found.shape[1:], whole.shape[1:], strict=True))
-                whole[:, *part][place] = found[:, *part][inside]
+        for name, column in values.items():
+            stored = data.get(name)
+            if stored is None or stored.shape[1:] != column.shape[1:]:
+                column[target] = empty[name]  # clears values of an earlier block
+            if stored is not None:
+                part = tuple(slice(min(a, b)) for a, b in zip(stored.shape[1:], column.shape[1:], strict=True))
+                column[:, *part][target] = stored[:, *part][inside]
     return values
 
 
 def rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
-    """The different rows of an array of statuses, shape (n, gait), and how often each occurs."""
+    """Count the distinct rows of an array of statuses.
+
+    Parameters
+    ----------
+    status : ndarray, shape (n, gait)
+
+    Returns
+    -------
+    dict
+        Occurrences of each row.
+    """
     code = np.zeros(len(status), np.intp)
     for column in status.T:
         code = code * _BASE + column
-    often = np.bincount(code)
-    place = _BASE ** np.arange(status.shape[1])[::-1]
-    return {tuple((c // place % _BASE).tolist()): int(often[c]) for c in np.flatnonzero(often)}
+    occurrences = np.bincount(code)
+    powers = _BASE ** np.arange(status.shape[1])[::-1]
+    return {tuple((c // powers % _BASE).tolist()): int(occurrences[c]) for c in np.flatnonzero(occurrences)}
 
 
 def count(status: np.ndarray) -> Counter[str]:
-    """Points by what became of them, shape (n, gait): a failure of any gait, else the best answer of any."""
-    found: Counter[str] = Counter()
+    """Count points by outcome: a failure of any gait, else the best answer of any gait.
+
+    Parameters
+    ----------
+    status : ndarray, shape (n, gait)
+
+    Returns
+    -------
+    Counter
+        Points by the name of their status.
+    """
+    counts: Counter[str] = Counter()
     for row, n in rows(status).items():
         failed = [code for code in row if code not in ANSWERS]
         best = next((code for code in _BEST if code in row), row[0])
-        found[_NAMES[max(failed, default=best)]] += n
-    return found
+        counts[_NAMES[max(failed, default=best)]] += n
+    return counts

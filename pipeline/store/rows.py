@@ -1,8 +1,9 @@
-"""Rows of the journal: their columns, and the checksums over everything they hold."""
+"""Rows of the journal: columns and checksums."""
 
 from __future__ import annotations
 
 import functools
+import re
 import zlib
 from collections.abc import Iterable
 from typing import Any
@@ -18,35 +19,22 @@ SCHEMA = (
     "CREATE INDEX results_key ON results (key)",
     "CREATE INDEX results_kin ON results (kin)",
 )
-#: Columns of each table after its id. `sum` is the checksum of all the others but `data`, which has its own.
+#: Columns of each table after its id. `sum` is the checksum of all others except `data`, which has its own.
 COLUMNS = {
-    "points": (
-        "line",
-        "kin",
-        "variables",
-        "low",
-        "high",
-        "n",
-        "seconds",
-        "data_sum",
-        "sum",
-        "slopes",
-        "states",
-        "data",
-    ),
-    "results": ("key", "kin", "outcome", "reason", "seen", "seconds", "data_sum", "sum", "data"),
+    table: tuple(re.findall(r"(\w+) (?:TEXT|REAL|INTEGER|BLOB)", statement)[1:])
+    for table, statement in zip(("points", "results"), SCHEMA, strict=False)
 }
 _REAL = ("low", "high", "seconds")
 
 
-def insert(table: str, how: str = "") -> str:
-    """The statement that puts a row into a table."""
+def insert(table: str, conflict: str = "") -> str:
+    """SQL statement that inserts a row into a table; `conflict` is its conflict clause."""
     columns = ("id", *COLUMNS[table])
-    return f"INSERT {how} INTO {table} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
+    return f"INSERT {conflict} INTO {table} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
 
 
-def summed(table: str, number: int, *row: Any) -> tuple[Any, ...]:
-    """A row with its checksums."""
+def with_checksums(table: str, number: int, *row: Any) -> tuple[Any, ...]:
+    """Add the number and checksums to the values of a row."""
     k = COLUMNS[table].index("data_sum")
     head = (number, *row[:k], zlib.crc32(row[-1]))
     return (*head, _sum(head, row[k:-1]), *row[k:])
@@ -56,25 +44,20 @@ def _sum(head: tuple[Any, ...], blobs: Iterable[bytes]) -> int:
     return functools.reduce(lambda check, blob: zlib.crc32(blob, check), blobs, zlib.crc32(repr(head).encode()))
 
 
-def is_whole(table: str, row: tuple[Any, ...]) -> bool:
-    """Whether everything in a row from its id to before its data is as it was written."""
+def is_intact(table: str, row: tuple[Any, ...]) -> bool:
+    """Whether the checksum of a row without its data is right."""
     k = 1 + COLUMNS[table].index("sum")
     return all(isinstance(blob, bytes) for blob in row[k + 1 :]) and row[k] == _sum(row[:k], row[k + 1 :])
 
 
-def found(number: int, values: list[Any]) -> tuple[str, tuple[Any, ...]] | None:
-    """The table of a row with that number and those values, and the row as it was written; None if it is not whole."""
+def parse(number: int, values: list[Any]) -> tuple[str, tuple[Any, ...]] | None:
+    """Table and row of that number and values as read from a page; None if it is not an intact row."""
     for table, columns in COLUMNS.items():
         if len(values) == 1 + len(columns):
-            # SQLite keeps whole numbers as such in any column.
-            row = (
-                number,
-                *(
-                    float(v) if name in _REAL and isinstance(v, int) else v
-                    for name, v in zip(columns, values[1:], strict=True)
-                ),
-            )
-            data, check = row[-1], row[1 + columns.index("data_sum")]
-            if is_whole(table, row[:-1]) and isinstance(data, bytes) and zlib.crc32(data) == check:
+            # SQLite stores integral reals as integers.
+            pairs = zip(columns, values[1:], strict=True)
+            row = (number, *(float(v) if name in _REAL and isinstance(v, int) else v for name, v in pairs))
+            data, checksum = row[-1], row[1 + columns.index("data_sum")]
+            if is_intact(table, row[:-1]) and isinstance(data, bytes) and zlib.crc32(data) == checksum:
                 return table, row
     return None

@@ -1,7 +1,7 @@
-"""Rows of a damaged SQLite file, from its pages alone: no header, schema, tree or index of it is trusted.
+"""Rows of a damaged SQLite file, read from its pages alone, without its header, schema, trees or indexes.
 
-The format is https://www.sqlite.org/fileformat2.html. Rows are found that SQLite itself has deleted since; whether
-a row is whole is for the caller to say.
+The format is https://www.sqlite.org/fileformat2.html. Deleted rows may appear; the caller decides whether a row is
+intact.
 """
 
 from __future__ import annotations
@@ -12,128 +12,134 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
-_LEAF, _HEAD = b"\x0d", 8  # type of a page that holds a table's rows, and where its pointers to them start
-_FILE_HEAD = 100  # byte before those of the first page
-_LOG_HEAD, _FRAME_HEAD = 32, 24  # byte before the frames of a write-ahead log, and before the page in each
-_SIZES = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 7: 8, 8: 0, 9: 0}  # byte of a value of each type; 7 is a double
-_WRONG = 4  # pointers to nowhere, one after the other, that are none
-Row = TypeVar("Row")
+_LEAF, _HEAD = b"\x0d", 8  # type of a page that holds rows, and offset of its cell pointers
+_FILE_HEAD = 100  # bytes before the first page's own header
+_LOG_HEAD, _FRAME_HEAD = 32, 24  # header sizes of a write-ahead log and of each frame [byte]
+#: Size of a value of each type [byte]; 7 is a double.
+_SIZES = {0: 0, 1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8, 7: 8, 8: 0, 9: 0}
+_MAX_INVALID = 4  # consecutive invalid pointers that end the array
+_Row = TypeVar("_Row")
 
 
-def rows(path: Path, size: int, whole: Callable[[int, list[Any]], Row | None]) -> Iterator[Row]:
-    """Rows of every table of a file with pages of `size` byte, and of its log.
+def rows(path: Path, size: int, parse: Callable[[int, list[Any]], _Row | None]) -> Iterator[_Row]:
+    """Rows of every table of a file with pages of `size` byte, and of its write-ahead log.
 
-    `whole` is given the number and the values of what may be a row; what it makes of a whole one is yielded.
+    Parameters
+    ----------
+    path : Path
+    size : int [byte]
+    parse : callable
+        Receives the number and values of a possible row; returns what to yield, or None if it is not a row.
     """
     with contextlib.ExitStack() as stack:
         file = stack.enter_context(open(path, "rb"))
-        yield from _rows(_Pages(file, size, {}), whole)
+        yield from _rows(_Pages(file, size, {}), parse)
         with contextlib.suppress(FileNotFoundError):
             log = stack.enter_context(open(path.with_name(path.name + "-wal"), "rb"))
-            if found := _log(log, size):  # it may be torn itself, so the file was read without it first
-                yield from _rows(_Pages(file, size, found), whole)
+            if frames := _log(log, size):  # the log may be damaged too, so the file is read without it first
+                yield from _rows(_Pages(file, size, frames), parse)
 
 
 def _log(file: BinaryIO, size: int) -> dict[int, tuple[BinaryIO, int]]:
-    """Where the latest of each page is in a write-ahead log; frames of an earlier round have another salt."""
-    found, salt, end = {}, file.read(_LOG_HEAD)[16:24], file.seek(0, 2)
+    """Location of the latest version of each page in a write-ahead log; earlier rounds have another salt."""
+    frames, salt, end = {}, file.read(_LOG_HEAD)[16:24], file.seek(0, 2)
     for start in range(_LOG_HEAD, end - _FRAME_HEAD - size + 1, _FRAME_HEAD + size):
         file.seek(start)
         head = file.read(_FRAME_HEAD)
         if head[8:16] == salt:
-            found[int.from_bytes(head[:4], "big")] = file, start + _FRAME_HEAD
-    return found
+            frames[int.from_bytes(head[:4], "big")] = file, start + _FRAME_HEAD
+    return frames
 
 
-def _rows(pages: _Pages, whole: Callable[[int, list[Any]], Row | None]) -> Iterator[Row]:
+def _rows(pages: _Pages, parse: Callable[[int, list[Any]], _Row | None]) -> Iterator[_Row]:
     used: set[int] = set()
-    # Leaves first. A page that no row of theirs lies on may be a leaf whose type is damaged.
+    # Leaves first. A page that holds no part of their rows may be a leaf whose type is damaged.
     for leaf in (True, False):
         for number in range(1, pages.last + 1):
             page, start = pages.read(number), _FILE_HEAD if number == 1 else 0
             if number in used or (page[start : start + 1] == _LEAF) != leaf:
                 continue
-            for place in _pointers(page, start, leaf):
+            for position in _pointers(page, start, leaf):
                 try:
-                    key, payload, over = pages.cell(page, place)
-                    found = whole(key, _values(payload))
+                    key, payload, overflow = pages.cell(page, position)
+                    row = parse(key, _values(payload))
                 except (ValueError, IndexError):
                     continue
-                if found is not None:
-                    used |= {number, *over}
-                    yield found
+                if row is not None:
+                    used |= {number, *overflow}
+                    yield row
 
 
 def _pointers(page: bytes, start: int, leaf: bool) -> Iterator[int]:
-    """Where rows may lie: the pointers of a leaf end where its first row starts, or are as many as it says."""
-    told = int.from_bytes(page[start + 3 : start + 5], "big") if leaf else 0
-    least, wrong = len(page), 0
+    """Possible offsets of rows: the pointers of a leaf end at its first row, or after the number in its header."""
+    count = int.from_bytes(page[start + 3 : start + 5], "big") if leaf else 0
+    first, invalid = len(page), 0
     for k, pointer in enumerate(range(start + _HEAD, len(page) - 1, 2)):
-        if k >= told and (pointer >= least or wrong == _WRONG):
+        if k >= count and (pointer >= first or invalid == _MAX_INVALID):
             return
-        place = int.from_bytes(page[pointer : pointer + 2], "big")
-        wrong += 1
-        if pointer < place < len(page):
-            least, wrong = min(least, place), 0
-            yield place
+        position = int.from_bytes(page[pointer : pointer + 2], "big")
+        invalid += 1
+        if pointer < position < len(page):
+            first, invalid = min(first, position), 0
+            yield position
 
 
 class _Pages:
-    """Pages of a file by their numbers, from 1; `log` says where there are later ones."""
+    """Pages of a file by number, from 1; `log` locates later versions."""
 
     def __init__(self, file: BinaryIO, size: int, log: dict[int, tuple[BinaryIO, int]]):
         self.file, self.size, self.log = file, size, log
         self.last = max(-(-file.seek(0, 2) // size), *log, 0)
 
     def read(self, number: int) -> bytes:
-        file, place = self.log.get(number, (self.file, (number - 1) * self.size))
+        file, offset = self.log.get(number, (self.file, (number - 1) * self.size))
         try:
-            file.seek(place)
+            file.seek(offset)
             return file.read(self.size)
-        except OSError:  # a sector of the disk that is gone
+        except OSError:  # an unreadable sector of the disk
             return b""
 
-    def cell(self, page: bytes, place: int) -> tuple[int, bytes, list[int]]:
-        """Number and bytes of the row there, and the pages they go over to."""
-        size, place = _varint(page, place)
-        number, place = _varint(page, place)
-        most, room = self.size - 35, self.size - 4
-        if size > room * self.last:
+    def cell(self, page: bytes, offset: int) -> tuple[int, bytes, list[int]]:
+        """Number and payload of the row at `offset`, and its overflow pages."""
+        size, offset = _varint(page, offset)
+        number, offset = _varint(page, offset)
+        max_local, capacity = self.size - 35, self.size - 4
+        if size > capacity * self.last:
             raise ValueError
-        here = size
-        if size > most:
-            least = (self.size - 12) * 32 // 255 - 23
-            here = least + (size - least) % room
-            here = here if here <= most else least
-        parts, over, left = [page[place : place + here]], [], size - here
-        following = page[place + here : place + here + 4]
-        while left > 0:
-            over.append(int.from_bytes(following, "big"))
-            if not 1 <= over[-1] <= self.last:
+        local = size
+        if size > max_local:
+            min_local = (self.size - 12) * 32 // 255 - 23
+            local = min_local + (size - min_local) % capacity
+            local = local if local <= max_local else min_local
+        parts, overflow, remaining = [page[offset : offset + local]], [], size - local
+        following = page[offset + local : offset + local + 4]
+        while remaining > 0:
+            overflow.append(int.from_bytes(following, "big"))
+            if not 1 <= overflow[-1] <= self.last:
                 raise ValueError
-            page = self.read(over[-1])
+            page = self.read(overflow[-1])
             following = page[:4]
-            parts.append(page[4 : 4 + left])
-            left -= room
-        return number, b"".join(parts), over
+            parts.append(page[4 : 4 + remaining])
+            remaining -= capacity
+        return number, b"".join(parts), overflow
 
 
-def _varint(data: bytes, place: int) -> tuple[int, int]:
-    """A number of one to nine bytes, and where it ends."""
+def _varint(data: bytes, offset: int) -> tuple[int, int]:
+    """A number of one to nine bytes, and the offset of its end."""
     number = 0
-    for k in range(place, place + 8):
+    for k in range(offset, offset + 8):
         number = number << 7 | data[k] & 0x7F
         if data[k] < 0x80:
             return number, k + 1
-    return number << 8 | data[place + 8], place + 9
+    return number << 8 | data[offset + 8], offset + 9
 
 
 def _values(payload: bytes) -> list[Any]:
-    """Values of a row."""
-    start, place = _varint(payload, 0)
-    head, values = start, list[Any]()
-    while place < head:
-        kind, place = _varint(payload, place)
+    """Decode the values of a row."""
+    start, offset = _varint(payload, 0)
+    end, values = start, list[Any]()
+    while offset < end:
+        kind, offset = _varint(payload, offset)
         if kind in (10, 11):
             raise ValueError
         size = _SIZES[kind] if kind < 10 else (kind - 12) // 2

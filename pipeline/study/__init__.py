@@ -1,7 +1,6 @@
-"""What is wanted: a study's TOML file, read, checked whole and frozen.
+"""The request: a study's TOML file, read, checked as a whole and frozen.
 
-`model` is a checked study; `parse` makes one of a file; `options` checks the options of its kind; `files` reads the
-TOML
-files of studies and walkers; `location` says where in a file an error is; `single_point` asks for the gaits at one
-slope.
+`model` is a checked study; `parse` makes one from a file; `options` checks the options of its kind; `files` reads the
+TOML files of studies and walkers; `location` names the place of an error in a file; `single_point` returns the gaits
+at one slope.
 """

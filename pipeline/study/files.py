@@ -10,15 +10,22 @@ from pipeline import dispatch
 from pipeline.errors import StudyError
 from pipeline.study.location import Location, clip
 
-MAX_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 
 
-def _toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
+def read_toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
+    """Read a TOML file and return its text and table; errors call it `shown`.
+
+    Raises
+    ------
+    StudyError
+        If it is missing, too large or not TOML.
+    """
     shown = clip(shown, 200)
     try:
         if not path.is_file():
             raise StudyError(f"{shown} is not a file." if path.exists() else f"There is no file {shown}.")
-        if path.stat().st_size > MAX_BYTES:
+        if path.stat().st_size > _MAX_BYTES:
             raise StudyError(f"{shown} is larger than 1 MiB.")
         text = path.read_text(encoding="utf-8")
         return text, tomllib.loads(text)
@@ -30,22 +37,36 @@ def _toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
         raise StudyError(f"{shown} is nested too deeply.") from error
 
 
-def walker(value: str | dict[str, Any], folder: Path, place: Location | None = None) -> str | dict[str, Any]:
-    """A walker's name, or its table where `value` names a file beside `folder` or is a table."""
-    place = place or Location("", "walker")
+def walker(value: str | dict[str, Any], folder: Path, location: Location | None = None) -> str | dict[str, Any]:
+    """Name of a catalogue walker, or the table of a walker.
+
+    Parameters
+    ----------
+    value : str or dict
+        A name, a file relative to `folder`, or a table.
+    folder : Path
+    location : Location, optional
+        Place of the value in a study.
+
+    Raises
+    ------
+    StudyError
+        If the name is unknown or the file is not a walker.
+    """
+    location = location or Location("", "walker")
     if isinstance(value, dict):
         return value
     if not value.endswith(".toml"):
-        known = dispatch.resolve("tasks.walkers.catalogue:CATALOGUE")
-        if value not in known:
-            raise place.unknown(value, [*known, "or a file FILE.toml"])
+        catalogue = dispatch.resolve("tasks.walkers.catalogue:CATALOGUE")
+        if value not in catalogue:
+            raise location.unknown(value, [*catalogue, "or a file FILE.toml"])
         return value
-    if place.file and Path(value).is_absolute():
-        raise place.wrong("must be a path relative to the study", value)
+    if location.file and Path(value).is_absolute():
+        raise location.wrong("must be a path relative to the study", value)
     try:
-        _, table = _toml(folder / value, value)
+        _, table = read_toml(folder / value, value)
     except StudyError as error:
-        raise place.error(str(error)) from error
+        raise location.error(str(error)) from error
     if not isinstance(table.get("walker"), dict):
-        raise place.error(f"{clip(value)} has no [walker] table")
+        raise location.error(f"{clip(value)} has no [walker] table")
     return table["walker"]

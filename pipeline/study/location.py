@@ -1,4 +1,4 @@
-"""Where in a study something stands, and the errors that say so."""
+"""Places in a study file, and errors that name them."""
 
 from __future__ import annotations
 
@@ -10,28 +10,39 @@ from pipeline.errors import StudyError
 
 
 class Location:
-    """Where in a study something stands; makes the errors."""
+    """Place in a study file, given by its keys; makes errors that name it."""
 
     def __init__(self, file: str, *keys: str):
         self.file, self.keys = file, keys
 
     def at(self, *keys: str) -> Location:
+        """Location of a key below this one."""
         return Location(self.file, *self.keys, *keys)
 
     def error(self, sentence: str) -> StudyError:
-        where = ", ".join(filter(None, (self.file, ".".join(self.keys) if self.file else "")))
-        return StudyError(f"{sentence.rstrip('.')} ({where})." if where else f"{sentence.rstrip('.')}.")
+        """Error of one sentence with the location."""
+        position = ", ".join(filter(None, (self.file, ".".join(self.keys) if self.file else "")))
+        return StudyError(f"{sentence.rstrip('.')} ({position})." if position else f"{sentence.rstrip('.')}.")
 
     def wrong(self, bound: str, value: object) -> StudyError:
+        """Error for a value that violates a bound."""
         return self.error(f"`{self.keys[-1]}` {bound}; got {_show(value)}")
 
-    def unknown(self, key: str, known: Iterable[str]) -> StudyError:
+    def unknown(self, name: str, known: Iterable[str], kind: str = "name") -> StudyError:
+        """Error for an unknown name or key, with the nearest known one."""
         known = list(known)
-        near = difflib.get_close_matches(key, known, 1)
+        near = difflib.get_close_matches(name, known, 1)
         hint = f"did you mean `{near[0]}`?" if near else f"known: {', '.join(known)}"
-        return self.error(f"`{clip(key)}` is not known here, {hint}")
+        return self.error(f"Unknown {kind} `{clip(name)}`, {hint}")
 
     def number(self, value: object) -> float:
+        """Check that a value is a finite number.
+
+        Raises
+        ------
+        StudyError
+            If it is not.
+        """
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.wrong("must be a number", value)
         if not math.isfinite(value) or abs(value) > 1e300:
@@ -39,10 +50,10 @@ class Location:
         return float(value)
 
 
-def clip(text: str, most: int = 60) -> str:
-    """Text from elsewhere as an error may show it."""
+def clip(text: str, max_length: int = 60) -> str:
+    """Shorten text from outside and replace unprintable characters, for use in an error."""
     text = "".join(c if c.isprintable() else "?" for c in text)
-    return text if len(text) <= most else text[: most - 3] + "..."
+    return text if len(text) <= max_length else text[: max_length - 3] + "..."
 
 
 def _show(value: object) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Limits:
-    """What one point may take before it is given up."""
+    """Limits of time [s] and memory [byte] for one point."""
 
     seconds: float = 60.0
     memory: int = 2 << 30
@@ -21,7 +21,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Axis:
-    """One dimension of the grid."""
+    """One dimension of the grid: its name and values, shape (n,)."""
 
     name: str
     values: np.ndarray = field(repr=False)
@@ -32,9 +32,10 @@ class Axis:
 
 @dataclass(frozen=True)
 class Study:
-    """A checked study. `walkers` are names or plain tables, `names` what they are called; `axes` are as written.
+    """A checked study.
 
-    `walker_axis` says whether the walkers are a dimension; `checks` is what `tasks` says of each of them.
+    `walkers` are names or tables and `names` their labels; `axes` keep the order of the file; `walker_axis` is whether
+    walkers are a dimension; `checks` holds the properties of each walker that `tasks` reports.
     """
 
     name: str
@@ -71,16 +72,16 @@ class Study:
 
     @property
     def lines(self) -> int:
-        """How many lines there are."""
+        """Number of lines."""
         return math.prod(self.line_shape)
 
     @property
     def points(self) -> int:
-        """How many grid points there are."""
+        """Number of grid points."""
         return self.lines * len(self.slope)
 
     def line(self, number: int) -> dict[str, Any]:
-        """The line of that number, in C order of `line_shape`, as plain data."""
+        """Walker and parameters of a line, numbered in C order of `line_shape`."""
         values = {}
         for axis in reversed(self.line_axes):
             number, k = divmod(number, len(axis))
@@ -88,5 +89,5 @@ class Study:
         return {"walker": self.walkers[number], "set": {a.name: values[a.name] for a in self.line_axes}}
 
     def name_of(self, number: int) -> str:
-        """What the walker of a line is called."""
+        """Label of the walker of a line."""
         return self.names[number * len(self.walkers) // self.lines]

@@ -1,7 +1,7 @@
-"""Read a study: which walker, which axes, and what is wanted of every point.
+"""Read a study: its walkers, axes and requested results.
 
-A study is checked whole before anything runs. Every error names the key, its value, the bound it breaks (or
-the nearest known key), the file and the place in it.
+A study is checked completely before anything runs. Every error names the key, its value, the violated bound or the
+nearest known key, the file and the place in it.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ import numpy as np
 
 from pipeline import dispatch
 from pipeline.study import options
-from pipeline.study.files import _toml, walker
+from pipeline.study.files import read_toml, walker
 from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
 from tasks import registry
 from tasks.registry import ALWAYS, CLAIMS, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
-#: Tasks that no study is named after.
-_SERVANTS = ("atlas", "points", "trace")
-#: Axis keys that are not a walker's own.
+#: Tasks that are not kinds of study.
+_INTERNAL_TASKS = ("atlas", "points", "trace")
+#: Axes that are not keys of a walker.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
-#: Longest axis and largest grid that are taken for meant.
-MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
+#: Largest axis and grid; anything above is taken for a mistake.
+_MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
 _UNITS = {
     "": 1,
     "B": 1,
@@ -37,8 +37,8 @@ _UNITS = {
 
 
 def kinds() -> tuple[str, ...]:
-    """Kinds of study; every one but `grid` is the task of that name, over each line."""
-    return ("grid", *(t.name for t in TASKS.values() if set(t.needs) <= {"atlas"} and t.name not in _SERVANTS))
+    """Kinds of study; each except `grid` is the task of that name over each line."""
+    return ("grid", *(t.name for t in TASKS.values() if set(t.needs) <= {"atlas"} and t.name not in _INTERNAL_TASKS))
 
 
 def read(path: str | Path) -> Study:
@@ -47,20 +47,34 @@ def read(path: str | Path) -> Study:
     Raises
     ------
     StudyError
-        If the file cannot be read or anything in it cannot be.
+        If the file cannot be read or is invalid.
     """
     path = Path(path)
-    text, table = _toml(path, str(path))
+    text, table = read_toml(path, str(path))
     return parse(table, text, path)
 
 
 def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
-    """Check a study's table; `path` names it in errors and anchors the files it names."""
+    """Check the table of a study.
+
+    Parameters
+    ----------
+    table : mapping
+    text : str
+        Source of the table, for the archive.
+    path : Path
+        Name of the study in errors; files it names are relative to its folder.
+
+    Raises
+    ------
+    StudyError
+        If anything in it is invalid.
+    """
     top = Location(path.name)
     known = ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options")
     for key in table:
         if key not in known:
-            raise top.unknown(key, known)
+            raise top.unknown(key, known, "key")
     name = table.get("name")
     if name is None:
         raise top.error("A study needs a `name`")
@@ -74,7 +88,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     gaits = _names(table.get("gaits", list(GAITS)), GAITS, top.at("gaits"))
     want: dict[str, Any] = dict(_want(table.get("want", {}), kind, top.at("want")))
     axes, tolerance = _axes(table.get("axes"), top.at("axes"), kind)
-    chosen = options.check(table.get("options", {}), kind, _keys(), top.at("options"))
+    chosen = options.check(table.get("options", {}), kind, _axis_keys(), top.at("options"))
     walkers = _walkers(table.get("walker"), path, top.at("walker"))
     listed = isinstance(table.get("walker"), list)
     study = Study(
@@ -93,179 +107,180 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     )
     if study.points > MAX_POINTS:
         raise top.at("axes").error(f"The grid has {study.points:.3g} points, more than {MAX_POINTS:.0e}")
-    return _checked(study, top)
+    return _check_walkers(study, top)
 
 
-def _table(value: object, known: Iterable[str], place: Location) -> dict[str, Any]:
+def _table(value: object, known: Iterable[str], location: Location) -> dict[str, Any]:
     if not isinstance(value, dict):
-        raise place.wrong("must be a table", value)
+        raise location.wrong("must be a table", value)
     for key in value:
         if key not in known:
-            raise place.unknown(key, known)
+            raise location.unknown(key, known, "key")
     return value
 
 
-def _names(value: object, known: Iterable[str], place: Location) -> tuple[str, ...]:
+def _names(value: object, known: Iterable[str], location: Location) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(v, str) for v in value) or not value:
-        raise place.wrong("must be a list of names", value)
+        raise location.wrong("must be a list of names", value)
     for name in value:
         if name not in known:
-            raise place.unknown(name, known)
+            raise location.unknown(name, known)
     return tuple(dict.fromkeys(value))
 
 
-def _walkers(value: object, path: Path, place: Location) -> tuple[str | dict[str, Any], ...]:
+def _walkers(value: object, path: Path, location: Location) -> tuple[str | dict[str, Any], ...]:
     if isinstance(value, list):
         if not value or not all(isinstance(v, str) for v in value) or len(set(value)) < len(value):
-            raise place.wrong("must be a list of different names", value)
-        return tuple(walker(v, path.parent, place) for v in value)
+            raise location.wrong("must be a list of different names", value)
+        return tuple(walker(v, path.parent, location) for v in value)
     if isinstance(value, str | dict):
-        return (walker(value, path.parent, place),)
+        return (walker(value, path.parent, location),)
     if value is None:
-        raise place.error("A study needs a `walker`: a name, a file, a table, or a list of names")
-    raise place.wrong("must be a name, a file, a table, or a list of names", value)
+        raise location.error("A study needs a `walker`: a name, a file, a table, or a list of names")
+    raise location.wrong("must be a name, a file, a table, or a list of names", value)
 
 
-def _keys() -> tuple[str, ...]:
-    """What an axis may be called."""
+def _axis_keys() -> tuple[str, ...]:
+    """Names that an axis may have."""
     return (*EXTRA_AXES, *dispatch.resolve("tasks.walkers.walker:NUMBERS"))
 
 
-def _axes(value: object, place: Location, kind: str) -> tuple[tuple[Axis, ...], float]:
-    """The axes, and the tolerance of an adaptive slope axis (0: none)."""
+def _axes(value: object, location: Location, kind: str) -> tuple[tuple[Axis, ...], float]:
+    """Axes, and the tolerance of an adaptive slope axis (0: none)."""
     if not isinstance(value, dict) or not value:
-        raise place.error("A study needs axes, at least `slope`")
+        raise location.error("A study needs axes, at least `slope`")
     for key in value:
-        if key not in _keys():
-            raise place.unknown(key, _keys())
+        if key not in _axis_keys():
+            raise location.unknown(key, _axis_keys(), "key")
     if "slope" not in value:
-        raise place.error("A study needs the axis `slope`")
+        raise location.error("A study needs the axis `slope`")
     slope, tolerance = value["slope"], 0.0
     if isinstance(slope, dict) and "adaptive" in slope:
-        tolerance, slope = _adaptive(slope, place.at("slope"), kind)
-    axes = tuple(Axis(key, _values(slope if key == "slope" else v, place.at(key))) for key, v in value.items())
+        tolerance, slope = _adaptive(slope, location.at("slope"), kind)
+    axes = tuple(Axis(key, _values(slope if key == "slope" else v, location.at(key))) for key, v in value.items())
     for axis in axes:
         if axis.name == "slope" and not (axis.values.min() > 0 and axis.values.max() < 0.5):
             worst = axis.values.min() if axis.values.min() <= 0 else axis.values.max()
-            raise place.at("slope").wrong("must lie in (0, 0.5) rad", float(worst))
+            raise location.at("slope").wrong("must lie in (0, 0.5) rad", float(worst))
     return axes, tolerance
 
 
-def _adaptive(slope: dict[str, Any], place: Location, kind: str) -> tuple[float, dict[str, Any]]:
-    """The tolerance of an adaptive slope axis, and its window as an axis of two values."""
+def _adaptive(slope: dict[str, Any], location: Location, kind: str) -> tuple[float, dict[str, Any]]:
+    """Tolerance of an adaptive slope axis, and its window as an axis of two values."""
     if kind != "branch":
-        raise place.at("adaptive").error('`adaptive` is for studies of kind "branch", whose points follow the gaits')
-    window = _table(slope, ("from", "to", "adaptive"), place)
-    tolerance = place.at("adaptive").number(window["adaptive"])
+        raise location.at("adaptive").error('`adaptive` is for studies of kind "branch", whose points follow the gaits')
+    window = _table(slope, ("from", "to", "adaptive"), location)
+    tolerance = location.at("adaptive").number(window["adaptive"])
     if not 1e-6 <= tolerance <= 0.1:
-        raise place.at("adaptive").wrong("must lie in [1e-6, 0.1]", tolerance)
+        raise location.at("adaptive").wrong("must lie in [1e-6, 0.1]", tolerance)
     return tolerance, {**{k: v for k, v in window.items() if k != "adaptive"}, "n": 2}
 
 
-def _values(value: object, place: Location) -> np.ndarray:
+def _values(value: object, location: Location) -> np.ndarray:
     if isinstance(value, list):
         if not value:
-            raise place.wrong("must hold at least one value", value)
-        values = np.array([place.number(v) for v in value])
+            raise location.wrong("must hold at least one value", value)
+        values = np.array([location.number(v) for v in value])
         step = np.diff(values)
         if not (np.all(step > 0) or np.all(step < 0)):
-            raise place.wrong("must rise or fall throughout", value)
+            raise location.wrong("must rise or fall throughout", value)
         return values
     if not isinstance(value, dict):
-        raise place.wrong("must be a list, or a table of from, to, n and spacing", value)
-    table = _table(value, ("from", "to", "n", "spacing"), place)
+        raise location.wrong("must be a list, or a table of from, to, n and spacing", value)
+    table = _table(value, ("from", "to", "n", "spacing"), location)
     for key in ("from", "to", "n"):
         if key not in table:
-            raise place.error(f"`{key}` is missing")
-    start, stop = place.at("from").number(table["from"]), place.at("to").number(table["to"])
+            raise location.error(f"`{key}` is missing")
+    start, stop = location.at("from").number(table["from"]), location.at("to").number(table["to"])
     n, spacing = table["n"], table.get("spacing", "linear")
-    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= MAX_VALUES:
-        raise place.at("n").wrong(f"must be a whole number from 1 to {MAX_VALUES:,}", n)
+    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= _MAX_VALUES:
+        raise location.at("n").wrong(f"must be a whole number from 1 to {_MAX_VALUES:,}", n)
     if spacing not in ("linear", "log"):
-        raise place.at("spacing").wrong('must be "linear" or "log"', spacing)
+        raise location.at("spacing").wrong('must be "linear" or "log"', spacing)
     if start >= stop:
-        raise place.at("from").wrong(f"must be less than `to` = {stop!r}", start)
+        raise location.at("from").wrong(f"must be less than `to` = {stop!r}", start)
     if spacing == "log" and start <= 0:
-        raise place.at("from").wrong("must be > 0 for log spacing", start)
+        raise location.at("from").wrong("must be > 0 for log spacing", start)
     values = (np.geomspace if spacing == "log" else np.linspace)(start, stop, n)
     if n > 1 and not np.all(np.diff(values) > 0):
-        raise place.at("n").wrong("is too many: neighbouring values would be equal", n)
+        raise location.at("n").wrong("is too large: neighbouring values would be equal", n)
     return values
 
 
-def _want(value: object, kind: str, place: Location) -> dict[str, tuple[str, ...]]:
-    table = _table(value, ("variables", "fits", "figures", "claims"), place)
+def _want(value: object, kind: str, location: Location) -> dict[str, tuple[str, ...]]:
+    table = _table(value, ("variables", "fits", "figures", "claims"), location)
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
     wanted = tuple(v.name for v in VARIABLES.values() if v.group != "violations")
     if "variables" in table:
-        asked = {*_names(table["variables"], (*VARIABLES, *groups), place.at("variables")), *ALWAYS}
-        wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & asked)
-    names = {key: _free_names(table.get(key, []), place.at(key)) for key in ("fits", "figures", "claims")}
+        requested = {*_names(table["variables"], (*VARIABLES, *groups), location.at("variables")), *ALWAYS}
+        wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
+    names = {key: _free_names(table.get(key, []), location.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:
-            raise place.at("fits").unknown(fit, [t for t in TASKS if t not in (*kinds(), *_SERVANTS, "claims")])
+            others = (*kinds(), *_INTERNAL_TASKS, "claims")
+            raise location.at("fits").unknown(fit, [name for name in TASKS if name not in others])
     for figure in names["figures"]:
         if figure not in FIGURES:
-            raise place.at("figures").unknown(figure, FIGURES)
+            raise location.at("figures").unknown(figure, FIGURES)
         if SHOWN_BY.get(figure, kind) != kind:
-            raise place.at("figures").error(
+            raise location.at("figures").error(
                 f"`{figure}` shows a study of kind `{SHOWN_BY[figure]}`; this one is `{kind}`"
             )
     for claim in names["claims"]:
         if claim not in CLAIMS:
-            raise place.at("claims").unknown(claim, CLAIMS)
+            raise location.at("claims").unknown(claim, CLAIMS)
     return {"variables": wanted, **names}
 
 
-def _free_names(value: object, place: Location) -> tuple[str, ...]:
+def _free_names(value: object, location: Location) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(v, str) and re.fullmatch(r"\w{1,60}", v) for v in value):
-        raise place.wrong("must be a list of names", value)
+        raise location.wrong("must be a list of names", value)
     return tuple(dict.fromkeys(value))
 
 
 def _limits(table: Mapping[str, Any], top: Location) -> Limits:
-    place = top.at("limits")
-    limits = _table(table.get("limits", {}), ("seconds", "memory"), place)
-    seconds = place.at("seconds").number(limits.get("seconds", Limits.seconds))
+    location = top.at("limits")
+    limits = _table(table.get("limits", {}), ("seconds", "memory"), location)
+    seconds = location.at("seconds").number(limits.get("seconds", Limits.seconds))
     if not 0 < seconds <= 1e6:
-        raise place.at("seconds").wrong("must be > 0 and at most 1e6 s", seconds)
+        raise location.at("seconds").wrong("must be > 0 and at most 1e6 s", seconds)
     memory = limits.get("memory", Limits.memory)
-    found = re.fullmatch(r"(\d+(?:\.\d+)?) ?([A-Za-z]*)", memory) if isinstance(memory, str) else None
-    if found and found[2] in _UNITS:
-        memory = int(float(found[1]) * _UNITS[found[2]])
+    match = re.fullmatch(r"(\d+(?:\.\d+)?) ?([A-Za-z]*)", memory) if isinstance(memory, str) else None
+    if match and match[2] in _UNITS:
+        memory = int(float(match[1]) * _UNITS[match[2]])
     if isinstance(memory, bool) or not isinstance(memory, int) or not 1 << 26 <= memory <= 1 << 50:
-        raise place.at("memory").wrong('must be at least 64 MiB, as in "2 GiB"', limits.get("memory"))
+        raise location.at("memory").wrong('must be at least 64 MiB, as in "2 GiB"', limits.get("memory"))
     return Limits(seconds, memory)
 
 
-def _checked(study: Study, top: Location) -> Study:
-    """Check every walker at the corners of the grid of lines; keep what `tasks` says of each."""
+def _check_walkers(study: Study, top: Location) -> Study:
+    """Check every walker at the corners of the grid of lines; store the properties of each."""
     ends = [sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes]
     names = [a.name for a in study.line_axes]
     checks = []
-    for one in study.walkers:
+    for candidate in study.walkers:
         for corner in itertools.islice(itertools.product(*ends), 256):
-            given = dict(zip(names, corner, strict=True))
+            values = dict(zip(names, corner, strict=True))
             try:
-                found = dispatch.call("check_walker", {"walker": one, "set": given})
+                check = dispatch.call("check_walker", {"walker": candidate, "set": values})
             except ValueError as error:
                 key = getattr(error, "key", "walker")
-                place = top.at("axes", key) if key in names else top.at("walker")
-                raise place.error(str(error)) from error
+                location = top.at("axes", key) if key in names else top.at("walker")
+                raise location.error(str(error)) from error
             if study.kind == "curve":
-                _followed(study, one, given, top.at("options"))
-        checks.append(found)
+                _check_curve(study, candidate, values, top.at("options"))
+        checks.append(check)
     object.__setattr__(study, "checks", tuple(checks))
     return study
 
 
-def _followed(study: Study, walker: str | dict[str, Any], given: dict[str, float], place: Location) -> None:
-    """Check a walker at both ends of the range of the key that curves are followed over."""
+def _check_curve(study: Study, walker: str | dict[str, Any], values: dict[str, float], location: Location) -> None:
+    """Check a walker at both ends of the range over which curves are continued."""
     options = registry.options("curve", study.options)
     for end in ("from", "to"):
         try:
-            dispatch.call("check_walker", {"walker": walker, "set": {**given, options["key"]: options[end]}})
+            dispatch.call("check_walker", {"walker": walker, "set": {**values, options["key"]: options[end]}})
         except ValueError as error:
             value = getattr(error, "key", "") == options["key"]
             sentence = str(error) if value else f"`{options['key']}` = {options[end]!r} leaves no walker: {error}"
-            raise place.at(end if end in study.options else "key").error(sentence) from error
+            raise location.at(end if end in study.options else "key").error(sentence) from error

@@ -1,4 +1,4 @@
-"""The gaits of a walker at one slope, asked for without a study."""
+"""The gaits of a walker at one slope, without a study."""
 
 from __future__ import annotations
 
@@ -11,14 +11,29 @@ from pipeline.study import files
 from pipeline.study.location import Location
 
 
-def solve(one: str | dict[str, Any], slope: float, keys: Mapping[str, float], every: bool) -> dict[str, Any]:
-    """Gaits of a walker (a name, a file or a table) at one slope [rad]: `gaits`, and `search`, how they were sought.
+def solve(definition: str | dict[str, Any], slope: float, keys: Mapping[str, float], every: bool) -> dict[str, Any]:
+    """Find the gaits of a walker at one slope.
+
+    Parameters
+    ----------
+    definition : str or dict
+        Name, file or table of the walker.
+    slope : float [rad]
+    keys : mapping
+        Walker keys to change.
+    every : bool
+        Include gaits whose swing leg passes the stance leg more than once.
+
+    Returns
+    -------
+    dict
+        `gaits`, `units`, and `search`, which describes the search.
 
     Raises
     ------
     StudyError
-        If there is no such walker, key or slope.
+        If the walker, a key or the slope is invalid.
     """
     if not 0 < slope < 0.5:
         raise Location("", "slope").wrong("must lie in (0, 0.5) rad", slope)
-    return ask("solve", {"walker": files.walker(one, Path()), "slope": slope, "set": dict(keys), "all": every})
+    return ask("solve", {"walker": files.walker(definition, Path()), "slope": slope, "set": dict(keys), "all": every})

@@ -36,14 +36,14 @@ def _file(path, values, extent):
 )
 def test_netcdf_reads_back_what_was_packed(tmp_path, values):
     sizes = {"line": values.shape[0], "slope": values.shape[1]}
-    extent = (*layout.cut(sizes, layout.CHUNK), values.shape[2])
+    extent = (*layout.chunk_shape(sizes, layout.CHUNK), values.shape[2])
     ours, theirs = (_file(tmp_path / name, values, extent) for name in ("ours.nc", "theirs.nc"))
     with netCDF4.Dataset(theirs, "a") as file:
         file["v"][:] = values
     with chunks.Chunks(ours) as out:
-        for box in layout.boxes(sizes):
-            for corner, part in chunks.cut(values[box], box, extent):
-                out.write("v", corner, chunks.packed(part))
+        for box in layout.regions(sizes):
+            for corner, part in chunks.split(values[box], box, extent):
+                out.write("v", corner, chunks.pack(part))
     with netCDF4.Dataset(ours) as file:
         np.testing.assert_array_equal(np.ma.getdata(file["v"][:]), values)
     assert ours.stat().st_size < 1.05 * theirs.stat().st_size + 1000
@@ -51,7 +51,7 @@ def test_netcdf_reads_back_what_was_packed(tmp_path, values):
 
 def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
     path = _file(tmp_path / "v.nc", SMOOTH, (1, 9000))
-    data = bytearray(chunks.packed(SMOOTH[:1].copy()))
+    data = bytearray(chunks.pack(SMOOTH[:1].copy()))
     data[len(data) // 2] ^= 1
     with chunks.Chunks(path) as out:
         out.write("v", (0, 0), bytes(data))
@@ -70,8 +70,8 @@ def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
     ],
 )
 def test_regions_are_whole_chunks_and_cover_the_grid_once(sizes):
-    seen, chunk = np.zeros(tuple(sizes.values()), int), layout.cut(sizes, layout.CHUNK)
-    for box in layout.boxes(sizes):
+    seen, chunk = np.zeros(tuple(sizes.values()), int), layout.chunk_shape(sizes, layout.CHUNK)
+    for box in layout.regions(sizes):
         seen[box] += 1
         assert seen[box].size <= layout.REGION and all(s.start % c == 0 for s, c in zip(box, chunk, strict=True))
         assert all(s.stop % c == 0 or s.stop == n for s, c, n in zip(box, chunk, seen.shape, strict=True))

@@ -124,7 +124,7 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
         (["solve", "--walker", "D", "--slope", "0.7"], "`slope` must lie in (0, 0.5) rad; got 0.7."),
         (
             ["solve", "--walker", "Q", "--slope", "0.1"],
-            "`Q` is not known here, known: A, B, C, D, E, F,"
+            "Unknown name `Q`, known: A, B, C, D, E, F,"
             " physical, physical-straight, A-printed, C-printed, or a file FILE.toml.",
         ),
         (
@@ -154,7 +154,7 @@ def test_a_folder_that_cannot_be_written_is_said(toy):
 
 
 def test_status_tells_what_happened_to_people_and_machines(toy):
-    assert "no run has left a trace" in toy("status", "toy.toml").stdout
+    assert "there is no record of a run" in toy("status", "toy.toml").stdout
     toy("run", "toy.toml", "--quiet")
     text = toy("status").stdout
     assert "finished; 400 of 400 points (100 %)" in text and "converged 400" in text
@@ -202,7 +202,7 @@ def test_a_study_that_is_refused_does_not_end_the_list(toy):
         if line.startswith("2 of 5 studies in ")
         and line.endswith(": converged 80; not run to the end: wrong.toml, busy.toml, foreign.toml")
     ]
-    for words in ("`nonsense` is not known here", "busy.nc is held by another run", "foreign.journal is not a journal"):
+    for words in ("Unknown key `nonsense`", "busy.nc is held by another run", "foreign.journal is not a journal"):
         assert said.count(words) == 1
     assert all((toy.folder / "data" / "archive" / f"{name}.nc").exists() for name in ("a", "z"))
 
@@ -335,10 +335,10 @@ def test_a_walker_loses_its_knees_by_a_key(tmp_path):
 
 def test_tune_says_what_moved_above_a_table_ready_to_paste(capsys):
     assert commands.main(["tune", "--walker", "D"]) == 0
-    assert capsys.readouterr().out.startswith("# It meets the zero-slope conditions as it is; nothing was moved.\n")
+    assert capsys.readouterr().out.startswith("# It meets the zero-slope conditions already; no key was changed.\n")
     assert commands.main(["tune", "--walker", "C-printed"]) == 0
     told = capsys.readouterr().out
-    assert "# w_t moved from -0.023 to -0.02288" in told and "# shank offset: -0.000351 before, 0 after" in told
+    assert "# w_t changed from -0.023 to -0.02288" in told and "# shank offset: -0.000351 before, 0 after" in told
     assert tomllib.loads(told)["walker"]["w_s"] == pytest.approx(0.0223541, abs=5e-8)
 
 
@@ -366,7 +366,7 @@ def test_a_full_disk_is_said_wherever_it_is_met(toy, monkeypatch, capsys):
 
     monkeypatch.chdir(toy.folder)
     toy("run", "toy.toml")
-    monkeypatch.setattr("pipeline.execution.runner.locked", full)
+    monkeypatch.setattr("pipeline.execution.runner.lock_archive", full)
     monkeypatch.setattr("pipeline.report.pages.write", full)
     for arguments in (["run", "toy.toml"], ["report", "data/archive/toy.nc"]):
         assert commands.main(arguments) == 4

@@ -11,7 +11,7 @@ import pytest
 from conftest import STUDY
 from pipeline import serialize
 from pipeline.execution.executors import Engine
-from pipeline.execution.scheduler import Loop
+from pipeline.execution.scheduler import Scheduler
 from pipeline.plan.missing import Plan
 from pipeline.store.journal import Journal
 from pipeline.study import parse
@@ -51,9 +51,9 @@ class Simulated(Engine):
             for number, job in jobs:
                 took = 0.01
                 result = {"outcome": "ok", "reason": "", "data": serialize.dump({})}
-                if job["points"]:
-                    slope = job["params"]["slope"]
-                    line = round(job["params"]["line"]["set"].get("w_t", 0) / 0.1 * 59)
+                if job.is_block:
+                    slope = job.params["slope"]
+                    line = round(job.params["line"]["set"].get("w_t", 0) / 0.1 * 59)
                     took = 0.01 + float(np.sum(self.cost(line, slope)))
                     states = {
                         "status": np.zeros((len(slope), 4), np.int8),
@@ -74,8 +74,12 @@ def test_what_is_left_is_told_to_a_quarter_after_a_fifth_of_the_work(tmp_path, n
     found = parse.read(tmp_path / "s.toml")
     engine, told = Simulated(cost), []
     journal = Journal(tmp_path / "j")
-    loop = Loop(Plan(found, journal), engine, lambda *_: told.append((engine.spent, loop.costs.left())), found.points)
-    loop.run()
+
+    def listen(*_):
+        told.append((engine.spent, scheduler.costs.seconds_left()))
+
+    scheduler = Scheduler(Plan(found, journal), engine, listen, found.points)
+    scheduler.run()
     journal.close()
     wrong = [
         abs(left / (engine.spent - spent) - 1)

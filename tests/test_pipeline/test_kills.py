@@ -68,7 +68,7 @@ def test_a_second_interrupt_is_hard():
     program = (
         "import os, signal; from pipeline.execution.runner import Signals; signals = Signals()\n"
         "def interrupt(): os.kill(os.getpid(), signal.SIGINT)\n"
-        "with signals.caught():\n"
+        "with signals.handle():\n"
         "    with signals: interrupt(); print('held', flush=True); interrupt(); print('soft', flush=True)\n"
     )
     done = subprocess.run(

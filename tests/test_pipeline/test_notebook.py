@@ -126,7 +126,7 @@ def test_a_wrong_study_is_one_sentence(wanted, said):
     ("arguments", "keys", "said"),
     [
         (("D", 0.7), {}, r"`slope` must lie in \(0, 0.5\) rad; got 0.7"),
-        (("Q", 0.1), {}, "`Q` is not known here, known: A, B"),
+        (("Q", 0.1), {}, "Unknown name `Q`, known: A, B"),
         (("D", 0.1), {"l_tt": 1}, "did you mean `l_t`"),
     ],
 )
@@ -187,8 +187,8 @@ def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
     plan = types.SimpleNamespace(study=types.SimpleNamespace(points=900), layers=layers)
     todo = Summary({"atlas": {"new": 8}, "points": {"new": 900}}, {})
     shown = progress.Progress(plan, todo, tmp_path / "log", quiet=True)
-    shown.loop = types.SimpleNamespace(
-        costs=types.SimpleNamespace(left=lambda: 30.0), engine=types.SimpleNamespace(jobs=3, address=None)
+    shown.scheduler = types.SimpleNamespace(
+        costs=types.SimpleNamespace(seconds_left=lambda: 30.0), engine=types.SimpleNamespace(jobs=3, address=None)
     )
     for _ in range(2):
         shown("task", {"task": "atlas", "seconds": 5.0})

@@ -234,15 +234,15 @@ def test_drafts_are_removed_once_their_process_is_gone(tmp_path):
     for file in (*mine, *others):
         file.touch()
     (tmp_path / "toy.lock").write_text(json.dumps({"pid": 1, "host": "here", "started": "now", "drafts": gone}))
-    with runner.locked(path):
+    with runner.lock_archive(path):
         assert not [file for file in mine if file.exists()] and all(file.exists() for file in others)
         paths.of(path).touch()
-        with pytest.raises(BusyError), runner.locked(path):
+        with pytest.raises(BusyError), runner.lock_archive(path):
             pass
         assert paths.of(path).exists()
     for text in ("", "[]", '{"drafts": 3}', '{"drafts": "../toy2.nc"}', "\0\xff"):
         (tmp_path / "toy.lock").write_text(text)
-        with runner.locked(path):
+        with runner.lock_archive(path):
             assert all(file.exists() for file in others)
 
 

@@ -32,17 +32,17 @@ WRONG = {
         'name = "../s"': "`name` must be letters, digits, dots, dashes or underscores; got '../s' (s.toml, name).",
         'name = "my study"': "`name` must be letters, digits, dots, dashes or underscores; got 'my study' (s.toml, name).",
         "": "A study needs a `name` (s.toml).",
-        'name = "s"\nwalkr = "E"': "`walkr` is not known here, did you mean `walker`? (s.toml).",
-        'name = "s"\nkind = "brunch"': "`brunch` is not known here, did you mean `branch`? (s.toml, kind).",
+        'name = "s"\nwalkr = "E"': "Unknown key `walkr`, did you mean `walker`? (s.toml).",
+        'name = "s"\nkind = "brunch"': "Unknown name `brunch`, did you mean `branch`? (s.toml, kind).",
         'name = "s"\nkind = 3': f"`kind` must be one of {', '.join(parse.kinds())}; got 3 (s.toml, kind).",
         'name = "s"\ngaits = "long"': "`gaits` must be a list of names; got 'long' (s.toml, gaits).",
-        'name = "s"\ngaits = ["longe"]': "`longe` is not known here, did you mean `long`? (s.toml, gaits).",
+        'name = "s"\ngaits = ["longe"]': "Unknown name `longe`, did you mean `long`? (s.toml, gaits).",
     },
     'walker = "E"': {
         "": "A study needs a `walker`: a name, a file, a table, or a list of names (s.toml, walker).",
-        'walker = "Q"': "`Q` is not known here, known: A, B, C, D, E, F, physical, physical-straight, A-printed, C-printed,"
+        'walker = "Q"': "Unknown name `Q`, known: A, B, C, D, E, F, physical, physical-straight, A-printed, C-printed,"
         " or a file FILE.toml (s.toml, walker).",
-        'walker = "physicl"': "`physicl` is not known here, did you mean `physical`? (s.toml, walker).",
+        'walker = "physicl"': "Unknown name `physicl`, did you mean `physical`? (s.toml, walker).",
         'walker = ["E", "E"]': "`walker` must be a list of different names; got ['E', 'E'] (s.toml, walker).",
         "walker = { l_t = 1.0 }": "`w_t` is missing from the walker; got l_t (s.toml, walker).",
         "walker = 3": "`walker` must be a name, a file, a table, or a list of names; got 3 (s.toml, walker).",
@@ -60,7 +60,7 @@ WRONG = {
         "foot_mass_ratio = [0.1, 0.2, 0.1]": "`foot_mass_ratio` must rise or fall throughout; got [0.1, 0.2, 0.1] (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = 0.1": "`foot_mass_ratio` must be a list, or a table of from, to, n and spacing; got 0.1"
         " (s.toml, axes.foot_mass_ratio).",
-        "slopes = [0.1]": "`slopes` is not known here, did you mean `slope`? (s.toml, axes).",
+        "slopes = [0.1]": "Unknown key `slopes`, did you mean `slope`? (s.toml, axes).",
         "foot_mass_ratio = { from = 0.1, to = 0.05, n = 3 }": "`from` must be less than `to` = 0.05; got 0.1 (s.toml, axes.foot_mass_ratio.from).",
         'foot_mass_ratio = { from = 0, to = 0.1, n = 3, spacing = "log" }': "`from` must be > 0 for log spacing; got 0.0 (s.toml, axes.foot_mass_ratio.from).",
         "foot_mass_ratio = { from = 0, to = 0.1, n = 0 }": "`n` must be a whole number from 1 to 10,000,000; got 0 (s.toml, axes.foot_mass_ratio.n).",
@@ -68,27 +68,27 @@ WRONG = {
     'slope = { from = 1e-4, to = 0.1, n = 7, spacing = "log" }': {
         "slope = [0.73]": "`slope` must lie in (0, 0.5) rad; got 0.73 (s.toml, axes.slope).",
         'slope = ["0.1"]': "`slope` must be a number; got '0.1' (s.toml, axes.slope).",
-        "slope = [0.1]\nknees = [true]": "`knees` is not known here, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
+        "slope = [0.1]\nknees = [true]": "Unknown key `knees`, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
         " r_s, c_s, R, eps_T, m_h, g (s.toml, axes).",
         "slope = [0.1]\ndetuning = [0.5]": "`detuning` needs walker A or C; got 0.5 (s.toml, axes.detuning).",
-        "slope = { start = 0.1, n = 2 }": "`start` is not known here, known: from, to, n, spacing (s.toml, axes.slope).",
+        "slope = { start = 0.1, n = 2 }": "Unknown key `start`, known: from, to, n, spacing (s.toml, axes.slope).",
         "slope = { from = 0.01, to = 0.1 }": "`n` is missing (s.toml, axes.slope).",
         'slope = { from = 0.01, to = 0.1, n = 9, spacing = "lgo" }': '`spacing` must be "linear" or "log"; got \'lgo\' (s.toml, axes.slope.spacing).',
         "": "A study needs the axis `slope` (s.toml, axes).",
     },
     'variables = ["period", "multipliers"]': {
-        'variables = ["perod"]': "`perod` is not known here, did you mean `period`? (s.toml, want.variables).",
+        'variables = ["perod"]': "Unknown name `perod`, did you mean `period`? (s.toml, want.variables).",
         "variables = []": "`variables` must be a list of names; got [] (s.toml, want.variables).",
-        'fits = ["scalng"]': "`scalng` is not known here, did you mean `scaling`? (s.toml, want.fits).",
-        'fits = ["power_law"]': "`power_law` is not known here, known: scaling, transition (s.toml, want.fits).",
-        'figures = ["loglg"]': "`loglg` is not known here, did you mean `loglog`? (s.toml, want.figures).",
+        'fits = ["scalng"]': "Unknown name `scalng`, did you mean `scaling`? (s.toml, want.fits).",
+        'fits = ["power_law"]': "Unknown name `power_law`, known: scaling, transition (s.toml, want.fits).",
+        'figures = ["loglg"]': "Unknown name `loglg`, did you mean `loglog`? (s.toml, want.figures).",
         'figures = ["locus"]': "`locus` shows a study of kind `branch`; this one is `grid` (s.toml, want.figures).",
-        'claims = ["E22"]': "`E22` is not known here, did you mean `E2`? (s.toml, want.claims).",
+        'claims = ["E22"]': "Unknown name `E22`, did you mean `E2`? (s.toml, want.claims).",
     },
     "seconds = 5": {"seconds = 0": "`seconds` must be > 0 and at most 1e6 s; got 0.0 (s.toml, limits.seconds)."},
     'memory = "1.5 GiB"': {
         'memory = "2 GB/s"': "`memory` must be at least 64 MiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory).",
-        'memory = "2 GiB"\n[options]\nstarts = 3': "`starts` is not known here, known: friction_limit (s.toml, options).",
+        'memory = "2 GiB"\n[options]\nstarts = 3': "Unknown name `starts`, known: friction_limit (s.toml, options).",
         'memory = "2 GiB"\n[options]\nfriction_limit = 0': "`friction_limit` must be above 0; got 0"
         " (s.toml, options.friction_limit).",
     },
@@ -97,13 +97,13 @@ WRONG = {
 #: Options of a study of another kind, and what is said about them.
 WRONG_OPTIONS = [
     ("branch", "n = 3", "A study of kind `branch` has no options; got n (s.toml, options)."),
-    ("orbit", "strids = 3", "`strids` is not known here, did you mean `strides`? (s.toml, options)."),
+    ("orbit", "strids = 3", "Unknown name `strids`, did you mean `strides`? (s.toml, options)."),
     (
         "orbit",
         "strides = -3",
         "`strides` must be a whole number from 1 to 1,000,000; got -3 (s.toml, options.strides).",
     ),
-    ("orbit", 'gait = "loong"', "`loong` is not known here, did you mean `long`? (s.toml, options.gait)."),
+    ("orbit", 'gait = "loong"', "Unknown name `loong`, did you mean `long`? (s.toml, options.gait)."),
     ("orbit", 'spread = "1e-3"', "`spread` must be a number; got '1e-3' (s.toml, options.spread)."),
     ("cascade", "families = 3", "`families` must be a list of whole numbers from 1; got 3 (s.toml, options.families)."),
     (
@@ -111,7 +111,7 @@ WRONG_OPTIONS = [
         "stance_rate = [0.2, 0.1]",
         "`stance_rate` must be two numbers that rise; got [0.2, 0.1] (s.toml, options.stance_rate).",
     ),
-    ("curve", 'key = "detunning"', "`detunning` is not known here, did you mean `detuning`? (s.toml, options.key)."),
+    ("curve", 'key = "detunning"', "Unknown name `detunning`, did you mean `detuning`? (s.toml, options.key)."),
     (
         "curve",
         'key = "R"\nfrom = 0.2\nto = 0.1',
@@ -120,7 +120,7 @@ WRONG_OPTIONS = [
     ("curve", 'key = "R"\nfrom = 2', "`from` must be less than `to` = 1.0; got 2 (s.toml, options.from)."),
     ("curve", 'key = "R"\nfrom = -0.1\nto = 0.1', "`R` must be >= 0; got -0.1 (s.toml, options.from)."),
     ("curve", "to = 0.5", "`detuning` needs walker A or C; got 0.0 (s.toml, options.key)."),
-    ("curve", 'kinds = ["folds"]', "`folds` is not known here, did you mean `fold`? (s.toml, options.kinds)."),
+    ("curve", 'kinds = ["folds"]', "Unknown name `folds`, did you mean `fold`? (s.toml, options.kinds)."),
 ]
 
 

@@ -105,7 +105,7 @@ def test_a_study_may_ask_for_a_tolerance(tmp_path):
         ({"from": 0.01, "to": 0.1, "adaptive": 1e-3}, {"kind": "grid"}, 'kind "branch"'),
         ({"from": 0.01, "to": 0.1, "adaptive": 0}, {}, r"must lie in \[1e-6, 0.1\]; got 0"),
         ({"from": 0.01, "to": 0.1, "adaptive": "fine"}, {}, "must be a number"),
-        ({"from": 0.01, "to": 0.1, "adaptive": 1e-3, "n": 9}, {}, "`n` is not known here"),
+        ({"from": 0.01, "to": 0.1, "adaptive": 1e-3, "n": 9}, {}, "Unknown key `n`"),
         ({"to": 0.1, "adaptive": 1e-3}, {}, "`from` is missing"),
         ({"from": 0.2, "to": 0.1, "adaptive": 1e-3}, {}, "must be less than"),
     ],
