@@ -40,6 +40,7 @@ _HEADS = {
     "slope_to": "to γ",
     "from": "from",
     "n": "points",
+    "starts": "initial conditions",
     "foot_mass_ratio": "ρ",
     "slope": "γ",
     "stance_angle": "θ*",
@@ -50,7 +51,14 @@ _HEADS = {
     **{key: key for key in ("l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "m_h", "eps_T")},
 }
 
-#: Laws that are fitted.
+#: Captions of the tables of fits.
+_FITS = {
+    "fits/scaling": "Fitted power laws",
+    "fits/transition": "Scaling transition of the short step",
+    "fits/transition_ratio": "Ratio of transition slopes",
+}
+
+#: Fitted laws.
 _LAWS = {"stance_angle": "θ* of γ", "speed": "v of γ", "power_speed": "P of v"}
 
 
@@ -189,7 +197,7 @@ def fits(source: Source) -> list[Table]:
             if len(fitted) < len(table) and not note:
                 missing, more = len(table) - len(fitted), "more " if len(fitted) else ""
                 note = f"{missing} {more}fits found no range over which a power law holds."
-            tables.append(from_frame(f"Fit: {name.removeprefix('fits/').replace('_', ' ')}", shown, note))
+            tables.append(from_frame(_FITS.get(name, name.replace("_", " ")), shown, note))
     return tables
 
 

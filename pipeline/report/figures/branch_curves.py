@@ -95,7 +95,7 @@ def locus(source: Source) -> Sketch | None:
         figure,
         "Solution branches",
         "Stance angle along each solution branch, continued through folds to its ends. Thick: stable. Marked: folds "
-        f"(circles), flips (squares), ends and other special points (triangles); see their table.{omitted}",
+        f"(circles), flips (squares), ends and other special points (triangles); the table lists them.{omitted}",
         f"{count} panel{'s' * (count > 1)} of stance angle against slope along branches of gaits, slopes "
         f"{plain(data['slope'].min())} to {plain(data['slope'].max())} rad, with {len(special)} special points.",
         data,

@@ -207,7 +207,7 @@ def basin(source: Source) -> Sketch | None:
         figure,
         "Basin of attraction",
         "Initial conditions coloured by outcome; grey ones fall.",
-        f"Map of {len(table)} initial conditions over {' and '.join(plane)}, coloured by outcome: {', '.join(outcomes)}.",
+        f"{len(table)} initial conditions over {' and '.join(plane)}, coloured by outcome: {', '.join(outcomes)}.",
         table,
         [Marks(axes, x, y, "initial condition", values)],
     )

@@ -1,5 +1,5 @@
 "use strict";
-// Hover: the nearest point of a figure says its values and the command that gives them. Text only, never markup.
+// Hover: show the values of the nearest point of a figure and the command that reproduces them. Text only, no markup.
 for (const plot of document.querySelectorAll(".plot")) {
   const data = plot.querySelector("script");
   if (!data) continue;
@@ -138,8 +138,8 @@ for (const motion of document.querySelectorAll(".motion")) {
     const say = (x, y, text, anchor) => {
       draw("text", phase, { x, y, "font-size": 13, fill: "var(--muted)", "text-anchor": anchor }).textContent = text;
     };
-    say(26, 20, "rate of the leg", "start");
-    say(284, 290, "its angle", "end");
+    say(26, 20, "angular rate of the leg", "start");
+    say(284, 290, "angle of the leg", "end");
     parts.dot = draw("circle", phase, { r: 5.5, fill: colour, stroke: "var(--wash)", "stroke-width": 1.5 });
     parts.place = place;
   }
