@@ -41,6 +41,7 @@ _HEADS = {
     "from": "from",
     "n": "points",
     "starts": "initial conditions",
+    "strides": "steps",
     "foot_mass_ratio": "ρ",
     "slope": "γ",
     "stance_angle": "θ*",

@@ -19,6 +19,7 @@ CAPTIONS = {
     "turnings": "Turning points of the curves of special points",
     "lyapunov": "Lyapunov exponents",
     "survival": "Survival times",
+    "lost": "Loss of the attractor",
     "falls": "Falls",
     "offsets": "Smallest slope against offset from exact tuning",
     "rounding": "Effect of the rounding of each printed parameter on each landmark",
