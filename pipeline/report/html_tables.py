@@ -11,7 +11,7 @@ import pandas as pd
 
 from pipeline.report.entry import Entry
 from pipeline.report.figures.style import plain
-from pipeline.report.source import ANSWERS, Source
+from pipeline.report.source import ANSWERS, Source, print_units
 
 #: Failed points listed on the page; the CSV file has all of them.
 MAX_ROWS = 60
@@ -144,6 +144,7 @@ def head(column: str) -> str:
 def from_frame(caption: str, frame: pd.DataFrame, note: str = "") -> Table:
     """Make a table of a frame; located slopes are shown with the digits that their error bound warrants."""
     counts = frame.columns[[kind.kind in "iu" for kind in frame.dtypes]]
+    frame = frame.assign(**{c: [str(v).replace("_", " ") for v in frame[c]] for c in _CODED if c in frame})
     digits = _digits(frame)
     return Table(
         caption,
@@ -161,6 +162,9 @@ def from_frame(caption: str, frame: pd.DataFrame, note: str = "") -> Table:
         [frame.attrs.get("meanings", {}).get(c, "") for c in frame.columns],
     )
 
+
+#: Columns of names with underscores, which a page shows as words.
+_CODED = ("kind", "status", "smallest_at", "stability_lost_by")
 
 #: Columns of a located point that its error bound applies to.
 _LOCATED = ("slope", "value", "low", "high")
@@ -180,7 +184,7 @@ def _digits(frame: pd.DataFrame) -> list[int]:
 
 
 def _with_unit(name: str, unit: str) -> str:
-    return name if unit in ("", "1") else f"{name} ({unit})"
+    return f"{name} ({print_units(unit)})" if print_units(unit) else name
 
 
 def fits(source: Source) -> list[Table]:
@@ -208,8 +212,6 @@ def special_points(source: Source) -> Table | None:
     if table is None or table.empty:
         return None
     shown = table.head(2 * MAX_ROWS)
-    if "kind" in shown:
-        shown = shown.assign(kind=[str(k).replace("_", " ") for k in shown["kind"]])
     note = f"{len(table) - len(shown)} more are in the archive." if len(shown) < len(table) else ""
     return from_frame("Special points", shown, note)
 
@@ -287,7 +289,6 @@ def failures(absent: pd.DataFrame) -> Table | None:
         return None
     shown = failed.head(MAX_ROWS)
     note = f"{len(failed) - len(shown)} more are in the CSV file." if len(shown) < len(failed) else ""
-    shown = shown.assign(status=[s.replace("_", " ") for s in shown["status"]])
     return from_frame("Failed points", shown, note)
 
 

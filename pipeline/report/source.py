@@ -35,6 +35,9 @@ SYMBOLS = {
     "froude_speed": "Fr",
 }
 
+#: Superscripts of the characters of an integer.
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 #: Statuses that answer the question; every other one means that a point failed.
 ANSWERS = ("converged", "no_gait", "fell")
 
@@ -43,6 +46,11 @@ ANSWERS = ("converged", "no_gait", "fell")
 _CACHE = 1 << 20
 #: Largest number of values of a variable that are read for the figures; a larger grid is thinned in slope.
 MAX_POINTS = 500_000
+
+
+def print_units(units: str) -> str:
+    """CF units as they are written in print: `m s-1` becomes m s⁻¹, and `1` nothing."""
+    return "" if units == "1" else units.translate(SUPERSCRIPTS)
 
 
 @dataclass(frozen=True)
@@ -190,7 +198,7 @@ class Source:
         units = str(column.attrs.get("units", "")) if column is not None else ""
         if not units and variable in ("slope", "stance_angle"):
             return "rad"
-        return "" if units == "1" else units
+        return print_units(units)
 
     def command(self, walker: str, settings: dict[str, Any]) -> str:
         """The `gaitsweep solve` command of a line, without the slope."""

@@ -368,3 +368,11 @@ def test_a_large_grid_is_thinned_and_every_outcome_is_counted(tmp_path, monkeypa
     assert np.isin(part.grid.slope, whole.grid.slope).all()
     assert html_tables.statuses(part) == html_tables.statuses(whole)
     assert html_tables.points(part).equals(html_tables.points(whole))
+
+
+def test_a_table_shows_codes_as_words_and_units_as_in_print():
+    frame = pd.DataFrame({"smallest_at": ["end_zero_step"], "walker": ["my_walker"], "speed": [0.5]})
+    frame.attrs["units"] = {"speed": "m s-1"}
+    table = html_tables.from_frame("Design", frame)
+    assert [cell.text for cell in table.rows[0]] == ["end zero step", "my_walker", "0.5"]
+    assert table.heads[2] == "speed (m s⁻¹)"

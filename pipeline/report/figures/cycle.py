@@ -102,7 +102,7 @@ def angles(source: Source) -> Sketch | None:
     _draw_strobe(below, step)
     data = pd.concat(pieces, ignore_index=True).assign(gait=step.gait, slope=step.slope)
     caption = (
-        f"Two steps of the {step.gait} gait of {step.label} at γ = {plain(step.slope)} rad. The heavy line is "
+        f"Two steps of the {step.gait} gait of walker {step.label} at γ = {plain(step.slope)} rad. The heavy line is "
         "the leg drawn heavy in the cartoon, first in stance, then in swing." + (" Dashed: the shank." if kneed else "")
     )
     alt = (

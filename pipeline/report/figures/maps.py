@@ -25,7 +25,7 @@ from pipeline.report.figures.style import (
     thin,
 )
 from pipeline.report.figures.svg import Marks, Sketch
-from pipeline.report.source import SYMBOLS, Source
+from pipeline.report.source import SYMBOLS, Source, print_units
 
 #: Quantities that a map may show: the first that the archive holds.
 _SHOWN = ("speed", "froude_speed", "stance_angle", "period", "spectral_radius")
@@ -159,8 +159,8 @@ def _is_fall(outcome: str) -> bool:
 
 def _column(table: pd.DataFrame, name: str) -> str:
     """A column's name in words, with its symbol and unit."""
-    unit = table.attrs.get("units", {}).get(name, "1")
-    return " ".join(filter(None, (name.replace("_", " "), SYMBOLS.get(name), f"({unit})" if unit != "1" else "")))
+    unit = print_units(table.attrs.get("units", {}).get(name, "1"))
+    return " ".join(filter(None, (name.replace("_", " "), SYMBOLS.get(name), f"({unit})" if unit else "")))
 
 
 def basin(source: Source) -> Sketch | None:

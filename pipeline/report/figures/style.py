@@ -12,7 +12,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from pipeline.report.source import SYMBOLS
+from pipeline.report.source import SUPERSCRIPTS, SYMBOLS
 
 #: Width of a figure [pt]; its text stays legible on a phone.
 WIDTH = 400
@@ -142,7 +142,8 @@ def _decade(value: float) -> str:
 
 
 def _superscript(power: int) -> str:
-    return str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    """An integer in superscripts."""
+    return str(power).translate(SUPERSCRIPTS)
 
 
 def draw_curve(axes: Axes, x: pd.Series, y: pd.Series, stable: pd.Series, ink: str, k: int = 0) -> None:
