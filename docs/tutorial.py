@@ -1,7 +1,7 @@
 # %% [markdown]
 # # From one gait to a sweep of your own walker
 #
-# Open this file as a notebook (VS Code, or Jupyter with jupytext), or run it: `python docs/tutorial.py`. It takes some
+# Open this file as a notebook (VS Code, or Jupyter with jupytext), or run it: `python docs/tutorial.py`. It takes a few
 # seconds and writes an archive and a picture into the current folder.
 
 # %%
@@ -12,7 +12,7 @@ from pipeline import load, run, solve
 
 # %% [markdown]
 # ## One point
-# The simplest walker on a slope of 0.009 rad. Both gaits are found from nothing; the long one is stable.
+# The simplest walker on a slope of 0.009 rad. Both gaits are found without initial guesses; the long one is stable.
 
 # %%
 gaits = solve("D", 0.009)
@@ -20,38 +20,39 @@ print(gaits[["gait", "stance_angle", "period", "stable"]])
 
 # %% [markdown]
 # ## Your own walker
-# A walker is a table. This one starts from the catalogue's E, point feet with a tenth of the mass each, and gets round
-# feet. A walker file works as well, by its name.
+# A walker is a table. This one is the catalogue's E, whose point feet have a tenth of the mass each, with round
+# feet. The
+# name of a walker file works as well.
 
 # %%
-mine = {"base": "E", "R": 0.3}
-print(solve(mine, 0.009)[["gait", "stance_angle", "period", "stable"]])
+round_feet = {"base": "E", "R": 0.3}
+print(solve(round_feet, 0.009)[["gait", "stance_angle", "period", "stable"]])
 
 # %% [markdown]
 # ## A sweep
-# A study says what is wanted, and nothing else is computed. Its points are kept: run the cell again and nothing is left
-# to do; add values to an axis and only those are computed.
+# A study says what is wanted, and nothing else is computed. Its points are stored: if the cell is run
+# again, nothing is computed; if values are added to an axis, only those are.
 
 # %%
-found = run(
+sweep = run(
     {
         "name": "round-feet",
-        "walker": mine,
+        "walker": round_feet,
         "axes": {"R": [0.0, 0.3], "slope": np.geomspace(1e-6, 0.1, 80)},
         "want": {"variables": ["stance_angle", "period", "multipliers"], "fits": ["scaling"], "figures": ["loglog"]},
     }
 )
-print(found.stance_angle.sel(R=0.3, gait="long"))
+print(sweep.stance_angle.sel(R=0.3, gait="long"))
 
 # %% [markdown]
-# `found` is an xarray Dataset with units, and `status` says what became of every point, in words.
+# `sweep` is an xarray Dataset with units; `status` is the outcome at each grid point, in words.
 
 # %%
-print(found.status.to_series().value_counts())
+print(sweep.status.to_series().value_counts())
 
 # %% [markdown]
 # ## Power laws
-# Fits and other tables are read by their names, which `found.attrs["tables"]` lists.
+# Fits and other tables are read by their names, which `sweep.attrs["tables"]` lists.
 
 # %%
 laws = load("data/archive/round-feet.nc", "fits/scaling")
@@ -60,13 +61,13 @@ print(angle[["R", "gait", "regime", "exponent", "exponent_low", "exponent_high"]
 
 # %% [markdown]
 # ## A picture
-# Stance angle against slope, stable parts thick.
+# Stance angle against slope; thick lines are stable.
 
 # %%
 figure, axes = plt.subplots(figsize=(5, 3.6), layout="constrained")
 for gait, colour in {"long": "#1f6fb2", "short": "#c04a08"}.items():
-    for radius, style in zip(found.R.values, ["-", "--"], strict=True):
-        line = found.sel(gait=gait, R=radius)
+    for radius, style in zip(sweep.R.values, ["-", "--"], strict=True):
+        line = sweep.sel(gait=gait, R=radius)
         axes.loglog(line.slope, line.stance_angle, style, color=colour, lw=1, label=f"{gait}, R = {radius:g}")
         axes.loglog(line.slope, line.stance_angle.where(line.spectral_radius < 1), style, color=colour, lw=3)
 axes.set(xlabel="slope (rad)", ylabel="stance angle (rad)")
@@ -75,5 +76,5 @@ figure.savefig("round-feet.png", dpi=150)
 
 # %% [markdown]
 # ## Pages
-# `gaitsweep report data/archive/round-feet.nc` makes pages of the same archive. The study asks for `loglog`, so this
-# picture is there too, with the values and the command behind every point.
+# `gaitsweep report data/archive/round-feet.nc` makes pages of the same archive. The study asks for `loglog`, so the
+# page shows the same figure, with the values and the command for every point.

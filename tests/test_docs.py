@@ -1,5 +1,6 @@
 """What the README and docs show is true: links, options, studies, walkers and the output printed beside them."""
 
+import pkgutil
 import re
 import subprocess
 import sys
@@ -26,6 +27,28 @@ def blocks(page, language):
 def test_every_link_leads_to_a_file(page):
     for link in re.findall(r"\]\(([^)#]+)", page.read_text(encoding="utf-8")):
         assert (page.parent / link).exists(), link
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_path_and_module_named_exists(page):
+    prose = re.sub(r"^ *```.*?^ *```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
+    for code in re.findall(r"`([^`\n]+)`", prose):
+        path = code.partition(":")[0]
+        if re.fullmatch(r"(pipeline|tasks|tests|docs|data)/[\w./-]*|[\w/]+\.(py|md)", path):
+            assert path.startswith("data/archive") or (ROOT / path).exists(), path
+        elif re.fullmatch(r"(pipeline|tasks)(\.\w+)+", code):
+            pkgutil.resolve_name(code)
+
+
+def test_every_package_has_its_place_in_contributing():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    packages = {
+        f"`{init.parent.relative_to(ROOT)}/`"
+        for name in ("pipeline", "tasks")
+        for init in (ROOT / name).glob("*/__init__.py")
+    }
+    assert len(packages) > 10
+    assert not {package for package in packages if package not in text}
 
 
 def test_the_paper_is_cited_alike_everywhere():

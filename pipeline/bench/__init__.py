@@ -1,4 +1,4 @@
-"""`gaitsweep bench`: run time against error, with the peers, in one run; one archive and one page."""
+"""`gaitsweep bench`: run time against error of gaitsweep and of its peers, as an archive and a page."""
 
 from __future__ import annotations
 
@@ -13,25 +13,36 @@ QUICK = ("D", "B")
 
 
 def main(quick: bool, out: Path, families: tuple[str, ...] | None = None, grid: int | None = None) -> int:
-    """Measure, write `bench.nc` and `bench.html` into a folder, and say where.
+    """Measure, write `bench.nc` and `bench.html` into a folder, and print the path of the page.
 
     Parameters
     ----------
     quick : bool
         Two walkers and fewer repeats, in less than a minute.
     out : Path
-    families : tuple of str
-        Walkers instead of the usual.
-    grid : int
-        Slopes of the grids instead of the usual.
+        The folder, created if missing.
+    families : tuple of str, optional
+        Names of walkers; default: all of `FAMILIES`, or those of `QUICK`.
+    grid : int, optional
+        Number of slopes of the grids.
+
+    Returns
+    -------
+    int
+        Exit code 0.
+
+    Raises
+    ------
+    OSError
+        If the folder cannot be written.
     """
     from pipeline.bench import bench_page, record, run
 
     try:
         out.mkdir(parents=True, exist_ok=True)
-        found = run.measured(quick, families or (QUICK if quick else tuple(FAMILIES)), grid, _say)
-        record.write(found, out / "bench.nc")
-        bench_page.write(found, out / "bench.html")
+        measurements = run.measure(quick, families or (QUICK if quick else tuple(FAMILIES)), grid, _say)
+        record.write(measurements, out / "bench.nc")
+        bench_page.write(measurements, out / "bench.html")
     except OSError as error:
         raise unwritten(out, error) from error
     print(out / "bench.html")

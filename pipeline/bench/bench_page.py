@@ -1,4 +1,4 @@
-"""The bench's page: tables and work-precision plots in one file."""
+"""The page of the bench: tables and work-precision plots in one file."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import matplotlib
 import numpy as np
 
 from pipeline.bench.harness import Case
-from pipeline.bench.run import Found
+from pipeline.bench.run import Measurements
 
 PLOTTED = ("stride", "jacobian", "fixed point")
-#: What `work` counts for each problem.
-WORK = {"fixed point": "strides", "grid": "gaits a point", "branch": "nodes"}
+#: What `work` counts in each problem.
+WORK = {"fixed point": "steps", "grid": "gaits per point", "branch": "nodes"}
 MARKS = "os^Dv<>p*hXP"
 
 TEMPLATE = """<!doctype html>
@@ -30,46 +30,45 @@ th,td{padding:.15rem .7rem;text-align:right;border-bottom:1px solid #ddd} th:fir
 details{margin:.5rem 0}
 </style></head><body>
 <h1>Run time against error</h1>
-<p>All methods timed in turns in one run, one thread. Times are medians of the rounds with least and greatest,
-for one answer; errors are against {{ kind }}, the largest over the largest entry. No error: the method lost the event,
-or is the reference itself.{% if quick %} A quick run: fewer rounds.{% endif %}</p>
-<p>The product carries {{ lanes }} strides at a time and flies over given event times, as its Newton's method does;
-a peer carries one stride, finds its events, and pays for its algebra's calls from Python, some ten microseconds.
-scipy's
-right-hand side is compiled by {% if numba %}numba{% else %}nothing here, for numba is not installed{% endif %}.</p>
-<div class="wide"><table><caption>Machine</caption><tbody>
+<p>All methods are timed in turns in one run on one thread. Times are for one answer: the median, the least and the
+greatest of the rounds. Errors are the largest error over the largest entry, against {{ kind }}. Where no error is
+given, the method missed the event or is the reference itself.
+{% if quick %}This is a quick run, with fewer rounds.{% endif %}</p>
+<p>gaitsweep integrates {{ lanes }} steps at a time over given event times, as in its Newton's method. A peer integrates
+one step, locates its events, and calls its algebra from Python, which takes about ten microseconds. The right-hand side
+for scipy is {% if numba %}compiled by numba{% else %}not compiled, for numba is not installed{% endif %}.</p>
+<div class="wide"><table><caption>Computer</caption><tbody>
 {% for k, v in machine.items() %}<tr><th scope="row">{{ k }}</th><td>{{ v }}</td></tr>{% endfor %}</tbody></table></div>
 <h2>A line of slopes</h2>
-<p>A grid point holds every gait there is, with multipliers, energy and error bound.</p>
+<p>At each grid point all gaits are solved, with multipliers, energies and error bounds.</p>
 {{ table(work) }}
-<h2>What a study does not want</h2>
-<p>The same line for studies that want less and less. A stride carries its Jacobian; an event check samples a stride's
-guards, where the atlas has not settled it for good; bytes are those of the variables wanted.</p>
+<h2>Work against wanted variables</h2>
+<p>The same line for studies that want fewer and fewer variables. Each step includes its Jacobian; an event check
+samples the guards of a step that the atlas does not already guarantee; bytes are those of the wanted variables.</p>
 {{ table(less) }}
 <h2>Random walkers</h2>
-<p>Walkers, slopes from 1e-12 to 0.3 and starts drawn at random, one of each a lane, and what became of them. Most
-starts
-lead nowhere, and most walkers drawn do not walk.</p>
+<p>Outcomes of Newton's method for random walkers, slopes from 1e-12 to 0.3 and initial guesses. Most guesses do not
+converge, and most random walkers have no gait.</p>
 {{ table(outcomes) }}
 <h2>Error bounds</h2>
-<p>Gaits at random slopes, their bounds beside their true errors by more digits.</p>
+<p>Error bounds of gaits at random slopes, with their errors as computed in extended precision.</p>
 {{ table(bounds) }}
-<h2>The Taylor step and the machine's peak</h2>
-<p>Operations are estimated from the u-variables of the decomposition and the order; a step is timed through one call
-from Python, so short steps are underrated.</p>
+<h2>The Taylor step and peak performance</h2>
+<p>Operations are estimated from the u-variables of the decomposition and the order. A step is timed through one call
+from Python, so the rate of short steps is underestimated.</p>
 {{ table(flows) }}
 {% for name, problems in families.items() %}<h2>Walker {{ name }}</h2>
 {% for problem, part in problems.items() %}{% if part.plot %}<figure>{{ part.plot }}</figure>{% endif %}
-<details{% if not part.plot %} open{% endif %}><summary>{{ problem }}: numbers</summary>{{ table(part.rows) }}</details>
+<details{% if not part.plot %} open{% endif %}><summary>{{ problem }}: table</summary>{{ table(part.rows) }}</details>
 {% endfor %}{% endfor %}
 </body></html>
 """
 
 
-def write(found: Found, path: Path) -> None:
+def write(measurements: Measurements, path: Path) -> None:
     """Draw and write the page."""
     families: dict[str, dict[str, Any]] = {}
-    for case in found.cases:
+    for case in measurements.cases:
         part = families.setdefault(case.family, {}).setdefault(case.problem, {"cases": []})
         part["cases"].append(case)
     for name, parts in families.items():
@@ -86,18 +85,18 @@ def write(found: Found, path: Path) -> None:
     from pipeline.bench.problems import LANES
 
     text = environment.from_string(TEMPLATE).render(
-        machine=found.machine,
-        kind=found.kind,
-        quick=found.quick,
+        machine=measurements.machine,
+        kind=measurements.kind,
+        quick=measurements.quick,
         lanes=LANES,
         families=families,
-        numba=found.machine["numba"] != "not installed",
+        numba=measurements.machine["numba"] != "not installed",
         table=lambda rows: Markup(_table(rows)),
-        work=[{"walker": k, **v} for k, v in found.work.items()],
-        less=[{"walker": k, **v} for k, of in found.less.items() for v in of],
-        outcomes=found.outcomes,
-        bounds=found.bounds,
-        flows=[{"walker": k, **v} for k, of in found.flows.items() for v in of],
+        work=[{"walker": k, **v} for k, v in measurements.work.items()],
+        less=[{"walker": k, **v} for k, of in measurements.less.items() for v in of],
+        outcomes=measurements.outcomes,
+        bounds=measurements.bounds,
+        flows=[{"walker": k, **v} for k, of in measurements.flows.items() for v in of],
     )
     path.write_text(text, encoding="utf-8")
 
@@ -117,7 +116,7 @@ def _row(case: Case) -> dict[str, Any]:
 
 
 def _time(seconds: float) -> str:
-    """A time with three digits and a unit that suits it."""
+    """A time with three digits, in s, ms or µs."""
     for unit, size in (("s", 1.0), ("ms", 1e-3)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"
@@ -125,7 +124,7 @@ def _time(seconds: float) -> str:
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    """Rows of equal keys as an HTML table; words are the bench's own."""
+    """Rows of equal keys as an HTML table; the text is the bench's own and is not escaped."""
 
     def shown(x: Any) -> str:
         return x if isinstance(x, str) else f"{x:.4g}"
@@ -136,7 +135,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
 
 
 def _plot(title: str, cases: list[Case]) -> str:
-    """Time against error on logarithmic axes, one curve a method, spread as bars; SVG text."""
+    """Time against error on logarithmic axes as SVG, one curve per method, with the range of times as bars."""
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
 
@@ -149,12 +148,12 @@ def _plot(title: str, cases: list[Case]) -> str:
         axes = figure.add_subplot()
         for mark, (method, of) in zip(MARKS, methods.items(), strict=False):
             of = sorted(of, key=lambda c: c.error)
-            # An error of nothing at all cannot be drawn on a logarithmic axis; the reference's rounding can.
+            # Zero cannot be drawn on a logarithmic axis; the rounding of the reference can.
             error = np.maximum([c.error for c in of], 1e-20)
             middle = np.array([np.median(c.seconds) for c in of])
-            golden_ratio_order = np.abs(np.array([[min(c.seconds), max(c.seconds)] for c in of]).T - middle)
-            axes.errorbar(error, middle, yerr=golden_ratio_order, marker=mark, ms=5, lw=1, capsize=2, label=method)
-        axes.set(xscale="log", yscale="log", xlabel="relative error", ylabel="time of one [s]", title=title)
+            spread = np.abs(np.array([[min(c.seconds), max(c.seconds)] for c in of]).T - middle)
+            axes.errorbar(error, middle, yerr=spread, marker=mark, ms=5, lw=1, capsize=2, label=method)
+        axes.set(xscale="log", yscale="log", xlabel="relative error", ylabel="time of one answer [s]", title=title)
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
         out = io.StringIO()

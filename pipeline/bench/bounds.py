@@ -1,4 +1,4 @@
-"""The error bound of random gaits beside their true error, by more digits."""
+"""Error bounds of random gaits against their errors in extended precision."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.bench.extended_reference import converted
+from pipeline.bench.extended_reference import convert
 from pipeline.bench.stress import random_walker
 from tasks import solve_points
 from tasks.continuation import atlas as atlases
@@ -18,19 +18,20 @@ from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.walker import Walker
 
-#: Below this slope a double's residual is too coarse for most gaits, and the references are dear.
+#: Slope below which most gaits need residuals in extended precision, and references are expensive [rad].
 SMALL = 1e-7
-LEAST, MOST = 1e-12, 0.3
-#: Share of gaits below it.
+#: Range of slopes [rad].
+MIN_SLOPE, MAX_SLOPE = 1e-12, 0.3
+#: Share of slopes below `SMALL`.
 SHARE = 0.03
 WANT = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "error_bound", "status")
-#: Families of random walkers besides the catalogue's, and how many of each.
+#: Families of random walkers in addition to the catalogue, and the number of walkers of each.
 RANDOM, EACH_FAMILY = ("point feet", "round feet", "straight, any", "straight, tuned", "kneed, near"), 6
 
 
 @dataclass
 class Bounds:
-    """Gaits with their slope, bound, condition number, true error, and the tier that solved them (0: doubles)."""
+    """Slope [rad], bound, error and condition number of gaits, and the precision that solved them (0: double)."""
 
     walker: list[str]
     slope: np.ndarray
@@ -41,16 +42,17 @@ class Bounds:
 
     @property
     def violations(self) -> int:
+        """Number of gaits whose error exceeds its bound."""
         return int((self.error > self.bound).sum())
 
     def rows(self) -> list[dict[str, float | str]]:
-        """One row a walker and one for all."""
+        """One row per walker, and one for all."""
         names = np.array(self.walker)
-        found: list[dict[str, float | str]] = []
+        rows: list[dict[str, float | str]] = []
         for name in [*dict.fromkeys(self.walker), "all"]:
             of = np.ones(len(names), bool) if name == "all" else names == name
             ratio = self.bound[of] / np.maximum(self.error[of], 1e-18)
-            found.append(
+            rows.append(
                 {
                     "walker": name,
                     "gaits": float(of.sum()),
@@ -64,7 +66,7 @@ class Bounds:
                     "greatest error/(4e-16 condition)": float((self.error[of] / (4e-16 * self.condition[of])).max()),
                 }
             )
-        return found
+        return rows
 
 
 def bounds(
@@ -73,13 +75,29 @@ def bounds(
     walkers: Sequence[tuple[str, Walker]] | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Bounds:
-    """Bounds and errors of gaits at `each` random slopes of every walker.
+    """Bounds and errors of gaits at random slopes.
+
+    Parameters
+    ----------
+    each : int
+        Number of slopes per walker.
+    seed : int
+        Seed of the random numbers.
+    walkers : sequence of (str, Walker), optional
+        Names and walkers; default: the catalogue and random walkers of `RANDOM`.
+    say : callable, optional
+        Called with each line of progress.
+
+    Returns
+    -------
+    Bounds
+        One entry per gait.
 
     Notes
     -----
-    A gait solved in doubles is solved again in long double: its rounding is 2000 times finer, so that of the reference
-    is below 1/2000 of the bound. One whose bound asked for long double is solved in 128 bits. Where 128 bits were
-    asked for, the same digits come again, and what is compared is their narrowing to a double alone.
+    A gait solved in double precision is solved again in long double, whose rounding is 2000 times finer. One that
+    needed long double is solved in 128 bits. One that needed 128 bits is compared with the same solution, which tests
+    the rounding to double alone.
     """
     if walkers is None:
         drawn = [(f, random_walker(f, 10 * seed + k)) for f in RANDOM for k in range(EACH_FAMILY)]
@@ -92,8 +110,8 @@ def bounds(
         slope = np.exp(
             np.concatenate(
                 [
-                    random.uniform(np.log(SMALL), np.log(MOST), each - small),
-                    random.uniform(np.log(LEAST), np.log(SMALL), small),
+                    random.uniform(np.log(SMALL), np.log(MAX_SLOPE), each - small),
+                    random.uniform(np.log(MIN_SLOPE), np.log(SMALL), small),
                 ]
             )
         )
@@ -119,22 +137,22 @@ def compared(
     rounding_std: np.ndarray,
     leg_passes: np.ndarray,
 ) -> list[tuple[float, float, float, float, int]]:
-    """Slope [rad], bound, error, condition number and tier of each gait that converges; arguments as `settle`'s."""
+    """Slope [rad], bound, error, condition number and tier of each converged gait; arguments as those of `settle`."""
     product = solve_points.solve(problem, Z, slope, lipschitz, rounding_std, WANT, leg_passes)
     at = settle(problem, Z, slope, lipschitz, rounding_std, leg_passes)
     time_unit, rows = _time_unit(problem.walker), []
-    there = apply_newton_step(problem, at.stride, problem.parameters(slope, at.scale))
-    condition = np.maximum(1.0, (there.sensitivity / there.size).max(axis=0) - 1.0)
+    corrected = apply_newton_step(problem, at.stride, problem.parameters(slope, at.scale))
+    condition = np.maximum(1.0, (corrected.sensitivity / corrected.size).max(axis=0) - 1.0)
     for lane in map(int, np.flatnonzero(product["status"] == 0)):
         doubles = at.doubles[lane]
         tier = 0 if doubles <= extended_precision.ESCALATE else 1 if doubles < extended_precision.ESCALATE_AGAIN else 2
         exact = extended_precision.solved(
             problem, int(lane), at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane], min(tier, 1)
         )
-        state, half = converted(exact.state, np.longdouble) * at.scale[lane], len(exact.state) // 2
-        period = converted(exact.times[-1:], np.longdouble) * time_unit
+        state, half = convert(exact.state, np.longdouble) * at.scale[lane], len(exact.state) // 2
+        period = convert(exact.times[-1:], np.longdouble) * time_unit
         rates = state[half:] / time_unit
-        true = {
+        reference = {
             "stance_angle": state[0],
             "stance_rate": rates[0],
             "thigh_rate": rates[1],
@@ -144,7 +162,7 @@ def compared(
         fastest = max(abs(rate) for rate in rates)
         error = max(
             abs(float((np.longdouble(product[k][lane]) - x) / (fastest if k.endswith("rate") else x)))
-            for k, x in true.items()
+            for k, x in reference.items()
         )
         rows.append((float(slope[lane]), float(product["error_bound"][lane]), error, float(condition[lane]), tier))
     return rows

@@ -1,4 +1,4 @@
-"""Work that is counted, not timed, and where the time of a line goes."""
+"""Counted work, and the share of a line's time that is spent in compiled code."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from tasks.step.step_map import StrideMap
 
 
 class Clock:
-    """Adds up the time spent in some methods while it is running."""
+    """Context that adds up the time spent in some methods."""
 
     def __init__(self, *methods: tuple[type, str]):
         self.methods, self.seconds = methods, 0.0
-        self._kept: list[Any] = []
+        self._originals: list[Any] = []
 
     def __enter__(self) -> Clock:
         for owner, name in self.methods:
             kept = getattr(owner, name)
-            self._kept.append(kept)
+            self._originals.append(kept)
 
             def timed(*args: Any, kept: Any = kept, **kwargs: Any) -> Any:
                 start = time.perf_counter()
@@ -41,11 +41,11 @@ class Clock:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for (owner, name), kept in zip(self.methods, self._kept, strict=True):
+        for (owner, name), kept in zip(self.methods, self._originals, strict=True):
             setattr(owner, name, kept)
 
 
-#: Studies that want less and less: a name, the variables, and the gaits.
+#: Studies that want fewer and fewer variables: a name, the variables, and the gaits.
 STUDIES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
     ("everything", tuple(VARIABLES), GAITS),
     ("all but violations", problems.GRID_WANT, GAITS),
@@ -56,16 +56,16 @@ STUDIES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
 
 
 class Calls:
-    """Counts lanes handed to some functions of modules while it is running."""
+    """Context that counts the lanes passed to some functions of modules."""
 
     def __init__(self, *watched: tuple[Any, str, Callable[..., int]]):
         self.watched, self.lanes = watched, {name: 0 for _, name, _ in watched}
-        self._kept: list[Any] = []
+        self._originals: list[Any] = []
 
     def __enter__(self) -> Calls:
         for owner, name, size in self.watched:
             kept = getattr(owner, name)
-            self._kept.append(kept)
+            self._originals.append(kept)
 
             def counting(*args: Any, kept: Any = kept, name: str = name, size: Any = size, **kwargs: Any) -> Any:
                 self.lanes[name] += size(*args)
@@ -75,21 +75,21 @@ class Calls:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for (owner, name, _size), original in zip(self.watched, self._kept, strict=True):
+        for (owner, name, _size), original in zip(self.watched, self._originals, strict=True):
             setattr(owner, name, original)
 
 
 def work(
     name: str, atlas: dict[str, np.ndarray], slopes: np.ndarray, want: Sequence[str], gaits: Sequence[str] = GAITS
 ) -> dict[str, float]:
-    """What the points of one line cost, counted.
+    """Count the work of the points of one line.
 
     Returns
     -------
     dict
-        `gaits` found; `strides` flown, each with its Jacobian; `event checks`, strides whose guards were sampled;
-        `eigenvalue problems`; `strides for violations`; `more digits`, gaits refined; `idle lanes`, that filled SIMD
-        groups; `bytes` of what is wanted.
+        `gaits` solved; `strides`, steps integrated, each with its Jacobian; `event checks`, steps whose guards were
+        sampled; `eigenvalue problems`; `strides for violations`; `more digits`, gaits refined in extended precision;
+        `idle lanes`, which fill SIMD groups; `bytes` of the wanted variables.
     """
     params = {"line": {"walker": name, "set": {}}, "slope": slopes, "want": want, "gaits": gaits}
     solve_points.points({**params, "slope": slopes[:1]}, [atlas])
@@ -101,29 +101,29 @@ def work(
         (violations, "measure", lambda walker, motion, impact, times, slope, limit: len(slope)),
         (extended_precision, "refine", lambda *args: 1),
     ) as calls:
-        found = solve_points.points(params, [atlas])
-    flown = [flow for flow in FLOWS.values() if flow.evaluations]
-    kept = [v for v in VARIABLES if v in want or v in ALWAYS]
+        points = solve_points.points(params, [atlas])
+    flows = [flow for flow in FLOWS.values() if flow.evaluations]
+    variables = [v for v in VARIABLES if v in want or v in ALWAYS]
     return {
-        "gaits": float((found["status"] == 0).sum()),
-        "strides": float(sum(flow.evaluations for flow in flown if flow.angles == 4)),
+        "gaits": float((points["status"] == 0).sum()),
+        "strides": float(sum(flow.evaluations for flow in flows if flow.angles == 4)),
         "event checks": float(calls.lanes["verify_steps"]),
         "eigenvalue problems": float(calls.lanes["multipliers"]),
         "strides for violations": float(calls.lanes["measure"]),
         "more digits": float(calls.lanes["refine"]),
-        "idle lanes": float(sum(flow.idle for flow in flown)),
-        "bytes": float(sum(found[v].nbytes for v in kept)),
+        "idle lanes": float(sum(flow.idle for flow in flows)),
+        "bytes": float(sum(points[v].nbytes for v in variables)),
     }
 
 
 def less_and_less(f: problems.Family, n: int) -> list[dict[str, float | str]]:
-    """The counted work of studies of one line that want less and less."""
+    """Count the work of the studies in `STUDIES` on one line of n slopes."""
     slopes = np.geomspace(1e-3, f.slope * 3, n)
     return [{"study": name, **work(f.name, f.atlas, slopes, want, gaits)} for name, want, gaits in STUDIES]
 
 
 def line(f: problems.Family, n: int) -> dict[str, float]:
-    """Strides a gait (each is one Newton step) and the compiled share of the wall time, on one line of n slopes."""
+    """Steps per gait (each is one Newton step) and the share of time in compiled code, on one line of n slopes."""
     slopes = np.geomspace(1e-3, f.slope * 3, n)
     params = {"line": {"walker": f.name, "set": {}}, "slope": slopes, "want": problems.GRID_WANT, "gaits": GAITS}
     solve_points.points(params, [f.atlas])
@@ -131,25 +131,25 @@ def line(f: problems.Family, n: int) -> dict[str, float]:
         flow.evaluations = 0
     with Clock((Flow, "_advance"), (StrideMap, "_apply")) as clock:
         start = time.perf_counter()
-        found = solve_points.points(params, [f.atlas])
+        points = solve_points.points(params, [f.atlas])
         wall = time.perf_counter() - start
-    gaits = int((found["status"] == 0).sum())
-    # Every stride ends with the locked flow: it counts strides, whatever the walker.
+    gaits = int((points["status"] == 0).sum())
+    # Every step ends with the flow of locked knees, which therefore counts steps.
     strides = sum(flow.evaluations for flow in FLOWS.values() if flow.angles == 4)
-    flown = sum(flow.evaluations for flow in FLOWS.values())
+    flights = sum(flow.evaluations for flow in FLOWS.values())
     return {
         "grid points": n,
         "gaits": gaits,
         "microseconds a grid point": 1e6 * wall / n,
         "microseconds a gait": 1e6 * wall / max(gaits, 1),
         "strides a gait": strides / max(gaits, 1),
-        "flights a gait": flown / max(gaits, 1),
+        "flights a gait": flights / max(gaits, 1),
         "share in compiled code": clock.seconds / wall,
     }
 
 
 def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str, float | str]]:
-    """Floating-point rate of each flow of a walker's points, from its decomposition, beside the machine's peak.
+    """Floating-point rate of each flow of a walker's points, from its decomposition, and its share of the peak rate.
 
     Notes
     -----
@@ -158,15 +158,11 @@ def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str
     """
     q = np.log(f.slopes)
     f.problem.stride(f.w, q)
-    kept = []
     for flow in FLOWS.values():
-        before = flow.evaluations
         flow.evaluations = 0
-        kept.append((flow, before))
     f.problem.stride(f.w, q)
-    used = [flow for flow, _ in kept if flow.evaluations]
-    found: list[dict[str, float | str]] = []
-    for flow in used:
+    rates: list[dict[str, float | str]] = []
+    for flow in (flow for flow in FLOWS.values() if flow.evaluations):
         ta, order = flow._ta, flow._ta.order
         lanes = ta.state.shape[1]
         nonlinear, trigonometric, linear = _counts(ta)
@@ -181,7 +177,7 @@ def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str
             for _ in range(steps):
                 ta.step(tiny)
             best = min(best, (time.perf_counter() - start) / steps)
-        found.append(
+        rates.append(
             {
                 "flow": "free knee" if flow.angles == 6 else "locked",
                 "states": flow.size,
@@ -195,7 +191,7 @@ def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str
                 "share of peak": flops / best / peak,
             }
         )
-    return found
+    return rates
 
 
 def _counts(ta: Any) -> tuple[int, int, int]:
@@ -205,7 +201,7 @@ def _counts(ta: Any) -> tuple[int, int, int]:
         text = str(expression)
         if "sin(" in text or "cos(" in text:
             trigonometric += 1
-        elif text.count("u_") >= 2 and ("*" in text or "div(" in text or "prod" in text) or "**" in text:
+        elif (text.count("u_") >= 2 and ("*" in text or "div(" in text or "prod" in text)) or "**" in text:
             nonlinear += 1
         elif "u_" in text:
             linear += 1

@@ -1,4 +1,4 @@
-"""The stride map and its fixed points in extended precision, from the same symbols as the product's."""
+"""The step map and its fixed points in extended precision, from the same symbols as gaitsweep's."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ class _Algebra(StrideMap):
 
 
 def best_kind() -> tuple[str, Any]:
-    """The widest type heyoka was built with: 113 bits, or 64 where that is missing."""
+    """The widest floating-point type of heyoka: 113 bits, or 64 where that is missing."""
     if getattr(hy, "real128", None) is not None:
         return "real128", hy.real128
     return "long double", np.longdouble
 
 
-def converted(values: Any, kind: Any) -> np.ndarray:
-    """Values of any floating-point type as another: a double's worth, and a double's worth of what that leaves."""
-    found = []
+def convert(values: Any, kind: Any) -> np.ndarray:
+    """Convert values between floating-point types, as the sum of two doubles."""
+    sums = []
     for x in values:
         leading = float(x)
-        found.append(kind(leading) + kind(float(x - type(x)(leading))))
-    return np.array(found, dtype=kind)
+        sums.append(kind(leading) + kind(float(x - type(x)(leading))))
+    return np.array(sums, dtype=kind)
 
 
 class Precise:
-    """One stride at a time, in a wider floating-point type.
+    """The step map, one step at a time, in a wider floating-point type.
 
-    The walker's constants are the doubles the product uses, taken as exact, so any difference is arithmetic's.
+    The walker's constants are those of the double-precision map, taken as exact, so differences are due to rounding.
     """
 
     def __init__(self, structure: Structure, kind: Any):
@@ -55,47 +55,46 @@ class Precise:
         self.free = self._integrator(structure, True, self.m) if self.kneed else None
 
     def _integrator(self, structure: Structure, free: bool, directions: int) -> Any:
-        flown = system(structure, free, directions, False)
+        motion = system(structure, free, directions, False)
         flow = hy.taylor_adaptive(
-            flown.equations, self.array([0.0] * len(flown.equations)), fp_type=self.kind, compact_mode=True
+            motion.equations, self.array([0.0] * len(motion.equations)), fp_type=self.kind, compact_mode=True
         )
-        return flow, flown.parameters(fp_type=self.kind, compact_mode=True)
+        return flow, motion.parameters(fp_type=self.kind, compact_mode=True)
 
     def array(self, values: Any) -> np.ndarray:
-        """Values, of any type, as the wider type."""
-        return converted(values, self.kind)
+        """Convert values to the wider type."""
+        return convert(values, self.kind)
 
-    def _fly(
+    def _integrate(
         self, flow: Any, start: np.ndarray, directions: np.ndarray, parameters: np.ndarray, duration: Any
     ) -> np.ndarray:
-        flow, held = flow
+        flow, constants_of = flow
         flow.time = self.kind(0.0)
         flow.state[:] = np.concatenate([start, np.ascontiguousarray(directions.T).reshape(-1)])
-        flow.pars[:] = held(parameters)
+        flow.pars[:] = constants_of(parameters)
         flow.propagate_until(duration)
         return flow.state.copy()
 
     def _padded(self, flat: np.ndarray, size: int) -> np.ndarray:
-        """Directions as the algebra takes them, that of the slope zero."""
+        """Directions in the layout of the algebra, with zeros for that of the slope."""
         return np.concatenate([flat.reshape(-1, size), [self.array([0.0] * size)]]).T.reshape(-1)
 
     def stride(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> dict[str, np.ndarray]:
-        """Image, Jacobian, Newton step and corrected event times of one stride, as `tasks.step.step_map` defines
-        them."""
+        """Image, Jacobian, Newton step and corrected event times of one step, as in `tasks.step.step_map`."""
         m = self.m
         begin = self.algebra.begin(np.concatenate([y, parameters]))
         size = self.algebra.start_size
         start, D = begin[:size], begin[size:].reshape(size, m)
         duration, first, first_by, parts = times[0], None, None, self.array([])
         if self.kneed:
-            final = self._fly(self.free, start, D, parameters, times[0])
+            final = self._integrate(self.free, start, D, parameters, times[0])
             assert self.algebra.lock is not None
             out = self.algebra.lock(np.concatenate([final[:6], self._padded(final[6:], 6), parameters]))
             start, parts, first, first_by, _ = np.split(out, np.cumsum([4, 4 * (m + 2), 1, m + 1]))
             first = first[0]
             D = self.array(np.eye(4, m, -1).ravel()).reshape(4, m)
             duration = times[1] - times[0]
-        final = self._fly(self.locked, start, D, parameters, duration)
+        final = self._integrate(self.locked, start, D, parameters, duration)
         out = self.algebra.finish(np.concatenate([y, final[:4], self._padded(final[4:], 4), parts, parameters]))
         cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + 1, 2]))
         after, after_by = times[-1] + cut[4][0], cut[5][None, :m]
@@ -109,18 +108,18 @@ class Precise:
     def settled_stride(
         self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, turns: int = 4
     ) -> dict[str, np.ndarray]:
-        """A stride whose event times are corrected until they are exact."""
-        found = self.stride(y, times, parameters)
+        """One step, its event times corrected until they are exact."""
+        step = self.stride(y, times, parameters)
         for _ in range(turns):
-            found = self.stride(y, found["times"], parameters)
-        return found
+            step = self.stride(y, step["times"], parameters)
+        return step
 
     def fixed_point(
         self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, turns: int = 5
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Newton's method from a point that double precision has settled."""
+        """Newton's method from a fixed point in double precision."""
         for _ in range(turns):
-            found = self.stride(y, times, parameters)
-            y = y + found["newton"]
-            times = found["times"] + sum(found["times_by_y"][:, j] * found["newton"][j] for j in range(self.m))
+            step = self.stride(y, times, parameters)
+            y = y + step["newton"]
+            times = step["times"] + sum(step["times_by_y"][:, j] * step["newton"][j] for j in range(self.m))
         return y, self.stride(y, times, parameters)

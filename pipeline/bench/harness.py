@@ -1,4 +1,4 @@
-"""Timing methods in turns, so that a noisy machine is noisy for all of them alike."""
+"""Timing of methods in turns, so that noise affects all of them alike."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.bench.extended_reference import converted
+from pipeline.bench.extended_reference import convert
 
 
 @dataclass
 class Case:
     """One method on one problem.
 
-    `run` does the work once and returns what it found; `units` is how many answers that is; `error` is the largest
-    relative error of what it found, by extended precision; `seconds` holds one time a round, for one answer.
+    `run` does the work once and returns its result; `units` is the number of answers in it; `error` is the largest
+    relative error of the result, by extended precision; `seconds` holds the time of one answer in each round.
     """
 
     family: str
@@ -30,13 +30,13 @@ class Case:
     seconds: list[float] = field(default_factory=list)
 
 
-def interleaved(cases: Sequence[Case], rounds: int, least: float) -> None:
-    """Time every case once a round, in turns; a round of a case lasts at least `least` seconds.
+def time_in_turns(cases: Sequence[Case], rounds: int, least: float) -> None:
+    """Time every case once per round, in turns; a round of a case lasts at least `least` seconds.
 
     Parameters
     ----------
     cases : sequence of Case
-        Each has been run before, so that nothing is compiled while the clock runs.
+        Each has been run before, so that no compilation is timed.
     rounds : int
     least : float [s]
     """
@@ -53,9 +53,9 @@ def interleaved(cases: Sequence[Case], rounds: int, least: float) -> None:
             case.seconds.append((time.perf_counter() - start) / (count * case.units))
 
 
-def largest_error(found: np.ndarray, exact: np.ndarray) -> float:
-    """Largest error of an array over its largest entry, taken in long double; NaN where nothing was found."""
-    if found.shape != exact.shape:
+def largest_error(result: np.ndarray, exact: np.ndarray) -> float:
+    """Largest error of an array over its largest entry, computed in long double; NaN if the shapes differ."""
+    if result.shape != exact.shape:
         return float("nan")
-    difference = converted(found.ravel(), np.longdouble) - converted(exact.ravel(), np.longdouble)
+    difference = convert(result.ravel(), np.longdouble) - convert(exact.ravel(), np.longdouble)
     return float(np.abs(difference).max() / np.abs(exact.astype(float)).max())

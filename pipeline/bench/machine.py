@@ -1,4 +1,4 @@
-"""What the bench ran on, in words that name no host."""
+"""The computer that the bench ran on, without its name."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_limits
 PACKAGES = ("heyoka", "numpy", "scipy", "numba", "xarray", "netCDF4", "matplotlib")
 
 
-def described() -> dict[str, str]:
-    """CPU, cores and versions."""
+def describe() -> dict[str, str]:
+    """CPU, cores and versions of the packages."""
     import heyoka as hy
 
     model = "unknown"
@@ -26,7 +26,7 @@ def described() -> dict[str, str]:
                 break
     except OSError:
         pass
-    found = {
+    entries = {
         "cpu": model,
         "cores": str(len(os.sched_getaffinity(0))),
         "lanes of double": str(hy.recommended_simd_size()),
@@ -34,14 +34,14 @@ def described() -> dict[str, str]:
     }
     for name in PACKAGES:
         try:
-            found[name] = importlib.metadata.version(name)
+            entries[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            entries[name] = "not installed"
+    return entries
 
 
 def peak_flops(size: int = 384, repeats: int = 8) -> float:
-    """Floating-point operations one core does in a second at its best: a matrix product of numpy's."""
+    """Peak floating-point operations of one core per second, from the fastest of some matrix products."""
     a = np.random.default_rng(0).random((size, size))
     best = np.inf
     with threadpool_limits(1):

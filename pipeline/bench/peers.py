@@ -1,13 +1,12 @@
-"""The peers: scipy's integrators with their events, and the same method compiled by numba where it is installed.
+"""The peers: scipy's integrators with their events, DOP853 compiled by numba, and heyoka's scalar integrator.
 
-Their right-hand side is written out in scalars with the lumped constants of `tasks.mechanics.equations`; it is
-compiled by numba where it is installed, so scipy is not held back by it. Angles are not scaled; the tolerances are
-relative to the step's angle.
+Their right-hand side is written in scalars with the lumped constants of `tasks.mechanics.equations` and compiled by
+numba if that is installed, so that it does not slow scipy down. Angles are not scaled; tolerances are relative to the
+step's angle.
 """
 
 from __future__ import annotations
 
-import functools
 import importlib.util
 import math
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from typing import Any
 import heyoka as hy
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.integrate._ivp import dop853_coefficients as dop853
 
 from tasks.mechanics.equations import Symbols, system
 from tasks.mechanics.impacts import heelstrike, kneestrike
@@ -23,11 +23,11 @@ from tasks.mechanics.lumped import lump
 from tasks.step.problem import Problem
 
 HAS_NUMBA = importlib.util.find_spec("numba") is not None
-#: Time from the start of a phase before which its guard does not count [sqrt(leg/g)].
+#: Time after the start of a phase from which its guard counts [sqrt(leg/g)].
 EARLY = 0.1
-#: Time after which a flight counts as lost.
+#: Time at which an integration without an event is given up [sqrt(leg/g)].
 LONGEST = 8.0
-#: Order of the constants the right-hand sides read.
+#: Order of the constants in the right-hand sides.
 CONSTANTS = (
     "R",
     "l",
@@ -46,8 +46,8 @@ CONSTANTS = (
 )
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, compiled by numba where it is installed."""
+def compile_with_numba(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function by numba; return it unchanged if numba is not installed."""
     if not HAS_NUMBA:
         return function
     import numba
@@ -55,8 +55,9 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(function)
 
 
-def _two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
-    """Stance leg and locked swing leg; c = (slope, constants, locked S and inertia in the places of S_b, C_bb)."""
+@compile_with_numba
+def two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
+    """Rates of stance leg and locked swing leg, into `out`; c holds the slope and the constants, S_b, C_bb locked."""
     slope, R, l, eps = c[0], c[1], c[2], c[3]
     a, b, u, v = x[0], x[1], x[2], x[3]
     sa, ca, sb, cb = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
@@ -72,12 +73,13 @@ def _two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
         - eps * (R * (c[7] * cb - c[8] * sb) - turn) * v * v
     )
     f1 = -turn * u * u - (c[7] * db - c[8] * tb)
-    first = (f0 - eps * couple * f1 / c[9]) / (top - eps * couple * couple / c[9])
-    out[0], out[1], out[2], out[3] = u, v, first, (f1 - couple * first) / c[9]
+    stance = (f0 - eps * couple * f1 / c[9]) / (top - eps * couple * couple / c[9])
+    out[0], out[1], out[2], out[3] = u, v, stance, (f1 - couple * stance) / c[9]
 
 
-def _three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
-    """Stance leg, swing thigh and swing shank."""
+@compile_with_numba
+def three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
+    """Rates of stance leg, swing thigh and swing shank, into `out`; c holds the slope and the constants."""
     slope, R, l, eps = c[0], c[1], c[2], c[3]
     a, u = x[0], x[3]
     sa, ca = math.sin(a), math.cos(a)
@@ -105,21 +107,18 @@ def _three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
     f2 -= spin * v * v
     inner = c[9] - h * h / c[12]
     g1, k = f1 - h * f2 / c[12], k1 - h * k2 / c[12]
-    first = (f0 - eps * (k2 * f2 / c[12] + k * g1 / inner)) / (top - eps * (k2 * k2 / c[12] + k * k / inner))
-    time_unit = (g1 - k * first) / inner
+    stance = (f0 - eps * (k2 * f2 / c[12] + k * g1 / inner)) / (top - eps * (k2 * k2 / c[12] + k * k / inner))
+    thigh = (g1 - k * stance) / inner
     out[0], out[1], out[2] = u, v, w
-    out[3], out[4], out[5] = first, time_unit, (f2 - k2 * first - h * time_unit) / c[12]
-
-
-two_links, three_links = compiled(_two_links), compiled(_three_links)
+    out[3], out[4], out[5] = stance, thigh, (f2 - k2 * stance - h * thigh) / c[12]
 
 
 class Algebra:
-    """Start of a step, kneestrike and the image on the section, compiled for the product's lanes and the peers."""
+    """Start of a step, kneestrike and the image on the section, compiled for gaitsweep's lanes and for the peers."""
 
     def __init__(self, problem: Problem):
         self.problem, self.m, self.kneed = problem, problem.m, problem.structure.kneed
-        # The map's own start pads its lanes, which would cost one lane dear.
+        # The map's own start pads its lanes, which is expensive for one lane.
         self.begin = problem.map._compile_start()
         p = Symbols(problem.structure)
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
@@ -136,10 +135,12 @@ class Algebra:
 
 
 class Peer:
-    """The stride map by a peer's integrator: `fly(rhs, constants, state, guard, tolerance)` -> (time, state)."""
+    """The step map by a peer's integrator, `integrate(rhs, constants, state, guard, tolerance)` -> (time, state)."""
 
-    def __init__(self, algebra: Algebra, slope: float, fly: Callable[..., tuple[float, np.ndarray]], tolerance: float):
-        self.algebra, self.fly, self.tolerance = algebra, fly, tolerance
+    def __init__(
+        self, algebra: Algebra, slope: float, integrate: Callable[..., tuple[float, np.ndarray]], tolerance: float
+    ):
+        self.algebra, self.integrate, self.tolerance = algebra, integrate, tolerance
         problem = algebra.problem
         self.parameters = problem.parameters(np.array([slope]), np.array([1.0]))[:, 0]
         lumped = lump(problem.walker)
@@ -151,30 +152,30 @@ class Peer:
             self.locked[9] += self.locked[12] + 2 * self.locked[13]
 
     def stride(self, y: np.ndarray) -> np.ndarray:
-        """(image, event times) of one stride from y, unscaled."""
+        """Image and event times of one step from y, unscaled; shape (m + phases,)."""
         state = self.algebra.start(y, self.parameters)
         times = []
         if self.algebra.kneed:
-            time, state = self.fly(three_links, self.constants, state, 1, self.tolerance)
+            time, state = self.integrate(three_links, self.constants, state, 1, self.tolerance)
             times.append(time)
             state = self.algebra.lock(np.concatenate([state, self.parameters]))
-        time, state = self.fly(two_links, self.locked, state, 0, self.tolerance)
+        time, state = self.integrate(two_links, self.locked, state, 0, self.tolerance)
         times.append(time + sum(times))
         return np.concatenate([self.algebra.image(np.concatenate([state, self.parameters])), times])
 
     def jacobian(self, y: np.ndarray) -> np.ndarray:
-        """Central differences of the stride, shape (m, m), with the step the tolerance allows."""
+        """Jacobian by central differences, shape (m, m), with increments that suit the tolerance."""
         m = self.algebra.m
         h = abs(y[0]) * max(self.tolerance, 1e-16) ** (1 / 3)
         columns = []
         for j in range(m):
-            move = np.zeros(m)
-            move[j] = h
-            columns.append((self.stride(y + move)[:m] - self.stride(y - move)[:m]) / (2 * h))
+            change = np.zeros(m)
+            change[j] = h
+            columns.append((self.stride(y + change)[:m] - self.stride(y - change)[:m]) / (2 * h))
         return np.stack(columns, axis=1)
 
     def fixed_point(self, y: np.ndarray, most: int = 12) -> np.ndarray:
-        """(fixed point, multipliers' magnitudes) by Newton's method on differences."""
+        """Fixed point and magnitudes of its multipliers, shape (2 m,), by Newton's method with differences."""
         m = self.algebra.m
         size = np.inf
         for _ in range(most):
@@ -189,9 +190,9 @@ class Peer:
 
 
 def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
-    """A flight to its event with one of scipy's methods."""
+    """Integration to an event by one of scipy's methods."""
 
-    def fly(
+    def integrate(
         rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int, tolerance: float
     ) -> tuple[float, np.ndarray]:
         def field(_: float, x: np.ndarray) -> np.ndarray:
@@ -200,7 +201,7 @@ def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
             return out
 
         def guard(t: float, x: np.ndarray) -> float:
-            # The guards are zero at the start of a phase too; only a later fall to zero ends it.
+            # The guards are also zero at the start of a phase; only a later fall to zero ends it.
             if t < EARLY:
                 return -1.0
             return x[1] - x[2] if kind else x[0] + x[1]
@@ -208,7 +209,7 @@ def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
         if not np.isfinite(state).all():
             return math.nan, state
         guard.terminal, guard.direction = True, -1  # type: ignore[attr-defined]
-        found = solve_ivp(
+        solution = solve_ivp(
             field,
             (0.0, LONGEST),
             state,
@@ -217,44 +218,45 @@ def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
             atol=tolerance * abs(state[0]),
             events=guard,
         )
-        if not len(found.t_events[0]):
+        if not len(solution.t_events[0]):
             return math.nan, np.full_like(state, math.nan)
-        return float(found.t_events[0][0]), found.y_events[0][0]
+        return float(solution.t_events[0][0]), solution.y_events[0][0]
 
-    return fly
+    return integrate
 
 
 class Scalar:
     """heyoka's scalar integrator with terminal events, one for each tolerance and number of links."""
 
     def __init__(self, problem: Problem):
-        self.problem, self._built = problem, {}  # type: ignore[var-annotated]
+        self.problem = problem
+        self._integrators: dict[tuple[int, float], Any] = {}
 
     def _integrator(self, kind: int, tolerance: float) -> Any:
-        if (kind, tolerance) not in self._built:
-            flown = system(self.problem.structure, bool(kind), 0, False)
-            q: list[Any] = [name for name, _ in flown.equations]
+        if (kind, tolerance) not in self._integrators:
+            motion = system(self.problem.structure, bool(kind), 0, False)
+            q: list[Any] = [name for name, _ in motion.equations]
             guard = q[1] - q[2] if kind else q[0] + q[1]
-            # The guard is zero at a phase's start: only a fall after that ends it.
+            # The guard is zero at the start of a phase; only a later fall to zero ends it.
             event = hy.t_event(guard, direction=hy.event_direction.negative)
-            flow = hy.taylor_adaptive(flown.equations, np.zeros(len(q)), tol=max(tolerance, 2.3e-16), t_events=[event])
-            self._built[kind, tolerance] = flow, flown.parameters()
-        return self._built[kind, tolerance]
+            flow = hy.taylor_adaptive(motion.equations, np.zeros(len(q)), tol=max(tolerance, 2.3e-16), t_events=[event])
+            self._integrators[kind, tolerance] = flow, motion.parameters()
+        return self._integrators[kind, tolerance]
 
     def __call__(
         self, rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int, tolerance: float
     ) -> tuple[float, np.ndarray]:
-        """A flight to its event; the walker's constants are the structure's, the right-hand side its own."""
+        """Integrate to the event; right-hand side and constants are the integrator's own."""
         if not np.isfinite(state).all():
             return math.nan, state
-        flow, held = self._integrator(kind, tolerance)
-        # States over the step's angle: the integrator's tolerance is absolute below one.
+        flow, constants_of = self._integrator(kind, tolerance)
+        # States are divided by the step's angle, for the integrator's tolerance is absolute below one.
         scale = 2.0 ** math.floor(math.log2(abs(state[0])))
         parameters = self.problem.parameters(constants[:1], np.array([scale]))[:, 0]
         flow.time = 0.0
         flow.reset_cooldowns()
         flow.state[:] = state / scale
-        flow.pars[:] = held(np.ascontiguousarray(parameters))
+        flow.pars[:] = constants_of(np.ascontiguousarray(parameters))
         while True:
             outcome = flow.propagate_until(EARLY if flow.time < EARLY else LONGEST, max_steps=200)[0]
             if int(outcome) == -1 and flow.time < EARLY:
@@ -265,77 +267,87 @@ class Scalar:
                 return math.nan, np.full_like(state, math.nan)
 
 
-@functools.cache
-def by_numba() -> Callable[..., tuple[float, np.ndarray]]:
-    """A flight to its event with DOP853 compiled by numba; Newton's method finds the length of the last step."""
-    import numba
-    from scipy.integrate._ivp import dop853_coefficients as table
+_A, _B, _E3, _E5 = (table.copy() for table in (dop853.A[:12, :12], dop853.B, dop853.E3, dop853.E5))
 
-    early, longest = EARLY, LONGEST
-    A, B, E3, E5 = table.A[:12, :12].copy(), table.B.copy(), table.E3.copy(), table.E5.copy()
 
-    @numba.njit
-    def stages(rhs, c, x, h, K, new):  # type: ignore[no-untyped-def]
-        for s in range(1, 12):
-            for i in range(len(x)):
-                total = 0.0
-                for r in range(s):
-                    total += A[s, r] * K[r, i]
-                new[i] = x[i] + h * total
-            rhs(new, c, K[s])
+@compile_with_numba
+def _dop853_step(rhs: Any, c: np.ndarray, x: np.ndarray, h: float, K: np.ndarray, new: np.ndarray) -> None:
+    """One step of DOP853 from x, into `new`; the stages go into K, whose first row is given."""
+    for s in range(1, 12):
         for i in range(len(x)):
             total = 0.0
-            for r in range(12):
-                total += B[r] * K[r, i]
+            for r in range(s):
+                total += _A[s, r] * K[r, i]
             new[i] = x[i] + h * total
+        rhs(new, c, K[s])
+    for i in range(len(x)):
+        total = 0.0
+        for r in range(12):
+            total += _B[r] * K[r, i]
+        new[i] = x[i] + h * total
 
-    @numba.njit
-    def guard(kind, t, x):  # type: ignore[no-untyped-def]
-        if t < early:
-            return -1.0
-        return x[1] - x[2] if kind else x[0] + x[1]
 
-    @numba.njit
-    def fly(rhs, c, start, kind, tolerance):  # type: ignore[no-untyped-def]
-        n = len(start)
-        x, new, t, h = start.copy(), np.empty(n), 0.0, 0.05
-        K = np.zeros((13, n))
-        rhs(x, c, K[0])
-        absolute = tolerance * abs(start[0])
-        for _ in range(4000):
-            stages(rhs, c, x, h, K, new)
-            rhs(new, c, K[12])
-            five, three = 0.0, 0.0
-            for i in range(n):
-                scale = absolute + tolerance * max(abs(x[i]), abs(new[i]))
-                e5, e3 = 0.0, 0.0
-                for r in range(13):
-                    e5 += E5[r] * K[r, i]
-                    e3 += E3[r] * K[r, i]
-                five += (e5 / scale) ** 2
-                three += (e3 / scale) ** 2
-            denominator = five + 0.01 * three
-            error = h * five / math.sqrt(denominator * n) if denominator > 0 else 0.0
-            factor = min(6.0, max(0.2, 0.9 * error ** (-1 / 8))) if error > 0 else 6.0
-            if error > 1:
-                h *= factor
-                continue
-            if guard(kind, t, x) > 0 and guard(kind, t + h, new) <= 0:
-                step = h
-                for _ in range(30):
-                    gap = new[1] - new[2] if kind else new[0] + new[1]
-                    rate = new[4] - new[5] if kind else new[2] + new[3]
-                    step -= gap / rate
-                    stages(rhs, c, x, step, K, new)
-                    if abs(gap) <= 1e-16 * abs(rate):
-                        break
-                return t + step, new
-            t += h
-            x[:] = new
-            K[0] = K[12]
+@compile_with_numba
+def _dop853_error(x: np.ndarray, new: np.ndarray, h: float, K: np.ndarray, absolute: float, relative: float) -> float:
+    """Error of a step over its tolerance, from the embedded methods of orders five and three."""
+    five, three = 0.0, 0.0
+    for i in range(len(x)):
+        scale = absolute + relative * max(abs(x[i]), abs(new[i]))
+        e5, e3 = 0.0, 0.0
+        for r in range(13):
+            e5 += _E5[r] * K[r, i]
+            e3 += _E3[r] * K[r, i]
+        five += (e5 / scale) ** 2
+        three += (e3 / scale) ** 2
+    denominator = five + 0.01 * three
+    return h * five / math.sqrt(denominator * len(x)) if denominator > 0 else 0.0
+
+
+@compile_with_numba
+def _guard(kind: int, t: float, x: np.ndarray) -> float:
+    """The guard of kneestrike (1) or heelstrike (0), which is negative while it does not count yet."""
+    if t < EARLY:
+        return -1.0
+    return x[1] - x[2] if kind else x[0] + x[1]
+
+
+@compile_with_numba
+def _dop853_until_guard(
+    rhs: Any, c: np.ndarray, start: np.ndarray, kind: int, tolerance: float
+) -> tuple[float, np.ndarray]:
+    """Integrate to the guard's fall through zero; Newton's method finds the length of the last step."""
+    n = len(start)
+    x, new, t, h = start.copy(), np.empty(n), 0.0, 0.05
+    K = np.zeros((13, n))
+    rhs(x, c, K[0])
+    absolute = tolerance * abs(start[0])
+    for _ in range(4000):
+        _dop853_step(rhs, c, x, h, K, new)
+        rhs(new, c, K[12])
+        error = _dop853_error(x, new, h, K, absolute, tolerance)
+        factor = min(6.0, max(0.2, 0.9 * error ** (-1 / 8))) if error > 0 else 6.0
+        if error > 1:
             h *= factor
-            if t > longest:
-                break
-        return math.nan, np.full(n, math.nan)
+            continue
+        if _guard(kind, t, x) > 0 and _guard(kind, t + h, new) <= 0:
+            step = h
+            for _ in range(30):
+                gap = new[1] - new[2] if kind else new[0] + new[1]
+                rate = new[4] - new[5] if kind else new[2] + new[3]
+                step -= gap / rate
+                _dop853_step(rhs, c, x, step, K, new)
+                if abs(gap) <= 1e-16 * abs(rate):
+                    break
+            return t + step, new
+        t += h
+        x[:] = new
+        K[0] = K[12]
+        h *= factor
+        if t > LONGEST:
+            break
+    return math.nan, np.full(n, math.nan)
 
-    return fly
+
+def by_numba() -> Callable[..., tuple[float, np.ndarray]]:
+    """Integration to an event by DOP853, compiled by numba."""
+    return _dop853_until_guard

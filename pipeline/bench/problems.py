@@ -1,4 +1,4 @@
-"""What is timed: one stride, its Jacobian, one fixed point, a grid and a branch, for one walker."""
+"""The timed problems: one step, its Jacobian, a fixed point, a grid and the branches of one walker."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tasks.registry import GAITS, VARIABLES
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 
-#: Lanes the product's methods carry at a time; times are for one.
+#: Lanes that gaitsweep's methods carry at a time; times are for one lane.
 LANES = 64
 EPS = float(np.finfo(float).eps)
 #: Tolerances of work-precision curves.
@@ -34,14 +34,14 @@ THEIRS = {
     "numba DOP853": (1e-14, 1e-11, 1e-8, 1e-5),
     "heyoka scalar": (EPS, 1e-11, 1e-7),
 }
-#: Peers that also solve fixed points, a line of slopes, and walk along a branch.
+#: Peers that also solve fixed points, lines of slopes and branches.
 SOLVERS = ("scipy DOP853", "numba DOP853", "heyoka scalar")
 GRID_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
 
 
 @dataclass
 class Family:
-    """One walker at one slope: its gait in double and in extended precision, and everything compiled for it."""
+    """One walker at one slope: its gait in double and in extended precision, and the compiled maps."""
 
     name: str
     slope: float
@@ -57,13 +57,14 @@ class Family:
     others: dict[str, Precise] = field(default_factory=dict)
 
     def in_kind(self, kind: str, wide: Any) -> Precise:
-        """The stride map in a precision, compiled once."""
+        """The step map in a floating-point type, compiled once."""
         if kind not in self.others:
             self.others[kind] = Precise(self.problem.structure, wide)
         return self.others[kind]
 
     @property
     def scale(self) -> np.ndarray:
+        """Powers of two that divide the states of the lanes, shape (LANES,)."""
         return np.exp2(np.floor(np.log2(np.exp(self.w[0]))))
 
     @property
@@ -81,38 +82,37 @@ def family(name: str, slope: float) -> Family:
     q = np.log(slopes)
     m = problem.m
     for branch in atlases.from_arrays(arrays):
-        for found in branch.guesses(q):
-            index, Z = found[0], found[1]
+        for index, Z, _ in branch.guesses(q):
             if len(index) == LANES:
-                settled = newton(problem, np.delete(Z.T, m, axis=0), q)
-                if settled.converged.all():
-                    return _precise(name, slope, problem, arrays, settled.w, slopes)
+                solution = newton(problem, np.delete(Z.T, m, axis=0), q)
+                if solution.converged.all():
+                    return _with_reference(name, slope, problem, arrays, solution.w, slopes)
     raise ValueError(f"`slope` must have a gait of {name} all around it; got {slope}.")
 
 
-def _precise(
+def _with_reference(
     name: str, slope: float, problem: Problem, arrays: dict[str, np.ndarray], w: np.ndarray, slopes: np.ndarray
 ) -> Family:
     kind, wide = best_kind()
     precise = Precise(problem.structure, wide)
-    found = Family(
+    family = Family(
         name, slope, problem, arrays, w, slopes, kind, precise, peers.Algebra(problem), {}, np.zeros(0), {kind: precise}
     )
-    y, times, parameters = _lane(found, precise)
-    found.exact = precise.settled_stride(y, times, parameters)
-    found.exact_y, _ = precise.fixed_point(y, times, parameters)
-    return found
+    y, times, parameters = _lane(family, precise)
+    family.exact = precise.settled_stride(y, times, parameters)
+    family.exact_y, _ = precise.fixed_point(y, times, parameters)
+    return family
 
 
 def _lane(f: Family, precise: Precise) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The first lane's section, event times and parameters in the wider type."""
+    """Section coordinates, event times and parameters of the first lane in the wider type."""
     parameters = f.problem.parameters(f.slopes[:1], f.scale[:1])[:, 0]
     times = f.exact["times"] if f.exact else f.w[f.problem.m :, 0]
     return precise.array(f.y[:, 0]), precise.array(times), precise.array(parameters)
 
 
 class Lanes:
-    """Strides of the product's integrator at any tolerance, without variations, over given event times."""
+    """Steps by gaitsweep's integrator at a given tolerance, without variations, over given event times."""
 
     def __init__(self, f: Family, tolerance: float):
         structure = f.problem.structure
@@ -121,57 +121,58 @@ class Lanes:
         self.times = np.tile(np.asarray([float(t) for t in f.exact["times"]])[:, None], LANES)
         self.y, self.parameters = f.y[:, [0] * LANES], f.problem.parameters(f.slopes[[0] * LANES], f.scale[[0] * LANES])
 
-        def built(free: bool) -> Any:
-            flown = system(structure, free, 0, False)
+        def build(free: bool) -> Any:
+            motion = system(structure, free, 0, False)
             flow = hy.taylor_adaptive_batch(
-                flown.equations, np.zeros((len(flown.equations), self.width)), tol=tolerance
+                motion.equations, np.zeros((len(motion.equations), self.width)), tol=tolerance
             )
-            return flow, flown.parameters()(np.ascontiguousarray(self.parameters))
+            return flow, motion.parameters()(np.ascontiguousarray(self.parameters))
 
-        self.locked = built(False)
-        self.free = built(True) if structure.kneed else None
+        self.locked = build(False)
+        self.free = build(True) if structure.kneed else None
 
-    def _fly(self, built: Any, state: np.ndarray, duration: np.ndarray) -> np.ndarray:
-        ta, held = built
+    def _integrate(self, flow: Any, state: np.ndarray, duration: np.ndarray) -> np.ndarray:
+        integrator, constants = flow
         out = np.empty_like(state)
         for k in range(0, LANES, self.width):
             lanes = slice(k, k + self.width)
-            ta.set_time(0.0)
-            ta.state[:] = state[:, lanes]
-            ta.pars[:] = held[:, lanes]
-            ta.propagate_until(duration[lanes])
-            out[:, lanes] = ta.state
+            integrator.set_time(0.0)
+            integrator.state[:] = state[:, lanes]
+            integrator.pars[:] = constants[:, lanes]
+            integrator.propagate_until(duration[lanes])
+            out[:, lanes] = integrator.state
         return out
 
     def __call__(self) -> np.ndarray:
+        """Images of all lanes, shape (m, LANES)."""
         state = self.f.algebra.start(self.y, self.parameters)
         duration = self.times[-1]
         if self.free is not None:
-            state = self._fly(self.free, state, self.times[0])
+            state = self._integrate(self.free, state, self.times[0])
             state = self.f.algebra.lock(np.vstack([state, self.parameters]))
             duration = self.times[1] - self.times[0]
-        state = self._fly(self.locked, state, duration)
+        state = self._integrate(self.locked, state, duration)
         return self.f.algebra.image(np.vstack([state, self.parameters]))
 
 
-def _peer_flights(f: Family) -> dict[str, Any]:
-    """Every peer's flight; numba compiles once a process."""
-    found = {name: peers.by_scipy(name.split()[1]) for name in THEIRS if name.startswith("scipy")}
+def _peer_integrators(f: Family) -> dict[str, Any]:
+    """Integration to an event, by each peer."""
+    integrators = {name: peers.by_scipy(name.split()[1]) for name in THEIRS if name.startswith("scipy")}
     if peers.HAS_NUMBA and "numba DOP853" in THEIRS:
-        found["numba DOP853"] = peers.by_numba()
+        integrators["numba DOP853"] = peers.by_numba()
     if "heyoka scalar" in THEIRS:
-        found["heyoka scalar"] = peers.Scalar(f.problem)
-    return found
+        integrators["heyoka scalar"] = peers.Scalar(f.problem)
+    return integrators
 
 
 def _tolerances(name: str, quick: bool, newton: bool = False) -> tuple[float, ...]:
-    """A peer's tolerances; Newton's method, which takes dozens of strides, is not asked for the loosest."""
+    """A peer's tolerances; for Newton's method, which takes dozens of steps, without the loosest."""
     chosen = THEIRS[name][:-1] if newton else THEIRS[name]
     return chosen[::2] if quick else chosen
 
 
 def strides(f: Family, quick: bool) -> list[Case]:
-    """One stride, against its image in extended precision."""
+    """One step, against its image in extended precision."""
     exact = f.exact["image"]
     cases = []
     for tolerance in OURS:
@@ -180,9 +181,9 @@ def strides(f: Family, quick: bool) -> list[Case]:
         case.error = largest_error(run()[:, 0], exact)
         cases.append(case)
     y = f.y[:, 0] * f.scale[0]
-    for name, fly in _peer_flights(f).items():
+    for name, integrate in _peer_integrators(f).items():
         for tolerance in _tolerances(name, quick):
-            peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
+            peer = peers.Peer(f.algebra, f.slope, integrate, tolerance)
             case = Case(f.name, "stride", name, tolerance, lambda peer=peer: peer.stride(y))  # type: ignore[misc]
             case.error = largest_error(case.run()[: f.problem.m], exact * f.precise.kind(f.scale[0]))
             cases.append(case)
@@ -190,7 +191,7 @@ def strides(f: Family, quick: bool) -> list[Case]:
 
 
 def jacobians(f: Family, quick: bool) -> list[Case]:
-    """The stride with its exact Jacobian, in two tolerances and two precisions, against differences."""
+    """The Jacobian of a step, exact in two tolerances and two precisions, and by differences."""
     exact = f.exact["jacobian"]
     q, m = np.log(f.slopes), f.problem.m
     cases = []
@@ -211,26 +212,26 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
 
         rounding = 2.0**-113 if kind == "real128" else float(np.finfo(np.longdouble).eps)
         case = Case(f.name, "jacobian", f"{kind}, exact", rounding, widened)
-        # The reference has no error to show beside itself.
+        # The reference has no error against itself.
         case.error = float("nan") if kind == f.kind else largest_error(widened(), exact)
         cases.append(case)
     y = f.y[:, 0] * f.scale[0]
-    for name, fly in _peer_flights(f).items():
+    for name, integrate in _peer_integrators(f).items():
         if name not in SOLVERS:
             continue
         for tolerance in _tolerances(name, quick, newton=True):
-            peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
+            peer = peers.Peer(f.algebra, f.slope, integrate, tolerance)
             case = Case(f.name, "jacobian", f"{name}, differences", tolerance, lambda peer=peer: peer.jacobian(y))  # type: ignore[misc]
             case.error = largest_error(case.run(), exact)
             cases.append(case)
 
     def differences() -> np.ndarray:
-        """Central differences of the product's own map, one lane's directions as lanes."""
+        """Central differences of gaitsweep's own map, with the directions of one gait as lanes."""
         h = f.y[0, 0] * EPS ** (1 / 3)
-        moves = np.concatenate([np.eye(m) * h, -np.eye(m) * h]).T
+        changes = np.concatenate([np.eye(m) * h, -np.eye(m) * h]).T
         n = 2 * m
         stride = f.problem.map(
-            f.y[:, [0] * n] + moves, f.w[m:, [0] * n], f.problem.parameters(f.slopes[[0] * n], f.scale[[0] * n])
+            f.y[:, [0] * n] + changes, f.w[m:, [0] * n], f.problem.parameters(f.slopes[[0] * n], f.scale[[0] * n])
         )
         return (stride.image[:, :m] - stride.image[:, m:]) / (2 * h)
 
@@ -241,7 +242,7 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
 
 
 def fixed_points(f: Family, quick: bool) -> list[Case]:
-    """Newton's method from a start off by a thousandth, multipliers included."""
+    """Newton's method from a guess with a relative error of a thousandth, multipliers included."""
     exact, m, q = f.exact_y, f.problem.m, np.log(f.slopes)
     start = f.w.copy()
     start[0] += 1e-3
@@ -250,14 +251,14 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
     for setting, coarse in ((EPS, False), (1e-7, True)):
 
         def ours(coarse: bool = coarse) -> np.ndarray:
-            found = newton(f.problem, start, q, coarse=coarse)
-            stride, scale = f.problem.stride(found.w, q, coarse=coarse)
+            solution = newton(f.problem, start, q, coarse=coarse)
+            stride, scale = f.problem.stride(solution.w, q, coarse=coarse)
             multipliers(stride.jacobian, 3)
             return (stride.y + stride.newton) * scale / f.scale
 
         before = _evaluations(f)
-        found = ours()
-        case = Case(f.name, "fixed point", "ours", setting, ours, LANES, largest_error(found[:, 0], exact))
+        error = largest_error(ours()[:, 0], exact)
+        case = Case(f.name, "fixed point", "ours", setting, ours, LANES, error)
         case.work = (_evaluations(f) - before) / LANES
         cases.append(case)
     wide = f.in_kind("long double", np.longdouble)
@@ -270,11 +271,11 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
     case.error = largest_error(polished(), exact)
     cases.append(case)
     y = f.y[:, 0] * f.scale[0] * np.exp(1e-3) * np.where(np.arange(m) == 0, 1.0, 0.999)
-    for name, fly in _peer_flights(f).items():
+    for name, integrate in _peer_integrators(f).items():
         if name not in SOLVERS:
             continue
         for tolerance in _tolerances(name, quick, newton=True):
-            peer = peers.Peer(f.algebra, f.slope, fly, tolerance)
+            peer = peers.Peer(f.algebra, f.slope, integrate, tolerance)
             case = Case(f.name, "fixed point", f"{name}, differences", tolerance, lambda peer=peer: peer.fixed_point(y))  # type: ignore[misc]
             case.error = largest_error(case.run()[:m], exact * f.precise.kind(f.scale[0]))
             cases.append(case)
@@ -286,7 +287,7 @@ def _evaluations(f: Family) -> int:
 
 
 def grid(f: Family, n: int) -> list[Case]:
-    """A line of slopes with everything but violations; error of both rates and angle at its first point."""
+    """A line of slopes with all variables but the violations; the error is that of the angle at its first point."""
     slopes = np.concatenate([[f.slope], np.geomspace(1e-3, f.slope * 3, n - 1)])
     line = {"walker": f.name, "set": {}}
     last: dict[str, np.ndarray] = {}
@@ -304,22 +305,22 @@ def grid(f: Family, n: int) -> list[Case]:
 
 
 def _peers_along(f: Family, problem: str, slopes: np.ndarray) -> list[Case]:
-    """Peers on the long gait alone, each slope from the last one's solution; time of one gait, error at the first."""
+    """Peers on the long gait alone, each slope from the solution at the one before; the error is that at the first."""
     m, cases = f.problem.m, []
     first = f.y[:, 0] * f.scale[0]
-    for name, fly in _peer_flights(f).items():
+    for name, integrate in _peer_integrators(f).items():
         if name not in SOLVERS:
             continue
         tolerance = THEIRS[name][0]
 
-        def run(fly: Any = fly, tolerance: float = tolerance) -> np.ndarray:
-            y, found = first * np.exp(1e-3), []
+        def run(integrate: Any = integrate, tolerance: float = tolerance) -> np.ndarray:
+            y, solutions = first * np.exp(1e-3), []
             for slope in slopes:
-                # From slope to slope a gait scales by the cube root, near enough for Newton's method.
-                solution = peers.Peer(f.algebra, float(slope), fly, tolerance).fixed_point(y)[:m]
-                found.append(solution)
+                # A gait scales roughly as the cube root of the slope, a good enough guess for Newton's method.
+                solution = peers.Peer(f.algebra, float(slope), integrate, tolerance).fixed_point(y)[:m]
+                solutions.append(solution)
                 y = solution * (slopes[1] / slopes[0]) ** (1 / 3)
-            return found[0]
+            return solutions[0]
 
         case = Case(f.name, problem, f"{name}, differences", tolerance, run, len(slopes))
         case.error = largest_error(run(), f.exact_y * f.precise.kind(f.scale[0]))
@@ -329,13 +330,13 @@ def _peers_along(f: Family, problem: str, slopes: np.ndarray) -> list[Case]:
 
 
 def branches(f: Family) -> list[Case]:
-    """Every branch of the walker, with its folds and ends: what one line of a study costs before its points."""
+    """All branches of the walker with their folds and ends: the cost of one line of a study before its points."""
 
     def run() -> np.ndarray:
         return np.array([len(b.Z) for b in atlases.survey(f.problem)], float)
 
     nodes = int(f.atlas["lengths"].sum())
-    # A node of the peers costs a fixed point; theirs have no folds, ends or tangents.
+    # A node of the peers is a fixed point, without folds, ends or tangents.
     return [
         Case(f.name, "branch", "ours, whole", EPS, run, nodes, np.nan, float(nodes)),
         *_peers_along(f, "branch", f.slope * np.geomspace(1.0, 0.8, 4)),

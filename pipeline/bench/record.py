@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from pipeline.bench.run import Found
+from pipeline.bench.run import Measurements
 
 
-def write(found: Found, path: Path) -> None:
-    """Write every measurement, one row each, and the counted work in groups of its own."""
-    cases = found.cases
+def write(measurements: Measurements, path: Path) -> None:
+    """Write one row per measurement, and the counted work in groups."""
+    cases = measurements.cases
     rows = {
         "family": ("walker", [c.family for c in cases]),
         "problem": ("what was computed", [c.problem for c in cases]),
-        "method": ("by which method", [c.method for c in cases]),
+        "method": ("method", [c.method for c in cases]),
     }
     data = {k: ("row", np.array(v, dtype=object), {"long_name": about}) for k, (about, v) in rows.items()}
 
@@ -34,20 +34,20 @@ def write(found: Found, path: Path) -> None:
     about = {
         "Conventions": "CF-1.11",
         "title": "Run time against error",
-        "reference": found.kind,
-        "machine": json.dumps(found.machine, sort_keys=True),
-        "quick": int(found.quick),
+        "reference": measurements.kind,
+        "machine": json.dumps(measurements.machine, sort_keys=True),
+        "quick": int(measurements.quick),
     }
     xr.Dataset(data, attrs=about).to_netcdf(path, mode="w", engine="netcdf4")
-    counts = [{"family": name, **work} for name, work in found.work.items()]
-    flows = [{"family": name, **flow} for name, of in found.flows.items() for flow in of]
-    less = [{"family": name, **row} for name, of in found.less.items() for row in of]
+    counts = [{"family": name, **work} for name, work in measurements.work.items()]
+    flows = [{"family": name, **flow} for name, of in measurements.flows.items() for flow in of]
+    less = [{"family": name, **row} for name, of in measurements.less.items() for row in of]
     for group, table in (
         ("counts", counts),
         ("flows", flows),
         ("less", less),
-        ("outcomes", found.outcomes),
-        ("bounds", found.bounds),
+        ("outcomes", measurements.outcomes),
+        ("bounds", measurements.bounds),
     ):
         columns = {
             re.sub(r"\W+", "_", k.replace("/", " per ")).strip("_"): (

@@ -1,4 +1,4 @@
-"""Random walkers, slopes and starts far beyond the paper's: what becomes of every one of them, counted."""
+"""Counted outcomes of random walkers, slopes and initial guesses, far beyond those of the paper."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from tasks.walkers.walker import Walker, WalkerError
 
 #: Lanes solved together.
 BLOCK = 4096
-#: Slopes drawn from [rad].
+#: Range of the random slopes [rad].
 MIN_SLOPE, MAX_SLOPE = 1e-12, 0.3
 Random = np.random.Generator
 
 
 @dataclass(frozen=True)
 class Accepted:
-    """A gait that was accepted, in the walker's units, and by which tale."""
+    """An accepted gait, in the walker's units, with the family of its walker."""
 
     family: str
     walker: Walker
@@ -47,23 +47,25 @@ class Accepted:
 
 @dataclass
 class Outcomes:
-    """What became of random tries: counts by family and outcome, the accepted gaits, and the work it took."""
+    """Outcomes of random tries: counts by family and outcome, accepted gaits, and the number of steps integrated."""
 
     counts: dict[str, Counter[str]] = field(default_factory=dict)
     accepted: list[Accepted] = field(default_factory=list)
     strides: int = 0
-    #: Tries that ended in no way foreseen: these are bugs.
+    #: Tries with an unforeseen end, which are bugs.
     wrong: list[str] = field(default_factory=list)
 
     @property
     def tries(self) -> int:
+        """Number of tries."""
         return sum(sum(of.values()) for of in self.counts.values())
 
     def add(self, family: str, outcome: str, times: int = 1) -> None:
+        """Count an outcome."""
         self.counts.setdefault(family, Counter())[outcome] += times
 
     def rows(self) -> list[dict[str, float | str]]:
-        """The table, a row an outcome and a column a family."""
+        """The table, with one row per outcome and one column per family."""
         outcomes = sorted({o for of in self.counts.values() for o in of})
         return [
             {
@@ -95,7 +97,7 @@ def _mass(random: Random) -> float:
 
 
 def _any(random: Random, knees: bool) -> Walker:
-    """A walker with every key drawn from a broad range, some of which cannot be."""
+    """A walker with every key drawn from a broad range; some draws are refused."""
     thigh = float(random.uniform(0.1, 0.9))
     shank = 1.0 - thigh
     return Walker(
@@ -117,9 +119,9 @@ def _any(random: Random, knees: bool) -> Walker:
 
 
 def _tuned(walker: Walker) -> Walker:
-    """The same with its masses on the lines that walking at vanishing slope asks for."""
+    """The walker with its centres of mass moved to meet the static conditions of the paper's section 5.1."""
     if walker.m_s > walker.m_t:
-        # A light thigh could balance a heavy shank from legs away only.
+        # A light thigh could balance a heavy shank only from several leg lengths away.
         walker = replace(walker, m_t=walker.m_s)
     w_s = float(walker.c_s * np.tan(walker.eps_S))
     w_t = float(-np.tan(walker.eps_T) * (walker.c_t + walker.m_s * walker.l_t / walker.m_t))
@@ -127,12 +129,12 @@ def _tuned(walker: Walker) -> Walker:
 
 
 def _near(random: Random, name: str) -> Walker:
-    """A kneed or straight machine mixed anyhow with its tuned twin, each key off by up to a fifth."""
-    found = detuned(name, float(random.choice([0.0, 1.0, random.uniform(-1, 3)])))
+    """A walker at a random detuning, half of the time with keys changed by up to a fifth."""
+    walker = detuned(name, float(random.choice([0.0, 1.0, random.uniform(-1, 3)])))
     if random.random() < 0.5:
         keys = ("m_t", "m_s", "r_t", "r_s", "c_t", "c_s", "R", "eps_T")
-        found = replace(found, **{k: getattr(found, k) * float(random.uniform(0.8, 1.2)) for k in keys})
-    return _tuned(found) if random.random() < 0.5 else found
+        walker = replace(walker, **{k: getattr(walker, k) * float(random.uniform(0.8, 1.2)) for k in keys})
+    return _tuned(walker) if random.random() < 0.5 else walker
 
 
 #: Each family's name, its share of the tries and a draw from it.
@@ -156,92 +158,88 @@ FAMILIES: dict[str, tuple[float, Callable[[Random], Walker]]] = {
 
 
 def random_walker(family: str, seed: int) -> Walker:
-    """The first walker a family's draws from a seed give that can be."""
-    found = Outcomes()
+    """Draw from a family, with a seed, until a walker is accepted."""
+    outcomes = Outcomes()
     random = np.random.default_rng(seed)
     while True:
-        for walker in _drawn(family, 1, random, found):
+        for walker in _draw(family, 1, random, outcomes):
             return walker
 
 
-def _drawn(family: str, count: int, random: Random, found: Outcomes) -> list[Walker]:
-    """Walkers of a family; those that cannot be are counted by the key that says so."""
+def _draw(family: str, count: int, random: Random, outcomes: Outcomes) -> list[Walker]:
+    """Draw walkers of a family; refused draws are counted by the refused key."""
     walkers = []
     for _ in range(count):
         try:
             walkers.append(FAMILIES[family][1](random))
-        except WalkerError as refused:
-            found.add(family, f"refused: {refused.key}")
+        except WalkerError as error:
+            outcomes.add(family, f"refused: {error.key}")
     return walkers
 
 
 def _starts(problem: Lanes, slope: np.ndarray, random: Random) -> np.ndarray:
-    """Starts around the search's lattice, one in five of them absurd; shape (m + phases, n)."""
+    """Initial guesses around the lattice of the search, one in five far from any gait; shape (m + phases, n)."""
     n = len(slope)
-    absurd = random.random(n) < 0.2
-    period = np.where(absurd, random.uniform(0.05, 12, n), random.uniform(1.8, 4.2, n))
+    far = random.random(n) < 0.2
+    period = np.where(far, random.uniform(0.05, 12, n), random.uniform(1.8, 4.2, n))
     top = np.log(np.minimum(2.5 * slope ** (1 / 3), 0.7))
-    log_angle = np.where(absurd, random.uniform(-30, 0, n), random.uniform(np.log(slope), top))
-    rate = np.where(absurd, random.normal(0, 10, n), -1.0 / np.tanh(period / 2) * random.uniform(0.8, 1.2, n))
+    log_angle = np.where(far, random.uniform(-30, 0, n), random.uniform(np.log(slope), top))
+    rate = np.where(far, random.normal(0, 10, n), -1.0 / np.tanh(period / 2) * random.uniform(0.8, 1.2, n))
     rows = [log_angle, rate]
     if problem.m == 3:
-        rows.append(np.where(absurd, random.normal(0, 10, n), random.uniform(-1, 1, n)))
+        rows.append(np.where(far, random.normal(0, 10, n), random.uniform(-1, 1, n)))
     if problem.phases == 2:
         rows.append(period * random.uniform(0.3, 1.0, n))
     return np.vstack([*rows, period])
 
 
 def lanes(count: int, seed: int = 1, say: Callable[[str], None] | None = None) -> Outcomes:
-    """Random walkers, slopes and starts straight through Newton, verdict and bound, a walker in every lane."""
-    found, random = Outcomes(), np.random.default_rng(seed)
+    """Outcomes of Newton's method, step check and error bound for random walkers and guesses, one walker per lane."""
+    outcomes, random = Outcomes(), np.random.default_rng(seed)
     for family, (share, _) in FAMILIES.items():
         todo = round(share * count)
         for k in range(0, todo, BLOCK):
-            walkers = _drawn(family, min(BLOCK, todo - k), random, found)
-            of = [structure_of(w) for w in walkers]
-            for structure in dict.fromkeys(of):
-                _lanes(
-                    family,
-                    Lanes([w for w, s in zip(walkers, of, strict=True) if s == structure], structure),
-                    random,
-                    found,
-                )
+            walkers = _draw(family, min(BLOCK, todo - k), random, outcomes)
+            structures = [structure_of(walker) for walker in walkers]
+            for structure in dict.fromkeys(structures):
+                alike = [walker for walker, other in zip(walkers, structures, strict=True) if other == structure]
+                _lanes(family, Lanes(alike, structure), random, outcomes)
         if say:
             say(f"{family}: {todo:,} lanes")
-    return found
+    return outcomes
 
 
-def _lanes(family: str, problem: Lanes, random: Random, found: Outcomes) -> None:
+def _lanes(family: str, problem: Lanes, random: Random, outcomes: Outcomes) -> None:
     n, m = len(problem.walkers), problem.m
     slope = np.exp(random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE), n))
     before = _strides(problem)
     start = _starts(problem, slope, random)
     solved = newton(problem, start, np.log(slope))
-    there = np.nonzero(solved.converged)[0]
-    found.add(family, "Newton did not converge", n - len(there))
-    if len(there):
-        some, slope, w = problem.some(there), slope[there], solved.w[:, there]
+    converged = np.nonzero(solved.converged)[0]
+    outcomes.add(family, "Newton did not converge", n - len(converged))
+    if len(converged):
+        lanes, slope, w = problem.some(converged), slope[converged], solved.w[:, converged]
         X = np.vstack([w[:m], np.log(slope)])
-        estimate = lipschitz(some, X, w[m:])
+        estimate = lipschitz(lanes, X, w[m:])
         at = settle(
-            some,
+            lanes,
             np.vstack([X, w[m:]]),
             slope,
             estimate,
-            rounding_std(some, w, np.log(slope), near=4),
-            np.full(len(there), UNKNOWN),
+            rounding_std(lanes, w, np.log(slope), near=4),
+            np.full(len(converged), UNKNOWN),
         )
         ratio, largest = gait_ratio(at.stride), np.abs(multipliers(at.stride.jacobian, m)).max(axis=1)
-        for i in range(len(there)):
+        for i in range(len(converged)):
             outcome = _outcome(bool(at.converged[i]), bool(at.step[i]), int(at.leg_passes[i]), float(ratio[i]))
-            found.add(family, outcome)
+            outcomes.add(family, outcome)
             if outcome in ("gait, long", "gait, short"):
-                walker = some.walkers[i]
+                walker = lanes.walkers[i]
                 time_unit = float(np.sqrt(walker.leg / walker.g))
                 state = at.state[:, i] * at.scale[i]
                 half = len(state) // 2
                 rates = state[half:] / time_unit
-                found.accepted.append(
+                outcomes.accepted.append(
                     Accepted(
                         family,
                         walker,
@@ -254,12 +252,12 @@ def _lanes(family: str, problem: Lanes, random: Random, found: Outcomes) -> None
                         float(at.bound[i]),
                     )
                 )
-                _check(found)
-    found.strides += _strides(problem) - before
+                _check(outcomes)
+    outcomes.strides += _strides(problem) - before
 
 
 def _strides(problem: Lanes) -> int:
-    """Strides flown so far by a structure's exact flow; each ends with locked knees."""
+    """Steps integrated so far with a structure's exact flow; each ends with locked knees."""
     return flow(problem.structure, False, 3 if problem.phases == 2 else problem.m, False).evaluations
 
 
@@ -273,15 +271,15 @@ def _outcome(converged: bool, step: bool, leg_passes: int, ratio: float) -> str:
     return "gait, long" if ratio < 0.5 else "gait, short"
 
 
-def _check(found: Outcomes) -> None:
-    """An accepted gait has numbers, and numbers a gait may have."""
-    gait = found.accepted[-1]
+def _check(outcomes: Outcomes) -> None:
+    """Check that the numbers of the last accepted gait are finite and possible."""
+    gait = outcomes.accepted[-1]
     numbers = (gait.angle, *gait.rates, gait.period, gait.multiplier, gait.bound)
     if not np.isfinite(numbers).all() or gait.angle <= 0 or gait.period <= 0 or not 0 < gait.bound < 1e-3:
-        found.wrong.append(f"{gait}")
+        outcomes.wrong.append(f"{gait}")
 
 
-#: Families of lines, whole atlases being dear: each with its share.
+#: Families for whole lines, whose atlases are expensive, with their shares.
 LINES = {
     "massless foot": 0.01,
     "point feet": 0.3,
@@ -294,40 +292,41 @@ LINES = {
 
 
 def lines(count: int, seed: int = 2, slopes: int = 40, say: Callable[[str], None] | None = None) -> Outcomes:
-    """Random walkers' whole lines, as the product runs them: an atlas, and points on slopes over all decades."""
-    found, random = Outcomes(), np.random.default_rng(seed)
+    """Outcomes of random walkers' whole lines as in a study: an atlas, and points at slopes over all decades."""
+    outcomes, random = Outcomes(), np.random.default_rng(seed)
     want = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
     for family, share in LINES.items():
-        for walker in _drawn(family, round(share * count), random, found):
+        for walker in _draw(family, round(share * count), random, outcomes):
             slope = np.sort(np.exp(random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE), slopes)))
             line = {"walker": walker.table(), "set": {}}
             try:
                 points = solve_points.points(
                     {"line": line, "slope": slope, "want": want}, [solve_points.atlas({"line": line}, [])]
                 )
-            except Exception as error:  # any at all is what is sought
-                found.add(family, "exception")
-                found.wrong.append(f"{type(error).__name__}: {error} ({walker})")
+            except Exception as error:  # any exception is a bug
+                outcomes.add(family, "exception")
+                outcomes.wrong.append(f"{type(error).__name__}: {error} ({walker})")
                 continue
-            _line(family, walker, slope, points, found)
+            _line(family, walker, slope, points, outcomes)
         if say:
             say(f"{family}: {round(share * count):,} lines")
-    return found
+    return outcomes
 
 
-def _line(family: str, walker: Walker, slope: np.ndarray, points: dict[str, np.ndarray], found: Outcomes) -> None:
+def _line(family: str, walker: Walker, slope: np.ndarray, points: dict[str, np.ndarray], outcomes: Outcomes) -> None:
     status = points["status"]
     names = {code: name for name, code in STATUSES.items()}
     for i, g in np.argwhere(status[:, :2] != STATUSES["converged"]):
-        found.add(family, names[int(status[i, g])])
+        outcomes.add(family, names[int(status[i, g])])
     for i, g in np.argwhere(status == STATUSES["converged"]):
-        found.add(family, f"gait, {GAITS[g]}")
-        found.accepted.append(Accepted(family, walker, float(slope[i]), GAITS[g], *(_at(points, i, g))))
-        _check(found)
-    # A number where there is no gait, or none where there is one, would be a lie.
-    known = np.isfinite(points["stance_angle"]) == (status == STATUSES["converged"])
-    if not known.all():
-        found.wrong.append(f"values and status disagree at slope {slope[np.argwhere(~known)[0][0]]!r} of {walker}")
+        outcomes.add(family, f"gait, {GAITS[g]}")
+        outcomes.accepted.append(Accepted(family, walker, float(slope[i]), GAITS[g], *(_at(points, i, g))))
+        _check(outcomes)
+    # There must be a number exactly where there is a gait.
+    consistent = np.isfinite(points["stance_angle"]) == (status == STATUSES["converged"])
+    if not consistent.all():
+        at = slope[np.argwhere(~consistent)[0][0]]
+        outcomes.wrong.append(f"values and status disagree at slope {at!r} of {walker}")
 
 
 def _at(points: dict[str, Any], i: int, g: int) -> Iterator[Any]:

@@ -1,4 +1,4 @@
-"""What a page carries of itself for the index and the ledger: both are made from the pages that stand in a folder."""
+"""The record that a page carries for the index and the ledger, which are made from the pages in a folder."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from typing import Any
 class Entry:
     """One page as the index and the ledger show it.
 
-    `slug` names the page, `study` is the study's own; `statuses` are (name, count, share); `figures` are anchors on the
-    page; `thumbnail` is its first figure, small; `claims` are rows of the ledger; `files` stand beside the page.
+    `slug` names the page, `study` is the slug of its study; `statuses` are (name, count, share); `figures` are anchors
+    on the page; `thumbnail` is its first figure, small; `claims` are rows of the ledger; `files` are the data files
+    written with the page.
     """
 
     slug: str
@@ -32,35 +33,35 @@ class Entry:
 
     @property
     def order(self) -> tuple[bool, bool, list[tuple[int, str]], str]:
-        """Place in the index: pages with pictures first, numbered ones before others, figure 3 before figure 11."""
+        """Sort key in the index: pages with pictures first, numbered ones before others, figure 3 before figure 11."""
         parts = re.findall(r"\d+|\D+", self.name.lower())
         numbered = bool(parts) and parts[-1].isdigit()
         return not self.figures, not numbered, [(int(p), "") if p.isdigit() else (0, p) for p in parts], self.slug
 
 
 def read(page: str) -> Entry | None:
-    """The entry in a page's text, with the picture and the motion that the page shows first; None where it has none."""
-    found = re.search(r'<script type="application/json" id="entry">(.*?)</script>', page, re.S)
-    if not found:
+    """Read the entry in a page's text, with the page's first picture and animation; None if there is no entry."""
+    record = re.search(r'<script type="application/json" id="entry">(.*?)</script>', page, re.S)
+    if not record:
         return None
     picture = re.search(r'<div class="picture"[^>]*>(.*?)</div>', page, re.S)
     motion = re.search(r'<div class="motion">.*?<script type="application/json">(.*?)</script>', page, re.S)
     try:
-        about = json.loads(found[1])
-        about["thumbnail"] = about["thumbnail"] or (picture[1] if picture else "")
-        return Entry(**about, moves=json.loads(motion[1])[:2] if motion else [])
+        fields = json.loads(record[1])
+        fields["thumbnail"] = fields["thumbnail"] or (picture[1] if picture else "")
+        return Entry(**fields, moves=json.loads(motion[1])[:2] if motion else [])
     except (ValueError, TypeError, KeyError):
         return None
 
 
-def standing(folder: Path) -> dict[str, Entry]:
-    """Entries of the pages in a folder, by file name; what is no page of a report is not touched."""
-    found = {path.name: read(path.read_text(encoding="utf-8", errors="replace")) for path in folder.glob("*.html")}
-    return {name: entry for name, entry in found.items() if entry is not None and name == f"{entry.slug}.html"}
+def read_all(folder: Path) -> dict[str, Entry]:
+    """Read the entries of the pages in a folder, by file name; files that are not pages of a report are left out."""
+    entries = {path.name: read(path.read_text(encoding="utf-8", errors="replace")) for path in folder.glob("*.html")}
+    return {name: entry for name, entry in entries.items() if entry is not None and name == f"{entry.slug}.html"}
 
 
 def remove(folder: Path, entry: Entry, keep: set[str]) -> None:
-    """Take a page away with the files beside it, but for those to be kept."""
+    """Delete a page and its data files, except those in `keep`."""
     for name in {f"{entry.slug}.html", *entry.files} - keep:
         if re.fullmatch(re.escape(entry.slug) + r"(-[\w-]+\.csv|\.html)", name):
             (folder / name).unlink(missing_ok=True)

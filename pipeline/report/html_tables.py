@@ -1,4 +1,4 @@
-"""The tables of a report: plain cells, each number with the exact value it stands for."""
+"""The tables of a report: cells of text, each number with the exact value that it rounds."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import pandas as pd
 
 from pipeline.report.entry import Entry
 from pipeline.report.figures.style import plain
-from pipeline.report.source import ANSWERS, Source
+from pipeline.report.source import ANSWERS, Source, print_units
 
-#: Rows of failed points on the page; the file beside it has all.
+#: Failed points listed on the page; the CSV file has all of them.
 MAX_ROWS = 60
 
-#: Longest table of results that is open from the start.
+#: Rows of the longest table that a page shows unfolded.
 _OPEN_ROWS = 20
 
 #: Families of claims by the letter of their id.
@@ -40,6 +40,8 @@ _HEADS = {
     "slope_to": "to γ",
     "from": "from",
     "n": "points",
+    "starts": "initial conditions",
+    "strides": "steps",
     "foot_mass_ratio": "ρ",
     "slope": "γ",
     "stance_angle": "θ*",
@@ -50,13 +52,23 @@ _HEADS = {
     **{key: key for key in ("l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "m_h", "eps_T")},
 }
 
-#: Laws that are fitted.
+#: Captions of the tables of fits.
+_FITS = {
+    "fits/scaling": "Fitted power laws",
+    "fits/transition": "Scaling transition of the short step",
+    "fits/transition_ratio": "Ratio of transition slopes",
+}
+
+#: Fitted laws.
 _LAWS = {"stance_angle": "θ* of γ", "speed": "v of γ", "power_speed": "P of v"}
 
 
 @dataclass(frozen=True)
-class WorkerProcess:
-    """What is shown, and the number it was rounded from (None for words)."""
+class Cell:
+    """Text of a table cell, and the number that it rounds (None for words).
+
+    `counted` marks numbers that the report counts, which are not in the archive.
+    """
 
     text: str
     value: float | None = None
@@ -64,38 +76,40 @@ class WorkerProcess:
 
     @property
     def long(self) -> bool:
+        """Whether the text needs a wide column."""
         return self.value is None and len(self.text) > 24
 
     @property
     def exact(self) -> str:
+        """The number with all its digits; empty for words."""
         return "" if self.value is None else repr(self.value)
 
 
 @dataclass(frozen=True)
 class Table:
-    """A caption, column heads and rows of cells."""
+    """A caption, column headings and rows of cells; `meanings` are the long names of the columns."""
 
     caption: str
     heads: list[str]
-    rows: list[list[WorkerProcess]]
+    rows: list[list[Cell]]
     note: str = ""
     meanings: list[str] = field(default_factory=list)
 
     @property
     def folded(self) -> bool:
-        """Whether a page shows the caption first and the rows when asked."""
+        """Whether the rows are folded under the caption."""
         return len(self.rows) > _OPEN_ROWS
 
 
 @dataclass(frozen=True)
-class StepCheck:
-    """One claim of the ledger and where it is shown."""
+class ClaimRow:
+    """One claim of the ledger, with a link to the page that shows it."""
 
     id: str
-    printed: WorkerProcess
+    printed: Cell
     source: str
-    computed: WorkerProcess
-    interval: list[WorkerProcess]
+    computed: Cell
+    interval: list[Cell]
     verdict: str
     sign: str
     figure: str
@@ -108,35 +122,35 @@ class Family:
     """Claims on one subject."""
 
     title: str
-    verdicts: list[StepCheck] = field(default_factory=list)
+    verdicts: list[ClaimRow] = field(default_factory=list)
 
 
-def cell(value: Any, counted: bool = False, digits: int = 6) -> WorkerProcess:
-    """A cell of a value: numbers are rounded for the eye and kept exactly."""
+def cell(value: Any, counted: bool = False, digits: int = 6) -> Cell:
+    """Make a cell of a value: numbers are shown with `digits` significant digits and kept exactly."""
     if isinstance(value, (bool, np.bool_)):
-        return WorkerProcess("yes" if value else "no")
+        return Cell("yes" if value else "no")
     if isinstance(value, (int, np.integer)):
-        return WorkerProcess(str(int(value)).replace("-", "−"), int(value), counted)
+        return Cell(str(int(value)).replace("-", "−"), int(value), counted)
     if isinstance(value, (float, np.floating)):
-        return (
-            WorkerProcess("–") if np.isnan(value) else WorkerProcess(plain(float(value), digits), float(value), counted)
-        )
-    return WorkerProcess(str(value))
+        return Cell("–") if np.isnan(value) else Cell(plain(float(value), digits), float(value), counted)
+    return Cell(str(value))
 
 
 def head(column: str) -> str:
+    """Heading of a column: the paper's symbol where there is one, else the name in words."""
     return _HEADS.get(column, column.replace("_", " "))
 
 
 def from_frame(caption: str, frame: pd.DataFrame, note: str = "") -> Table:
-    """A table of every column that varies or is worth repeating; slopes with the digits their error leaves."""
+    """Make a table of a frame; located slopes are shown with the digits that their error bound warrants."""
     counts = frame.columns[[kind.kind in "iu" for kind in frame.dtypes]]
+    frame = frame.assign(**{c: [str(v).replace("_", " ") for v in frame[c]] for c in _CODED if c in frame})
     digits = _digits(frame)
     return Table(
         caption,
         [
             _with_unit(
-                "strides" if c == "period" and c in counts else head(str(c)), frame.attrs.get("units", {}).get(c, "")
+                "steps" if c == "period" and c in counts else head(str(c)), frame.attrs.get("units", {}).get(c, "")
             )
             for c in frame.columns
         ],
@@ -149,16 +163,20 @@ def from_frame(caption: str, frame: pd.DataFrame, note: str = "") -> Table:
     )
 
 
-#: Columns of a located point whose error a table knows.
+#: Columns of names with underscores, which a page shows as words.
+_CODED = ("kind", "status", "smallest_at", "stability_lost_by")
+
+#: Columns of a located point that its error bound applies to.
 _LOCATED = ("slope", "value", "low", "high")
 
 
 def _digits(frame: pd.DataFrame) -> list[int]:
-    """Digits worth showing of each row's located numbers: as many as its error bound or its interval leaves."""
+    """Significant digits of the located numbers in each row: as many as the error bound or the interval warrants."""
     if "error_bound" in frame:
         error = frame["error_bound"].to_numpy(float)
     elif {"low", "high", "slope"} <= set(frame.columns):
-        error = 0.01 * ((frame["high"] - frame["low"]) / frame["slope"]).to_numpy(float)  # both ends tell apart
+        # A hundredth of the interval, so that its two ends are shown as different.
+        error = 0.01 * ((frame["high"] - frame["low"]) / frame["slope"]).to_numpy(float)
     else:
         return [6] * len(frame)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -166,28 +184,26 @@ def _digits(frame: pd.DataFrame) -> list[int]:
 
 
 def _with_unit(name: str, unit: str) -> str:
-    return name if unit in ("", "1") else f"{name} ({unit})"
+    return f"{name} ({print_units(unit)})" if print_units(unit) else name
 
 
 def fits(source: Source) -> list[Table]:
     """One table for each fit in the archive."""
-    found = []
+    tables = []
     for name, table in source.tables.items():
         if name.startswith("fits/") and not table.empty:
-            found_some = table[table["n"] > 0] if "n" in table else table
-            shown = found_some.head(2 * MAX_ROWS)
+            fitted = table[table["n"] > 0] if "n" in table else table
+            shown = fitted.head(2 * MAX_ROWS)
             if "quantity" in shown:
                 shown = shown.assign(quantity=[_LAWS.get(q, q) for q in shown["quantity"]]).rename(
                     columns={"quantity": "law"}
                 )
-            note = f"{len(table) - len(shown)} more rows are in the archive." if len(shown) < len(found_some) else ""
-            if len(found_some) < len(table) and not note:
-                note = (
-                    f"{len(table) - len(found_some)} {'more ' if len(found_some) else ''}fits found no range"
-                    " where a power law holds."
-                )
-            found.append(from_frame(f"Fit: {name.removeprefix('fits/').replace('_', ' ')}", shown, note))
-    return found
+            note = f"{len(table) - len(shown)} more rows are in the archive." if len(shown) < len(fitted) else ""
+            if len(fitted) < len(table) and not note:
+                missing, more = len(table) - len(fitted), "more " if len(fitted) else ""
+                note = f"{missing} {more}fits found no range over which a power law holds."
+            tables.append(from_frame(_FITS.get(name, name.replace("_", " ")), shown, note))
+    return tables
 
 
 def special_points(source: Source) -> Table | None:
@@ -196,33 +212,31 @@ def special_points(source: Source) -> Table | None:
     if table is None or table.empty:
         return None
     shown = table.head(2 * MAX_ROWS)
-    if "kind" in shown:
-        shown = shown.assign(kind=[str(k).replace("_", " ") for k in shown["kind"]])
     note = f"{len(table) - len(shown)} more are in the archive." if len(shown) < len(table) else ""
     return from_frame("Special points", shown, note)
 
 
 def points(source: Source) -> pd.DataFrame:
-    """Every grid point that did not converge: coordinates, gait, status and the sentence why."""
-    grid = source.fates
+    """List every grid point without a converged gait: coordinates, gait, status and the sentence that says why."""
+    grid = source.outcomes
     if "status" not in grid:
         return pd.DataFrame()
     status = grid["status"] if grid["status"].ndim else grid["status"].expand_dims("study")
     at = np.nonzero(status.values)
     sentences, names = source.reasons, source.statuses
     frame = pd.DataFrame(
-        {str(d): _named(i, grid[d].values) for d, i in zip(status.dims, at, strict=True) if d in grid.coords}
+        {str(d): _decode(i, grid[d].values) for d, i in zip(status.dims, at, strict=True) if d in grid.coords}
     )
     values, codes = np.unique(status.values[at], return_inverse=True)
-    frame["status"] = _named(codes, [names.get(int(s), str(s)) for s in values])
+    frame["status"] = _decode(codes, [names.get(int(s), str(s)) for s in values])
     index = np.atleast_1d(grid["reason"].values)[at] if "reason" in grid else np.full(len(at[0]), -1)
     values, codes = np.unique(index, return_inverse=True)
-    frame["reason"] = _named(codes, [sentences[i] if 0 <= i < len(sentences) else "" for i in values])
+    frame["reason"] = _decode(codes, [sentences[i] if 0 <= i < len(sentences) else "" for i in values])
     return frame
 
 
-def _named(codes: np.ndarray, values: Sequence[Any] | np.ndarray) -> Any:
-    """Values by their places: words once, however many rows have them."""
+def _decode(codes: np.ndarray, values: Sequence[Any] | np.ndarray) -> Any:
+    """Expand codes to values; words become categories, each stored once."""
     if getattr(values, "dtype", None) is not None and values.dtype.kind not in "OU":  # type: ignore[union-attr]
         return np.asarray(values)[codes]
     words = list(dict.fromkeys(map(str, values)))
@@ -230,10 +244,10 @@ def _named(codes: np.ndarray, values: Sequence[Any] | np.ndarray) -> Any:
 
 
 def statuses(source: Source) -> list[tuple[str, int, float]]:
-    """Count and share of every status that occurs, in the order of the flags."""
-    if "status" not in source.fates:
+    """Count and share of every status that occurs, in the order of the flag values."""
+    if "status" not in source.outcomes:
         return []
-    values, counts = np.unique(source.fates["status"].values, return_counts=True)
+    values, counts = np.unique(source.outcomes["status"].values, return_counts=True)
     total = counts.sum()
     return [
         (source.statuses.get(int(v), str(v)), int(c), float(c / total)) for v, c in zip(values, counts, strict=True)
@@ -241,128 +255,127 @@ def statuses(source: Source) -> list[tuple[str, int, float]]:
 
 
 def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
-    """What became of every point, by status and reason, and where."""
-    found = statuses(source)
-    if not found:
+    """Outcomes by status and reason: how many, and over which slopes."""
+    counts = statuses(source)
+    if not counts:
         return None
     slopes = source.grid["slope"].values if "slope" in source.grid.coords else np.array([])
     rows = [
-        [WorkerProcess("converged"), WorkerProcess(""), cell(count, True), *_range(slopes)]
-        for name, count, _ in found
+        [Cell("converged"), Cell(""), cell(count, True), *_range(slopes)]
+        for name, count, _ in counts
         if name == "converged"
     ]
     for (status, reason), group in absent.groupby(["status", "reason"], sort=False, observed=True):
         rows.append(
             [
-                WorkerProcess(status.replace("_", " ")),
-                WorkerProcess(reason),
+                Cell(status.replace("_", " ")),
+                Cell(reason),
                 cell(len(group), True),
                 *_range(group["slope"].to_numpy() if "slope" in group else np.array([])),
             ]
         )
-    what = "point and gait" if source.whole == "point" else "line"
-    return Table(f"What became of every {what}", ["status", "reason", "count", "from γ", "to γ"], rows)
+    caption = "Outcome at each grid point" if source.whole == "point" else "Outcomes by line"
+    return Table(caption, ["status", "reason", "count", "from γ", "to γ"], rows)
 
 
-def _range(slopes: np.ndarray) -> list[WorkerProcess]:
-    return [cell(slopes.min()), cell(slopes.max())] if len(slopes) else [WorkerProcess("–"), WorkerProcess("–")]
+def _range(slopes: np.ndarray) -> list[Cell]:
+    return [cell(slopes.min()), cell(slopes.max())] if len(slopes) else [Cell("–"), Cell("–")]
 
 
 def failures(absent: pd.DataFrame) -> Table | None:
-    """Points that failed (not those whose answer is that there is no gait)."""
+    """Points that failed; that there is no gait at a point is an answer, not a failure."""
     failed = absent[~absent["status"].isin(ANSWERS)] if len(absent) else absent
     if failed.empty:
         return None
     shown = failed.head(MAX_ROWS)
-    note = f"{len(failed) - len(shown)} more are in the file beside this page." if len(shown) < len(failed) else ""
-    shown = shown.assign(status=[s.replace("_", " ") for s in shown["status"]])
-    return from_frame("Points that failed", shown, note)
+    note = f"{len(failed) - len(shown)} more are in the CSV file." if len(shown) < len(failed) else ""
+    return from_frame("Failed points", shown, note)
 
 
 def failed_tasks(source: Source) -> Table | None:
-    """Work on whole lines or studies that failed."""
+    """Tasks on whole lines or on the study that failed."""
     table = source.tables.get("failed_tasks")
-    return None if table is None or table.empty else from_frame("Tasks that failed", table.head(MAX_ROWS))
+    return None if table is None or table.empty else from_frame("Failed tasks", table.head(MAX_ROWS))
 
 
 def walkers(source: Source) -> Table | None:
-    """Parameters of the study's walkers, a column each; of a key that the study varies the values it is given."""
-    found = source.walkers
-    if not found:
+    """Parameters of the study's walkers, one column each; a key that the study varies shows its values."""
+    tables = source.walkers
+    if not tables:
         return None
-    given = {axis: _given(source.grid[axis].values) for axis in source.varied.values() if axis in source.grid.coords}
+    given = {
+        axis: _axis_values(source.grid[axis].values) for axis in source.varied.values() if axis in source.grid.coords
+    }
     moved = {
-        key: given.get(axis, WorkerProcess("varied")) if axis == key else WorkerProcess(f"by {axis}")
+        key: given.get(axis, Cell("varied")) if axis == key else Cell(f"by {axis}")
         for key, axis in source.varied.items()
     }
-    keys = list(dict.fromkeys(key for table in found.values() for key in table))
-    rows = [
-        [WorkerProcess(key), *(moved.get(key) or cell(table.get(key, "–")) for table in found.values())] for key in keys
-    ]
-    rows += [[WorkerProcess(axis), *[values] * len(found)] for axis, values in given.items() if axis not in keys]
-    return Table("Parameters", ["key", *found], rows)
+    keys = list(dict.fromkeys(key for table in tables.values() for key in table))
+    rows = [[Cell(key), *(moved.get(key) or cell(table.get(key, "–")) for table in tables.values())] for key in keys]
+    rows += [[Cell(axis), *[values] * len(tables)] for axis, values in given.items() if axis not in keys]
+    return Table("Parameters", ["key", *tables], rows)
 
 
-def _given(values: np.ndarray) -> WorkerProcess:
+def _axis_values(values: np.ndarray) -> Cell:
     """The values of an axis, in one cell."""
     if len(values) == 1:
         return cell(float(values[0]))
     shown = [plain(float(v), 6) for v in values]
-    return WorkerProcess(", ".join(shown) if len(shown) < 5 else f"{shown[0]} … {shown[-1]} ({len(shown)} values)")
+    return Cell(", ".join(shown) if len(shown) < 5 else f"{shown[0]} … {shown[-1]} ({len(shown)} values)")
 
 
-def pairs(record: dict[str, Any]) -> list[tuple[str, WorkerProcess]]:
-    """Plain entries of a record, for a list of names and values; nested ones are named by their path."""
-    found: list[tuple[str, WorkerProcess]] = []
+def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
+    """Flatten a record into names and cells; nested entries are named by their path."""
+    entries: list[tuple[str, Cell]] = []
     for key, value in record.items():
         if isinstance(value, dict):
-            found += [(f"{key} {inner}", shown) for inner, shown in pairs(value)]
+            entries += [(f"{key} {inner}", shown) for inner, shown in pairs(value)]
         elif isinstance(value, list):
-            found.append((str(key), WorkerProcess(", ".join(str(v) for v in value))))
+            entries.append((str(key), Cell(", ".join(str(v) for v in value))))
         elif value is not None:
-            found.append((str(key).replace("_", " "), cell(value)))
-    return found
+            entries.append((str(key).replace("_", " "), cell(value)))
+    return entries
 
 
 def claims(source: Source) -> list[dict[str, Any]]:
-    """Rows of the ledger that an archive holds, as plain data."""
+    """Rows of the ledger in an archive, as plain data."""
     table = source.tables.get("claims")
     rows = table.to_dict("records") if table is not None and "id" in table else []
     return [{str(k): v.item() if isinstance(v, np.generic) else v for k, v in row.items()} for row in rows]
 
 
 def ledger(entries: Iterable[Entry]) -> list[Family]:
-    """Every claim of some pages by family, each with a link to the picture of it."""
+    """Every claim of some pages by family, each with a link to its figure."""
     entries = list(entries)
-    pages = {one.slug: f"{one.slug}.html" for one in entries}
-    pages |= {f"{one.study}/{figure}": f"{one.slug}.html#{figure}" for one in entries for figure in one.figures}
+    pages = {entry.slug: f"{entry.slug}.html" for entry in entries}
+    pages |= {f"{entry.study}/{name}": f"{entry.slug}.html#{name}" for entry in entries for name in entry.figures}
     families: dict[str, Family] = {}
-    for one in entries:
-        for row in one.claims:
+    for entry in entries:
+        for row in entry.claims:
             letter = str(row["id"])[:1].upper()
             title = FAMILIES.get(letter, "Others")
-            families.setdefault(title, Family(title)).verdicts.append(_verdict(row, one, pages))
+            families.setdefault(title, Family(title)).verdicts.append(_claim_row(row, entry, pages))
     order = [*FAMILIES.values(), "Others"]
     for family in families.values():
         family.verdicts.sort(key=lambda v: (v.id[:1], len(v.id), v.id))
     return sorted(families.values(), key=lambda f: order.index(f.title))
 
 
-def _verdict(row: dict[str, Any], entry: Entry, pages: dict[str, str]) -> StepCheck:
-    words = str(row.get("verdict", ""))
+def _claim_row(row: dict[str, Any], entry: Entry, pages: dict[str, str]) -> ClaimRow:
+    verdict = str(row.get("verdict", ""))
     figure = str(row.get("figure", ""))
     href = pages.get(figure) or pages.get(f"{entry.study}/{figure}") or pages.get(entry.slug, "")
     interval = [cell(row[k]) for k in ("interval_low", "interval_high") if k in row]
     if any(c.value is None for c in interval):
         interval = []
-    return StepCheck(
+    return ClaimRow(
         str(row["id"]),
         cell(row.get("printed", "")),
         str(row.get("source", "")),
         cell(row.get("computed", "")),
         interval,
-        words.replace("_", " "),
-        sign(words),
+        verdict.replace("_", " "),
+        sign(verdict),
         figure or entry.name,
         href,
         str(row.get("command", "")),
@@ -370,8 +383,8 @@ def _verdict(row: dict[str, Any], entry: Entry, pages: dict[str, str]) -> StepCh
 
 
 def sign(verdict: str) -> str:
-    """yes, no or open: what a verdict says, in one word."""
-    plainly = verdict.replace("_", " ").strip().lower()
-    if plainly == "reproduced":
+    """Sign of a verdict: yes, no or open."""
+    words = verdict.replace("_", " ").strip().lower()
+    if words == "reproduced":
         return "yes"
-    return "no" if plainly.startswith("not ") else "open"
+    return "no" if words.startswith("not ") else "open"

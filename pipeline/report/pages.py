@@ -24,22 +24,25 @@ from pipeline.report.source import Source, read
 
 _TEMPLATES = Path(__file__).parent / "templates"
 
-#: Names of pages that are not a study's.
+#: Names of pages that belong to no study.
 _RESERVED = ("index", "ledger")
 
-#: What a page tells of the run; its record also names the machine, which is nobody's business.
+#: Entries of the run's record that a page shows; the record also names the computer, which a page does not.
 _RUN = ("began", "seconds", "jobs", "cluster", "version", "points", "failed", "exit_code")
 
-#: Points without a gait that are listed beside a page; the archive has all.
+#: Points without a gait that the CSV file lists; the archive has all of them.
 _MAX_ABSENT = 20_000
 
-#: Bytes the index gives to small pictures of its studies.
-_THUMBNAILS = 235_000
+#: Size limit of all thumbnails on the index [byte].
+_MAX_THUMBNAIL_BYTES = 235_000
 
 
 @dataclass(frozen=True)
 class Page:
-    """One study as its page shows it."""
+    """One study as its page shows it.
+
+    `undrawn` names the figures that the archive holds no data for; `absent` lists the points without a converged gait.
+    """
 
     slug: str
     source: Source
@@ -51,14 +54,14 @@ class Page:
 
     @cached_property
     def files(self) -> dict[str, str]:
-        """Data beside the page, by file name."""
-        found = {f"{self.slug}-{drawing.name}.csv": _csv(drawing.data) for drawing in self.drawings}
+        """Texts of the data files of the page, by file name."""
+        figures = {f"{self.slug}-{drawing.name}.csv": _csv(drawing.data) for drawing in self.drawings}
         absent = {f"{self.slug}-absent.csv": _csv(self.absent.head(_MAX_ABSENT))} if len(self.absent) else {}
-        return found | absent
+        return figures | absent
 
     @property
     def entry(self) -> dict[str, Any]:
-        """What the page carries of itself for the index and the ledger; its first picture is read off the page."""
+        """The record for the index and the ledger, without the first picture unless it has a small version."""
         source, first = self.source, self.drawings[0] if self.drawings else None
         return {
             "slug": self.slug,
@@ -76,27 +79,27 @@ class Page:
 
 
 def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
-    """Write the report of some archives into a folder: their pages, and the index and ledger of all pages in it.
+    """Write the report of some archives into a folder: their pages, and the index and ledger of all pages there.
 
     Parameters
     ----------
     archives : iterable of Path
-        Archives as `gaitsweep run` leaves them; nothing else is read but the `NAME.run.json` beside each.
+        Archives written by `gaitsweep run`; nothing else is read but the `NAME.run.json` next to each.
     out : Path
-        Folder of the pages, made if missing. A page and the data of its figures are named after the study; the same
-        study again takes its place.
+        Folder of the pages, created if missing. A page and its data files are named after the study; a study
+        reported again replaces them.
     only : bool
-        Take other pages that a report has left there away.
+        Delete the other pages of earlier reports.
 
     Returns
     -------
     Path
-        The index.
+        The file of the index.
 
     Raises
     ------
     ArchiveError
-        If a file is not one of gaitsweep's archives.
+        If a file is not an archive of gaitsweep.
     OSError
         If the folder cannot be written.
     """
@@ -106,27 +109,27 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
     environment = _environment()
     pages = [_page(source, slug) for source, slug in zip(sources, _slugs(sources), strict=True)]
     texts = {f"{page.slug}.html": _study(environment, page) for page in pages}
-    before, now = entry.standing(out), {name: entry.read(text) for name, text in texts.items()}
-    keep = {name: found for name, found in before.items() if name not in texts and not only} | now
-    entries = sorted((found for found in keep.values() if found), key=lambda found: found.order)
+    previous, current = entry.read_all(out), {name: entry.read(text) for name, text in texts.items()}
+    keep = {name: record for name, record in previous.items() if name not in texts and not only} | current
+    entries = sorted((record for record in keep.values() if record), key=lambda record: record.order)
     for page in pages:
         for name, text in page.files.items():
             _publish(out / name, text)
         _publish(out / f"{page.slug}.html", texts[f"{page.slug}.html"])
-    wanted = {*keep, *(name for found in entries for name in found.files)}
-    for found in before.values():
-        entry.remove(out, found, wanted)
+    wanted = {*keep, *(name for record in entries for name in record.files)}
+    for record in previous.values():
+        entry.remove(out, record, wanted)
     ledger = html_tables.ledger(entries)
     common = {"entries": entries, "ledger": ledger, "tally": _tally(ledger)}
     _publish(out / "ledger.html", environment.get_template("ledger.html").render(**common))
-    moves = next((found.moves for found in entries if found.moves), [])
+    moves = next((record.moves for record in entries if record.moves), [])
     index = environment.get_template("index.html")
     _publish(out / "index.html", index.render(**common, thumbnails=_thumbnails(entries), moves=moves))
     return out / "index.html"
 
 
 def _study(environment: jinja2.Environment, page: Page) -> str:
-    """The page of one study; nothing in it depends on others."""
+    """Render the page of one study, which depends on no other."""
     return environment.get_template("study.html").render(
         page=page,
         fits=html_tables.fits(page.source),
@@ -154,7 +157,7 @@ def _page(source: Source, slug: str) -> Page:
 
 
 def _slugs(sources: list[Source]) -> list[str]:
-    """A file name for each study, no two alike."""
+    """A file name for each study, all different."""
     taken: list[str] = []
     for source in sources:
         slug, k = source.slug, 1
@@ -166,7 +169,7 @@ def _slugs(sources: list[Source]) -> list[str]:
 
 
 def _rest(source: Source) -> dict[str, Any]:
-    """Provenance without what the page shows elsewhere."""
+    """Provenance without the parts that the page shows elsewhere."""
     return {key: value for key, value in source.provenance.items() if key not in ("study", "walkers", "varied")}
 
 
@@ -176,22 +179,22 @@ def _tally(ledger: list[html_tables.Family]) -> dict[str, int]:
 
 
 def _thumbnails(entries: list[entry.Entry]) -> dict[str, str]:
-    """The first figure of each study, the smallest first, while the index has room for it."""
-    room, found = _THUMBNAILS, {}
-    for one in sorted((one for one in entries if one.thumbnail), key=lambda one: len(one.thumbnail)):
-        room -= len(one.thumbnail)
+    """The first figures of the studies, the smallest first, up to the size limit of the index."""
+    room, thumbnails = _MAX_THUMBNAIL_BYTES, {}
+    for record in sorted((record for record in entries if record.thumbnail), key=lambda record: len(record.thumbnail)):
+        room -= len(record.thumbnail)
         if room > 0:
-            found[one.slug] = one.thumbnail
-    return found
+            thumbnails[record.slug] = record.thumbnail
+    return thumbnails
 
 
 def _environment() -> jinja2.Environment:
-    """Templates that escape everything, and a page that runs no script but ours.
+    """Templates that escape everything; a page runs no script but the report's own.
 
     Notes
     -----
-    An archive may come from anyone. Text is escaped, figures' text passes matplotlib's own escaping, data travels as
-    JSON that cannot close its element, and the page's content policy names our one script by its hash.
+    An archive may come from anyone. Text is escaped, the text of figures by matplotlib; data is JSON that cannot close
+    its element; and the page's content security policy names the one script by its hash.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_TEMPLATES),
@@ -214,17 +217,17 @@ def _environment() -> jinja2.Environment:
 
 
 def _csv(frame: pd.DataFrame) -> str:
-    """Tidy text; words that a spreadsheet would run as a formula are quoted."""
+    """A frame as CSV; words that a spreadsheet would evaluate as a formula are quoted."""
     words = frame.select_dtypes(exclude="number")
     safe = frame.assign(**{c: [f"'{v}" if str(v)[:1] in ("=", "+", "-", "@") else v for v in words[c]] for c in words})
     return safe.to_csv(index=False, lineterminator="\n")
 
 
 def _publish(path: Path, text: str) -> None:
-    """Write a file whole: a reader sees the old one or the new one."""
-    beside = path.with_name(f"{path.name}.tmp.{os.getpid()}")
+    """Replace a file at once: a reader sees the old text or the new."""
+    draft = path.with_name(f"{path.name}.tmp.{os.getpid()}")
     try:
-        beside.write_text(text, encoding="utf-8")
-        os.replace(beside, path)
+        draft.write_text(text, encoding="utf-8")
+        os.replace(draft, path)
     finally:
-        beside.unlink(missing_ok=True)
+        draft.unlink(missing_ok=True)

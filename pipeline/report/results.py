@@ -1,4 +1,4 @@
-"""Tables of results that no figure or ledger shows: cascades, censuses, curves, and the paper's figures 9 and 10."""
+"""Tables of results that neither figures nor the ledger show: cascades, censuses, curves, the paper's figures 9, 10."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ from pipeline.report.source import Source
 CAPTIONS = {
     "figure9": "The tuned walkers (the paper's figure 9)",
     "figure10": "Gaits of the tuned walkers (the paper's figure 10)",
-    "cascade": "Folds and flips of each family of gaits",
-    "accumulation": "Where the doublings accumulate",
-    "census": "Every gait found",
-    "coverage": "How the search went",
-    "areas": "What becomes of the starts",
-    "turnings": "Where a curve of special points turns",
+    "cascade": "Folds and flips of each family of periodic gaits",
+    "accumulation": "Accumulation points of the period doublings",
+    "census": "Gaits found",
+    "coverage": "Coverage of the search",
+    "areas": "Outcomes of the initial conditions",
+    "turnings": "Turning points of the curves of special points",
     "lyapunov": "Lyapunov exponents",
-    "survival": "How long walking lasts",
+    "survival": "Survival times",
+    "lost": "Loss of the attractor",
     "falls": "Falls",
-    "offsets": "Smallest slope against distance from exact tuning",
-    "rounding": "What rounding of each printed parameter does to each landmark",
+    "offsets": "Smallest slope against offset from exact tuning",
+    "rounding": "Effect of the rounding of each printed parameter on each landmark",
 }
 
-#: Shown by figures, the ledger or tables of their own; too long for a page.
+#: Tables shown by figures, by the ledger or by tables of their own, or too long for a page.
 _ELSEWHERE = ("claims", "branches", "special_points", "trace", "orbits", "basin", "curves", "failed_tasks")
 
 _EXPONENTS = "{1} step, p of {0}: γ {2}"
 _FIGURE10 = {
-    "zero_slope_capable": "walks as the slope vanishes",
+    "zero_slope_capable": "walks at vanishing slopes",
     **{
         f"{gait}_{of}_{when}": _EXPONENTS.format(law, gait, near)
         for gait in ("short", "long")
@@ -38,32 +39,32 @@ _FIGURE10 = {
     },
     "faster_vanishing": "faster step: γ vanishing",
     "faster_larger": "faster step: γ larger",
-    "crossing_slope": "γ where both are equally fast (rad)",
+    "crossing_slope": "γ at which both are equally fast (rad)",
 }
 
 
 def tables(source: Source) -> list[Table]:
-    """Every table of results in the archive that is not shown elsewhere on its page."""
+    """Make every table of results in the archive that is not shown elsewhere on its page."""
     rest = [n for n in source.tables if n not in CAPTIONS and n not in _ELSEWHERE and not n.startswith("fits/")]
     return [
-        _shown(name, source)
+        _table(name, source)
         for name in (*CAPTIONS, *sorted(rest))
         if name in source.tables and len(source.tables[name])
     ]
 
 
-def _shown(name: str, source: Source) -> Table:
+def _table(name: str, source: Source) -> Table:
     frame = source.tables[name]
     caption = CAPTIONS.get(name, name.replace("_", " ").replace("/", ": "))
     if name in ("figure9", "figure10") and "walker" in frame:
-        return _turned(caption, frame, {key for table in source.walkers.values() for key in table})
+        return _transposed(caption, frame, {key for table in source.walkers.values() for key in table})
     shown = frame.head(MAX_ROWS)
     note = f"{len(frame) - len(shown)} more rows are in the archive." if len(shown) < len(frame) else ""
     return from_frame(caption, shown, note)
 
 
-def _turned(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
-    """A column a walker and a row a quantity, as the paper prints it."""
+def _transposed(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
+    """A table with one column per walker and one row per quantity, as the paper prints it."""
     columns = [c for c in frame.columns if c not in ("walker", "description")]
     rows = []
     for column in columns:

@@ -1,4 +1,4 @@
-"""What a report reads: one archive as plain arrays, tables and the text of its study."""
+"""One archive as a report reads it: plain arrays, tables and the text of its study."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import xarray as xr
 
 from pipeline.errors import ArchiveError
 
-#: The paper's symbol of a quantity, where it has one.
+#: The paper's symbols.
 SYMBOLS = {
     "slope": "γ",
     "foot_mass_ratio": "ρ",
@@ -35,18 +35,27 @@ SYMBOLS = {
     "froude_speed": "Fr",
 }
 
-#: Status names that answer the question; the others mean that a point failed.
+#: Superscripts of the characters of an integer.
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+#: Statuses that answer the question; every other one means that a point failed.
 ANSWERS = ("converged", "no_gait", "fell")
 
 
-_CACHE = 1 << 20  # byte
-#: Points of a grid (a point a gait) that are read to be drawn and listed; of the others only the status.
+#: Cache of chunks for each variable [byte].
+_CACHE = 1 << 20
+#: Largest number of values of a variable that are read for the figures; a larger grid is thinned in slope.
 MAX_POINTS = 500_000
+
+
+def print_units(units: str) -> str:
+    """CF units as they are written in print: `m s-1` becomes m s⁻¹, and `1` nothing."""
+    return "" if units == "1" else units.translate(SUPERSCRIPTS)
 
 
 @dataclass(frozen=True)
 class Line:
-    """One walker with every axis but `slope` fixed, and what the archive holds along it."""
+    """One walker with every axis but `slope` fixed, and the archive's data along it."""
 
     walker: str
     set: dict[str, Any]
@@ -55,11 +64,11 @@ class Line:
     command: str
 
     def curves(self, *variables: str) -> Iterator[pd.DataFrame]:
-        """A frame for each piece of a branch: `slope`, the wanted variables that exist, `stable` (1, 0 or NaN), `gait`.
+        """Yield a frame for each piece of a branch: `slope`, the variables, `stable` (1, 0 or NaN) and `gait`.
 
         Labels jump from branch to branch, and a branch passes a slope once on each side of a fold: curves follow
-        pieces, and `gait` is the label of each point. Slopes between without a gait of the piece are left in, as NaN: a
-        gap in the curve is a gap in the picture. Archives that tell no branches have a curve a label.
+        pieces, and `gait` is the label of each point. Slopes at which the piece has no gait are kept, as NaN, so that
+        gaps are drawn as gaps. In an archive without branches a curve follows a label.
         """
         data, dims = self.data, ("slope", "gait")
         names = [v for v in dict.fromkeys((*variables, "spectral_radius")) if v in data and data[v].dims == dims]
@@ -83,11 +92,11 @@ class Line:
 
 @dataclass(frozen=True)
 class Source:
-    """One archive, read once: the grid as it is drawn, and the `fates` of all its points."""
+    """One archive, read once: the grid as it is drawn, and the `outcomes` at all its points."""
 
     path: Path
     grid: xr.Dataset
-    fates: xr.Dataset
+    outcomes: xr.Dataset
     tables: dict[str, pd.DataFrame]
     provenance: dict[str, Any]
     study: dict[str, Any]
@@ -95,58 +104,59 @@ class Source:
 
     @property
     def name(self) -> str:
+        """The study's name."""
         return str(self.study.get("name") or self.path.stem)
 
     @property
     def slug(self) -> str:
-        """The study's name as the name of a file, whatever the archive says."""
+        """The study's name, made safe as a file name."""
         return re.sub(r"[^A-Za-z0-9_-]+", "-", self.name).strip("-") or "study"
 
     @property
     def title(self) -> str:
-        """The study's name in words: figure5 is Figure 5."""
+        """The study's name in words: figure5 becomes figure 5."""
         return re.sub(r"(?<=[a-z])(?=\d)", " ", re.sub(r"[-_]+", " ", self.name))
 
     @property
     def about(self) -> str:
-        """What the study says of itself: the comment it begins with."""
+        """The study's description of itself: its first comment."""
         lines = itertools.takewhile(lambda line: line.startswith("#"), self.provenance["study"].strip().splitlines())
         return " ".join(line.lstrip("# ").strip() for line in lines)
 
     @property
     def walker_files(self) -> list[str]:
-        """Files the study's walkers are read from."""
-        given = self.study.get("walker")
-        return [str(w) for w in (given if isinstance(given, list) else [given]) if str(w).endswith(".toml")]
+        """Names of the study's walker files."""
+        walkers = self.study.get("walker")
+        return [str(w) for w in (walkers if isinstance(walkers, list) else [walkers]) if str(w).endswith(".toml")]
 
     @property
     def file(self) -> str:
-        """A name for the study's file that is none of its walkers'."""
+        """A name for the study's file that differs from those of its walkers."""
         return f"{self.slug}-study.toml" if f"{self.slug}.toml" in self.walker_files else f"{self.slug}.toml"
 
     @property
     def whole(self) -> str:
-        """What a status is about: a point of a grid, or a line that was followed."""
+        """What a status refers to: a point of a grid, or a line."""
         return "point" if "gait" in self.grid.dims else "line"
 
     @property
     def figures(self) -> list[str]:
-        """Names of the figures the study wants."""
+        """Names of the figures that the study wants."""
         wanted = self.study.get("want", {}).get("figures", self.study.get("figures", []))
         return [str(name) for name in wanted]
 
     @cached_property
     def walkers(self) -> dict[str, dict[str, Any]]:
-        """Parameters of each walker before axes move them, by the name the study gives it."""
+        """Parameters of each walker before the axes change them, by the walker's name in the study."""
         given, stored = self.study.get("walker"), self.provenance.get("walkers", [])
         named = [_name(w, i) for i, w in enumerate(given if isinstance(given, list) else [given])]
         return {name: dict(w) for name, w in zip(named, stored, strict=False) if isinstance(w, dict)}
 
     @property
     def varied(self) -> dict[str, str]:
-        """Walker keys that the study varies, and the axis that moves each."""
-        found = self.provenance.get("varied")
-        return {str(key): str(axis) for key, axis in found.items()} if isinstance(found, dict) else {}
+        """Walker keys that the study varies, and the axis that changes each."""
+        axes = self.provenance.get("varied")
+        return {str(key): str(axis) for key, axis in axes.items()} if isinstance(axes, dict) else {}
 
     @property
     def walker(self) -> str:
@@ -154,7 +164,7 @@ class Source:
         return next(iter(self.walkers), "")
 
     def parameters(self, walker: str, settings: dict[str, Any]) -> dict[str, Any]:
-        """Parameters of a line's walker, as far as the archive tells."""
+        """Parameters of a line's walker, as far as the archive holds them."""
         return {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **settings}
 
     @property
@@ -164,6 +174,7 @@ class Source:
 
     @property
     def gaits(self) -> list[str]:
+        """Labels along the grid's dimension `gait`."""
         return [str(g) for g in self.grid["gait"].values] if "gait" in self.grid.coords else []
 
     @property
@@ -175,33 +186,33 @@ class Source:
 
     @property
     def reasons(self) -> list[str]:
-        """The table of sentences that `reason` indexes."""
+        """The sentences that `reason` indexes."""
         for name, variable in self.grid.variables.items():
             if str(name).startswith("reason") and variable.ndim == 1 and variable.dtype.kind in "OU":
                 return [str(sentence) for sentence in variable.values]
         return []
 
     def units(self, variable: str) -> str:
-        """Units to print after a quantity: empty where it has none."""
-        known = self.grid.variables.get(variable)
-        units = str(known.attrs.get("units", "")) if known is not None else ""
+        """Units to print after a quantity; empty if it is dimensionless."""
+        column = self.grid.variables.get(variable)
+        units = str(column.attrs.get("units", "")) if column is not None else ""
         if not units and variable in ("slope", "stance_angle"):
             return "rad"
-        return "" if units == "1" else units
+        return print_units(units)
 
     def command(self, walker: str, settings: dict[str, Any]) -> str:
-        """The `gaitsweep solve` command of a line, all but its slope."""
-        given = dict(settings)
+        """The `gaitsweep solve` command of a line, without the slope."""
+        overrides = dict(settings)
         table = self.study.get("walker")
         if isinstance(table, str):
             walker = table
         elif isinstance(table, dict):
-            # What is no number cannot be set on the command line; the study's own file is a walker's too.
+            # Only numbers can be set on the command line; otherwise the study's file serves as the walker's file.
             own = {k: v for k, v in table.items() if k != "base"}
             settable = "base" in table and all(type(v) in (int, float) for v in own.values())
-            walker, given = (str(table["base"]), own | given) if settable else (self.file, given)
+            walker, overrides = (str(table["base"]), own | overrides) if settable else (self.file, overrides)
         words = ["gaitsweep", "solve", "--walker", walker]
-        for key, value in given.items():
+        for key, value in overrides.items():
             words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
         return shlex.join(words)
 
@@ -225,10 +236,10 @@ class Source:
             yield Line(walker, settings, ", ".join(words), self.grid.isel(at), self.command(walker, settings))
 
     def line_columns(self, table: pd.DataFrame) -> list[str]:
-        """Columns of a table that say which line a row belongs to."""
+        """Columns of a table that identify the line of a row."""
         axes = self.study.get("axes", {})
-        known = {"walker", *(axes if isinstance(axes, dict) else ()), *self.axes} - {"slope"}
-        return [c for c in table.columns if c in known]
+        names = {"walker", *(axes if isinstance(axes, dict) else ()), *self.axes} - {"slope"}
+        return [c for c in table.columns if c in names]
 
 
 def read(path: Path) -> Source:
@@ -237,19 +248,19 @@ def read(path: Path) -> Source:
     Raises
     ------
     ArchiveError
-        If there is no such file, or it is not netCDF or not written by gaitsweep.
+        If the file is missing, or is not a netCDF archive of gaitsweep.
     """
     path = Path(path)
     if not path.is_file():
         raise ArchiveError(f"There is no archive {path}.")
-    # Every variable is read once, from end to end: the library's 64 MiB of cache for each would only add up.
+    # Every variable is read once, from end to end: the default cache, 64 MiB per variable, would only cost memory.
     netCDF4.set_chunk_cache(_CACHE)
     try:
         groups = xr.open_groups(path, engine="netcdf4", mask_and_scale=False, decode_times=False)
     except (OSError, ValueError) as error:
         raise ArchiveError(f"{path} is not a netCDF archive that can be read.") from error
     try:
-        fates = groups["/"][[name for name in ("status", "reason") if name in groups["/"]]].load()
+        outcomes = groups["/"][[name for name in ("status", "reason") if name in groups["/"]]].load()
         groups["/"] = _thinned(groups["/"])
         loaded = {name: dataset.load() for name, dataset in groups.items()}
     finally:
@@ -262,18 +273,18 @@ def read(path: Path) -> Source:
     except (KeyError, TypeError, ValueError) as error:
         raise ArchiveError(f"{path} is not an archive of gaitsweep: it has no study in its provenance.") from error
     tables = {name.strip("/"): _table(dataset) for name, dataset in loaded.items() if dataset.variables}
-    return Source(path, grid, fates, tables, provenance, study, _run(path))
+    return Source(path, grid, outcomes, tables, provenance, study, _run(path))
 
 
 def _thinned(grid: xr.Dataset) -> xr.Dataset:
-    """A grid at every so manieth slope, where it has more than `MOST_POINTS` points."""
+    """A grid at every n-th slope, so that a variable has at most about `MAX_POINTS` values."""
     points = math.prod(n for name, n in grid.sizes.items() if name in grid.coords)
     step = -(-points // MAX_POINTS)
     return grid.isel(slope=slice(None, None, step)) if step > 1 and "slope" in grid.dims else grid
 
 
 def _name(walker: Any, place: int) -> str:
-    """A walker's name in its study: the catalogue's, a file's, or that of a table."""
+    """A walker's name in its study: that of the catalogue, the file or the table."""
     if isinstance(walker, dict):
         return str(walker.get("name", walker.get("base", f"walker {place + 1}")))
     return "walker" if walker is None else str(walker)
@@ -290,10 +301,10 @@ def _table(dataset: xr.Dataset) -> pd.DataFrame:
 
 
 def _run(path: Path) -> dict[str, Any]:
-    """How the run went, from the file beside the archive; empty where there is none."""
-    beside = path.with_name(f"{path.stem}.run.json")
+    """The record of the run, from the file next to the archive; empty if there is none."""
+    record = path.with_name(f"{path.stem}.run.json")
     try:
-        found = json.loads(beside.read_text())
+        fields = json.loads(record.read_text())
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return fields if isinstance(fields, dict) else {}

@@ -6,7 +6,7 @@ import xarray as xr
 
 from pipeline import bench
 from pipeline.bench import machine, peers, problems
-from pipeline.bench.harness import Case, interleaved, largest_error
+from pipeline.bench.harness import Case, largest_error, time_in_turns
 
 SLOPE = 0.005
 
@@ -19,7 +19,7 @@ def simplest():
 def test_cases_take_turns():
     order = []
     cases = [Case("D", "stride", name, 0.0, lambda name=name: order.append(name)) for name in "ab"]
-    interleaved(cases, 3, 0.0)
+    time_in_turns(cases, 3, 0.0)
     assert "".join(order) == "ab" + "ababab"
     assert all(len(case.seconds) == 3 for case in cases)
 
@@ -47,13 +47,13 @@ def test_every_tolerance_of_the_engine_is_kept(simplest, monkeypatch):
 
 
 @pytest.mark.parametrize("method", ["DOP853", "LSODA"])
-def test_scipy_walks_the_same_stride(simplest, method):
+def test_scipy_takes_the_same_step(simplest, method):
     peer = peers.Peer(simplest.algebra, SLOPE, peers.by_scipy(method), 1e-11)
     found = peer.stride(simplest.y[:, 0] * simplest.scale[0])
     assert largest_error(found[:2], simplest.exact["image"].astype(float) * simplest.scale[0]) < 1e-8
 
 
-def test_numba_walks_the_same_stride(simplest):
+def test_numba_takes_the_same_step(simplest):
     pytest.importorskip("numba")
     peer = peers.Peer(simplest.algebra, SLOPE, peers.by_numba(), 1e-13)
     found = peer.stride(simplest.y[:, 0] * simplest.scale[0])
@@ -81,6 +81,6 @@ def test_one_run_writes_an_archive_and_a_page(tmp_path, monkeypatch, capsys):
 def test_the_machine_is_named_by_its_make_alone():
     import socket
 
-    told = machine.described()
+    told = machine.describe()
     assert {"cpu", "cores", "heyoka"} <= set(told)
-    assert not any("/" in v and v.startswith("/") or socket.gethostname() == v for v in told.values())
+    assert not any(("/" in v and v.startswith("/")) or socket.gethostname() == v for v in told.values())

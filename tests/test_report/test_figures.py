@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.body import Body
-from pipeline.report.figures.cycle import animation, strides
+from pipeline.report.figures.cycle import animation, traced_steps
 from pipeline.report.figures.style import GAIT_COLOURS, MUTED, plain
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
@@ -130,8 +130,8 @@ def test_both_feet_stand_on_the_ground_at_heelstrike_one_step_apart(table):
 
 
 def test_a_traced_step_ends_where_the_next_begins(sources):
-    for stride in strides(sources["transition"]):
-        first, last = stride.frame.iloc[0], stride.frame.iloc[-1]
+    for step in traced_steps(sources["transition"]):
+        first, last = step.frame.iloc[0], step.frame.iloc[-1]
         assert last["theta_st"] == pytest.approx(first["theta_th"], abs=1e-3)
         assert last["theta_th"] == pytest.approx(first["theta_st"], abs=1e-3)
     moves = animation(sources["transition"])

@@ -96,7 +96,7 @@ def test_every_value_under_the_pointer_is_in_an_archive(report, archives):
     assert count > 1000
 
 
-def test_tables_of_results_stand_on_the_page_of_their_study(tmp_path):
+def test_tables_of_results_are_on_the_page_of_their_study(tmp_path):
     figure10 = {
         "walker": ["D", "C"],
         "description": ["simplest", "kneed"],
@@ -116,7 +116,11 @@ def test_tables_of_results_stand_on_the_page_of_their_study(tmp_path):
     found, source = Page(tmp_path / "figure7-more.html"), (tmp_path / "figure7-more.html").read_text()
     assert "Figure 7 more".lower() in found.text.lower() and "Section 7: doublings and falls." in found.text
     assert {0.3331, 0.9993, 0.35, 0.0190401} <= set(found.numbers)
-    for words in ("short step, p of θ* ∝ γᵖ: γ vanishing", "faster step: γ larger", "Where the doublings accumulate"):
+    for words in (
+        "short step, p of θ* ∝ γᵖ: γ vanishing",
+        "faster step: γ larger",
+        "Accumulation points of the period doublings",
+    ):
         assert words in found.text
     assert "<summary>Falls</summary>" in source and found.text.count("fell forward") == 30
     assert ">l_t<" in source and "1 converged line" in " ".join(found.text.split())
@@ -173,7 +177,7 @@ def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
         assert path.read_bytes() == (again / path.name).read_bytes(), path.name
 
 
-def test_a_report_adds_to_the_pages_that_stand_there(report, archives, tmp_path):
+def test_a_report_adds_to_the_pages_already_there(report, archives, tmp_path):
     """One archive after the other, in any order, gives what all of them give at once."""
     for archive in reversed(archives):
         index = pages.write([archive], tmp_path)
@@ -278,7 +282,7 @@ def test_an_archive_cannot_put_anything_into_a_page(tmp_path):
         assert not re.search(r"(^|,)\"?[=@]", path.read_text(), re.M), path.name
 
 
-def test_what_the_archive_lacks_is_said(report):
+def test_a_page_names_what_the_archive_lacks(report):
     assert "there is no figure of that name" in Page(report / "cascade.html").text
 
 
@@ -325,7 +329,7 @@ def test_the_report_loads_neither_the_tasks_nor_the_plan():
     program = (
         "import pipeline.report.pages, sys; print([m for m in sys.modules if m.split('.')[0] in ('tasks', 'heyoka')]"
     )
-    program += " + [m for m in sys.modules if m in ('pipeline.plan', 'pipeline.execute')])"
+    program += " + [m for m in sys.modules if m in ('pipeline.plan', 'pipeline.execution')])"
     root = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=root, check=True)
     assert done.stdout.strip() == "[]"
@@ -355,7 +359,7 @@ def _contrast(one: str, other: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-def test_of_a_large_grid_a_part_is_drawn_and_every_fate_is_told(tmp_path, monkeypatch):
+def test_a_large_grid_is_thinned_and_every_outcome_is_counted(tmp_path, monkeypatch):
     archive = synthetic.transition(tmp_path, slopes=3000)
     whole = source.read(archive)
     monkeypatch.setattr(source, "MAX_POINTS", 1000)
@@ -364,3 +368,11 @@ def test_of_a_large_grid_a_part_is_drawn_and_every_fate_is_told(tmp_path, monkey
     assert np.isin(part.grid.slope, whole.grid.slope).all()
     assert html_tables.statuses(part) == html_tables.statuses(whole)
     assert html_tables.points(part).equals(html_tables.points(whole))
+
+
+def test_a_table_shows_codes_as_words_and_units_as_in_print():
+    frame = pd.DataFrame({"smallest_at": ["end_zero_step"], "walker": ["my_walker"], "speed": [0.5]})
+    frame.attrs["units"] = {"speed": "m s-1"}
+    table = html_tables.from_frame("Design", frame)
+    assert [cell.text for cell in table.rows[0]] == ["end zero step", "my_walker", "0.5"]
+    assert table.heads[2] == "speed (m s⁻¹)"

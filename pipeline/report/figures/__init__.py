@@ -1,4 +1,4 @@
-"""The figures of a report: one function each, by the name a study's `figures` list uses."""
+"""The figures of a report: one function each, by the name that a study's `figures` list uses."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
 
 
 def draw(source: Source, name: str, salt: str) -> Drawing | None:
-    """One figure of a study; None where the archive does not hold what it shows, or no figure has that name.
+    """Draw one figure of a study; None if the archive lacks its data or there is no figure of that name.
 
-    `salt` makes the identifiers inside unlike those of other figures on one page.
+    `salt` makes the SVG's identifiers differ from those of other figures on the page.
     """
     function = FIGURES.get(name)
     if function is None:

@@ -1,4 +1,4 @@
-"""A walker's shape: where its joints are, and a drawing of it to scale."""
+"""Geometry of a walker's legs, and drawings of walkers to scale."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle
 
-from pipeline.report.figures.style import INK, MUTED, PAPER, brief, canvas, colour, plain
+from pipeline.report.figures.style import INK, MUTED, PAPER, canvas, colour, plain, shorten
 from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import Source
 
-_NEEDED = ("l_t", "l_s", "R", "eps_T")
+_LEG_KEYS = ("l_t", "l_s", "R", "eps_T")
 
 
 @dataclass(frozen=True)
 class Body:
-    """Geometry of a leg: thigh, shank from knee to foot centre, foot radius and the offsets of both links.
+    """Geometry of a leg: thigh, shank from knee to foot centre, foot radius and the angles of both links.
 
     Notes
     -----
@@ -36,9 +36,9 @@ class Body:
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> Body | None:
-        """The body of a table of parameters; None where one is missing."""
+        """The body of a table of parameters; None if one is missing or the leg does not close."""
         try:
-            thigh, l_s, radius, eps = (float(parameters[key]) for key in _NEEDED)
+            thigh, l_s, radius, eps = (float(parameters[key]) for key in _LEG_KEYS)
         except (KeyError, TypeError, ValueError):
             return None
         shank = l_s - radius
@@ -47,27 +47,28 @@ class Body:
 
     @property
     def length(self) -> float:
-        """Distance from the hip to the foot's centre, leg extended."""
+        """Distance from the hip to the foot centre, leg extended."""
         return float(self.thigh * np.cos(self.eps_T) + self.shank * np.cos(self.eps_S))
 
     def hip(self, stance: Any) -> Any:
-        """Hip as x + iy, the stance foot's centre rolling from x = −R θ."""
+        """Position of the hip as x + iy at a stance angle [rad], with the foot centre at x = −R θ."""
         return -self.radius * stance + 1j * self.radius + 1j * self.length * np.exp(1j * stance)
 
     def knee(self, hip: Any, thigh: Any) -> Any:
+        """Position of the knee as x + iy, from that of the hip and the thigh's angle [rad]."""
         return hip - 1j * self.thigh * np.exp(1j * (thigh - self.eps_T))
 
     def foot(self, knee: Any, shank: Any) -> Any:
-        """Centre of the foot's arc."""
+        """Centre of the foot's arc as x + iy, from the position of the knee and the shank's angle [rad]."""
         return knee - 1j * self.shank * np.exp(1j * (shank + self.eps_S))
 
     def step(self, stance: float) -> float:
-        """Length of a step that starts at that stance angle."""
+        """Length of a step that starts at a stance angle [rad]."""
         return float(2 * (self.length * np.sin(stance) + self.radius * stance))
 
 
 def draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, **line: Any) -> None:
-    """One leg: hip, knee, foot centre, and the arc of the foot."""
+    """Draw one leg: hip, knee, bottom of the foot, and the arc of the foot."""
     knee = body.knee(hip, thigh)
     foot = body.foot(knee, shank)
     bottom = foot - 1j * body.radius * np.exp(1j * (shank + body.eps_S))
@@ -92,37 +93,37 @@ def draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, *
 
 
 def _bodies(source: Source) -> dict[str, tuple[Body, dict[str, Any]]]:
-    """The study's first six walkers whose shape the archive tells, with their parameters."""
-    found = {name: (Body.of(table), table) for name, table in list(source.walkers.items())[:6]}
-    return {name: (body, table) for name, (body, table) in found.items() if body is not None}
+    """Bodies and parameters of the study's first six walkers, as far as the archive holds them."""
+    bodies = {name: (Body.of(table), table) for name, table in list(source.walkers.items())[:6]}
+    return {name: (body, table) for name, (body, table) in bodies.items() if body is not None}
 
 
-def _which(source: Source, drawn: int) -> str:
-    """What a caption adds where a study has more walkers than are drawn, or varies their keys."""
+def _caption_note(source: Source, drawn: int) -> str:
+    """Addition to a caption if the study has more walkers than are drawn, or varies their keys."""
     more = f" {drawn} of {len(source.walkers)} walkers are drawn." if len(source.walkers) > drawn else ""
     keys = list(source.varied)
-    return more + (f" The study varies {', '.join(keys)}; drawn is what it starts from." if keys else "")
+    return more + (f" The study varies {', '.join(keys)}; the walkers are drawn before that." if keys else "")
 
 
 def _panels(figure: Figure, names: list[str]) -> list[Axes]:
-    """A panel for each walker, under its name."""
+    """A panel for each walker, with its name as the title."""
     row = list(np.atleast_1d(figure.subplots(1, len(names))))
     for axes, name in zip(row, names, strict=True):
-        axes.set_title(brief(name, 48 // len(names)), pad=2)
+        axes.set_title(shorten(name, 48 // len(names)), pad=2)
         axes.set_aspect("equal")
         axes.axis("off")
     return row
 
 
 def walker(source: Source) -> Sketch | None:
-    """Each walker to scale: links, feet, and every mass as a disc of that area, ringed at its radius of gyration."""
+    """Draw each walker to scale: links, feet, masses as discs in proportion, radii of gyration as rings."""
     bodies = _bodies(source)
     if not bodies:
         return None
     figure = canvas(270 if len(bodies) < 3 else 190)
     marks = []
     for axes, (name, (body, table)) in zip(_panels(figure, list(bodies)), bodies.items(), strict=True):
-        marks += _portrait(axes, name, body, table)
+        marks += _draw_walker(axes, name, body, table)
     data = pd.DataFrame(
         [
             {"walker": name, "parameter": key, "value": value}
@@ -136,8 +137,8 @@ def walker(source: Source) -> Sketch | None:
         "The walkers" if several else "The walker",
         "Drawn to scale from the archive's parameters"
         + (", each to its own scale" if several else "")
-        + ". A disc is a mass, its area in proportion; a ring is its radius of gyration."
-        + _which(source, len(bodies)),
+        + ". Discs are masses, with areas in proportion; rings are their radii of gyration."
+        + _caption_note(source, len(bodies)),
         "Side view of "
         + ", ".join(f"walker {name}" for name in bodies)
         + ": two legs joined at the hip, on the ground, with their masses as discs.",
@@ -146,8 +147,8 @@ def walker(source: Source) -> Sketch | None:
     )
 
 
-def _portrait(axes: Axes, name: str, body: Body, table: Mapping[str, Any]) -> list[Marks]:
-    """One walker with its legs a little apart, the front one in full ink."""
+def _draw_walker(axes: Axes, name: str, body: Body, table: Mapping[str, Any]) -> list[Marks]:
+    """Draw one walker with its legs apart, the front leg darker."""
     spread = 0.26
     hip = complex(body.hip(spread))
     height = body.length + body.radius
@@ -157,16 +158,11 @@ def _portrait(axes: Axes, name: str, body: Body, table: Mapping[str, Any]) -> li
     draw_leg(axes, body, hip, spread, spread, color=MUTED, lw=1.2)
     draw_leg(axes, body, hip, -spread, -spread, color=INK, lw=1.8)
     axes.plot(hip.real, hip.imag, "o", color=INK, ms=4, zorder=5)
-    knee = body.knee(hip, -spread)
-    turn_t, turn_s = np.exp(1j * (-spread - body.eps_T)), np.exp(1j * (-spread + body.eps_S))
+    thigh, shank = _centres_of_mass(body, table, hip, -spread)
     masses = {
-        "thigh": (hip + turn_t * complex(-_of(table, "w_t"), -_of(table, "c_t")), _of(table, "m_t"), _of(table, "r_t")),
-        "shank": (
-            knee + turn_s * complex(-_of(table, "w_s"), -_of(table, "c_s")),
-            _of(table, "m_s"),
-            _of(table, "r_s"),
-        ),
-        "hip": (hip, _of(table, "m_h"), 0.0),
+        "thigh": (thigh, _number(table, "m_t"), _number(table, "r_t")),
+        "shank": (shank, _number(table, "m_s"), _number(table, "r_s")),
+        "hip": (hip, _number(table, "m_h"), 0.0),
     }
     total = sum(m * (1 if part == "hip" else 2) for part, (_, m, _) in masses.items()) or 1.0
     marks = []
@@ -193,8 +189,15 @@ def _portrait(axes: Axes, name: str, body: Body, table: Mapping[str, Any]) -> li
     return marks
 
 
+def _centres_of_mass(body: Body, table: Mapping[str, Any], hip: complex, angle: float) -> tuple[complex, complex]:
+    """Centres of mass of thigh and shank as x + iy, with the extended leg at an angle [rad]."""
+    turn_t, turn_s = np.exp(1j * (angle - body.eps_T)), np.exp(1j * (angle + body.eps_S))
+    thigh = hip + turn_t * complex(-_number(table, "w_t"), -_number(table, "c_t"))
+    return thigh, body.knee(hip, angle) + turn_s * complex(-_number(table, "w_s"), -_number(table, "c_s"))
+
+
 def conditions(source: Source) -> Sketch | None:
-    """The statics of standing at zero slope (the paper's figure 7): legs parallel, the hip above the contact.
+    """Draw the static conditions at zero slope (the paper's figure 7): legs parallel, the hip above the contact.
 
     Notes
     -----
@@ -209,9 +212,8 @@ def conditions(source: Source) -> Sketch | None:
     for axes, (name, (body, table)) in zip(_panels(figure, list(bodies)), bodies.items(), strict=True):
         hip = complex(body.hip(0.0))
         knee, height = body.knee(hip, 0.0), body.length + body.radius
-        thigh = hip + np.exp(-1j * body.eps_T) * complex(-_of(table, "w_t"), -_of(table, "c_t"))
-        shank = knee + np.exp(1j * body.eps_S) * complex(-_of(table, "w_s"), -_of(table, "c_s"))
-        masses = np.array([2 * _of(table, "m_t"), 2 * _of(table, "m_s"), _of(table, "m_h")])
+        thigh, shank = _centres_of_mass(body, table, hip, 0.0)
+        masses = np.array([2 * _number(table, "m_t"), 2 * _number(table, "m_s"), _number(table, "m_h")])
         centre = complex(masses @ np.array([thigh, shank, hip]) / (masses.sum() or 1.0))
         axes.axhline(0, color=MUTED, lw=0.8)
         axes.plot([0, 0], [0, 1.06 * height], color=MUTED, lw=1, ls=(0, (1, 2)))
@@ -233,14 +235,16 @@ def conditions(source: Source) -> Sketch | None:
     return Sketch(
         figure,
         "Standing at zero slope",
-        "Legs parallel, hip above the contact. Discs: centres of mass of thigh and shank; cross: of the whole "
-        "walker. To walk at vanishing slopes the cross must lie on the dotted line, and with free knees the "
-        "dashed line from knee to shank's centre of mass must be parallel to it." + _which(source, len(bodies)),
+        "Legs parallel, hip above the contact. Discs: centres of mass of thigh and shank; cross: that of the whole "
+        "walker. Walking at vanishing slopes requires the cross to lie on the dotted line and, with free knees, "
+        "the dashed line from the knee to the shank's centre of mass to be parallel to it."
+        + _caption_note(source, len(bodies)),
         "Side view of "
         + ", ".join(f"walker {name}" for name in bodies)
         + " standing on parallel legs: "
         + "; ".join(
-            f"{r['walker']}'s centre of mass lies {plain(r['centre_of_mass_from_line'], 3)} from the line" for r in rows
+            f"the centre of mass of {r['walker']} lies {plain(r['centre_of_mass_from_line'], 3)} from the line"
+            for r in rows
         )
         + ".",
         pd.DataFrame(rows),
@@ -248,7 +252,8 @@ def conditions(source: Source) -> Sketch | None:
     )
 
 
-def _of(table: Mapping[str, Any], key: str) -> float:
+def _number(table: Mapping[str, Any], key: str) -> float:
+    """A parameter as a number; zero if it is missing or none."""
     try:
         return float(table.get(key, 0.0))
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""Design maps: the best of each walker over two of its keys."""
+"""Design maps: the best gaits of each walker over two of its keys."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from pipeline.report.figures.style import brief, canvas, places, plain, rows_of, told
+from pipeline.report.figures.style import axis_values, canvas, plain, rows_caption, shorten, spread_evenly
 from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
-#: What is mapped, from left to right, and how it is headed.
+#: Quantities mapped, from left to right, and their titles.
 _SHOWN = {
     "smallest_slope": "smallest slope γ",
     "largest_stable_slope": "largest stable γ",
     "fastest_froude_speed": "fastest stable Fr",
 }
-#: Walkers, or places on other axes, that are shown, a row of maps each.
-_MAX = 4
+#: Largest number of rows of maps, one for each value of the other axes.
+_MAX_ROWS = 4
 
 
 def design(source: Source) -> Sketch | None:
-    """Smallest slope, largest stable slope and fastest stable speed over two keys, a row of maps a walker."""
+    """Map smallest slope, largest stable slope and fastest stable speed over two keys, one row per walker."""
     table = source.tables.get("design")
     if table is None or table.empty or not set(_SHOWN) <= set(table.columns):
         return None
@@ -33,27 +34,27 @@ def design(source: Source) -> Sketch | None:
     down, along = keys
     others = [c for c in source.line_columns(table) if c not in keys]
     every = table[others].drop_duplicates().to_dict("records") if others else [{}]
-    rows = rows_of(every, _MAX)
+    rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]
     figure = canvas(60 + 130 * len(rows))
     panels = figure.subplots(len(rows), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
     marks = []
     several = [{k: v for k, v in at.items() if table[k].nunique() > 1} for at in rows]
     for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
-        mine = table[np.logical_and.reduce([table[c] == v for c, v in at.items()], initial=True)] if at else table
+        cells = table[np.logical_and.reduce([table[c] == v for c, v in at.items()], initial=True)] if at else table
         for axes, (column, words) in zip(row, _SHOWN.items(), strict=True):
-            _map(axes, mine.pivot(index=down, columns=along, values=column), table[column], figure)
+            _draw_map(axes, cells.pivot(index=down, columns=along, values=column), table[column], figure)
             axes.set_title(words if k == 0 else "", pad=5)
-            marks.append(_marks(axes, source, mine, at, (down, along), column))
-        name = told(several[k])
-        row[0].set_ylabel(f"{brief(name, 22)}: {_symbol(source, down)}" if name else _symbol(source, down))
+            marks.append(_marks(axes, source, cells, at, (down, along), column))
+        name = axis_values(several[k])
+        row[0].set_ylabel(f"{shorten(name, 22)}: {_symbol(source, down)}" if name else _symbol(source, down))
     for axes in panels[-1]:
         axes.set_xlabel(_symbol(source, along))
         axes.set_xticks([table[along].min(), table[along].max()])
     return Sketch(
         figure,
         "Design map",
-        f"What walkers can do at best over {down} and {along}: the smallest slope with a gait, the largest with a "
-        "stable one, and the fastest stable gait, as a Froude number. Left blank: none." + places(several, every),
+        f"The smallest slope with a gait, the largest slope with a stable gait, and the Froude number of the fastest "
+        f"stable gait, over {down} and {along}. Blank: no such gait." + rows_caption(several, every),
         f"Heat maps over {along} and {down}: "
         + "; ".join(f"{c.replace('_', ' ')} from {plain(table[c].min())} to {plain(table[c].max())}" for c in _SHOWN)
         + ".",
@@ -62,8 +63,8 @@ def design(source: Source) -> Sketch | None:
     )
 
 
-def _map(axes: Axes, z: pd.DataFrame, whole: pd.Series, figure) -> None:
-    """One map; every walker's map of a quantity has the same colours."""
+def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series, figure: Figure) -> None:
+    """Draw one map; all maps of a quantity share one colour scale."""
     low, high = np.nanmin(whole, initial=np.inf), np.nanmax(whole, initial=-np.inf)
     low, high = (low, high) if low <= high else (0.0, 1.0)
     picture = axes.pcolormesh(
@@ -83,7 +84,7 @@ def _symbol(source: Source, key: str) -> str:
 def _marks(
     axes: Axes, source: Source, table: pd.DataFrame, at: dict[str, Any], keys: tuple[str, str], column: str
 ) -> Marks:
-    """Cells as hover targets, each with the command that solves its walker at the slope it tells of."""
+    """Marks of the cells, each with the command that solves its walker at the slope of the cell."""
     down, along = keys
     walker = str(at.get("walker", source.walker))
     fixed = {k: float(v) for k, v in at.items() if k != "walker"}

@@ -1,4 +1,4 @@
-"""Gait families: stance angle against slope (the paper's figures 5 and 11) and how well power laws fit."""
+"""Gait families: stance angle against slope (the paper's figures 5 and 11), and residuals of the power laws."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from pipeline.report.figures.style import (
@@ -14,15 +15,15 @@ from pipeline.report.figures.style import (
     INK,
     MUTED,
     SAMPLES,
-    brief,
     canvas,
     colour,
-    curve,
+    draw_curve,
     end_labels,
-    heading,
+    labelled,
     log_axis,
-    named,
     plain,
+    set_heading,
+    shorten,
     thin,
 )
 from pipeline.report.figures.svg import Marks, Sketch
@@ -30,12 +31,12 @@ from pipeline.report.source import Line, Source
 
 
 def loglog(source: Source) -> Sketch | None:
-    """Stance angle against slope on logarithmic axes, with the fitted power laws."""
+    """Plot stance angle against slope on logarithmic axes, with the fitted power laws."""
     return _families(source, "log")
 
 
 def linear(source: Source) -> Sketch | None:
-    """Stance angle against slope on linear axes."""
+    """Plot stance angle against slope on linear axes."""
     return _families(source, "linear")
 
 
@@ -56,32 +57,32 @@ def _families(source: Source, scale: str) -> Sketch | None:
         for gait in source.gaits:
             starts = []
             for frame in curves:
-                there = frame[(frame["gait"] == gait) & frame["stance_angle"].notna()]
-                if there.empty:
+                points = frame[(frame["gait"] == gait) & frame["stance_angle"].notna()]
+                if points.empty:
                     continue
-                curve(axes, frame["slope"], named(frame, gait), frame["stable"], colour(gait), k)
-                starts.append(tuple(there.loc[there["slope"].idxmin(), ["slope", "stance_angle"]]))
-                marks.append(_marks(axes, there, f"{gait} step · {line.label}", line.command))
-                pieces.append(there.assign(line=line.label))
+                draw_curve(axes, frame["slope"], labelled(frame, gait), frame["stable"], colour(gait), k)
+                starts.append(tuple(points.loc[points["slope"].idxmin(), ["slope", "stance_angle"]]))
+                marks.append(_marks(axes, points, f"{gait} step · {line.label}", line.command))
+                pieces.append(points.assign(line=line.label))
             if starts:
                 labels.append((*min(starts), line.label, colour(gait)))
     if not pieces:
         return None
     data = pd.concat(pieces, ignore_index=True)
-    fitted = _power_laws(source, axes, lines) if scale == "log" else False
+    fitted = _draw_power_laws(source, axes, lines) if scale == "log" else False
     axes.set_xlabel("slope γ (rad)")
-    heading(axes, "stance angle θ* (rad)")
+    set_heading(axes, "stance angle θ* (rad)")
     if scale == "linear":
         axes.set_xlim(left=0)
         axes.set_ylim(bottom=0)
     if len(lines) > 1 and scale == "log":
         end_labels(axes, labels)
-    _legend(figure, data, fitted, lines)
+    _add_legend(figure, data, fitted, lines)
     kind = "logarithmic" if scale == "log" else "linear"
     caption = (
-        f"Stance angle just after heelstrike against slope, on {kind} axes, for {_listed(lines)}. "
+        f"Stance angle just after heelstrike against slope, on {kind} axes, for {_line_names(lines)}. "
         + ("Thick: stable. " if (data["stable"] == 1).any() else "")
-        + ("Dotted: fitted power laws, carried on to where they cross. " if fitted else "")
+        + ("Dotted: fitted power laws, extended to their crossing. " if fitted else "")
     )
     alt = (
         f"Line plot on {kind} axes of stance angle against slope from {plain(data['slope'].min())} to "
@@ -93,24 +94,17 @@ def _families(source: Source, scale: str) -> Sketch | None:
 
 
 def _marks(axes: Axes, frame: pd.DataFrame, label: str, command: str) -> Marks:
-    values = {"γ (rad)": frame["slope"].to_numpy(), "θ* (rad)": frame["stance_angle"].to_numpy()}
+    slopes, angles = frame["slope"].to_numpy(), frame["stance_angle"].to_numpy()
+    values = {"γ (rad)": slopes, "θ* (rad)": angles}
     if "period" in frame:
         values["period"] = frame["period"].to_numpy()
     if "spectral_radius" in frame:
         values["max |λ|"] = frame["spectral_radius"].to_numpy()
-    return Marks(
-        axes,
-        frame["slope"].to_numpy(),
-        frame["stance_angle"].to_numpy(),
-        label,
-        values,
-        command,
-        frame["slope"].to_numpy(),
-    )
+    return Marks(axes, slopes, angles, label, values, command, slopes)
 
 
-def fits_of(source: Source, line: Line, gait: str) -> pd.DataFrame:
-    """Rows of the table of fitted power laws θ* ~ γ^p for one gait of one line."""
+def _scaling_laws(source: Source, line: Line, gait: str) -> pd.DataFrame:
+    """Fitted power laws θ* ∝ γ^p of one gait of one line."""
     table = source.tables.get("fits/scaling")
     needed = {"quantity", "gait", "exponent", "amplitude", "slope_from", "slope_to"}
     if table is not None:
@@ -126,19 +120,19 @@ def fits_of(source: Source, line: Line, gait: str) -> pd.DataFrame:
     return table[keep & np.isfinite(table["exponent"]) & np.isfinite(table["amplitude"])]
 
 
-def _same_curve(rows: pd.DataFrame) -> bool:
-    """Whether all laws are of one piece of one branch."""
+def _is_one_curve(rows: pd.DataFrame) -> bool:
+    """Whether all laws belong to one piece of one branch."""
     return all(rows[column].nunique() == 1 for column in ("branch", "piece") if column in rows)
 
 
-def _power_laws(source: Source, axes: Axes, lines: list[Line]) -> bool:
-    """Fitted lines; the two regimes of one curve are carried on to their crossing, as in figure 5."""
+def _draw_power_laws(source: Source, axes: Axes, lines: list[Line]) -> bool:
+    """Draw the fitted laws; those of the two regimes of one curve extend to their crossing, as in figure 5."""
     drawn = False
     for line in lines:
         for gait in source.gaits:
-            rows = fits_of(source, line, gait)
+            rows = _scaling_laws(source, line, gait)
             ends = [[r.slope_from, r.slope_to] for r in rows.itertuples()]
-            if len(rows) == 2 and _same_curve(rows) and abs(np.diff(rows["exponent"])[0]) > 0.1:
+            if len(rows) == 2 and _is_one_curve(rows) and abs(np.diff(rows["exponent"])[0]) > 0.1:
                 (p, q), (a, b) = rows["exponent"], rows["amplitude"]
                 cross = (b / a) ** (1 / (p - q))
                 ends = [[min(lo, cross), max(hi, cross)] for lo, hi in ends]
@@ -149,14 +143,14 @@ def _power_laws(source: Source, axes: Axes, lines: list[Line]) -> bool:
     return drawn
 
 
-def _listed(lines: list[Line]) -> str:
+def _line_names(lines: list[Line]) -> str:
     names = [line.label for line in lines]
     return ", ".join(names) if len(names) < 7 else f"{len(names)} lines from {names[0]} to {names[-1]}"
 
 
-def _legend(figure, data: pd.DataFrame, fitted: bool, lines: list[Line]) -> None:
+def _add_legend(figure: Figure, data: pd.DataFrame, fitted: bool, lines: list[Line]) -> None:
     handles = [
-        Line2D([], [], color=colour(g), lw=1.4, label=f"{g} step" if g in ("long", "short") else brief(g))
+        Line2D([], [], color=colour(g), lw=1.4, label=f"{g} step" if g in ("long", "short") else shorten(g))
         for g in data["gait"].unique()
     ]
     if (data["stable"] == 1).any():
@@ -166,13 +160,13 @@ def _legend(figure, data: pd.DataFrame, fitted: bool, lines: list[Line]) -> None
     figure.legend(handles=handles, loc="outside upper left", ncols=4)
     if 1 < len(lines) <= len(DASHES) and figure.axes[0].get_xscale() == "linear":
         keys = [
-            Line2D([], [], color=MUTED, lw=1.2, ls=DASHES[k], label=brief(line.label)) for k, line in enumerate(lines)
+            Line2D([], [], color=MUTED, lw=1.2, ls=DASHES[k], label=shorten(line.label)) for k, line in enumerate(lines)
         ]
         figure.axes[0].legend(handles=keys, loc="lower right", handlelength=3)
 
 
 def residuals(source: Source) -> Sketch | None:
-    """How far the curves lie from the fitted power laws, over the range each was fitted on."""
+    """Plot the relative residuals of the fitted power laws, each over its fitted range."""
     if "stance_angle" not in source.grid:
         return None
     figure = canvas(210)
@@ -182,11 +176,11 @@ def residuals(source: Source) -> Sketch | None:
     for k, line in enumerate(source.lines):
         curves = list(line.curves("stance_angle"))
         for gait in source.gaits:
-            for row, used in itertools.product(fits_of(source, line, gait).itertuples(), curves):
-                if any(getattr(row, c, used[c].iloc[0]) != used[c].iloc[0] for c in ("branch", "piece")):
+            for row, piece in itertools.product(_scaling_laws(source, line, gait).itertuples(), curves):
+                if any(getattr(row, c, piece[c].iloc[0]) != piece[c].iloc[0] for c in ("branch", "piece")):
                     continue
-                here = (used["gait"] == gait) & used["slope"].between(row.slope_from, row.slope_to)
-                used = thin(used[here].dropna(subset="stance_angle"), 80)
+                fitted = (piece["gait"] == gait) & piece["slope"].between(row.slope_from, row.slope_to)
+                used = thin(piece[fitted].dropna(subset="stance_angle"), 80)
                 if used.empty:
                     continue
                 law = row.amplitude * used["slope"] ** row.exponent
@@ -194,18 +188,9 @@ def residuals(source: Source) -> Sketch | None:
                 axes.plot(used["slope"], 100 * used["residual"], color=colour(gait), lw=1.2, ls=DASHES[k % len(DASHES)])
                 regime = getattr(row, "regime", "")
                 label = f"{gait} step · {line.label} · {regime} slopes"
-                values = {"γ (rad)": used["slope"].to_numpy(), "residual (%)": 100 * used["residual"].to_numpy()}
-                marks.append(
-                    Marks(
-                        axes,
-                        used["slope"].to_numpy(),
-                        100 * used["residual"].to_numpy(),
-                        label,
-                        values,
-                        line.command,
-                        used["slope"].to_numpy(),
-                    )
-                )
+                slopes, percent = used["slope"].to_numpy(), 100 * used["residual"].to_numpy()
+                values = {"γ (rad)": slopes, "residual (%)": percent}
+                marks.append(Marks(axes, slopes, percent, label, values, line.command, slopes))
                 pieces.append(used.assign(line=line.label, regime=regime))
     if not pieces:
         return None
@@ -213,9 +198,9 @@ def residuals(source: Source) -> Sketch | None:
     log_axis(axes, "x")
     axes.axhline(0, color=MUTED, lw=0.7)
     axes.set_xlabel("slope γ (rad)")
-    heading(axes, "stance angle over its power law, less one (%)")
+    set_heading(axes, "relative residual of the stance angle (%)")
     figure.legend(
-        handles=[Line2D([], [], color=colour(g), lw=1.4, label=brief(f"{g} step")) for g in data["gait"].unique()],
+        handles=[Line2D([], [], color=colour(g), lw=1.4, label=shorten(f"{g} step")) for g in data["gait"].unique()],
         loc="outside upper left",
         ncols=4,
     )
@@ -223,7 +208,7 @@ def residuals(source: Source) -> Sketch | None:
     return Sketch(
         figure,
         "Residuals of the power laws",
-        "What the fitted power laws leave over, on the slopes each was fitted on.",
+        "Relative residuals of the fitted power laws, each over its fitted range.",
         f"Residuals of the fitted power laws in percent; the largest is {worst} percent.",
         data,
         marks,

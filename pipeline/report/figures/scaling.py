@@ -1,11 +1,11 @@
-"""Where the short step changes its scaling, against the mass of the feet (the paper's 3/2 law)."""
+"""The slope at which the short step changes its scaling, against the mass of the feet (the paper's 3/2 law)."""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
 
-from pipeline.report.figures.style import DASHES, GAIT_COLOURS, INK, MUTED, canvas, heading, log_axis, plain
+from pipeline.report.figures.style import DASHES, GAIT_COLOURS, INK, MUTED, canvas, log_axis, plain, set_heading
 from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import Source
 
@@ -13,7 +13,7 @@ _MARKERS = "osD^v"
 
 
 def transition_ladder(source: Source) -> Sketch | None:
-    """Transition slope against foot mass ratio, the ρ^(3/2) line, and the local exponent beneath."""
+    """Plot the transition slope against the foot mass ratio, with the law ρ^(3/2) and the local exponent."""
     table = source.tables.get("fits/transition")
     if table is None or not {"foot_mass_ratio", "slope_transition"} <= set(table.columns):
         return None
@@ -43,20 +43,20 @@ def transition_ladder(source: Source) -> Sketch | None:
             ls=DASHES[k % len(DASHES)],
             marker=_MARKERS[k % 5],
             ms=4.5,
-            label=_meaning(column, "slope_transition", "crossing of asymptotes"),
+            label=_column_title(column, "slope_transition", "crossing of asymptotes"),
         )
         marks.append(
             Marks(
                 top,
                 ratio,
                 table[column].to_numpy(),
-                _meaning(column, "slope_transition", "crossing of asymptotes"),
+                _column_title(column, "slope_transition", "crossing of asymptotes"),
                 {"ρ": ratio, "γ at the transition (rad)": table[column].to_numpy()},
             )
         )
     if "asymptotic" in table:
         top.plot(ratio, table["asymptotic"], color=MUTED, lw=0.9, label="asymptotic formula")
-    heading(top, "slope at the transition (rad)")
+    set_heading(top, "slope at the transition (rad)")
     top.legend(loc="upper left")
     if exponents:
         below = panels[1]
@@ -71,27 +71,27 @@ def transition_ladder(source: Source) -> Sketch | None:
                     below,
                     ratio,
                     table[column].to_numpy(),
-                    _meaning(column, "local_exponent", "local exponent"),
+                    _column_title(column, "local_exponent", "local exponent"),
                     {"ρ": ratio, "local exponent": table[column].to_numpy()},
                 )
             )
-        heading(below, "local exponent d ln γ / d ln ρ")
+        set_heading(below, "local exponent d ln γ / d ln ρ")
     panels[-1].set_xlabel("foot mass over total mass ρ")
     first = table["local_exponent"].dropna() if "local_exponent" in table else pd.Series(dtype=float)
     words = f" The local exponent is {plain(first.iloc[0])} at the lightest feet." if len(first) else ""
     return Sketch(
         figure,
         "The scaling transition of the short step",
-        "Slope where the two power laws of the short step cross, against foot mass. Dotted: the 3/2 law of "
-        "section 6.3, through the lightest feet; it is asymptotic, and the local exponent shows how it "
-        "is approached.",
+        "Slope at which the two power laws of the short step cross, against foot mass ratio. Dotted: the asymptotic "
+        "3/2 law of section 6.3, drawn through the lightest feet; the local exponent approaches it.",
         f"Transition slope against foot mass ratio from {plain(ratio.min())} to {plain(ratio.max())} on "
-        f"logarithmic axes, beside a line of power 3/2.{words}",
+        f"logarithmic axes, with a line of power 3/2.{words}",
         table,
         marks,
     )
 
 
-def _meaning(column: str, stem: str, plainly: str) -> str:
+def _column_title(column: str, stem: str, words: str) -> str:
+    """A column's name in words: those of its stem, and the rest of the name."""
     rest = column.removeprefix(stem).strip("_").replace("_", " ")
-    return f"{plainly.partition(' of ')[0]}, {rest}" if rest else plainly
+    return f"{words.partition(' of ')[0]}, {rest}" if rest else words

@@ -1,4 +1,4 @@
-"""From a sketch to an SVG for the page: inline, in the page's colours, with points that answer to the pointer."""
+"""From a sketch to an inline SVG in the page's colours, with points that show their values under the pointer."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pipeline.report.figures.style import VARIABLES, plain
+from pipeline.report.figures.style import VARIABLES, plain, spread_evenly
 
-#: Points a figure answers to under the pointer.
+#: Points of a figure that show their values under the pointer.
 TARGETS = 400
 
 
 @dataclass(frozen=True)
 class Marks:
-    """Points of one curve that answer to the pointer: their values and the command that gives them.
+    """Points of one curve that show their values and the command that reproduces them under the pointer.
 
-    The command is `command` and a slope of `slopes`, or one of `commands` whole.
+    The command is `command` with a slope of `slopes`, or one of `commands`.
     """
 
     axes: Axes
@@ -39,7 +39,7 @@ class Marks:
 
 @dataclass
 class Sketch:
-    """A figure as its function leaves it: a drawing, its words, its data and its marks."""
+    """A figure as its function returns it: matplotlib's figure, its texts, its data and its marks."""
 
     figure: Figure
     title: str
@@ -51,7 +51,7 @@ class Sketch:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure as the page takes it."""
+    """A figure as the page shows it."""
 
     name: str
     title: str
@@ -66,17 +66,17 @@ class Drawing:
 
 
 def render(sketch: Sketch, name: str, salt: str) -> Drawing:
-    """The sketch as an SVG to put into a page, with its marks placed.
+    """Render a sketch as an SVG for a page, with its marks in the SVG's coordinates.
 
     Notes
     -----
-    Equal sketches give equal bytes: the identifiers inside come from `salt`, and no date is written.
+    Equal sketches give equal bytes: the SVG's identifiers derive from `salt`, and no date is written.
     """
     figure = sketch.figure
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    svg = _saved(figure, f"{salt}/{name}", 200)
-    small = _saved(figure, f"{salt}/{name}/small", 80) if "data:image" in svg else svg
+    svg = _to_svg(figure, f"{salt}/{name}", 200)
+    small = _to_svg(figure, f"{salt}/{name}/small", 80) if "data:image" in svg else svg
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
         name,
@@ -92,16 +92,16 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
     )
 
 
-def _saved(figure: Figure, salt: str, dpi: int) -> str:
-    """The figure's SVG; `dpi` is that of parts made of pixels."""
+def _to_svg(figure: Figure, salt: str, dpi: int) -> str:
+    """The figure's SVG; `dpi` is the resolution of its raster parts."""
     stream = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": salt}):
         figure.savefig(stream, format="svg", dpi=dpi, metadata={"Date": None})
-    return _inline(stream.getvalue())
+    return _adapt(stream.getvalue())
 
 
-def _inline(svg: str) -> str:
-    """Matplotlib's file without its prologue, outside names and fixed colours."""
+def _adapt(svg: str) -> str:
+    """Matplotlib's SVG without prologue, foreign names and fixed colours."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
     svg = re.sub(r"<style.*?</style>", "", svg, flags=re.S)
@@ -117,37 +117,36 @@ def _inline(svg: str) -> str:
 
 
 def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
-    """Marks in the SVG's own coordinates, thinned to `TARGETS` a figure."""
-    found = []
+    """Marks in the SVG's coordinates, at most `TARGETS` per figure."""
+    targets = []
     for mark in marks:
         x, y = np.asarray(mark.x, float), np.asarray(mark.y, float)
         (left, right), (low, high) = sorted(mark.axes.get_xlim()), sorted(mark.axes.get_ylim())
-        seen = np.flatnonzero((x >= left) & (x <= right) & (y >= low) & (y <= high))
+        inside = np.flatnonzero((x >= left) & (x <= right) & (y >= low) & (y <= high))
         share = max(1, TARGETS // len(marks))
-        if len(seen) > share:
-            seen = seen[np.unique(np.linspace(0, len(seen) - 1, share).round().astype(int))]
-        if not len(seen):
+        if not len(inside):
             continue
-        place = mark.axes.transData.transform(np.column_stack([x[seen], y[seen]]))
+        inside = inside[spread_evenly(len(inside), share)]
+        pixels = mark.axes.transData.transform(np.column_stack([x[inside], y[inside]]))
         rows = [
             [
                 round(float(a), 1),
                 round(float(height - b), 1),
                 _command(mark, i),
-                *(_said(column[i]) for column in mark.values.values()),
+                *(_text(column[i]) for column in mark.values.values()),
             ]
-            for i, (a, b) in zip(seen.tolist(), place, strict=True)
+            for i, (a, b) in zip(inside.tolist(), pixels, strict=True)
         ]
-        found.append({"label": mark.label, "names": list(mark.values), "command": mark.command, "rows": rows})
-    return found[:TARGETS]
+        targets.append({"label": mark.label, "names": list(mark.values), "command": mark.command, "rows": rows})
+    return targets[:TARGETS]
 
 
 def _command(mark: Marks, i: int) -> float | str | None:
-    """What row i adds to the command of its curve: a slope, the whole command, or nothing."""
+    """Command of point i: the slope that completes the curve's command, the whole command, or None."""
     if mark.commands is not None:
         return mark.commands[i]
     return None if mark.slopes is None else float(mark.slopes[i])
 
 
-def _said(value: Any) -> str:
+def _text(value: Any) -> str:
     return plain(float(value), 7) if isinstance(value, (float, np.floating)) else str(value)

@@ -1,5 +1,5 @@
 "use strict";
-// Hover: the nearest point of a figure says its values and the command that gives them. Text only, never markup.
+// Hover: show the values of the nearest point of a figure and the command that reproduces them. Text only, no markup.
 for (const plot of document.querySelectorAll(".plot")) {
   const data = plot.querySelector("script");
   if (!data) continue;
@@ -20,20 +20,20 @@ for (const plot of document.querySelectorAll(".plot")) {
   function nearest(event) {
     const box = plot.getBoundingClientRect(), scale = box.width / width;
     let best = null, least = 24;
-    series.forEach((one, s) => one.rows.forEach((row, r) => {
-      const away = Math.hypot(row[0] * scale - event.clientX + box.left, row[1] * scale - event.clientY + box.top);
-      if (away < least) { least = away; best = [s, r]; }
+    series.forEach((curve, s) => curve.rows.forEach((row, r) => {
+      const distance = Math.hypot(row[0] * scale - event.clientX + box.left, row[1] * scale - event.clientY + box.top);
+      if (distance < least) { least = distance; best = [s, r]; }
     }));
     return best;
   }
   function show([s, r]) {
-    const one = series[s], [x, y, more, ...values] = one.rows[r];
+    const curve = series[s], [x, y, more, ...values] = curve.rows[r];
     at = [s, r];
     const list = make("dl");
-    one.names.forEach((name, i) => list.append(make("dt", "", name), make("dd", "", values[i])));
-    tip.replaceChildren(make("b", "", one.label), list);
+    curve.names.forEach((name, i) => list.append(make("dt", "", name), make("dd", "", values[i])));
+    tip.replaceChildren(make("b", "", curve.label), list);
     if (typeof more === "string") tip.append(make("code", "", more));
-    else if (more !== null && one.command) tip.append(make("code", "", one.command + " --slope " + more));
+    else if (more !== null && curve.command) tip.append(make("code", "", curve.command + " --slope " + more));
     dot.hidden = tip.hidden = false;
     dot.style.left = 100 * x / width + "%";
     dot.style.top = 100 * y / height + "%";
@@ -43,15 +43,15 @@ for (const plot of document.querySelectorAll(".plot")) {
   }
   plot.addEventListener("pointermove", event => {
     if (pinned) return;
-    const found = nearest(event);
-    if (found) show(found); else if (event.pointerType === "mouse") hide();
+    const point = nearest(event);
+    if (point) show(point); else if (event.pointerType === "mouse") hide();
   });
   plot.addEventListener("pointerleave", () => { if (!pinned) hide(); });
   plot.addEventListener("click", event => {
     if (tip.contains(event.target)) return;
-    const found = nearest(event);
-    if (!found) return hide();
-    show(found);
+    const point = nearest(event);
+    if (!point) return hide();
+    show(point);
     pinned = true;
     tip.classList.add("pinned");
   });
@@ -68,7 +68,7 @@ for (const plot of document.querySelectorAll(".plot")) {
   });
 }
 
-// Motion: a walker on its slope beside its phase portrait.
+// Animation of a walker on its slope, with its phase portrait.
 for (const motion of document.querySelectorAll(".motion")) {
   const moves = JSON.parse(motion.querySelector("script").textContent);
   const walk = motion.querySelector(".walk"), phase = motion.querySelector(".phase");
@@ -138,27 +138,27 @@ for (const motion of document.querySelectorAll(".motion")) {
     const say = (x, y, text, anchor) => {
       draw("text", phase, { x, y, "font-size": 13, fill: "var(--muted)", "text-anchor": anchor }).textContent = text;
     };
-    say(26, 20, "rate of the leg", "start");
-    say(284, 290, "its angle", "end");
+    say(26, 20, "angular rate of the leg", "start");
+    say(284, 290, "angle of the leg", "end");
     parts.dot = draw("circle", phase, { r: 5.5, fill: colour, stroke: "var(--wash)", "stroke-width": 1.5 });
     parts.place = place;
   }
   function frame() {
-    const now = pose(time), leg = gait.body[5] + gait.body[2], scale = 225 / leg, reach = WIDE / scale;
-    // The eye moves at the walker's mean speed, half a step ahead of the stance foot's start.
-    const eye = time / now.period * gait.step - gait.step / 2 + gait.step / 2;
-    const place = p => [WIDE / 2 + (p[0] - eye) * scale, 262 - p[1] * scale];
+    const current = pose(time), leg = gait.body[5] + gait.body[2], scale = 225 / leg, reach = WIDE / scale;
+    // The camera moves at the walker's mean speed.
+    const camera = time / current.period * gait.step;
+    const place = p => [WIDE / 2 + (p[0] - camera) * scale, 262 - p[1] * scale];
     parts.world.setAttribute("transform", `rotate(${gait.slope * 180 / Math.PI} ${WIDE / 2} 262)`);
-    let ground = path([[eye - reach, 0], [eye + reach, 0]], place);
-    for (let k = Math.floor((eye - reach) / gait.step); k * gait.step < eye + reach; k++)
+    let ground = path([[camera - reach, 0], [camera + reach, 0]], place);
+    for (let k = Math.floor((camera - reach) / gait.step); k * gait.step < camera + reach; k++)
       ground += path([[k * gait.step, 0], [k * gait.step, -.035 * leg]], place);
     parts.ground.setAttribute("d", ground);
     const past = [];
-    for (let t = Math.max(0, time - 2 * now.period); t < time; t += now.period / 14) past.push(pose(t).hip);
+    for (let t = Math.max(0, time - 2 * current.period); t < time; t += current.period / 14) past.push(pose(t).hip);
     parts.trail.setAttribute("d", past.length > 1 ? path(past, place) : "");
-    for (const [node, limb] of [[parts.light, now.light], [parts.heavy, now.heavy.leg]])
+    for (const [node, limb] of [[parts.light, current.light], [parts.heavy, current.heavy.leg]])
       node.setAttribute("d", path(limb.line, place) + path(limb.sole, place));
-    const [hx, hy] = place(now.hip), [px, py] = parts.place([now.heavy.angle, now.heavy.rate]);
+    const [hx, hy] = place(current.hip), [px, py] = parts.place([current.heavy.angle, current.heavy.rate]);
     parts.hip.setAttribute("cx", hx); parts.hip.setAttribute("cy", hy);
     parts.dot.setAttribute("cx", px); parts.dot.setAttribute("cy", py);
   }
@@ -184,4 +184,4 @@ for (const motion of document.querySelectorAll(".motion")) {
   choose(0);
 }
 
-addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(one => { one.open = true; }));
+addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(details => { details.open = true; }));
