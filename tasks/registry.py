@@ -37,7 +37,8 @@ SI_UNITS = {
 @dataclass(frozen=True)
 class Variable:
     """One archive variable: its name, dimensions after the axes, kind of quantity, meaning, and what is where no
-    gait is."""
+    gait is.
+    """
 
     name: str
     dims: tuple[str, ...]

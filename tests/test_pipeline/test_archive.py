@@ -223,7 +223,7 @@ def test_diff_aligns_by_coordinates(made, tmp_path):
     other = tmp_path / "data" / "archive" / "toy.nc"
     found = diff.diff(made, other)
     assert {f"1 of 2 values of `w_t` are only in {path}" for path in (made, other)} <= set(found)
-    assert not [f for f in found if f.startswith("`") and "status" in f or "stance" in f]
+    assert not [f for f in found if (f.startswith("`") and "status" in f) or "stance" in f]
 
 
 def test_a_bug_is_not_called_damage(made, copy, monkeypatch, capsys):

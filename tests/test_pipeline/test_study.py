@@ -178,10 +178,10 @@ def test_the_registry_names_every_option_and_claim_of_the_tasks():
         if kind not in ("curve", "grid"):  # which read their options one by one
             assert set(known) == set(resolve(registry.TASKS[kind].function.partition(":")[0] + ":OPTIONS")), kind
     assert set(registry.CLAIMS) == set(resolve("tasks.paper.claim:CLAIMS"))
-    assert registry.FOLLOWED == (
+    assert (
         *resolve("tasks.continuation.codimension_one:SCALARS"),
         *resolve("tasks.continuation.codimension_one:ENDS"),
-    )
+    ) == registry.FOLLOWED
 
 
 def test_a_list_of_allowed_names_is_whole(write):
