@@ -325,11 +325,11 @@ class StrideMap:
             NaN in lanes whose integration failed.
         """
         m, n = y.shape
-        begin = self.start(y, parameters)
         size = self.start_size
-        start, seeds = begin[:size], begin[size:].reshape(size, m, n)
-        zeros = np.zeros((size, 1, n))
-        D = np.concatenate([seeds, zeros], axis=1) if slope else seeds
+        start, by_y = np.split(self.start(y, parameters), [size])
+        D = by_y.reshape(size, m, n)
+        if slope:
+            D = np.concatenate([D, np.zeros((size, 1, n))], axis=1)
         motion, strike, parts = [], np.empty((0, n)), np.empty((0, n))
         if self.kneed:
             integrate = flow(self.structure, True, m + slope, slope, coarse)
@@ -371,7 +371,7 @@ class StrideMap:
             start,
             closing[0],
             strike[:6],
-            strike[6:].reshape(-1, m, n),
+            strike[6:].reshape(len(strike[:6]), m, n),
             motion,
         )
 
