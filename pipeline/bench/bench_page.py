@@ -54,8 +54,8 @@ converge, and most random walkers have no gait.</p>
 <p>Error bounds of gaits at random slopes, with their errors as computed in extended precision.</p>
 {{ table(bounds) }}
 <h2>The Taylor step and peak performance</h2>
-<p>Operations are estimated from the u-variables of the decomposition and the order. A step is timed through one call
-from Python, so the rate of short steps is underestimated.</p>
+<p>Operations are estimated from the u-variables of the decomposition and the order. An integration step is timed
+through one call from Python, so the rate of short steps is underestimated.</p>
 {{ table(flows) }}
 {% for name, problems in families.items() %}<h2>Walker {{ name }}</h2>
 {% for problem, part in problems.items() %}{% if part.plot %}<figure>{{ part.plot }}</figure>{% endif %}
