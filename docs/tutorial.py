@@ -20,9 +20,8 @@ print(gaits[["gait", "stance_angle", "period", "stable"]])
 
 # %% [markdown]
 # ## Your own walker
-# A walker is a table. This one is the catalogue's E, whose point feet have a tenth of the mass each, with round
-# feet. The
-# name of a walker file works as well.
+# A walker is a table. This one is the catalogue's E, whose point feet have a tenth of the mass each, with round feet. A
+# walker file works as well, by its name.
 
 # %%
 round_feet = {"base": "E", "R": 0.3}

@@ -13,12 +13,12 @@ import numpy as np
 from pipeline.bench.harness import Case
 from pipeline.bench.run import Measurements
 
-PLOTTED = ("stride", "jacobian", "fixed point")
+_PLOTTED = ("stride", "jacobian", "fixed point")
 #: What `work` counts in each problem.
-WORK = {"fixed point": "steps", "grid": "gaits per point", "branch": "nodes"}
-MARKS = "os^Dv<>p*hXP"
+_WORK = {"fixed point": "steps", "grid": "gaits per point", "branch": "nodes"}
+_MARKS = "os^Dv<>p*hXP"
 
-TEMPLATE = """<!doctype html>
+_TEMPLATE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>Run time against error</title>
 <style>
@@ -54,12 +54,13 @@ converge, and most random walkers have no gait.</p>
 <p>Error bounds of gaits at random slopes, with their errors as computed in extended precision.</p>
 {{ table(bounds) }}
 <h2>The Taylor step and peak performance</h2>
-<p>Operations are estimated from the u-variables of the decomposition and the order. A step is timed through one call
-from Python, so the rate of short steps is underestimated.</p>
+<p>Operations are estimated from the u-variables of the decomposition and the order. An integration step is timed
+through one call from Python, so the rate of short steps is underestimated.</p>
 {{ table(flows) }}
 {% for name, problems in families.items() %}<h2>Walker {{ name }}</h2>
 {% for problem, part in problems.items() %}{% if part.plot %}<figure>{{ part.plot }}</figure>{% endif %}
-<details{% if not part.plot %} open{% endif %}><summary>{{ problem }}: table</summary>{{ table(part.rows) }}</details>
+<details{% if not part.plot %} open{% endif %}><summary>{{ words(problem) }}: table</summary>
+{{ table(part.rows) }}</details>
 {% endfor %}{% endfor %}
 </body></html>
 """
@@ -74,8 +75,8 @@ def write(measurements: Measurements, path: Path) -> None:
     for name, parts in families.items():
         for problem, part in parts.items():
             part["rows"] = [_row(case) for case in part["cases"]]
-            title = f"Walker {name}: one {problem.replace('j', 'J')}"
-            part["plot"] = _plot(title, part["cases"]) if problem in PLOTTED else ""
+            title = f"Walker {name}: one {_words(problem).replace('j', 'J')}"
+            part["plot"] = _plot(title, part["cases"]) if problem in _PLOTTED else ""
     environment = jinja2.Environment(autoescape=jinja2.select_autoescape(default=True, default_for_string=True))
     from markupsafe import Markup
 
@@ -84,7 +85,7 @@ def write(measurements: Measurements, path: Path) -> None:
             part["plot"] = Markup(part["plot"])
     from pipeline.bench.problems import LANES
 
-    text = environment.from_string(TEMPLATE).render(
+    text = environment.from_string(_TEMPLATE).render(
         machine=measurements.machine,
         kind=measurements.kind,
         quick=measurements.quick,
@@ -92,6 +93,7 @@ def write(measurements: Measurements, path: Path) -> None:
         families=families,
         numba=measurements.machine["numba"] != "not installed",
         table=lambda rows: Markup(_table(rows)),
+        words=_words,
         work=[{"walker": k, **v} for k, v in measurements.work.items()],
         less=[{"walker": k, **v} for k, of in measurements.less.items() for v in of],
         outcomes=measurements.outcomes,
@@ -110,9 +112,14 @@ def _row(case: Case) -> dict[str, Any]:
         "greatest": _time(max(case.seconds)),
         "error": "" if np.isnan(case.error) else f"{case.error:.1e}",
     }
-    if case.problem in WORK:
-        row[WORK[case.problem]] = "" if np.isnan(case.work) else f"{case.work:.4g}"
+    if case.problem in _WORK:
+        row[_WORK[case.problem]] = "" if np.isnan(case.work) else f"{case.work:.4g}"
     return row
+
+
+def _words(name: str) -> str:
+    """A name of the bench's archive as the page shows it."""
+    return name.replace("stride", "step").replace("flights", "integrations").replace(" a ", " per ")
 
 
 def _time(seconds: float) -> str:
@@ -129,7 +136,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
     def shown(x: Any) -> str:
         return x if isinstance(x, str) else f"{x:.4g}"
 
-    head = "".join(f'<th scope="col">{k}</th>' for k in rows[0])
+    head = "".join(f'<th scope="col">{_words(k)}</th>' for k in rows[0])
     body = "".join("<tr>" + "".join(f"<td>{shown(x)}</td>" for x in row.values()) + "</tr>" for row in rows)
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
@@ -146,7 +153,7 @@ def _plot(title: str, cases: list[Case]) -> str:
     with matplotlib.rc_context({"svg.hashsalt": title, "svg.fonttype": "none"}):
         figure = Figure(figsize=(8, 4.5), layout="constrained")
         axes = figure.add_subplot()
-        for mark, (method, of) in zip(MARKS, methods.items(), strict=False):
+        for mark, (method, of) in zip(_MARKS, methods.items(), strict=False):
             of = sorted(of, key=lambda c: c.error)
             # Zero cannot be drawn on a logarithmic axis; the rounding of the reference can.
             error = np.maximum([c.error for c in of], 1e-20)

@@ -137,7 +137,26 @@ def compared(
     rounding_std: np.ndarray,
     leg_passes: np.ndarray,
 ) -> list[tuple[float, float, float, float, int]]:
-    """Slope [rad], bound, error, condition number and tier of each converged gait; arguments as those of `settle`."""
+    """Bounds of converged gaits with their errors.
+
+    Parameters
+    ----------
+    problem : Problem
+    Z : ndarray, shape (c, n)
+        Guesses: the section with ln slope, and the event times.
+    slope : ndarray, shape (n,) [rad]
+    lipschitz : ndarray, shape (n,)
+        Lipschitz estimates, as in `settle`.
+    rounding_std : ndarray, shape (o, n)
+        Standard deviations of rounding, as in `settle`.
+    leg_passes : ndarray, shape (n,)
+        Numbers of leg passes, or `UNKNOWN`.
+
+    Returns
+    -------
+    list of tuple
+        Slope [rad], bound, error, condition number and tier of precision of each converged gait.
+    """
     product = solve_points.solve(problem, Z, slope, lipschitz, rounding_std, WANT, leg_passes)
     at = settle(problem, Z, slope, lipschitz, rounding_std, leg_passes)
     time_unit, rows = _time_unit(problem.walker), []

@@ -84,6 +84,18 @@ def work(
 ) -> dict[str, float]:
     """Count the work of the points of one line.
 
+    Parameters
+    ----------
+    name : str
+        Name of a walker.
+    atlas : dict of ndarray
+        The line's atlas as arrays.
+    slopes : ndarray, shape (n,) [rad]
+    want : sequence of str
+        Names of the wanted variables.
+    gaits : sequence of str
+        Wanted labels.
+
     Returns
     -------
     dict

@@ -54,7 +54,18 @@ def time_in_turns(cases: Sequence[Case], rounds: int, least: float) -> None:
 
 
 def largest_error(result: np.ndarray, exact: np.ndarray) -> float:
-    """Largest error of an array over its largest entry, computed in long double; NaN if the shapes differ."""
+    """Largest error of an array over its largest entry, computed in long double.
+
+    Parameters
+    ----------
+    result, exact : ndarray
+        Arrays of any floating-point type.
+
+    Returns
+    -------
+    float
+        The relative error; NaN if the shapes differ.
+    """
     if result.shape != exact.shape:
         return float("nan")
     difference = convert(result.ravel(), np.longdouble) - convert(exact.ravel(), np.longdouble)

@@ -27,26 +27,13 @@ HAS_NUMBA = importlib.util.find_spec("numba") is not None
 EARLY = 0.1
 #: Time at which an integration without an event is given up [sqrt(leg/g)].
 LONGEST = 8.0
+_STANCE = ("R", "l", "eps", "C_aa", "S_a_re", "S_a_im")
+_SWING = ("S_b_re", "S_b_im", "C_bb", "S_c_re", "S_c_im", "C_cc", "H_re", "H_im")
 #: Order of the constants in the right-hand sides.
-CONSTANTS = (
-    "R",
-    "l",
-    "eps",
-    "C_aa",
-    "S_a_re",
-    "S_a_im",
-    "S_b_re",
-    "S_b_im",
-    "C_bb",
-    "S_c_re",
-    "S_c_im",
-    "C_cc",
-    "H_re",
-    "H_im",
-)
+CONSTANTS = (*_STANCE, *_SWING)
 
 
-def compile_with_numba(function: Callable[..., Any]) -> Callable[..., Any]:
+def _compile_with_numba(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function by numba; return it unchanged if numba is not installed."""
     if not HAS_NUMBA:
         return function
@@ -55,9 +42,9 @@ def compile_with_numba(function: Callable[..., Any]) -> Callable[..., Any]:
     return numba.njit(function)
 
 
-@compile_with_numba
-def two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
-    """Rates of stance leg and locked swing leg, into `out`; c holds the slope and the constants, S_b, C_bb locked."""
+@_compile_with_numba
+def _two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
+    """Derivatives of x, into `out`, for stance leg and locked swing leg; S_b and C_bb in c are those of the leg."""
     slope, R, l, eps = c[0], c[1], c[2], c[3]
     a, b, u, v = x[0], x[1], x[2], x[3]
     sa, ca, sb, cb = math.sin(a), math.cos(a), math.sin(b), math.cos(b)
@@ -77,9 +64,9 @@ def two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
     out[0], out[1], out[2], out[3] = u, v, stance, (f1 - couple * stance) / c[9]
 
 
-@compile_with_numba
-def three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
-    """Rates of stance leg, swing thigh and swing shank, into `out`; c holds the slope and the constants."""
+@_compile_with_numba
+def _three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
+    """Derivatives of x, into `out`, for stance leg, swing thigh and swing shank; c holds slope and `CONSTANTS`."""
     slope, R, l, eps = c[0], c[1], c[2], c[3]
     a, u = x[0], x[3]
     sa, ca = math.sin(a), math.cos(a)
@@ -130,7 +117,20 @@ class Algebra:
             self.lock = hy.cfunc([x[0], x[1], *kneestrike(p, x[:3], x[3:])], vars=[*x, *p.variables])
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """State just after heelstrike, shape (4 or 6,) or (4 or 6, n)."""
+        """State just after heelstrike.
+
+        Parameters
+        ----------
+        y : ndarray, shape (m,) or (m, n)
+            Section coordinates.
+        parameters : ndarray, shape (p,) or (p, n)
+            Slope, scale and constants of the walker.
+
+        Returns
+        -------
+        ndarray, shape (4 or 6,) or (4 or 6, n)
+            Angles, then rates.
+        """
         return self.begin(np.concatenate([y, parameters]))[: 6 if self.kneed else 4]
 
 
@@ -152,19 +152,40 @@ class Peer:
             self.locked[9] += self.locked[12] + 2 * self.locked[13]
 
     def stride(self, y: np.ndarray) -> np.ndarray:
-        """Image and event times of one step from y, unscaled; shape (m + phases,)."""
+        """One step, unscaled.
+
+        Parameters
+        ----------
+        y : ndarray, shape (m,)
+            Section coordinates.
+
+        Returns
+        -------
+        ndarray, shape (m + phases,)
+            Image on the section, then event times [time units].
+        """
         state = self.algebra.start(y, self.parameters)
         times = []
         if self.algebra.kneed:
-            time, state = self.integrate(three_links, self.constants, state, 1, self.tolerance)
+            time, state = self.integrate(_three_links, self.constants, state, 1, self.tolerance)
             times.append(time)
             state = self.algebra.lock(np.concatenate([state, self.parameters]))
-        time, state = self.integrate(two_links, self.locked, state, 0, self.tolerance)
+        time, state = self.integrate(_two_links, self.locked, state, 0, self.tolerance)
         times.append(time + sum(times))
         return np.concatenate([self.algebra.image(np.concatenate([state, self.parameters])), times])
 
     def jacobian(self, y: np.ndarray) -> np.ndarray:
-        """Jacobian by central differences, shape (m, m), with increments that suit the tolerance."""
+        """Jacobian of the step map by central differences, with increments that suit the tolerance.
+
+        Parameters
+        ----------
+        y : ndarray, shape (m,)
+            Section coordinates.
+
+        Returns
+        -------
+        ndarray, shape (m, m)
+        """
         m = self.algebra.m
         h = abs(y[0]) * max(self.tolerance, 1e-16) ** (1 / 3)
         columns = []
@@ -175,7 +196,20 @@ class Peer:
         return np.stack(columns, axis=1)
 
     def fixed_point(self, y: np.ndarray, most: int = 12) -> np.ndarray:
-        """Fixed point and magnitudes of its multipliers, shape (2 m,), by Newton's method with differences."""
+        """Fixed point and multipliers, by Newton's method with differences.
+
+        Parameters
+        ----------
+        y : ndarray, shape (m,)
+            Guess on the section.
+        most : int
+            Largest number of Newton steps.
+
+        Returns
+        -------
+        ndarray, shape (2 m,)
+            The fixed point, then the magnitudes of its multipliers, the largest first.
+        """
         m = self.algebra.m
         size = np.inf
         for _ in range(most):
@@ -190,7 +224,19 @@ class Peer:
 
 
 def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
-    """Integration to an event by one of scipy's methods."""
+    """Integration to an event by one of scipy's methods.
+
+    Parameters
+    ----------
+    method : str
+        Name of the method for `scipy.integrate.solve_ivp`.
+
+    Returns
+    -------
+    callable
+        `integrate(rhs, constants, state, guard, tolerance)`, which returns time and state of the
+        event, NaN if there is none.
+    """
 
     def integrate(
         rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int, tolerance: float
@@ -270,7 +316,7 @@ class Scalar:
 _A, _B, _E3, _E5 = (table.copy() for table in (dop853.A[:12, :12], dop853.B, dop853.E3, dop853.E5))
 
 
-@compile_with_numba
+@_compile_with_numba
 def _dop853_step(rhs: Any, c: np.ndarray, x: np.ndarray, h: float, K: np.ndarray, new: np.ndarray) -> None:
     """One step of DOP853 from x, into `new`; the stages go into K, whose first row is given."""
     for s in range(1, 12):
@@ -287,7 +333,7 @@ def _dop853_step(rhs: Any, c: np.ndarray, x: np.ndarray, h: float, K: np.ndarray
         new[i] = x[i] + h * total
 
 
-@compile_with_numba
+@_compile_with_numba
 def _dop853_error(x: np.ndarray, new: np.ndarray, h: float, K: np.ndarray, absolute: float, relative: float) -> float:
     """Error of a step over its tolerance, from the embedded methods of orders five and three."""
     five, three = 0.0, 0.0
@@ -303,7 +349,7 @@ def _dop853_error(x: np.ndarray, new: np.ndarray, h: float, K: np.ndarray, absol
     return h * five / math.sqrt(denominator * len(x)) if denominator > 0 else 0.0
 
 
-@compile_with_numba
+@_compile_with_numba
 def _guard(kind: int, t: float, x: np.ndarray) -> float:
     """The guard of kneestrike (1) or heelstrike (0), which is negative while it does not count yet."""
     if t < EARLY:
@@ -311,7 +357,7 @@ def _guard(kind: int, t: float, x: np.ndarray) -> float:
     return x[1] - x[2] if kind else x[0] + x[1]
 
 
-@compile_with_numba
+@_compile_with_numba
 def _dop853_until_guard(
     rhs: Any, c: np.ndarray, start: np.ndarray, kind: int, tolerance: float
 ) -> tuple[float, np.ndarray]:
@@ -349,5 +395,5 @@ def _dop853_until_guard(
 
 
 def by_numba() -> Callable[..., tuple[float, np.ndarray]]:
-    """Integration to an event by DOP853, compiled by numba."""
+    """Integration to an event by DOP853 compiled by numba, called as that of `by_scipy`."""
     return _dop853_until_guard

@@ -64,12 +64,22 @@ class Family:
 
     @property
     def scale(self) -> np.ndarray:
-        """Powers of two that divide the states of the lanes, shape (LANES,)."""
+        """Powers of two that divide the states.
+
+        Returns
+        -------
+        ndarray, shape (LANES,)
+        """
         return np.exp2(np.floor(np.log2(np.exp(self.w[0]))))
 
     @property
     def y(self) -> np.ndarray:
-        """Scaled section coordinates of every lane, shape (m, LANES)."""
+        """Scaled section coordinates of every lane.
+
+        Returns
+        -------
+        ndarray, shape (m, LANES)
+        """
         angle = np.exp(self.w[0])
         return np.vstack([angle, angle * self.w[1 : self.problem.m]]) / self.scale
 

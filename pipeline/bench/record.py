@@ -30,7 +30,7 @@ def write(measurements: Measurements, path: Path) -> None:
     numbers("seconds_least", "least time of one answer", "s", [min(c.seconds) for c in cases])
     numbers("seconds_most", "greatest time of one answer", "s", [max(c.seconds) for c in cases])
     numbers("error", "largest error over the largest entry, against extended precision", "1", [c.error for c in cases])
-    numbers("work", "strides a fixed point, gaits a grid point, nodes of the branches", "1", [c.work for c in cases])
+    numbers("work", "steps per fixed point, gaits per grid point, nodes of the branches", "1", [c.work for c in cases])
     about = {
         "Conventions": "CF-1.11",
         "title": "Run time against error",

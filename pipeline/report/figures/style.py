@@ -175,7 +175,20 @@ def shorten(name: str, most: int = 30) -> str:
 
 
 def spread_evenly(count: int, most: int) -> np.ndarray:
-    """Indices of at most `most` of `count` items, evenly spaced, the first and the last included."""
+    """Indices of some of many items, evenly spaced, the first and the last included.
+
+    Parameters
+    ----------
+    count : int
+        Number of items.
+    most : int
+        Largest number of indices.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        Increasing indices, n = min(count, most).
+    """
     return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
 
 
