@@ -93,7 +93,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 
 def _repeats(angles: np.ndarray) -> np.ndarray:
-    """Largest relative change of each orbit's angles (strides, n) after the period that changes them least."""
+    """Largest relative change of each orbit's angles (steps, n) after the period that changes them least."""
     periods = range(1, min(_MAX_PERIOD, len(angles) // 2) + 1)
     if not periods:
         return np.full(angles.shape[1], np.nan)
