@@ -1,4 +1,4 @@
-"""How many gaits are there? Newton from low-discrepancy starts over the whole admissible section."""
+"""The task `census`: gaits found by Newton's method from initial guesses over the whole admissible section."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from tasks.step.simulate import STRUCK, stride
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
-#: Starts at each slope where a study is silent.
+#: Default options of a study of this kind: initial guesses at each slope.
 OPTIONS = {"starts": 2000}
-#: Widest admissible stance angle [rad]; the narrowest is this share of the slope: half the linear law's.
-WIDEST, NARROWEST = 0.8, 0.5
-#: Stance rate over angle: from a walker that barely crosses the vertical to one that runs over it.
-CROSSING = (-4.0, -0.7)
-#: Swing rate over the stance rate's size.
-SWING = (-1.6, 1.6)
-#: Solutions nearer than this in similarity coordinates are one.
-SAME = 1e-5
-#: Deflated Newton: steps a start may take, passes over all starts, and how near and how far from known solutions an
-#: end must lie to be polished.
-MAX_STEPS, PASSES, NEAR, AWAY = 15, 3, 1e-3, 1e-2
-GAITS = (
+#: Largest admissible stance angle [rad], and the smallest one over the slope: half that of the linear law.
+_MAX_ANGLE, _MIN_ANGLE_RATIO = 0.8, 0.5
+#: Stance rate over angle: from barely crossing the vertical to much faster.
+_STANCE_RATIO = (-4.0, -0.7)
+#: Swing rate over the magnitude of the stance rate.
+_SWING_RATIO = (-1.6, 1.6)
+#: Solutions closer than this in similarity coordinates are the same, and after a coarse iteration.
+_SAME, _SAME_COARSE = 1e-5, 1e-3
+#: Deflated Newton: iterations of a guess, passes over all guesses, largest last step of a converging guess, and its
+#: smallest distance from known solutions.
+_MAX_ITERATIONS, _PASSES, _CONVERGING, _MIN_DISTANCE = 15, 3, 1e-3, 1e-2
+_GAIT_COLUMNS = (
     "slope",
     "gait",
     "anthropomorphic",
@@ -40,7 +40,7 @@ GAITS = (
     "spectral_radius",
     "hits",
 )
-COVER = (
+_COVERAGE_COLUMNS = (
     "slope",
     "starts",
     "struck",
@@ -57,61 +57,60 @@ COVER = (
 
 
 def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Every period-one gait of a line that Newton finds from starts all over its section.
+    """Search a line for period-one gaits by Newton's method from initial guesses spread over its section.
 
     Parameters
     ----------
     params : mapping
-        `line`; `slope`, ndarray, shape (n,) [rad]; and the study's option `starts` at each slope.
+        `line`; `slope`, ndarray, shape (n,) [rad]; and the study's option `starts`, initial guesses at each slope.
     inputs : list
-        Nothing.
+        Empty.
 
     Returns
     -------
     dict
-        Tables `census` (a row per distinct gait: slope, gait, anthropomorphic, passes, stance_angle, stance_rate,
-        period, spectral_radius, hits) and `coverage` (slope, starts, struck, converged, gaits, anthropomorphic,
-        non_anthropomorphic, not_steps, found_once, unseen, deflated, found_deflated).
+        Tables `census` (a row per distinct gait, in the walker's units: slope, gait, anthropomorphic, passes,
+        stance_angle, stance_rate, period, spectral_radius, hits) and `coverage` (slope, starts, struck, converged,
+        gaits, anthropomorphic, non_anthropomorphic, not_steps, found_once, unseen, deflated, found_deflated).
 
     Notes
     -----
-    Starts fill the box of stance angle (evenly in its logarithm), stance rate over angle and swing rate over stance
-    rate by an additive recurrence. A start is flown to its strikes, which gives Newton its event times. `unseen` is
-    Good's and Turing's estimate of the share of converging starts that would lead to a gait not found yet: solutions
-    found exactly once, over starts that converged (at least one is assumed, so it is never zero). Then all starts that
-    struck go again (`deflated`, counted each time) by Newton on the residual times 1 + 1/r^2 for the distance r to
-    each known
-    solution (Farrell, Birkisson and Funke 2015), which keeps them from those and leads some elsewhere
-    (`found_deflated`; such a gait has no `hits`). A start that never strikes is not tried: its gait, if any, is not
-    covered.
+    Guesses fill the box of stance angle (uniformly in its logarithm), stance rate over angle and swing rate over stance
+    rate by an additive recurrence. The step from each guess is simulated to its strikes, whose times are guesses too.
+    `unseen` is the Good-Turing estimate of the fraction of converging guesses that would lead to a gait not found:
+    solutions found exactly once, over guesses that converged (at least one is assumed, so it is never zero). Then all
+    guesses that strike are used again (`deflated`, counted each time) with the residual multiplied by 1 + 1/r^2, r the
+    distance to each known solution (deflation; Farrell, Birkisson and Funke, SIAM J. Sci. Comput. 37, 2015), which
+    repels them from known solutions and leads some to others (`found_deflated`; such a gait has no `hits`). A guess
+    that never strikes is not used: its gait, if any, is not covered.
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     time_unit = np.sqrt(walker.leg / walker.g)
-    rows: dict[str, list[Any]] = {k: [] for k in GAITS}
-    cover: dict[str, list[Any]] = {k: [] for k in COVER}
+    rows: dict[str, list[Any]] = {k: [] for k in _GAIT_COLUMNS}
+    cover: dict[str, list[Any]] = {k: [] for k in _COVERAGE_COLUMNS}
     for slope in np.asarray(params["slope"], float):
         y = starts(problem, float(slope), int(params.get("starts", OPTIONS["starts"])))
-        flown = stride(problem, y, np.full(y.shape[1], slope), exact=False)
-        struck = flown.outcome == STRUCK
-        begin = np.vstack([np.log(y[0]), y[1:] / y[0], flown.times])[:, struck]
-        w, hits, converged = _solved(problem, begin, float(slope))
-        w, hits, tried, more = _deflated(problem, begin, w, hits, float(slope))
+        first = stride(problem, y, np.full(y.shape[1], slope), exact=False)
+        struck = first.outcome == STRUCK
+        guesses = np.vstack([np.log(y[0]), y[1:] / y[0], first.times])[:, struck]
+        w, hits, converged = _solve(problem, guesses, float(slope))
+        w, hits, tried, added = _deflate(problem, guesses, w, hits, float(slope))
         counts = {"anthropomorphic": 0, "non_anthropomorphic": 0, "not_steps": 0}
         if w.shape[1]:
             at, verdict = verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
             radius = np.abs(multipliers(at.jacobian, problem.m)).max(axis=1)
-            human = verdict.anthropomorphic
+            anthropomorphic = verdict.anthropomorphic
             counts = {
-                "anthropomorphic": int(human.sum()),
-                "non_anthropomorphic": int((verdict.step & ~human).sum()),
+                "anthropomorphic": int(anthropomorphic.sum()),
+                "non_anthropomorphic": int((verdict.step & ~anthropomorphic).sum()),
                 "not_steps": int((~verdict.step).sum()),
             }
             for i in np.nonzero(verdict.step)[0]:
                 values = (
                     slope,
                     "long" if gait_ratio(at)[i] < 0.5 else "short",
-                    int(human[i]),
+                    int(anthropomorphic[i]),
                     int(verdict.leg_passes[i]),
                     np.exp(w[0, i]),
                     np.exp(w[0, i]) * w[1, i] / time_unit,
@@ -119,7 +118,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     radius[i],
                     int(hits[i]),
                 )
-                for key, value in zip(GAITS, values, strict=True):
+                for key, value in zip(_GAIT_COLUMNS, values, strict=True):
                     rows[key].append(value)
         once = int((hits == 1).sum())
         values = (
@@ -132,102 +131,122 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             once,
             max(once, 1) / max(converged, 1),
             tried,
-            more,
+            added,
         )
-        for key, value in zip(COVER, values, strict=True):
+        for key, value in zip(_COVERAGE_COLUMNS, values, strict=True):
             cover[key].append(value)
-    found = {f"census/{k}": np.array(v) for k, v in rows.items()}
-    return found | {f"coverage/{k}": np.array(v) for k, v in cover.items()}
+    tables = {f"census/{k}": np.array(v) for k, v in rows.items()}
+    return tables | {f"coverage/{k}": np.array(v) for k, v in cover.items()}
 
 
 def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
-    """Low-discrepancy starts over the admissible section, shape (m, count) [rad, rad/sqrt(leg/g)]."""
+    """Spread initial guesses over the admissible section by a low-discrepancy sequence.
+
+    Parameters
+    ----------
+    problem : Problem
+    slope : float [rad]
+    count : int
+
+    Returns
+    -------
+    ndarray, shape (m, count) [rad, sqrt(g/leg)]
+        Stance angle and rates just after heelstrike.
+    """
     unit = r_sequence(problem.m, count)
-    low, high = np.log(NARROWEST * slope), np.log(WIDEST)
+    low, high = np.log(_MIN_ANGLE_RATIO * slope), np.log(_MAX_ANGLE)
     angle = np.exp(low + (high - low) * unit[0])
-    rate = angle * (CROSSING[0] + (CROSSING[1] - CROSSING[0]) * unit[1])
+    rate = angle * (_STANCE_RATIO[0] + (_STANCE_RATIO[1] - _STANCE_RATIO[0]) * unit[1])
     if problem.m == 2:
         return np.vstack([angle, rate])
-    return np.vstack([angle, rate, -rate * (SWING[0] + (SWING[1] - SWING[0]) * unit[2])])
+    return np.vstack([angle, rate, -rate * (_SWING_RATIO[0] + (_SWING_RATIO[1] - _SWING_RATIO[0]) * unit[2])])
 
 
-def _solved(problem: Problem, w: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Distinct fixed points, how many starts led to each, and how many converged at all."""
+def _solve(problem: Problem, w: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Distinct fixed points, how many guesses led to each, and how many converged at all."""
     q = np.log(slope)
+    hits, converged = np.ones(w.shape[1], int), None
     if problem.phases == 2:
-        # Three links are dear: every start flies roughly, and only distinct ends are flown exactly.
-        near = newton(problem, w, np.full(w.shape[1], q), coarse=True)
-        w, hits = _distinct(near.w[:, near.converged], np.ones(int(near.converged.sum()), int), 1e-3)
-        converged = int(near.converged.sum())
-    else:
-        hits, converged = np.ones(w.shape[1], int), -1
+        # Three links are expensive: all guesses are iterated coarsely, and only distinct results exactly.
+        coarse = newton(problem, w, np.full(w.shape[1], q), coarse=True)
+        converged = int(coarse.converged.sum())
+        w, hits = _merge(coarse.w[:, coarse.converged], hits[coarse.converged], _SAME_COARSE)
     exact = newton(problem, w, np.full(w.shape[1], q))
-    if converged < 0:
-        converged = int(exact.converged.sum())
-    w, hits = _distinct(exact.w[:, exact.converged], hits[exact.converged], SAME)
-    return w, hits, converged
+    w, hits = _merge(exact.w[:, exact.converged], hits[exact.converged], _SAME)
+    return w, hits, int(exact.converged.sum()) if converged is None else converged
 
 
-def _deflated(
-    problem: Problem, begin: np.ndarray, known: np.ndarray, hits: np.ndarray, slope: float
+def _deflate(
+    problem: Problem, guesses: np.ndarray, known: np.ndarray, hits: np.ndarray, slope: float
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
-    """Known solutions with what deflated Newton adds, their hits, how many starts it tried, and how many it added."""
+    """Known solutions with those that deflation adds, their hits, the number of guesses, and of solutions added."""
     first, tried = known.shape[1], 0
-    for _ in range(PASSES):
+    for _ in range(_PASSES):
         before = known.shape[1]
-        if not before or not begin.shape[1]:
+        if not before or not guesses.shape[1]:
             break
-        tried += begin.shape[1]
-        ends = deflated(problem, begin, known, slope)
-        found = newton(problem, ends, np.full(ends.shape[1], np.log(slope)))
-        both = np.hstack([known, found.w[:, found.converged]])
+        tried += guesses.shape[1]
+        ends = deflated(problem, guesses, known, slope)
+        solutions = newton(problem, ends, np.full(ends.shape[1], np.log(slope)))
+        both = np.hstack([known, solutions.w[:, solutions.converged]])
         counts = np.concatenate([hits, np.zeros(both.shape[1] - before, int)])
-        known, hits = _distinct(both, counts, SAME)
+        known, hits = _merge(both, counts, _SAME)
         if known.shape[1] == before:
             break
     return known, hits, tried, known.shape[1] - first
 
 
 def deflated(problem: Problem, begin: np.ndarray, known: np.ndarray, slope: float) -> np.ndarray:
-    """Where Newton leads that is kept from known solutions, shape (m + phases, n); only ends near a solution.
+    """Iterate deflated Newton, which known solutions repel.
+
+    Parameters
+    ----------
+    problem : Problem
+    begin, known : ndarray, shape (m + phases, n)
+        Guesses and known solutions, in similarity coordinates with event times.
+    slope : float [rad]
+
+    Returns
+    -------
+    ndarray, shape (m + phases, k)
+        Iterates near another solution.
 
     Notes
     -----
     With M the product of 1 + 1/r^2 over the known solutions, Newton's step for M F is its step s for F over
-    1 - s.grad ln M (Sherman and Morrison), so it costs nothing.
+    1 - s.grad ln M (Sherman-Morrison formula), at no extra evaluation.
     """
     w, q = begin.copy(), np.log(slope)
     active, arrived = np.arange(w.shape[1]), np.zeros(w.shape[1], bool)
-    for _ in range(MAX_STEPS):
+    for _ in range(_MAX_ITERATIONS):
         if not len(active):
             break
-        here = w[:, active]
-        at, _ = problem.stride(here, np.full(len(active), q), coarse=problem.phases == 2)
-        step = newton_step(at, here)
-        away = here[:, None] - known[:, :, None]
-        square = (away**2).sum(axis=0)
+        iterate = w[:, active]
+        at, _ = problem.stride(iterate, np.full(len(active), q), coarse=problem.phases == 2)
+        step = newton_step(at, iterate)
+        offset = iterate[:, None] - known[:, :, None]
+        square = (offset**2).sum(axis=0)
         with np.errstate(all="ignore"):
-            towards = (-2 * away * step[:, None]).sum(axis=0) / (square**2 + square)
-            size = np.abs(step).max(axis=0)
-            new = size < NEAR
-            arrived[active[new & (square.min(axis=0) > AWAY**2)]] = True
-            step = step / (1 - towards.sum(axis=0))
+            growth = (-2 * offset * step[:, None]).sum(axis=0) / (square**2 + square)
+            is_close = np.abs(step).max(axis=0) < _CONVERGING
+            arrived[active[is_close & (square.min(axis=0) > _MIN_DISTANCE**2)]] = True
+            step = step / (1 - growth.sum(axis=0))
             longest = np.abs(step).max(axis=0)
-            w[:, active] = here + step * np.minimum(1.0, 0.5 / np.maximum(longest, 1e-300))
+            w[:, active] = iterate + step * np.minimum(1.0, 0.5 / np.maximum(longest, 1e-300))
         sane = np.isfinite(w[:, active]).all(axis=0) & (np.abs(w[1 : problem.m, active]) < 50).all(axis=0)
         sane &= (w[problem.m :, active] > 0.05).all(axis=0) & (w[-1, active] < 12) & (w[0, active] < 0.4)
-        active = active[sane & ~new]
+        active = active[sane & ~is_close]
     return w[:, arrived]
 
 
-def _distinct(w: np.ndarray, hits: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:
-    """Columns of w nearer than `apart` taken together, in order of their angle, with the sum of their hits."""
+def _merge(w: np.ndarray, hits: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Merge columns of w closer than a tolerance, in order of their angle, and add up their hits."""
     order = np.lexsort(np.round(w, 6)[::-1])
     kept: list[int] = []
     count: list[int] = []
     for i in order:
         for k, j in enumerate(kept):
-            if np.abs(w[:, i] - w[:, j]).max() <= apart:
+            if np.abs(w[:, i] - w[:, j]).max() <= tolerance:
                 count[k] += int(hits[i])
                 break
         else:

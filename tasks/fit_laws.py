@@ -1,4 +1,4 @@
-"""Fits over whole lines of gaits: scaling laws and the transition."""
+"""The tasks `scaling` and `transition`: laws fitted over whole lines of gaits."""
 
 from __future__ import annotations
 
@@ -12,49 +12,57 @@ from tasks.fits import transition as laws
 from tasks.registry import GAITS
 
 Arrays = dict[str, np.ndarray]
-#: A piece of a branch, by the numbers of both, and the points of it over which the local exponent stands still.
+#: A piece of a branch, by the numbers of both, and those of its points over which the local exponent is constant.
 _Run = tuple[tuple[int, int], np.ndarray, np.ndarray]
-#: How the fitted quantities depend on each other: name, abscissa, ordinate.
-QUANTITIES = (("stance_angle", "slope", "stance_angle"), ("speed", "slope", "speed"), ("power_speed", "speed", "power"))
+#: What stands where there is no plateau.
+_NO_LAW = power_law.PowerLaw(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, 0)
+#: The laws fitted: name, abscissa, ordinate.
+_QUANTITIES = (
+    ("stance_angle", "slope", "stance_angle"),
+    ("speed", "slope", "speed"),
+    ("power_speed", "speed", "power"),
+)
 
 
 def scaling(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Power laws of both gaits of every line, at vanishing and at larger slopes (section 6.2 of the paper).
+    """Fit power laws to both gaits of every line, at vanishing and at larger slopes (section 6.2 of the paper).
 
-    A law never goes across two branches, nor through a fold: each is fitted on one piece of one branch.
+    Each law is fitted on one piece of one branch, never across branches or folds.
 
     Parameters
     ----------
     params : mapping
         `lines`.
     inputs : list
-        One dict a line: `slope` (n,), `stance_angle`, `speed`, `power`, `branch`, `piece` (n, gaits).
+        One dict a line: `slope` (n,) [rad]; `stance_angle`, `speed`, `power`, `branch`, `piece`, shape (n, gaits), in
+        the walker's units.
 
     Returns
     -------
     dict
-        Table `fits/scaling`, a row per line, gait, quantity and regime, with the branch and the piece it was fitted on;
-        where there is no plateau the numbers are NaN, `n` is 0 and both are -1.
+        Table `fits/scaling`, a row per line, gait, quantity and regime, with the branch and piece of the fit; where
+        there is no plateau the numbers are NaN, `n` is 0 and branch and piece are -1.
     """
     rows: list[dict[str, Any]] = []
-    for line, data in zip(params["lines"], inputs):
+    for line, data in zip(params["lines"], inputs, strict=True):
         for g, gait in enumerate(GAITS[:2]):
-            for quantity, abscissa, ordinate in QUANTITIES:
+            for quantity, abscissa, ordinate in _QUANTITIES:
                 x = data["slope"] if abscissa == "slope" else data[abscissa][:, g]
                 y = data[ordinate][:, g]
                 good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-                curves = {key: _sorted(x[mine], y[mine]) for key, mine in _curves(data, g, good).items()}
+                curves = {key: _sort(x[points], y[points]) for key, points in _curves(data, g, good).items()}
                 rows += _laws({**_coordinates(line), "gait": gait, "quantity": quantity}, curves)
     return _table("fits/scaling", rows)
 
 
 def _curves(data: Arrays, g: int, good: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
-    """Where a gait's good points lie on each piece of a branch, by the numbers of both."""
-    place = list(zip(data["branch"][:, g].tolist(), data["piece"][:, g].tolist()))
-    return {key: good & np.array([p == key for p in place]) for key in sorted({p for p, ok in zip(place, good) if ok})}
+    """Masks of a gait's good points on each piece of a branch, by the numbers of branch and piece."""
+    branch, piece = data["branch"][:, g], data["piece"][:, g]
+    keys = sorted(set(zip(branch[good].tolist(), piece[good].tolist(), strict=True)))
+    return {key: good & (branch == key[0]) & (piece == key[1]) for key in keys}
 
 
-def _sorted(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sort(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(x)
     return x[order], y[order]
 
@@ -62,9 +70,9 @@ def _sorted(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _laws(
     head: dict[str, Any], curves: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 ) -> list[dict[str, Any]]:
-    """The law at the smallest abscissae, and the one at the largest if it is another, each of one curve."""
+    """The law at the smallest abscissae, and that at the largest if it differs, each of one curve."""
     small = min(_plateaus(curves, power_law.FLATNESS), key=_start, default=None)
-    # Above the transition the law only comes close to a power, so the rule is looser there.
+    # Above the transition the law only approximates a power, so the tolerance is larger there.
     large = max(_plateaus(curves, 5 * power_law.FLATNESS), key=_start, default=None)
     if (
         small
@@ -75,15 +83,24 @@ def _laws(
         large = None
     rows = []
     for regime, run in (("small", small), ("large", large)):
-        law = power_law.fit(*run[1:]) if run else None
-        (branch, piece), values = (-1, -1), (*[np.nan] * 6, 0)
-        if run and law:
-            (branch, piece), values = (
-                run[0],
-                (law.exponent, law.low, law.high, law.amplitude, law.x_from, law.x_to, law.n),
-            )
-        names = ("exponent", "exponent_low", "exponent_high", "amplitude", "from", "to", "n")
-        rows.append({**head, "regime": regime, "branch": branch, "piece": piece, **dict(zip(names, values))})
+        fitted = power_law.fit(*run[1:]) if run else None
+        law = fitted or _NO_LAW
+        branch, piece = run[0] if run and fitted else (-1, -1)
+        rows.append(
+            {
+                **head,
+                "regime": regime,
+                "branch": branch,
+                "piece": piece,
+                "exponent": law.exponent,
+                "exponent_low": law.low,
+                "exponent_high": law.high,
+                "amplitude": law.amplitude,
+                "from": law.x_from,
+                "to": law.x_to,
+                "n": law.n,
+            }
+        )
     return rows
 
 
@@ -102,32 +119,36 @@ def _exponent(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Where the short step of light feet turns from slope to slope^(1/3), and how that moves with the foot's mass.
+    """Locate the transition of light feet's short step from slope to slope^(1/3), as a function of foot mass.
 
     Parameters
     ----------
     params : mapping
         `lines`, each with a `foot_mass_ratio` (or walkers E and F).
     inputs : list
-        One dict a line: `slope` (n,), `stance_angle`, `branch`, `piece` (n, gaits).
+        One dict a line: `slope` (n,) [rad]; `stance_angle` [rad], `branch`, `piece`, shape (n, gaits).
 
     Returns
     -------
     dict
-        Table `fits/transition`, a row per ratio, heaviest first, all of it from the piece of a branch that comes to the
-        smallest slope: its numbers, amplitude of the linear law, crossing of the exact
-        asymptotes, crossing of fitted lines, the asymptotic formula, and the local exponent
-        d ln slope_transition / d ln ratio towards the next lighter foot.
+        Table `fits/transition`, a row per ratio, heaviest first, from the piece of a branch that reaches the smallest
+        slope: numbers of branch and piece, amplitude of the linear law, crossing of the exact asymptotes, crossing of
+        fitted lines, the asymptotic formula, and the local exponent d ln slope_transition / d ln ratio towards the next
+        lighter foot. With ratios 0.1 and 0.05, table `fits/transition_ratio` compares them.
+
+    Notes
+    -----
+    Paper, sections 4.1 and 6.3.
     """
     g = GAITS.index("short")
     rows = []
-    for line, data in zip(params["lines"], inputs):
+    for line, data in zip(params["lines"], inputs, strict=True):
         ratio = line["set"].get("foot_mass_ratio", {"E": 0.1, "F": 0.05}.get(line["walker"], np.nan))
         if not ratio > 0:
             continue
         curves = _curves(data, g, np.isfinite(data["stance_angle"][:, g]))
-        (branch, piece), mine = min(curves.items(), key=lambda c: data["slope"][c[1]].min(), default=((-1, -1), []))
-        slope, angle = _sorted(data["slope"][mine], data["stance_angle"][mine, g])
+        (branch, piece), points = min(curves.items(), key=lambda c: data["slope"][c[1]].min(), default=((-1, -1), []))
+        slope, angle = _sort(data["slope"][points], data["stance_angle"][points, g])
         if len(slope) < 4:
             continue
         linear, error, to, n = laws.linear_amplitude(slope, angle)
@@ -152,7 +173,7 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         )
     rows.sort(key=lambda r: -r["foot_mass_ratio"])
     for name, key in (("local_exponent", "slope_transition"), ("local_exponent_fitted", "slope_transition_fitted")):
-        for row, after in zip(rows, [*rows[1:], None]):
+        for row, after in zip(rows, [*rows[1:], None], strict=True):
             row[name] = (
                 np.nan
                 if after is None

@@ -1,4 +1,4 @@
-"""Branches of gaits over a window of slopes, with their special points."""
+"""The task `branch`: solution branches over a window of slopes, with their special points."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from tasks.measures import violations
 from tasks.step.problem import EPS, Problem
 from tasks.walkers.resolve import resolve
 
-#: Places between two nodes beyond which a window is too narrow for more.
-MAX_PARTS = 65536
+#: Largest number of points between two nodes; a window that needs more is too narrow.
+_MAX_PARTS = 65536
 
 
 def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Follow a line's gaits through folds to their ends.
+    """Sample a line's branches, continued through folds to their ends.
 
     Parameters
     ----------
     params : mapping
         `line`; `slope_from`, `slope_to` [rad], the window; `n`, the least number of points of a branch in it, or
-        `adaptive`, the tolerance of straight lines between them.
+        `adaptive`, the tolerance of linear interpolation between them.
     inputs : list
         The line's atlas.
 
@@ -48,11 +48,11 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
         for k in ("branch", "slope", "stance_angle", "period", "kneestrike_time", "spectral_radius", "stable", "gait")
     }
     points: list[dict[str, Any]] = []
-    for number, found in enumerate(atlases.from_arrays(inputs[0])):
-        Z = chosen(problem, found, low, high, tolerance) if tolerance else _dense(found, low, high, least)
+    for number, curve in enumerate(atlases.from_arrays(inputs[0])):
+        Z = chosen(problem, curve, low, high, tolerance) if tolerance else _dense(curve, low, high, least)
         if not len(Z):
             continue
-        m = found.m
+        m = curve.m
         stride, _ = problem.stride(np.delete(Z, m, axis=1).T, Z[:, m])
         radius = np.abs(multipliers(stride.jacobian, m)).max(axis=1)
         times = Z[:, m + 1 :] * time_unit
@@ -68,7 +68,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
             ("gait", np.where(gait_ratio(stride) < 0.5, "long", "short")),
         ):
             rows[key].append(value)
-        for point in special_points(problem, found) + contact_lost(problem, found, low, high):
+        for point in special_points(problem, curve) + contact_lost(problem, curve, low, high):
             if low <= float(point["slope"]) <= high and point["kind"] != "window":
                 points.append({"branch": number, **point, "period": float(point["period"]) * time_unit})
     out = {f"branches/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in rows.items()}
@@ -77,15 +77,22 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     return out
 
 
-def contact_lost(problem: Problem, found: Branch, low: float, high: float) -> list[dict[str, float | str]]:
-    """Where in a window of slopes the least normal force of the ground over a step vanishes: the foot would let go.
+def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> list[dict[str, float | str]]:
+    """Locate the points at which the least normal force over a step vanishes, so that the foot would lift off.
+
+    Parameters
+    ----------
+    problem : Problem
+    branch : Branch
+    low, high : float [rad]
+        Window of slopes.
 
     Returns
     -------
     list of dict
-        As `special_points`, of kind `end_contact_lost`; the map knows nothing of it, and the branch goes on.
+        As `special_points`, of kind `end_contact_lost`. The step map does not model it, and the branch continues.
     """
-    m = found.m
+    m = branch.m
 
     def least(X: np.ndarray, times: np.ndarray, samples: int = violations.SAMPLES) -> np.ndarray:
         stride, scale = problem.stride(np.vstack([X[:m], times]), X[m], samples=samples)
@@ -94,33 +101,33 @@ def contact_lost(problem: Problem, found: Branch, low: float, high: float) -> li
             problem.walker, [part * scale for part in stride.motion], stride.impact * scale, times, np.exp(X[m])
         )["least_normal_force"]
 
-    inside = (found.q >= np.log(low)) & (found.q <= np.log(high))
+    inside = (branch.q >= np.log(low)) & (branch.q <= np.log(high))
     near = np.nonzero(np.convolve(inside, np.ones(3), "same"))[0]  # and a node either side
     force = np.full(len(inside), np.nan)
-    force[near] = least(found.Z[near, : m + 1].T, found.Z[near, m + 1 :].T)
+    force[near] = least(branch.Z[near, : m + 1].T, branch.Z[near, m + 1 :].T)
     records: list[dict[str, float | str]] = []
     for segment in np.nonzero(force[1:] * force[:-1] < 0)[0]:
-        point, _ = locate_root(problem, found, int(segment), lambda point, way: float(least(point.X, point.times)[0]))
-        # Closer samples tell how far off the least of a sampled force is.
-        off = least(point.X, point.times, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
-        error = abs(float(off * (found.q[segment + 1] - found.q[segment])))
+        point, _ = locate_root(problem, branch, int(segment), lambda point, _: float(least(point.X, point.times)[0]))
+        # Closer samples show the error of the minimum of a sampled force.
+        error = least(point.X, point.times, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
+        slope_error = abs(float(error * (branch.q[segment + 1] - branch.q[segment])))
         records.append(
             {
                 "kind": "end_contact_lost",
                 "slope": float(np.exp(point.X[m, 0])),
                 "stance_angle": float(np.exp(point.X[0, 0])),
                 "period": float(point.times[-1, 0]),
-                "error_bound": error + 64 * EPS,
+                "error_bound": slope_error + 64 * EPS,
             }
         )
     return records
 
 
-def _dense(found: Branch, low: float, high: float, least: int) -> np.ndarray:
-    """The branch within the window, at its nodes and at so many places between that there are enough."""
+def _dense(branch: Branch, low: float, high: float, least: int) -> np.ndarray:
+    """Rows of the branch within the window, at its nodes and as many points between as `least` rows need."""
     parts = 1
     while True:
-        _, rows = within(found, np.log(low), np.log(high), parts)
-        if not len(rows) or len(rows) >= least or parts >= MAX_PARTS:
+        _, rows = within(branch, np.log(low), np.log(high), parts)
+        if not len(rows) or len(rows) >= least or parts >= _MAX_PARTS:
             return rows
         parts *= 2

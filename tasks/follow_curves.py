@@ -1,4 +1,4 @@
-"""Curves of folds, flips and ends of walking in slope and one more key of a walker."""
+"""The task `curve`: folds, flips and ends of branches, continued in slope and one key of the walker."""
 
 from __future__ import annotations
 
@@ -18,34 +18,35 @@ from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker, WalkerError
 
 Arrays = dict[str, np.ndarray]
-COLUMNS = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "walks")
-TURNS = ("curve", "kind", "turn", "slope", "key", "value", "stance_angle", "period", "error_bound")
+#: Columns of the tables.
+_CURVES = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "walks")
+_TURNINGS = ("curve", "kind", "turn", "slope", "key", "value", "stance_angle", "period", "error_bound")
 
 
 def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Follow a line's special points as one key moves.
+    """Continue a line's special points as one key varies.
 
     Parameters
     ----------
     params : mapping
-        `line`, where the curves begin if its own value of the key lies in the range and any of the points are there,
-        else at an end of the range, the nearer first; `slope`, ndarray [rad], whose ends are the window; and the
-        study's options: `key` (a walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range, and `kinds`
-        of points.
+        `line`, at which the curves begin if its value of the key lies in the range and it has such points, else at an
+        end of the range, the nearer first; `slope`, ndarray [rad], whose ends are the window; and the study's options:
+        `key` (a walker key, `detuning` or `foot_mass_ratio`), `from` and `to`, its range in the walker's units, and
+        `kinds` of points.
     inputs : list
         The line's atlas.
 
     Returns
     -------
     dict
-        Tables `curves` (curve, kind, slope, key, value, stance_angle, period, walks) and `turnings` (where along a
-        curve the key or the slope turns back: curve, kind, turn, slope, key, value, stance_angle, period,
-        error_bound).
+        Tables `curves` (curve, kind, slope, key, value, stance_angle, period, walks) and `turnings` (turning points of
+        key or slope along a curve: curve, kind, turn, slope, key, value, stance_angle, period, error_bound), in the
+        walker's units.
 
     Raises
     ------
     WalkerError
-        If the key is none of the walker's, or the range is empty.
+        If the walker has no such key, or the range is empty.
     """
     line, options = params["line"], registry.options("curve", params)
     key, low, high = str(options["key"]), float(options["from"]), float(options["to"])
@@ -55,21 +56,16 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     def walker_at(value: float) -> Walker:
         return resolve(line["walker"], {**line.get("set", {}), key: value})
 
-    # Off any special value: what equations hold there hold all over the range.
+    # Away from any special value: the equations that hold there hold throughout the range.
     usual = low + 0.4871 * (high - low)
     walker_at(usual)
-    here = resolve(line["walker"], line.get("set"))
-    own = float(
-        line.get("set", {}).get(
-            key, 0.0 if key == "detuning" else _ratio(here) if key == "foot_mass_ratio" else getattr(here, key)
-        )
-    )
+    own = _own_value(line, key)
     slope = np.asarray(params["slope"], float)
     window = {"q": (np.log(slope.min()), np.log(slope.max())), "key": (low, high)}
-    rows: dict[str, list[Any]] = {k: [] for k in COLUMNS}
-    turns: dict[str, list[Any]] = {k: [] for k in TURNS}
+    rows: dict[str, list[Any]] = {k: [] for k in _CURVES}
+    turns: dict[str, list[Any]] = {k: [] for k in _TURNINGS}
     for begin in _beginnings(own, low, high):
-        if not _ordinary(walker_at, begin, usual, DIFFERENCE * (high - low)):
+        if not _is_ordinary(walker_at, begin, usual, DIFFERENCE * (high - low)):
             begin += 1e-3 * (usual - begin)
         problem = Problem(walker_at(begin))
         branches = atlases.from_arrays(inputs[0]) if begin == own else atlases.survey(problem)
@@ -83,17 +79,17 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             first = equations.correct(U, times, border)
             if not first.ok or any(k == kind and np.abs(first.U - p).max() < 1e-3 for k, p in seen):
                 continue
-            points = _both_ways(equations, first, window)
-            # A curve that comes back to the line it began on passes through another of its points.
-            seen += [(kind, p.U) for p in _back_at(equations, points, first)]
+            points = _follow_both_directions(equations, first, window)
+            # A curve that returns to the line it began on passes through another of its points.
+            seen += [(kind, p.U) for p in _returns(equations, points, first)]
             number = len(set(rows["curve"]))
             for p in points:
                 _add(rows, (number, kind, *_place(equations, p, key, window), int(equations.walks(p))))
             for component, turn in ((-1, "key"), (-2, "slope")):
                 for a, b in itertools.pairwise(points):
-                    found = turning(equations, a, b, component)
-                    if found is not None and found.ok:
-                        _add(turns, (number, kind, turn, *_place(equations, found, key, window), found.error))
+                    point = turning(equations, a, b, component)
+                    if point is not None and point.ok:
+                        _add(turns, (number, kind, turn, *_place(equations, point, key, window), point.error))
         if seen:
             break
     return {f"curves/{k}": np.array(v) for k, v in rows.items()} | {
@@ -102,12 +98,12 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 
 def _beginnings(own: float, low: float, high: float) -> list[float]:
-    """Where curves may begin: at the walker's own value, or the end of the range nearest to it; then at the ends."""
+    """Values at which curves may begin: the walker's own, or the nearest in the range; then the ends of the range."""
     return list(dict.fromkeys([min(max(own, low), high), *sorted((low, high), key=lambda end: abs(end - own))]))
 
 
-def _ordinary(walker_at: Callable[[float], Walker], value: float, usual: float, h: float) -> bool:
-    """Whether a curve can begin at a value: walkers beside it exist, and its map has the dimension of a usual one."""
+def _is_ordinary(walker_at: Callable[[float], Walker], value: float, usual: float, h: float) -> bool:
+    """Whether a curve can begin at a value: neighbouring walkers exist, and their maps have the usual dimension."""
     try:
         return all(walker_at(v).point_foot == walker_at(usual).point_foot for v in (value - h, value, value + h))
     except WalkerError:
@@ -127,15 +123,18 @@ def _place(equations: Curve, p: Point, key: str, window: Mapping[str, tuple[floa
     return float(slope), key, float(value), float(np.exp(p.U[0])), float(period)
 
 
-def _ratio(walker: Walker) -> float:
-    return walker.m_s / walker.total_mass
+def _own_value(line: Mapping[str, Any], key: str) -> float:
+    """The line's value of a key."""
+    walker, settings = resolve(line["walker"], line.get("set")), line.get("set", {})
+    derived = {"detuning": 0.0, "foot_mass_ratio": walker.m_s / walker.total_mass}
+    return float(settings[key] if key in settings else derived[key] if key in derived else getattr(walker, key))
 
 
 def _seeds(
     problem: Problem, branches: list[Branch], kinds: Any, window: Mapping[str, tuple[float, float]]
 ) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Special points of a line's branches to begin at: kind, (w, q) and event times."""
-    found = []
+    """Special points of a line's branches at which curves begin: kind, (w, q) and event times."""
+    seeds = []
     m = problem.m
     for branch in branches:
         for point in special_points(problem, branch):
@@ -144,17 +143,17 @@ def _seeds(
                 continue
             if not window["q"][0] <= q <= window["q"][1]:
                 continue
-            # Folds have a node of their own; between nodes the branch's polynomial is as good as a solution.
+            # Folds are nodes; between nodes the branch's polynomial is accurate enough as a guess.
             angle = np.log(float(point["stance_angle"]))
             near = [branch.Z[np.argmin(np.abs(branch.Z[:, [0, m]] - [angle, q]).max(axis=1))]]
             near += [Z[0] for _, Z, _ in branch.guesses(np.array([q]))]
             Z = min(near, key=lambda z: abs(z[0] - angle) + abs(z[m] - q))
-            found.append((str(point["kind"]), Z[: m + 1], Z[m + 1 :]))
-    return found
+            seeds.append((str(point["kind"]), Z[: m + 1], Z[m + 1 :]))
+    return seeds
 
 
-def _both_ways(equations: Curve, first: Point, window: Mapping[str, tuple[float, float]]) -> list[Point]:
-    """The curve through a point, from its falling to its rising end."""
+def _follow_both_directions(equations: Curve, first: Point, window: Mapping[str, tuple[float, float]]) -> list[Point]:
+    """The curve through a point, from the end with decreasing to that with increasing arclength."""
     down = follow(equations, Point(first.U, first.times, first.tangent.copy(), True, first.error), -1.0, window)
     up = follow(equations, Point(first.U, first.times, first.tangent.copy(), True, first.error), 1.0, window)
     for p in down:
@@ -162,9 +161,9 @@ def _both_ways(equations: Curve, first: Point, window: Mapping[str, tuple[float,
     return down[:0:-1] + up
 
 
-def _back_at(equations: Curve, points: list[Point], first: Point) -> list[Point]:
-    """Where a curve crosses the key value it began at."""
-    found = [first]
+def _returns(equations: Curve, points: list[Point], first: Point) -> list[Point]:
+    """Points of a curve at the value of the key at which it began."""
+    returns = [first]
     border = np.zeros(len(first.U))
     border[-1] = 1.0
     value = first.U[-1]
@@ -172,5 +171,5 @@ def _back_at(equations: Curve, points: list[Point], first: Point) -> list[Point]
         if (a.U[-1] - value) * (b.U[-1] - value) < 0:
             h = (value - a.U[-1]) / (b.U[-1] - a.U[-1])
             p = equations.correct((1 - h) * a.U + h * b.U, (1 - h) * a.times + h * b.times, border)
-            found += [p] if p.ok else []
-    return found
+            returns += [p] if p.ok else []
+    return returns

@@ -1,4 +1,4 @@
-"""Cascades: gaits of period 1, 2, 4, ... and of other periods, from their folds through their doublings."""
+"""The task `cascade`: gaits of period 1, 2, 4, ... and of other periods, from folds through period doublings."""
 
 from __future__ import annotations
 
@@ -29,19 +29,23 @@ from tasks.step.simulate import STRUCK, stride
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
-#: Options of a study of this kind: the longest period, first periods of the families, starts of their search, and the
-#: strides every start must last where the attractor beyond the doublings is sought for its end.
+#: Default options of a study of this kind: the longest period, first periods of the families, initial conditions of
+#: their search, and the steps that all orbits must last where the end of an attractor is located.
 OPTIONS = {"periods": 64, "families": [1], "starts": 400, "strides": 200}
-#: Starts that look for that end, their relative distance from the last doubled gait (chaos parts them), and how far
-#: beyond the doublings they look, over the doublings' own length.
-WALKERS, SPREAD, BEYOND = 32, 1e-9, 3.0
-#: How much of the window the first step along a branch takes, and the longest interval to the next flip, in ln slope,
-#: that is expected: the first intervals of a cascade need not follow its law.
-FIRST_STEP, LONGEST = 0.01, 0.05
+#: Orbits that locate that end, their relative distance from the last gait (chaos separates them), and how far beyond
+#: the accumulation they search, relative to its distance from the first flip.
+_ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
+#: First step along a branch over the window, and the longest interval to the next flip, in ln slope, that is expected:
+#: the first intervals of a cascade need not follow Feigenbaum's law.
+_FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
+#: Columns of the tables.
+_CASCADE = ("family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", "walks")
+_ACCUMULATION = ("family", "flips", "slope", "low", "high", "ratio")
+_LOST = ("family", "low", "high", "starts", "strides")
 
 
-@dataclass
-class Event:
+@dataclass(frozen=True)
+class _Event:
     """A fold or flip of a family, and the relative error of its slope."""
 
     kind: str
@@ -50,14 +54,14 @@ class Event:
 
 
 def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Flips and folds of a line's families of period-n gaits within a window of slopes.
+    """Locate the flips and folds of a line's families of period-n gaits within a window of slopes.
 
     Parameters
     ----------
     params : mapping
         `line`; `slope`, ndarray [rad], whose ends are the window and whose values are searched for families of other
-        periods than one; and the study's options: `periods`, the longest; `families`, first periods; `starts` of the
-        search at each slope; `strides` that walking must last (0: its end is not sought).
+        periods than one; and the study's options: `periods`, the longest; `families`, first periods; `starts`, initial
+        conditions of the search at each slope; `strides`, steps that walking must last (0: its end is not located).
     inputs : list
         The line's atlas.
 
@@ -66,7 +70,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         Tables `cascade` (family, period, kind, slope, error_bound, ratio, stance_angle, walks), a row for each fold and
         flip, `accumulation` (family, flips, slope, low, high, ratio), and `lost` (family, low, high, starts, strides):
-        the slopes between which the chaos beyond a family's doublings ends, in falls or in a gait of period one.
+        the slopes [rad] between which the chaos beyond a family's doublings ends, in falls or a period-one gait.
     """
     options = {**OPTIONS, **{k: params[k] for k in OPTIONS if k in params}}
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
@@ -76,103 +80,86 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     limits: list[dict[str, Any]] = []
     ends: list[dict[str, Any]] = []
     for number in options["families"]:
-        families: list[list[Event]] = []
-        for start in _first(problem, inputs[0], slope, int(number), int(options["starts"])):
-            found = _family(problem, start, slope, int(options["periods"]))
-            if not any(_same_birth(found, other) for other in families):
-                families.append(found)
-        for family, found in enumerate(families):
-            name = f"{number}" if len(families) == 1 else f"{number}-{family + 1}"
-            flips = np.array([e.cycle.slope for e in found if e.kind == "flip"])
-            ratio = iter(scaling.ratios(flips))
-            for event in found:
+        families: list[list[_Event]] = []
+        for start in _first_gaits(problem, inputs[0], slope, int(number), int(options["starts"])):
+            family = _follow_family(problem, start, slope, int(options["periods"]))
+            if not any(_is_same_birth(family, other) for other in families):
+                families.append(family)
+        for k, family in enumerate(families):
+            name = f"{number}" if len(families) == 1 else f"{number}-{k + 1}"
+            flips = np.array([e.cycle.slope for e in family if e.kind == "flip"])
+            ratios = scaling.ratios(flips)
+            ratio = iter(ratios)
+            for event in family:
                 c = event.cycle
-                rows.append(
-                    {
-                        "family": name,
-                        "period": c.period,
-                        "kind": event.kind,
-                        "slope": c.slope,
-                        "error_bound": event.error,
-                        "ratio": next(ratio) if event.kind == "flip" else np.nan,
-                        "stance_angle": float(c.Y[0].max()),
-                        "walks": int(really_walks(problem, c)),
-                    }
+                values = (
+                    name,
+                    c.period,
+                    event.kind,
+                    c.slope,
+                    event.error,
+                    next(ratio) if event.kind == "flip" else np.nan,
+                    float(c.Y[0].max()),
+                    int(really_walks(problem, c)),
                 )
+                rows.append(dict(zip(_CASCADE, values, strict=True)))
             value, low, high = scaling.accumulation(flips)
-            last = scaling.ratios(flips)
-            limits.append(
-                {
-                    "family": name,
-                    "flips": len(flips),
-                    "slope": value,
-                    "low": low,
-                    "high": high,
-                    "ratio": float(last[-1]) if len(last) else np.nan,
-                }
-            )
+            limit = (name, len(flips), value, low, high, float(ratios[-1]) if len(ratios) else np.nan)
+            limits.append(dict(zip(_ACCUMULATION, limit, strict=True)))
             if int(options["strides"]) and np.isfinite(value):
-                high = min(slope[-1], value + BEYOND * (value - flips[0]))
-                before, after = lost(problem, _around(found[-1].cycle), value, high, int(options["strides"]))
-                ends.append(
-                    {
-                        "family": name,
-                        "low": before,
-                        "high": after,
-                        "starts": WALKERS,
-                        "strides": int(options["strides"]),
-                    }
-                )
-    out = {
-        f"cascade/{k}": np.array([r[k] for r in rows])
-        for k in ("family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", "walks")
+                high = min(slope[-1], value + _MAX_EXTENT * (value - flips[0]))
+                bracket = lost(problem, _spread_around(family[-1].cycle), value, high, int(options["strides"]))
+                ends.append(dict(zip(_LOST, (name, *bracket, _ORBITS, int(options["strides"])), strict=True)))
+    return {
+        f"{group}/{k}": np.array([r[k] for r in table])
+        for group, columns, table in (
+            ("cascade", _CASCADE, rows),
+            ("accumulation", _ACCUMULATION, limits),
+            ("lost", _LOST, ends),
+        )
+        for k in columns
     }
-    out |= {
-        f"accumulation/{k}": np.array([r[k] for r in limits])
-        for k in ("family", "flips", "slope", "low", "high", "ratio")
-    }
-    return out | {f"lost/{k}": np.array([r[k] for r in ends]) for k in ("family", "low", "high", "starts", "strides")}
 
 
-def _around(cycle: Cycle) -> np.ndarray:
-    """Starts beside the steps of a gait, in turn, shape (m, WALKERS)."""
+def _spread_around(cycle: Cycle) -> np.ndarray:
+    """Initial conditions near the steps of a gait, in turn, shape (m, _ORBITS)."""
     steps = (
-        np.arange(WALKERS) * cycle.period // WALKERS if cycle.period > WALKERS else np.arange(WALKERS) % cycle.period
+        np.arange(_ORBITS) * cycle.period // _ORBITS if cycle.period > _ORBITS else np.arange(_ORBITS) % cycle.period
     )
-    return cycle.Y[:, steps] * (1 + SPREAD * (2 * r_sequence(len(cycle.Y), WALKERS) - 1))
+    return cycle.Y[:, steps] * (1 + _SPREAD * (2 * r_sequence(len(cycle.Y), _ORBITS) - 1))
 
 
-def _same_birth(a: list[Event], b: list[Event]) -> bool:
-    """True where two gaits are the two sides of one fold."""
+def _is_same_birth(a: list[_Event], b: list[_Event]) -> bool:
+    """Whether two families are the two sides of one fold."""
     return bool(
         a
         and b
         and a[0].kind == b[0].kind == "fold"
         and abs(a[0].cycle.q - b[0].cycle.q) < 1e-9
-        and _apart(a[0].cycle, b[0].cycle) < 1e-4
+        and _distance(a[0].cycle, b[0].cycle) < 1e-4
     )
 
 
-def _first(problem: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Cycle]:
-    """A first gait of each family of that period."""
+def _first_gaits(problem: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Cycle]:
+    """A gait of each family of period n."""
     if n == 1:
         known, y = gaits_at(problem, atlases.from_arrays(atlas), slope[:1], "long")
-        found = from_start(problem, y[:, 0], slope[0], 1) if len(known) else None
-        return [found] if found else []
+        cycle = from_start(problem, y[:, 0], slope[0], 1) if len(known) else None
+        return [cycle] if cycle else []
     for s in slope:
-        distinct = cycles_at(problem, atlas, float(s), n, starts)
-        if distinct:
-            return distinct
+        cycles = _search_cycles(problem, atlas, float(s), n, starts)
+        if cycles:
+            return cycles
     return []
 
 
-def cycles_at(problem: Problem, atlas: Arrays, slope: float, n: int, starts: int) -> list[Cycle]:
-    """Distinct gaits of exact period n at one slope, stable ones first.
+def _search_cycles(problem: Problem, atlas: Arrays, slope: float, n: int, starts: int) -> list[Cycle]:
+    """Distinct gaits of exact period n at one slope, in order of their largest multiplier.
 
     Notes
     -----
-    Starts lie on a low-discrepancy lattice around the long gait, wide enough to hold every attractor of the paper's
-    walkers; those that come back near themselves after n strides are polished by Newton on all n sections.
+    Initial conditions lie on a low-discrepancy lattice around the long gait, wide enough to hold every attractor of the
+    paper's walkers; those that return close to themselves after n steps are polished by Newton on all n sections.
     """
     known, y = gaits_at(problem, atlases.from_arrays(atlas), np.array([slope]), "long")
     if not len(known):
@@ -180,65 +167,66 @@ def cycles_at(problem: Problem, atlas: Arrays, slope: float, n: int, starts: int
     Y = [y[:, :1] * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))]
     times: list[np.ndarray] = []
     for _ in range(n + 1):
-        now = stride(problem, Y[-1], np.full(Y[-1].shape[1], slope), exact=False)
-        on = now.outcome == STRUCK
-        Y, times = [a[:, on] for a in Y] + [now.image[:, on]], [t[:, on] for t in times] + [now.times[:, on]]
+        step = stride(problem, Y[-1], np.full(Y[-1].shape[1], slope), exact=False)
+        walks = step.outcome == STRUCK
+        Y = [*(a[:, walks] for a in Y), step.image[:, walks]]
+        times = [*(t[:, walks] for t in times), step.times[:, walks]]
     if not Y[-1].shape[1]:
         return []
-    # The first stride throws every start onto the map's strongly contracted image.
-    back = np.abs(Y[n + 1] - Y[1]).max(axis=0)
-    found: list[Cycle] = []
-    for lane in np.argsort(back, kind="stable")[:60]:
+    # The first step maps all initial conditions onto the strongly contracted image of the map.
+    distance = np.abs(Y[n + 1] - Y[1]).max(axis=0)
+    cycles: list[Cycle] = []
+    for lane in np.argsort(distance, kind="stable")[:60]:
         cycle = at_slope(
             problem,
             np.array([Y[i][:, lane] for i in range(1, n + 1)]).T,
             np.array([times[i][:, lane] for i in range(1, n + 1)]).T,
             slope,
         )
-        if not cycle.ok or not _exact_period(cycle) or not really_walks(problem, cycle):
+        if not cycle.ok or not _is_period_exact(cycle) or not really_walks(problem, cycle):
             continue
-        if all(_apart(cycle, other) > 1e-7 for other in found):
-            found.append(cycle)
-    return sorted(found, key=lambda c: float(np.abs(c.multipliers()[0])))
+        if all(_distance(cycle, other) > 1e-7 for other in cycles):
+            cycles.append(cycle)
+    return sorted(cycles, key=lambda c: float(np.abs(c.multipliers()[0])))
 
 
-def _exact_period(cycle: Cycle) -> bool:
+def _is_period_exact(cycle: Cycle) -> bool:
     n = cycle.period
     return all(np.abs(cycle.Y - np.roll(cycle.Y, k, axis=1)).max() > 1e-6 for k in range(1, n) if n % k == 0)
 
 
-def _apart(a: Cycle, b: Cycle) -> float:
+def _distance(a: Cycle, b: Cycle) -> float:
     return min(float(np.abs(a.Y - np.roll(b.Y, k, axis=1)).max()) for k in range(b.period))
 
 
-def _family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> list[Event]:
-    """A family's folds, then its flips, each branch switched to at the flip before."""
+def _follow_family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> list[_Event]:
+    """A family's fold, then its flips, switching at each to the branch of twice the period."""
     low, high = np.log(slope[0]), np.log(slope[-1])
     up = np.zeros(start.Y.size + 1)
     up[-1] = 1.0
-    found: list[Event] = []
+    events: list[_Event] = []
     if start.period > 1:
-        # Down the slope to the fold the family is born at; of its two sides the one nearer stability cascades.
-        down = Path(problem, start, -up, FIRST_STEP * (high - low))
-        found += _events(down, fold_test, "fold", low, high)
-        if found:
+        # Down to the fold at which the family is born; of its two sides the one nearer stability cascades.
+        down = Path(problem, start, -up, _FIRST_STEP * (high - low))
+        events += _first_event(down, fold_test, "fold", low, high)
+        if events:
             start = min(down.points[-2:], key=lambda c: float(np.abs(c.multipliers()[0])))
-    path: Path | None = Path(problem, start, up, FIRST_STEP * (high - low))
+    path: Path | None = Path(problem, start, up, _FIRST_STEP * (high - low))
     expected = high - low
     while path is not None and path.points[-1].period <= longest:
-        flips = _events(path, flip_test, "flip", low, high)
+        flips = _first_event(path, flip_test, "flip", low, high)
         if not flips:
             break
-        before = [e.cycle.q for e in found]
-        found += flips
+        before = [e.cycle.q for e in events]
+        events += flips
         flip = flips[0].cycle
-        # The next interval, as Feigenbaum expects it of the one before.
-        expected = min(LONGEST, (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected)
+        # The next interval by Feigenbaum's law from the last.
+        expected = min(_MAX_INTERVAL, (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected)
         path = doubled(problem, flip, expected) if 2 * flip.period <= longest else None
-    return found
+    return events
 
 
-def _events(path: Path, test: Test, kind: str, low: float, high: float) -> list[Event]:
+def _first_event(path: Path, test: Test, kind: str, low: float, high: float) -> list[_Event]:
     """The first zero of a test function along a branch inside the window, as a list of none or one."""
     for _ in range(MAX_POINTS):
         if not path.advance():
@@ -246,7 +234,7 @@ def _events(path: Path, test: Test, kind: str, low: float, high: float) -> list[
         before, after = path.points[-2:]
         if test(before) * test(after) < 0:
             cycle = path.locate_root(test)
-            return [Event(kind, cycle, _slope_error(path, test, cycle))]
+            return [_Event(kind, cycle, _slope_error(path, test, cycle))]
         if not low - 0.05 <= after.q <= high + 0.05:
             return []
     return []

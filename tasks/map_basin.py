@@ -1,4 +1,4 @@
-"""Basins of attraction: which starts of a plane end on which gait, and which fall."""
+"""The task `basin`: initial conditions of a plane by the gait they converge to or their fall."""
 
 from __future__ import annotations
 
@@ -14,43 +14,42 @@ from tasks.step.simulate import CAUSES, STRUCK, stride
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
-#: Options of a study of this kind. Ranges are in the walker's units; left out, they run around the long gait.
+#: Default options of a study of this kind. Ranges are in the walker's units; by default they enclose the long gait.
 OPTIONS = {"size": 160, "strides": 200, "stance_angle": None, "stance_rate": None}
-#: Default ranges, as multiples of the long gait's own angle and rate.
-AROUND = (0.4, 2.0)
-#: Lanes flown together; those that are settled leave the batch.
+#: Default ranges, as multiples of the long gait's angle and rate.
+_AROUND = (0.4, 2.0)
+#: Lanes advanced together; those whose outcome is known leave the batch.
 LANES = 16384
-#: Distance from a stable gait, in its own eigenvectors and over its size, inside which a start counts as captured.
-CAPTURED = 3e-3
-#: Longest period told apart at the end, and how near an orbit must come back.
-LONGEST, NEAR = 16, 1e-5
+#: Distance from a stable gait, in its eigenvector coordinates and over its norm, inside which it captures an orbit.
+_CAPTURE_DISTANCE = 3e-3
+#: Longest period identified at the end, and the distance at which an orbit counts as repeating.
+_MAX_PERIOD, _REPEAT_DISTANCE = 16, 1e-5
 
 
 def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Map a grid of starts to what becomes of them.
+    """Map a grid of initial conditions to their outcomes.
 
     Parameters
     ----------
     params : mapping
         `line`; `slope`, ndarray, shape (n,) [rad]; and the study's options: `size` of the grid along each side,
-        `strides` after which an orbit counts as walking, `stance_angle` and `stance_rate` (from, to).
+        `strides` (steps) after which an orbit counts as walking, `stance_angle` and `stance_rate` (from, to).
     inputs : list
         The line's atlas.
 
     Returns
     -------
     dict
-        Tables `basin` (slope, stance_angle, stance_rate[, swing_rate], outcome, steps), a row per start, and `areas`
-        (slope, outcome, area, standard_error, share, starts).
+        Tables `basin` (slope, stance_angle, stance_rate[, swing_rate], outcome, steps), a row per initial condition,
+        and `areas` (slope, outcome, area, standard_error, share, starts), in the walker's units.
 
     Notes
     -----
-    Point feet have a section of two dimensions, and the grid is all of it. Other walkers have three, and the grid is
-    the plane through the origin and the long gait in which the swing leg's rate keeps its ratio to the stance leg's:
-    starts of that one family of postures, the gait's own posture scaled and thrown faster or slower. Kneed walkers'
-    rates are those of the two locked legs just before heelstrike, straight walkers' those just after.
-    Starts lie at the centres of cells, so areas are counts of cells; a cell on a boundary belongs to either side by
-    an error uniform over the cell, independent of its neighbours', which gives the standard error.
+    The section of point-foot walkers is two-dimensional, and the grid covers it. That of other walkers is
+    three-dimensional, and the grid is its plane through origin and long gait in which swing and stance rate keep
+    the gait's ratio. The rates of kneed walkers are those of the two locked legs just before heelstrike, those
+    of straight-legged walkers just after. Initial conditions lie at the centres of cells, so areas are counts of cells;
+    the standard error takes the error of each boundary cell as uniform over the cell and independent of the others.
     """
     options = {**OPTIONS, **{k: params[k] for k in OPTIONS if k in params}}
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
@@ -68,7 +67,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         if "long" not in targets:
             continue
         starts, cell = _starts(problem, targets["long"], options, time_unit)
-        outcome, steps = settle(problem, starts, float(slope), targets, int(options["strides"]))
+        outcome, steps = _classify(problem, starts, float(slope), targets, int(options["strides"]))
         table = {
             "slope": np.full(starts.shape[1], slope),
             "stance_angle": starts[0],
@@ -81,37 +80,38 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             row = (slope, name, area, error, np.mean(outcome == name), len(outcome))
             for column, value in zip(areas.values(), row, strict=True):
                 column.append(value)
-    found = {f"basin/{k}": np.concatenate([t[k] for t in tables]) for k in (tables[0] if tables else {})}
-    return found | {f"areas/{k}": np.array(v) for k, v in areas.items()}
+    basins = {f"basin/{k}": np.concatenate([t[k] for t in tables]) for k in (tables[0] if tables else {})}
+    return basins | {f"areas/{k}": np.array(v) for k, v in areas.items()}
 
 
 def _starts(
     problem: Problem, gait: np.ndarray, options: Mapping[str, Any], time_unit: float
 ) -> tuple[np.ndarray, float]:
-    """Centres of the grid's cells, shape (m, size^2), the angle running slowest, and the area of a cell."""
+    """Centres of the grid's cells, shape (m, size^2), angle outermost, and the area of a cell."""
     size = int(options["size"])
     ranges = []
     for i, (key, unit) in enumerate((("stance_angle", 1.0), ("stance_rate", time_unit))):
-        given = options[key]
-        ranges.append(np.sort(np.array(given, float) * unit if given else np.array(AROUND) * gait[i]))
+        limits = options[key]
+        ranges.append(np.sort(np.array(limits, float) * unit if limits else np.array(_AROUND) * gait[i]))
     sides = [low + (high - low) * (np.arange(size) + 0.5) / size for low, high in ranges]
     angle, rate = (g.ravel() for g in np.meshgrid(*sides, indexing="ij"))
     y = np.vstack([angle, rate, *(g / gait[1] * rate for g in gait[2:])])
     return y, float(np.prod([(high - low) / size for low, high in ranges]))
 
 
-def settle(
+def _classify(
     problem: Problem, starts: np.ndarray, slope: float, targets: Mapping[str, np.ndarray], strides: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What becomes of starts, and after how many strides that was plain.
+    """Outcomes of initial conditions, and the number of steps after which each is known.
 
     Parameters
     ----------
-    starts : ndarray, shape (m, n)
+    starts : ndarray, shape (m, n) [rad, sqrt(g/leg)]
+    slope : float [rad]
     targets : mapping
-        Gaits by name; only stable ones capture.
+        Gaits by name, shape (m,); only stable ones capture.
     strides : int
-        Strides after which an orbit is said to walk; then its period is told.
+        Steps after which an orbit counts as walking; its period is then identified.
 
     Returns
     -------
@@ -125,23 +125,30 @@ def settle(
     for k in range(0, n, LANES):
         lanes, y = np.arange(k, min(n, k + LANES)), starts[:, k : k + LANES]
         for _ in range(strides):
-            now = stride(problem, y, np.full(len(lanes), slope), exact=False)
-            walks = now.outcome == STRUCK
-            for cause in np.unique(now.outcome[~walks]):
-                outcome[lanes[now.outcome == cause]] = CAUSES[cause]
-            y, lanes = now.image[:, walks], lanes[walks]
+            y, lanes, _ = _advance(problem, y, lanes, slope, outcome)
             steps[lanes] += 1
             free = np.ones(len(lanes), bool)
             for name, (centre, inverse) in stable.items():
-                caught = _distance(y, centre, inverse) < CAPTURED
-                outcome[lanes[caught & free]] = name
-                free &= ~caught
+                is_captured = _distance(y, centre, inverse) < _CAPTURE_DISTANCE
+                outcome[lanes[is_captured & free]] = name
+                free &= ~is_captured
             y, lanes = y[:, free], lanes[free]
             if not len(lanes):
                 break
         if len(lanes):
             outcome[lanes] = _periods(problem, y, slope)
     return outcome, steps
+
+
+def _advance(
+    problem: Problem, y: np.ndarray, lanes: np.ndarray, slope: float, outcome: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Take one step: the images and lanes that walk, and a mask of them; the others' falls go into `outcome`."""
+    step = stride(problem, y, np.full(len(lanes), slope), exact=False)
+    walks = step.outcome == STRUCK
+    for cause in np.unique(step.outcome[~walks]):
+        outcome[lanes[step.outcome == cause]] = CAUSES[cause]
+    return step.image[:, walks], lanes[walks], walks
 
 
 def _frame(problem: Problem, y: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray] | None:
@@ -165,18 +172,15 @@ def _distance(y: np.ndarray, centre: np.ndarray, inverse: np.ndarray) -> np.ndar
 
 
 def _periods(problem: Problem, y: np.ndarray, slope: float) -> np.ndarray:
-    """Names of the attractors that orbits have come to: a period, or none short enough."""
+    """Attractors of orbits by name: a period, or none up to the longest."""
     first, lanes = y, np.arange(y.shape[1])
     names = np.full(y.shape[1], "walks on", "U24")
-    for k in range(1, LONGEST + 1):
-        now = stride(problem, y, np.full(len(lanes), slope), exact=False)
-        walks = now.outcome == STRUCK
-        for cause in np.unique(now.outcome[~walks]):
-            names[lanes[now.outcome == cause]] = CAUSES[cause]
-        y, lanes, first = now.image[:, walks], lanes[walks], first[:, walks]
-        back = np.abs(y - first).max(axis=0) < NEAR
-        names[lanes[back]] = f"period {k}"
-        y, lanes, first = y[:, ~back], lanes[~back], first[:, ~back]
+    for k in range(1, _MAX_PERIOD + 1):
+        y, lanes, walks = _advance(problem, y, lanes, slope, names)
+        first = first[:, walks]
+        repeats = np.abs(y - first).max(axis=0) < _REPEAT_DISTANCE
+        names[lanes[repeats]] = f"period {k}"
+        y, lanes, first = y[:, ~repeats], lanes[~repeats], first[:, ~repeats]
         if not len(lanes):
             break
     return names
@@ -184,13 +188,12 @@ def _periods(problem: Problem, y: np.ndarray, slope: float) -> np.ndarray:
 
 def _areas(outcome: np.ndarray, cell: float) -> list[tuple[str, float, float]]:
     """Area of every outcome on a grid, with its standard error."""
-    found = []
+    areas = []
     for name in np.unique(outcome):
-        mine = outcome == name
-        padded = np.pad(mine, 1, "edge")
-        inner = padded[1:-1, 1:-1]
-        edge = np.zeros_like(mine)
-        for other in (padded[2:, 1:-1], padded[:-2, 1:-1], padded[1:-1, 2:], padded[1:-1, :-2]):
-            edge |= other != inner
-        found.append((str(name), float(mine.sum() * cell), float(cell * np.sqrt(edge.sum() / 12))))
-    return found
+        inside = outcome == name
+        padded = np.pad(inside, 1, "edge")
+        boundary = np.zeros_like(inside)
+        for neighbour in (padded[2:, 1:-1], padded[:-2, 1:-1], padded[1:-1, 2:], padded[1:-1, :-2]):
+            boundary |= neighbour != inside
+        areas.append((str(name), float(inside.sum() * cell), float(cell * np.sqrt(boundary.sum() / 12))))
+    return areas

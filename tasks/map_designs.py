@@ -1,4 +1,4 @@
-"""Design maps: what one walker can do at best, so that a grid of walkers shows what its keys are worth."""
+"""The task `design`: the best performance of each walker, so that a grid of walkers shows the effect of its keys."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
-#: Places between two nodes of a branch at which its speed is looked at.
-BETWEEN = 16
-#: What is said where there is no number.
-NO_GAIT, NEVER = "no gait", "never stable"
+#: Intervals between two nodes of a branch at whose ends its speed is evaluated.
+_INTERVALS = 16
+#: Entries in place of a reason where there is no number.
+_NO_GAIT, _NEVER_STABLE = "no gait", "never stable"
 
 
 def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """The best of a line: where it walks, where it walks stably, and how fast.
+    """Find where a line walks, where it walks stably, and its largest stable speed.
 
     Parameters
     ----------
@@ -36,16 +36,15 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Table `design`, one row: smallest_slope of any gait (0 where they go on to vanishing slopes) and smallest_at,
-        what the branch does there; largest_stable_slope and stability_lost_by; fastest_stable_speed, its
-        fastest_froude_speed and fastest_slope. Only what lies in the window counts, and its edge is called `window`.
+        Table `design`, one row in the walker's units: smallest_slope (0 if branches continue to vanishing
+        slopes) and smallest_at, the event there; largest_stable_slope and stability_lost_by; fastest_stable_speed, its
+        fastest_froude_speed and fastest_slope. Only gaits in the window count, and its edge is called `window`.
         Numbers are NaN where there is `no gait`, or where it is `never stable`.
 
     Notes
     -----
-    Stability changes where the spectral radius is one, a root found on the branch itself, whatever the bifurcation;
-    its name follows from the multiplier that leaves the unit circle. Speeds are those of the branch's polynomial at
-    places between its nodes.
+    Stability changes where the spectral radius is one, located on the branch for any bifurcation; its name follows from
+    the multiplier that leaves the unit circle. Speeds are evaluated on the branch's polynomial between its nodes.
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
@@ -56,7 +55,7 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     speeds: list[tuple[float, float]] = []
     for branch in atlases.from_arrays(inputs[0]):
         least += _lowest(branch, window)
-        Z, ends = stable_part(problem, branch)
+        Z, ends = _stable_part(problem, branch)
         q = Z[:, branch.m]
         inside = (q >= window[0]) & (q <= window[1])
         if not inside.any():
@@ -67,52 +66,52 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         period = Z[inside, -1] * np.sqrt(walker.leg / walker.g)
         speed = travel(walker, slopes, angle, period)["speed"]
         speeds.append((float(speed.max()), float(slopes[speed.argmax()])))
-    (first, at), (last, lost) = min(least, default=(np.nan, NO_GAIT)), max(most, default=(np.nan, NEVER))
-    fastest, where = max(speeds, default=(np.nan, np.nan))
+    (first, event), (last, loss) = min(least, default=(np.nan, _NO_GAIT)), max(most, default=(np.nan, _NEVER_STABLE))
+    fastest, fastest_slope = max(speeds, default=(np.nan, np.nan))
     values = {
         "smallest_slope": 0.0 if first < np.log(10 * MIN_SLOPE) else float(np.exp(first)),
-        "smallest_at": at,
+        "smallest_at": event,
         "largest_stable_slope": float(np.exp(last)),
-        "stability_lost_by": lost if least else NO_GAIT,
+        "stability_lost_by": loss if least else _NO_GAIT,
         "fastest_stable_speed": fastest,
         "fastest_froude_speed": fastest / np.sqrt(walker.g * walker.leg),
-        "fastest_slope": where,
+        "fastest_slope": fastest_slope,
     }
     return {f"design/{k}": np.array([v]) for k, v in values.items()}
 
 
 def _lowest(branch: Branch, window: tuple[float, float]) -> list[tuple[float, str]]:
-    """Least ln slope of a branch's gaits in the window, and what the branch does there; empty where it has none."""
-    human = branch.q[branch.leg_passes == 1]
-    if not len(human) or human.min() > window[1] or human.max() < window[0]:
+    """Smallest ln slope of a branch's gaits in the window, and the event there; empty where it has none."""
+    gaits = branch.q[branch.leg_passes == 1]
+    if not len(gaits) or gaits.min() > window[1] or gaits.max() < window[0]:
         return []
     k = int(np.argmin(branch.q))
     if branch.q[k] <= np.log(10 * MIN_SLOPE):
         return [(float(branch.q[k]), "any slope")]
-    if human.min() < window[0]:
+    if gaits.min() < window[0]:
         return [(window[0], "window")]
-    return [(float(human.min()), _end(branch, k) or "fold")]
+    return [(float(gaits.min()), _end(branch, k) or "fold")]
 
 
 def _end(branch: Branch, node: int) -> str:
-    """How a branch ends at a node; empty where it goes on."""
+    """Name of a branch's end at a node; empty where it continues."""
     why = {0: branch.why[0], len(branch.q) - 1: branch.why[1]}.get(node, "")
     return END_NAMES.get(why, why)
 
 
-def stable_part(problem: Problem, branch: Branch) -> tuple[np.ndarray, list[tuple[float, str]]]:
+def _stable_part(problem: Problem, branch: Branch) -> tuple[np.ndarray, list[tuple[float, str]]]:
     """Gaits along the stable parts of a branch.
 
     Returns
     -------
-    Z : ndarray, shape (n, c)
-        Rows of the branch, close together.
+    Z : ndarray, shape (n, m + 1 + phases)
+        Rows of the branch, closely spaced.
     ends : list
-        (ln slope, name) of every point at which stability, or the branch with it, ends.
+        (ln slope, name) of every point at which stability, or the stable branch itself, ends.
     """
     m = branch.m
-    at, _ = problem.stride(np.delete(branch.Z, m, axis=1).T, branch.q)
-    stable = (np.abs(multipliers(at.jacobian, m)).max(axis=1) < 1) & (branch.leg_passes == 1)
+    step, _ = problem.stride(np.delete(branch.Z, m, axis=1).T, branch.q)
+    stable = (np.abs(multipliers(step.jacobian, m)).max(axis=1) < 1) & (branch.leg_passes == 1)
     rows, ends = [np.zeros((0, branch.Z.shape[1]))], []
     for k in np.nonzero(stable[1:] | stable[:-1])[0]:
         axis = branch.axis[k]
@@ -121,20 +120,20 @@ def stable_part(problem: Problem, branch: Branch) -> tuple[np.ndarray, list[tupl
             point, _ = locate_root(problem, branch, int(k), _excess)
             ends.append((float(point.X[m, 0]), _bifurcation(point)))
             a, b = (a, row(point)[axis]) if stable[k] else (row(point)[axis], b)
-        rows.append(branch.evaluate(np.full(BETWEEN + 1, k), np.linspace(a, b, BETWEEN + 1)))
+        rows.append(branch.evaluate(np.full(_INTERVALS + 1, k), np.linspace(a, b, _INTERVALS + 1)))
     ends += [(float(branch.q[k]), _end(branch, k)) for k in (0, len(branch.q) - 1) if stable[k]]
     return np.vstack(rows), ends
 
 
-def _largest(point: Point) -> complex:
+def _largest_multiplier(point: Point) -> complex:
     return complex(multipliers(point.stride.jacobian, len(point.stride.y))[0, 0])
 
 
-def _excess(point: Point, way: np.ndarray) -> float:
-    return abs(_largest(point)) - 1
+def _excess(point: Point, direction: np.ndarray) -> float:
+    return abs(_largest_multiplier(point)) - 1
 
 
 def _bifurcation(point: Point) -> str:
     """Name of the point at which a multiplier leaves the unit circle."""
-    value = _largest(point)
+    value = _largest_multiplier(point)
     return "neimark_sacker" if abs(value.imag) > 1e-6 else "flip" if value.real < 0 else "fold"

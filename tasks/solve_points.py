@@ -1,4 +1,4 @@
-"""Solving: the atlas of a line, the points on it, and every gait at one point."""
+"""The tasks `atlas`, every branch of a line, and `points`, the gaits at its slopes."""
 
 from __future__ import annotations
 
@@ -24,38 +24,44 @@ from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
-#: Lanes solved at a time: enough to hide the calls, few enough for the cache.
-BLOCK = 4096
+#: Lanes solved at a time: enough to amortize the calls, few enough for the cache.
+_BLOCK = 4096
 
 
 def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Every branch of one line's gaits.
+    """Compute every branch of one line's gaits.
 
     Parameters
     ----------
     params : mapping
         `line`: `{"walker": name or table, "set": {key: value}}`.
     inputs : list
-        Nothing.
+        Empty.
+
+    Returns
+    -------
+    dict
+        The branches as arrays, which `tasks.continuation.atlas.from_arrays` reads.
     """
     return atlases.to_arrays(atlases.survey(Problem(_walker(params["line"]))))
 
 
 def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Gaits at the slopes of one line, each from the line's atlas and nothing else.
+    """Solve the gaits at the slopes of one line, each from the line's atlas alone.
 
     Parameters
     ----------
     params : mapping
         `line`; `slope`, ndarray, shape (n,) [rad]; `want`, names of variables; `gaits`, labels wanted;
-        `friction_limit`, above which a gait is flagged for it.
+        `friction_limit`, the coefficient above which a gait is flagged.
     inputs : list
         The line's atlas.
 
     Returns
     -------
     dict
-        Each wanted variable, shape (n, len(GAITS)[, multipliers]), and `reasons`, which `reason` indexes.
+        Each wanted variable in the walker's units, shape (n, len(GAITS)[, multipliers]), and `reasons`, the sentences
+        that `reason` indexes.
     """
     walker = _walker(params["line"])
     slope = np.asarray(params["slope"], float)
@@ -68,16 +74,17 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     for name in want:
         shape = (n, len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
         out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
-    searched = f"{starts(problem, atlases.ANCHORS[0]).shape[1]} starts at each of the slopes " + ", ".join(
-        f"{s:g}" for s in atlases.ANCHORS
+    searched = (
+        f"searched from {starts(problem, atlases.ANCHORS[0]).shape[1]} initial guesses at each of the slopes "
+        + ", ".join(f"{s:g}" for s in atlases.ANCHORS)
     )
     long, short = (
         status.outside(label, [s for b in branches for s in _spans(b, label)], searched) for label in GAITS[:2]
     )
     reasons = [status.SETTLED, long, status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP, short]
     out["reason"][:] = [1, 5, 2, 2]
-    for k in range(0, n, BLOCK):
-        part = slice(k, k + BLOCK)
+    for k in range(0, n, _BLOCK):
+        part = slice(k, k + _BLOCK)
         _fill(
             {name: out[name][part] for name in want},
             problem,
@@ -93,16 +100,16 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 def _fill(
     out: Arrays, problem: Problem, branches: list[Branch], slope: np.ndarray, wanted: set[str], friction_limit: float
 ) -> None:
-    """Solve every gait at some slopes and put the wanted ones where their labels say, rows (n, len(GAITS)) of `out`."""
+    """Solve every gait at some slopes and store the wanted ones by label in `out`, arrays of shape (n, len(GAITS))."""
     q = np.log(slope)
-    # Of every piece of a branch that comes to these slopes: angles, ratios, and where which variables are.
+    # For every piece of a branch at these slopes: angles, ratios, and the lanes solved with their variables.
     angle, ratio, parts = [], [], []
     for number, branch in enumerate(branches):
         for index, Z, segment in branch.guesses(q):
-            asked = _asked(branch, segment, wanted)
-            if not asked.any():
+            may_hold = _may_hold(branch, segment, wanted)
+            if not may_hold.any():
                 continue
-            index, Z, segment = index[asked], Z[asked], segment[asked]
+            index, Z, segment = index[may_hold], Z[may_hold], segment[may_hold]
             lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
             rounding_std = branch.rounding_std[segment]
             leg_passes = np.where(branch.safe[segment], branch.leg_passes[segment], UNKNOWN)
@@ -112,29 +119,29 @@ def _fill(
             solved["branch"], solved["piece"] = np.full(len(index), number), branch.piece(segment)
             angle.append(np.full(len(slope), np.nan))
             angle[-1][index] = np.where(solved["anthropomorphic"], Z[:, 0], np.nan)
-            # What has not converged still is the gait its branch has there.
+            # A lane that has not converged still counts as its branch's gait.
             nodes = 0.5 * (branch.ratio[segment] + branch.ratio[segment + 1])
             ratio.append(np.full(len(slope), np.nan))
             ratio[-1][index] = np.where(solved["status"] == status.CONVERGED, solved["heelstrike_rate_ratio"], nodes)
             parts.append((index, solved))
     if not parts:
         return
-    kept = np.array([gait in wanted for gait in GAITS] + [False])  # there may be more gaits than labels
-    for (index, solved), place in zip(parts, places(np.array(angle), np.array(ratio))):
+    is_wanted = np.array([gait in wanted for gait in GAITS] + [False])  # there may be more gaits than labels
+    for (index, solved), place in zip(parts, places(np.array(angle), np.array(ratio)), strict=True):
         slot = np.minimum(place[index], len(GAITS))
-        keep = np.flatnonzero((slot >= 0) & kept[slot])
+        keep = np.flatnonzero((slot >= 0) & is_wanted[slot])
         row, slot = index[keep], slot[keep]
         for name, values in out.items():
             values[row, slot] = solved[name][keep]
 
 
 def _spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
-    """Least and largest slopes of the runs of a branch's gaits of one label [rad]."""
-    mine = ((branch.ratio < 0.5) == (label == "long")) & (branch.leg_passes == 1)
+    """Least and largest slope of each run of a branch's gaits with one label [rad]."""
+    has_label = ((branch.ratio < 0.5) == (label == "long")) & (branch.leg_passes == 1)
     for first, last in branch.pieces():
         nodes = np.arange(first, last + 1)
-        for run in np.split(nodes, np.nonzero(np.diff(mine[nodes]))[0] + 1):
-            if mine[run[0]]:
+        for run in np.split(nodes, np.nonzero(np.diff(has_label[nodes]))[0] + 1):
+            if has_label[run[0]]:
                 slopes = np.exp(branch.q[run])
                 yield float(slopes.min()), float(slopes.max())
 
@@ -143,10 +150,11 @@ def _walker(line: Mapping[str, Any]) -> Walker:
     return resolve(line["walker"], line.get("set"))
 
 
-def _asked(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarray:
-    """Segments that may hold a gait the study asks for: which gait has a label depends on none of the other kind.
+def _may_hold(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarray:
+    """Whether segments may hold a wanted gait, shape (n,).
 
-    The others are of either kind. Where heelstrike is tangential a node has no ratio, and its segments may hold any.
+    The label `long` does not depend on short gaits, nor `short` on long ones; all other labels may depend on either.
+    Where heelstrike is tangential a node has no ratio, and its segments may hold any gait.
     """
     if wanted & set(GAITS[2:]):
         return np.ones(len(segment), bool)
@@ -165,22 +173,31 @@ def solve(
     leg_passes: np.ndarray,
     friction_limit: float = violations.FRICTION_LIMIT,
 ) -> Arrays:
-    """Polish guesses, verify them and measure what is wanted; every array has the lane first.
+    """Polish guesses, verify that they are steps and measure the wanted variables.
 
     Parameters
     ----------
+    problem : Problem
     Z : ndarray, shape (m + 1 + phases, n)
-        Guesses as a branch's nodes hold them.
-    slope, lipschitz : ndarray, shape (n,)
-    noise : ndarray, shape (o, n)
-        Standard deviation that rounding gives angle, rates and period, over their `reach`.
+        Guesses, as rows of a branch.
+    slope, lipschitz : ndarray, shape (n,) [rad, 1]
+        Lipschitz constants of the derivative of the fixed-point equations.
+    rounding_std : ndarray, shape (o, n)
+        Standard deviation of angle, rates and period due to rounding, over their `sensitivity`.
     want : sequence of str
-    passes : ndarray, shape (n,)
-        How often the legs pass, where the atlas has shown the stride to be a step; elsewhere UNKNOWN.
+        Names of variables.
+    leg_passes : ndarray, shape (n,)
+        How often the legs pass, where the atlas has shown the solution to be a step; elsewhere UNKNOWN.
+    friction_limit : float
+
+    Returns
+    -------
+    dict of ndarray, shape (n[, multipliers])
+        In the walker's units; NaN where the guess is not converged to a step.
     """
     at = settle(problem, Z, slope, lipschitz, rounding_std, leg_passes)
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
-    found = {
+    solved = {
         "status": code,
         "reason": np.where(at.converged, np.where(at.step, 0, 4), 3),
         "residual": np.abs((at.stride.image - at.stride.y) / sizes(at.stride.y)).max(axis=0),
@@ -188,23 +205,22 @@ def solve(
         "anthropomorphic": ~at.step | (at.leg_passes == 1),
         "passes": at.leg_passes,
     }
-    found |= _measure(problem, at, slope, want, friction_limit)
-    bad = code != status.CONVERGED
-    for name, value in found.items():
+    solved |= _measure(problem, at, slope, want, friction_limit)
+    for name, value in solved.items():
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
-            value[bad] = np.nan
-    return found
+            value[code != status.CONVERGED] = np.nan
+    return solved
 
 
 def _measure(problem: Problem, at: Polished, slope: np.ndarray, want: Sequence[str], friction_limit: float) -> Arrays:
-    """Wanted variables in the walker's units."""
+    """Variables of the groups wanted, in the walker's units."""
     walker, stride, scale = problem.walker, at.stride, at.scale
     y, state, times = at.y * scale, at.state * scale, at.times
     time_unit = np.sqrt(walker.leg / walker.g)
     half = problem.map.start_size // 2
     angle, period = y[0], times[-1] * time_unit
     rates = state[half:] / time_unit
-    found = {
+    measured = {
         "stance_angle": angle,
         "stance_rate": rates[0],
         "thigh_rate": rates[1],
@@ -215,28 +231,28 @@ def _measure(problem: Problem, at: Polished, slope: np.ndarray, want: Sequence[s
     }
     if {"multiplier_real", "multiplier_imag", "spectral_radius"} & set(want):
         values = multipliers(stride.jacobian, 4 if walker.knees else 3)
-        found |= {
+        measured |= {
             "multiplier_real": values.real.copy(),
             "multiplier_imag": values.imag.copy(),
             "spectral_radius": np.abs(values).max(axis=1),
         }
-    found |= travel(walker, slope, angle, period)
+    measured |= travel(walker, slope, angle, period)
     if {"loss_normal", "loss_tangential", "loss_kneestrike", "energy_imbalance"} & set(want):
         unit = walker.total_mass * walker.g * walker.leg
         normal, tangential = heelstrike_losses(walker, angle, stride.impact * scale)
-        found["loss_normal"], found["loss_tangential"] = normal * unit, tangential * unit
+        measured["loss_normal"], measured["loss_tangential"] = normal * unit, tangential * unit
         knee = np.zeros(len(slope))
         if walker.knees:
             assert stride.knee is not None
             knee = kneestrike_loss(walker, stride.knee * scale)
-        found["loss_kneestrike"] = knee * unit if walker.knees else np.full(len(slope), np.nan)
+        measured["loss_kneestrike"] = knee * unit if walker.knees else np.full(len(slope), np.nan)
         drop = step_length(walker, angle) / walker.leg * np.sin(slope)
-        found["energy_imbalance"] = (normal + tangential + knee - drop) / drop
+        measured["energy_imbalance"] = (normal + tangential + knee - drop) / drop
     if any(VARIABLES[name].group == "violations" for name in want):
-        # Extremes need closer samples than a verdict does: the step is flown once more, only for those who ask.
+        # Extremes need closer samples than the verification of a step: it is integrated again with those.
         fine = problem.map(y / scale, times, problem.parameters(slope, scale), samples=violations.SAMPLES)
         assert fine.motion is not None
-        found |= violations.measure(
+        measured |= violations.measure(
             walker, [m * scale for m in fine.motion], fine.impact * scale, times, slope, friction_limit
         )
-    return {k: np.array(v) for k, v in found.items()}
+    return {k: np.array(v) for k, v in measured.items()}

@@ -1,4 +1,4 @@
-"""The motion of gaits over one step, sampled for drawing."""
+"""The task `trace`: the motion of gaits over one step, sampled for drawing."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from tasks.solve_points import points
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 
-#: Intervals each phase is drawn in.
+#: Intervals of each phase.
 SAMPLES = 48
-#: Slopes of a line that are drawn, spread over those of the study.
+#: Largest number of slopes of a line that are drawn, spread over those of the study.
 MAX_SLOPES = 6
 
 
 def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Joint coordinates of every gait of a line at a few of the given slopes, under the labels `points` gives them.
+    """Compute joint coordinates of every gait of a line at a few of the given slopes, with the labels of `points`.
 
     Parameters
     ----------
     params : mapping
-        `line`, `slope` (n,), `gaits`.
+        `line`; `slope`, ndarray, shape (n,) [rad]; `gaits`, labels wanted.
     inputs : list
         The line's atlas.
 
     Returns
     -------
     dict
-        Table `trace`: gait, slope, time, theta_st, theta_th, theta_sh and foot_x (of the stance foot's centre from
-        its place at angle zero), in the walker's units.
+        Table `trace`: gait, slope, time, theta_st, theta_th, theta_sh [rad] and foot_x (stance foot's centre from its
+        position at angle zero), in the walker's units.
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
@@ -48,7 +48,7 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
     known = points({**params, "slope": slope, "want": ()}, inputs)
     for number, branch in enumerate(atlases.from_arrays(inputs[0])):
         for index, Z, segment in branch.guesses(np.log(slope)):
-            here = (
+            is_drawn = (
                 (known["branch"][index] == number)
                 & (known["piece"][index] == branch.piece(segment)[:, None])
                 & (known["status"][index] == status.CONVERGED)
@@ -59,7 +59,7 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
                 w = w + newton_step(stride, w)
             stride, scale = problem.stride(w, q, samples=SAMPLES)
             assert stride.motion is not None
-            for lane, g in np.argwhere(here):
+            for lane, g in np.argwhere(is_drawn):
                 times, angles = _cycle(stride.motion, stride.times[:, lane], lane)
                 a, b, c = angles * scale[lane]
                 n = len(times)
@@ -77,11 +77,11 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
 
 
 def _cycle(motion: list[np.ndarray], ends: np.ndarray, lane: int) -> tuple[np.ndarray, np.ndarray]:
-    """Times and the three angles of one lane over its step."""
+    """Times, shape (n,), and the three angles, shape (3, n), of one lane over its step."""
     times, angles, begin = [], [], 0.0
-    for phase, end in zip(motion, ends):
+    for phase, end in zip(motion, ends, strict=True):
         times.append(np.linspace(begin, end, len(phase)))
-        free = phase.shape[1] == 6
-        angles.append(phase[:, [0, 1, 2 if free else 1], lane].T)
+        is_knee_free = phase.shape[1] == 6
+        angles.append(phase[:, [0, 1, 2 if is_knee_free else 1], lane].T)
         begin = end
     return np.concatenate(times), np.concatenate(angles, axis=1)

@@ -43,22 +43,22 @@ def _compute_cascade(walker: str, families: tuple[int, ...], **options: int) -> 
     return cascade({**own.params, "slope": np.linspace(low, high, n), "families": families, **options}, [own.arrays])
 
 
-def doublings(walker: str, family: str, group: str = "cascade") -> Arrays:
+def _doublings(walker: str, family: str, group: str = "cascade") -> Arrays:
     """Rows of one family in a table of a walker's cascade (columns as in task `cascade`)."""
     columns = table(group, walker, lambda: _compute_cascade(walker, WINDOWS[walker][3]))
     rows = columns["family"] == family
     return {name: column[rows] for name, column in columns.items()}
 
 
-def flips(walker: str, family: str) -> np.ndarray:
+def _flips(walker: str, family: str) -> np.ndarray:
     """Slopes of a family's flips, shape (n,) [rad]."""
-    events = doublings(walker, family)
+    events = _doublings(walker, family)
     return events["slope"][events["kind"] == "flip"]
 
 
-def crisis(walker: str, family: str) -> tuple[float, float]:
+def _crisis(walker: str, family: str) -> tuple[float, float]:
     """Slopes between which a family's last attractor is lost [rad]."""
-    bracket = doublings(walker, family, "lost")
+    bracket = _doublings(walker, family, "lost")
     return float(bracket["low"][0]), float(bracket["high"][0])
 
 
@@ -91,8 +91,8 @@ def exponent(walker: str, slopes: np.ndarray, starts: int) -> tuple[float, float
 )
 def doublings_to_chaos() -> ClaimResult:
     """Follow the period doublings of D from period one to chaos and the loss of walking."""
-    at, limit = flips("D", "1"), doublings("D", "1", "accumulation")
-    low, high = crisis("D", "1")
+    at, limit = _flips("D", "1"), _doublings("D", "1", "accumulation")
+    low, high = _crisis("D", "1")
     value, error, _ = exponent("D", np.array([0.0189]), 64)
     chaotic = value > 4 * error
     begins = within(0.015, at[0] - 5e-4, at[0] + 5e-4)
@@ -119,12 +119,12 @@ def doublings_to_chaos() -> ClaimResult:
 )
 def period_three() -> ClaimResult:
     """Follow the period-three family of D from its fold through its doublings to the end of its chaos."""
-    events, limit = doublings("D", "3"), doublings("D", "3", "accumulation")
-    fold, at = float(events["slope"][events["kind"] == "fold"][0]), flips("D", "3")
-    low, high = crisis("D", "3")
-    chaos_1 = (doublings("D", "1", "accumulation")["slope"][0], crisis("D", "1")[0])
-    coexists = at[0] < flips("D", "1")[0]
-    four, four_at = doublings("D", "4"), flips("D", "4")
+    events, limit = _doublings("D", "3"), _doublings("D", "3", "accumulation")
+    fold, at = float(events["slope"][events["kind"] == "fold"][0]), _flips("D", "3")
+    low, high = _crisis("D", "3")
+    chaos_1 = (_doublings("D", "1", "accumulation")["slope"][0], _crisis("D", "1")[0])
+    coexists = at[0] < _flips("D", "1")[0]
+    four, four_at = _doublings("D", "4"), _flips("D", "4")
     more = (
         f"; likewise a period-four gait (Li & Yang 2012), from its fold at "
         f"{four['slope'][four['kind'] == 'fold'][0]:.10f} to its flip at {four_at[0]:.10f}"
@@ -154,9 +154,9 @@ def period_three() -> ClaimResult:
 def kneed_doublings() -> ClaimResult:
     """Follow the period doublings of C, exactly tuned and as printed."""
     exact, printed = interval("C flip"), interval("C-printed flip")
-    at = {w: doublings(w, "1", "accumulation") for w in ("C", "C-printed")}
+    at = {w: _doublings(w, "1", "accumulation") for w in ("C", "C-printed")}
     cascades = [
-        f"{w} at {', '.join(f'{s:.8f}' for s in flips(w, '1'))}, accumulating at {a['slope'][0]:.9f} (last ratio of "
+        f"{w} at {', '.join(f'{s:.8f}' for s in _flips(w, '1'))}, accumulating at {a['slope'][0]:.9f} (last ratio of "
         f"intervals {a['ratio'][0]:.4f})"
         for w, a in at.items()
     ]
@@ -195,7 +195,7 @@ def _corners(walker: str) -> list[tuple[float, float]]:
 @claim("K2", "persistent walking up to slopes of about 0.103, none above", "section 7", "figure12/bifurcation", _KNEED)
 def kneed_end() -> ClaimResult:
     """Bracket the slope at which C's persistent walking ends."""
-    ends = {w: crisis(w, "1") for w in ("C", "C-printed")}
+    ends = {w: _crisis(w, "1") for w in ("C", "C-printed")}
     (low, _), (_, high) = _corners("C-printed")
     brackets = ", ".join(f"{w} between {a:.6f} and {b:.6f}" for w, (a, b) in ends.items())
     return ClaimResult(
@@ -211,7 +211,7 @@ def kneed_end() -> ClaimResult:
 @claim("K3", "unstable gaits continue at larger slopes", "figure 12", "figure8/locus", _KNEED)
 def unstable_beyond() -> ClaimResult:
     """Follow both gaits of C beyond the loss of walking."""
-    loss = crisis("C", "1")[1]
+    loss = _crisis("C", "1")[1]
     curves = [line("C").curve(k) for k in range(len(line("C").branches))]
     top = {("short" if c["short"][len(c["slope"]) // 2] else "long"): float(c["slope"].max()) for c in curves}
     least = min(float(c["spectral_radius"][c["slope"] > loss].min()) for c in curves)

@@ -24,7 +24,7 @@ from tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
 LONG, SHORT = GAITS.index("long"), GAITS.index("short")
-#: Variables that a look-up returns unless told otherwise.
+#: Variables that a look-up returns by default.
 _USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
 #: The walkers that meet the static conditions exactly.
 TUNED = ("A", "B", "C", "D", "E", "F")
@@ -59,7 +59,18 @@ class Line:
         return {"slope": slope, **points({**self.params, "slope": slope, "want": want, "gaits": GAITS}, [self.arrays])}
 
     def grid(self, low: float = 1e-8, high: float = 0.2, n: int = 97) -> Arrays:
-        """Variables of every gait over a logarithmic grid of n slopes from low to high [rad], as `at`."""
+        """Variables of every gait over a logarithmic grid of slopes.
+
+        Parameters
+        ----------
+        low, high : float [rad]
+        n : int
+
+        Returns
+        -------
+        dict
+            As from `at`; computed once.
+        """
         key = (low, high, n)
         if key not in self._grids:
             self._grids[key] = self.at(np.geomspace(low, high, n))
@@ -80,7 +91,12 @@ class Line:
         return float(np.diff(np.log(pair[ordinate][:, gait]))[0] / np.diff(np.log(x))[0])
 
     def is_short(self, Z: np.ndarray) -> bool:
-        """Whether a row (X, times) of a branch, shape (m + 1 + phases,), is a short step."""
+        """Whether a row of a branch is a short step.
+
+        Parameters
+        ----------
+        Z : ndarray, shape (m + 1 + phases,)
+        """
         m = self.problem.m
         stride, _ = self.problem.stride(np.delete(Z, m)[:, None], Z[m : m + 1])
         return not gait_ratio(stride)[0] < 0.5
@@ -146,14 +162,30 @@ def line(walker: str, **settings: float) -> Line:
 
 
 def cache_atlas(walker: str, settings: Mapping[str, float], known: Arrays) -> None:
-    """Use an atlas that is known already for a line."""
+    """Use an atlas that is known already for a line.
+
+    Parameters
+    ----------
+    walker : str
+        Name in the catalogue.
+    settings : mapping
+        Values of the keys that the line sets.
+    known : dict
+        The atlas, as arrays of task `atlas`.
+    """
     key = walker, tuple(sorted(settings.items()))
     if key not in _LINES:
         _LINES[key] = Line(walker, settings, known)
 
 
 def set_tables(tables: Iterable[tuple[str, Arrays]]) -> None:
-    """Replace the study's tables by those of its lines (walker, columns); lines of one walker are joined in order."""
+    """Replace the study's tables.
+
+    Parameters
+    ----------
+    tables : iterable of (str, dict)
+        Walker and columns ("group/column", shape (n,)) of each line; lines of one walker are joined in order.
+    """
     _STUDY_TABLES.clear()
     for walker, columns in tables:
         joined = _STUDY_TABLES.setdefault(walker, {})
@@ -162,7 +194,20 @@ def set_tables(tables: Iterable[tuple[str, Arrays]]) -> None:
 
 
 def table(group: str, walker: str, make: Callable[[], Arrays]) -> Arrays:
-    """Columns of one table of a walker: the study's own, or else those that `make` returns, made once a process."""
+    """Look up one table of a walker.
+
+    Parameters
+    ----------
+    group, walker : str
+        Name of the table, and of the walker in the catalogue.
+    make : callable
+        Computes tables ("group/column"), once a process, where the study has not this one.
+
+    Returns
+    -------
+    dict of ndarray, shape (n,)
+        By column.
+    """
 
     def columns(tables: Mapping[str, Arrays]) -> Arrays:
         named = (name.partition("/") for name in tables.get(walker, {}))

@@ -20,7 +20,7 @@ RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)
 
 @claim(
     "E1",
-    "the stride map is two-dimensional",
+    "the step map is two-dimensional",
     "section 4.1",
     "figure5/loglog",
     "gaitsweep solve --walker E --slope 0.01 --json",

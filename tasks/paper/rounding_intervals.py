@@ -218,7 +218,17 @@ def _locate_grazing(gaits: Line, X: np.ndarray, times: np.ndarray) -> tuple[np.n
 def grazing_sensitivities(
     mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str], step: float = STEP
 ) -> np.ndarray:
-    """Sensitivities dX/dp of the end where heelstrike becomes tangential, as `sensitivities`."""
+    """Compute the sensitivities dX/dp of the end where heelstrike becomes tangential.
+
+    Parameters
+    ----------
+    mark, X, times, base, keys, step
+        As for `sensitivities`.
+
+    Returns
+    -------
+    ndarray, shape (m + 1, keys)
+    """
     Z = np.concatenate([X[:-1], times, X[-1:]])
     sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
     walkers, places, n = [], [], len(Z)

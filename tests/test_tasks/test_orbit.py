@@ -102,7 +102,7 @@ def test_a_short_orbit_has_no_exponents_and_says_why(strides):
     found = walked([0.009], strides=strides)
     assert len(found["lyapunov/exponent"]) == 2 and np.isnan(found["lyapunov/exponent"]).all()
     assert np.isnan(found["lyapunov/standard_error"]).all() and (found["lyapunov/strides"] == 0).all()
-    assert set(found["lyapunov/reason"]) == {f"Exponents need at least 24 strides; these orbits have {strides}."}
+    assert set(found["lyapunov/reason"]) == {f"Exponents need at least 24 steps; these orbits have {strides}."}
 
 
 def test_the_shortest_orbit_with_exponents_has_them():
