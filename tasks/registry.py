@@ -152,6 +152,10 @@ VARIABLES = {
         Variable(
             "piece", _G, "number", "piece of its branch between folds; -1 where there is no gait", dtype="i2", absent=-1
         ),
+        Variable(
+            "proved", _G, "number", "whether the gait is proved to exist, alone in a box, as a step", "proofs", "i1", 0
+        ),
+        Variable("proved_radius", _G, "number", "relative radius of the box of the proof", "proofs"),
         Variable("status", _G, "number", "what became of the solve", dtype="i1", absent=STATUSES["no_gait"]),
         Variable("reason", _G, "number", "index into the table of reasons", dtype="i2", absent=0),
     )
@@ -167,6 +171,15 @@ VIOLATIONS = (
     "release_penetrates",
     "trailing_foot_pulls",
 )
+
+#: Values of `proved` (CF flags).
+PROVED = {"not_attempted": 0, "proved": 1, "not_proved": 2}
+
+#: What a point with proofs takes, before any is measured [s].
+SECONDS_PER_PROOF = 1.0
+
+#: Groups of variables that cost much: only a study that names them has them.
+COSTLY = ("violations", "proofs")
 
 #: Always archived, whatever a study wants.
 ALWAYS = ("residual", "error_bound", "branch", "piece", "status", "reason")
@@ -199,7 +212,7 @@ TASKS = {
         Task("census", "tasks.count_gaits:census", 3, seconds=10.0),
         Task("scaling", "tasks.fit_laws:scaling", 2, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 2, needs=("points",)),
-        Task("claims", "tasks.check_claims:claims", 4, needs=("points", "atlas"), seconds=30.0),
+        Task("claims", "tasks.check_claims:claims", 5, needs=("points", "atlas"), seconds=30.0),
     )
 }
 
@@ -297,6 +310,10 @@ CLAIMS = tuple(
 #: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
 CALLS = {
     "solve": "tasks.solve_at_slope:solve_one",
+    "prove": "tasks.prove:prove_one",
+    "prove_stored": "tasks.proofs.records:prove_stored",
+    "certificates": "tasks.certificates:names",
+    "certify": "tasks.certificates:certify",
     "walkers": "tasks.walkers.describe:describe",
     "tune": "tasks.walkers.tuning:tune",
     "check_walker": "tasks.walkers.resolve:check",

@@ -14,13 +14,13 @@ from tasks.fixed_points.newton import lipschitz
 from tasks.fixed_points.polish import UNKNOWN
 from tasks.fixed_points.rounding import rounding_std
 from tasks.fixed_points.search import search, starts
-from tasks.registry import GAITS, VARIABLES
+from tasks.registry import COSTLY, GAITS, VARIABLES
 from tasks.solve_points import points, solve
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 
 #: Variables measured for one point; the amounts of violations stay in archives.
-WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations" or v == "violations")
+WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY or v == "violations")
 
 
 def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from pipeline.plan.missing import Plan
 from pipeline.statuses import ALL_STATUSES, ANSWERS
 from pipeline.store import lines
 from pipeline.study.model import Study
-from tasks.registry import GAITS, STATUSES, VARIABLES, VIOLATIONS, Variable
+from tasks.registry import GAITS, PROVED, STATUSES, VARIABLES, VIOLATIONS, Variable
 
 _PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 #: What is said of a line on which a curve could not begin.
@@ -158,6 +158,8 @@ def _describe(variable: Any, about: Variable, si: bool, mixed: bool) -> None:
         variable.setncatts(
             {"flag_values": np.array(list(ALL_STATUSES.values()), np.int8), "flag_meanings": " ".join(ALL_STATUSES)}
         )
+    elif about.name == "proved":
+        variable.setncatts({"flag_values": np.array(list(PROVED.values()), np.int8), "flag_meanings": " ".join(PROVED)})
     elif about.name == "violations":
         variable.setncatts(
             {

@@ -59,6 +59,16 @@ def _setting(text: str) -> tuple[str, float | bool]:
     return key, {"true": True, "false": False}[value] if value in ("true", "false") else _number(value)
 
 
+def _decimal(text: str) -> str:
+    _number(text)
+    return text
+
+
+def _decimal_setting(text: str) -> tuple[str, str | bool]:
+    key, value = _setting(text)
+    return key, value if isinstance(value, bool) else text.partition("=")[2]
+
+
 def parser() -> argparse.ArgumentParser:
     """Every command and its options."""
     top = _Parser(prog="gaitsweep", description="Gaits of passive walkers, swept over grids and kept as CF netCDF.")
@@ -114,6 +124,18 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--slope", required=True, type=_number, metavar="S", help="rad")
     c.add_argument("--set", action="append", type=_setting, default=[], metavar="KEY=VALUE", help="a walker key")
     c.add_argument("--all", action="store_true", help="gaits that are not anthropomorphic too")
+    c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_prove, "proofs of a walker's gaits at one slope, or of an archive's")
+    c.add_argument("archive", nargs="?", metavar="ARCHIVE.nc", type=Path)
+    c.add_argument("--walker", metavar="NAME|FILE.toml")
+    c.add_argument("--slope", type=_decimal, metavar="S", help="rad")
+    c.add_argument(
+        "--set", action="append", type=_decimal_setting, default=[], metavar="KEY=VALUE", help="a walker key"
+    )
+    c.add_argument("--gait", metavar="G", help="only the gait of this label")
+    c.add_argument("--sample", type=_natural, metavar="N", help="only so many gaits of the archive, a fixed draw")
+    c.add_argument("--accuracy", type=_number, default=1e-12, metavar="A", help="relative radius (default 1e-12)")
+    c.add_argument("--jobs", type=_natural, default=2, metavar="N", help="processes for an archive (default 2)")
     c.add_argument("--json", action="store_true", help="for machines")
     c = add(_walkers, "the catalogue, or one walker")
     c.add_argument("name", nargs="?", metavar="NAME")
@@ -291,6 +313,12 @@ def _solve(options: argparse.Namespace) -> int:
 
     print("\n".join(text.gaits(found["gaits"], found["units"])))
     return 0
+
+
+def _prove(options: argparse.Namespace) -> int:
+    from pipeline.cli import proofs
+
+    return proofs.run(options)
 
 
 def _walkers(options: argparse.Namespace) -> int:

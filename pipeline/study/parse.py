@@ -6,6 +6,7 @@ the nearest known key), the file and the place in it.
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import re
 from collections.abc import Iterable, Mapping
@@ -20,7 +21,7 @@ from pipeline.study.files import _toml, walker
 from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
 from tasks import registry
-from tasks.registry import ALWAYS, CLAIMS, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
+from tasks.registry import ALWAYS, CLAIMS, COSTLY, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
 #: Tasks that no study is named after.
 _SERVANTS = ("atlas", "points", "trace")
@@ -193,13 +194,21 @@ def _values(value: object, place: Location) -> np.ndarray:
     return values
 
 
+def need_proofs(place: Location) -> None:
+    """Check that the extra `proof` is installed; raises StudyError if it is not."""
+    if importlib.util.find_spec("flint") is None:
+        raise place.error("Proofs need the extra `proof` (python-flint): pip install 'gaitsweep[proof]'")
+
+
 def _want(value: object, kind: str, place: Location) -> dict[str, tuple[str, ...]]:
     table = _table(value, ("variables", "fits", "figures", "claims"), place)
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
-    wanted = tuple(v.name for v in VARIABLES.values() if v.group != "violations")
+    wanted = tuple(v.name for v in VARIABLES.values() if v.group not in COSTLY)
     if "variables" in table:
         asked = {*_names(table["variables"], (*VARIABLES, *groups), place.at("variables")), *ALWAYS}
         wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & asked)
+        if any(VARIABLES[name].group == "proofs" for name in wanted):
+            need_proofs(place.at("variables"))
     names = {key: _free_names(table.get(key, []), place.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:
