@@ -372,6 +372,6 @@ def _verdict(row: dict[str, Any], entry: Entry, pages: dict[str, str]) -> StepCh
 def sign(verdict: str) -> str:
     """yes, no or open: what a verdict says, in one word."""
     plainly = verdict.replace("_", " ").strip().lower()
-    if plainly == "reproduced":
+    if plainly in ("reproduced", "proved"):
         return "yes"
     return "no" if plainly.startswith("not ") else "open"
