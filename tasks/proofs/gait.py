@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from flint import arb, arb_mat, ctx
 
@@ -22,6 +22,7 @@ REMAINDER = 1e-9
 MIN_BITS, MAX_ATTEMPTS = 106, 6
 #: A second box, where the first leaves stability open, is this much smaller than asked.
 SHARPER = 1e-12
+UNDECIDED = "A multiplier is not told from the unit circle."
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,11 @@ class Proof:
     Attributes
     ----------
     proved : bool
-        There is exactly one gait in the box, and it is a step: its strikes come first and its legs pass once.
+        Unique and first strike hold, and the gait is of the label asked for.
+    unique : bool
+        There is exactly one solution of a gait's equations in the box.
+    first_strike : bool
+        It is a step: its strikes come first and its legs pass once.
     stable : bool or None
         Every multiplier lies inside the unit circle, one lies outside, or neither was shown.
     label : str
@@ -57,6 +62,8 @@ class Proof:
     """
 
     proved: bool
+    unique: bool = False
+    first_strike: bool = False
     stable: bool | None = None
     label: str = ""
     box: dict[str, arb] = field(default_factory=dict)
@@ -94,25 +101,36 @@ def prove(setting: Setting, guess: Sequence[float], accuracy: float = 1e-12, lab
     Proof
         Its box is the smaller one; uniqueness holds in it as well.
     """
+    proof = _proof(setting, guess, accuracy, label)
+    if proof.unique and (proof.stable is None or not proof.first_strike):  # a smaller box may tell
+        finer = _proof(setting, guess, accuracy * SHARPER, label)
+        proof = finer if finer.proved else proof
+    return proof
+
+
+def _proof(setting: Setting, guess: Sequence[float], accuracy: float, label: str | None) -> Proof:
     try:
-        proof = _finished(solve(setting, guess, accuracy), label)
-        if proof.stable is None:  # a smaller box may tell
-            proof = _finished(solve(setting, guess, accuracy * SHARPER), label)
-        return proof
+        solution = solve(setting, guess, accuracy)
     except NotProvedError as error:
         return Proof(False, reason=str(error))
-
-
-def _finished(solution: Solution, label: str | None) -> Proof:
     with ctx.workprec(solution.bits):
-        m, n = dimensions(solution.body)
+        return _judged(solution, label)
+
+
+def _judged(solution: Solution, label: str | None) -> Proof:
+    """What holds of the one solution in a box."""
+    m, n = dimensions(solution.body)
+    stable = is_stable(step_derivative(solution.step.derivative, m, n))
+    box = _named(solution.body, solution.box)
+    known = Proof(False, True, stable=stable, box=box, radius=_radius(box), bits=solution.bits)
+    try:
         order: Events = events(solution.step, solution.box[m:])
-        if label in ("long", "short") and label != order.label:
-            raise NotProvedError(f"The gait is a {order.label} step, not a {label} one.")
-        stable = is_stable(step_derivative(solution.step.derivative, m, n))
-        reason = "" if stable is not None else "A multiplier is not told from the unit circle."
-        box = _named(solution.body, solution.box)
-        return Proof(True, stable, order.label, box, _radius(box), order.names, solution.bits, reason)
+    except NotProvedError as error:
+        return replace(known, reason=str(error))
+    known = replace(known, first_strike=True, label=order.label, events=order.names)
+    if label in ("long", "short") and label != order.label:
+        return replace(known, reason=f"The gait is a {order.label} step, not a {label} one.")
+    return replace(known, proved=True, reason="" if stable is not None else UNDECIDED)
 
 
 def solve(setting: Setting, guess: Sequence[float], accuracy: float) -> Solution:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from flint import arb, ctx
@@ -117,12 +118,8 @@ def checked(proof: Proof, values: Mapping[str, Any], bound: float) -> Proof:
     apart = distance(proof, values)
     if apart <= arb(bound):
         return proof
-    return Proof(
-        False,
-        reason=f"The gait there is {float(apart.mid()):.2g} away from the values stored, and `error_bound`"
-        f" says {bound:.2g}.",
-        bits=proof.bits,
-    )
+    away = f"{float(apart.mid()):.2g} away from the values stored"
+    return replace(proof, proved=False, reason=f"The gait there is {away}, and `error_bound` says {bound:.2g}.")
 
 
 def record(setting: Setting, label: str, values: Mapping[str, Any], proof: Proof) -> dict[str, Any]:
@@ -147,8 +144,8 @@ def record(setting: Setting, label: str, values: Mapping[str, Any], proof: Proof
         "slope": _plain(setting.slope),
         "walker": {**{k: written(v) for k, v in setting.keys.items()}, "knees": str(setting.kneed).lower()},
         "proved": proof.proved,
-        "unique": proof.proved,
-        "first_strike": proof.proved,
+        "unique": proof.unique,
+        "first_strike": proof.first_strike,
         "stable": proof.stable,
         "stance_angle": _number(values.get("stance_angle")) if angle is None else float(angle.mid()),
         "radius": _number(proof.radius),

@@ -117,6 +117,7 @@ def test_a_gait_of_the_other_label_is_refused():
     proof = prove(setting("D", "0.009"), guess(reference("D", "0.009", "long")), label="short")
     assert not proof.proved
     assert proof.reason == "The gait is a long step, not a short one."
+    assert (proof.unique, proof.first_strike) == (True, True)
 
 
 def test_another_walkers_gait_is_refused():
@@ -145,6 +146,8 @@ def test_a_heelstrike_that_all_but_grazes_is_refused_or_right():
     asked = {"walker": "physical-straight", "slope": "0.0561178", "gait": "short", "accuracy": 1e-12}
     for g in prove_one(asked)["gaits"]:
         assert g["proved"] or "Grazing" in g["reason"] or "Krawczyk" in g["reason"]
+        assert g["first_strike"] is g["proved"]
+        assert g["unique"] or "Grazing" not in g["reason"]
 
 
 def cubic(*roots, h=4.0):
