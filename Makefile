@@ -1,4 +1,4 @@
-# make setup | paper | test | bench | soak | mutants
+# make setup | paper | test | bench | soak | prove | mutants
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
@@ -7,7 +7,7 @@ DRAW ?= 1
 N ?= 300
 STUDIES := $(wildcard data/studies/paper/*.toml)
 
-.PHONY: setup paper test bench soak mutants lock clean
+.PHONY: setup paper test bench soak prove mutants lock clean
 .DEFAULT_GOAL := test
 
 setup: $(READY)
@@ -31,6 +31,9 @@ bench: $(READY)
 
 soak: $(READY)
 	$(BIN)/python -m pytest -m soak --timeout=3600
+
+prove: $(READY)
+	$(BIN)/python -m pipeline.cli.prove data/reference/proofs
 
 # Mutants of the core drawn by lot, two at a time; the same command resumes, AGAIN=again tries survivors once more.
 mutants: $(READY)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tasks.paper import published_tables, tuned_walkers
+from tasks.paper.certificates import backed
 from tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResult
 from tasks.paper.lines import cache_atlas, set_tables
 from tasks.registry import VARIABLES
@@ -56,7 +57,7 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             cache_atlas(line["walker"], line["set"], atlas)
     set_tables((line["walker"], {k: v for k, v in data.items() if "/" in k}) for line, data in named)
     wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(c.id[1:])))
-    rows = [_row(claim, _check(claim)) for claim in wanted]
+    rows = [_row(claim, backed(claim.id, _check(claim))) for claim in wanted]
     out: Arrays = {f"claims/{k}": np.array([row[k] for row in rows]) for k in (rows[0] if rows else {})}
     for claim in wanted:
         for table in _TABLES.get(claim.id, ()):

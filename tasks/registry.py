@@ -36,9 +36,7 @@ SI_UNITS = {
 
 @dataclass(frozen=True)
 class Variable:
-    """One archive variable: its name, dimensions after the axes, kind of quantity, meaning, and what is where no
-    gait is.
-    """
+    """One archive variable: name, dimensions after the axes, kind of quantity, meaning, value without a gait."""
 
     name: str
     dims: tuple[str, ...]
@@ -65,9 +63,9 @@ VARIABLES = {
         Variable("shank_rate", _G, "rate", "swing shank rate just after heelstrike"),
         Variable("period", _G, "time", "duration of one step"),
         Variable("kneestrike_time", _G, "time", "time of kneestrike after the start of the step"),
-        Variable("multiplier_real", _M, "number", "real part of the stride map's eigenvalues", "multipliers"),
-        Variable("multiplier_imag", _M, "number", "imaginary part of the stride map's eigenvalues", "multipliers"),
-        Variable("spectral_radius", _G, "number", "largest magnitude of the stride map's eigenvalues", "multipliers"),
+        Variable("multiplier_real", _M, "number", "real part of the step map's eigenvalues", "multipliers"),
+        Variable("multiplier_imag", _M, "number", "imaginary part of the step map's eigenvalues", "multipliers"),
+        Variable("spectral_radius", _G, "number", "largest magnitude of the step map's eigenvalues", "multipliers"),
         Variable("speed", _G, "speed", "mean speed along the slope"),
         Variable("froude_speed", _G, "number", "mean speed over sqrt(g (l + R))"),
         Variable("cost_of_transport", _G, "number", "energy lost over weight and distance"),
@@ -153,6 +151,10 @@ VARIABLES = {
         Variable(
             "piece", _G, "number", "piece of its branch between folds; -1 where there is no gait", dtype="i2", absent=-1
         ),
+        Variable(
+            "proved", _G, "number", "whether the gait is proved to exist, alone in a box, as a step", "proofs", "i1", 0
+        ),
+        Variable("proved_radius", _G, "number", "relative radius of the box of the proof", "proofs"),
         Variable("status", _G, "number", "what became of the solve", dtype="i1", absent=STATUSES["no_gait"]),
         Variable("reason", _G, "number", "index into the table of reasons", dtype="i2", absent=0),
     )
@@ -168,6 +170,15 @@ VIOLATIONS = (
     "release_penetrates",
     "trailing_foot_pulls",
 )
+
+#: Values of `proved` (CF flags).
+PROVED = {"not_attempted": 0, "proved": 1, "not_proved": 2}
+
+#: What a point with proofs takes, before any is measured [s].
+SECONDS_PER_PROOF = 1.0
+
+#: Groups of variables that cost much: only a study that names them has them.
+COSTLY = ("violations", "proofs")
 
 #: Always archived, whatever a study wants.
 ALWAYS = ("residual", "error_bound", "branch", "piece", "status", "reason")
@@ -200,7 +211,7 @@ TASKS = {
         Task("census", "tasks.count_gaits:census", 3, seconds=10.0),
         Task("scaling", "tasks.fit_laws:scaling", 2, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 2, needs=("points",)),
-        Task("claims", "tasks.check_claims:claims", 4, needs=("points", "atlas"), seconds=30.0),
+        Task("claims", "tasks.check_claims:claims", 5, needs=("points", "atlas"), seconds=30.0),
     )
 }
 
@@ -298,6 +309,10 @@ CLAIMS = tuple(
 #: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
 CALLS = {
     "solve": "tasks.solve_at_slope:solve_one",
+    "prove": "tasks.prove:prove_one",
+    "prove_stored": "tasks.proofs.records:prove_stored",
+    "certificates": "tasks.certify:names",
+    "certify": "tasks.certify:certify",
     "walkers": "tasks.walkers.describe:describe",
     "tune": "tasks.walkers.tuning:tune",
     "check_walker": "tasks.walkers.resolve:check",

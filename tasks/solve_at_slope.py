@@ -14,13 +14,13 @@ from tasks.fixed_points.newton import lipschitz
 from tasks.fixed_points.polish import UNKNOWN
 from tasks.fixed_points.rounding import rounding_std
 from tasks.fixed_points.search import search, starts
-from tasks.registry import GAITS, VARIABLES, VIOLATIONS
+from tasks.registry import COSTLY, GAITS, VARIABLES, VIOLATIONS
 from tasks.solve_points import points, solve
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 
 #: Variables measured for one point; the amounts of violations are in archives only.
-_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations" or v == "violations")
+_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY or v == "violations")
 
 
 def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
 from tasks.measures.kinematics import step_length, travel
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from tasks.registry import ALWAYS, GAITS, VARIABLES
+from tasks.registry import ALWAYS, GAITS, PROVED, VARIABLES
 from tasks.step.problem import Problem, sizes
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker
@@ -26,6 +26,9 @@ from tasks.walkers.walker import Walker
 Arrays = dict[str, np.ndarray]
 #: Lanes solved at a time: enough to amortize the calls, few enough for the cache.
 _BLOCK = 4096
+#: What a proof of a gait is held against, and the largest relative radius of its box.
+PROVED_FROM = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time", "error_bound")
+PROOF_ACCURACY = 1e-12
 
 
 def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -70,8 +73,10 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     problem = Problem(walker)
     branches = atlases.from_arrays(inputs[0])
     n, width = len(slope), 4 if walker.knees else 3
+    proofs = [name for name in want if VARIABLES[name].group == "proofs"]
+    solved = [name for name in VARIABLES if name in want or (proofs and name in PROVED_FROM) if name not in proofs]
     out: Arrays = {}
-    for name in want:
+    for name in (*solved, *proofs):
         shape = (n, len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
         out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
     searched = (
@@ -86,15 +91,32 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     for k in range(0, n, _BLOCK):
         part = slice(k, k + _BLOCK)
         _fill(
-            {name: out[name][part] for name in want},
+            {name: out[name][part] for name in solved},
             problem,
             branches,
             slope[part],
             wanted,
             params.get("friction_limit", violations.FRICTION_LIMIT),
         )
+    if proofs:
+        _prove(out, params["line"], slope)
+    out = {name: out[name] for name in want}
     out["reasons"] = np.array(reasons)
     return out
+
+
+def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:
+    """Prove every converged gait of `out`, rows (n, len(GAITS)); each takes a second or so."""
+    from tasks.proofs.records import prove_stored  # needs the extra `proof`
+
+    for i, g in np.argwhere(out["status"] == status.CONVERGED).tolist():
+        asked = {"walker": line["walker"], "set": line.get("set"), "slope": float(slope[i]), "gait": GAITS[g]}
+        values = {name: float(out[name][i, g]) for name in PROVED_FROM}
+        proof = prove_stored({**asked, "accuracy": PROOF_ACCURACY, "values": values})
+        if "proved" in out:
+            out["proved"][i, g] = PROVED["proved" if proof["proved"] else "not_proved"]
+        if "proved_radius" in out and proof["proved"]:
+            out["proved_radius"][i, g] = proof["radius"]
 
 
 def _fill(

@@ -39,6 +39,6 @@ def missing(file: Path) -> Iterator[str]:
 def private(file: Path, words: dict[Path, set[str]]) -> Iterator[str]:
     """Public names of a module that no other file speaks of."""
     for node in ast.parse(file.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
-            if not any(node.name in said for other, said in words.items() if other != file):
-                yield f"{file.relative_to(ROOT)}: {node.name}"
+        public = isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_")
+        if public and not any(node.name in said for other, said in words.items() if other != file):
+            yield f"{file.relative_to(ROOT)}: {node.name}"

@@ -1,6 +1,7 @@
 """Who may import whom, who owns which name, and what the package list says."""
 
 import importlib.metadata
+import itertools
 import os
 import subprocess
 import sys
@@ -90,7 +91,7 @@ def test_every_dependency_is_locked_with_its_hash():
     lock = (ROOT / "requirements.lock").read_text()
     pinned = {line.split("==")[0].lower() for line in lock.splitlines() if "==" in line}
     project = PROJECT["project"]
-    wanted = [*project["dependencies"], *sum(project["optional-dependencies"].values(), [])]
+    wanted = [*project["dependencies"], *itertools.chain(*project["optional-dependencies"].values())]
     assert {name.split(">")[0].lower() for name in wanted} <= pinned
     assert lock.count("--hash=sha256:") >= len(pinned)
     assert "http" not in lock and "/" not in lock

@@ -29,7 +29,7 @@ from pipeline.statuses import ALL_STATUSES, ANSWERS
 from pipeline.store import lines
 from pipeline.store.journal import Outcome, TaskKey
 from pipeline.study.model import Study
-from tasks.registry import GAITS, STATUSES, VARIABLES, VIOLATIONS, Variable
+from tasks.registry import GAITS, PROVED, STATUSES, VARIABLES, VIOLATIONS, Variable
 
 _FILTERS = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 #: Reason of a line on which a curve has no starting point.
@@ -170,6 +170,8 @@ def _describe(variable: Any, description: Variable, is_si: bool, is_mixed: bool)
         variable.setncatts(
             {"flag_values": np.array(list(ALL_STATUSES.values()), np.int8), "flag_meanings": " ".join(ALL_STATUSES)}
         )
+    elif description.name == "proved":
+        variable.setncatts({"flag_values": np.array(list(PROVED.values()), np.int8), "flag_meanings": " ".join(PROVED)})
     elif description.name == "violations":
         variable.setncatts(
             {

@@ -17,7 +17,7 @@ from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import newton
 from tasks.mechanics.equations import system
 from tasks.mechanics.kernel import FLOWS
-from tasks.registry import GAITS, VARIABLES
+from tasks.registry import COSTLY, GAITS, VARIABLES
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 
@@ -36,7 +36,7 @@ THEIRS = {
 }
 #: Peers that also solve fixed points, lines of slopes and branches.
 SOLVERS = ("scipy DOP853", "numba DOP853", "heyoka scalar")
-GRID_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
+GRID_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
 
 
 @dataclass

@@ -17,7 +17,7 @@ from tasks.fixed_points.rounding import rounding_std
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.mechanics.kernel import flow
 from tasks.mechanics.lumped import structure_of
-from tasks.registry import GAITS, STATUSES, VARIABLES
+from tasks.registry import COSTLY, GAITS, STATUSES, VARIABLES
 from tasks.step.problem import Lanes
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.resolve import detuned
@@ -294,7 +294,7 @@ LINES = {
 def lines(count: int, seed: int = 2, slopes: int = 40, say: Callable[[str], None] | None = None) -> Outcomes:
     """Outcomes of random walkers' whole lines as in a study: an atlas, and points at slopes over all decades."""
     outcomes, random = Outcomes(), np.random.default_rng(seed)
-    want = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
+    want = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
     for family, share in LINES.items():
         for walker in _draw(family, round(share * count), random, outcomes):
             slope = np.sort(np.exp(random.uniform(np.log(MIN_SLOPE), np.log(MAX_SLOPE), slopes)))

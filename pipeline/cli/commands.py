@@ -60,6 +60,16 @@ def _setting(text: str) -> tuple[str, float | bool]:
     return key, {"true": True, "false": False}[value] if value in ("true", "false") else _number(value)
 
 
+def _decimal(text: str) -> str:
+    _number(text)
+    return text
+
+
+def _decimal_setting(text: str) -> tuple[str, str | bool]:
+    key, value = _setting(text)
+    return key, value if isinstance(value, bool) else text.partition("=")[2]
+
+
 def parser() -> argparse.ArgumentParser:
     """Parser of every command and its options."""
     top = _Parser(prog="gaitsweep", description="Gait sweeps of passive dynamic walkers.")
@@ -117,6 +127,18 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--slope", required=True, type=_number, metavar="S", help="rad")
     c.add_argument("--set", action="append", type=_setting, default=[], metavar="KEY=VALUE", help="a walker key")
     c.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
+    c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_prove, "proofs of a walker's gaits at one slope, or of an archive's")
+    c.add_argument("archive", nargs="?", metavar="ARCHIVE.nc", type=Path)
+    c.add_argument("--walker", metavar="NAME|FILE.toml")
+    c.add_argument("--slope", type=_decimal, metavar="S", help="rad")
+    c.add_argument(
+        "--set", action="append", type=_decimal_setting, default=[], metavar="KEY=VALUE", help="a walker key"
+    )
+    c.add_argument("--gait", metavar="G", help="only the gait of this label")
+    c.add_argument("--sample", type=_count, metavar="N", help="only so many gaits of the archive, a fixed draw")
+    c.add_argument("--accuracy", type=_number, default=1e-12, metavar="A", help="relative radius (default 1e-12)")
+    c.add_argument("--jobs", type=_count, default=2, metavar="N", help="processes for an archive (default 2)")
     c.add_argument("--json", action="store_true", help="for machines")
     c = add(_walkers, "the catalogue of walkers, or one walker")
     c.add_argument("name", nargs="?", metavar="NAME")
@@ -286,6 +308,12 @@ def _solve(options: argparse.Namespace) -> int:
 
     print("\n".join(text.gaits(answer["gaits"], answer["units"])))
     return 0
+
+
+def _prove(options: argparse.Namespace) -> int:
+    from pipeline.cli import proofs
+
+    return proofs.run(options)
 
 
 def _walkers(options: argparse.Namespace) -> int:

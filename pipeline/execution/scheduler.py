@@ -27,7 +27,7 @@ from pipeline.plan import graph
 from pipeline.plan.missing import LineWork, Plan
 from pipeline.store import lines
 from pipeline.store.journal import Result, TaskKey
-from tasks.registry import GAITS, READS, VARIABLES
+from tasks.registry import GAITS, READS, SECONDS_PER_PROOF, VARIABLES
 
 _TARGET_SECONDS = 1.0  # work in a chunk [s]
 _MAX_CHUNK = 32768  # points in a chunk: this bounds the memory of a worker
@@ -169,6 +169,8 @@ class Scheduler:
         self.columns = [GAITS.index(g) for g in self.study.gaits]
         layer = plan.layers.get("points")
         self.cost = self.journal.seconds_per_point() or (layer.task.seconds_per_point if layer else 0.0) or 1e-3
+        if {"proved", "proved_radius"} & set(plan.variables):
+            self.cost = max(self.cost, SECONDS_PER_PROOF)
         self.points_measured = 0
         self.costs = Costs(len(self.study.slope), points, self.cost)
 

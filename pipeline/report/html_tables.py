@@ -385,6 +385,6 @@ def _claim_row(row: dict[str, Any], entry: Entry, pages: dict[str, str]) -> Clai
 def sign(verdict: str) -> str:
     """Sign of a verdict: yes, no or open."""
     words = verdict.replace("_", " ").strip().lower()
-    if words == "reproduced":
+    if words in ("reproduced", "proved"):
         return "yes"
     return "no" if words.startswith("not ") else "open"

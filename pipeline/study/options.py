@@ -46,15 +46,18 @@ def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> Non
         place.number(value)
     if what == "positive" and not place.number(value) > 0:
         raise place.wrong("must be above 0", value)
-    if what == "range":
-        if not isinstance(value, list) or len(value) != 2 or not place.number(value[0]) < place.number(value[1]):
-            raise place.wrong("must be two numbers that rise", value)
+    if what == "range" and not (_pair(value) and place.number(value[0]) < place.number(value[1])):
+        raise place.wrong("must be two increasing numbers", value)
     names = {"gait": GAITS, "key": tuple(a for a in axes if a != "slope"), "kinds": FOLLOWED}.get(what, ())
     if what == "kinds" and (not isinstance(value, list) or not value):
         raise place.wrong(f"must be a list of {', '.join(FOLLOWED)}", value)
     for name in value if what == "kinds" else [value] if names else []:
         if name not in names:
             raise place.unknown(str(name), names)
+
+
+def _pair(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2
 
 
 def _count(value: Any) -> bool:

@@ -6,6 +6,7 @@ nearest known key, the file and the place in it.
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import re
 from collections.abc import Iterable, Mapping
@@ -20,7 +21,7 @@ from pipeline.study.files import read_toml, walker
 from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
 from tasks import registry
-from tasks.registry import ALWAYS, CLAIMS, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
+from tasks.registry import ALWAYS, CLAIMS, COSTLY, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
 #: Tasks that are not kinds of study.
 _INTERNAL_TASKS = ("atlas", "points", "trace")
@@ -207,13 +208,21 @@ def _values(value: object, location: Location) -> np.ndarray:
     return values
 
 
+def need_proofs(location: Location) -> None:
+    """Check that the extra `proof` is installed; raises StudyError if it is not."""
+    if importlib.util.find_spec("flint") is None:
+        raise location.error("Proofs need the extra `proof` (python-flint): pip install 'gaitsweep[proof]'")
+
+
 def _want(value: object, kind: str, location: Location) -> dict[str, tuple[str, ...]]:
     table = _table(value, ("variables", "fits", "figures", "claims"), location)
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
-    wanted = tuple(v.name for v in VARIABLES.values() if v.group != "violations")
+    wanted = tuple(v.name for v in VARIABLES.values() if v.group not in COSTLY)
     if "variables" in table:
         requested = {*_names(table["variables"], (*VARIABLES, *groups), location.at("variables")), *ALWAYS}
         wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
+        if any(VARIABLES[name].group == "proofs" for name in wanted):
+            need_proofs(location.at("variables"))
     names = {key: _free_names(table.get(key, []), location.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:

@@ -6,10 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-#: The four verdicts on a claim.
+#: The verdicts on a claim; it is proved where it is reproduced and the number that decides it has a certificate.
+PROVED = "proved"
 REPRODUCED, APPROXIMATELY = "reproduced", "reproduced approximately"
 NOT_REPRODUCED, NOT_CHECKABLE = "not reproduced", "not checkable"
-VERDICTS = (REPRODUCED, APPROXIMATELY, NOT_REPRODUCED, NOT_CHECKABLE)
+VERDICTS = (PROVED, REPRODUCED, APPROXIMATELY, NOT_REPRODUCED, NOT_CHECKABLE)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from tasks.continuation.tracking import correct
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures.kinematics import travel
-from tasks.registry import GAITS, VARIABLES
+from tasks.registry import COSTLY, GAITS, VARIABLES
 from tasks.solve_points import atlas, points
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
@@ -25,7 +25,7 @@ from tasks.walkers.walker import Walker
 Arrays = dict[str, np.ndarray]
 LONG, SHORT = GAITS.index("long"), GAITS.index("short")
 #: Variables that a look-up returns by default.
-_USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group != "violations")
+_USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
 #: The walkers that meet the static conditions exactly.
 TUNED = ("A", "B", "C", "D", "E", "F")
 

@@ -39,7 +39,7 @@ def test_a_sweep_in_three_lines_is_tidy(mine):
 
 
 def test_flags_are_words_and_multipliers_complex(mine):
-    found, path = mine
+    found, _path = mine
     assert set(np.unique(found.status)) <= {"converged", "no_gait"}
     assert (np.isfinite(found.stance_angle) == (found.status == "converged")).all()
     assert all(text.endswith(".") for text in found.reason.values.ravel())

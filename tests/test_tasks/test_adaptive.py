@@ -44,7 +44,7 @@ def uniform(found, low, high, n):
 
 
 @pytest.mark.parametrize(
-    "walker,low,high,tolerance",
+    ("walker", "low", "high", "tolerance"),
     [("D", 1e-4, 0.1, 1e-3), ("E", 1e-4, 0.2, 1e-4), ("physical-straight", 0.012, 0.05, 1e-3)],
 )
 def test_the_same_figure_from_a_fifth_of_a_uniform_grid_s_points(walker, low, high, tolerance):
@@ -100,7 +100,7 @@ def test_a_study_may_ask_for_a_tolerance(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "slope,more,said",
+    ("slope", "more", "said"),
     [
         ({"from": 0.01, "to": 0.1, "adaptive": 1e-3}, {"kind": "grid"}, 'kind "branch"'),
         ({"from": 0.01, "to": 0.1, "adaptive": 0}, {}, r"must lie in \[1e-6, 0.1\]; got 0"),

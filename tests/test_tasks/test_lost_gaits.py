@@ -202,7 +202,7 @@ def test_no_branch_is_split_where_newton_jumps():
     """Its last segment before kneestrike meets heelstrike was split at points of other branches."""
     ends = {}
     for detuning in (0.11, 0.1111111111111111, 0.112):
-        problem, found = branches("C", detuning=detuning)
+        _problem, found = branches("C", detuning=detuning)
         (branch,) = [b for b in found if "end_kneestrike_at_heelstrike" in b.why]
         chords = np.linalg.norm(np.diff(branch.Z[:, : branch.m + 1], axis=0), axis=1)
         along = (np.diff(branch.Z[:, : branch.m + 1], axis=0) * branch.tangent[:-1, : branch.m + 1]).sum(axis=1)

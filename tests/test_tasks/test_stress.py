@@ -50,7 +50,7 @@ def judge(found, count):
         assert off(gait) < (1e-6 + 1e-14 / light) * max(1.0, gait.multiplier), gait
 
 
-@pytest.mark.parametrize("count,checked", [(700, 5), pytest.param(1_000_000, 300, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(("count", "checked"), [(700, 5), pytest.param(1_000_000, 300, marks=pytest.mark.soak)])
 def test_random_lanes_end_in_a_status_and_no_wrong_gait_is_accepted(count, checked):
     found = stress.lanes(count)
     assert found.tries == sum(round(share * count) for share, _ in stress.FAMILIES.values())
@@ -73,7 +73,7 @@ def test_a_random_line_of_the_product_says_what_became_of_every_point():
 
 
 @pytest.mark.parametrize(
-    "each,walkers",
+    ("each", "walkers"),
     [
         (24, [("D", CATALOGUE["D"]), ("B", CATALOGUE["B"]), ("tuned", random_walker("straight, tuned", 34))]),
         pytest.param(2300, None, marks=pytest.mark.soak),

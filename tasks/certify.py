@@ -1,0 +1,189 @@
+"""Certificates: what is proved once and kept in `data/reference/proofs`, each made again from its name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from flint import arb, ctx
+
+from tasks.proofs import covers, crossings, tubes
+from tasks.proofs.body import body
+from tasks.proofs.keys import decimal, exact, written
+from tasks.proofs.records import STATE, guess, quoted
+from tasks.proofs.step import dimensions
+from tasks.prove import prove_one
+from tasks.solve_at_slope import solve_one
+
+#: Both gaits of the paper's walkers at one slope, and E's long step down to vanishing slopes.
+_GAITS = (
+    *(("D", g, "0.009") for g in ("long", "short")),
+    *((w, g, "0.01") for w in "EFBAC" for g in ("long", "short")),
+    ("physical", "long", "0.036"),
+    ("physical-straight", "long", "0.036"),
+    *(("E", "long", s) for s in ("0.003", "0.001", "0.0003", "0.0001")),
+)
+
+
+@dataclass(frozen=True)
+class Special:
+    """A flip or fold: its walker, a gait near it, and half the interval of slope or of stance angle around it [rad]."""
+
+    kind: str
+    walker: str
+    slope: float
+    gait: str
+    half: float
+
+
+_SPECIAL = (
+    Special("flip", "D", 0.015, "long", 1e-15),
+    Special("flip", "C", 0.0765, "long", 1e-13),
+    Special("fold", "physical", 0.0192, "long", 1e-8),
+    Special("fold", "physical-straight", 0.0155, "long", 1e-8),
+)
+#: The tube: walker, gait, slopes.
+_TUBE = ("D", "long", "0.009", "0.0150")
+
+
+def names(params: Mapping[str, Any] | None = None) -> list[str]:
+    """Every certificate's name, the longest work first.
+
+    Parameters
+    ----------
+    params : mapping, optional
+        Nothing.
+
+    Returns
+    -------
+    list of str
+    """
+    tube = f"{_TUBE[0]}-{_TUBE[1]}-tube"
+    return [tube, *(f"{s.walker}-{s.kind}" for s in _SPECIAL), *(f"{w}-{g}-{s}" for w, g, s in _GAITS)]
+
+
+def certify(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Prove one statement.
+
+    Parameters
+    ----------
+    params : mapping
+        `name`, one of `names`.
+
+    Returns
+    -------
+    dict
+        `name`, `kind`, `statement`, `walker`, `bits` and what goes with the kind, all plain data.
+
+    Raises
+    ------
+    NotProvedError
+        If it is not proved.
+    """
+    name = params["name"]
+    for walker, label, slope in _GAITS:
+        if name == f"{walker}-{label}-{slope}":
+            return {"name": name, **_gait(walker, label, slope)}
+    for special in _SPECIAL:
+        if name == f"{special.walker}-{special.kind}":
+            return {"name": name, **_special(special)}
+    if name == names()[0]:
+        return {"name": name, **_tube(*_TUBE)}
+    raise ValueError(f"there is no statement {name}")
+
+
+def _gait(walker: str, label: str, slope: str) -> dict[str, Any]:
+    (proof,) = prove_one({"walker": walker, "slope": slope, "gait": label, "accuracy": 1e-12})["gaits"]
+    if not proof["proved"]:
+        raise tubes.NotProvedError(proof["reason"])
+    stable = {True: "stable", False: "unstable", None: "of a stability not shown"}[proof["stable"]]
+    statement = (
+        f"On the slope {slope} the walker has exactly one period-one gait in the box. It is a {label} step: its"
+        f" strikes are the first of their kind and its legs pass once. It is {stable}."
+    )
+    return {
+        "kind": "gait",
+        "statement": statement,
+        "walker": proof["walker"],
+        "slope": slope,
+        "gait": label,
+        "stable": proof["stable"],
+        "events": proof["events"],
+        "box": proof["box"],
+        "bits": proof["bits"],
+        "zero_multipliers": (4 if "kneestrike_time" in proof["box"] else 3) - _dimension(walker),
+    }
+
+
+def _dimension(walker: str) -> int:
+    with ctx.workprec(106):
+        return dimensions(body(*exact(walker)))[0]
+
+
+def _start(walker: str, label: str, slope: float) -> list[arb]:
+    """Section state, event times and slope of a gait, approximately."""
+    gaits = solve_one({"walker": walker, "slope": slope})["gaits"]
+    values = next(g for g in gaits if g["gait"] == label)
+    state = guess(values)
+    return [arb(x) for x in (*state[: _dimension(walker)], *state[3:], slope)]
+
+
+def _special(special: Special) -> dict[str, Any]:
+    keys, kneed = exact(special.walker)
+    parameter, prove = (tubes.BY_SLOPE, crossings.flip) if special.kind == "flip" else (tubes.BY_ANGLE, crossings.fold)
+    interval = prove(
+        tubes.Family(keys, kneed, parameter), _start(special.walker, special.gait, special.slope), special.half
+    )
+    what = (
+        "a multiplier of the gait passes -1"
+        if special.kind == "flip"
+        else "the branch of gaits turns back: the slope as a function of the stance angle has an extremum"
+    )
+    order = interval.tube.events()
+    statement = (
+        f"In the interval of slopes {what}. Around it there is one branch of gaits, each of them a {order.label} step."
+    )
+    m = dimensions(interval.tube.body)[0]
+    named = dict(zip(_names(m, kneed), (quoted(x) for x in interval.tube.whole), strict=True))
+    return {
+        "kind": special.kind,
+        "statement": statement,
+        "walker": _written(keys, kneed),
+        "gait": order.label,
+        "slope": list(quoted(interval.slope)),
+        "box": {k: list(v) for k, v in named.items()},
+        "events": order.names,
+        "test_function": [list(quoted(v)) for v in interval.values],
+        "bits": interval.bits,
+    }
+
+
+def _tube(walker: str, label: str, low: str, high: str) -> dict[str, Any]:
+    keys, kneed = exact(walker)
+    family = tubes.Family(keys, kneed, tubes.BY_SLOPE)
+    cover = covers.stable_over(family, _start(walker, label, float(low)), (decimal(low), decimal(high)))
+    statement = (
+        f"For every slope from {low} to {high} the walker has a {label} step that is stable, its strikes the first"
+        " of their kind and its legs passing once; along the interval it is one continuous branch."
+    )
+    return {
+        "kind": "tube",
+        "statement": statement,
+        "walker": _written(keys, kneed),
+        "gait": label,
+        "slope": [low, high],
+        "events": cover[0].events().names,
+        "tubes": [[float(t.middle[-1]), float(t.half)] for t in cover],
+        "bits": covers.BITS,
+    }
+
+
+def _names(m: int, kneed: bool) -> Iterator[str]:
+    yield from STATE[:m]
+    yield from STATE[3 if kneed else 4 :]
+    yield "slope"
+
+
+def _written(keys: Mapping[str, Any], kneed: bool) -> dict[str, str]:
+    return {**{k: written(v) for k, v in keys.items()}, "knees": str(kneed).lower()}

@@ -1,0 +1,55 @@
+"""Claims whose number is proved: certificates that back a verdict, and what they say in a sentence."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from tasks.paper.claim import PROVED, REPRODUCED, ClaimResult
+
+FOLDER = Path(__file__).parents[2] / "data" / "reference" / "proofs"
+#: Certificates of each claim; the first one's interval of slopes must hold the number its verdict rests on.
+BACKED = {"D2": ("D-flip", "D-long-tube"), "P1": ("physical-fold", "physical-straight-fold")}
+#: Relative error of a slope computed in doubles.
+ROUNDING = 1e-12
+
+
+def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResult:
+    """A finding, `proved` where it is reproduced and its certificates are there and hold its number.
+
+    Parameters
+    ----------
+    name : str
+        The claim's.
+    finding : ClaimResult
+    folder : Path
+        Where the certificates are.
+
+    Returns
+    -------
+    ClaimResult
+    """
+    kept = [path for certificate in BACKED.get(name, ()) if (path := folder / f"{certificate}.json").is_file()]
+    if not kept or len(kept) < len(BACKED[name]) or finding.verdict != REPRODUCED or not math.isfinite(finding.value):
+        return finding
+    certificates = [json.loads(path.read_text(encoding="utf-8")) for path in kept]
+    middle, radius = map(Fraction, certificates[0]["slope"])
+    if abs(Fraction(finding.value) - middle) > radius + Fraction(ROUNDING) * middle:
+        return finding
+    said = "; ".join(part for certificate in certificates for part in _said(certificate))
+    return replace(finding, verdict=PROVED, computed=f"{finding.computed}; proved: {said}")
+
+
+def _said(certificate: Mapping[str, Any]) -> Iterator[str]:
+    if certificate["kind"] == "tube":
+        low, high = certificate["slope"]
+        yield f"a stable {certificate['gait']} step at every slope from {low} to {high}"
+    else:
+        middle, radius = certificate["slope"]
+        what = "a multiplier passes -1" if certificate["kind"] == "flip" else "the branch turns back"
+        yield f"{what} at {middle} +- {radius} ({certificate['name']})"

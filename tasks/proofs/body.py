@@ -1,0 +1,165 @@
+"""A walker's keys as exact numbers or balls, and the constants of the equations of motion that follow from them.
+
+A vector is a pair (x, y) in the frame of the extended leg: x forward, y up along the hip-foot-centre line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from flint import arb, fmpq
+
+#: A key's value: a rational number, exact, or a ball that contains what a formula gives.
+Number: TypeAlias = fmpq | arb
+
+
+@dataclass(frozen=True)
+class Vector:
+    """A vector, or a complex number x + iy; its parts are of any type of number."""
+
+    x: Any
+    y: Any
+
+    def __add__(self, other: Vector) -> Vector:
+        return Vector(self.x + other.x, self.y + other.y)
+
+    def __mul__(self, factor: Any) -> Vector:
+        return Vector(self.x * factor, self.y * factor)
+
+    def dot(self, other: Vector) -> Any:
+        """Scalar product."""
+        return self.x * other.x + self.y * other.y
+
+    def cross(self, other: Vector) -> Any:
+        """The product's component along the axis."""
+        return self.x * other.y - self.y * other.x
+
+    def turned(self, cos: Any, sin: Any) -> Vector:
+        """The vector turned counter-clockwise by an angle."""
+        return Vector(self.x * cos - self.y * sin, self.x * sin + self.y * cos)
+
+    def normal(self) -> Vector:
+        """The vector turned by a right angle: the derivative by the angle."""
+        return Vector(-self.y, self.x)
+
+
+@dataclass(frozen=True)
+class Body:
+    """Constants of the equations of motion, in the walker's units.
+
+    Attributes
+    ----------
+    R, l, g, mass : arb
+        Foot radius, hip to foot centre, gravity, mass of the whole walker.
+    stance_first : Vector
+        First moment about the stance foot's centre of everything the stance leg carries.
+    stance_second : arb
+        The same, of second order, foot centre's own motion included.
+    thigh, shank, leg : (Vector, arb)
+        First moment and inertia about the hip (shank: about the knee) of the swing links; of the whole leg with
+        the knee locked. What hangs at the knee counts with the thigh.
+    coupling : Vector
+        conj(knee) times the shank's first moment.
+    heavy : bool
+        False in the limit of a vanishing foot mass: the swing leg, scaled by its mass, does not act on the stance leg.
+    kneed, point_foot : bool
+    """
+
+    R: arb
+    l: arb
+    g: arb
+    mass: arb
+    stance_first: Vector
+    stance_second: arb
+    thigh: tuple[Vector, arb]
+    shank: tuple[Vector, arb]
+    leg: tuple[Vector, arb]
+    coupling: Vector
+    heavy: bool
+    kneed: bool
+    point_foot: bool
+
+    @property
+    def time_unit(self) -> float:
+        """sqrt((l + R)/g), roughly."""
+        return float(((self.l + self.R) / self.g).sqrt().mid())
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of the section: multipliers beyond it vanish by construction."""
+        return 2 if self.point_foot else 3
+
+
+def body(keys: Mapping[str, Number], kneed: bool) -> Body:
+    """Constants of a walker, enclosed at the present precision.
+
+    Parameters
+    ----------
+    keys : mapping of str to fmpq or arb
+        Every numeric walker key.
+    kneed : bool
+        Whether the knees bend.
+
+    Returns
+    -------
+    Body
+
+    Raises
+    ------
+    ZeroDivisionError
+        If the leg cannot be shown to close.
+    """
+    k = {name: arb(value) for name, value in keys.items()}
+    zero = arb(0)
+    d = k["l_s"] - k["R"]
+    sin_T, cos_T = k["eps_T"].sin_cos()
+    # The foot's centre lies below the hip: sin eps_S = l_t sin eps_T / d.
+    sin_S = zero if _is_zero(keys["eps_T"]) else k["l_t"] * sin_T / d
+    cos_S = (1 - sin_S * sin_S).sqrt()
+    l = k["l_t"] * cos_T + d * cos_S
+    # The thigh leans back by eps_T, so the knee is behind the line; the shank leans forward by eps_S.
+    knee = Vector(zero, -k["l_t"]).turned(cos_T, -sin_T)
+    thigh_centre = Vector(-k["w_t"], -k["c_t"]).turned(cos_T, -sin_T)
+    shank_centre = Vector(-k["w_s"], -k["c_s"]).turned(cos_S, sin_S)
+    mass = 2 * (k["m_t"] + k["m_s"]) + k["m_h"]
+    point_foot = _is_point_foot(keys, kneed)
+    heavy = not (point_foot and _is_zero(keys["m_s"]))
+    m_t, m_s = (k["m_t"], k["m_s"]) if heavy else (zero, arb(1))
+    thigh = thigh_centre * m_t + knee * m_s
+    shank = shank_centre * m_s
+    thigh_inertia = m_t * (thigh_centre.dot(thigh_centre) + k["r_t"] ** 2) + m_s * knee.dot(knee)
+    shank_inertia = m_s * (shank_centre.dot(shank_centre) + k["r_s"] ** 2)
+    coupling = Vector(knee.dot(shank), knee.cross(shank))
+    leg, leg_inertia = thigh + shank, thigh_inertia + shank_inertia + 2 * coupling.x
+    first, second = Vector(zero, mass * l), mass * (l * l + k["R"] ** 2)
+    if heavy:
+        first, second = first + leg, second + 2 * l * leg.y + leg_inertia
+    return Body(
+        k["R"],
+        l,
+        k["g"],
+        mass,
+        first,
+        second,
+        (thigh, thigh_inertia),
+        (shank, shank_inertia),
+        (leg, leg_inertia),
+        coupling,
+        heavy,
+        kneed,
+        point_foot,
+    )
+
+
+def _is_zero(value: Number) -> bool:
+    return bool(value == 0)
+
+
+def _is_point_foot(keys: Mapping[str, Number], kneed: bool) -> bool:
+    """True where the leg's mass is one point at a foot of no radius; decided on exact numbers alone."""
+    hip = _is_zero(keys["m_t"]) or all(_is_zero(keys[k]) for k in ("c_t", "w_t", "r_t"))
+    exact = isinstance(keys["c_s"], fmpq) and isinstance(keys["l_s"], fmpq)
+    foot = exact and keys["c_s"] == keys["l_s"] and all(_is_zero(keys[k]) for k in ("w_s", "r_s", "R", "eps_T"))
+    return hip and foot and not kneed

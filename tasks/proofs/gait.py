@@ -1,0 +1,276 @@
+"""The proof of one gait: that it exists and is unique in a box, is a step, and is stable or unstable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from flint import arb, arb_mat, ctx
+
+from tasks.proofs import krawczyk
+from tasks.proofs.body import Body, Number, body
+from tasks.proofs.flow import Accuracy, NotProvedError
+from tasks.proofs.sequence import Events, events
+from tasks.proofs.stability import is_stable, step_derivative
+from tasks.proofs.step import Region, Step, dimensions, start, step
+
+#: Relative radius of the first box, and how far its middle may be corrected before the approximation is refused.
+FIRST_RADIUS, MAX_CORRECTION = 1e-12, 1e-6
+#: A step's remainders are this much smaller than the box.
+REMAINDER = 1e-9
+MIN_BITS, MAX_ATTEMPTS = 106, 6
+#: A second box, where the first leaves stability open, is this much smaller than asked.
+SHARPER = 1e-12
+UNDECIDED = "A multiplier is not told from the unit circle."
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A walker on a slope: numeric keys, whether its knees bend, and the slope [rad]."""
+
+    keys: Mapping[str, Number]
+    kneed: bool
+    slope: Number
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What was proved of a gait, or why not.
+
+    Attributes
+    ----------
+    proved : bool
+        Unique and first strike hold, and the gait is of the label asked for.
+    unique : bool
+        There is exactly one solution of a gait's equations in the box.
+    first_strike : bool
+        It is a step: its strikes come first and its legs pass once.
+    stable : bool or None
+        Every multiplier lies inside the unit circle, one lies outside, or neither was shown.
+    label : str
+        `long` or `short`.
+    box : dict of str to arb
+        Section state and event times, in the walker's units.
+    radius : float
+        Of the box, relative as `error_bound` is.
+    events : list of str
+    bits : int
+        Precision of the balls.
+    reason : str
+        Why a gait is not proved, or its stability not.
+    """
+
+    proved: bool
+    unique: bool = False
+    first_strike: bool = False
+    stable: bool | None = None
+    label: str = ""
+    box: dict[str, arb] = field(default_factory=dict)
+    radius: float = math.nan
+    events: list[str] = field(default_factory=list)
+    bits: int = 0
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A box with exactly one solution of a gait's equations, and the step enclosed over the box it was proved in."""
+
+    body: Body
+    box: list[arb]
+    step: Step
+    bits: int
+
+
+def prove(setting: Setting, guess: Sequence[float], accuracy: float = 1e-12, label: str | None = None) -> Proof:
+    """Prove the gait near an approximation.
+
+    Parameters
+    ----------
+    setting : Setting
+    guess : sequence of float
+        Stance angle [rad], stance rate, thigh rate, with knees the time of kneestrike, and the period.
+    accuracy : float
+        Largest relative radius of the box.
+    label : str, optional
+        `long` or `short` if the gait must be that.
+
+    Returns
+    -------
+    Proof
+        Its box is the smaller one; uniqueness holds in it as well.
+    """
+    proof = _proof(setting, guess, accuracy, label)
+    if proof.unique and (proof.stable is None or not proof.first_strike):  # a smaller box may tell
+        finer = _proof(setting, guess, accuracy * SHARPER, label)
+        proof = finer if finer.proved else proof
+    return proof
+
+
+def _proof(setting: Setting, guess: Sequence[float], accuracy: float, label: str | None) -> Proof:
+    try:
+        solution = solve(setting, guess, accuracy)
+    except NotProvedError as error:
+        return Proof(False, reason=str(error))
+    with ctx.workprec(solution.bits):
+        return _judged(solution, label)
+
+
+def _judged(solution: Solution, label: str | None) -> Proof:
+    """What holds of the one solution in a box."""
+    m, n = dimensions(solution.body)
+    stable = is_stable(step_derivative(solution.step.derivative, m, n))
+    box = _named(solution.body, solution.box)
+    known = Proof(False, True, stable=stable, box=box, radius=_radius(box), bits=solution.bits)
+    try:
+        order: Events = events(solution.step, solution.box[m:])
+    except NotProvedError as error:
+        return replace(known, reason=str(error))
+    known = replace(known, first_strike=True, label=order.label, events=order.names)
+    if label in ("long", "short") and label != order.label:
+        return replace(known, reason=f"The gait is a {order.label} step, not a {label} one.")
+    return replace(known, proved=True, reason="" if stable is not None else UNDECIDED)
+
+
+def solve(setting: Setting, guess: Sequence[float], accuracy: float) -> Solution:
+    """Shrink a box around an approximation until it is small enough and holds exactly one solution.
+
+    Parameters
+    ----------
+    setting, guess, accuracy
+        As `prove` takes them.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    NotProvedError
+        If Krawczyk's operator does not map a box into itself.
+    """
+    middle = _unknowns(setting, guess)
+    corrected, size, bits = 0.0, FIRST_RADIUS, MIN_BITS
+    for _ in range(MAX_ATTEMPTS):
+        tolerance = min(size * REMAINDER, accuracy)
+        bits = max(bits, 32 - math.floor(math.log2(tolerance)))
+        with ctx.workprec(bits):
+            walker = body(setting.keys, setting.kneed)
+            box = _around(walker, middle, size)
+            try:
+                enclosed_step, K = _attempt(walker, arb(setting.slope), middle, box, tolerance)
+            except (NotProvedError, ZeroDivisionError) as error:
+                reason, size = _sentence(error), size * 1e-4
+                continue
+            # With room to spare: the decimals printed hold a little more than K.
+            if krawczyk.contained([arb(k.mid(), 1.1 * k.rad()) for k in K], box):
+                if (achieved := _radius(_named(walker, K))) <= accuracy:
+                    return Solution(walker, K, enclosed_step, bits)
+                middle, size = [x.mid() for x in K], 16 * achieved
+                reason = f"The radius is {achieved:.1e}, above the accuracy of {accuracy:.1e}."
+                continue
+            shift = _distance(walker, middle, K)
+            reason = "Krawczyk's operator does not map the box into itself."
+            if shift < 0.5 * size:
+                size *= 1e-4
+                continue
+            corrected += shift
+            if not corrected < MAX_CORRECTION:
+                raise NotProvedError(f"No gait is near the approximation: its first correction is {shift:.1e} of it.")
+            middle = [x.mid() for x in K]
+    raise NotProvedError(reason)
+
+
+def _attempt(walker: Body, slope: arb, middle: list[arb], box: list[arb], tolerance: float) -> tuple[Step, list[arb]]:
+    """Enclose the step over a box, and Krawczyk's image of it."""
+    offsets = [x - c for x, c in zip(box, middle, strict=True)]
+    enclosed_step = step(walker, Region([*middle, slope], [*offsets, arb(0)]), Accuracy(order(tolerance), tolerance))
+    return enclosed_step, krawczyk.image(middle, box, enclosed_step.defect, defect_derivative(walker, enclosed_step))
+
+
+def defect_derivative(walker: Body, enclosed_step: Step) -> arb_mat:
+    """Derivative of guards and of image minus start by the unknowns.
+
+    Parameters
+    ----------
+    walker : Body
+    enclosed_step : Step
+
+    Returns
+    -------
+    arb_mat, shape (n, n) or, with the slope, (n, n + 1)
+    """
+    m, n = dimensions(walker)
+    rows = enclosed_step.derivative.tolist()
+    for i in range(m):
+        rows[n + i][i] -= 1
+    return arb_mat(rows)
+
+
+def order(tolerance: float) -> int:
+    """Coefficients of a Taylor step that make the steps' number times their cost small.
+
+    Parameters
+    ----------
+    tolerance : float
+        Remainder over what it is added to.
+
+    Returns
+    -------
+    int
+    """
+    return max(12, round(6 - math.log10(tolerance)))
+
+
+def _unknowns(setting: Setting, guess: Sequence[float]) -> list[arb]:
+    """Section state and event times of an approximation, as exact numbers."""
+    with ctx.workprec(MIN_BITS):
+        m, _ = dimensions(body(setting.keys, setting.kneed))
+    return [arb(x) for x in (*guess[:m], *guess[3:])]
+
+
+def _around(walker: Body, middle: Sequence[arb], size: float) -> list[arb]:
+    """The box of a relative radius around a point."""
+    return [x + arb(0, size * s) for x, s in zip(middle, _scales(walker, middle), strict=True)]
+
+
+def _scales(walker: Body, middle: Sequence[arb]) -> list[float]:
+    """Size of each unknown: the angle, the largest rate, the period."""
+    m, _ = dimensions(walker)
+    angle, rates, times = middle[0], middle[1:m], middle[m:]
+    return [abs(float(angle)), *[max(abs(float(r)) for r in rates)] * len(rates), *[abs(float(times[-1]))] * len(times)]
+
+
+def _distance(walker: Body, middle: Sequence[arb], image: Sequence[arb]) -> float:
+    return max(
+        abs(float((k.mid() - c).mid())) / s for c, k, s in zip(middle, image, _scales(walker, middle), strict=True)
+    )
+
+
+def _named(walker: Body, box: Sequence[arb]) -> dict[str, arb]:
+    """A box of unknowns by the names of archives, the dependent rates with it."""
+    m, _ = dimensions(walker)
+    rates = start(walker, box[:m]).w
+    times = ("kneestrike_time", "period") if walker.kneed else ("period",)
+    return dict(
+        zip(
+            ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", *times),
+            (box[0], rates[0], rates[1], rates[-1], *box[m:]),
+            strict=True,
+        )
+    )
+
+
+def _radius(box: Mapping[str, arb]) -> float:
+    """Largest of the relative radii of angle and times, and of the rates' over the largest rate."""
+    rates = [x for name, x in box.items() if name.endswith("_rate")]
+    largest = max(float(x.abs_lower()) for x in rates)
+    period = float(box["period"].abs_lower())
+    sizes = [float(box["stance_angle"].abs_lower()), *[largest] * len(rates)]
+    sizes += [period] * (len(box) - len(sizes))
+    return max(float(x.rad()) / s if s else math.inf for x, s in zip(box.values(), sizes, strict=True))
+
+
+def _sentence(error: Exception) -> str:
+    return str(error) if isinstance(error, NotProvedError) else "A matrix is not told from a singular one."

@@ -1,0 +1,207 @@
+"""A walker's keys as they are meant: decimals exact, derived keys by their formulas in balls; or doubles, exactly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from fractions import Fraction
+from typing import Any
+
+from flint import arb, ctx, fmpq
+
+from tasks.proofs.body import Number
+from tasks.walkers.catalogue import CATALOGUE
+from tasks.walkers.walker import NUMBERS
+
+#: Bits of derived keys: more than any proof's.
+KEY_BITS = 1024
+#: Walkers whose offsets are tuned exactly, the printed ones they come from, and what `detuning` = 1 means.
+TUNED = {"A": ("A-printed", "physical-straight"), "C": ("C-printed", "physical")}
+Numbers = dict[str, Number]
+#: A double that differs from a tuned offset by less than this part of it stands for it.
+TUNED_TO = 1e-15
+#: Keys a table may leave out.
+_DEFAULT: Numbers = {"m_h": fmpq(0), "g": fmpq(1)}
+
+
+def decimal(value: Any) -> fmpq:
+    """The decimal number that is written: 0.1 is a tenth.
+
+    Parameters
+    ----------
+    value : str, int or float
+        A float means the shortest decimal that is read as it.
+
+    Returns
+    -------
+    fmpq
+    """
+    return _rational(Fraction(value if isinstance(value, str | int) else repr(float(value))))
+
+
+def double(value: Any) -> fmpq:
+    """A double, exactly.
+
+    Parameters
+    ----------
+    value : float
+
+    Returns
+    -------
+    fmpq
+    """
+    return _rational(Fraction(float(value)))
+
+
+def _rational(value: Fraction) -> fmpq:
+    return fmpq(value.numerator, value.denominator)
+
+
+def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None = None) -> tuple[Numbers, bool]:
+    """Numeric keys of a walker by what is written, and whether its knees bend.
+
+    Parameters
+    ----------
+    walker : str or mapping
+        A catalogue name, or a `[walker]` table, whose numbers may be strings.
+    overrides : mapping, optional
+        Keys to change, `foot_mass_ratio` and `detuning` among them.
+
+    Returns
+    -------
+    dict of str to fmpq or arb, bool
+    """
+    overrides, table = dict(overrides or {}), {} if isinstance(walker, str) else dict(walker)
+    base = walker if isinstance(walker, str) else table.pop("base", None)
+    keys, kneed = _named(base) if base is not None else (_DEFAULT, False)
+    keys, kneed = _changed(keys, kneed, table)
+    if "detuning" in overrides:
+        physical, _ = _named(TUNED[str(base)][1])
+        keys = _mixed(keys, physical, decimal(overrides.pop("detuning")))
+    if "foot_mass_ratio" in overrides:
+        keys = _with_foot_mass(keys, decimal(overrides.pop("foot_mass_ratio")))
+    return _changed(keys, kneed, overrides)
+
+
+def doubles(table: Mapping[str, Any]) -> tuple[Numbers, bool]:
+    """Numeric keys of a whole table as the doubles they are, and whether its knees bend.
+
+    Parameters
+    ----------
+    table : mapping
+        Every walker key.
+
+    Returns
+    -------
+    dict of str to fmpq or arb, bool
+
+    Notes
+    -----
+    Offsets that tune the leg or the shank as exactly as doubles can are balls of the offsets that do: at small slopes
+    the rounding of a tuned walker's offsets would be seen, and the tuned walker is the one meant and solved.
+    """
+    keys, kneed = _changed({}, False, table, double)
+    with ctx.workprec(KEY_BITS):
+        for key, offset in _tuning(keys, kneed):
+            apart = abs(arb(keys[key]) - offset)
+            if apart != 0 and apart < TUNED_TO * abs(offset):
+                keys[key] = offset
+    return keys, kneed
+
+
+def _tuning(keys: Numbers, kneed: bool) -> Iterator[tuple[str, arb]]:
+    """Offsets that put the centres of mass of shank (with knees) and leg exactly on their lines, one by one."""
+    k = {name: arb(value) for name, value in keys.items()}
+    if _is(k["eps_T"], 0):
+        return
+    sine = k["l_t"] * k["eps_T"].sin() / (k["l_s"] - k["R"])
+    tangent = sine / (1 - sine * sine).sqrt()
+    if kneed:
+        yield "w_s", k["c_s"] * tangent
+    # Of the shank, forward of the hip-foot-centre line through the hip.
+    forward = -k["l_t"] * k["eps_T"].sin()
+    if not kneed:
+        forward += k["c_s"] * sine - arb(keys["w_s"]) * (1 - sine * sine).sqrt()
+    if not _is(k["m_t"], 0):
+        yield "w_t", (k["m_s"] * forward / k["m_t"] - k["c_t"] * k["eps_T"].sin()) / k["eps_T"].cos()
+
+
+def _is(value: arb, number: int) -> bool:
+    return bool(value == number)
+
+
+def _named(name: str) -> tuple[Numbers, bool]:
+    printed = CATALOGUE[TUNED[name][0] if name in TUNED else name]
+    keys, kneed = _changed({}, False, printed.table())
+    return (_tuned(keys) if name in TUNED else keys), kneed
+
+
+def _changed(
+    keys: Numbers, kneed: bool, table: Mapping[str, Any], read: Callable[[Any], fmpq] = decimal
+) -> tuple[Numbers, bool]:
+    keys = dict(keys)
+    table = {k: v for k, v in table.items() if k in NUMBERS or k == "knees"}
+    kneed = bool(table.pop("knees", kneed))
+    for key, value in table.items():
+        if key == "m_t" and math.isinf(float(value)):
+            # The paper's spelling of D: an infinitely heavy hip.
+            keys |= {"m_t": fmpq(1, 2), "m_s": fmpq(0)}
+        elif key != "m_s" or not math.isinf(float(table.get("m_t", 0))):
+            keys[key] = read(value)
+    return keys, kneed
+
+
+def _tuned(keys: Numbers) -> Numbers:
+    """Offsets that meet both conditions of section 5.1: w_s = c_s tan eps_S, w_t = -tan eps_T (c_t + m_s l_t / m_t)."""
+    with ctx.workprec(KEY_BITS):
+        k = {name: arb(value) for name, value in keys.items()}
+        sine = k["l_t"] * k["eps_T"].sin() / (k["l_s"] - k["R"])
+        w_s = k["c_s"] * sine / (1 - sine * sine).sqrt()
+        w_t = -k["eps_T"].tan() * (k["c_t"] + k["m_s"] * k["l_t"] / k["m_t"])
+    return {**keys, "w_s": w_s, "w_t": w_t}
+
+
+def _mixed(keys: Numbers, physical: Numbers, amount: fmpq) -> Numbers:
+    """Every key mixed linearly from the tuned walker (0) to the physical one (1)."""
+    with ctx.workprec(KEY_BITS):
+        return {
+            name: value if bool(value == physical[name]) else value + (physical[name] - value) * amount
+            for name, value in keys.items()
+        }
+
+
+def _with_foot_mass(keys: Numbers, ratio: fmpq) -> Numbers:
+    """A point-foot walker whose feet each have a share of the whole mass; the hip carries the rest."""
+    total = 2 * (keys["m_t"] + keys["m_s"]) + keys["m_h"]
+    return {**keys, "m_s": ratio * total, "m_t": (fmpq(1, 2) - ratio) * total, "m_h": fmpq(0)}
+
+
+def written(value: Number) -> str:
+    """A number as a certificate quotes it: all its digits, or a ball of forty.
+
+    Parameters
+    ----------
+    value : fmpq or arb
+
+    Returns
+    -------
+    str
+    """
+    if isinstance(value, arb):
+        with ctx.workprec(KEY_BITS):
+            return str(value.str(40, radius=True))
+    denominator = int(value.q)
+    twos, fives = 0, 0
+    while denominator % 2 == 0:
+        denominator, twos = denominator // 2, twos + 1
+    while denominator % 5 == 0:
+        denominator, fives = denominator // 5, fives + 1
+    if denominator != 1:
+        return f"{value.p}/{value.q}"
+    digits = max(twos, fives)
+    whole = str(abs(int(value.p * fmpq(10) ** digits / value.q if digits else value.p / value.q)))
+    sign = "-" if value.p < 0 else ""
+    if not digits:
+        return sign + whole
+    whole = whole.rjust(digits + 1, "0")
+    return f"{sign}{whole[:-digits]}.{whole[-digits:]}"

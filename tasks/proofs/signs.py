@@ -1,0 +1,133 @@
+"""Zeros of a guard along a motion: where its sign is certain, and that it passes each zero once, transversally."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from flint import arb
+
+from tasks.proofs.flow import NotProvedError, Piece, between
+from tasks.proofs.motion import Series, evaluate
+
+#: Bisections of a Taylor step until a zero is pinned down, and until a guard counts as grazing.
+ZERO_DEPTH, MAX_DEPTH = 10, 24
+SIGNS = ("+", "-")
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of time: the guard is `+` or `-` on it, or strictly rises or falls through it."""
+
+    kind: str
+    low: arb
+    high: arb
+    stance: arb
+
+
+@dataclass(frozen=True)
+class Zero:
+    """A simple zero, its only one between low and high; `stance` holds the stance angle meanwhile [rad]."""
+
+    rises: bool
+    low: arb
+    high: arb
+    stance: arb
+
+
+#: A guard is a linear form of the angles.
+Guard = tuple[int, ...]
+
+
+def zeros(
+    phases: Sequence[tuple[arb, Sequence[Piece]]], guard: Guard, name: str, strike: bool
+) -> tuple[str, list[Zero]]:
+    """Sign just after the start, and every zero after it in order.
+
+    Parameters
+    ----------
+    phases : sequence of (arb, pieces)
+        When each phase starts, and its motion.
+    guard : tuple of int
+        Coefficients of the angles (stance, thigh, shank).
+    name : str
+        What the guard is called in a refusal.
+    strike : bool
+        True for the guard of a strike: it vanishes identically at the start of the step, where its sign is that of
+        guard / t, and again somewhere on the last stretch.
+
+    Returns
+    -------
+    str, list of Zero
+
+    Raises
+    ------
+    NotProvedError
+        If the guard cannot be told from a grazing one.
+    """
+    stretches: list[Stretch] = []
+    for stretch in _stretches(phases, guard, name, strike):
+        if stretches and stretches[-1].kind == stretch.kind:
+            last = stretches.pop()
+            stretch = Stretch(stretch.kind, last.low, stretch.high, last.stance.union(stretch.stance))
+        stretches.append(stretch)
+    crossings = []
+    for before, here, after in zip([None, *stretches], stretches, [*stretches[1:], None], strict=False):
+        if here.kind in SIGNS:
+            if after is not None and after.kind in SIGNS:
+                raise NotProvedError(f"Grazing: the {name} guard changes sign between phases.")
+            continue
+        if before is None or before.kind not in SIGNS or (after is not None and after.kind not in SIGNS):
+            raise NotProvedError(f"Grazing: the {name} guard and its rate are not told from zero at the same time.")
+        rises = here.kind == "rises"
+        changes = after.kind != before.kind if after else strike and before.kind == ("-" if rises else "+")
+        if changes and before.kind != ("-" if rises else "+"):
+            raise NotProvedError(f"Grazing: the {name} guard changes sign against its rate.")
+        if changes:
+            crossings.append(Zero(rises, here.low, here.high, here.stance))
+    return stretches[0].kind, crossings
+
+
+def _stretches(
+    phases: Sequence[tuple[arb, Sequence[Piece]]], guard: Guard, name: str, strike: bool
+) -> Iterator[Stretch]:
+    for number, (begin, pieces) in enumerate(phases):
+        for piece in pieces:
+            own_zero = strike and number == 0 and piece is pieces[0]
+            yield from _classified(piece, begin, guard, name, own_zero)
+
+
+def _classified(piece: Piece, begin: arb, guard: Guard, name: str, zero_at_start: bool) -> Iterator[Stretch]:
+    """Stretches of one Taylor step, in order."""
+    value, rate = (_form(guard, series) for series in (piece.q, piece.w))
+    quotient, clock = value[1:], begin + piece.start
+    waiting: list[tuple[arb, arb, int]] = [(arb(0), piece.h, 0)]
+    while waiting:
+        low, high, depth = waiting.pop()
+        span = between(low, high)
+        kind = _sign(evaluate(quotient, span)) if zero_at_start and low == 0 else _kind(value, rate, low, high, span)
+        if kind in SIGNS or (kind and depth >= ZERO_DEPTH):
+            yield Stretch(kind, clock + low, clock + high, evaluate(piece.q[0], span))
+            continue
+        if depth == MAX_DEPTH:
+            raise NotProvedError(f"Grazing: the {name} guard and its rate cannot be told from zero together.")
+        middle = ((low + high) / 2).mid()
+        waiting += [(middle, high, depth + 1), (low, middle, depth + 1)]
+
+
+def _kind(value: Series, rate: Series, low: arb, high: arb, span: arb) -> str:
+    middle = ((low + high) / 2).mid()
+    speed = evaluate(rate, span)
+    return _sign(evaluate(value, middle) + speed * (span - middle)) or {"+": "rises", "-": "falls"}.get(
+        _sign(speed), ""
+    )
+
+
+def _sign(x: arb) -> str:
+    return "+" if x > 0 else "-" if x < 0 else ""
+
+
+def _form(guard: Guard, series: Sequence[Series]) -> Series:
+    """Series of a linear form of angles or rates."""
+    terms = [[g * x for x in s] for g, s in zip(guard, series, strict=False) if g]
+    return [sum(column[1:], column[0]) for column in zip(*terms, strict=True)]

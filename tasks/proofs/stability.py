@@ -1,0 +1,98 @@
+"""Stability from an enclosure of the step map's derivative, by the conditions of Schur, Cohn and Jury."""
+
+from __future__ import annotations
+
+from flint import arb, arb_mat
+
+
+def step_derivative(derivative: arb_mat, m: int, events: int) -> arb_mat:
+    """Derivative of the step map, the event times eliminated.
+
+    Parameters
+    ----------
+    derivative : arb_mat, shape (events + m, m + events)
+        Of guards and image by section state and event times.
+    m, events : int
+        Dimension of the section, and number of events.
+
+    Returns
+    -------
+    arb_mat, shape (m, m)
+
+    Raises
+    ------
+    ZeroDivisionError
+        If the strikes' rates are not told from zero.
+    """
+    rows = derivative.tolist()
+    guard_x, guard_t, image_x, image_t = (
+        arb_mat([row[part] for row in block])
+        for block in (rows[:events], rows[events:])
+        for part in (slice(0, m), slice(m, m + events))
+    )
+    return image_x - image_t * guard_t.inv() * guard_x
+
+
+def characteristic(matrix: arb_mat) -> list[arb]:
+    """Coefficients of det(z - A), leading one first.
+
+    Parameters
+    ----------
+    matrix : arb_mat, shape (2, 2) or (3, 3)
+
+    Returns
+    -------
+    list of arb
+    """
+    a = matrix.tolist()
+    if len(a) == 2:
+        return [arb(1), -matrix.trace(), matrix.det()]
+    minors = sum((a[i][i] * a[j][j] - a[i][j] * a[j][i] for i, j in ((0, 1), (0, 2), (1, 2))), arb(0))
+    return [arb(1), -matrix.trace(), minors, -matrix.det()]
+
+
+def is_stable(matrix: arb_mat) -> bool | None:
+    """True where every multiplier lies inside the unit circle, False where one lies outside, else None.
+
+    Parameters
+    ----------
+    matrix : arb_mat, shape (2, 2) or (3, 3)
+        Derivative of the step map.
+
+    Returns
+    -------
+    bool or None
+
+    Notes
+    -----
+    All zeros of p lie inside the circle just if p(1) > 0, (-1)^n p(-1) > 0, |p_n| < 1 and, for n = 3,
+    |p_3 p_1 - p_2| < 1 - p_3^2 (Jury 1964). Each is necessary for the closed disc with its sign weakened, so one that
+    fails strictly puts a multiplier outside.
+    """
+    p = characteristic(matrix)
+    margins = [sum(p, arb(0)), flip_function(matrix), 1 - abs(p[-1])]
+    if len(p) == 4:
+        margins.append(1 - p[3] ** 2 - abs(p[3] * p[1] - p[2]))
+    if all(x > 0 for x in margins):
+        return True
+    return False if any(x < 0 for x in margins[:3]) or _last_fails(margins) else None
+
+
+def _last_fails(margins: list[arb]) -> bool:
+    """The last condition reads so while the others hold; where one of them fails, it has spoken already."""
+    return bool(len(margins) == 4 and margins[3] < 0 and margins[2] > 0)
+
+
+def flip_function(matrix: arb_mat) -> arb:
+    """(-1)^n p(-1) = det(A + 1): it changes sign where a multiplier passes -1.
+
+    Parameters
+    ----------
+    matrix : arb_mat, shape (n, n)
+
+    Returns
+    -------
+    arb
+    """
+    rows = matrix.tolist()
+    return arb_mat([[x + int(i == j) for j, x in enumerate(row)] for i, row in enumerate(rows)]).det()

@@ -1,0 +1,50 @@
+"""Proofs of every gait of a walker at one slope: what `gaitsweep prove --walker` asks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from tasks.proofs.gait import Setting, prove
+from tasks.proofs.keys import decimal, exact
+from tasks.proofs.records import guess, record
+from tasks.solve_at_slope import solve_one
+
+
+def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Prove every gait of a walker at one slope, or the one of a label.
+
+    Parameters
+    ----------
+    params : mapping
+        `walker` (name or table), `slope` [rad] and the values of `set`, as strings or numbers that mean the decimals
+        written; `gait`, a label, or None; `accuracy`, the largest relative radius.
+
+    Returns
+    -------
+    dict
+        `gaits`, a list with one dict a gait, and `search`, sentences on how they were sought.
+
+    Raises
+    ------
+    WalkerError
+        If the walker cannot be.
+    """
+    numbers = {k: v if isinstance(v, bool) else float(v) for k, v in (params.get("set") or {}).items()}
+    solved = solve_one({"walker": _in_doubles(params["walker"]), "slope": float(params["slope"]), "set": numbers})
+    keys, kneed = exact(params["walker"], params.get("set"))
+    setting = Setting(keys, kneed, decimal(params["slope"]))
+    gaits = [g for g in solved["gaits"] if params.get("gait") in (None, g["gait"])]
+    return {
+        "gaits": [
+            record(setting, g["gait"], g, prove(setting, guess(g), params["accuracy"], g["gait"])) for g in gaits
+        ],
+        "search": solved["search"],
+    }
+
+
+def _in_doubles(walker: Any) -> Any:
+    """A table whose numbers are written as strings, in doubles."""
+    if isinstance(walker, str):
+        return walker
+    return {k: float(v) if isinstance(v, str) and k not in ("units", "base") else v for k, v in walker.items()}

@@ -1,0 +1,208 @@
+"""`gaitsweep prove`: its answers, exit codes and errors."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import netCDF4
+import pytest
+
+from pipeline.cli import prove
+from pipeline.cli.commands import main
+from pipeline.study import parse
+
+STUDY = """name = "small"
+walker = ["D", "B"]
+[axes]
+slope = [0.009, 0.012]
+[want]
+variables = ["stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period"]
+"""
+
+
+def run(capsys, *arguments):
+    """Exit code, standard output and standard error of a command."""
+    code = main(["prove", *map(str, arguments)])
+    return code, *capsys.readouterr()
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("archive")
+    (folder / "small.toml").write_text(STUDY)
+    command = ["run", folder / "small.toml", "--archive", folder / "small.nc", "--quiet", "--jobs", 1]
+    assert main(list(map(str, command))) == 0
+    return folder / "small.nc"
+
+
+@pytest.fixture
+def archive(kept, tmp_path):
+    path = tmp_path / "copy.nc"
+    path.write_bytes(kept.read_bytes())
+    return path
+
+
+def test_gaits_of_a_walker_are_proved(capsys):
+    code, out, _ = run(capsys, "--walker", "D", "--slope", "0.009", "--json")
+    gaits = json.loads(out)
+    assert code == 0
+    assert [(g["gait"], g["proved"], g["stable"]) for g in gaits] == [("long", True, True), ("short", True, False)]
+    assert set(gaits[0]) == {
+        "gait",
+        "slope",
+        "walker",
+        "proved",
+        "unique",
+        "first_strike",
+        "stable",
+        "stance_angle",
+        "radius",
+        "box",
+        "events",
+        "bits",
+        "reason",
+    }
+    assert gaits[0]["slope"] == 0.009
+    assert gaits[0]["radius"] <= 1e-12
+    middle, radius = gaits[0]["box"]["stance_angle"]
+    assert middle.startswith("0.20031090054424708936016")
+    assert float(radius) < 1e-19
+    assert gaits[0]["events"] == ["legs_pass", "heelstrike"]
+
+
+def test_one_gait_can_be_asked_for_in_words(capsys):
+    code, out, _ = run(capsys, "--walker", "E", "--slope", "0.02", "--set", "m_s=0.11", "--gait", "short")
+    assert code == 0
+    assert out.startswith("slope=0.02 gait=short: proved, unstable; stance angle 0.")
+
+
+def test_a_walker_file_keeps_every_digit(capsys, tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('[walker]\nbase = "E"\nm_s = 0.10000000000000000000001\n')
+    code, out, _ = run(capsys, "--walker", file, "--slope", "0.01", "--gait", "long", "--json")
+    assert code == 0
+    assert json.loads(out)[0]["walker"]["m_s"] == "0.10000000000000000000001"
+
+
+def test_no_gait_is_exit_code_1(capsys):
+    code, out, err = run(capsys, "--walker", "physical-straight", "--slope", "0.015", "--json")
+    assert (code, json.loads(out)) == (1, [])
+    assert "starts at slope" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--walker", "D", "--slope", "0.6"), "`slope` must lie in (0, 0.5) rad; got 0.6"),
+        (("--walker", "D", "--slope", "x"), "must be a number; got x"),
+        (("--walker", "D", "--slope", "nan"), "`slope` must lie in (0, 0.5) rad; got nan"),
+        (("--walker", "G", "--slope", "0.01"), "`G` is not known here"),
+        (("--walker", "D", "--slope", "0.01", "--gait", "lnog"), "did you mean `long`?"),
+        (("--walker", "D", "--slope", "0.01", "--set", "m_z=1"), "`m_z` is not a walker key"),
+        (
+            ("--walker", "D", "--slope", "0.01", "--accuracy", "1e-40"),
+            "`accuracy` must lie in [1e-30, 1e-06]; got 1e-40",
+        ),
+        (("--walker", "D"), "Prove either the gaits of an archive"),
+        ((), "Prove either the gaits of an archive"),
+        (("there-is-none.nc", "--gait", "long"), "`--gait` goes with a `--walker`."),
+        (("--walker", "D", "--slope", "0.01", "--sample", "3"), "`--sample` goes with an archive."),
+        (("there-is-none.nc",), "There is no archive there-is-none.nc"),
+    ],
+)
+def test_wrong_questions_are_told_in_one_line(capsys, arguments, sentence):
+    code, out, err = run(capsys, *arguments)
+    assert (code, out) == (2, "")
+    assert sentence in err
+    assert err.count("\n") == 1
+
+
+@pytest.fixture
+def no_flint(monkeypatch):
+    there = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "flint" else there(name, *a))
+
+
+def test_without_the_extra_one_line_says_what_to_install(capsys, no_flint):
+    code, out, err = run(capsys, "--walker", "D", "--slope", "0.01")
+    assert (code, out) == (2, "")
+    assert err == "gaitsweep: Proofs need the extra `proof` (python-flint): pip install 'gaitsweep[proof]'.\n"
+
+
+def test_gaits_of_an_archive_are_proved(capsys, archive):
+    code, out, _ = run(capsys, archive, "--json", "--jobs", "1")
+    gaits = json.loads(out)
+    assert code == 0
+    assert len(gaits) == 8
+    assert all(g["proved"] for g in gaits)
+    assert gaits[0]["at"] == {"walker": "D", "slope": 0.009, "gait": "long"}
+    # The stored doubles are the walker: a tenth is not the double nearest to it.
+    assert gaits[-1]["walker"]["m_s"] == "0.1000000000000000055511151231257827021181583404541015625"
+    few = [json.loads(run(capsys, archive, "--sample", 3, "--json", "--jobs", n)[1]) for n in (1, 2)]
+    assert few[0] == few[1]
+    assert len(few[0]) == 3
+    assert all(g in gaits for g in few[0])
+
+
+def alter(path, name, change):
+    with netCDF4.Dataset(path, "a") as file:
+        file[name][0, 0, 0] = change(float(file[name][0, 0, 0]))
+
+
+def test_an_altered_archive_is_not_proved(capsys, archive):
+    alter(archive, "period", lambda x: x * (1 + 1e-3))
+    code, out, _ = run(capsys, archive, "--jobs", "1")
+    lines = out.splitlines()
+    assert code == 1
+    assert "not proved" in lines[0]
+    assert all("not proved" not in line for line in lines[1:])
+
+
+def test_an_archive_of_another_version_is_refused(capsys, archive):
+    with netCDF4.Dataset(archive, "a") as file:
+        file.gaitsweep_schema = file.gaitsweep_schema + 1
+    code, out, err = run(capsys, archive)
+    assert (code, out) == (2, "")
+    assert "is not an archive of gaitsweep" in err
+
+
+def test_an_archive_without_states_is_refused(capsys, archive):
+    with netCDF4.Dataset(archive, "a") as file:
+        file.renameVariable("thigh_rate", "other_rate")
+    code, _, err = run(capsys, archive)
+    assert code == 2
+    assert "it has no thigh_rate" in err
+
+
+def test_certificates_are_written_one_a_file(tmp_path):
+    (path,) = prove.certificates(tmp_path, ["D-long-0.009"], jobs=1)
+    assert path == tmp_path / "D-long-0.009.json"
+    found = json.loads(path.read_text())
+    assert found["stable"] is True
+    assert found["statement"].startswith("On the slope 0.009 the walker has exactly one period-one gait in the box.")
+
+
+def test_a_study_may_want_proofs(tmp_path, capsys):
+    wanted = STUDY.replace('["D", "B"]', '"D"').replace('"shank_rate", "period"', '"proofs"')
+    (tmp_path / "small.toml").write_text(wanted)
+    out = tmp_path / "small.nc"
+    assert main(["run", str(tmp_path / "small.toml"), "--archive", str(out), "--quiet"]) == 0
+    with netCDF4.Dataset(out) as file:
+        assert file["proved"][...].tolist() == [[1, 1], [1, 1]]
+        assert file["proved"].flag_meanings == "not_attempted proved not_proved"
+        assert file["proved"].dtype == "i1"
+        assert (file["proved_radius"][...] <= file["error_bound"][...] / 10).all()
+    assert main(["verify", str(out)]) == 0
+    capsys.readouterr()
+
+
+def test_no_study_proves_by_default():
+    wanted = parse.parse({"name": "a", "walker": "D", "axes": {"slope": [0.01]}}, "", Path("a.toml")).variables
+    assert "stance_angle" in wanted
+    assert not {"proved", "proved_radius"} & set(wanted)
+
+
+def test_a_study_that_wants_proofs_needs_the_extra(tmp_path, capsys, no_flint):
+    (tmp_path / "small.toml").write_text(STUDY.replace('"period"', '"proved"'))
+    assert main(["plan", str(tmp_path / "small.toml")]) == 2
+    assert "Proofs need the extra `proof`" in capsys.readouterr().err

@@ -1,0 +1,44 @@
+"""The ledger's verdict `proved`."""
+
+import json
+import shutil
+
+import pytest
+
+from exact_gaits import REFERENCE
+from tasks.paper.certificates import BACKED, backed
+from tasks.paper.claim import ClaimResult
+
+FLIP, FOLD = 0.015088437941119463, 0.0191228796947384
+
+
+@pytest.mark.parametrize(("name", "value"), [("D2", FLIP), ("P1", FOLD)])
+def test_a_reproduced_number_with_a_certificate_is_proved(name, value):
+    found = backed(name, ClaimResult("computed", "reproduced", value))
+    assert found.verdict == "proved"
+    assert found.computed.startswith("computed; proved: ")
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        ClaimResult("", "not reproduced", FLIP),
+        ClaimResult("", "reproduced", FLIP * (1 + 1e-9)),
+        ClaimResult("", "reproduced"),
+        ClaimResult("", "reproduced approximately", FLIP),
+    ],
+)
+def test_nothing_else_is(found):
+    assert backed("D2", found) is found
+    assert backed("D3", ClaimResult("", "reproduced", FLIP)).verdict == "reproduced"
+
+
+def test_a_missing_certificate_proves_nothing(tmp_path):
+    for name in BACKED["D2"][:1]:
+        shutil.copy(REFERENCE / "proofs" / f"{name}.json", tmp_path)
+    assert backed("D2", ClaimResult("", "reproduced", FLIP), tmp_path).verdict == "reproduced"
+
+
+def test_the_certificates_are_of_the_walkers_claimed():
+    for name, walker in (("D-flip", "0"), ("physical-fold", "1.013")):
+        assert json.loads((REFERENCE / "proofs" / f"{name}.json").read_text())["walker"]["m_s"] == walker

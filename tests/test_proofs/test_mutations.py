@@ -1,0 +1,94 @@
+"""Proofs must break when the physics or the rigour is altered: each change to the source is made, and seen."""
+
+import importlib
+import inspect
+import sys
+
+import pytest
+from flint import ctx
+
+from exact_gaits import check_durations, check_remainder, guess, reference, setting
+from tasks.proofs.gait import prove
+
+#: Changes of the equations: module, what stands there, what is put in its place, and gaits whose proof it must break.
+PHYSICS = {
+    "sign of the swing leg's weight": ("motion", "k) - weight[j + 1][0]", "k) + weight[j + 1][0]", "DA"),
+    "sign of the knee's centrifugal term": ("motion", "force[1] += product", "force[1] -= product", "C"),
+    "sign in the mass matrix": ("motion", "hinge_y + body.R * y)", "hinge_y - body.R * y)", "A"),
+    "mass of one shank": ("body", '2 * (k["m_t"] + k["m_s"])', '2 * k["m_t"] + k["m_s"]', "AC"),
+    "inertia of the shank": ("body", 'shank_centre) + k["r_s"] ** 2', "shank_centre)", "AC"),
+    "eps_S dropped": ("body", "sin_S = zero if", "sin_S = zero if True or", "AC"),
+    "knee on the other side": ("body", '-k["l_t"]).turned(cos_T, -sin_T)', '-k["l_t"]).turned(cos_T, sin_T)', "AC"),
+    "no rolling while swinging": ("motion", "body.g * body.mass * body.R * sin, ", "0 * body.R, ", "AC"),
+    "no rolling at impacts": ("impacts", "-body.l * cos - body.R,", "-body.l * cos,", "AC"),
+    "stance knee of the impact free": ("impacts", "second + (body.coupling.x if body.kneed else 0)", "second", "C"),
+    "impulse at the wrong foot": (
+        "impacts",
+        "_hip(body, old), _hip(body, new)",
+        "_hip(body, new), _hip(body, old)",
+        "DAC",
+    ),
+}
+#: Changes of the enclosure: module, what stands there, what is put in its place, and the lemma that fails.
+RIGOUR = {
+    "no remainder": ("flow", "return [[*s, r] for s, r in", "return [[*s, 0 * r] for s, r in", check_remainder),
+    "remainder of one state": (
+        "flow",
+        "    box = enclose(body, slope, q, w, h)\n",
+        "    box = [*q, *w]\n",
+        check_remainder,
+    ),
+    "middle of the period": (
+        "flow",
+        "(duration[0] - time, duration[1] - time)",
+        "(duration[0] - time, duration[1].mid() - time)",
+        check_durations,
+    ),
+}
+REFERENCES = {"D": ("D", "0.009", "long"), "A": ("A", "0.01", "long"), "C": ("C", "0.01", "long")}
+
+
+@pytest.fixture
+def mutate(monkeypatch):
+    """Put an altered module's functions and classes wherever the original's are known."""
+
+    def change(name, old, new):
+        module = importlib.import_module(f"tasks.proofs.{name}")
+        source = inspect.getsource(module)
+        assert source.count(old) >= 1, f"{name} has no {old!r}"
+        scope = dict(vars(module))
+        exec(compile(source.replace(old, new), module.__file__, "exec"), scope)
+        for place in [m for n, m in sys.modules.items() if n.startswith("tasks.proofs.") or n == "exact_gaits"]:
+            for key, value in list(vars(place).items()):
+                own = getattr(value, "__module__", None) == module.__name__
+                if own and key in scope and key != "NotProvedError" and callable(value):
+                    monkeypatch.setattr(place, key, scope[key])
+
+    return change
+
+
+def proved(letter):
+    name, slope, label = REFERENCES[letter]
+    return prove(setting(name, slope), guess(reference(name, slope, label)), label=label).proved
+
+
+@pytest.mark.parametrize("letter", REFERENCES)
+def test_without_a_mutation_the_gait_is_proved(letter, mutate):
+    mutate("motion", "self.body, self.n = body, len(q)", "self.n, self.body = len(q), body")
+    assert proved(letter)
+
+
+@pytest.mark.parametrize("what", PHYSICS)
+def test_altered_physics_proves_nothing(what, mutate):
+    module, old, new, letters = PHYSICS[what]
+    mutate(module, old, new)
+    assert not any(proved(letter) for letter in letters)
+
+
+@pytest.mark.parametrize("what", RIGOUR)
+def test_an_altered_enclosure_fails_its_lemma(what, mutate):
+    module, old, new, lemma = RIGOUR[what]
+    with ctx.workprec(106):
+        mutate(module, old, new)
+        with pytest.raises(AssertionError):
+            lemma()
