@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tasks import registry
 from tasks.dynamics.initial_states import r_sequence
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import newton, newton_step
@@ -16,8 +17,6 @@ from tasks.step.simulate import STRUCK, stride
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
-#: Default options of a study of this kind: initial guesses at each slope.
-OPTIONS = {"starts": 2000}
 #: Largest admissible stance angle [rad], and the smallest one over the slope: half that of the linear law.
 _MAX_ANGLE, _MIN_ANGLE_RATIO = 0.8, 0.5
 #: Stance rate over angle: from barely crossing the vertical to much faster.
@@ -90,7 +89,7 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     rows: dict[str, list[Any]] = {k: [] for k in _GAIT_COLUMNS}
     cover: dict[str, list[Any]] = {k: [] for k in _COVERAGE_COLUMNS}
     for slope in np.asarray(params["slope"], float):
-        y = starts(problem, float(slope), int(params.get("starts", OPTIONS["starts"])))
+        y = starts(problem, float(slope), int(registry.options("census", params)["starts"]))
         first = stride(problem, y, np.full(y.shape[1], slope), exact=False)
         struck = first.outcome == STRUCK
         guesses = np.vstack([np.log(y[0]), y[1:] / y[0], first.times])[:, struck]

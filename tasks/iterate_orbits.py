@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tasks import registry
 from tasks.continuation import atlas as atlases
 from tasks.dynamics.initial_states import gaits_at, r_sequence
 from tasks.dynamics.lyapunov import Exponents, estimate
@@ -16,8 +17,6 @@ from tasks.step.simulate import CAUSES, STRUCK, stride
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
-#: Default options of a study of this kind.
-OPTIONS = {"gait": "long", "starts": 8, "spread": 1e-3, "transient": 400, "strides": 240, "shown": 120}
 #: Steps over which the directions of growth align before exponents are averaged, and blocks of the average.
 _ALIGNMENT, _BLOCKS = 16, 8
 _NO_START = "no gait to start from"
@@ -35,7 +34,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `line`; `slope`, ndarray, shape (n,) [rad]; and the study's options: `gait` around which the initial
         conditions lie, `starts` (their number at each slope), `spread` (their relative distance), `transient` (steps
-        dropped), `strides` (steps kept, over which exponents are averaged), `shown` (the last of them, tabulated).
+        dropped), `steps` (kept, over which exponents are averaged), `shown` (the last of them, tabulated).
     inputs : list
         The line's atlas.
 
@@ -53,7 +52,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Transients are integrated to about 1e-8, kept steps to full precision. Exponents are those of the map on its
     section; the superficial zero multipliers (paper, section 2.2) would add minus infinities.
     """
-    options = {**OPTIONS, **{k: params[k] for k in OPTIONS if k in params}}
+    options = registry.options("orbit", params)
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     slope = np.asarray(params["slope"], float)
@@ -77,7 +76,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     out = {
         "orbits/slope": np.repeat(lane_slope[walks], shown),
         "orbits/start": np.repeat(start[walks], shown),
-        "orbits/stride": np.tile(np.arange(int(options["strides"]) - shown, int(options["strides"])), n),
+        "orbits/stride": np.tile(np.arange(int(options["steps"]) - shown, int(options["steps"])), n),
         **{f"orbits/{name}": kept[:, i].T.ravel() for i, name in enumerate(_SHOWN)},
         "orbits/repeats_to": np.repeat(_repeats(kept[:, 0]), shown),
     }
@@ -89,7 +88,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         "falls/cause": np.array([CAUSES[c] for c in outcome[~walks]] + [_NO_START] * len(without), "U24"),
     }
     out |= _survival(lane_slope, steps, ~walks)
-    return out | _exponents(means[:, :, walks], lane_slope[walks], int(options["strides"]) - _ALIGNMENT)
+    return out | _exponents(means[:, :, walks], lane_slope[walks], int(options["steps"]) - _ALIGNMENT)
 
 
 def _repeats(angles: np.ndarray) -> np.ndarray:
@@ -139,7 +138,7 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
 
 def _iterate(problem: Problem, y: np.ndarray, slope: np.ndarray, options: Mapping[str, Any]) -> Arrays:
     """Transient and kept steps of some lanes; those that fall leave the batch."""
-    n, strides, shown = y.shape[1], int(options["strides"]), min(int(options["shown"]), int(options["strides"]))
+    n, strides, shown = y.shape[1], int(options["steps"]), min(int(options["shown"]), int(options["steps"]))
     steps, outcome = np.zeros(n, int), np.full(n, STRUCK)
     rows = np.full((shown, len(_SHOWN), n), np.nan)
     means = np.full((_BLOCKS, problem.m, n), np.nan)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tasks import registry
 from tasks.continuation import atlas as atlases
 from tasks.continuation.cycles import (
     MAX_POINTS,
@@ -30,8 +31,6 @@ from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
 #: Default options of a study of this kind: the longest period, first periods of the families, initial conditions of
-#: their search, and the steps that all orbits must last where the end of an attractor is located.
-OPTIONS = {"periods": 64, "families": [1], "starts": 400, "strides": 200}
 #: Orbits that locate that end, their relative distance from the last gait (chaos separates them), and how far beyond
 #: the accumulation they search, relative to its distance from the first flip.
 _ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
@@ -61,7 +60,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `line`; `slope`, ndarray [rad], whose ends are the window and whose values are searched for families of other
         periods than one; and the study's options: `periods`, the longest; `families`, first periods; `starts`, initial
-        conditions of the search at each slope; `strides`, steps that walking must last (0: its end is not located).
+        conditions of the search at each slope; `steps`, that walking must last (0: its end is not located).
     inputs : list
         The line's atlas.
 
@@ -72,7 +71,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         flip, `accumulation` (family, flips, slope, low, high, ratio), and `lost` (family, low, high, starts, strides):
         the slopes [rad] between which the chaos beyond a family's doublings ends, in falls or a period-one gait.
     """
-    options = {**OPTIONS, **{k: params[k] for k in OPTIONS if k in params}}
+    options = registry.options("cascade", params)
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     slope = np.sort(np.asarray(params["slope"], float))
@@ -106,10 +105,10 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             value, low, high = scaling.accumulation(flips)
             limit = (name, len(flips), value, low, high, float(ratios[-1]) if len(ratios) else np.nan)
             limits.append(dict(zip(_ACCUMULATION, limit, strict=True)))
-            if int(options["strides"]) and np.isfinite(value):
+            if int(options["steps"]) and np.isfinite(value):
                 high = min(slope[-1], value + _MAX_EXTENT * (value - flips[0]))
-                bracket = lost(problem, _spread_around(family[-1].cycle), value, high, int(options["strides"]))
-                ends.append(dict(zip(_LOST, (name, *bracket, _ORBITS, int(options["strides"])), strict=True)))
+                bracket = lost(problem, _spread_around(family[-1].cycle), value, high, int(options["steps"]))
+                ends.append(dict(zip(_LOST, (name, *bracket, _ORBITS, int(options["steps"])), strict=True)))
     return {
         f"{group}/{k}": np.array([r[k] for r in table])
         for group, columns, table in (

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tasks import registry
 from tasks.continuation import atlas as atlases
 from tasks.dynamics.initial_states import gaits_at
 from tasks.step.problem import Problem
@@ -14,8 +15,6 @@ from tasks.step.simulate import CAUSES, STRUCK, stride
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
-#: Default options of a study of this kind. Ranges are in the walker's units; by default they enclose the long gait.
-OPTIONS = {"size": 160, "strides": 200, "stance_angle": None, "stance_rate": None}
 #: Default ranges, as multiples of the long gait's angle and rate.
 _AROUND = (0.4, 2.0)
 #: Lanes advanced together; those whose outcome is known leave the batch.
@@ -33,7 +32,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     ----------
     params : mapping
         `line`; `slope`, ndarray, shape (n,) [rad]; and the study's options: `size` of the grid along each side,
-        `strides` (steps) after which an orbit counts as walking, `stance_angle` and `stance_rate` (from, to).
+        `steps` after which an orbit counts as walking, `stance_angle` and `stance_rate` (from, to).
     inputs : list
         The line's atlas.
 
@@ -51,7 +50,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     of straight-legged walkers just after. Initial conditions lie at the centres of cells, so areas are counts of cells;
     the standard error takes the error of each boundary cell as uniform over the cell and independent of the others.
     """
-    options = {**OPTIONS, **{k: params[k] for k in OPTIONS if k in params}}
+    options = registry.options("basin", params)
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     time_unit = np.sqrt(walker.leg / walker.g)
@@ -67,7 +66,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         if "long" not in targets:
             continue
         starts, cell = _starts(problem, targets["long"], options, time_unit)
-        outcome, steps = _classify(problem, starts, float(slope), targets, int(options["strides"]))
+        outcome, steps = _classify(problem, starts, float(slope), targets, int(options["steps"]))
         table = {
             "slope": np.full(starts.shape[1], slope),
             "stance_angle": starts[0],

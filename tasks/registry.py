@@ -200,10 +200,10 @@ TASKS = {
     t.name: t
     for t in (
         Task("atlas", "tasks.solve_points:atlas", 10, seconds=1.0),
-        Task("points", "tasks.solve_points:points", 7, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
+        Task("points", "tasks.solve_points:points", 8, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 2, needs=("atlas",), seconds=0.2),
         Task("branch", "tasks.follow_branches:branch", 4, needs=("atlas",), seconds=0.3),
-        Task("orbit", "tasks.iterate_orbits:orbit", 3, needs=("atlas",), seconds=30.0),
+        Task("orbit", "tasks.iterate_orbits:orbit", 4, needs=("atlas",), seconds=30.0),
         Task("cascade", "tasks.locate_cascade:cascade", 4, needs=("atlas",), seconds=3.0),
         Task("basin", "tasks.map_basin:basin", 2, needs=("atlas",), seconds=5.0),
         Task("curve", "tasks.follow_curves:curve", 4, needs=("atlas",), seconds=5.0),
@@ -211,7 +211,7 @@ TASKS = {
         Task("census", "tasks.count_gaits:census", 3, seconds=10.0),
         Task("scaling", "tasks.fit_laws:scaling", 2, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 2, needs=("points",)),
-        Task("claims", "tasks.check_claims:claims", 5, needs=("points", "atlas"), seconds=30.0),
+        Task("claims", "tasks.check_claims:claims", 6, needs=("points", "atlas"), seconds=30.0),
     )
 }
 
@@ -252,18 +252,18 @@ OPTIONS: dict[str, dict[str, Option]] = {
         "starts": Option("count", 8, "initial states"),
         "spread": Option("number", 1e-3, "relative distance of the initial states from the gait"),
         "transient": Option("count", 400, "steps before the orbit is kept"),
-        "strides": Option("count", 240, "steps over which Lyapunov exponents are averaged"),
+        "steps": Option("count", 240, "steps over which Lyapunov exponents are averaged"),
         "shown": Option("count", 120, "last steps kept in the archive"),
     },
     "cascade": {
         "periods": Option("count", 64, "largest period to which doublings are followed"),
         "families": Option("counts", [1], "periods of the gaits at which cascades begin"),
         "starts": Option("count", 400, "initial states for the loss of walking"),
-        "strides": Option("count or 0", 200, "steps each initial state is followed; 0 leaves the loss of walking out"),
+        "steps": Option("count or 0", 200, "steps each initial state is followed; 0 leaves the loss of walking out"),
     },
     "basin": {
         "size": Option("count", 160, "initial states along each axis"),
-        "strides": Option("count", 200, "steps each initial state is followed"),
+        "steps": Option("count", 200, "steps each initial state is followed"),
         "stance_angle": Option("range", None, "stance angles of the initial states [rad]; by default around the gaits"),
         "stance_rate": Option("range", None, "stance rates of the initial states; by default around the gaits"),
     },
@@ -275,6 +275,10 @@ OPTIONS: dict[str, dict[str, Option]] = {
     },
     "census": {"starts": Option("count", 2000, "initial guesses at each slope")},
 }
+
+
+#: Options that had another name before, which is still read.
+RENAMED_OPTIONS = {"strides": "steps"}
 
 
 def options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -309,10 +313,10 @@ CLAIMS = tuple(
 #: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
 CALLS = {
     "solve": "tasks.solve_at_slope:solve_one",
-    "prove": "tasks.prove:prove_one",
+    "prove": "tasks.prove_gaits:prove_one",
     "prove_stored": "tasks.proofs.records:prove_stored",
-    "certificates": "tasks.certify:names",
-    "certify": "tasks.certify:certify",
+    "certificates": "tasks.write_certificates:names",
+    "certify": "tasks.write_certificates:certify",
     "walkers": "tasks.walkers.describe:describe",
     "tune": "tasks.walkers.tuning:tune",
     "check_walker": "tasks.walkers.resolve:check",

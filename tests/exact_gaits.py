@@ -6,11 +6,11 @@ from pathlib import Path
 from flint import arb, arb_mat, ctx
 
 from tasks.proofs.body import body
-from tasks.proofs.flow import Accuracy, flow
+from tasks.proofs.enclosed_step import Region, step
+from tasks.proofs.enclosure import Accuracy, flow
 from tasks.proofs.gait import Setting
 from tasks.proofs.keys import decimal, exact
 from tasks.proofs.motion import Motion, evaluate
-from tasks.proofs.step import Region, step
 
 REFERENCE = Path(__file__).parents[1] / "data" / "reference"
 GAITS = tomllib.loads((REFERENCE / "extended.toml").read_text())["gaits"]

@@ -23,11 +23,14 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     if not isinstance(options, Mapping):
         raise place.wrong("must be a table", options)
     known = OPTIONS.get(kind, {})
+    for old, new in registry.RENAMED_OPTIONS.items():
+        if old in options and new in known and new not in options:
+            options = {new if name == old else name: value for name, value in options.items()}
     if options and not known:
         raise place.error(f"A study of kind `{kind}` has no options; got {', '.join(options)}")
     for name, value in options.items():
         if name not in known:
-            raise place.unknown(name, known)
+            raise place.unknown(name, known, "key")
         _check(value, known[name].holds, axes, place.at(name))
     whole = registry.options(kind, options) if known else {}
     if kind == "curve" and not whole["from"] < whole["to"]:

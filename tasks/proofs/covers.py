@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from flint import arb, ctx, fmpq
 
 from tasks.proofs.body import Body
-from tasks.proofs.flow import NotProvedError
+from tasks.proofs.enclosure import NotProvedError
 from tasks.proofs.stability import is_stable
 from tasks.proofs.tubes import BY_SLOPE, Family, Tube, is_proved, point, sizes, tangent_of, tube_image
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from flint import arb, ctx
 
-from tasks.proofs.flow import NotProvedError
+from tasks.proofs.enclosure import NotProvedError
 from tasks.proofs.stability import flip_function
 from tasks.proofs.tubes import REMAINDER, Family, Tube, point, tangent_of, tube
 

@@ -10,10 +10,10 @@ from flint import arb, arb_mat, ctx
 
 from tasks.proofs import krawczyk
 from tasks.proofs.body import Body, Number, body
-from tasks.proofs.flow import Accuracy, NotProvedError
+from tasks.proofs.enclosed_step import Region, Step, dimensions, start, step
+from tasks.proofs.enclosure import Accuracy, NotProvedError
 from tasks.proofs.sequence import Events, events
 from tasks.proofs.stability import is_stable, step_derivative
-from tasks.proofs.step import Region, Step, dimensions, start, step
 
 #: Relative radius of the first box, and how far its middle may be corrected before the approximation is refused.
 FIRST_RADIUS, MAX_CORRECTION = 1e-12, 1e-6

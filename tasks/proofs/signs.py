@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from flint import arb
 
-from tasks.proofs.flow import NotProvedError, Piece, between
+from tasks.proofs.enclosure import NotProvedError, Piece, between
 from tasks.proofs.motion import Series, evaluate
 
 #: Bisections of a Taylor step until a zero is pinned down, and until a guard counts as grazing.

@@ -19,11 +19,11 @@ from flint import arb, arb_mat
 
 from tasks.proofs import krawczyk
 from tasks.proofs.body import Body, Number, body
-from tasks.proofs.flow import Accuracy, NotProvedError
+from tasks.proofs.enclosed_step import Region, Step, dimensions, step
+from tasks.proofs.enclosure import Accuracy, NotProvedError
 from tasks.proofs.gait import defect_derivative, order
 from tasks.proofs.sequence import Events, events
 from tasks.proofs.stability import step_derivative
-from tasks.proofs.step import Region, Step, dimensions, step
 
 #: Which coordinate of (section state, event times, slope) is the parameter.
 BY_ANGLE, BY_SLOPE = 0, -1

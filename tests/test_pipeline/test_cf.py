@@ -29,7 +29,7 @@ STUDIES = {
     "orbit": {
         "walker": "D",
         "axes": {"slope": [0.012, 0.019]},
-        "options": {"starts": 2, "transient": 20, "strides": 60, "shown": 8},
+        "options": {"starts": 2, "transient": 20, "steps": 60, "shown": 8},
     },
     "cascade": {"walker": "D", "axes": {"slope": [0.012, 0.018]}, "options": {"periods": 2, "starts": 20}},
     "basin": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"size": 8, "strides": 20}},

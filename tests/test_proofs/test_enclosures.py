@@ -10,14 +10,14 @@ from flint import arb, arb_mat, ctx
 import extended
 from exact_gaits import SLOPE, STATE, check_durations, check_remainder, coarse, fine, state, walker
 from oracle import Oracle, SimplestWalker
-from tasks.proofs import flow as flows
-from tasks.proofs.flow import Accuracy, enclose, enclose_derivative
-from tasks.proofs.impacts import heelstrike, kneestrike
+from tasks.proofs import enclosure as flows
+from tasks.proofs.collisions import heelstrike, kneestrike
+from tasks.proofs.enclosed_step import Region, step
+from tasks.proofs.enclosure import Accuracy, enclose, enclose_derivative
 from tasks.proofs.keys import exact, written
 from tasks.proofs.krawczyk import contained, image
 from tasks.proofs.motion import Motion, Variation, acceleration, evaluate
 from tasks.proofs.stability import is_stable, step_derivative
-from tasks.proofs.step import Region, step
 from tasks.walkers.catalogue import CATALOGUE
 
 PHASES = [("D", 2), ("E", 2), ("B", 2), ("A", 2), ("C", 3), ("C", 2), ("physical", 3)]

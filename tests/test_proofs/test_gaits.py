@@ -9,14 +9,14 @@ from flint import arb, ctx
 from exact_gaits import GAITS, guess, reference, setting
 from lines import gait
 from tasks.proofs.body import body
-from tasks.proofs.flow import NotProvedError, Piece
+from tasks.proofs.enclosed_step import dimensions
+from tasks.proofs.enclosure import NotProvedError, Piece
 from tasks.proofs.gait import prove, solve
 from tasks.proofs.keys import decimal, double, exact, written
 from tasks.proofs.records import checked, distance, prove_stored, quoted
 from tasks.proofs.signs import zeros
 from tasks.proofs.stability import characteristic, step_derivative
-from tasks.proofs.step import dimensions
-from tasks.prove import prove_one
+from tasks.prove_gaits import prove_one
 
 NAMES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time")
 EACH_STRUCTURE = [("D", "0.009", "long"), ("E", "0.01", "short"), ("A", "0.01", "long"), ("C", "0.01", "short")]

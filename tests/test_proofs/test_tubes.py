@@ -8,11 +8,11 @@ import pytest
 from flint import arb, ctx, fmpq
 
 from exact_gaits import GAITS, REFERENCE, guess, reference
-from tasks import certify
+from tasks import write_certificates
 from tasks.proofs import covers, crossings, tubes
-from tasks.proofs.flow import NotProvedError
+from tasks.proofs.enclosure import NotProvedError
 from tasks.proofs.keys import decimal, exact
-from tasks.prove import prove_one
+from tasks.prove_gaits import prove_one
 
 KEPT = {path.stem: json.loads(path.read_text()) for path in sorted((REFERENCE / "proofs").glob("*.json"))}
 #: First flip of the simplest walker, to 20 digits at 256 bits.
@@ -45,7 +45,7 @@ def test_the_first_flip_of_the_simplest_walker_is_an_interval():
 
 def test_the_fold_of_the_physical_walker_with_locked_knees_is_an_interval():
     keys, kneed = exact("physical-straight")
-    start = certify._start("physical-straight", "long", 0.0153621)
+    start = write_certificates._start("physical-straight", "long", 0.0153621)
     found = crossings.fold(tubes.Family(keys, kneed, tubes.BY_ANGLE), start, 1e-6)
     kept = interval(*KEPT["physical-straight-fold"]["slope"])
     with ctx.workprec(200):
@@ -89,7 +89,7 @@ def test_no_stable_tube_passes_the_flip():
 
 
 def test_certificates_are_those_the_project_states():
-    assert set(KEPT) == set(certify.names())
+    assert set(KEPT) == set(write_certificates.names())
     with ctx.workprec(200):
         assert interval(*KEPT["D-flip"]["slope"]).contains(arb(FLIP).mid())
     assert all(not KEPT[f"E-long-{s}"]["stable"] for s in ("0.01", "0.003", "0.001", "0.0003", "0.0001"))
@@ -113,13 +113,13 @@ def test_a_certificate_of_each_structure_is_proved_again(name):
 
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize("name", certify.names())
+@pytest.mark.parametrize("name", write_certificates.names())
 def test_every_certificate_is_proved_again(name):
     prove_again(name)
 
 
 def prove_again(name):
-    found, kept = certify.certify({"name": name}), KEPT[name]
+    found, kept = write_certificates.certify({"name": name}), KEPT[name]
     assert set(found) == set(kept)
     for key in ("statement", "walker", "kind", "gait", "events", "stable"):
         assert found.get(key) == kept.get(key)

@@ -40,7 +40,7 @@ def test_stable_period_one_and_three_live_side_by_side():
 
 
 def test_nothing_walks_where_walking_is_lost():
-    outcomes = mapped(0.022, 40, strides=2000)["areas/outcome"]
+    outcomes = mapped(0.022, 40, steps=2000)["areas/outcome"]
     assert all(o.startswith(("fell", "foot")) for o in outcomes)
 
 

@@ -47,13 +47,13 @@ def test_the_cascade_of_d():
 
 
 def test_the_first_flips_of_c():
-    found = doublings("C", 0.07, 0.1, periods=8, strides=0)
+    found = doublings("C", 0.07, 0.1, periods=8, steps=0)
     assert found["cascade/slope"][0] == pytest.approx(0.0769, abs=5e-5)
     assert found["cascade/ratio"][-1] == pytest.approx(DELTA, abs=0.1)
 
 
 def test_the_period_three_family_near_0_0125():
-    found = doublings("D", 0.0122, 0.0130, n=3, families=[3], periods=12, starts=200, strides=60)
+    found = doublings("D", 0.0122, 0.0130, n=3, families=[3], periods=12, starts=200, steps=60)
     assert found["cascade/kind"].tolist() == ["fold", "flip", "flip", "flip"]
     assert found["cascade/slope"][:2] == pytest.approx([0.0122808216, 0.0126349598], abs=1e-9)
     assert found["cascade/walks"].all()
@@ -74,7 +74,7 @@ def test_a_cycle_is_one_strides_after_another():
 
 def test_first_intervals_far_from_the_law_are_no_hindrance():
     """B's period two lasts over a factor of twenty in slope, its period four over a tenth."""
-    found = doublings("B", 3e-4, 0.03, periods=4, strides=0)
+    found = doublings("B", 3e-4, 0.03, periods=4, steps=0)
     assert found["cascade/period"].tolist() == [1, 2, 4]
     assert found["cascade/slope"] == pytest.approx([0.000490856, 0.0104758, 0.0116164], rel=1e-5)
 

@@ -16,7 +16,7 @@ from tasks.step.simulate import stride
 from tasks.walkers.resolve import resolve
 
 D = {"walker": "D", "set": {}}
-SHORT = {"starts": 4, "transient": 120, "strides": 80, "shown": 40}
+SHORT = {"starts": 4, "transient": 120, "steps": 80, "shown": 40}
 
 
 def walked(slopes, **options):
@@ -64,7 +64,7 @@ def test_exponents_of_a_stable_gait_are_its_multipliers():
 
 def test_the_exponent_of_d_in_chaos():
     """0.369 at slope 0.0189; chaotic, and contracting areas."""
-    found = walked([0.0189], starts=96, transient=80, strides=240)
+    found = walked([0.0189], starts=96, transient=80, steps=240)
     first, time_unit = found["lyapunov/exponent"]
     error = found["lyapunov/standard_error"][0]
     assert error < 0.004
@@ -99,14 +99,14 @@ def test_an_orbit_can_be_restarted_from_its_rows(walker, slope):
 
 @pytest.mark.parametrize("strides", [10, 16, 23])
 def test_a_short_orbit_has_no_exponents_and_says_why(strides):
-    found = walked([0.009], strides=strides)
+    found = walked([0.009], steps=strides)
     assert len(found["lyapunov/exponent"]) == 2 and np.isnan(found["lyapunov/exponent"]).all()
     assert np.isnan(found["lyapunov/standard_error"]).all() and (found["lyapunov/strides"] == 0).all()
     assert set(found["lyapunov/reason"]) == {f"Exponents need at least 24 steps; these orbits have {strides}."}
 
 
 def test_the_shortest_orbit_with_exponents_has_them():
-    found = walked([0.009], strides=24)
+    found = walked([0.009], steps=24)
     assert found["lyapunov/exponent"].sum() / 2 == pytest.approx(np.log(0.5891), abs=0.01)
     assert (found["lyapunov/strides"] == 32).all() and set(found["lyapunov/reason"]) == {""}
 
@@ -159,7 +159,7 @@ def test_lanes_and_their_blocks_change_no_bit(walker, monkeypatch):
         "slope": np.array([0.98, 1.0]) * slope,
         "starts": 5,
         "transient": 8,
-        "strides": 24,
+        "steps": 24,
         "shown": 10,
     }
     wide = orbits.orbit(line, [_atlas(walker, ())])

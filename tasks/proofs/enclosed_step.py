@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from flint import arb, arb_mat
 
 from tasks.proofs.body import Body
-from tasks.proofs.flow import Accuracy, Flow, State, flow, narrower
-from tasks.proofs.impacts import heelstrike, kneestrike
+from tasks.proofs.collisions import heelstrike, kneestrike
+from tasks.proofs.enclosure import Accuracy, Flow, State, flow, narrower
 from tasks.proofs.motion import acceleration
 
 
