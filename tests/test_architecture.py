@@ -3,12 +3,15 @@
 import importlib.metadata
 import itertools
 import os
+import re
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+
+import docstrings
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -95,6 +98,16 @@ def test_every_dependency_is_locked_with_its_hash():
     assert {name.split(">")[0].lower() for name in wanted} <= pinned
     assert lock.count("--hash=sha256:") >= len(pinned)
     assert "http" not in lock and "/" not in lock
+
+
+def test_arrays_are_named_in_docstrings():
+    assert not [name for file in docstrings.FILES for name in docstrings.missing(file)]
+
+
+def test_what_only_its_module_uses_is_private():
+    texts = [*ROOT.glob("tests/**/*.py"), *ROOT.glob("docs/*"), ROOT / "pyproject.toml", *docstrings.FILES]
+    words = {file: set(re.findall(r"\w+", file.read_text(encoding="utf-8"))) for file in texts if file.suffix != ".png"}
+    assert not [name for file in docstrings.FILES for name in docstrings.private(file, words)]
 
 
 def test_every_file_is_formatted_alike():

@@ -13,6 +13,7 @@ from conftest import ROOT
 from pipeline.archive.citation import PAPER
 from pipeline.cli import commands
 from pipeline.study import parse
+from tasks.registry import OPTIONS
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 
@@ -106,3 +107,13 @@ def test_the_python_shown_is_python():
     code = "import pipeline; print(pipeline.run.__name__, pipeline.load.__name__, pipeline.solve.__name__)"
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.stdout.split() == ["run", "load", "solve"]
+
+
+def test_every_option_of_every_kind_is_in_the_docs_and_the_help():
+    studies, shown = (ROOT / "docs" / "studies.md").read_text(), commands.parser()._subparsers._group_actions[0]
+    text = shown.choices["plan"].format_help()
+    for kind, known in OPTIONS.items():
+        (line,) = (part for part in studies.split("- **")[1:] if part.startswith(f"{kind}**"))
+        for name, option in known.items():
+            assert f"`{name}`" in line, (kind, name)
+            assert option.meaning in text, (kind, name)

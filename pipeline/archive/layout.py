@@ -93,9 +93,23 @@ class Grid:
             yield tuple(i - spans[d].start for i, d in zip(index, self.lines, strict=True)), number
 
     def slopes(self, box: Box) -> np.ndarray:
-        """Slopes of a box, shape (n,) [rad]."""
+        """Slopes of a box.
+
+        Returns
+        -------
+        ndarray, shape (n,) [rad]
+        """
         return self.study.slope[dict(zip(self.sizes, box, strict=True))["slope"]]
 
     def slope_last(self, values: np.ndarray) -> np.ndarray:
-        """View of the values of a box with the slope after the axes of the lines."""
+        """View the values of a box with the slope after the axes of the lines.
+
+        Parameters
+        ----------
+        values : ndarray, shape (extents of the box, ...)
+
+        Returns
+        -------
+        ndarray, shape (extents of the lines' axes, slopes, ...)
+        """
         return np.moveaxis(values, list(self.sizes).index("slope"), len(self.lines))

@@ -395,5 +395,5 @@ def _dop853_until_guard(
 
 
 def by_numba() -> Callable[..., tuple[float, np.ndarray]]:
-    """Integration to an event by DOP853 compiled by numba, called as that of `by_scipy`."""
+    """Integration to an event by DOP853 compiled by numba, called as `by_scipy` does."""
     return _dop853_until_guard

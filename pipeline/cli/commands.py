@@ -75,6 +75,8 @@ def parser() -> argparse.ArgumentParser:
     top = _Parser(prog="gaitsweep", description="Gait sweeps of passive dynamic walkers.")
     top.add_argument("--debug", action="store_true", help="show the traceback of an error")
     top.add_argument("--version", action=_Version, nargs=0, help="show the version")
+    from pipeline.study import options
+
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
     def add(function: Callable[[argparse.Namespace], int], purpose: str) -> argparse.ArgumentParser:
@@ -103,6 +105,7 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--quiet", action="store_true", help="print errors only")
     c.add_argument("--verbose", action="store_true", help="report every chunk")
     c = add(_plan, "show what would run and why, without running it")
+    c.epilog, c.formatter_class = options.listing(), argparse.RawDescriptionHelpFormatter
     c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
     c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
     c.add_argument("--retry-failed", action="store_true", help="as `run` would")

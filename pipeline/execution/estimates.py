@@ -49,7 +49,14 @@ class Costs:
         return np.bincount(self.region(indices), minlength=_REGIONS)
 
     def open_line(self, line: int, indices: np.ndarray) -> None:
-        """Open a line, whose slopes of these indices, shape (n,), are to be solved."""
+        """Open a line.
+
+        Parameters
+        ----------
+        line : int
+        indices : ndarray of int, shape (n,)
+            Indices of its slopes that are to be solved.
+        """
         if len(indices):
             self.lines[line] = np.zeros((5, _REGIONS))
             self.lines[line][0] = self._counts_by_region(indices)

@@ -213,7 +213,12 @@ class Journal:
             yield Block(number, _split_words(variables), np.frombuffer(slopes), serialize.load(states))
 
     def variables(self, block: int) -> dict[str, np.ndarray]:
-        """Variables of one block, each of shape (n, gait, ...); the last two blocks are cached."""
+        """Read the variables of one block; the last two blocks are cached.
+
+        Returns
+        -------
+        dict of ndarray, shape (n, gait, ...)
+        """
         if block in self._recent:
             self._recent.move_to_end(block)
             return self._recent[block]

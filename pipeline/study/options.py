@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -36,6 +37,16 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     if kind == "curve" and not whole["from"] < whole["to"]:
         raise place.at("from").wrong(f"must be less than `to` = {whole['to']!r}", whole["from"])
     return dict(options)
+
+
+def listing() -> str:
+    """The options that each kind of study may set, with their defaults."""
+    lines = ["options of a study's kind ([options] in its file) and their defaults:"]
+    for kind, known in OPTIONS.items():
+        lines += [
+            f"  {kind:<8} {name:<15}{json.dumps(option.default):<18} {option.meaning}" for name, option in known.items()
+        ]
+    return "\n".join(lines)
 
 
 def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> None:

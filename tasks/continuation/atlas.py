@@ -308,10 +308,10 @@ def survey(problem: Problem) -> list[Branch]:
                     middle = branch.Z[len(branch.Z) // 2]
                     if not _is_known(branches, m, np.delete(middle, m), middle[m]):
                         branches.append(branch)
-    return ranked(branches)
+    return _rank(branches)
 
 
-def ranked(branches: list[Branch]) -> list[Branch]:
+def _rank(branches: list[Branch]) -> list[Branch]:
     """Sort branches in the order of their numbers: by their lowest ln slope, then by ln angle there.
 
     How far below `MIN_SLOPE` a branch was followed is arbitrary: those that reach it are equal in the first.

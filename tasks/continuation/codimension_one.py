@@ -237,7 +237,7 @@ class End(Curve):
         return y, scanner(self.structure).lock(step.knee, parameters), np.vstack([knee, knee]), parameters
 
     def begin(self, X: np.ndarray, times: np.ndarray, value: float) -> np.ndarray:
-        """Return U as `Curve.begin` does, with the time of a tangential heelstrike."""
+        """Return U, as `Curve.begin` does, with the time of a tangential heelstrike."""
         heel = times[-1:] if self.kind == "end_tangential_heelstrike" else times[:0]
         return np.concatenate([X[:-1], heel, X[-1:], [value / self.scale]])
 
