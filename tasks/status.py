@@ -25,4 +25,4 @@ def outside(label: str, pieces: list[tuple[float, float]], searched: str) -> str
     if not pieces:
         return f"No {label} gait found: {searched}."
     spans = "; ".join(f"{low:.6g} to {high:.6g}" for low, high in pieces)
-    return f"No {label} gait at this slope: the branches found span slopes {spans} ({searched})."
+    return f"No {label} gait at this slope: the branches found span {spans} ({searched})."

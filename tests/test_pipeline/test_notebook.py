@@ -72,7 +72,7 @@ def test_solve_gives_what_the_command_gives(capsys):
 
 def test_no_gait_is_an_empty_table_that_says_how_it_was_sought():
     found = pipeline.solve("physical", 1e-4)
-    assert found.empty and any("starts" in sentence for sentence in found.attrs["search"])
+    assert found.empty and any("initial guesses" in sentence for sentence in found.attrs["search"])
 
 
 def test_a_table_is_a_frame_with_units(mine):

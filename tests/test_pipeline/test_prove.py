@@ -87,7 +87,7 @@ def test_a_walker_file_keeps_every_digit(capsys, tmp_path):
 def test_no_gait_is_exit_code_1(capsys):
     code, out, err = run(capsys, "--walker", "physical-straight", "--slope", "0.015", "--json")
     assert (code, json.loads(out)) == (1, [])
-    assert "starts at slope" in err
+    assert "initial guesses at slope" in err
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_no_gait_is_exit_code_1(capsys):
         (("--walker", "D", "--slope", "0.6"), "`slope` must lie in (0, 0.5) rad; got 0.6"),
         (("--walker", "D", "--slope", "x"), "must be a number; got x"),
         (("--walker", "D", "--slope", "nan"), "`slope` must lie in (0, 0.5) rad; got nan"),
-        (("--walker", "G", "--slope", "0.01"), "`G` is not known here"),
+        (("--walker", "G", "--slope", "0.01"), "Unknown name `G`, known: "),
         (("--walker", "D", "--slope", "0.01", "--gait", "lnog"), "did you mean `long`?"),
         (("--walker", "D", "--slope", "0.01", "--set", "m_z=1"), "`m_z` is not a walker key"),
         (

@@ -20,10 +20,10 @@ PHYSICS = {
     "eps_S dropped": ("body", "sin_S = zero if", "sin_S = zero if True or", "AC"),
     "knee on the other side": ("body", '-k["l_t"]).turned(cos_T, -sin_T)', '-k["l_t"]).turned(cos_T, sin_T)', "AC"),
     "no rolling while swinging": ("motion", "body.g * body.mass * body.R * sin, ", "0 * body.R, ", "AC"),
-    "no rolling at impacts": ("impacts", "-body.l * cos - body.R,", "-body.l * cos,", "AC"),
-    "stance knee of the impact free": ("impacts", "second + (body.coupling.x if body.kneed else 0)", "second", "C"),
+    "no rolling at impacts": ("collisions", "-body.l * cos - body.R,", "-body.l * cos,", "AC"),
+    "stance knee of the impact free": ("collisions", "second + (body.coupling.x if body.kneed else 0)", "second", "C"),
     "impulse at the wrong foot": (
-        "impacts",
+        "collisions",
         "_hip(body, old), _hip(body, new)",
         "_hip(body, new), _hip(body, old)",
         "DAC",
@@ -31,15 +31,15 @@ PHYSICS = {
 }
 #: Changes of the enclosure: module, what stands there, what is put in its place, and the lemma that fails.
 RIGOUR = {
-    "no remainder": ("flow", "return [[*s, r] for s, r in", "return [[*s, 0 * r] for s, r in", check_remainder),
+    "no remainder": ("enclosure", "return [[*s, r] for s, r in", "return [[*s, 0 * r] for s, r in", check_remainder),
     "remainder of one state": (
-        "flow",
+        "enclosure",
         "    box = enclose(body, slope, q, w, h)\n",
         "    box = [*q, *w]\n",
         check_remainder,
     ),
     "middle of the period": (
-        "flow",
+        "enclosure",
         "(duration[0] - time, duration[1] - time)",
         "(duration[0] - time, duration[1].mid() - time)",
         check_durations,
