@@ -199,7 +199,7 @@ class Task:
 TASKS = {
     t.name: t
     for t in (
-        Task("atlas", "tasks.solve_points:atlas", 10, seconds=1.0),
+        Task("atlas", "tasks.solve_points:atlas", 11, seconds=1.0),
         Task("points", "tasks.solve_points:points", 8, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 2, needs=("atlas",), seconds=0.2),
         Task("branch", "tasks.follow_branches:branch", 4, needs=("atlas",), seconds=0.3),
