@@ -29,8 +29,11 @@ test: $(READY)
 bench: $(READY)
 	$(BIN)/gaitsweep bench -o reports
 
+# All tests, the long ones too, and the branches of the code that they reach.
 soak: $(READY)
-	$(BIN)/python -m pytest -m soak --timeout=3600
+	$(BIN)/python -m coverage run -m pytest -m "soak or not soak" --timeout=3600
+	$(BIN)/python -m coverage combine --quiet
+	$(BIN)/python -m coverage report --skip-covered
 
 prove: $(READY)
 	$(BIN)/python -m pipeline.cli.prove data/reference/proofs
