@@ -340,6 +340,9 @@ def test_extremes_between_samples_are_found():
     # Where there is no value there is no extreme.
     partly = np.where(x < 0.3, np.nan, np.sin(2 * (x - 0.1)))
     assert violations.greatest(partly)[0] == pytest.approx(1.0, abs=1e-9)
+    # Samples that may not be the largest are none, however large.
+    wave = np.sin(2 * (x - 0.1)) + np.where(x > 1.5, 9.0, 0.0)
+    assert violations.greatest(wave, x <= 1.5)[0] == pytest.approx(1.0, abs=1e-9)
     rising, at = violations.greatest(x**3)
     assert rising[0] == 8.0
     assert at[0] == 96

@@ -62,6 +62,15 @@ def test_tune_says_what_moved():
     assert max(map(abs, found["after"].values())) < 1e-15 < min(map(abs, found["before"].values()))
 
 
+def test_a_table_is_tuned_as_the_walker_of_its_numbers():
+    assert tune({"walker": CATALOGUE["C-printed"].table()}) == tune({"walker": "C-printed"})
+
+
+def test_a_study_is_told_which_key_moves_which():
+    moved = check({"walker": "E", "set": {"foot_mass_ratio": 0.05, "R": 0.0}})["varied"]
+    assert moved == {**dict.fromkeys(("m_t", "m_s", "m_h"), "foot_mass_ratio"), "R": "R"}
+
+
 def test_tune_says_when_freed_keys_cannot():
     with pytest.raises(WalkerError, match="free another key"):
         tune({"walker": "physical", "free": ["m_h"]})
