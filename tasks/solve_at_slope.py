@@ -10,9 +10,7 @@ import numpy as np
 from tasks import status
 from tasks.continuation import atlas as atlases
 from tasks.fixed_points.labels import places
-from tasks.fixed_points.newton import lipschitz
-from tasks.fixed_points.polish import UNKNOWN
-from tasks.fixed_points.rounding import rounding_std
+from tasks.fixed_points.polish import measured_guesses
 from tasks.fixed_points.search import search, starts
 from tasks.registry import COSTLY, GAITS, VARIABLES, VIOLATIONS
 from tasks.solve_points import points, solve
@@ -83,18 +81,7 @@ def _search_slope(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -
     w, _, verdict = search(problem, slope)
     if verdict is None:
         return [], "Nearest miss: no initial guess led to a solution of the step's equations."
-    m = problem.m
-    q = np.full((1, w.shape[1]), np.log(slope))
-    X = np.vstack([w[:m], q])
-    solved = solve(
-        problem,
-        np.vstack([X, w[m:]]),
-        np.exp(q[0]),
-        lipschitz(problem, X, w[m:]),
-        rounding_std(problem, w, q[0], near=8),
-        _WANT,
-        np.full(w.shape[1], UNKNOWN),
-    )
+    solved = solve(problem, measured_guesses(problem, w, np.full(w.shape[1], slope), near=8), _WANT)
     others = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]

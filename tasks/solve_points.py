@@ -12,7 +12,7 @@ from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.polish import UNKNOWN, Polished, settle
+from tasks.fixed_points.polish import Guesses, Polished, settle
 from tasks.fixed_points.search import starts
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
@@ -132,12 +132,7 @@ def _fill(
             if not may_hold.any():
                 continue
             index, Z, segment = index[may_hold], Z[may_hold], segment[may_hold]
-            lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
-            rounding_std = branch.rounding_std[segment]
-            leg_passes = np.where(branch.safe[segment], branch.leg_passes[segment], UNKNOWN)
-            solved = solve(
-                problem, Z.T, slope[index], lipschitz, rounding_std.T, tuple(out), leg_passes, friction_limit
-            )
+            solved = solve(problem, branch.known_guesses(Z, segment, slope[index]), tuple(out), friction_limit)
             solved["branch"], solved["piece"] = np.full(len(index), number), branch.piece(segment)
             angle.append(np.full(len(slope), np.nan))
             angle[-1][index] = np.where(solved["anthropomorphic"], Z[:, 0], np.nan)
@@ -187,12 +182,8 @@ def _may_hold(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarr
 
 def solve(
     problem: Problem,
-    Z: np.ndarray,
-    slope: np.ndarray,
-    lipschitz: np.ndarray,
-    rounding_std: np.ndarray,
+    guesses: Guesses,
     want: Sequence[str],
-    leg_passes: np.ndarray,
     friction_limit: float = violations.FRICTION_LIMIT,
 ) -> Arrays:
     """Polish guesses, verify that they are steps and measure the wanted variables.
@@ -200,16 +191,10 @@ def solve(
     Parameters
     ----------
     problem : Problem
-    Z : ndarray, shape (m + 1 + phases, n)
-        Guesses, as rows of a branch.
-    slope, lipschitz : ndarray, shape (n,) [rad, 1]
-        Lipschitz constants of the derivative of the fixed-point equations.
-    rounding_std : ndarray, shape (o, n)
-        Standard deviation of angle, rates and period due to rounding, over their `sensitivity`.
+    guesses : Guesses
+        Of n gaits.
     want : sequence of str
         Names of variables.
-    leg_passes : ndarray, shape (n,)
-        How often the legs pass, where the atlas has shown the solution to be a step; elsewhere UNKNOWN.
     friction_limit : float
 
     Returns
@@ -217,7 +202,7 @@ def solve(
     dict of ndarray, shape (n[, multipliers])
         In the walker's units; NaN where the guess is not converged to a step.
     """
-    at = settle(problem, Z, slope, lipschitz, rounding_std, leg_passes)
+    at = settle(problem, guesses)
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
     solved = {
         "status": code,
@@ -227,7 +212,7 @@ def solve(
         "anthropomorphic": ~at.step | (at.leg_passes == 1),
         "passes": at.leg_passes,
     }
-    solved |= _measure(problem, at, slope, want, friction_limit)
+    solved |= _measure(problem, at, guesses.slope, want, friction_limit)
     for name, value in solved.items():
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
             value[code != status.CONVERGED] = np.nan

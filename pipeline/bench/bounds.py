@@ -11,7 +11,7 @@ from pipeline.bench.extended_reference import convert
 from pipeline.bench.stress import random_walker
 from tasks import solve_points
 from tasks.continuation import atlas as atlases
-from tasks.fixed_points.polish import UNKNOWN, settle
+from tasks.fixed_points.polish import Guesses, settle
 from tasks.fixed_points.rounding import apply_newton_step
 from tasks.step import extended_precision
 from tasks.step.problem import Problem
@@ -117,48 +117,23 @@ def bounds(
         )
         for branch in atlases.survey(problem):
             for index, Z, segment in branch.guesses(np.log(slope)):
-                lipschitz = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
-                rounding_std = branch.rounding_std[segment].T
-                leg_passes = np.where(branch.safe[segment], branch.leg_passes[segment], UNKNOWN)
-                rows += [
-                    (name, *row) for row in compared(problem, Z.T, slope[index], lipschitz, rounding_std, leg_passes)
-                ]
+                rows += [(name, *row) for row in compared(problem, branch.known_guesses(Z, segment, slope[index]))]
         if say:
             say(f"{name}: {len(rows)} gaits so far")
     columns = [np.array(c) for c in zip(*[row[1:] for row in rows], strict=True)]
     return Bounds([row[0] for row in rows], *columns)
 
 
-def compared(
-    problem: Problem,
-    Z: np.ndarray,
-    slope: np.ndarray,
-    lipschitz: np.ndarray,
-    rounding_std: np.ndarray,
-    leg_passes: np.ndarray,
-) -> list[tuple[float, float, float, float, int]]:
+def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, float, float, int]]:
     """Bounds of converged gaits with their errors.
-
-    Parameters
-    ----------
-    problem : Problem
-    Z : ndarray, shape (c, n)
-        Guesses: the section with ln slope, and the event times.
-    slope : ndarray, shape (n,) [rad]
-    lipschitz : ndarray, shape (n,)
-        Lipschitz estimates, as in `settle`.
-    rounding_std : ndarray, shape (o, n)
-        Standard deviations of rounding, as in `settle`.
-    leg_passes : ndarray, shape (n,)
-        Numbers of leg passes, or `UNKNOWN`.
 
     Returns
     -------
     list of tuple
         Slope [rad], bound, error, condition number and tier of precision of each converged gait.
     """
-    product = solve_points.solve(problem, Z, slope, lipschitz, rounding_std, WANT, leg_passes)
-    at = settle(problem, Z, slope, lipschitz, rounding_std, leg_passes)
+    product, slope = solve_points.solve(problem, guesses, WANT), guesses.slope
+    at = settle(problem, guesses)
     time_unit, rows = _time_unit(problem.walker), []
     corrected = apply_newton_step(problem, at.stride, problem.parameters(slope, at.scale))
     condition = np.maximum(1.0, (corrected.sensitivity / corrected.size).max(axis=0) - 1.0)

@@ -11,9 +11,8 @@ import numpy as np
 
 from tasks import solve_points
 from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.newton import lipschitz, newton
-from tasks.fixed_points.polish import UNKNOWN, settle
-from tasks.fixed_points.rounding import rounding_std
+from tasks.fixed_points.newton import newton
+from tasks.fixed_points.polish import measured_guesses, settle
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.mechanics.kernel import flow
 from tasks.mechanics.lumped import structure_of
@@ -219,16 +218,7 @@ def _lanes(family: str, problem: Lanes, random: Random, outcomes: Outcomes) -> N
     outcomes.add(family, "Newton did not converge", n - len(converged))
     if len(converged):
         lanes, slope, w = problem.some(converged), slope[converged], solved.w[:, converged]
-        X = np.vstack([w[:m], np.log(slope)])
-        estimate = lipschitz(lanes, X, w[m:])
-        at = settle(
-            lanes,
-            np.vstack([X, w[m:]]),
-            slope,
-            estimate,
-            rounding_std(lanes, w, np.log(slope), near=4),
-            np.full(len(converged), UNKNOWN),
-        )
+        at = settle(lanes, measured_guesses(lanes, w, slope, near=4))
         ratio, largest = gait_ratio(at.stride), np.abs(multipliers(at.stride.jacobian, m)).max(axis=1)
         for i in range(len(converged)):
             outcome = _outcome(bool(at.converged[i]), bool(at.step[i]), int(at.leg_passes[i]), float(ratio[i]))

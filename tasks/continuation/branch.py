@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tasks.fixed_points.polish import UNKNOWN, Guesses
+
 
 @dataclass
 class Branch:
@@ -199,6 +201,21 @@ class Branch:
         firsts = [first for first, _ in self.pieces()]
         number = np.searchsorted(firsts, segment, side="right") - 1
         return number if self.q[0] <= self.q[-1] else len(firsts) - 1 - number
+
+    def known_guesses(self, Z: np.ndarray, segment: np.ndarray, slope: np.ndarray) -> Guesses:
+        """Guesses with what the branch's nodes tell of their segments.
+
+        Parameters
+        ----------
+        Z : ndarray, shape (n, c)
+            Points of the polynomials, as `guesses` gives them.
+        segment : ndarray of int, shape (n,)
+        slope : ndarray, shape (n,) [rad]
+        """
+        lipschitz = np.maximum(self.lipschitz[segment], self.lipschitz[segment + 1])
+        leg_passes = np.where(self.safe[segment], self.leg_passes[segment], UNKNOWN)
+        w = np.delete(Z, self.m, axis=1).T
+        return Guesses(w, slope, lipschitz, self.rounding_std[segment].T, leg_passes)
 
     def guesses(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Evaluate every piece at those slopes that it covers.

@@ -8,7 +8,7 @@ import numpy as np
 
 from tasks.fixed_points.newton import lipschitz as lipschitz_at
 from tasks.fixed_points.newton import newton_step
-from tasks.fixed_points.rounding import apply_newton_step, rounding
+from tasks.fixed_points.rounding import apply_newton_step, rounding, rounding_std
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step import extended_precision
 from tasks.step.problem import EPS, Problem, sizes
@@ -64,42 +64,50 @@ class Polished:
     leg_passes: np.ndarray
 
 
-def settle(
-    problem: Problem,
-    Z: np.ndarray,
-    slope: np.ndarray,
-    lipschitz: np.ndarray,
-    rounding_std: np.ndarray,
-    leg_passes: np.ndarray,
-) -> Polished:
-    """Polish guesses and verify them.
+@dataclass(frozen=True)
+class Guesses:
+    """Guesses of n gaits, with what the atlas knows of the steps around them.
+
+    `w` (m + k, n) similarity coordinates and event times; `slope` (n,) [rad]; `lipschitz` (n,) estimates of the Newton
+    map; `rounding_std` (o, n) standard deviations that rounding gives angle, rates and period, over their
+    `sensitivity`; `leg_passes` (n,) how often the legs pass where the step is known to happen, elsewhere UNKNOWN.
+    """
+
+    w: np.ndarray
+    slope: np.ndarray
+    lipschitz: np.ndarray
+    rounding_std: np.ndarray
+    leg_passes: np.ndarray
+
+
+def measured_guesses(problem: Problem, w: np.ndarray, slope: np.ndarray, near: int) -> Guesses:
+    """Measure at guesses without an atlas what it would know of them.
 
     Parameters
     ----------
-    Z : ndarray, shape (m + 1 + phases, n)
-        Guesses in the coordinates of a branch's nodes.
+    w : ndarray, shape (m + k, n)
     slope : ndarray, shape (n,) [rad]
-    lipschitz : ndarray, shape (n,)
-        Lipschitz estimates of the Newton map.
-    rounding_std : ndarray, shape (o, n)
-        Standard deviation that rounding gives angle, rates and period, over their `sensitivity`.
-    leg_passes : ndarray of int, shape (n,)
-        How often the legs pass where the atlas has shown that the step happens; elsewhere UNKNOWN.
-
-    Returns
-    -------
-    Polished
+    near : int
+        Steps side by side by which rounding is measured.
     """
+    q = np.log(slope)
+    lipschitz = lipschitz_at(problem, np.vstack([w[: problem.m], q]), w[problem.m :])
+    return Guesses(w, slope, lipschitz, rounding_std(problem, w, q, near=near), np.full(len(slope), UNKNOWN))
+
+
+def settle(problem: Problem, guesses: Guesses) -> Polished:
+    """Polish guesses and verify that they are steps."""
+    slope, leg_passes = guesses.slope, guesses.leg_passes
     m, n = problem.m, len(slope)
-    stride, scale, w = _polish(problem, np.delete(Z, m, axis=0), slope, lipschitz)
+    stride, scale, w = _polish(problem, guesses.w, slope, guesses.lipschitz)
     eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
-    lipschitz = _lipschitz_at_points(problem, w, slope, lipschitz, eta)
+    lipschitz = _lipschitz_at_points(problem, w, slope, guesses.lipschitz, eta)
     # The states at the impacts are corrected to the fixed point, as the times are.
     stride.impact = stride.impact + matvec(stride.impact_by_y, stride.newton)
     stride.knee = stride.knee + matvec(stride.knee_by_y, stride.newton)
     gait = apply_newton_step(problem, stride, problem.parameters(slope, scale))
     y, times, state, by_y = gait.y, gait.times, gait.state, np.abs(gait.by_y)
-    error = gait.sensitivity * (SAFETY_FACTOR * rounding_std + EPS / 2) + matvec(
+    error = gait.sensitivity * (SAFETY_FACTOR * guesses.rounding_std + EPS / 2) + matvec(
         by_y, 2 * lipschitz * eta**2 * sizes(y)
     )
     bound = (error / gait.size).max(axis=0) + 2 * EPS

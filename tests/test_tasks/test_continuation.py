@@ -169,16 +169,18 @@ def test_a_branch_ends_where_the_stance_leg_comes_to_stand_still():
     assert len(first.Z) < 700
 
 
+def unknown(index):
+    return np.full(len(index), UNKNOWN)
+
+
 def test_bounds_hold_and_are_of_use_beside_a_tangential_end():
     """At the end itself rounding cannot be measured; that must not spread to its neighbours."""
     problem, found = branches("physical-straight")
     ((branch, end),) = [(b, np.exp(b.q[0])) for b in found if b.why[0] == "end_tangential_heelstrike"]
-    sidecar_path = np.geomspace(1e-4, 1e-2, 20)
+    slope = end * (1 + np.geomspace(1e-4, 1e-2, 20))
     rows = []
-    for index, Z, segment in branch.guesses(np.log(end * (1 + sidecar_path))):
-        coarse = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
-        unknown = np.full(len(index), UNKNOWN)
-        rows += compared(problem, Z.T, end * (1 + sidecar_path[index]), coarse, branch.rounding_std[segment].T, unknown)
+    for index, Z, segment in branch.guesses(np.log(slope)):
+        rows += compared(problem, replace(branch.known_guesses(Z, segment, slope[index]), leg_passes=unknown(index)))
     assert len(rows) == 20
     assert all(error < bound < 1e-9 for _, bound, error, _, _ in rows)
 

@@ -1,5 +1,7 @@
 """Points beside folds, at vanishing rates and in gaps of a branch: each settles, with a bound that holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,7 @@ from oracle import Oracle, StepFailed
 from pipeline.bench.bounds import compared
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.newton import newton
-from tasks.fixed_points.polish import UNKNOWN
-from tasks.fixed_points.rounding import rounding_std
+from tasks.fixed_points.polish import UNKNOWN, measured_guesses
 from tasks.fixed_points.step_check import verify_steps
 from tasks.registry import GAITS, STATUSES
 from tasks.step.verify_step import strike_distance
@@ -115,11 +116,10 @@ def test_bounds_hold_as_near_a_fold_as_its_slope_is_known(walker, overrides):
             slope = fold["slope"] * (1 + side * np.geomspace(1e-2, 1e-13, 12))
             rows = []
             for index, Z, segment in branch.guesses(np.log(slope)):
-                sidecar_path = np.abs(segment - at) < 40
-                index, Z, segment = index[sidecar_path], Z[sidecar_path], segment[sidecar_path]
-                coarse = np.maximum(branch.lipschitz[segment], branch.lipschitz[segment + 1])
-                unknown = np.full(len(index), UNKNOWN)
-                rows += compared(problem, Z.T, slope[index], coarse, branch.rounding_std[segment].T, unknown)
+                near = np.abs(segment - at) < 40
+                index, Z, segment = index[near], Z[near], segment[near]
+                guesses = branch.known_guesses(Z, segment, slope[index])
+                rows += compared(problem, replace(guesses, leg_passes=np.full(len(index), UNKNOWN)))
             # Both gaits at every distance.
             assert len(rows) == 24
             assert all(error <= bound < 1e-9 for _, bound, error, _, _ in rows)
@@ -224,9 +224,8 @@ def test_a_point_is_measured_where_its_segment_does_not_vouch_for_it():
     assert np.isinf(branch.lipschitz[fold]) and np.isfinite(np.delete(branch.lipschitz, fold)).all()
     q = branch.q[fold] + np.sign(branch.q[fold + 1] - branch.q[fold]) * 1e-8
     (_, Z, _), *_ = (g for g in branch.guesses(np.array([q])))
-    w = np.delete(Z, problem.m, axis=1).T
-    rounding = rounding_std(problem, w, np.array([q]), near=8)
-    ((_, bound, error, _, _),) = compared(problem, Z.T, np.exp([q]), np.array([np.inf]), rounding, np.array([UNKNOWN]))
+    guesses = measured_guesses(problem, np.delete(Z, problem.m, axis=1).T, np.exp([q]), near=8)
+    ((_, bound, error, _, _),) = compared(problem, replace(guesses, lipschitz=np.array([np.inf])))
     assert error <= bound < 1e-12
 
 
