@@ -160,7 +160,7 @@ class Scanner:
         state : ndarray, shape (size, n)
             At the strike, NaN where there is none.
         time : ndarray, shape (n,) [sqrt(leg/g)]
-            Since the phase began.
+            Since the phase began, of those that strike.
         outcome : ndarray of int, shape (n,)
             Index of CAUSES.
         """
@@ -187,7 +187,6 @@ class Scanner:
             for cause, fallen in falls.items():
                 fallen &= ~strikes
                 outcome[lanes[fallen]] = cause
-                time[lanes[fallen]] = (i + 1) * h
                 done |= fallen
             late = ~done & (begin[lanes] + (i + 1) * h > _MAX_TIME)
             outcome[lanes[late]] = NO_KNEESTRIKE if free else NO_HEELSTRIKE

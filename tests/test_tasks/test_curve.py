@@ -40,6 +40,18 @@ def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
     assert folds.walks(found[0])
 
 
+def test_event_times_after_a_change_are_those_of_the_changed_point():
+    folds = Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[-1], 1.0)
+    after = folds.system(FOLD, TIMES)[2]
+    own = after(np.zeros(5))
+    for i in range(4):  # the key moves on the curve's own scale, by differences
+        change = np.zeros(5)
+        change[i] = 1e-5
+        there = folds.system(FOLD + change, own)[2](np.zeros(5))
+        back = folds.system(FOLD - change, own)[2](np.zeros(5))
+        np.testing.assert_allclose(after(change) - own, 0.5 * (there - back), rtol=1e-5, atol=1e-12)
+
+
 def test_flips_agree_with_those_located_line_by_line():
     found = curve(
         {"line": LINE, "slope": np.array([0.01, 0.2]), "key": "detuning", "from": -0.02, "to": 0.22, "kinds": ["flip"]},
