@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from conftest import ROOT
 from lines import WANT, _atlas, branches, gait, solved
 from tasks import solve_at_slope
+from tasks.continuation.branch import Branch
 from tasks.continuation.tracking import MIN_SLOPE
 from tasks.dynamics.initial_states import gaits_at
 from tasks.fixed_points.labels import places
@@ -172,3 +173,13 @@ def test_solve_tells_branch_and_piece_and_labels_what_a_search_adds(monkeypatch)
         key=lambda found: found["stance_angle"],
     )
     assert (short["gait"], short["branch"]) == ("short", 0) and (long["gait"], long["branch"]) == ("long", None)
+
+
+def test_pieces_are_numbered_from_the_lower_end_whichever_way_a_branch_runs():
+    _, found = branches("physical")
+    branch = max(found, key=lambda b: len(b.pieces()))
+    turned = Branch(branch.m, branch.Z[::-1], -branch.tangent[::-1], branch.lipschitz[::-1], branch.why[::-1])
+    segments = np.arange(len(branch.Z) - 1)
+    assert len(branch.pieces()) > 1
+    np.testing.assert_array_equal(branch.piece(segments), turned.piece(segments[::-1]))
+    assert set(branch.piece(segments)) == set(range(len(branch.pieces())))
