@@ -24,7 +24,7 @@ from pipeline.execution.estimates import Costs
 from pipeline.execution.executors import NOOP_JOB, Engine
 from pipeline.execution.worker_process import Request
 from pipeline.plan import graph
-from pipeline.plan.missing import LineWork, Plan
+from pipeline.plan.missing import LineWork, Plan, golden_ratio_order
 from pipeline.store import lines
 from pipeline.store.journal import Result, TaskKey
 from tasks.registry import GAITS, READS, SECONDS_PER_PROOF, VARIABLES
@@ -55,13 +55,6 @@ class Job:
     inputs: tuple[bytes, ...] = ()
     indices: np.ndarray | None = None
     probe: bool = False
-
-
-def _golden_ratio_order(pieces: list[Any]) -> list[Any]:
-    """Reorder pieces so that any leading part of them samples the whole evenly."""
-    n = len(pieces)
-    step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
-    return [pieces[i * step % n] for i in range(n)]
 
 
 class JobQueue:
@@ -126,7 +119,10 @@ class JobQueue:
                 indices = np.sort(np.concatenate([job.indices for job in blocks if job.indices is not None]))
                 probes, remainder = self.scheduler.costs.probes(work.number, indices)
                 self.ready = deque(job for job in self.ready if not any(job is block for block in blocks))
-                self.ready.extend(dataclasses.replace(blocks[0], indices=p) for p in _golden_ratio_order(remainder))
+                self.ready.extend(
+                    dataclasses.replace(blocks[0], indices=p)
+                    for p in (remainder[k] for k in golden_ratio_order(len(remainder)))
+                )
                 self.ready.extendleft(dataclasses.replace(blocks[0], indices=p, probe=True) for p in probes)
 
     def requeue(self) -> None:
@@ -226,7 +222,8 @@ class Scheduler:
         jobs = [self._line_job(name, work, inputs) for name in work.why if name not in ("atlas", "points")]
         if not len(work.missing):
             return jobs
-        pieces = _golden_ratio_order(np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size())))
+        parts = np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size()))
+        pieces = [parts[k] for k in golden_ratio_order(len(parts))]
         if len(work.missing) * self.cost > _TARGET_SECONDS:  # a probe of the line before the next ones are opened
             pieces[:1] = filter(len, (pieces[0][:_FIRST_CHUNK], pieces[0][_FIRST_CHUNK:]))
         points = self._line_job("points", work, inputs)

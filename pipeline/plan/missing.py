@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -14,6 +15,12 @@ from pipeline.store import lines
 from pipeline.store.journal import Journal, TaskKey
 from pipeline.study.model import Study
 from tasks.registry import TASKS, VARIABLES
+
+
+def golden_ratio_order(n: int) -> Iterator[int]:
+    """Numbers from 0 to n - 1 in an order whose leading part, however long, samples them evenly."""
+    step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
+    return (i * step % n for i in range(n))
 
 
 @dataclass(frozen=True)
@@ -98,9 +105,8 @@ class Plan:
     def lines(self) -> Iterator[LineWork]:
         """Lines with work to do, in an order whose leading part samples the study evenly."""
         fresh, n = self.journal.empty(), self.study.lines
-        step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if np.gcd(k, n) == 1)
-        for i in range(n):
-            work = self.line(i * step % n, fresh)
+        for number in golden_ratio_order(n):
+            work = self.line(number, fresh)
             if work.why:
                 yield work
 

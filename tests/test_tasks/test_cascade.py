@@ -83,11 +83,9 @@ def test_orbits_last_below_the_end_of_walking_and_not_above():
     problem = Problem(resolve("D"))
     slopes = np.array([0.012, 0.0165, 0.0185, 0.0193])
     _, gaits = gaits_at(problem, from_arrays(_atlas("D", ())), slopes, "long")
-    golden_ratio_order = 1 + 1e-3 * np.linspace(-1, 1, 16)
-    last = [
-        surviving_slopes(problem, gaits[:, k : k + 1] * golden_ratio_order, slopes[k : k + 1], 120)[0] for k in range(4)
-    ]
+    spread = 1 + 1e-3 * np.linspace(-1, 1, 16)
+    last = [surviving_slopes(problem, gaits[:, k : k + 1] * spread, slopes[k : k + 1], 120)[0] for k in range(4)]
     # At 0.012 they settle on period one, which is no attractor of a cascade beyond its doublings.
     assert last == [False, True, True, False]
-    alone = surviving_slopes(problem, gaits[:, 2:3] * golden_ratio_order, slopes, 120)
+    alone = surviving_slopes(problem, gaits[:, 2:3] * spread, slopes, 120)
     assert alone.tolist()[2:] == [True, False]
