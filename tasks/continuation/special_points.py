@@ -6,19 +6,21 @@ tangential or an earlier strike occurs; and the hyperextension of the released k
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.root import bracketed_root
+from tasks.continuation.lockstep import Call, Procedure, side_by_side
+from tasks.continuation.root import root_search
 from tasks.continuation.tracking import Point, branch_point_determinant, correct
 from tasks.fixed_points.rounding import rounding
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import EPS, Problem
-from tasks.step.step_map import SAMPLES
-from tasks.step.verify_step import strike_distance
+from tasks.step.step_map import SAMPLES, Stride
+from tasks.step.verify_step import StepCheck, strike_distance
 
 TestFunction = Callable[[Point, np.ndarray], float | bool]
 #: Splits of a segment on which an end or a fold lies, and the largest error of its polynomial over its length.
@@ -55,7 +57,7 @@ def oriented_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
     return tangent if tangent @ direction >= 0 else -tangent
 
 
-def correct_at(problem: Problem, branch: Branch, segment: int, x: float) -> tuple[Point, np.ndarray]:
+def correct_at(branch: Branch, segment: int, x: float) -> Procedure[tuple[Point, np.ndarray]]:
     """Correct the point at coordinate x of a segment.
 
     Returns
@@ -69,14 +71,34 @@ def correct_at(problem: Problem, branch: Branch, segment: int, x: float) -> tupl
     Z = branch.evaluate(np.array([segment]), np.array([x]))
     direction = branch.tangent[segment, : m + 1] + branch.tangent[segment + 1, : m + 1]
     direction = direction / np.linalg.norm(direction)
-    point = correct(problem, Z[:, : m + 1].T, Z[:, m + 1 :].T, direction[:, None])
-    # The corrector's derivative is that before its last step; a test function needs it at the point itself.
-    at_point = correct(problem, point.X, point.times, direction[:, None], max_iterations=1)
+    point = yield Call(_correct_and_evaluate, (Z[:, : m + 1].T, Z[:, m + 1 :].T, direction[:, None]))
+    return point, direction
+
+
+def _correct_and_evaluate(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray) -> Point:
+    """Correct points; the corrector's derivative is that before its last step, this one's that at the point itself."""
+    point = correct(problem, X, times, border)
+    at_point = correct(problem, point.X, point.times, border, max_iterations=1)
     at_point.ok = point.ok
-    return at_point, direction
+    return at_point
 
 
-def locate_root(problem: Problem, branch: Branch, segment: int, test: TestFunction) -> tuple[Point, np.ndarray]:
+def _search(
+    search: Generator[float, float, float], branch: Branch, segment: int, test: Callable[..., Any]
+) -> Procedure[float]:
+    """Send a search for a root the values of a test function, or of a procedure, at corrected points of a segment."""
+    x = next(search)
+    while True:
+        value = test(*(yield from correct_at(branch, segment, x)))
+        if isinstance(value, Generator):
+            value = yield from value
+        try:
+            x = search.send(value)
+        except StopIteration as end:
+            return float(end.value)
+
+
+def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[tuple[Point, np.ndarray]]:
     """Locate the root of a test function on a segment over which it changes sign, to rounding.
 
     Returns
@@ -89,18 +111,16 @@ def locate_root(problem: Problem, branch: Branch, segment: int, test: TestFuncti
     axis = branch.axis[segment]
     a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
 
-    def value(x: float) -> float:
-        return test(*correct_at(problem, branch, segment, x))
-
     try:
-        root = bracketed_root(value, a, b, 1e-15 * max(1.0, abs(a)))
+        root = yield from _search(root_search(a, b, 1e-15 * max(1.0, abs(a))), branch, segment, test)
     except ValueError:
         # The values at the nodes differ in sign by rounding only: the end nearer zero is the root.
-        root = a if abs(value(a)) < abs(value(b)) else b
-    return correct_at(problem, branch, segment, root)
+        at_a, at_b = (yield from correct_at(branch, segment, a)), (yield from correct_at(branch, segment, b))
+        root = a if abs(test(*at_a)) < abs(test(*at_b)) else b
+    return (yield from correct_at(branch, segment, root))
 
 
-def _tangential_end(problem: Problem, branch: Branch, segment: int) -> BranchEnd:
+def _tangential_end(branch: Branch, segment: int) -> Procedure[BranchEnd]:
     """Locate where heelstrike turns tangential on a segment.
 
     At the point itself the event time has no derivative, though the branch is smooth. So it is interpolated by
@@ -110,10 +130,12 @@ def _tangential_end(problem: Problem, branch: Branch, segment: int) -> BranchEnd
     test = _ENDS[kind]
     axis = branch.axis[segment]
     a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
-    middle = bracketed_root(lambda x: test(*correct_at(problem, branch, segment, x)), a, b, 1e-3 * abs(b - a))
+    middle = yield from _search(root_search(a, b, 1e-3 * abs(b - a)), branch, segment, test)
     h = SPACING * (b - a)
     offsets = np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5])
-    points = [correct_at(problem, branch, segment, float(middle + h * offset)) for offset in offsets]
+    points = []
+    for offset in offsets:
+        points.append((yield from correct_at(branch, segment, float(middle + h * offset))))
     values = np.array(
         [np.concatenate([row(p), row_tangent(p, direction), [test(p, direction)]]) for p, direction in points]
     )
@@ -168,10 +190,15 @@ def row_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
     return tangent if point.tangent[:, 0] @ direction >= 0 else -tangent
 
 
-def is_step(problem: Problem, point: Point) -> bool:
+def check_steps(problem: Problem, X: np.ndarray, times: np.ndarray) -> StepCheck:
+    """Verify that points of a branch are steps: `verify_steps` at X (m + 1, n) and times (k, n)."""
+    _, check = verify_steps(problem, np.vstack([X[: problem.m], times]), X[problem.m])
+    return check
+
+
+def is_step(point: Point) -> Procedure[bool]:
     """Whether a corrected point is a step that happens."""
-    m = problem.m
-    _, check = verify_steps(problem, np.vstack([point.X[:m], point.times]), point.X[m])
+    check = yield Call(check_steps, (point.X, point.times))
     return bool(check.step[0])
 
 
@@ -182,13 +209,16 @@ _ENDS: dict[str, TestFunction] = {
 }
 
 
-def narrow_segment(problem: Problem, branch: Branch, segment: int, like_left: TestFunction) -> tuple[Branch, int]:
+def narrow_segment(
+    branch: Branch, segment: int, like_left: Callable[[Point, np.ndarray], bool | Procedure[bool]]
+) -> Procedure[tuple[Branch, int]]:
     """Split a segment on which a property changes until its polynomial leads to this branch and to no other.
 
     Parameters
     ----------
     like_left : callable
-        Whether a point, with the branch's direction there, has the property of the segment's left node.
+        Whether a point, with the branch's direction there, has the property of the segment's left node; it may be a
+        procedure.
 
     Returns
     -------
@@ -203,7 +233,7 @@ def narrow_segment(problem: Problem, branch: Branch, segment: int, like_left: Te
         for part, at, share in ((branch, segment, 0.5), (alone, 0, 0.5), (alone, 0, 0.25), (alone, 0, 0.75)):
             x = float(part.Z[at : at + 2, part.axis[at]] @ [1 - share, share])
             guess = part.evaluate(np.array([at]), np.array([x]))[0, : branch.m + 1]
-            point, direction = correct_at(problem, part, at, x)
+            point, direction = yield from correct_at(part, at, x)
             chord = np.linalg.norm(np.diff(part.Z[at : at + 2, : branch.m + 1], axis=0))
             near = bool(np.linalg.norm(point.X[:, 0] - guess) < _MAX_PREDICTION_ERROR * chord)
             if point.ok[0] and part.lies_between(np.array([at]), point.X, point.times)[0]:
@@ -213,64 +243,75 @@ def narrow_segment(problem: Problem, branch: Branch, segment: int, like_left: Te
         if near and part is branch:
             break
         branch = branch.insert(segment + 1, row(point), row_tangent(point, direction))
-        segment += bool(like_left(point, direction))
+        is_left = like_left(point, direction)
+        segment += (yield from is_left) if isinstance(is_left, Generator) else is_left
     return branch, segment
 
 
-def locate_end(problem: Problem, branch: Branch, good: int, bad: int) -> BranchEnd:
+def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     """Locate the end of walking between two neighbouring nodes, of which `good` is a step and `bad` is none."""
     segment = min(good, bad)
     axis = branch.axis[segment]
-    nodes = [correct_at(problem, branch, segment, branch.Z[i, axis]) for i in (good, bad)]
+    at_good = yield from correct_at(branch, segment, branch.Z[good, axis])
+    at_bad = yield from correct_at(branch, segment, branch.Z[bad, axis])
     ends: list[tuple[float, BranchEnd]] = []
     for kind, test in _ENDS.items():
-        if kind == "end_kneestrike_at_heelstrike" and problem.phases == 1:
+        if kind == "end_kneestrike_at_heelstrike" and len(at_good[0].times) == 1:
             continue
-        if test(*nodes[0]) * test(*nodes[1]) < 0:
+        if test(*at_good) * test(*at_bad) < 0:
             if kind == "end_tangential_heelstrike":
-                end = _tangential_end(problem, branch, segment)
+                end = yield from _tangential_end(branch, segment)
             else:
-                end = BranchEnd(kind, *locate_root(problem, branch, segment, test), 0.0)
+                end = BranchEnd(kind, *(yield from locate_root(branch, segment, test)), 0.0)
             distance = float(np.linalg.norm(end.point.X[:, 0] - branch.Z[good, : branch.m + 1]))
             ends.append((distance, end))
     if ends:
         return min(ends, key=lambda end: end[0])[1]
-    return _earlier_strike_end(problem, branch, segment, good, bad)
+    return (yield from _earlier_strike_end(branch, segment, good, bad))
 
 
-def _earlier_strike_end(problem: Problem, branch: Branch, segment: int, good: int, bad: int) -> BranchEnd:
+def strike_distances(problem: Problem, X: np.ndarray, times: np.ndarray, samples: int) -> np.ndarray:
+    """Distances of the steps at points of branches from an earlier strike: `strike_distance` at X (m + 1, n)."""
+    return sampled_steps(problem, X, times, samples)[1]
+
+
+def sampled_steps(problem: Problem, X: np.ndarray, times: np.ndarray, samples: int) -> tuple[Stride, np.ndarray]:
+    """Evaluate steps with samples of their motion, and their `strike_distance`, at X (m + 1, n) and times (k, n)."""
+    stride, _ = problem.stride(np.vstack([X[: problem.m], times]), X[problem.m], samples=samples)
+    return stride, strike_distance(stride.scaled_motion(), stride.times)
+
+
+def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Procedure[BranchEnd]:
     """Locate where an earlier strike occurs on a segment: a minimum of a guard touches zero."""
     axis = branch.axis[segment]
     a, b = branch.Z[good, axis], branch.Z[bad, axis]
 
-    def distance(point: Point, direction: np.ndarray, samples: int = 16 * SAMPLES) -> float:
-        m = problem.m
-        stride, _ = problem.stride(np.vstack([point.X[:m], point.times]), point.X[m], samples=samples)
-        return float(strike_distance(stride.scaled_motion(), stride.times)[0])
+    def distance(point: Point, direction: np.ndarray, samples: int = 16 * SAMPLES) -> Procedure[float]:
+        distances = yield Call(strike_distances, (point.X, point.times), (("samples", samples),))
+        return float(distances[0])
 
-    def bisect(a: float, b: float, rounds: int) -> tuple[float, float]:
+    def bisect(a: float, b: float, rounds: int) -> Procedure[tuple[float, float]]:
         for _ in range(rounds):
             middle = 0.5 * (a + b)
-            point, _ = correct_at(problem, branch, segment, middle)
-            if point.ok[0] and is_step(problem, point):
+            point, _ = yield from correct_at(branch, segment, middle)
+            if point.ok[0] and (yield from is_step(point)):
                 a = middle
             else:
                 b = middle
         return a, b
 
     # Bisection by whether the step happens brackets the point; the guard's minimum is smooth only near it.
-    a, b = bisect(a, b, 8)
-    ends = [distance(*correct_at(problem, branch, segment, x)) for x in (a, b)]
-    if np.isfinite(ends).all() and ends[0] * ends[1] < 0:
-        root = bracketed_root(
-            lambda x: distance(*correct_at(problem, branch, segment, x)), a, b, 1e-15 * max(1.0, abs(a))
-        )
-        point, direction = correct_at(problem, branch, segment, root)
+    a, b = yield from bisect(a, b, 8)
+    at_a = yield from distance(*(yield from correct_at(branch, segment, a)))
+    at_b = yield from distance(*(yield from correct_at(branch, segment, b)))
+    if np.isfinite([at_a, at_b]).all() and at_a * at_b < 0:
+        root = yield from _search(root_search(a, b, 1e-15 * max(1.0, abs(a))), branch, segment, distance)
+        point, direction = yield from correct_at(branch, segment, root)
         # The value at half as many samples shows the error of the cubic's minimum.
-        error = abs(distance(point, direction, 8 * SAMPLES) / (ends[1] - ends[0]) * (b - a))
+        error = abs((yield from distance(point, direction, 8 * SAMPLES)) / (at_b - at_a) * (b - a))
     else:
-        a, b = bisect(a, b, 40)
-        point, direction = correct_at(problem, branch, segment, a)
+        a, b = yield from bisect(a, b, 40)
+        point, direction = yield from correct_at(branch, segment, a)
         error = 0.0
     tangent = oriented_tangent(point, direction)
     if axis <= branch.m:
@@ -331,6 +372,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
     if problem.phases == 2:
         tests["release_hyperextension"] = (_release_rate(nodes), lambda p, w: float(_release_rate(p)[0]))
     records: list[tuple[float, dict[str, float | str]]] = []
+    crossed: list[tuple[str, int, Procedure[tuple[Point, np.ndarray]]]] = []
     for kind, (values, test) in tests.items():
         crosses = np.sign(values[1:]) != np.sign(values[:-1])
         if kind == "fold":
@@ -342,10 +384,14 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
             # The derivative has a pole where heelstrike turns tangential: that sign change is no root.
             for i in (0, -1):
                 crosses[i] &= branch.why[i] != "end_tangential_heelstrike"
-        for segment in np.nonzero(crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]:
-            point, _ = locate_root(problem, branch, int(segment), test)
-            if point.ok[0] and _is_genuine(kind, point):
-                records.append((segment + 0.5, _record(kind, problem, point, 0)))
+        crossed += [
+            (kind, int(i), locate_root(branch, int(i), test))
+            for i in np.nonzero(crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]
+        ]
+    located = side_by_side(problem, [0] * len(crossed), [procedure for *_, procedure in crossed])
+    for (kind, segment, _), (point, _) in zip(crossed, located, strict=True):
+        if point.ok[0] and _is_genuine(kind, point):
+            records.append((segment + 0.5, _record(kind, problem, point, 0)))
     for index, kind, error in zip((0, len(branch.Z) - 1), branch.why, branch.end_errors, strict=True):
         record = _record(END_NAMES.get(kind, kind), problem, nodes, index)
         if kind == "end_tangential_heelstrike":
@@ -379,7 +425,7 @@ def _is_genuine(kind: str, point: Point) -> bool:
 
 def _fold_error(point: Point, lane: int) -> float:
     """Error of ln slope at a fold: rounding of the residual along the singular direction of I - DP."""
-    derivative = point.derivative[lane]
+    derivative = point.derivative[..., lane]
     least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
     rounded = 3 * EPS * np.abs(np.vstack([point.stride.y[:, lane], point.stride.image[:, lane]])).sum(axis=0)
     return float(np.abs(least) @ rounded / point.stride.y[0, lane] / abs(least @ derivative[:, -1]))
