@@ -9,9 +9,10 @@ import numpy as np
 
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
+from tasks.continuation.locate import locate_root
 from tasks.continuation.lockstep import run
 from tasks.continuation.sampling import chosen, within
-from tasks.continuation.special_points import locate_root, special_points
+from tasks.continuation.special_points import special_points
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations

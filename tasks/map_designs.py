@@ -9,8 +9,9 @@ import numpy as np
 
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
+from tasks.continuation.locate import locate_root, row
 from tasks.continuation.lockstep import run
-from tasks.continuation.special_points import END_NAMES, locate_root, row
+from tasks.continuation.special_points import END_NAMES
 from tasks.continuation.tracking import MIN_SLOPE, Point
 from tasks.fixed_points.multipliers import multipliers
 from tasks.measures.kinematics import travel

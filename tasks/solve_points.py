@@ -12,6 +12,7 @@ from tasks import status
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
 from tasks.continuation.lockstep import lanes_of
+from tasks.continuation.refine import COARSE, FINE
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.polish import Guesses, Polished, join, settle
@@ -50,7 +51,7 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         The branches as arrays, which `tasks.continuation.atlas.from_arrays` reads.
     """
     problem = Problem(_walker(params["line"]))
-    return atlases.to_arrays(atlases.survey(problem, atlases.COARSE if params.get("coarse") else atlases.FINE))
+    return atlases.to_arrays(atlases.survey(problem, COARSE if params.get("coarse") else FINE))
 
 
 def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -97,7 +98,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     results: list[tuple[Arrays, Arrays]] = [({}, {})] * len(walkers)
     for structure, numbers in alike.items():
         problem = Lanes([walkers[i] for i in numbers], structure)
-        surveyed = atlases.survey_lines(problem, atlases.COARSE)
+        surveyed = atlases.survey_lines(problem, COARSE)
         solved = _solve_lines(problem, [params["lines"][i] for i in numbers], surveyed, params)
         for i, branches, one in zip(numbers, surveyed, solved, strict=True):
             results[i] = atlases.to_arrays(branches), one

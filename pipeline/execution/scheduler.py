@@ -27,7 +27,7 @@ from pipeline.plan import graph
 from pipeline.plan.missing import LineWork, Plan, golden_ratio_order
 from pipeline.store import lines
 from pipeline.store.journal import Result, TaskKey
-from tasks.registry import GAITS, READS, SECONDS_PER_PROOF, TASKS, VARIABLES
+from tasks.registry import GAITS, READS, SECONDS_PER_PROOF, VARIABLES
 
 _TARGET_SECONDS = 1.0  # work in a chunk [s]
 _MAX_CHUNK = 32768  # points in a chunk: this bounds the memory of a worker
@@ -173,7 +173,7 @@ class Scheduler:
         self.points_measured = 0
         #: Lines that are opened together; more than one where short lines are computed side by side.
         self.lines_at_once = 1
-        if "points" in plan.layers and graph.is_short(self.study) and TASKS["atlas"].side_by_side:
+        if "points" in plan.layers and graph.is_short(self.study):
             share = math.ceil(self.study.lines / (engine.jobs * _CHUNKS_PER_WORKER))
             self.lines_at_once = min(_MAX_LINES, max(share, _MIN_LINES))
         # Atlases of short lines are kept only for those that read them.

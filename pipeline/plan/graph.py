@@ -69,7 +69,7 @@ def variables(study: Study) -> tuple[str, ...]:
 
 def is_short(study: Study) -> bool:
     """Whether the lines of a study are short: its atlases are coarse, and lines are computed side by side."""
-    return study.kind == "grid" and len(study.slope) <= SHORT_LINE
+    return study.kind == "grid" and len(study.slope) <= SHORT_LINE and bool(TASKS["atlas"].side_by_side)
 
 
 def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:

@@ -30,7 +30,14 @@ Procedure = Generator[Call, Any, Result]
 
 
 def lanes_of(result: Any, lanes: slice | np.ndarray) -> Any:
-    """Return some lanes of a result: of an array, or of all arrays of a dataclass, a tuple or a list."""
+    """Return some lanes of a result.
+
+    Parameters
+    ----------
+    result : ndarray, or a dataclass, tuple or list of such
+        Whose last axes count lanes.
+    lanes : slice, or ndarray of int, shape (k,)
+    """
     if isinstance(result, np.ndarray):
         return result[..., lanes]
     if isinstance(result, tuple | list):

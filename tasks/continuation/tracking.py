@@ -27,7 +27,7 @@ _MAX_ERROR, _MAX_TURN = 0.02, 0.3
 _MAX_NODES = 1500
 #: Where the sign of the branch point determinant changes over a longer step than this, Newton has jumped to a branch
 #: nearby; over a shorter one branches cross.
-_MAX_CROSSING_STEP = 1e-4
+MAX_CROSSING_STEP = 1e-4
 #: Number of points after which it is checked that a branch still consists of steps.
 _CHECK_EVERY = 12
 
@@ -249,7 +249,7 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple
         error = np.linalg.norm(point.X - guess, axis=0)
         turn = np.abs((point.tangent * border).sum(axis=0))
         fair = point.ok & (error < _MAX_ERROR) & (turn > np.cos(_MAX_TURN))
-        fair &= (tracks.side[active] * side >= 0) | (tracks.step[active] <= _MAX_CROSSING_STEP)
+        fair &= (tracks.side[active] * side >= 0) | (tracks.step[active] <= MAX_CROSSING_STEP)
         new = active[fair]
         tracks.append(point, np.flatnonzero(fair), new, border[:, fair])
         tracks.side[new] = side[fair]

@@ -75,15 +75,10 @@ def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, S
     check : StepCheck or None
         Whether these happen.
     """
-    w = search_slopes(problem, [slope])[0]
+    w = search_lines(Lanes([problem.walker]), [slope])[0][0]
     if not w.shape[1]:
         return w, None, None
     return w, *verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
-
-
-def search_slopes(problem: Problem, slopes: Sequence[float]) -> list[np.ndarray]:
-    """Find the distinct fixed points of one walker that the lattice of guesses leads to: `search_lines` of one line."""
-    return [gaits[0] for gaits in search_lines(Lanes([problem.walker]), slopes)]
 
 
 def search_lines(problem: Lanes, slopes: Sequence[float]) -> list[list[np.ndarray]]:

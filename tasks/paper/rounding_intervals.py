@@ -16,8 +16,8 @@ import heyoka as hy
 import numpy as np
 
 from tasks.continuation.branch import Branch
+from tasks.continuation.locate import locate_root
 from tasks.continuation.lockstep import run
-from tasks.continuation.special_points import locate_root
 from tasks.continuation.tracking import Point, linearised
 from tasks.mechanics.equations import Symbols
 from tasks.mechanics.impacts import heelstrike

@@ -273,15 +273,10 @@ class StrideMap:
         return self._function(outputs, [*y, *x, *_flat(carried), *_flat(parts), *p.variables])
 
     def _apply(self, function: hy.cfunc, inputs: np.ndarray) -> np.ndarray:
-        """Call a compiled function on lanes, each of which runs the same code whatever the others hold.
-
-        So lanes are padded to whole SIMD groups; and as the vectorised sine reduces the arguments of a whole register
-        in another way if one of them is not finite, such lanes are taken out.
-        """
+        """Call a compiled function on lanes padded to whole SIMD groups, so that every lane runs the same code."""
+        # A register's sines are computed in another way if one of its arguments is not finite.
         lost = ~np.isfinite(inputs).all(axis=0)
-        if lost.any():
-            inputs = np.where(lost, 0.0, inputs)
-        result = function(whole_groups(inputs, 4 * LANES))[:, : inputs.shape[1]]
+        result = function(whole_groups(np.where(lost, 0.0, inputs), 4 * LANES))[:, : inputs.shape[1]]
         result[:, lost] = np.nan
         return result
 

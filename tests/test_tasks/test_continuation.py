@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from lines import branches, gait
 from pipeline.bench.bounds import compared
 from pipeline.bench.stress import random_walker
-from tasks.continuation import special_points as special
+from tasks.continuation import ends
 from tasks.continuation.atlas import survey
 from tasks.continuation.root import bracketed_root
 from tasks.continuation.special_points import special_points
@@ -142,9 +142,9 @@ def test_a_tangential_end_agrees_with_other_spacings_within_its_bound(monkeypatc
 
     first = end()
     assert first["error_bound"] < 1e-12
-    real = special.SPACING
+    real = ends.SPACING
     for factor in (0.25, 2.5):
-        monkeypatch.setattr(special, "SPACING", factor * real)
+        monkeypatch.setattr(ends, "SPACING", factor * real)
         assert abs(end()["slope"] / first["slope"] - 1) < first["error_bound"]
 
 

@@ -174,6 +174,7 @@ def test_a_gap_between_two_nodes_is_found():
     """Nodes so far apart that none lies in the gap: the guard's minimum between them tells."""
     from tasks.continuation import atlas
     from tasks.continuation.lockstep import run
+    from tasks.continuation.refine import FINE
 
     problem, found = branches("C", **GAP)
     low, high = beside_the_gap(found)
@@ -186,7 +187,7 @@ def test_a_gap_between_two_nodes_is_found():
     )
     wide = np.exp(joined.q)
     assert not ((wide > 0.004174) & (wide < 0.004285)).any()
-    assert [b.why for b in run(problem, atlas._without_gaps(joined, atlas.FINE))] == [low.why, high.why]
+    assert [b.why for b in run(problem, atlas._without_gaps(joined, FINE))] == [low.why, high.why]
 
 
 def test_the_distance_from_an_earlier_strike_vanishes_where_one_cuts_in():
