@@ -225,6 +225,12 @@ class Branch:
         cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
         return list(itertools.pairwise(cuts))
 
+    def distance_from_fold(self) -> np.ndarray:
+        """Distance in ln slope of each segment from the branch's nearest fold, shape (n - 1,); infinite without one."""
+        folds = np.array([first for first, _ in self.pieces()[1:]], int)
+        apart = np.abs(self.q[:, None] - self.q[folds]).min(axis=1, initial=np.inf)
+        return np.minimum(apart[1:], apart[:-1])
+
     def piece(self, segment: np.ndarray) -> np.ndarray:
         """Return the numbers of the pieces on which segments lie.
 
