@@ -25,7 +25,7 @@ HERE = Path(__file__).parent
 AT_A_TIME = 2
 #: Tests of what runs in processes of its own, where no call is recorded.
 BESIDE = {"pipeline.archive": ("archive", "cf", "isolation"), "pipeline.store": ("journal", "archive", "isolation")}
-#: How a mutant can end that has been noticed.
+#: How a mutant can end that has been noticed; one with which the tests cannot even be imported counts as a timeout.
 NOTICED = ("killed", "timeout", "segfault", "suspicious")
 
 
@@ -59,7 +59,7 @@ def prepare() -> list[str]:
             state().tests_by_mangled_function_name[function] |= of_file[file]
     names = sorted(name for _, name, _ in mutmut.collect_source_file_mutation_data(mutant_names=())[0])
     for name in names:
-        for file in BESIDE.get(name.rpartition(".")[0], ()):
+        for file in BESIDE.get(".".join(name.split(".")[:2]), ()):
             function = mangled_name_from_mutant_name(name)
             state().tests_by_mangled_function_name[function] |= of_file[f"tests/test_pipeline/test_{file}.py"]
     mutmut.save_stats()
@@ -83,8 +83,8 @@ def main(draw: int, number: int, again: bool) -> int:
     Path("mutants").mkdir(exist_ok=True)
     lend_cache()
     names = prepare()
-    # A longer draw begins with the shorter.
-    random.Random(draw).shuffle(names)
+    # A longer draw begins with the shorter, and a change of the source leaves the mutants of other functions drawn.
+    names.sort(key=lambda name: random.Random(f"{draw} {name}").random())
     drawn = names[:number]
     wanted = ("not checked", "survived", "no tests") if again else ("not checked",)
     left = [name for name, (status, _) in results(drawn).items() if status in wanted]
