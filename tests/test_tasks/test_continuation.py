@@ -19,6 +19,7 @@ from tasks.continuation.special_points import special_points
 from tasks.continuation.tracking import correct, follow
 from tasks.fixed_points.newton import LONGEST_PERIOD
 from tasks.fixed_points.polish import UNKNOWN
+from tasks.fixed_points.search import search
 from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.walker import Walker
@@ -75,6 +76,16 @@ def test_a_branch_followed_the_other_way_has_the_same_ends():
     (up,), (down,) = (atlas._from_tracks(problem, pair) for pair in (traces, traces[::-1]))
     assert up.why == down.why[::-1] == ("end_earlier_strike", "end_kneestrike_at_heelstrike")
     np.testing.assert_allclose(up.Z[[0, -1]], down.Z[[-1, 0]], rtol=1e-12, atol=1e-13)
+
+
+def test_a_branch_ends_where_a_search_no_longer_finds_its_gait():
+    """The time of kneestrike changes ever faster towards the end, and beyond it the step has no such kneestrike."""
+    problem = Problem(random_walker("kneed, near", 336))
+    found = survey(problem)
+    (end,) = [np.exp(b.q[0]) for b in found if b.why == ("end_earlier_strike", "end_kneestrike_at_heelstrike")]
+    for slope, number in ((1.01 * end, 2), (0.99 * end, 1)):
+        assert search(problem, slope)[2].step.sum() == number
+        assert sum(len(index) for b in found for index, _, _ in b.guesses(np.log([slope]))) == number
 
 
 def test_a_fold_is_found_however_few_nodes_there_are():
