@@ -19,7 +19,7 @@ import pytest
 import xarray as xr
 
 from conftest import STUDY, Toy
-from pipeline.archive import diff, read, verify, write
+from pipeline.archive import diff, layout, read, verify, write
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.statuses import ALL_STATUSES as STATUS
@@ -115,6 +115,20 @@ def test_a_failed_write_is_a_full_disk_where_less_than_a_mebibyte_is_left(copy, 
 
 def test_verify_finds_nothing_wrong_with_a_whole_one(made):
     assert verify.verify(made) == []
+
+
+def test_a_variable_is_checked_box_by_box(copy, monkeypatch):
+    """The sum over its boxes passes 2^32; small boxes stand in for a variable of more than 65536 points."""
+    monkeypatch.setattr(layout, "CHUNK", 16)
+    monkeypatch.setattr(layout, "REGION", 32)
+    with netCDF4.Dataset(copy, "a") as file:
+        boxes = list(layout.regions({"slope": 200, "w_t": 2}))
+        sums = [layout.checksum(np.ma.getdata(file["stance_angle"][box]), box) for box in boxes]
+        assert len(boxes) > 10 and sum(sums) > 1 << 33
+        checksums = {name: read._checksum(file[name]) for name in json.loads(file.checksums)}
+        assert checksums["stance_angle"] == sum(sums) % (1 << 32)
+        file.checksums = json.dumps(checksums)
+    assert verify.verify(copy) == []
 
 
 def _edit(path, change):
