@@ -264,6 +264,16 @@ def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
     assert differing("2")[0] == 2
 
 
+def test_measures_of_rounding_are_compared_with_one(copy, tmp_path):
+    """One residual may be a million times another: both are rounding."""
+    other = tmp_path / "other.nc"
+    shutil.copy(copy, other)
+    for path, residual in ((copy, 1e-16), (other, 3e-10)):
+        _edit(path, lambda file, residual=residual: file["residual"].__setitem__((3, 1, 0), residual))
+    assert diff.diff(copy, other, rtol=1e-9) == []
+    assert len(diff.diff(copy, other, rtol=1e-10)) == 1
+
+
 def test_tables_are_compared_on_the_lines_both_archives_have(tmp_path):
     toy = Toy(tmp_path)
     for name, values in (("a", "[0.0, 0.25]"), ("b", "[0.0, 0.1, 0.25]")):
