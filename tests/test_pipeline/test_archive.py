@@ -264,6 +264,16 @@ def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
     assert differing("2")[0] == 2
 
 
+def test_whole_numbers_and_names_differ_whatever_the_tolerance(made, copy):
+    _edit(copy, lambda file: file["branch"].__setitem__((slice(3), 1, 0), 7))
+    _edit(copy, lambda file: file["fits/scaling"].createVariable("quantity", str, ("row",)))
+    other = copy.with_name("other.nc")
+    shutil.copy(copy, other)
+    _edit(other, lambda file: file["fits/scaling/quantity"].__setitem__(1, "speed"))
+    assert "`branch`: 3 of 800 differ" in diff.diff(made, copy, rtol=0.5)
+    assert diff.diff(copy, other, rtol=0.5) == ["`fits/scaling/quantity`: 1 of 2 differ"]
+
+
 def test_measures_of_rounding_are_compared_with_one(copy, tmp_path):
     """One residual may be a million times another: both are rounding."""
     other = tmp_path / "other.nc"
