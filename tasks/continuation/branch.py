@@ -226,7 +226,13 @@ class Branch:
         return list(itertools.pairwise(cuts))
 
     def distance_from_fold(self) -> np.ndarray:
-        """Distance in ln slope of each segment from the branch's nearest fold, shape (n - 1,); infinite without one."""
+        """Return how far each segment is from the branch's nearest fold in ln slope.
+
+        Returns
+        -------
+        ndarray, shape (n - 1,)
+            Infinite without a fold.
+        """
         folds = np.array([first for first, _ in self.pieces()[1:]], int)
         apart = np.abs(self.q[:, None] - self.q[folds]).min(axis=1, initial=np.inf)
         return np.minimum(apart[1:], apart[:-1])
