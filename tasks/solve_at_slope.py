@@ -9,6 +9,7 @@ import numpy as np
 
 from tasks import status
 from tasks.continuation import atlas as atlases
+from tasks.continuation.refine import COARSE
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.polish import unmeasured
 from tasks.fixed_points.search import search, starts
@@ -44,11 +45,11 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     line = {"walker": params["walker"], "set": params.get("set") or {}}
     slope = float(params["slope"])
     problem = Problem(resolve(line["walker"], line["set"]))
-    branches = atlases.survey(problem)
+    branches = atlases.survey(problem, COARSE)
     point = points({"line": line, "slope": np.array([slope]), "want": _WANT}, [atlases.to_arrays(branches)])
     gaits = [{k: point[k][0, g] for k in _WANT} for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
     non_anthropomorphic: list[dict[str, Any]] = []
-    log = [_describe_starts(problem, s) for s in atlases.ANCHORS]
+    log = [f"{atlases.guesses(problem)} initial guesses at {len(atlases.ANCHORS)} slopes"]
     log.append(f"{len(branches)} branches continued over {sum(len(b.Z) for b in branches)} points")
     if params.get("all") or not gaits:
         others, nearest = _search_slope(problem, slope, gaits)

@@ -16,7 +16,6 @@ from tasks.continuation.refine import COARSE, FINE
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.polish import Guesses, Polished, join, settle
-from tasks.fixed_points.search import starts
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
 from tasks.measures.kinematics import step_length, travel
@@ -148,10 +147,9 @@ def _solve_lines(
 
 def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
     """Sentences that `reason` indexes."""
-    searched = (
-        f"searched from {starts(problem, atlases.ANCHORS[0]).shape[1]} initial guesses at each of the slopes "
-        + ", ".join(f"{s:g}" for s in atlases.ANCHORS)
-    )
+    low, high = min(atlases.ANCHORS), max(atlases.ANCHORS)
+    guesses = atlases.guesses(problem)
+    searched = f"searched from {guesses} initial guesses at {len(atlases.ANCHORS)} slopes from {low:g} to {high:g}"
     long, short = (
         status.outside(label, [s for b in branches for s in _spans(b, label)], searched) for label in GAITS[:2]
     )

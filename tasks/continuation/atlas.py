@@ -34,12 +34,19 @@ from tasks.continuation.tracking import (
     fall_margin,
     follow,
 )
-from tasks.fixed_points.search import search_lines
+from tasks.fixed_points.search import search_lines, starts
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Lanes, Problem
 
-#: Slopes at which gaits to follow are searched for [rad].
-ANCHORS = (0.01, 0.03, 0.1, 0.001, 0.2)
+#: Slopes at which gaits to follow are searched for [rad], so close that short branches have one, in an order that
+#: samples the range evenly; of the lattice of guesses each takes one in `_SHARES`, its neighbours the others.
+ANCHORS = (
+    *(0.01, 0.15, 0.0022, 0.033, 0.48, 0.007, 0.1, 0.0015, 0.022),
+    *(0.33, 0.0048, 0.07, 0.001, 0.015, 0.22, 0.0033, 0.048, 0.0007),
+)
+_SHARES = 3
+#: Gaits of one slope nearer than this are one; where a branch turns a coarse polynomial is no more accurate.
+_SAME = 1e-4
 
 
 def _join(m: int, down: Track, up: Track) -> tuple[Branch, int]:
@@ -148,6 +155,11 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
     return branch
 
 
+def guesses(problem: Problem) -> int:
+    """Return with how many initial guesses a survey of a line begins."""
+    return sum(starts(problem, slope)[:, i % _SHARES :: _SHARES].shape[1] for i, slope in enumerate(ANCHORS))
+
+
 def survey(problem: Problem, tolerance: float = FINE) -> list[Branch]:
     """Find every branch of one walker's anthropomorphic gaits: the atlas of its line, as `survey_lines` does."""
     return survey_lines(Lanes([problem.walker]), tolerance)[0]
@@ -170,7 +182,7 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
     """
     m = problem.m
     branches: list[list[Branch]] = [[] for _ in problem.lanes]
-    for slope, gaits in zip(ANCHORS, search_lines(problem, ANCHORS), strict=True):
+    for slope, gaits in zip(ANCHORS, search_lines(problem, ANCHORS, _SHARES), strict=True):
         q = np.log(slope)
         lines = np.repeat(np.arange(len(gaits)), [w.shape[1] for w in gaits])
         if not len(lines):
@@ -214,7 +226,7 @@ def _is_known(branches: list[Branch], m: int, w: np.ndarray, q: float) -> bool:
     """True where a gait lies on a branch already followed."""
     for branch in branches:
         for _, Z, _ in branch.guesses(np.array([q])):
-            if np.abs(np.delete(Z[0], m) - w).max() < 1e-6:
+            if np.abs(np.delete(Z[0], m) - w).max() < _SAME:
                 return True
     return False
 

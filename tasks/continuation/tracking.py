@@ -22,8 +22,8 @@ MIN_SLOPE, MAX_SLOPE = 1e-13, 0.7
 #: Largest ln of a stance angle that is no fall.
 _MAX_LOG_ANGLE = 0.5
 _MAX_STEP, _MIN_STEP = 0.5, 1e-7
-#: Acceptance of a continuation step: largest predictor error and turning angle [rad].
-_MAX_ERROR, _MAX_TURN = 0.02, 0.3
+#: Acceptance of a continuation step: largest predictor error, turning angle [rad] and error of the event times.
+_MAX_ERROR, _MAX_TURN, _MAX_TIME_ERROR = 0.02, 0.3, 0.1
 _MAX_NODES = 1500
 #: Where the sign of the branch point determinant changes over a longer step than this, Newton has jumped to a branch
 #: nearby; over a shorter one branches cross.
@@ -252,6 +252,8 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple
         error = np.linalg.norm(point.X - guess, axis=0)
         turn = np.abs((point.tangent * border).sum(axis=0))
         fair = point.ok & (error < _MAX_ERROR) & (turn > np.cos(_MAX_TURN))
+        # Another root of a guard is another solution, even if the gait is nearly the same.
+        fair &= (np.abs(point.times - times) < _MAX_TIME_ERROR).all(axis=0)
         fair &= (tracks.side[active] * side >= 0) | (tracks.step[active] <= MAX_CROSSING_STEP)
         new = active[fair]
         tracks.append(point, np.flatnonzero(fair), new, border[:, fair])

@@ -81,7 +81,7 @@ def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, S
     return w, *verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
 
 
-def search_lines(problem: Lanes, slopes: Sequence[float]) -> list[list[np.ndarray]]:
+def search_lines(problem: Lanes, slopes: Sequence[float], shares: int = 1) -> list[list[np.ndarray]]:
     """Find the distinct fixed points that the lattice of guesses leads to, whether they are steps or not.
 
     Parameters
@@ -89,6 +89,8 @@ def search_lines(problem: Lanes, slopes: Sequence[float]) -> list[list[np.ndarra
     problem : Lanes
         Of one lane for each line.
     slopes : sequence of float [rad]
+    shares : int
+        Slopes that follow each other share the lattice, so many at a time.
 
     Returns
     -------
@@ -96,7 +98,7 @@ def search_lines(problem: Lanes, slopes: Sequence[float]) -> list[list[np.ndarra
         In similarity coordinates, for each slope one array a line.
     """
     problems = [Problem(problem.walker_of(line)) for line in range(len(problem.lanes))]
-    lattice = [starts(one, slope) for one in problems for slope in slopes]
+    lattice = [starts(one, slope)[:, i % shares :: shares] for one in problems for i, slope in enumerate(slopes)]
     # A group is a slope of a line.
     group = np.repeat(np.arange(len(lattice)), [w.shape[1] for w in lattice])
     w, log_slope = np.hstack(lattice), np.log(np.asarray(slopes))

@@ -14,12 +14,12 @@ from tasks.continuation import atlas, ends
 from tasks.continuation.atlas import survey
 from tasks.continuation.branch import Branch
 from tasks.continuation.lockstep import run
-from tasks.continuation.refine import FINE
+from tasks.continuation.refine import COARSE, FINE, without_jumps
 from tasks.continuation.root import bracketed_root
 from tasks.continuation.special_points import special_points
 from tasks.continuation.tracking import correct, follow
 from tasks.fixed_points.newton import LONGEST_PERIOD
-from tasks.fixed_points.polish import UNKNOWN
+from tasks.fixed_points.polish import UNKNOWN, settle
 from tasks.fixed_points.search import search
 from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
@@ -274,3 +274,53 @@ def test_a_folds_bound_holds_in_other_units():
         (fold,) = pick([p for b in survey(problem) for p in special_points(problem, b)], "fold")
         slopes.append(fold["slope"])
     assert 0 < np.ptp(slopes) / slopes[0] < fold["error_bound"] < 3e-14
+
+
+def test_nodes_that_do_not_lie_along_a_branch_are_removed():
+    _, found = branches("C")
+    branch = found[0]
+    assert branch.in_order() is branch
+    Z = branch.Z.copy()
+    k = len(Z) // 3
+    Z[k, : branch.m + 1] += 2 * (Z[k - 1] - Z[k])[: branch.m + 1]  # beyond its neighbour
+    mended = replace(branch, Z=Z).in_order()
+    np.testing.assert_array_equal(mended.Z, np.delete(branch.Z, k, axis=0))
+
+
+def test_of_a_branch_that_jumps_to_another_only_one_part_is_kept():
+    """The long gait and the short one, whose orientation determinants differ in sign."""
+    problem, found = branches("D")
+    up = [b if b.q[0] < b.q[-1] else replace(b, Z=b.Z[::-1], tangent=-b.tangent[::-1], why=b.why[::-1]) for b in found]
+    long, short = (b.Z[(b.q > np.log(1e-4)) & (b.q < np.log(0.01))] for b in up)
+    T_long, T_short = (b.tangent[(b.q > np.log(1e-4)) & (b.q < np.log(0.01))] for b in up)
+    k = len(long) // 3
+    after = short[:, problem.m] > long[k, problem.m]
+    Z, tangent = np.vstack([long[: k + 1], short[after]]), np.vstack([T_long[: k + 1], T_short[after]])
+    joined = Branch(problem.m, Z, tangent, np.zeros(len(Z)), ("", ""))
+    kept = run(problem, without_jumps(joined))
+    np.testing.assert_array_equal(kept.Z, max(long[: k + 1], short[after], key=len))
+    assert "no further point" in kept.why
+    whole = run(problem, without_jumps(up[0]))
+    assert whole is up[0]
+
+
+def test_a_step_to_another_root_of_a_guard_is_refused():
+    """Beyond slope 0.0146 the gait goes on; the time of kneestrike used to jump to a root before the step began."""
+    found = survey(Problem(random_walker("kneed, near", 306)), COARSE)
+    (end,) = [np.exp(b.q[0]) for b in found if b.why == ("end_earlier_strike", "end_kneestrike_at_heelstrike")]
+    assert end == pytest.approx(0.014628, abs=1e-6)
+
+
+@pytest.mark.parametrize("distance", [1e-4, 1e-7, 1e-10])
+@pytest.mark.parametrize("name", ["physical", "physical-straight"])
+def test_a_coarse_atlas_tells_gaits_beside_a_fold_apart(name, distance):
+    problem, fine = branches(name)
+    folds = [b.q[first] for b in fine for first, _ in b.pieces()[1:]]
+    for branch in survey(problem, COARSE):
+        for q in folds:
+            for side in (-1, 1):
+                at = np.array([q + side * distance])
+                gaits = [settle(problem, branch.known_guesses(Z, s, np.exp(at))) for _, Z, s in branch.guesses(at)]
+                assert all(gait.converged.all() for gait in gaits)
+                angles = np.sort([float(gait.y[0, 0] * gait.scale[0]) for gait in gaits])
+                assert (np.diff(angles) > 1e-7 * angles[1:]).all()
