@@ -2,12 +2,12 @@
 
 The folders follow a number from study to page: `study`, `plan`, `execution`, `store`, `archive`, `report`.
 
-In a notebook, `from pipeline import load, run, solve`.
+In a notebook, `from pipeline import load, run, solve, gaits`.
 """
 
 from typing import Any
 
-__all__ = ["load", "run", "solve"]
+__all__ = ["gaits", "load", "run", "solve"]
 
 
 def __getattr__(name: str) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,12 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from pipeline import in_memory
 from pipeline.archive import read
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import runner
-from pipeline.study import model, parse, single_point
+from pipeline.study import broadcast, model, parse, single_point
+from pipeline.study.location import Location
 
 
 def load(archive: str | Path, table: str | None = None) -> Any:
@@ -148,6 +150,58 @@ def _to_toml(value: Any, key: str) -> str:
     raise StudyError(f"`{key}` must be a number, a text, a list or a mapping; got {type(value).__name__}.")
 
 
+def gaits(
+    walker: str | Path | Mapping[str, Any],
+    slope: Any,
+    *,
+    steps: int = 1,
+    accuracy: float | None = None,
+    variables: Sequence[str] | None = None,
+    **keys: Any,
+) -> xr.Dataset:
+    """Solve the gaits of a walker over arrays of slopes and keys, in memory.
+
+    Parameters
+    ----------
+    walker : str, Path or mapping
+        A name from the catalogue, a walker file, or the table of a walker.
+    slope : float, array or DataArray [rad]
+        Slopes of the ground, in (0, 0.5).
+    steps : int
+        Number of steps after which a gait repeats: 1.
+    accuracy : None
+        As good as doubles give.
+    variables : sequence of str, optional
+        Names and groups of variables, as in a study; by default all but the violations.
+    **keys : float, array or DataArray
+        Walker keys to change, `foot_mass_ratio` or `detuning`, in the walker's units; `knees` takes booleans.
+
+    Returns
+    -------
+    xarray.Dataset
+        Variables, units and flags as in an archive, with the dimensions to which the arguments broadcast (`dim_0`, …
+        for arrays, their own for DataArrays), then `gait`. Points with a slope or a walker that cannot be have the
+        status `raised`, and the sentence in `reason_text`.
+
+    Raises
+    ------
+    StudyError
+        If an argument is invalid, shapes do not broadcast, or no point at all has a slope and a walker that can be.
+
+    Notes
+    -----
+    Points are solved as by a study, line by line: the branches of the last lines are remembered, which makes later
+    calls faster and does not change them.
+    """
+    if broadcast.whole_number("steps", steps, 1) != 1:
+        raise Location("", "steps").wrong("must be 1", steps)
+    if accuracy is not None:
+        raise Location("", "accuracy").wrong("must be None", accuracy)
+    names = [variables] if isinstance(variables, str) else variables
+    wanted = parse.variables(None if names is None else list(names), Location("", "variables"))
+    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys})
+
+
 def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = False, **keys: float) -> pd.DataFrame:
     """Find every gait of a walker at one slope.
 
@@ -173,8 +227,8 @@ def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = Fa
     StudyError
         If the walker, a key or the slope is invalid.
     """
-    definition = dict(walker) if isinstance(walker, Mapping) else str(walker)
-    answer = single_point.solve(definition, float(slope), {key: float(value) for key, value in keys.items()}, every)
+    changes = {key: broadcast.number(key, value) for key, value in keys.items()}
+    answer = single_point.solve(broadcast.definition(walker), broadcast.number("slope", slope), changes, every)
     rows = [
         {
             **{name: math.nan if value is None else value for name, value in gait.items()},

@@ -214,15 +214,27 @@ def need_proofs(location: Location) -> None:
         raise location.error("Proofs need the extra `proof` (python-flint): pip install 'gaitsweep[proof]'")
 
 
+def variables(value: object, location: Location) -> tuple[str, ...]:
+    """Names of the variables that a list of names and groups asks for; all but the costly ones if it is None.
+
+    Raises
+    ------
+    StudyError
+        If a name is unknown.
+    """
+    if value is None:
+        return tuple(v.name for v in VARIABLES.values() if v.group not in COSTLY)
+    groups = sorted({v.group for v in VARIABLES.values()} - {""})
+    requested = {*_names(value, (*VARIABLES, *groups), location), *ALWAYS}
+    wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
+    if any(VARIABLES[name].group == "proofs" for name in wanted):
+        need_proofs(location)
+    return wanted
+
+
 def _want(value: object, kind: str, location: Location) -> dict[str, tuple[str, ...]]:
     table = _table(value, ("variables", "fits", "figures", "claims"), location)
-    groups = sorted({v.group for v in VARIABLES.values()} - {""})
-    wanted = tuple(v.name for v in VARIABLES.values() if v.group not in COSTLY)
-    if "variables" in table:
-        requested = {*_names(table["variables"], (*VARIABLES, *groups), location.at("variables")), *ALWAYS}
-        wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
-        if any(VARIABLES[name].group == "proofs" for name in wanted):
-            need_proofs(location.at("variables"))
+    wanted = variables(table.get("variables"), location.at("variables"))
     names = {key: _free_names(table.get(key, []), location.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:
