@@ -7,7 +7,7 @@ In a notebook, `from pipeline import load, run, solve, gaits`.
 
 from typing import Any
 
-__all__ = ["gaits", "load", "run", "solve"]
+__all__ = ["gaits", "load", "run", "simulate", "solve", "step_map"]
 
 
 def __getattr__(name: str) -> Any:

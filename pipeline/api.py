@@ -17,8 +17,11 @@ from pipeline import in_memory
 from pipeline.archive import read
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import runner
+from pipeline.steps import simulate, step_map
 from pipeline.study import broadcast, model, parse, single_point
 from pipeline.study.location import Location
+
+__all__ = ["gaits", "load", "run", "simulate", "solve", "step_map"]
 
 
 def load(archive: str | Path, table: str | None = None) -> Any:

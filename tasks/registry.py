@@ -310,9 +310,11 @@ CLAIMS = tuple(
     for n in numbers
 )
 
-#: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
+#: Calls answered at once, without a graph: of the command line and of Python, and the check of a walker.
 CALLS = {
     "solve": "tasks.solve_at_slope:solve_one",
+    "step_map": "tasks.map_step:map_step",
+    "simulate": "tasks.simulate_steps:simulate_steps",
     "prove": "tasks.prove_gaits:prove_one",
     "prove_stored": "tasks.proofs.records:prove_stored",
     "certificates": "tasks.write_certificates:names",
