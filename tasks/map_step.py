@@ -66,7 +66,7 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     before, after = (_from_section(problem, section, parameters) for section in (y, step.image))
     image = after[0] * scale / units
     jacobian = after[1] @ step.jacobian[:, :, 0] @ np.linalg.inv(before[1]) * units / units[:, None]
-    values, vectors = _modes(jacobian, walker.point_foot)
+    values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
     energy = walker.total_mass * walker.g * walker.leg
     normal, tangential = heelstrike_losses(walker, image[:1], step.impact * scale)
     return {
@@ -136,12 +136,12 @@ def _from_section(problem: Problem, y: np.ndarray, parameters: np.ndarray) -> tu
     return start[rows], by_y.reshape(size, 3)[rows]
 
 
-def _modes(jacobian: np.ndarray, point_foot: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues, largest magnitude first, and eigenvectors, their largest entry positive; point feet have a zero."""
+def _modes(jacobian: np.ndarray, singular: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues, largest magnitude first, the last exactly zero where the map is singular, and eigenvectors."""
     values, vectors = (x.astype(complex) for x in np.linalg.eig(jacobian))
     order = np.lexsort((-values.imag, -values.real, -np.abs(values)))
     values, vectors = values[order], vectors[:, order]
-    if point_foot:
+    if singular:  # a heelstrike of these legs leaves the thigh's rate no freedom
         values[2] = 0.0
     largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0)[None], axis=0)
     return values, vectors * np.abs(largest) / largest

@@ -161,12 +161,12 @@ def test_a_wrong_option_is_answered_in_one_helpful_line(write, kind, option, sai
 
 
 def test_a_key_that_leaves_no_walker_to_follow_is_refused(write):
-    options = '[options]\nkey = "R"\nfrom = 0.0\nto = 0.3\n'
+    options = '[options]\nkey = "c_s"\nfrom = -0.5\nto = 0.4\n'
     with pytest.raises(StudyError) as error:
         parse.read(write(f'name = "s"\nkind = "curve"\nwalker = "D"\n[axes]\nslope = [0.001, 0.1]\n{options}'))
     assert str(error.value) == (
-        "`R` = 0.3 leaves no walker: `m_s` may vanish only for a point foot: the swing leg has no"
-        " inertia; got 0.0 (s.toml, options.to)."
+        "`c_s` = -0.5 leaves no walker: `m_s` may vanish only off the hip: the swing leg has no"
+        " inertia; got 0.0 (s.toml, options.from)."
     )
 
 

@@ -84,6 +84,14 @@ def test_at_a_gait_the_eigenvalues_are_its_multipliers(name):
     assert (answer.eigenvalues[2] == 0) == resolve(name).point_foot
 
 
+def test_a_knee_that_first_hyperextends_has_not_struck():
+    """The flexion falls to zero at the start of such a step too, which ends no phase."""
+    state = STATES["C"] * [1, 1, 2.2]
+    steps, mapped = pipeline.simulate("C", 0.02, state, 1), pipeline.step_map("C", 0.02, state)
+    assert float(steps.thigh_rate[0] - steps.shank_rate[0]) < 0
+    assert float(steps.kneestrike_time[0]) == pytest.approx(mapped.times.kneestrike, rel=1e-12)
+
+
 @pytest.mark.parametrize("name", ["D", "B", "C"])
 def test_steps_follow_each_other_as_the_map_says(name):
     """Two methods: events located on Taylor polynomials, and event times as unknowns of the map."""
