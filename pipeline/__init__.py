@@ -2,7 +2,7 @@
 
 The folders follow a number from study to page: `study`, `plan`, `execution`, `store`, `archive`, `report`.
 
-In a notebook, `from pipeline import load, run, solve, gaits`.
+In a notebook, `from pipeline import load, run, solve, gaits`; `api` has them all.
 """
 
 from typing import Any
