@@ -51,13 +51,24 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     with read.open_archive(path) as file:
         tables = list(read.tables(file))
     if table is None:
-        return _decode(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
+        grid = _decode(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
+        return _Grid(grid.data_vars, grid.coords, grid.attrs)
     if table not in tables:
         raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
     columns = xr.load_dataset(path, group=table, engine="netcdf4")
     frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
     frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}
     return frame
+
+
+class _Grid(xr.Dataset):
+    """A loaded grid; netCDF has no complex numbers, so its `multipliers` are written as their two parts."""
+
+    __slots__ = ()
+
+    def to_netcdf(self, *args: Any, **options: Any) -> Any:
+        """Write the grid as `xarray.Dataset.to_netcdf` does."""
+        return xr.Dataset.to_netcdf(self.drop_vars("multipliers", errors="ignore"), *args, **options)
 
 
 def _decode(grid: xr.Dataset) -> xr.Dataset:
@@ -222,7 +233,7 @@ def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = Fa
     Returns
     -------
     pandas.DataFrame
-        One row for each gait, with the columns of archives, and `multipliers` and `violations` as tuples. Empty if
+        One row for each gait, with the columns of archives, and `multipliers` and `violations` as tuples. No row if
         there is no gait; `attrs["search"]` describes the search.
 
     Raises
@@ -240,6 +251,6 @@ def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = Fa
         }
         for gait in answer["gaits"]
     ]
-    frame = pd.DataFrame(rows)
+    frame = pd.DataFrame(rows, columns=answer["columns"])
     frame.attrs["search"] = answer["search"]
     return frame

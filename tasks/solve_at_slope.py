@@ -19,6 +19,12 @@ from tasks.walkers.resolve import resolve
 
 #: Variables measured for one point; the amounts of violations are in archives only.
 _WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY or v == "violations")
+#: What is told of each gait.
+_COLUMNS = (
+    *("gait", "slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time"),
+    *("multipliers", "stable", "speed", "loss_normal", "loss_tangential", "loss_kneestrike", "violations", "status"),
+    *("residual", "error_bound", "branch", "piece"),
+)
 
 
 def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -33,8 +39,8 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `gaits`, a list of one dict per gait, in the walker's units; `units` of its entries; and `search`, sentences on
-        how the gaits were searched for.
+        `gaits`, a list of one dict per gait, in the walker's units; `columns`, its keys; `units` of its entries; and
+        `search`, sentences on how the gaits were searched for.
 
     Raises
     ------
@@ -64,7 +70,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     records = [_record(_name(place[i]), slope, gaits[i]) for i in np.argsort(place)]
     records += [_record(f"passes_{gait['passes']}_times", slope, gait) for gait in non_anthropomorphic]
     units = {"slope": "rad", **{k: VARIABLES[k].units(problem.walker.si) for k in _WANT}}
-    return {"gaits": records, "units": units, "search": log}
+    return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log}
 
 
 def _describe_starts(problem: Problem, slope: float) -> str:
@@ -104,23 +110,16 @@ def _record(label: str, slope: float, value: dict[str, Any]) -> dict[str, Any]:
     """One gait as a plain dict; an absent quantity is None."""
     plain = {k: _plain(v) for k, v in value.items() if np.ndim(v) == 0}
     pairs = np.stack([value["multiplier_real"], value["multiplier_imag"]], axis=-1)
-    names = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time")
-    losses = ("loss_normal", "loss_tangential", "loss_kneestrike")
-    return {
+    record = {
+        **plain,
         "gait": label,
         "slope": slope,
-        **{k: plain[k] for k in names},
         "multipliers": pairs.tolist(),
         "stable": bool(plain["spectral_radius"] < 1),
-        "speed": plain["speed"],
-        **{k: plain[k] for k in losses},
         "violations": _flags(value.get("violations")),
         "status": "converged",
-        "residual": plain["residual"],
-        "error_bound": plain["error_bound"],
-        "branch": plain.get("branch"),
-        "piece": plain.get("piece"),
     }
+    return {name: record.get(name) for name in _COLUMNS}
 
 
 def _flags(bits: Any) -> list[str] | None:
