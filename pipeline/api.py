@@ -182,7 +182,8 @@ def gaits(
     slope : float, array or DataArray [rad]
         Slopes of the ground, in (0, 0.5).
     steps : int
-        Number of steps after which a gait repeats: 1.
+        Number of steps after which a gait repeats, at most 64; those that repeat after fewer are left out. The state
+        is that with the largest stance angle, `period` and losses are of all steps, the multipliers those of all steps.
     accuracy : None
         As good as doubles give.
     variables : sequence of str, optional
@@ -207,16 +208,21 @@ def gaits(
     Points are solved as by a study, line by line: the branches of the last lines are remembered, which makes later
     calls faster and does not change them.
     """
-    if broadcast.whole_number("steps", steps, 1) != 1:
-        raise Location("", "steps").wrong("must be 1", steps)
+    steps = broadcast.whole_number("steps", steps, 1)
+    if steps > single_point.MAX_STEPS:
+        raise Location("", "steps").wrong(f"must be at most {single_point.MAX_STEPS}", steps)
     if accuracy is not None:
         raise Location("", "accuracy").wrong("must be None", accuracy)
     names = [variables] if isinstance(variables, str) else variables
     wanted = parse.variables(None if names is None else list(names), Location("", "variables"))
-    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys})
+    if steps > 1 and {"proved", "proved_radius"} & set(wanted):
+        raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
+    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys}, steps)
 
 
-def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = False, **keys: float) -> pd.DataFrame:
+def solve(
+    walker: str | Path | Mapping[str, Any], slope: float, every: bool = False, *, steps: int = 1, **keys: float
+) -> pd.DataFrame:
     """Find every gait of a walker at one slope.
 
     Parameters
@@ -227,6 +233,8 @@ def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = Fa
         Slope of the ground, in (0, 0.5).
     every : bool
         Include gaits whose swing leg passes the stance leg more than once.
+    steps : int
+        Number of steps after which a gait repeats, as for `gaits`.
     **keys : float
         Walker keys to change, `foot_mass_ratio` or `detuning`.
 
@@ -242,7 +250,13 @@ def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = Fa
         If the walker, a key or the slope is invalid.
     """
     changes = {key: broadcast.number(key, value) for key, value in keys.items()}
-    answer = single_point.solve(broadcast.definition(walker), broadcast.number("slope", slope), changes, every)
+    answer = single_point.solve(
+        broadcast.definition(walker),
+        broadcast.number("slope", slope),
+        changes,
+        every,
+        broadcast.whole_number("steps", steps, 1),
+    )
     rows = [
         {
             **{name: math.nan if value is None else value for name, value in gait.items()},

@@ -100,7 +100,9 @@ class _Points:
         self.reason[at] = table[result["reason"]][row]
 
 
-def gaits(walker: str | dict[str, Any], wanted: tuple[str, ...], arguments: Mapping[str, Any]) -> xr.Dataset:
+def gaits(
+    walker: str | dict[str, Any], wanted: tuple[str, ...], arguments: Mapping[str, Any], steps: int
+) -> xr.Dataset:
     """Solve the gaits of a walker at every point of a grid.
 
     Parameters
@@ -111,6 +113,8 @@ def gaits(walker: str | dict[str, Any], wanted: tuple[str, ...], arguments: Mapp
         Names of variables.
     arguments : mapping
         `slope` [rad] and keys: numbers, arrays and DataArrays.
+    steps : int
+        Number of steps after which the gaits repeat.
 
     Returns
     -------
@@ -142,7 +146,7 @@ def gaits(walker: str | dict[str, Any], wanted: tuple[str, ...], arguments: Mapp
         if isinstance(check, StudyError):
             points.fail(at, str(check))
         elif len(at):
-            _solve(line, at, slope[at], wanted, points)
+            _solve(line, at, slope[at], wanted, steps, points)
     is_si = bool(answers) and answers[0]["si"]
     dataset = _dataset(points, grid[0], is_si)
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
@@ -190,16 +194,33 @@ def _check(line: dict[str, Any]) -> dict[str, Any] | StudyError:
         return error
 
 
-def _solve(line: dict[str, Any], at: np.ndarray, slope: np.ndarray, wanted: tuple[str, ...], points: _Points) -> None:
-    """Solve the points `at` of a line, each slope once, from its atlas."""
+def _solve(
+    line: dict[str, Any], at: np.ndarray, slope: np.ndarray, wanted: tuple[str, ...], steps: int, points: _Points
+) -> None:
+    """Solve the points `at` of a line, each slope once, from its branches."""
     slopes, row = np.unique(slope, return_inverse=True)
+    params = {"line": line, "slope": slopes, "want": wanted, "steps": steps}
     try:
-        atlas = _MEMORY.get(serialize.dump(line), lambda: dispatch.resolve(TASKS["atlas"].function)({"line": line}, []))
-        result = dispatch.resolve(TASKS["points"].function)({"line": line, "slope": slopes, "want": wanted}, [atlas])
+        branches = _branches(line, steps)
+        if steps == 1:
+            result = dispatch.resolve(TASKS["points"].function)(params, [branches])
+        else:
+            result = dispatch.call("cycle_points", {**params, "branches": branches})
     except Exception as error:  # as in a study, a task that raises is a status at its points
         points.fail(at, f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
     else:
         points.put(at, result, row)
+
+
+def _branches(line: dict[str, Any], steps: int) -> Arrays:
+    """Branches of a line's gaits that repeat after some steps, remembered or followed."""
+
+    def follow() -> Arrays:
+        if steps == 1:
+            return dispatch.resolve(TASKS["atlas"].function)({"line": line}, [])
+        return dispatch.call("cycle_branches", {"line": line, "steps": steps, "atlas": _branches(line, 1)})
+
+    return _MEMORY.get(serialize.dump({"line": line, "steps": steps}), follow)
 
 
 def _dataset(points: _Points, grid: xr.DataArray, is_si: bool) -> xr.Dataset:

@@ -10,6 +10,7 @@ import numpy as np
 
 from tasks import registry
 from tasks.continuation import atlas as atlases
+from tasks.continuation.branch import Branch
 from tasks.continuation.cycles import (
     MAX_POINTS,
     Cycle,
@@ -146,21 +147,32 @@ def _first_gaits(problem: Problem, atlas: Arrays, slope: np.ndarray, n: int, sta
         cycle = from_start(problem, y[:, 0], slope[0], 1) if len(known) else None
         return [cycle] if cycle else []
     for s in slope:
-        cycles = _search_cycles(problem, atlas, float(s), n, starts)
+        cycles = search_cycles(problem, atlases.from_arrays(atlas), float(s), n, starts)
         if cycles:
             return cycles
     return []
 
 
-def _search_cycles(problem: Problem, atlas: Arrays, slope: float, n: int, starts: int) -> list[Cycle]:
-    """Distinct gaits of exact period n at one slope, in order of their largest multiplier.
+def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int, starts: int) -> list[Cycle]:
+    """Search for the distinct gaits of exact period n at one slope, in order of their largest multiplier.
+
+    Parameters
+    ----------
+    problem : Problem
+    branches : list of Branch
+        The line's atlas.
+    slope : float [rad]
+    n : int
+        Number of steps after which the gaits repeat.
+    starts : int
+        Initial states.
 
     Notes
     -----
     Initial conditions lie on a low-discrepancy lattice around the long gait, wide enough to hold every attractor of the
     paper's walkers; those that return close to themselves after n steps are polished by Newton on all n sections.
     """
-    known, y = gaits_at(problem, atlases.from_arrays(atlas), np.array([slope]), "long")
+    known, y = gaits_at(problem, branches, np.array([slope]), "long")
     if not len(known):
         return []
     Y = [y[:, :1] * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))]

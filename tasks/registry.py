@@ -315,6 +315,8 @@ CALLS = {
     "solve": "tasks.solve_at_slope:solve_one",
     "step_map": "tasks.map_step:map_step",
     "simulate": "tasks.simulate_steps:simulate_steps",
+    "cycle_branches": "tasks.solve_cycles:follow",
+    "cycle_points": "tasks.solve_cycles:cycle_points",
     "prove": "tasks.prove_gaits:prove_one",
     "prove_stored": "tasks.proofs.records:prove_stored",
     "certificates": "tasks.write_certificates:names",

@@ -13,7 +13,8 @@ from tasks.fixed_points.labels import places
 from tasks.fixed_points.polish import measured_guesses
 from tasks.fixed_points.search import search, starts
 from tasks.registry import COSTLY, GAITS, VARIABLES, VIOLATIONS
-from tasks.solve_points import points, solve
+from tasks.solve_cycles import cycle_points, follow
+from tasks.solve_points import Arrays, points, solve
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 
@@ -34,7 +35,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     ----------
     params : mapping
         `walker` (name or table), `slope` [rad], `set` (keys to change), `all` (also gaits whose legs pass more
-        than once).
+        than once), `steps` after which the gaits repeat (1 if omitted).
 
     Returns
     -------
@@ -51,8 +52,11 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     slope = float(params["slope"])
     problem = Problem(resolve(line["walker"], line["set"]))
     branches = atlases.survey(problem)
+    steps = int(params.get("steps", 1))
+    if steps > 1:
+        return _solve_cycles(line, slope, steps, atlases.to_arrays(branches))
     point = points({"line": line, "slope": np.array([slope]), "want": _WANT}, [atlases.to_arrays(branches)])
-    gaits = [{k: point[k][0, g] for k in _WANT} for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
+    gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
     log = [_describe_starts(problem, s) for s in atlases.ANCHORS]
     log.append(f"{len(branches)} branches continued over {sum(len(b.Z) for b in branches)} points")
@@ -69,8 +73,28 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     place = places(angle, ratio)[:, 0]
     records = [_record(_name(place[i]), slope, gaits[i]) for i in np.argsort(place)]
     records += [_record(f"passes_{gait['passes']}_times", slope, gait) for gait in non_anthropomorphic]
-    units = {"slope": "rad", **{k: VARIABLES[k].units(problem.walker.si) for k in _WANT}}
+    return _answer(records, problem.walker.si, log)
+
+
+def _converged(point: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Variables of each gait that converged at the only slope."""
+    return [{k: point[k][0, g] for k in _WANT} for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
+
+
+def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str]) -> dict[str, Any]:
+    units = {"slope": "rad", **{k: VARIABLES[k].units(is_si) for k in _WANT}}
     return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log}
+
+
+def _solve_cycles(line: dict[str, Any], slope: float, steps: int, atlas: Arrays) -> dict[str, Any]:
+    """Gaits that repeat after some steps, of which the branches alone are searched."""
+    branches = follow({"line": line, "steps": steps, "atlas": atlas})
+    asked = {"line": line, "steps": steps, "branches": branches, "slope": np.array([slope]), "want": _WANT}
+    point = cycle_points(asked)
+    labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
+    records = [_record(label, slope, gait) for label, gait in zip(labels, _converged(point), strict=True)]
+    log = [] if records else [str(point["reasons"][1])]
+    return _answer(records, resolve(line["walker"], line["set"]).si, log)
 
 
 def _describe_starts(problem: Problem, slope: float) -> str:

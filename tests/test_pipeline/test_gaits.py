@@ -93,6 +93,8 @@ def test_knees_may_vary_and_multipliers_are_padded():
         ({"slope": 0.01, "radius": 0.1}, "`radius` is not a walker key"),
         ({"slope": 0.01, "knees": 1}, "`knees` must be true or false"),
         ({"slope": 0.01, "steps": 0}, "`steps` must be a whole number from 1; got 0"),
+        ({"slope": 0.01, "steps": 65}, "`steps` must be at most 64; got 65"),
+        ({"slope": 0.01, "steps": 2, "variables": ["proofs"]}, "Proofs are of gaits of one step"),
         ({"slope": 0.01, "steps": True}, "`steps` must be a whole number"),
         ({"slope": 0.01, "accuracy": 1e-9}, "`accuracy` must be None; got 1e-09"),
         ({"slope": 0.01, "variables": ["weight"]}, "Unknown name `weight`"),

@@ -51,6 +51,20 @@ def test_flags_are_words_and_multipliers_complex(mine):
     np.testing.assert_array_equal(radius.fillna(-1), found.spectral_radius.fillna(-1))
 
 
+def test_gaits_of_two_steps_at_one_point():
+    found = pipeline.solve("D", 0.016, steps=2)
+    alone = pipeline.gaits("D", 0.016, steps=2).isel(gait=0)
+    assert list(found.gait) == ["long"] and list(found.columns) == list(pipeline.solve("D", 0.009).columns)
+    for name in ("stance_angle", "period", "speed", "error_bound"):
+        assert found[name][0] == alone[name].item()
+    none = pipeline.solve("D", 0.014, steps=2)
+    assert none.empty and none.attrs["search"][0].startswith(
+        "No gait of period 2 at this slope: the branches found span"
+    )
+    with pytest.raises(StudyError, match=r"`steps` must lie in \[1, 64\]; got 65"):
+        pipeline.solve("D", 0.014, steps=65)
+
+
 def test_a_loaded_grid_can_be_written(mine, tmp_path):
     """Its complex multipliers are left to their parts."""
     found, _path = mine
