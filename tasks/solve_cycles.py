@@ -22,8 +22,8 @@ from tasks.step.step_map import Stride
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
-#: Units in which steps are evaluated again, to see their rounding, and the bound in multiples of its largest effect.
-_UNITS, _SAFETY_FACTOR = (0.75, 0.625, 0.875), 4.0
+#: Units in which steps are evaluated again, to see their rounding.
+_UNITS = (0.75, 0.625, 0.875)
 #: Largest error bound of a converged gait.
 _MAX_BOUND = 1e-3
 
@@ -96,7 +96,7 @@ def _fill(out: Arrays, problem: Problem, branches: list[CycleBranch], slope: flo
         for piece, Y, times in branch.guesses(float(np.log(slope))):
             cycle = at_slope(problem, Y, times, slope)
             measured: dict[str, Any] = {"branch": number, "piece": piece, "angle": Y[0].max(), "ratio": 0.0}
-            if not cycle.ok or not _keeps(cycle):
+            if not cycle.ok or not _is_exact(cycle):
                 measured |= {"status": status.NOT_CONVERGED, "reason": 3}
             elif any(is_same(cycle, other) for other, _ in gaits if other.ok):
                 continue
@@ -115,7 +115,7 @@ def _fill(out: Arrays, problem: Problem, branches: list[CycleBranch], slope: flo
                     values[slot] = measured[name]
 
 
-def _keeps(cycle: Cycle) -> bool:
+def _is_exact(cycle: Cycle) -> bool:
     """Whether a gait does not repeat after fewer steps."""
     n = cycle.period
     return all(float(np.abs(cycle.Y - np.roll(cycle.Y, k, axis=1)).max()) > 1e-9 for k in range(1, n) if n % k == 0)
@@ -217,13 +217,13 @@ def _error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray)
         k = m * ((i + 1) % n)
         matrix[rows, k : k + m] -= np.eye(m)
     inverse = np.abs(np.linalg.inv(matrix))
-    moved = (inverse @ (_SAFETY_FACTOR * rounding + np.abs(residual)).T.ravel()).reshape(n, m).T
+    moved = (inverse @ (rounding + np.abs(residual)).T.ravel()).reshape(n, m).T
     size = problem.map.start_size
     start, by_y = np.split(problem.map.start(cycle.Y / scale, problem.parameters(slope, scale))[:, 0], [size])
     state = np.abs(start)
     error = (np.abs(by_y.reshape(size, m)) @ moved[:, 0] / scale[0])[[0, *range(size // 2, size)]]
     section = max(error[0] / state[0], (error[1:] / state[size // 2 :].max()).max())
-    late = _SAFETY_FACTOR * np.abs(times - times[0]).max(axis=0).sum()
+    late = np.abs(times - times[0]).max(axis=0).sum()
     by_section = np.abs(steps[0].times_by_y[-1]) / scale
     duration = (late + (by_section * moved).sum()) / cycle.times[-1].sum()
     return float(max(section, duration)) + 2 * EPS, float((np.abs(residual) / sizes(after)).max())

@@ -5,8 +5,10 @@ import pytest
 
 import pipeline
 from lines import branches as atlas_of
-from tasks.follow_cycles import cycle_branches, from_arrays, to_arrays
-from tasks.solve_cycles import _worst
+from tasks.continuation.cycles import at_slope
+from tasks.follow_cycles import CycleBranch, cycle_branches, from_arrays, to_arrays
+from tasks.solve_cycles import _is_exact, _worst, cycle_points
+from tasks.status import NOT_CONVERGED
 
 STATE = ("stance_angle", "stance_rate", "thigh_rate")
 #: Walkers, slopes and periods that have a gait, and its least magnitude of the largest multiplier.
@@ -64,14 +66,14 @@ def test_orbits_of_the_simplest_walker_settle_on_its_stable_gaits():
 
 def test_doubled_gaits_begin_at_the_flip():
     """The paper, section 3: period doubling of the simplest walker begins at 0.015."""
-    slope = np.array([0.01508, 0.01509, 0.0151, 0.0152, 0.0176, 0.0177])
+    slope = np.array([0.01508, 0.0150885, 0.01509, 0.0151, 0.0152, 0.0176, 0.0177])
     one, two = (pipeline.gaits("D", slope, steps=n).sel(gait="long") for n in (1, 2))
     np.testing.assert_array_equal(two.status == 0, one.spectral_radius > 1)
     # Near the flip its multiplier is 1 - 4 (what the single gait's is beyond -1).
-    beyond = one.spectral_radius.values[1:3] - 1
-    assert 1 - two.spectral_radius.values[1:3] == pytest.approx(4 * beyond, rel=0.02)
-    np.testing.assert_array_equal(two.spectral_radius[1:] < 1, [True, True, True, True, False])
-    assert (two.error_bound[1:] < 2e-9).all()
+    beyond = one.spectral_radius.values[2:4] - 1
+    assert 1 - two.spectral_radius.values[2:4] == pytest.approx(4 * beyond, rel=0.02)
+    np.testing.assert_array_equal(two.spectral_radius[1:] < 1, [True, True, True, True, True, False])
+    assert (two.error_bound[2:] < 2e-9).all()
     sentence = two.reason_text[two.reason[0]].item()
     assert sentence.startswith("No gait of period 2 at this slope: the branches found span 0.0150884 to 0.034")
 
@@ -81,11 +83,51 @@ def test_every_gait_is_listed_once_under_its_label():
     assert (three.status == 0).values.tolist() == [True, False, True, False]
     assert three.stance_angle[0] > three.stance_angle[2] and len({*three.piece.values[[0, 2]].tolist()}) == 2
     assert three.branch.values.tolist() == [0, -1, 0, -1]
-    # Both sides of one fold, at which they are one gait.
-    fold = 0.0122808
-    beside = pipeline.gaits("D", [fold + 1e-6, fold - 1e-6], steps=3)
-    assert (beside.status == 0).values[:, [0, 2]].tolist() == [[True, True], [False, False]]
-    assert abs(beside.stance_angle[0, 0] - beside.stance_angle[0, 2]) < 1e-3
+
+
+def test_the_two_gaits_beside_a_fold_are_on_two_pieces():
+    problem, known = atlas_of("D")
+    (branch,) = cycle_branches(problem, known, 3)
+    low, high = np.log(0.0122), np.log(0.0123)
+    while high - low > 1e-12:
+        middle = (low + high) / 2
+        low, high = (low, middle) if list(branch.guesses(middle)) else (middle, high)
+    # So near that both lie between the same two computed gaits.
+    assert [piece for piece, *_ in branch.guesses(high + 1e-9)] == [0, 1]
+    assert np.exp(high) == pytest.approx(0.0122808, abs=1e-7)
+
+
+def test_a_gait_that_repeats_sooner_is_none_of_n_steps():
+    problem, known = atlas_of("D")
+    flip = cycle_branches(problem, known, 2)[0].cycles[0]
+    single = [at_slope(problem, flip.Y, flip.times, slope) for slope in (0.0140, 0.0145)]
+    assert all(cycle.ok for cycle in single)
+    line = {"walker": "D", "set": {}}
+    branches = to_arrays([CycleBranch(single, [])])
+    asked = {"line": line, "branches": branches, "steps": 2, "slope": np.array([0.0142]), "want": ("period",)}
+    answer = cycle_points(asked)
+    assert answer["status"][0, 0] == NOT_CONVERGED and np.isnan(answer["period"][0, 0])
+
+
+def test_a_branch_between_two_flips_is_followed_from_one_of_them():
+    """The physical walker's gaits of two steps leave those of one at 0.019131 and come back to them at 0.020230."""
+    problem, known = atlas_of("physical")
+    followed = cycle_branches(problem, known, 2)
+    spans = [sorted(branch.cycles[i].slope for i in (0, -1)) for branch in followed]
+    assert len(spans) == 2 and spans[0] == pytest.approx([0.0191312, 0.0202299], abs=2e-7)
+    first, *inner, last = followed[0].cycles
+    apart = [np.abs(c.Y - np.roll(c.Y, 1, axis=1)).max() for c in (first, *inner, last)]
+    assert apart[0] == 0 and apart[-1] < 1e-5 < 1e-4 < min(apart[1:-5])
+    # A gait of two steps is none of one step.
+    assert not _is_exact(first) and all(_is_exact(c) for c in inner)
+
+
+def test_a_gait_on_two_branches_is_listed_once():
+    problem, known = atlas_of("D")
+    branches = to_arrays(cycle_branches(problem, known, 2) * 2)
+    line = {"walker": "D", "set": {}}
+    asked = {"line": line, "branches": branches, "steps": 2, "slope": np.array([0.016]), "want": ("period",)}
+    assert cycle_points(asked)["status"].tolist() == [[0, 1, 1, 1]]
 
 
 def test_a_walker_without_flips_has_no_doubled_gaits():
