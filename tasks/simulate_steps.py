@@ -40,6 +40,8 @@ from tasks.walkers.resolve import resolve
 SAMPLES = 48
 #: Scaled half angle between the legs below which they count as parallel, and time after which a guard may strike.
 _PARALLEL, _MIN_TIME = 1e-6, 1e-9
+#: Scaled rate from which a motion counts as lost: its Taylor coefficients might overflow.
+_MAX_RATE = 1e8
 
 
 def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -202,6 +204,8 @@ class _Phase:
         samples : list of ndarray, shape (4, SAMPLES + 1)
             Times and angles of the motion, also of one that ends in a fall; empty where not asked for.
         """
+        if not np.abs(x).max() < _MAX_RATE:
+            return x, begin, LOST, []
         scale = parameters[1]
         self._taylor.pars[:] = [*self.parameters(parameters), scale, height, MAX_ANGLE / scale]
         self._taylor.state[:], self._taylor.time = x, 0.0

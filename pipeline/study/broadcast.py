@@ -84,14 +84,14 @@ def broadcast(values: Mapping[str, Any]) -> tuple[dict[str, xr.DataArray], tuple
     StudyError
         If one holds anything but numbers, if shapes do not broadcast, or if the coordinates of two DataArrays differ.
     """
-    arrays = {name: v if isinstance(v, xr.DataArray) else _numbers(name, v) for name, v in values.items()}
-    plain = {name: v for name, v in arrays.items() if isinstance(v, np.ndarray)}
+    values = {name: v if isinstance(v, xr.DataArray) else _numbers(name, v) for name, v in values.items()}
+    plain = {name: v for name, v in values.items() if isinstance(v, np.ndarray)}
     try:
         shape = np.broadcast_shapes(*(v.shape for v in plain.values()))
     except ValueError as error:
         shapes = ", ".join(f"`{name}` {v.shape}" for name, v in plain.items() if v.ndim)
         raise StudyError(f"Shapes do not broadcast: {shapes}.") from error
-    named = {name: _named(name, v, shape) for name, v in arrays.items()}
+    named = {name: _named(name, v, shape) for name, v in values.items()}
     try:
         aligned = xr.align(*named.values(), join="exact", copy=False)
         whole = xr.DataArray(np.broadcast_to(0.0, shape), dims=[f"dim_{i}" for i in range(len(shape))])
@@ -99,13 +99,17 @@ def broadcast(values: Mapping[str, Any]) -> tuple[dict[str, xr.DataArray], tuple
     except ValueError as error:
         # Of xarray's own words only the first line says what is wrong.
         raise StudyError(f"The DataArrays do not fit each other: {clip(str(error).splitlines()[0], 200)}.") from error
-    return dict(zip(named, aligned, strict=True)), tuple(grid)
+    arrays = dict(zip(named, aligned, strict=True))
+    for name, array in arrays.items():
+        if name in grid[0].dims and array.dims != (name,):
+            raise StudyError(f"`{name}` is the name of a dimension, along which it does not vary alone.")
+    return arrays, tuple(grid)
 
 
 def _numbers(name: str, value: object) -> np.ndarray:
     try:
-        array = np.asarray(value)
-    except ValueError:  # rows of different lengths
+        array = np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+    except (ValueError, TypeError):  # rows of different lengths, objects of other packages
         array = np.empty(0, object)
     if array.dtype.kind not in ("iufb" if name == "knees" else "iuf") or (name == "knees") != (array.dtype.kind == "b"):
         wanted = "true or false, or an array of them" if name == "knees" else "a number or an array of numbers"

@@ -74,6 +74,11 @@ def test_a_point_that_cannot_be_has_a_status_and_a_sentence():
     assert np.isnan(answer.period.values.reshape(9, 4)[1:]).all()
 
 
+def test_masked_values_are_missing():
+    answer = pipeline.gaits("E", np.ma.masked_array([0.01, 0.02], [False, True]))
+    assert answer.status.values[:, 0].tolist() == [CONVERGED, RAISED]
+
+
 def test_knees_may_vary_and_multipliers_are_padded():
     answer = pipeline.gaits("C", 0.02, knees=[True, False])
     assert answer.sizes["multiplier"] == 4 and np.isnan(answer.multiplier_real.values[1, :, 3]).all()
@@ -87,6 +92,11 @@ def test_knees_may_vary_and_multipliers_are_padded():
         ({"slope": np.nan}, r"`slope` must lie in \(0, 0.5\) rad; got nan"),
         ({"slope": [0.7, -1.0]}, r"`slope` must lie in \(0, 0.5\) rad; got 0.7"),
         ({"slope": [[0.01], [0.02, 0.03]]}, "`slope` must be a number or an array"),
+        ({"slope": xr.Dataset({"a": 1})}, "`slope` must be a number or an array of numbers; got Dataset"),
+        (
+            {"slope": xr.DataArray([0.01, 0.02], dims="R"), "R": [0.1, 0.2]},
+            "`R` is the name of a dimension, along which it does not vary alone",
+        ),
         ({"slope": 0.01 + 0j}, "`slope` must be a number or an array"),
         ({"slope": 0.01, "R": "wide"}, "`R` must be a number or an array of numbers; got 'wide'"),
         ({"slope": 0.01, "R": [-1.0, -2.0]}, "`R` must be >= 0; got -1.0"),

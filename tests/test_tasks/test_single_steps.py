@@ -204,6 +204,14 @@ def test_falls_are_outcomes_with_a_sentence():
     assert later.reason == "Step 3: fell forward." and later.steps_taken == 3
 
 
+def test_a_motion_that_overflows_is_lost(capfd):
+    for push in (1e200, 1e15):
+        walk = pipeline.simulate("D", 0.009, STATES["D"], 3, pushes={0: (push, 0.0)})
+        assert walk.reason == "Step 0: motion lost."
+    assert pipeline.simulate("C", 0.02, STATES["C"] * [1, 1e200, 1], 3, motion=True).outcome == "motion lost"
+    assert capfd.readouterr() == ("", "")
+
+
 def test_units_are_the_walkers(tmp_path):
     steps = pipeline.simulate("C", 0.02, STATES["C"], 2, motion=True)
     assert (steps.stance_rate.units, steps.period.units, steps.foot_x.units) == ("rad s-1", "s", "m")
