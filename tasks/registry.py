@@ -204,7 +204,7 @@ TASKS = {
         Task("trace", "tasks.trace_motion:trace", 2, needs=("atlas",), seconds=0.2),
         Task("branch", "tasks.follow_branches:branch", 4, needs=("atlas",), seconds=0.3),
         Task("orbit", "tasks.iterate_orbits:orbit", 4, needs=("atlas",), seconds=30.0),
-        Task("cascade", "tasks.locate_cascade:cascade", 4, needs=("atlas",), seconds=3.0),
+        Task("cascade", "tasks.locate_cascade:cascade", 5, needs=("atlas",), seconds=3.0),
         Task("basin", "tasks.map_basin:basin", 2, needs=("atlas",), seconds=5.0),
         Task("curve", "tasks.follow_curves:curve", 4, needs=("atlas",), seconds=5.0),
         Task("design", "tasks.map_designs:design", 1, needs=("atlas",), seconds=0.1),
