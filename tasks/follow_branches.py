@@ -9,8 +9,10 @@ import numpy as np
 
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
+from tasks.continuation.locate import locate_root
+from tasks.continuation.lockstep import run
 from tasks.continuation.sampling import chosen, within
-from tasks.continuation.special_points import locate_root, special_points
+from tasks.continuation.special_points import special_points
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
@@ -107,7 +109,9 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
     force[near] = least(branch.Z[near, : m + 1].T, branch.Z[near, m + 1 :].T)
     records: list[dict[str, float | str]] = []
     for segment in np.nonzero(force[1:] * force[:-1] < 0)[0]:
-        point, _ = locate_root(problem, branch, int(segment), lambda point, _: float(least(point.X, point.times)[0]))
+        point, _ = run(
+            problem, locate_root(branch, int(segment), lambda point, _: float(least(point.X, point.times)[0]))
+        )
         # Closer samples show the error of the minimum of a sampled force.
         error = least(point.X, point.times, 2 * violations.SAMPLES)[0] / (force[segment + 1] - force[segment])
         slope_error = abs(float(error * (branch.q[segment + 1] - branch.q[segment])))

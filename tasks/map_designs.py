@@ -9,7 +9,9 @@ import numpy as np
 
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
-from tasks.continuation.special_points import END_NAMES, locate_root, row
+from tasks.continuation.locate import locate_root, row
+from tasks.continuation.lockstep import run
+from tasks.continuation.special_points import END_NAMES
 from tasks.continuation.tracking import MIN_SLOPE, Point
 from tasks.fixed_points.multipliers import multipliers
 from tasks.measures.kinematics import travel
@@ -117,7 +119,7 @@ def _stable_part(problem: Problem, branch: Branch) -> tuple[np.ndarray, list[tup
         axis = branch.axis[k]
         a, b = branch.Z[k, axis], branch.Z[k + 1, axis]
         if stable[k] != stable[k + 1]:
-            point, _ = locate_root(problem, branch, int(k), _excess)
+            point, _ = run(problem, locate_root(branch, int(k), _excess))
             ends.append((float(point.X[m, 0]), _bifurcation(point)))
             a, b = (a, row(point)[axis]) if stable[k] else (row(point)[axis], b)
         rows.append(branch.evaluate(np.full(_INTERVALS + 1, k), np.linspace(a, b, _INTERVALS + 1)))

@@ -186,7 +186,10 @@ ALWAYS = ("residual", "error_bound", "branch", "piece", "status", "reason")
 
 @dataclass(frozen=True)
 class Task:
-    """One kind of work: `function` is "module:name", called as function(params, inputs)."""
+    """One kind of work: `function` is "module:name", called as function(params, inputs).
+
+    `side_by_side` computes this task and `points`, which needs it, for several short lines in one call.
+    """
 
     name: str
     function: str
@@ -194,13 +197,14 @@ class Task:
     needs: tuple[str, ...] = ()
     seconds: float = 0.01
     seconds_per_point: float = 0.0
+    side_by_side: str = ""
 
 
 TASKS = {
     t.name: t
     for t in (
-        Task("atlas", "tasks.solve_points:atlas", 11, seconds=1.0),
-        Task("points", "tasks.solve_points:points", 8, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
+        Task("atlas", "tasks.solve_points:atlas", 12, seconds=1.0, side_by_side="tasks.solve_points:lines"),
+        Task("points", "tasks.solve_points:points", 9, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 2, needs=("atlas",), seconds=0.2),
         Task("branch", "tasks.follow_branches:branch", 4, needs=("atlas",), seconds=0.3),
         Task("orbit", "tasks.iterate_orbits:orbit", 4, needs=("atlas",), seconds=30.0),
@@ -214,6 +218,9 @@ TASKS = {
         Task("claims", "tasks.check_claims:claims", 6, needs=("points", "atlas"), seconds=30.0),
     )
 }
+
+#: A line of no more slopes is short: its atlas is coarse, and what its gaits' error bounds need is measured at each.
+SHORT_LINE = 256
 
 #: Every figure and fit, and the point variables and tasks it reads; the plan adds them to what a study wants.
 READS = {

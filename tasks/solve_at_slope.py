@@ -10,7 +10,7 @@ import numpy as np
 from tasks import status
 from tasks.continuation import atlas as atlases
 from tasks.fixed_points.labels import places
-from tasks.fixed_points.polish import measured_guesses
+from tasks.fixed_points.polish import unmeasured
 from tasks.fixed_points.search import search, starts
 from tasks.registry import COSTLY, GAITS, VARIABLES, VIOLATIONS
 from tasks.solve_cycles import cycle_points, follow
@@ -111,7 +111,7 @@ def _search_slope(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -
     w, _, verdict = search(problem, slope)
     if verdict is None:
         return [], "Nearest miss: no initial guess led to a solution of the step's equations."
-    solved = solve(problem, measured_guesses(problem, w, np.full(w.shape[1], slope), near=8), _WANT)
+    solved = solve(problem, unmeasured(problem, w, np.full(w.shape[1], slope)), _WANT)
     others = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]

@@ -1,8 +1,9 @@
-"""The tasks `atlas`, every branch of a line, and `points`, the gaits at its slopes."""
+"""The tasks `atlas`, every branch of a line, `points`, the gaits at its slopes, and `lines`, both for several lines."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,16 +11,19 @@ import numpy as np
 from tasks import status
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
+from tasks.continuation.lockstep import lanes_of
+from tasks.continuation.refine import COARSE, FINE
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.polish import Guesses, Polished, settle
+from tasks.fixed_points.polish import Guesses, Polished, join, settle
 from tasks.fixed_points.search import starts
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
 from tasks.measures.kinematics import step_length, travel
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
+from tasks.mechanics.lumped import Structure, structure_of
 from tasks.registry import ALWAYS, GAITS, PROVED, VARIABLES
-from tasks.step.problem import Problem, sizes
+from tasks.step.problem import Lanes, Problem, sizes
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker
 
@@ -37,7 +41,7 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`: `{"walker": name or table, "set": {key: value}}`.
+        `line`: `{"walker": name or table, "set": {key: value}}`; `coarse`: whether for few points.
     inputs : list
         Empty.
 
@@ -46,7 +50,8 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         The branches as arrays, which `tasks.continuation.atlas.from_arrays` reads.
     """
-    return atlases.to_arrays(atlases.survey(Problem(_walker(params["line"]))))
+    problem = Problem(_walker(params["line"]))
+    return atlases.to_arrays(atlases.survey(problem, COARSE if params.get("coarse") else FINE))
 
 
 def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -66,19 +71,83 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         Each wanted variable in the walker's units, shape (n, len(GAITS)[, multipliers]), and `reasons`, the sentences
         that `reason` indexes.
     """
-    walker = _walker(params["line"])
+    problem = Problem(_walker(params["line"]))
+    (solved,) = _solve_lines(problem, [params["line"]], [atlases.from_arrays(inputs[0])], params)
+    return solved
+
+
+def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays, Arrays]]:
+    """Compute the atlases of several lines side by side, for few points, and solve the gaits at their slopes.
+
+    Parameters
+    ----------
+    params : mapping
+        `lines`, the line of each; the others as `points` has them.
+    inputs : list
+        Empty.
+
+    Returns
+    -------
+    list of (dict, dict)
+        For each line what `atlas`, coarse, and `points` return; it does not depend on the other lines.
+    """
+    walkers = [_walker(line) for line in params["lines"]]
+    alike: dict[Structure, list[int]] = {}
+    for i, walker in enumerate(walkers):
+        alike.setdefault(structure_of(walker), []).append(i)
+    results: list[tuple[Arrays, Arrays]] = [({}, {})] * len(walkers)
+    for structure, numbers in alike.items():
+        problem = Lanes([walkers[i] for i in numbers], structure)
+        surveyed = atlases.survey_lines(problem, COARSE)
+        solved = _solve_lines(problem, [params["lines"][i] for i in numbers], surveyed, params)
+        for i, branches, one in zip(numbers, surveyed, solved, strict=True):
+            results[i] = atlases.to_arrays(branches), one
+    return results
+
+
+def _solve_lines(
+    problem: Problem, lines: Sequence[Mapping[str, Any]], atlas: Sequence[list[Branch]], params: Mapping[str, Any]
+) -> list[Arrays]:
+    """Solve the gaits at the slopes of several lines of one structure; `problem` has a lane for each."""
     slope = np.asarray(params["slope"], float)
     want = [v for v in VARIABLES if v in params["want"] or v in ALWAYS]
     wanted = set(params.get("gaits") or GAITS)
-    problem = Problem(walker)
-    branches = atlases.from_arrays(inputs[0])
-    n, width = len(slope), 4 if walker.knees else 3
+    friction_limit = params.get("friction_limit", violations.FRICTION_LIMIT)
+    n, width = len(slope), 4 if problem.phases == 2 else 3
     proofs = [name for name in want if VARIABLES[name].group == "proofs"]
     solved = [name for name in VARIABLES if name in want or (proofs and name in PROVED_FROM) if name not in proofs]
-    out: Arrays = {}
-    for name in (*solved, *proofs):
-        shape = (n, len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
-        out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
+    problems = [Problem(problem.walker_of(i)) for i in range(len(lines))]
+    results = []
+    for one, branches in zip(problems, atlas, strict=True):
+        out: Arrays = {}
+        for name in (*solved, *proofs):
+            shape = (n, len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
+            out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
+        out["reason"][:] = [1, 5, 2, 2]
+        out["reasons"] = np.array(_reasons(one, branches))
+        results.append(out)
+    for k in range(0, n, _BLOCK):
+        part = slice(k, k + _BLOCK)
+        pieces = [_pieces(branches, slope[part], wanted) for branches in atlas]
+        here = [i for i, each in enumerate(pieces) if each]
+        if not here:
+            continue
+        guesses = [join([piece.guesses for piece in pieces[i]]) for i in here]
+        counts = [len(each.slope) for each in guesses]
+        at = settle(problem.some(np.repeat(here, counts)), join(guesses))
+        for i, each, count, end in zip(here, guesses, counts, np.cumsum(counts).tolist(), strict=True):
+            gaits = describe(
+                problems[i], lanes_of(at, slice(end - count, end)), each.slope, tuple(solved), friction_limit
+            )
+            _store({name: results[i][name][part] for name in solved}, pieces[i], gaits, wanted)
+    if proofs:
+        for line, out in zip(lines, results, strict=True):
+            _prove(out, line, slope)
+    return [{name: out[name] for name in (*want, "reasons")} for out in results]
+
+
+def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
+    """Sentences that `reason` indexes."""
     searched = (
         f"searched from {starts(problem, atlases.ANCHORS[0]).shape[1]} initial guesses at each of the slopes "
         + ", ".join(f"{s:g}" for s in atlases.ANCHORS)
@@ -86,23 +155,7 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     long, short = (
         status.outside(label, [s for b in branches for s in _spans(b, label)], searched) for label in GAITS[:2]
     )
-    reasons = [status.SETTLED, long, status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP, short]
-    out["reason"][:] = [1, 5, 2, 2]
-    for k in range(0, n, _BLOCK):
-        part = slice(k, k + _BLOCK)
-        _fill(
-            {name: out[name][part] for name in solved},
-            problem,
-            branches,
-            slope[part],
-            wanted,
-            params.get("friction_limit", violations.FRICTION_LIMIT),
-        )
-    if proofs:
-        _prove(out, params["line"], slope)
-    out = {name: out[name] for name in want}
-    out["reasons"] = np.array(reasons)
-    return out
+    return [status.SETTLED, long, status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP, short]
 
 
 def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:
@@ -119,32 +172,47 @@ def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:
             out["proved_radius"][i, g] = proof["radius"]
 
 
-def _fill(
-    out: Arrays, problem: Problem, branches: list[Branch], slope: np.ndarray, wanted: set[str], friction_limit: float
-) -> None:
-    """Solve every gait at some slopes and store the wanted ones by label in `out`, arrays of shape (n, len(GAITS))."""
-    q = np.log(slope)
-    # For every piece of a branch at these slopes: angles, ratios, and the lanes solved with their variables.
-    angle, ratio, parts = [], [], []
+@dataclass(frozen=True)
+class _Piece:
+    """Guesses on one piece of a branch: indices of their slopes, their segments, and the branch with its number."""
+
+    index: np.ndarray
+    segment: np.ndarray
+    guesses: Guesses
+    branch: Branch
+    number: int
+
+
+def _pieces(branches: list[Branch], slope: np.ndarray, wanted: set[str]) -> list[_Piece]:
+    """Guesses of the gaits at some slopes that may have a wanted label."""
+    pieces = []
     for number, branch in enumerate(branches):
-        for index, Z, segment in branch.guesses(q):
+        for index, Z, segment in branch.guesses(np.log(slope)):
             may_hold = _may_hold(branch, segment, wanted)
-            if not may_hold.any():
-                continue
-            index, Z, segment = index[may_hold], Z[may_hold], segment[may_hold]
-            solved = solve(problem, branch.known_guesses(Z, segment, slope[index]), tuple(out), friction_limit)
-            solved["branch"], solved["piece"] = np.full(len(index), number), branch.piece(segment)
-            angle.append(np.full(len(slope), np.nan))
-            angle[-1][index] = np.where(solved["anthropomorphic"], Z[:, 0], np.nan)
-            # A lane that has not converged still counts as its branch's gait.
-            nodes = 0.5 * (branch.ratio[segment] + branch.ratio[segment + 1])
-            ratio.append(np.full(len(slope), np.nan))
-            ratio[-1][index] = np.where(solved["status"] == status.CONVERGED, solved["heelstrike_rate_ratio"], nodes)
-            parts.append((index, solved))
-    if not parts:
-        return
+            if may_hold.any():
+                index, Z, segment = index[may_hold], Z[may_hold], segment[may_hold]
+                guesses = branch.known_guesses(Z, segment, slope[index])
+                pieces.append(_Piece(index, segment, guesses, branch, number))
+    return pieces
+
+
+def _store(out: Arrays, pieces: list[_Piece], gaits: Arrays, wanted: set[str]) -> None:
+    """Store gaits by label in `out`, arrays of shape (n, len(GAITS)); `gaits` are those of all pieces in order."""
+    n = len(out["status"])
+    angle, ratio = np.full((2, len(pieces), n), np.nan)
+    ends = np.cumsum([len(piece.index) for piece in pieces])
+    parts = []
+    for k, (piece, end) in enumerate(zip(pieces, ends.tolist(), strict=True)):
+        index = piece.index
+        solved = {name: value[end - len(index) : end] for name, value in gaits.items()}
+        solved |= {"branch": np.full(len(index), piece.number), "piece": piece.branch.piece(piece.segment)}
+        angle[k, index] = np.where(solved["anthropomorphic"], piece.guesses.w[0], np.nan)
+        # A lane that has not converged still counts as its branch's gait.
+        nodes = 0.5 * (piece.branch.ratio[piece.segment] + piece.branch.ratio[piece.segment + 1])
+        ratio[k, index] = np.where(solved["status"] == status.CONVERGED, solved["heelstrike_rate_ratio"], nodes)
+        parts.append((index, solved))
     is_wanted = np.array([gait in wanted for gait in GAITS] + [False])  # there may be more gaits than labels
-    for (index, solved), place in zip(parts, places(np.array(angle), np.array(ratio)), strict=True):
+    for (index, solved), place in zip(parts, places(angle, ratio), strict=True):
         slot = np.minimum(place[index], len(GAITS))
         keep = np.flatnonzero((slot >= 0) & is_wanted[slot])
         row, slot = index[keep], slot[keep]
@@ -186,13 +254,26 @@ def solve(
     want: Sequence[str],
     friction_limit: float = violations.FRICTION_LIMIT,
 ) -> Arrays:
-    """Polish guesses, verify that they are steps and measure the wanted variables.
+    """Polish guesses of one walker, verify that they are steps and measure the wanted variables, as `describe` does."""
+    return describe(problem, settle(problem, guesses), guesses.slope, want, friction_limit)
+
+
+def describe(
+    problem: Problem,
+    at: Polished,
+    slope: np.ndarray,
+    want: Sequence[str],
+    friction_limit: float = violations.FRICTION_LIMIT,
+) -> Arrays:
+    """Measure the wanted variables of gaits.
 
     Parameters
     ----------
     problem : Problem
-    guesses : Guesses
-        Of n gaits.
+        Of one walker.
+    at : Polished
+        Its gaits.
+    slope : ndarray, shape (n,) [rad]
     want : sequence of str
         Names of variables.
     friction_limit : float
@@ -202,7 +283,6 @@ def solve(
     dict of ndarray, shape (n[, multipliers])
         In the walker's units; NaN where the guess is not converged to a step.
     """
-    at = settle(problem, guesses)
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
     solved = {
         "status": code,
@@ -212,7 +292,7 @@ def solve(
         "anthropomorphic": ~at.step | (at.leg_passes == 1),
         "passes": at.leg_passes,
     }
-    solved |= _measure(problem, at, guesses.slope, want, friction_limit)
+    solved |= _measure(problem, at, slope, want, friction_limit)
     for name, value in solved.items():
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
             value[code != status.CONVERGED] = np.nan

@@ -12,7 +12,7 @@ import numpy as np
 from tasks import solve_points
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import newton
-from tasks.fixed_points.polish import measured_guesses, settle
+from tasks.fixed_points.polish import settle, unmeasured
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.mechanics.kernel import flow
 from tasks.mechanics.lumped import structure_of
@@ -218,13 +218,13 @@ def _lanes(family: str, problem: Lanes, random: Random, outcomes: Outcomes) -> N
     outcomes.add(family, "Newton did not converge", n - len(converged))
     if len(converged):
         lanes, slope, w = problem.some(converged), slope[converged], solved.w[:, converged]
-        at = settle(lanes, measured_guesses(lanes, w, slope, near=4))
+        at = settle(lanes, unmeasured(lanes, w, slope))
         ratio, largest = gait_ratio(at.stride), np.abs(multipliers(at.stride.jacobian, m)).max(axis=1)
         for i in range(len(converged)):
             outcome = _outcome(bool(at.converged[i]), bool(at.step[i]), int(at.leg_passes[i]), float(ratio[i]))
             outcomes.add(family, outcome)
             if outcome in ("gait, long", "gait, short"):
-                walker = lanes.walkers[i]
+                walker = lanes.walker_of(i)
                 time_unit = float(np.sqrt(walker.leg / walker.g))
                 state = at.state[:, i] * at.scale[i]
                 half = len(state) // 2

@@ -40,18 +40,23 @@ _WHOLE_TASK_FACTOR = 60  # a task over a line or study may take this many times 
 _JOBS_PER_WORKER = 4  # jobs submitted or not yet read, for each worker
 _IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
 _MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
+_MIN_LINES, _MAX_LINES = 16, 64  # short lines in a block: enough to fill registers, few enough to show progress
 _MAX_RETRIES = 3  # consecutive restarts of a broken engine
 _Listener = Callable[[str, dict[str, Any]], None]
 
 
 @dataclass
 class Job:
-    """A task over one line, over a chunk of its points (`indices` of slopes), or, without `work`, over the study."""
+    """A task over one line, over a chunk of its points (`indices` of slopes), or, without `work`, over the study.
+
+    With `block` it is the atlas and all points of several short lines.
+    """
 
     name: str
     keys: TaskKey
     params: Mapping[str, Any]
     work: LineWork | None = None
+    block: tuple[LineWork, ...] = ()
     inputs: tuple[bytes, ...] = ()
     indices: np.ndarray | None = None
     probe: bool = False
@@ -76,11 +81,9 @@ class JobQueue:
     def __next__(self) -> tuple[int, Request | None]:
         with self.lock:
             while not self.exhausted and (not self.ready or self._opens_line()):
-                work = next(self.lines, None)
-                if work is None:
-                    self.exhausted = True
-                else:
-                    self.ready.extend(self.scheduler.open_line(work))
+                works = list(itertools.islice(self.lines, self.scheduler.lines_at_once))
+                self.exhausted = not works
+                self.ready.extend(self.scheduler.open_lines(works))
             if len(self.running) >= _JOBS_PER_WORKER * self.scheduler.engine.jobs:
                 raise StopIteration  # joblib runs ahead of a slow reader, and its backlog takes memory
             if not self.ready and self.running:
@@ -168,6 +171,13 @@ class Scheduler:
         if {"proved", "proved_radius"} & set(plan.variables):
             self.cost = max(self.cost, SECONDS_PER_PROOF)
         self.points_measured = 0
+        #: Lines that are opened together; more than one where short lines are computed side by side.
+        self.lines_at_once = 1
+        if "points" in plan.layers and graph.is_short(self.study):
+            share = math.ceil(self.study.lines / (engine.jobs * _CHUNKS_PER_WORKER))
+            self.lines_at_once = min(_MAX_LINES, max(share, _MIN_LINES))
+        # Atlases of short lines are kept only for those that read them.
+        self.keeps_atlas = any("atlas" in layer.needs for name, layer in plan.layers.items() if name != "points")
         self.costs = Costs(len(self.study.slope), points, self.cost)
 
     def run(self) -> None:
@@ -209,6 +219,22 @@ class Scheduler:
                 time.sleep(broken)
                 queue.requeue()
 
+    def open_lines(self, works: list[LineWork]) -> list[Job]:
+        """First jobs of lines: one for all short lines of which nothing is solved, and those of each other line."""
+        together = [
+            work
+            for work in works
+            if self.lines_at_once > 1 and "atlas" in work.why and len(work.missing) == len(self.study.slope)
+        ]
+        jobs = [job for work in works if work not in together for job in self.open_line(work)]
+        if together:
+            for work in together:
+                self.costs.open_line(work.number, work.missing)
+            task = self.plan.layers["atlas"].task
+            params = {"lines": [work.line for work in together], **self.study.options}
+            jobs.append(Job(task.name, together[0].keys["atlas"], params, block=tuple(together)))
+        return jobs
+
     def open_line(self, work: LineWork) -> list[Job]:
         """First jobs of a line: its atlas, or the jobs that depend on it."""
         self.costs.open_line(work.number, work.missing)
@@ -219,7 +245,7 @@ class Scheduler:
 
     def _dependent_jobs(self, work: LineWork, inputs: tuple[bytes, ...]) -> list[Job]:
         """Jobs of a line that depend on its atlas; chunks of points come in an order that samples the line."""
-        jobs = [self._line_job(name, work, inputs) for name in work.why if name not in ("atlas", "points")]
+        jobs = self._other_jobs(work, inputs)
         if not len(work.missing):
             return jobs
         parts = np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size()))
@@ -229,8 +255,12 @@ class Scheduler:
         points = self._line_job("points", work, inputs)
         return jobs + [dataclasses.replace(points, indices=piece) for piece in pieces]
 
+    def _other_jobs(self, work: LineWork, inputs: tuple[bytes, ...]) -> list[Job]:
+        """Jobs of a line beside its atlas and points."""
+        return [self._line_job(name, work, inputs) for name in work.why if name not in ("atlas", "points")]
+
     def _line_job(self, name: str, work: LineWork, inputs: tuple[bytes, ...] = ()) -> Job:
-        return Job(name, work.keys[name], graph.line_params(self.study, name, work.line), work, inputs)
+        return Job(name, work.keys[name], graph.line_params(self.study, name, work.line), work, inputs=inputs)
 
     def chunk_size(self, job: Job | None = None) -> int:
         """Points in the next chunk: about a second of work, less where workers would otherwise be idle."""
@@ -249,15 +279,19 @@ class Scheduler:
         """Request to a worker process for a job."""
         layer, limits = self.plan.layers[job.name], self.study.limits
         params = dict(job.params)
-        if job.indices is not None:
-            params |= {"slope": self.study.slope[job.indices], "want": self.plan.variables, "gaits": self.study.gaits}
-        is_block = job.indices is not None
-        seconds = limits.seconds * (1 if is_block else _WHOLE_TASK_FACTOR)
+        divided = "lines" if job.block else "slope" if job.indices is not None else ""
+        if divided:
+            slopes = self.study.slope if job.indices is None else self.study.slope[job.indices]
+            params |= {"slope": slopes, "want": self.plan.variables, "gaits": self.study.gaits}
+        function = layer.task.side_by_side if job.block else layer.task.function
+        seconds = limits.seconds * (1 if divided == "slope" else _WHOLE_TASK_FACTOR)
         idle = None if self.engine.address is None else _IDLE_TIMEOUT
-        return Request(layer.task.function, params, list(job.inputs), is_block, seconds, limits.memory, idle)
+        return Request(function, params, list(job.inputs), divided, seconds, limits.memory, idle)
 
     def _record(self, job: Job, result: dict[str, Any]) -> list[Job]:
         """Store a result and return the jobs that it makes ready."""
+        if job.block:
+            return self._record_lines(job, result)
         event = {
             "task": job.name,
             "line": job.work.number if job.work else None,
@@ -279,6 +313,27 @@ class Scheduler:
             self.costs.abandon(job.work.number)
         self.listen("task", {**event, "outcome": outcome, "reason": reason, "lost": unsolved})
         return self._dependent_jobs(job.work, (data,)) if job.name == "atlas" and outcome == "ok" and job.work else []
+
+    def _record_lines(self, job: Job, result: dict[str, Any]) -> list[Job]:
+        """Store the atlases and points of a block of lines; a line that failed is tried again, step by step."""
+        jobs: list[Job] = []
+        seconds = result["seconds"] / len(job.block)
+        for work, parts in zip(job.block, result["lines"], strict=True):
+            if parts is None:
+                self.costs.abandon(work.number)
+                jobs += self.open_line(work)
+                continue
+            shared = {key: result.get(key) for key in ("pid", "worker")} | {"line": work.number, "seconds": seconds}
+            if self.keeps_atlas:
+                with self.hold:
+                    self.journal.add_result(*work.keys["atlas"], Result("ok", "", 0, parts[0]), 0.0)
+            self.listen("task", {**shared, "task": "atlas", "seconds": 0.0, "outcome": "ok", "reason": "", "lost": 0})
+            points = self._line_job("points", work)
+            row = (self.study.slope[work.missing].tobytes(), *parts[1:])
+            counts = self._record_points(points, work, work.missing, {"rows": [row], "seconds": seconds})
+            self.listen("chunk", {**shared, "task": "points", "points": len(work.missing), "counts": dict(counts)})
+            jobs += self._other_jobs(work, (parts[0],))
+        return jobs
 
     def _record_points(self, job: Job, work: LineWork, indices: np.ndarray, result: dict[str, Any]) -> Counter[str]:
         """Store a chunk of points, update the costs and return the points by outcome."""

@@ -57,8 +57,8 @@ def serve(parent: int) -> None:
         for key in ("want", "gaits"):
             if key in params:
                 params[key] = tuple(params[key])
-        line = serialize.dump(params.get("line"))
-        if request["points"] and line not in warm:
+        line, divided = serialize.dump(params.get("line")), request["divided"]
+        if divided == "slope" and line not in warm:
             # The time to load compiled code does not count for the first point.
             _try(function, {**params, "slope": params["slope"][:0]}, trees)
             warm.add(line)
@@ -67,7 +67,10 @@ def serve(parent: int) -> None:
         outcome, result = _try(function, params, trees)
         if outcome == b"ok":
             try:
-                parts = _rows(params, result) if request["points"] else [serialize.dump(result)]
+                if divided == "lines":
+                    parts = [part for atlas, row in result for part in (serialize.dump(atlas), *_rows(params, row))]
+                else:
+                    parts = _rows(params, result) if divided else [serialize.dump(result)]
             except Exception as error:
                 outcome, parts = b"raised", [_sentence(error).encode()]
         else:

@@ -1,7 +1,7 @@
 """A guarded worker process: a crash, hang or excess of memory fails only the point that caused it.
 
 Engines execute `run` in a thread of this process or on a node of a cluster. Each thread has one worker process. A
-block of points that fails is divided and tried again, down to the point responsible.
+block of points or of lines that fails is divided and tried again, down to the point or line responsible.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import io
+import math
 import os
 import platform
 import resource
@@ -42,14 +43,15 @@ _closing = threading.Event()
 class Request:
     """A task to run in a worker process.
 
-    `params["slope"]` of a block of points, shape (n,) [rad], may be divided. `seconds` and `memory` [byte] limit one
-    point, or the whole task if it is not a block. The process ends after waiting `idle` seconds for another request.
+    `divided` names the parameter by which a block may be divided: "slope" of points, shape (n,) [rad], or "lines".
+    `seconds` and `memory` [byte] limit one point, or the whole task if it is no block of points. The process ends
+    after waiting `idle` seconds for another request.
     """
 
     function: str
     params: dict[str, Any]
     inputs: list[bytes]
-    is_block: bool
+    divided: str
     seconds: float
     memory: int
     idle: float | None = None
@@ -187,7 +189,7 @@ def _member(worker: WorkerProcess) -> dict[str, Any]:
 
 
 def _ask(request: Request, params: dict[str, Any]) -> tuple[str, Any]:
-    head = {"function": request.function, "points": request.is_block, "memory": request.memory, "params": params}
+    head = {"function": request.function, "divided": request.divided, "memory": request.memory, "params": params}
     message = serialize.dump(head)
     while True:
         worker = getattr(_local, "worker", None)
@@ -208,8 +210,9 @@ def run(request: Request) -> dict[str, Any]:
     Returns
     -------
     dict
-        `seconds` [s] taken; `rows` of a block, each (slopes, packed states, packed variables), or `outcome` and
-        `data` (packed result) or `reason` of another task; `worker`, the process that ran it.
+        `seconds` [s] taken; `rows` of a block of points, each (slopes, packed states, packed variables); `lines` of a
+        block of lines, for each its packed atlas, states and variables, or None where its worker failed; or `outcome`
+        and `data` (packed result) or `reason` of another task; `worker`, the process that ran it.
 
     Raises
     ------
@@ -219,8 +222,11 @@ def run(request: Request) -> dict[str, Any]:
     start = time.perf_counter()
     if timer := getattr(_local, "timer", None):
         timer.cancel()
-    if request.is_block:
-        answer: dict[str, Any] = {"rows": _run_block(request, np.asarray(request.params["slope"]))}
+    answer: dict[str, Any]
+    if request.divided == "slope":
+        answer = {"rows": _run_block(request, np.asarray(request.params["slope"]))}
+    elif request.divided == "lines":
+        answer = {"lines": _run_lines(request, list(request.params["lines"]))}
     else:
         outcome, parts = _ask(request, request.params)
         if outcome == "worker_died":  # it may have been killed from outside; a second death has another cause
@@ -249,6 +255,16 @@ def _run_block(request: Request, slopes: np.ndarray) -> list[tuple[bytes, bytes,
         if outcome == "ok":
             return [(slopes.tobytes(), parts[1], parts[2])]
     return [(slopes.tobytes(), serialize.dump(_failed_states(1, outcome, parts)), serialize.dump({}))]
+
+
+def _run_lines(request: Request, lines: list[Any]) -> list[tuple[bytes, bytes, bytes] | None]:
+    outcome, parts = _ask(request, {**request.params, "lines": lines})
+    if outcome == "ok":
+        return [(parts[i], parts[i + 1], parts[i + 2]) for i in range(1, len(parts), 3)]
+    if len(lines) == 1:
+        return [None]
+    size = math.ceil(len(lines) / _PIECES)
+    return [line for k in range(0, len(lines), size) for line in _run_lines(request, lines[k : k + size])]
 
 
 def _failed_states(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:

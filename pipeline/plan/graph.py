@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.store.journal import TaskKey
 from pipeline.study.model import Study
-from tasks.registry import ALWAYS, READS, TASKS, VARIABLES, Task
+from tasks.registry import ALWAYS, READS, SHORT_LINE, TASKS, VARIABLES, Task
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,15 @@ def variables(study: Study) -> tuple[str, ...]:
     return tuple(name for name in VARIABLES if name in names)
 
 
+def is_short(study: Study) -> bool:
+    """Whether the lines of a study are short: its atlases are coarse, and lines are computed side by side."""
+    return study.kind == "grid" and len(study.slope) <= SHORT_LINE and bool(TASKS["atlas"].side_by_side)
+
+
 def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of a task over one line, except the slopes of a block of points."""
     if name == "atlas":
-        return {"line": line}
+        return {"line": line, "coarse": is_short(study)}
     if name == "points":
         return {"line": line, **study.options}
     if name == "branch":

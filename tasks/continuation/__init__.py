@@ -1,6 +1,8 @@
 """Solution branches over slope, and the curves of their special points.
 
-`tracking` follows branches; `branch` is one, with polynomials between its nodes; `atlas` finds all of a line's;
-`sampling` chooses points to draw; `special_points` locates folds, flips and ends; `cycles` follows gaits of period n
-and `codimension_one` curves of special points; `root` finds roots in brackets.
+`tracking` follows branches; `branch` is one, with polynomials between its nodes; `atlas` finds all of a line's, for
+many lines at once: `locate` and `ends` find where a property changes on a branch and where walking ends, `refine` adds
+nodes and checks it, all as procedures that `lockstep` runs side by side. `sampling` chooses points to draw;
+`special_points` locates folds, flips and the like; `cycles` follows gaits of period n and `codimension_one` curves of
+special points; `root` finds roots in brackets.
 """

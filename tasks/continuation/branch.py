@@ -9,6 +9,9 @@ import numpy as np
 
 from tasks.fixed_points.polish import UNKNOWN, Guesses
 
+#: Nodes nearer than this are one: that of a fold may be its neighbour but for rounding.
+_COINCIDENT = 1e-8
+
 
 @dataclass
 class Branch:
@@ -97,10 +100,46 @@ class Branch:
         Z, tangent = np.insert(self.Z, at, Z, axis=0), np.insert(self.tangent, at, tangent, axis=0)
         return Branch(self.m, Z, tangent, np.zeros(len(Z)), self.why, self.end_errors)
 
-    def part(self, first: int, last: int) -> Branch:
-        """Branch of the nodes from first to last, with nothing measured yet."""
-        nodes = slice(first, last + 1)
-        return Branch(self.m, self.Z[nodes], self.tangent[nodes], np.zeros(last + 1 - first), self.why, self.end_errors)
+    def part(self, nodes: np.ndarray) -> Branch:
+        """Branch of some nodes, with nothing measured yet; where it is cut there is `no further point`.
+
+        Parameters
+        ----------
+        nodes : ndarray of int, shape (k,)
+            Rising.
+        """
+        ends = zip(self.why, self.end_errors, (nodes[0] == 0, nodes[-1] == len(self.Z) - 1), strict=True)
+        low, high = ((why, error) if whole else ("no further point", 0.0) for why, error, whole in ends)
+        return Branch(
+            self.m, self.Z[nodes], self.tangent[nodes], np.zeros(len(nodes)), (low[0], high[0]), (low[1], high[1])
+        )
+
+    def in_order(self) -> Branch:
+        """Branch without the nodes that, seen from its middle, do not lie along it, with nothing measured yet.
+
+        Neighbours lie along a branch if the chord between them makes less than 60 degrees with the tangents at both;
+        where rounding moves nodes by more than they are apart, they do not.
+        """
+        X, T = self.Z[:, : self.m + 1], self.tangent[:, : self.m + 1]
+        T = T / np.linalg.norm(T, axis=1, keepdims=True)
+
+        def along(a: np.ndarray | int, b: np.ndarray | int) -> np.ndarray:
+            chord = X[b] - X[a]
+            length = np.linalg.norm(chord, axis=-1)
+            least = np.minimum((chord * T[a]).sum(axis=-1), (chord * T[b]).sum(axis=-1))
+            return np.asarray((least > 0.5 * length) | (length < _COINCIDENT))
+
+        n = len(X)
+        if along(np.arange(n - 1), np.arange(1, n)).all():
+            return self
+        kept = [n // 2]
+        for i in range(n // 2 + 1, n):
+            if along(kept[-1], i):
+                kept.append(i)
+        for i in reversed(range(n // 2)):
+            if along(i, kept[0]):
+                kept.insert(0, i)
+        return self.part(np.array(kept))
 
     def lies_between(self, segment: np.ndarray, X: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Whether points lie between their segments' nodes, nearer the chord than half its length.

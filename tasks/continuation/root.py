@@ -5,7 +5,7 @@ scipy's root finder would serve as well, but importing it takes longer than comp
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 
 import numpy as np
 
@@ -19,13 +19,31 @@ def bracketed_root(function: Callable[[float], float], a: float, b: float, toler
     ------
     ValueError
         Where the function has the same sign at both ends.
+    """
+    search = root_search(a, b, tolerance)
+    x = next(search)
+    while True:
+        try:
+            x = search.send(function(x))
+        except StopIteration as end:
+            return float(end.value)
+
+
+def root_search(a: float, b: float, tolerance: float = 0.0) -> Generator[float, float, float]:
+    """Find the root between a and b of a function whose values are sent for the arguments yielded.
+
+    Raises
+    ------
+    ValueError
+        Where the function has the same sign at both ends.
 
     Notes
     -----
     Inverse quadratic interpolation where three values allow it, bisection elsewhere (T. R. Chandrupatla, Advances in
     Engineering Software 28 (1997) 145-149).
     """
-    at_a, at_b = function(a), function(b)
+    at_a = yield a
+    at_b = yield b
     if at_a == 0 or at_b == 0:
         return a if at_a == 0 else b
     if not at_a * at_b < 0:
@@ -33,7 +51,7 @@ def bracketed_root(function: Callable[[float], float], a: float, b: float, toler
     part = 0.5
     for _ in range(_MAX_STEPS):
         x = a + part * (b - a)
-        at_x = function(x)
+        at_x = yield x
         if (at_x > 0) == (at_a > 0):
             c, at_c = a, at_a
         else:

@@ -2,13 +2,13 @@
 
 A point is X = (w, q): similarity coordinates of the section (ln angle, rates/angle) and q = ln slope; the event times
 follow as functions of X. Pseudo-arclength continuation: bordered Newton with exact derivatives, tangents from the null
-vector, a second-order predictor, and step lengths by predictor error and turning angle. Several branches advance side
-by side in SIMD lanes. In shapes, n counts lanes.
+vector, a second-order predictor, and step lengths by predictor error and turning angle. Any number of branches, of any
+number of walkers, advance side by side in SIMD lanes. In shapes, n counts lanes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,7 +27,7 @@ _MAX_ERROR, _MAX_TURN = 0.02, 0.3
 _MAX_NODES = 1500
 #: Where the sign of the branch point determinant changes over a longer step than this, Newton has jumped to a branch
 #: nearby; over a shorter one branches cross.
-_MAX_CROSSING_STEP = 1e-4
+MAX_CROSSING_STEP = 1e-4
 #: Number of points after which it is checked that a branch still consists of steps.
 _CHECK_EVERY = 12
 
@@ -46,7 +46,7 @@ class Point:
         Whether Newton converged.
     stride : Stride
         The last one evaluated, at the point or a Newton step away.
-    derivative : ndarray, shape (n, m, m + 1)
+    derivative : ndarray, shape (m, m + 1, n)
         Of its P(y) - y by X.
     """
 
@@ -75,25 +75,17 @@ def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     derivative : ndarray, shape (n, m, m + 1)
         By X.
     """
-    m, n = stride.y.shape
-    frame = np.zeros((m, m, n))
-    frame[:, 0] = stride.y
-    for i in range(1, m):
-        frame[i, i] = stride.y[0]
+    m = len(stride.y)
     J = stride.jacobian - np.eye(m)[:, :, None]
-    by_w = np.einsum("ijn,jkn->ikn", J, frame)
-    by_q = stride.by_slope * np.exp(X[m])
     # Rows over the angle are of order one on any slope.
-    derivative = np.concatenate([by_w, by_q[:, None]], axis=1) / stride.y[0]
+    derivative = _by_X(J, stride.by_slope, stride, X) / stride.y[0]
     return ((stride.image - stride.y) / stride.y[0]).T, derivative.transpose(2, 0, 1)
 
 
-def _times_by_X(stride: Stride, X: np.ndarray) -> np.ndarray:
-    """Derivative of the event times by X, shape (k, m + 1, n)."""
-    m = len(stride.y)
-    by_first = matvec(stride.times_by_y, stride.y)[:, None]
-    by_rest = stride.times_by_y[:, 1:] * stride.y[0]
-    return np.concatenate([by_first, by_rest, (stride.times_by_slope * np.exp(X[m]))[:, None]], axis=1)
+def _by_X(by_y: np.ndarray, by_slope: np.ndarray, stride: Stride, X: np.ndarray) -> np.ndarray:
+    """Derivatives by X, shape (i, m + 1, n), of what has the derivatives by y, (i, m, n), and by the slope, (i, n)."""
+    y, slope = stride.y, np.exp(X[len(stride.y)])
+    return np.concatenate([matvec(by_y, y)[:, None], by_y[:, 1:] * y[0], (by_slope * slope)[:, None]], axis=1)
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
@@ -122,142 +114,114 @@ def correct(
     if border is None:
         border = np.zeros((m + 1, n))
         border[m] = 1
-    X, times = X.copy(), times.copy()
-    start = X.copy()
-    ok, failed, last = np.zeros(n, bool), np.zeros(n, bool), np.full(n, np.inf)
-    for _ in range(max_iterations):
-        stride, _ = problem.stride(np.vstack([X[:m], times]), X[m], slope=True)
-        residual, derivative = linearised(stride, X)
-        matrix = np.concatenate([derivative, border.T[:, None]], axis=1)
-        right = np.concatenate([-residual, (border * (start - X)).sum(axis=0)[:, None]], axis=1)
+    start, X, times = X, X.copy(), times.copy()
+    ok, last = np.zeros(n, bool), np.full(n, np.inf)
+    active = np.arange(n)
+    for iteration in range(max_iterations):
+        x, normal = X[:, active], border[:, active]
+        stride, _ = problem.some(active).stride(np.vstack([x[:m], times[:, active]]), x[m], slope=True)
+        residual, derivative = linearised(stride, x)
+        by_X = _by_X(stride.times_by_y, stride.times_by_slope, stride, x)
+        matrix = np.concatenate([derivative, normal.T[:, None]], axis=1)
+        right = np.concatenate([-residual, (normal * (start[:, active] - x)).sum(axis=0)[:, None]], axis=1)
         solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
         # Where heelstrike is tangential but for the last digits, the derivative is infinite or its rows are equal.
         solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
         matrix[~solvable], right[~solvable] = np.eye(m + 1), 0.0
         dX = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
         size = np.abs(dX).max(axis=0)
-        by_X = _times_by_X(stride, X)
         new_times = stride.times + matvec(by_X, dX)
-        failed |= ~solvable | (size > 1.0) | ~np.isfinite(new_times).all(axis=0)
-        moving = ~failed & ~ok
-        X[:, moving] += dX[:, moving]
-        times[:, moving] = new_times[:, moving]
-        ok |= moving & ((size < _rounding_step(matrix, stride)) | ((size < 1e-9) & (size > 0.2 * last)))
-        last = size
-        if (ok | failed).all():
+        moving = solvable & (size <= 1.0) & np.isfinite(new_times).all(axis=0)
+        X[:, active[moving]] += dX[:, moving]
+        times[:, active[moving]] = new_times[:, moving]
+        done = moving & ((size < _rounding_step(matrix, stride)) | ((size < 1e-9) & (size > 0.2 * last[active])))
+        ok[active], last[active] = done, size
+        # A lane that is done keeps its own last step, so its bits do not depend on the others.
+        if not iteration:
+            steps, derivatives, times_by_X = stride, derivative, by_X
+        else:
+            steps.assign(active, stride)
+            derivatives[active], times_by_X[:, :, active] = derivative, by_X
+        active = active[moving & ~done]
+        if not len(active):
             break
-    _, _, V = np.linalg.svd(np.nan_to_num(derivative))
+    _, _, V = np.linalg.svd(np.nan_to_num(derivatives))
     tangent = V[:, -1].T
-    by_X = np.nan_to_num(by_X)
-    return Point(X, times, tangent, matvec(by_X, tangent), ok, stride, derivative)
+    times_tangent = matvec(np.nan_to_num(times_by_X), tangent)
+    return Point(X, times, tangent, times_tangent, ok, steps, derivatives.transpose(1, 2, 0))
 
 
 def _rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
     """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
-    inverse = np.abs(np.linalg.inv(matrix))
+    inverse = np.abs(np.linalg.inv(matrix)).transpose(1, 2, 0)
     error = np.abs(stride.y) + matvec(np.abs(stride.jacobian), np.abs(stride.y))
     error = np.nan_to_num(np.vstack([error / stride.y[0], np.ones(error.shape[1])]))
-    return 6 * EPS * np.einsum("nij,jn->in", inverse, error).max(axis=0)
+    return 6 * EPS * matvec(inverse, error).max(axis=0)
 
 
-@dataclass
-class BranchTrace:
-    """One branch followed in one direction: its points so far, and why it stops.
+@dataclass(frozen=True)
+class Track:
+    """A branch followed in one direction from a gait.
 
     Attributes
     ----------
-    X, tangent : list of ndarray, shape (m + 1,)
-        Points and unit tangents.
-    times, times_tangent : list of ndarray, shape (k,)
-        Event times, and their derivatives along the branch.
-    step : float
-        Length of the next continuation step.
-    side : float
-        Sign of the branch point determinant.
+    Z, tangent : ndarray, shape (p, m + 1 + k)
+        Its points X with their event times, in order, and their derivatives along the track.
     stop_reason : str
-        Empty while the branch continues.
+        Why it stops at its last point.
     """
 
-    X: list[np.ndarray] = field(default_factory=list)
-    times: list[np.ndarray] = field(default_factory=list)
-    tangent: list[np.ndarray] = field(default_factory=list)
-    times_tangent: list[np.ndarray] = field(default_factory=list)
-    step: float = 0.05
-    side: float = 0.0
-    stop_reason: str = ""
-
-    def append(self, point: Point, lane: int, orientation: np.ndarray) -> None:
-        """Add the point of a lane.
-
-        Parameters
-        ----------
-        point : Point
-        lane : int
-        orientation : ndarray, shape (m + 1,)
-            The side to which the tangent is turned.
-        """
-        sign = 1.0 if point.tangent[:, lane] @ orientation >= 0 else -1.0
-        self.X.append(point.X[:, lane].copy())
-        self.times.append(point.times[:, lane].copy())
-        self.tangent.append(sign * point.tangent[:, lane])
-        self.times_tangent.append(sign * point.times_tangent[:, lane])
-
-    def predict(self) -> np.ndarray:
-        """Predict the next point along the tangent, bent as it turned over the last step.
-
-        Returns
-        -------
-        ndarray, shape (m + 1,)
-        """
-        X, t, h = self.X[-1], self.tangent[-1], self.step
-        if len(self.X) < 2:
-            return X + h * t
-        back = np.linalg.norm(X - self.X[-2])
-        return X + h * t + 0.5 * h * h * (t - self.tangent[-2]) / back
-
-    def predict_times(self) -> np.ndarray:
-        """Predict the next point's event times.
-
-        Returns
-        -------
-        ndarray, shape (k,) [sqrt(leg/g)]
-        """
-        return self.times[-1] + self.step * self.times_tangent[-1]
-
-    def reason_to_stop(self, m: int) -> str:
-        """Return why the branch stops at its last point; empty where it continues."""
-        X, times = self.X[-1], self.times[-1]
-        if not np.log(MIN_SLOPE) < X[m] < np.log(MAX_SLOPE):
-            return "end of the window"
-        if X[0] < -40:
-            return "zero step length"
-        if fall_margin(X, times) > 0:
-            return "a fall"
-        if np.abs(X[1:m]).max() > 30:
-            return "zero step length"
-        if len(times) == 2 and times[1] < times[0] - 0.5:
-            return "heelstrike before kneestrike"
-        return "too many points" if len(self.X) > _MAX_NODES else ""
+    Z: np.ndarray
+    tangent: np.ndarray
+    stop_reason: str
 
 
-def fall_margin(X: np.ndarray, times: np.ndarray) -> float:
+def _stop_reasons(X: np.ndarray, times: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """Why tracks stop at their points, X (m + 1, n), of which they have `count`: indices into `_STOP_REASONS`."""
+    slope = (X[-1] <= np.log(MIN_SLOPE)) | (X[-1] >= np.log(MAX_SLOPE))
+    vanished = np.abs(X[1:-1]).max(axis=0) > 30
+    early = np.diff(times, axis=0).min(axis=0, initial=0.0) < -0.5
+    tests = (slope, X[0] < -40, fall_margin(X, times) > 0, vanished, early, count > _MAX_NODES)
+    return np.select(tests, [1, 2, 3, 2, 4, 5], 0)
+
+
+_STOP_REASONS = (
+    "",
+    "end of the window",
+    "zero step length",
+    "a fall",
+    "heelstrike before kneestrike",
+    "too many points",
+    "not a step",
+    "no further point",
+    "no start",
+)
+
+
+def fall_margin(X: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Return a number that is positive where a gait's angle or period exceeds those of walking.
 
     Parameters
     ----------
-    X : ndarray, shape (m + 1,)
+    X : ndarray, shape (m + 1, n)
         Similarity coordinates and ln slope.
-    times : ndarray, shape (k,) [sqrt(leg/g)]
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
         Event times.
+
+    Returns
+    -------
+    ndarray, shape (n,)
     """
-    return float(max(X[0] - _MAX_LOG_ANGLE, times[-1] - LONGEST_PERIOD))
+    return np.maximum(X[0] - _MAX_LOG_ANGLE, times[-1] - LONGEST_PERIOD)
 
 
-def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[BranchTrace]]:
+def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple[Track, Track]]:
     """Follow branches in both directions from solved gaits.
 
     Parameters
     ----------
+    problem : Problem
+        Of n lanes.
     w : ndarray, shape (m + k, n)
         Gaits in similarity coordinates.
     log_slope : ndarray, shape (n,)
@@ -265,49 +229,83 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[list[
 
     Returns
     -------
-    list of [BranchTrace, BranchTrace]
-        For each gait the traces towards lower and higher slopes; both begin with the gait itself.
+    list of (Track, Track)
+        For each gait the tracks towards lower and higher slopes; both begin with the gait itself.
     """
     m, n = problem.m, w.shape[1]
     first = correct(problem, np.vstack([w[:m], log_slope]), w[m:], None)
     upwards = np.zeros((m + 1, n))
     upwards[m] = 1.0
-    sides = np.sign(branch_point_determinant(first, upwards))
-    pairs: list[list[BranchTrace]] = []
-    for lane in range(n):
-        pair = [BranchTrace(), BranchTrace()]
-        for trace, sign in zip(pair, (-1.0, 1.0), strict=True):
-            trace.append(first, lane, sign * upwards[:, lane])
-            trace.side = sides[lane] * sign
-            if not first.ok[lane]:
-                trace.stop_reason = "no start"
-        pairs.append(pair)
-    traces = [trace for pair in pairs for trace in pair]
-    while True:
-        active = [trace for trace in traces if not trace.stop_reason]
-        if not active:
-            return pairs
-        guess = np.array([trace.predict() for trace in active]).T
-        times = np.array([trace.predict_times() for trace in active]).T
-        border = np.array([trace.tangent[-1] for trace in active]).T
-        point = correct(problem, guess, times, border)
-        sides = np.sign(branch_point_determinant(point, border))
-        for lane, trace in enumerate(active):
-            error = float(np.linalg.norm(point.X[:, lane] - guess[:, lane]))
-            turn = abs(point.tangent[:, lane] @ trace.tangent[-1])
-            is_fair = point.ok[lane] and error < _MAX_ERROR and turn > np.cos(_MAX_TURN)
-            if is_fair and not (trace.side * sides[lane] < 0 and trace.step > _MAX_CROSSING_STEP):
-                trace.side = sides[lane]
-                trace.append(point, lane, trace.tangent[-1])
-                trace.stop_reason = trace.reason_to_stop(m)
-                if not trace.stop_reason and len(trace.X) % _CHECK_EVERY == 0 and not _are_steps(problem, trace):
-                    trace.stop_reason = "not a step"
-                growth = (2e-3 / max(error, 1e-12)) ** (1 / 3)
-                trace.step = min(_MAX_STEP, trace.step * min(2.0, max(0.4, growth)))
-            else:
-                trace.step *= 0.3
-                if trace.step < _MIN_STEP:
-                    trace.stop_reason = "no further point"
+    # Tracks of n lanes: down, then up.
+    lanes, sign = np.tile(np.arange(n), 2), np.repeat([-1.0, 1.0], n)
+    problem = problem.some(lanes)
+    tracks = _Tracks(first, lanes, sign * upwards[:, lanes])
+    tracks.side = sign * np.sign(branch_point_determinant(first, upwards))[lanes]
+    tracks.stop[~first.ok[lanes]] = _STOP_REASONS.index("no start")
+    while len(active := np.flatnonzero(tracks.stop == 0)):
+        guess, times, border = tracks.predict(active)
+        point = correct(problem.some(active), guess, times, border)
+        side = np.sign(branch_point_determinant(point, border))
+        error = np.linalg.norm(point.X - guess, axis=0)
+        turn = np.abs((point.tangent * border).sum(axis=0))
+        fair = point.ok & (error < _MAX_ERROR) & (turn > np.cos(_MAX_TURN))
+        fair &= (tracks.side[active] * side >= 0) | (tracks.step[active] <= MAX_CROSSING_STEP)
+        new = active[fair]
+        tracks.append(point, np.flatnonzero(fair), new, border[:, fair])
+        tracks.side[new] = side[fair]
+        tracks.stop[new] = _stop_reasons(point.X[:, fair], point.times[:, fair], tracks.count[new])
+        growth = np.clip((2e-3 / np.maximum(error[fair], 1e-12)) ** (1 / 3), 0.4, 2.0)
+        tracks.step[new] = np.minimum(_MAX_STEP, tracks.step[new] * growth)
+        refused = active[~fair]
+        tracks.step[refused] *= 0.3
+        tracks.stop[refused[tracks.step[refused] < _MIN_STEP]] = _STOP_REASONS.index("no further point")
+        checked = new[(tracks.stop[new] == 0) & (tracks.count[new] % _CHECK_EVERY == 0)]
+        if len(checked):
+            tracks.stop[checked[~_are_steps(problem, tracks, checked)]] = _STOP_REASONS.index("not a step")
+    return tracks.pairs()
+
+
+class _Tracks:
+    """Tracks on their way: the last points of n of them as arrays, and all of them in the order they were found."""
+
+    def __init__(self, first: Point, lanes: np.ndarray, orientation: np.ndarray):
+        n, size = len(lanes), len(first.X) + len(first.times)
+        self.m, self.count = len(first.X) - 1, np.zeros(n, int)
+        self.Z, self.tangent, self.bend = np.zeros((size, n)), np.zeros((size, n)), np.zeros((size, n))
+        self.step, self.side, self.stop = np.full(n, 0.05), np.zeros(n), np.zeros(n, int)
+        self.recent = np.zeros((_CHECK_EVERY // 3, size, n))
+        self.log: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.append(first, lanes, np.arange(n), orientation)
+
+    def append(self, point: Point, lanes: np.ndarray, tracks: np.ndarray, orientation: np.ndarray) -> None:
+        """Add the points of lanes to tracks, their tangents turned to the side of `orientation`, shape (m + 1, k)."""
+        tangent = np.vstack([point.tangent, point.times_tangent])[:, lanes]
+        tangent = np.where((tangent[: self.m + 1] * orientation).sum(axis=0) >= 0, tangent, -tangent)
+        Z = np.vstack([point.X, point.times])[:, lanes]
+        back = np.linalg.norm((Z - self.Z[:, tracks])[: self.m + 1], axis=0)
+        # The tangent of X turns on as it did over the last step; that of the times hardly predicts the next.
+        self.bend[: self.m + 1, tracks] = (tangent - self.tangent[:, tracks])[: self.m + 1] / back
+        self.bend[:, tracks[self.count[tracks] == 0]] = 0.0
+        self.Z[:, tracks], self.tangent[:, tracks] = Z, tangent
+        self.recent[self.count[tracks] % len(self.recent), :, tracks] = Z.T
+        self.count[tracks] += 1
+        self.log.append((tracks, Z, tangent))
+
+    def predict(self, tracks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """X, times and tangents of the next points of tracks, bent as the tangent turned over the last step."""
+        h, tangent = self.step[tracks], self.tangent[:, tracks]
+        Z = self.Z[:, tracks] + h * tangent + 0.5 * h * h * self.bend[:, tracks]
+        return Z[: self.m + 1], Z[self.m + 1 :], tangent[: self.m + 1]
+
+    def pairs(self) -> list[tuple[Track, Track]]:
+        """Tracks down and up of each gait."""
+        owner = np.concatenate([tracks for tracks, _, _ in self.log])
+        order = np.argsort(owner, kind="stable")
+        bounds = np.cumsum(self.count)[:-1]
+        Z, tangent = (np.split(np.hstack([e[i] for e in self.log]).T[order], bounds) for i in (1, 2))
+        tracks = [Track(*each) for each in zip(Z, tangent, (_STOP_REASONS[i] for i in self.stop), strict=True)]
+        n = len(tracks) // 2
+        return list(zip(tracks[:n], tracks[n:], strict=True))
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
@@ -328,12 +326,13 @@ def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
         Its sign is the same all along a branch, and the opposite on one that almost touches it.
     """
     tangent = point.tangent * np.sign((point.tangent * direction).sum(axis=0))
-    return np.linalg.det(np.concatenate([point.derivative, tangent.T[:, None]], axis=1))
+    return np.linalg.det(np.concatenate([point.derivative, tangent[None]]).transpose(2, 0, 1))
 
 
-def _are_steps(problem: Problem, trace: BranchTrace) -> bool:
-    """Whether any of the last points of a trace is a step that happens."""
-    recent = slice(-_CHECK_EVERY // 3, None)
-    X, times = np.array(trace.X[recent]).T, np.array(trace.times[recent]).T
-    _, check = verify_steps(problem, np.vstack([X[: problem.m], times]), X[problem.m])
-    return bool(check.step.any())
+def _are_steps(problem: Problem, tracks: _Tracks, which: np.ndarray) -> np.ndarray:
+    """Whether any of the last points of some tracks is a step that happens, shape (len(which),)."""
+    Z = tracks.recent[:, :, which]
+    lanes = np.tile(which, len(Z))
+    Z = Z.transpose(1, 0, 2).reshape(len(Z[0]), -1)
+    _, check = verify_steps(problem.some(lanes), np.delete(Z, problem.m, axis=0), Z[problem.m])
+    return np.asarray(check.step.reshape(-1, len(which)).any(axis=0))

@@ -16,7 +16,7 @@ LONGEST_PERIOD = 12.0
 #: Newton steps an initial guess may take; one that converges takes 2 to 8.
 _MAX_ITERATIONS = 25
 #: The same for coarse integration: what is not near a gait by then hardly ever converges.
-_MAX_COARSE_ITERATIONS = 10
+_MAX_COARSE_ITERATIONS = 15
 
 
 def _similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
@@ -58,6 +58,7 @@ def newton(
     coarse: bool = False,
     max_step_by_iteration: Sequence[float] = (1e6,),
     merge_cell: float = 0.0,
+    group: np.ndarray | None = None,
 ) -> NewtonResult:
     """Damped Newton on every lane; finished lanes leave the batch.
 
@@ -72,7 +73,9 @@ def newton(
     max_step_by_iteration : sequence of float
         Size of the first, second, ... Newton step that ends a lane's search; the last holds for all that follow.
     merge_cell : float
-        After three steps, of lanes at one slope in one cell of this size, only that with the smallest step continues.
+        After three steps, of lanes of one group in one cell of this size, only that with the smallest step continues.
+    group : ndarray of int, shape (n,), optional
+        Of lanes with one walker at one slope.
 
     Returns
     -------
@@ -100,9 +103,9 @@ def newton(
         converged[active[done & sane]] = True
         last[active] = size
         active = active[alive & sane & ~done]
-        if merge_cell and taken > 1:
+        if merge_cell and group is not None and taken > 1:
             active = active[np.argsort(last[active], kind="stable")]
-            cells = np.vstack([log_slope[active], np.round(w[:, active] / merge_cell)])
+            cells = np.vstack([group[active], np.round(w[:, active] / merge_cell)])
             active = np.sort(active[np.unique(cells, axis=1, return_index=True)[1]])
     return NewtonResult(w, converged)
 
@@ -133,6 +136,7 @@ def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
         # In relative coordinates of the base point; another scale would multiply rows and divide columns by the same.
         change = (stride.jacobian - base.jacobian) / h
         size = sizes(base.y)
-        weighted = np.einsum("ijn,jkn->ikn", base.inverse, change) * size[None] / size[:, None]
+        product = np.stack([matvec(base.inverse, change[:, j]) for j in range(m)], axis=1)
+        weighted = product * size[None] / size[:, None]
         worst = np.maximum(worst, np.abs(weighted).sum(axis=1).max(axis=0))
     return worst

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -25,6 +26,8 @@ SAFETY_FACTOR = 16.0
 _MAX_BOUND = 1e-3
 #: Share of Newton's radius of convergence up to which the Lipschitz estimate of a segment's nodes serves its points.
 _MAX_CONTRACTION = 0.1
+#: States side by side by which the rounding of a gait alone is measured; a fine atlas averages over its nodes.
+_NEAR_STATES = 3
 #: Relative distance from the fixed point at which multipliers are as good as at it.
 _NEAR = 2e-12
 
@@ -69,8 +72,9 @@ class Guesses:
     """Guesses of n gaits, with what the atlas knows of the steps around them.
 
     `w` (m + k, n) similarity coordinates and event times; `slope` (n,) [rad]; `lipschitz` (n,) estimates of the Newton
-    map; `rounding_std` (o, n) standard deviations that rounding gives angle, rates and period, over their
-    `sensitivity`; `leg_passes` (n,) how often the legs pass where the step is known to happen, elsewhere UNKNOWN.
+    map and `rounding_std` (o, n) standard deviations that rounding gives angle, rates and period, over their
+    `sensitivity`, both NaN where they are to be measured at the gait; `leg_passes` (n,) how often the legs pass where
+    the step is known to happen, elsewhere UNKNOWN.
     """
 
     w: np.ndarray
@@ -80,36 +84,44 @@ class Guesses:
     leg_passes: np.ndarray
 
 
-def measured_guesses(problem: Problem, w: np.ndarray, slope: np.ndarray, near: int) -> Guesses:
-    """Measure at guesses without an atlas what it would know of them.
+def join(parts: Sequence[Guesses]) -> Guesses:
+    """Guesses of several parts, one after another."""
+    return Guesses(*(np.concatenate([getattr(p, f.name) for p in parts], axis=-1) for f in fields(Guesses)))
+
+
+def unmeasured(problem: Problem, w: np.ndarray, slope: np.ndarray) -> Guesses:
+    """Guesses of which nothing is known: what their bounds need is measured at the gaits.
 
     Parameters
     ----------
     w : ndarray, shape (m + k, n)
     slope : ndarray, shape (n,) [rad]
-    near : int
-        Steps side by side by which rounding is measured.
     """
-    q = np.log(slope)
-    lipschitz = lipschitz_at(problem, np.vstack([w[: problem.m], q]), w[problem.m :])
-    return Guesses(w, slope, lipschitz, rounding_std(problem, w, q, near=near), np.full(len(slope), UNKNOWN))
+    n, outputs = len(slope), 2 + problem.map.start_size // 2
+    return Guesses(w, slope, np.full(n, np.nan), np.full((outputs, n), np.nan), np.full(n, UNKNOWN))
 
 
 def settle(problem: Problem, guesses: Guesses) -> Polished:
-    """Polish guesses and verify that they are steps."""
+    """Polish guesses and verify that they are steps.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one walker, or of a walker for each guess.
+    guesses : Guesses
+    """
     slope, leg_passes = guesses.slope, guesses.leg_passes
     m, n = problem.m, len(slope)
     stride, scale, w = _polish(problem, guesses.w, slope, guesses.lipschitz)
     eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
     lipschitz = _lipschitz_at_points(problem, w, slope, guesses.lipschitz, eta)
+    std = _rounding_at_points(problem, w, slope, guesses.rounding_std)
     # The states at the impacts are corrected to the fixed point, as the times are.
     stride.impact = stride.impact + matvec(stride.impact_by_y, stride.newton)
     stride.knee = stride.knee + matvec(stride.knee_by_y, stride.newton)
     gait = apply_newton_step(problem, stride, problem.parameters(slope, scale))
     y, times, state, by_y = gait.y, gait.times, gait.state, np.abs(gait.by_y)
-    error = gait.sensitivity * (SAFETY_FACTOR * guesses.rounding_std + EPS / 2) + matvec(
-        by_y, 2 * lipschitz * eta**2 * sizes(y)
-    )
+    error = gait.sensitivity * (SAFETY_FACTOR * std + EPS / 2) + matvec(by_y, 2 * lipschitz * eta**2 * sizes(y))
     bound = (error / gait.size).max(axis=0) + 2 * EPS
     doubles = bound.copy()
     converged = (bound < _MAX_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
@@ -133,17 +145,27 @@ def settle(problem: Problem, guesses: Guesses) -> Polished:
 def _lipschitz_at_points(
     problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, eta: np.ndarray
 ) -> np.ndarray:
-    """Lipschitz estimates (n,), measured at the point itself where that of its segment's nodes does not suffice.
+    """Lipschitz estimates (n,), measured at the point itself where there is none or it does not suffice.
 
     At a fold the map at fixed slope is singular, and ever less so beside it: the estimate at that node says nothing of
     the segment.
     """
-    lanes = np.nonzero(2 * lipschitz * eta > _MAX_CONTRACTION)[0]
+    lanes = np.nonzero(~(2 * lipschitz * eta <= _MAX_CONTRACTION))[0]
     if len(lanes):
         X = np.vstack([w[: problem.m, lanes], np.log(slope[lanes])])
         lipschitz = lipschitz.copy()
         lipschitz[lanes] = lipschitz_at(problem.some(lanes), X, w[problem.m :, lanes])
     return lipschitz
+
+
+def _rounding_at_points(problem: Problem, w: np.ndarray, slope: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """Standard deviations of rounding (o, n), measured at the point itself where they are not known."""
+    lanes = np.nonzero(np.isnan(std).any(axis=0))[0]
+    if len(lanes):
+        std = std.copy()
+        measured = rounding_std(problem.some(lanes), w[:, lanes], np.log(slope[lanes]), near=_NEAR_STATES)
+        std[:, lanes] = np.nan_to_num(measured, nan=np.inf)
+    return std
 
 
 def _polish(

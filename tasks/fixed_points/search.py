@@ -3,26 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.step_check import verify_steps
-from tasks.step.problem import Problem
+from tasks.mechanics.small_angles import exchange_rates
+from tasks.step.problem import Lanes, Problem
 from tasks.step.step_map import Stride
 from tasks.step.verify_step import StepCheck
 
 #: Guesses whose first, second, ... Newton step is larger are given up: hardly one converges, and others reach its gait.
-_MAX_STEP_BY_ITERATION = (20.0, 6.0, 4.0, 3.0)
+#: By the number of phases of a step.
+_MAX_STEP_BY_ITERATION = {1: (20.0, 20.0, 10.0, 6.0), 2: (20.0, 6.0, 4.0, 3.0)}
 #: Guesses in one cell of this size after three steps converge to one gait: the nearest to it continues.
 _MERGE_CELL = 0.1
+#: Largest rate over angle of a guess.
+_MAX_RATE = 20.0
 
 
 def starts(problem: Problem, slope: float) -> np.ndarray:
-    """Return a fixed lattice of initial guesses over step length, period and swing rate.
+    """Return a lattice of initial guesses over step length and period.
 
     Parameters
     ----------
+    problem : Problem
+        Of one walker.
     slope : float [rad]
 
     Returns
@@ -32,27 +39,24 @@ def starts(problem: Problem, slope: float) -> np.ndarray:
 
     Notes
     -----
-    Stance angles run from the linear (slope) to the cube-root scaling; the stance rate is that of an inverted
-    pendulum that crosses from +angle to -angle in the period.
+    Stance angles run from the linear (slope) to the cube-root scaling. Straight legs have the rates with which, to
+    first order in the angles, they exchange places in the period. Of kneed walkers the stance rate is that of an
+    inverted pendulum which crosses from +angle to -angle in the period, with several swing rates and times of
+    kneestrike.
     """
     top = np.log(min(2.0 * slope ** (1 / 3), 0.7))
     bottom = np.log(max(1.5 * slope, 0.02 * slope ** (1 / 3)))
-    angles = np.linspace(bottom, top, 9)
-    periods = np.array([2.0, 2.5, 3.0, 3.5, 4.0])
-    swing, knee = [1.0, 0.5], [1.0]
-    if problem.phases == 2:
-        swing, knee = [-0.9, -0.3, 0.3], [0.55, 0.75]
-    elif problem.m == 2:
-        swing = [1.0]
-    grid = np.meshgrid(angles, periods, swing, knee, indexing="ij")
+    if problem.phases == 1:
+        angles = np.linspace(bottom, top, 9)
+        log_angle, period = (g.ravel() for g in np.meshgrid(angles, (2.0, 2.5, 3.0, 3.5, 4.0, 5.0), indexing="ij"))
+        angle = np.exp(log_angle)
+        rates = exchange_rates(problem.walker, angle, period, slope)[: problem.m - 1]
+        return np.vstack([log_angle, np.clip(rates / angle, -_MAX_RATE, _MAX_RATE), period])
+    angles = np.linspace(bottom, top, 7)
+    grid = np.meshgrid(angles, (2.0, 2.7, 3.4, 4.3), (-0.7, 0.1), (0.55, 0.75), indexing="ij")
     log_angle, period, ratio, fraction = (g.ravel() for g in grid)
     rate = -1.0 / np.tanh(period / 2)
-    rows = [log_angle, rate]
-    if problem.m == 3:
-        rows.append(-ratio * rate if problem.phases == 2 else ratio * rate)
-    if problem.phases == 2:
-        rows.append(fraction * period)
-    return np.vstack([*rows, period])
+    return np.vstack([log_angle, rate, -ratio * rate, fraction * period, period])
 
 
 def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, StepCheck | None]:
@@ -71,44 +75,56 @@ def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, S
     check : StepCheck or None
         Whether these happen.
     """
-    w = search_slopes(problem, [slope])[0]
+    w = search_lines(Lanes([problem.walker]), [slope])[0][0]
     if not w.shape[1]:
         return w, None, None
     return w, *verify_steps(problem, w, np.full(w.shape[1], np.log(slope)))
 
 
-def search_slopes(problem: Problem, slopes: Sequence[float]) -> list[np.ndarray]:
+def search_lines(problem: Lanes, slopes: Sequence[float]) -> list[list[np.ndarray]]:
     """Find the distinct fixed points that the lattice of guesses leads to, whether they are steps or not.
 
     Parameters
     ----------
+    problem : Lanes
+        Of one lane for each line.
     slopes : sequence of float [rad]
 
     Returns
     -------
-    list of ndarray, shape (m + phases, n)
-        In similarity coordinates, one array a slope.
+    list of list of ndarray, shape (m + phases, n)
+        In similarity coordinates, for each slope one array a line.
     """
-    lattice = [starts(problem, slope) for slope in slopes]
-    at = np.repeat(np.arange(len(slopes)), [w.shape[1] for w in lattice])
+    problems = [Problem(problem.walker_of(line)) for line in range(len(problem.lanes))]
+    lattice = [starts(one, slope) for one in problems for slope in slopes]
+    # A group is a slope of a line.
+    group = np.repeat(np.arange(len(lattice)), [w.shape[1] for w in lattice])
     w, log_slope = np.hstack(lattice), np.log(np.asarray(slopes))
-    if problem.phases == 2:
-        # Three links are expensive: only what converges with coarse integration is integrated exactly.
-        coarse = newton(
-            problem, w, log_slope[at], coarse=True, max_step_by_iteration=_MAX_STEP_BY_ITERATION, merge_cell=_MERGE_CELL
-        )
-        w, at = _distinct(coarse.w[:, coarse.converged], at[coarse.converged], 1e-3)
-    exact = newton(problem, w, log_slope[at])
-    w, at = _distinct(exact.w[:, exact.converged], at[exact.converged], 1e-5)
-    return [w[:, at == i] for i in range(len(slopes))]
+
+    def solve(w: np.ndarray, group: np.ndarray, apart: float, **options: Any) -> tuple[np.ndarray, np.ndarray]:
+        lanes = problem.some(group // len(slopes))
+        result = newton(lanes, w, log_slope[group % len(slopes)], group=group, **options)
+        return _distinct(result.w[:, result.converged], group[result.converged], apart)
+
+    limits = _MAX_STEP_BY_ITERATION[problem.phases]
+    # Only what converges with coarse integration is integrated exactly.
+    w, group = solve(w, group, 1e-3, coarse=True, max_step_by_iteration=limits, merge_cell=_MERGE_CELL)
+    w, group = solve(w, group, 1e-5)
+    return [[w[:, group == i + len(slopes) * k] for k in range(len(problems))] for i in range(len(slopes))]
 
 
-def _distinct(w: np.ndarray, at: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:
-    """Columns of w in a fixed order, without those nearer than `apart` to one that is kept and shares their `at`."""
-    order = np.lexsort([*np.round(w, 6)[::-1], at])
-    w, at = w[:, order], at[order]
+def _distinct(w: np.ndarray, group: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of w in a fixed order, without those nearer than `apart` to one that is kept and shares their group."""
+    order = np.lexsort([*np.round(w, 6)[::-1], group])
+    w, group = w[:, order], group[order]
     keep: list[int] = []
     for i in range(w.shape[1]):
-        if all(at[i] != at[j] or np.abs(w[:, i] - w[:, j]).max() > apart for j in keep):
+        # Groups follow each other: those kept of this one are the last.
+        near = False
+        for j in reversed(keep):
+            if group[i] != group[j] or near:
+                break
+            near = bool(np.abs(w[:, i] - w[:, j]).max() <= apart)
+        if not near:
             keep.append(i)
-    return w[:, keep], at[keep]
+    return w[:, keep], group[keep]

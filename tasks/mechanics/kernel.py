@@ -16,6 +16,8 @@ from tasks.mechanics.lumped import Structure
 
 #: Taylor steps a flow may take before it counts as lost; a step of a gait takes 5 to 40.
 _MAX_STEPS = 120
+#: The vectorised sine reduces the arguments of a whole register in another way if one of them is larger [rad].
+_LARGE_ANGLE = 10.0
 LANES = hy.recommended_simd_size()
 #: Tolerance of the exact flows: order 18, whose truncation error is a fiftieth of rounding.
 _FINE = 1.75e-15
@@ -68,8 +70,8 @@ class Flow:
     """A flow over given times, with its variations, for any number of lanes.
 
     Work is counted in `evaluations` (lanes integrated) and `idle` (lanes that fill up a group). Every lane runs the
-    same code with Taylor steps of its own, so its bits do not depend on its neighbours; a group with a lost lane is
-    integrated again lane by lane to keep that true.
+    same code with Taylor steps of its own, so its bits do not depend on its neighbours; a group with a lane that is
+    lost or turns over is integrated again lane by lane to keep that true.
     """
 
     def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool, coarse: bool):
@@ -108,7 +110,7 @@ class Flow:
         motion : ndarray, shape (samples + 1, angles, n)
             Angles and rates; of no samples where none are asked for.
         """
-        n = state.shape[1]
+        n, scale = state.shape[1], parameters[1]
         state, duration = whole_groups(state, self.lanes), whole_groups(duration, self.lanes)
         parameters = self._parameters(whole_groups(parameters, self.lanes))
         width = len(duration)
@@ -130,8 +132,9 @@ class Flow:
 
         for k in range(0, width, self.lanes):
             integrate(slice(k, k + self.lanes), slice(k, k + self.lanes))
-        lost = np.nonzero(reached.reshape(-1, self.lanes) != duration.reshape(-1, self.lanes))[0]
-        for k in np.unique(lost) * self.lanes:
+        lost = reached != duration
+        lost[:n] |= np.abs(final[: self.angles // 2, :n] * scale).max(axis=0) > _LARGE_ANGLE
+        for k in np.flatnonzero(lost.reshape(-1, self.lanes).any(axis=1)) * self.lanes:
             for lane in range(k, k + self.lanes):
                 reached[lane] = np.nan
                 integrate([lane] * self.lanes, slice(lane, lane + 1))

@@ -16,7 +16,8 @@ import heyoka as hy
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.special_points import locate_root
+from tasks.continuation.locate import locate_root
+from tasks.continuation.lockstep import run
 from tasks.continuation.tracking import Point, linearised
 from tasks.mechanics.equations import Symbols
 from tasks.mechanics.impacts import heelstrike
@@ -166,7 +167,7 @@ def _candidates(problem: Problem, branch: Branch, test: str) -> list[np.ndarray]
     def value(point: Point, direction: np.ndarray) -> float:
         return float(TESTS[test](point.stride, point.X)[0])
 
-    points = [locate_root(problem, branch, int(k), value)[0] for k in changes]
+    points = [run(problem, locate_root(branch, int(k), value))[0] for k in changes]
     return [np.concatenate([p.X[:, 0], p.times[:, 0]]) for p in points if p.ok[0]]
 
 

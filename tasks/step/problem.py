@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -86,17 +87,23 @@ class Problem:
 
 
 class Lanes(Problem):
-    """The step map with a walker of its own in every lane; all are of one structure."""
+    """The step map with a walker of its own in every lane; all are of one structure.
 
-    def __init__(
-        self, walkers: Sequence[Walker], structure: Structure | None = None, constants: np.ndarray | None = None
-    ):
+    Parameters
+    ----------
+    walkers : sequence of Walker
+    structure : Structure, optional
+        By default the first walker's.
+    lanes : ndarray of int, shape (n,), optional
+        Which walker each lane has; by default lane i has walker i.
+    """
+
+    def __init__(self, walkers: Sequence[Walker], structure: Structure | None = None, lanes: np.ndarray | None = None):
         self.walkers, self.walker = walkers, walkers[0]
         self.structure = structure or structure_of(walkers[0])
         self.map = stride_map(self.structure)
-        if constants is None:
-            constants = np.array([constants_of(walker, self.structure) for walker in walkers]).T
-        self.constants = constants
+        self.constants = np.array([constants_of(walker, self.structure) for walker in walkers]).T
+        self.lanes = np.arange(len(walkers)) if lanes is None else lanes
         self.m, self.phases = self.map.m, 2 if self.structure.kneed else 1
 
     def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -112,7 +119,7 @@ class Lanes(Problem):
         -------
         ndarray, shape (n_parameters, n)
         """
-        return np.vstack([slope, scale, self.constants])
+        return np.vstack([slope, scale, self.constants[:, self.lanes]])
 
     def some(self, lanes: np.ndarray) -> Lanes:
         """Return the problem of some lanes, each with its walker.
@@ -121,11 +128,13 @@ class Lanes(Problem):
         ----------
         lanes : ndarray of int, shape (k,)
         """
-        return Lanes([self.walkers[i] for i in lanes], self.structure, self.constants[:, lanes])
+        some = copy.copy(self)
+        some.lanes = self.lanes[lanes]
+        return some
 
     def walker_of(self, lane: int) -> Walker:
         """Return the walker of a lane."""
-        return self.walkers[lane]
+        return self.walkers[self.lanes[lane]]
 
 
 def sizes(y: np.ndarray) -> np.ndarray:

@@ -274,7 +274,11 @@ class StrideMap:
 
     def _apply(self, function: hy.cfunc, inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes padded to whole SIMD groups, so that every lane runs the same code."""
-        return function(whole_groups(inputs, 4 * LANES))[:, : inputs.shape[1]]
+        # A register's sines are computed in another way if one of its arguments is not finite.
+        lost = ~np.isfinite(inputs).all(axis=0)
+        result = function(whole_groups(np.where(lost, 0.0, inputs), 4 * LANES))[:, : inputs.shape[1]]
+        result[:, lost] = np.nan
+        return result
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """State just after heelstrike, then its derivatives by y.

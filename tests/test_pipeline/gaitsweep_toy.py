@@ -10,7 +10,13 @@ VERSIONS = dict(item.split("=") for item in os.environ.get("TOY_VERSIONS", "").s
 TOYS = {
     t.name: t
     for t in (
-        registry.Task("atlas", "toy:atlas", int(VERSIONS.get("atlas", 1)), seconds=0.01),
+        registry.Task(
+            "atlas",
+            "toy:atlas",
+            int(VERSIONS.get("atlas", 1)),
+            seconds=0.01,
+            side_by_side=os.environ.get("TOY_SIDE_BY_SIDE", ""),
+        ),
         registry.Task("points", "toy:points", int(VERSIONS.get("points", 1)), needs=("atlas",), seconds_per_point=1e-5),
         registry.Task("scaling", "toy:fit", int(VERSIONS.get("scaling", 1)), needs=("points",)),
         registry.Task("transition", "toy:fit_atlas", 1, needs=("points", "atlas")),

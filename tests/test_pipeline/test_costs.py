@@ -51,7 +51,7 @@ class Simulated(Engine):
             for number, job in jobs:
                 took = 0.01
                 result = {"outcome": "ok", "reason": "", "data": serialize.dump({})}
-                if job.is_block:
+                if job.divided == "slope":
                     slope = job.params["slope"]
                     line = round(job.params["line"]["set"].get("w_t", 0) / 0.1 * 59)
                     took = 0.01 + float(np.sum(self.cost(line, slope)))

@@ -58,6 +58,29 @@ def test_a_bad_point_gets_a_status_and_all_others_keep_their_bits(toy, innocent,
     assert (found.branch[bad] == -1).all()
 
 
+@pytest.mark.parametrize("trouble", ["raise", "kill"])
+def test_a_bad_point_of_a_block_of_lines_costs_one_point(toy, trouble):
+    """Short lines are computed side by side; archives are the same, whichever way."""
+    lines = LIMITED.replace("[0.0, 0.25]", "[0.0, 0.25, 0.5, 0.75]").replace("= 0.5", "= 5")
+    toy.write(lines)
+    toy("run", "toy.toml", expect=1, TOY_TROUBLE=f"{trouble}@0.05")
+    archive = toy.folder / "data" / "archive" / "toy.nc"
+    apart = archive.read_bytes()
+    toy("run", "toy.toml", "--fresh", expect=1, TOY_TROUBLE=f"{trouble}@0.05", TOY_SIDE_BY_SIDE="toy:lines")
+    assert archive.read_bytes() == apart
+    assert (opened(toy).status.sel(gait="long") != 0).sum() == 4
+
+
+def test_a_line_without_an_atlas_costs_its_block_nothing(toy):
+    lines = STUDY.replace("[0.0, 0.25]", "[0.25, 0.5, 13.0]")
+    toy.write(lines)
+    toy("run", "toy.toml", expect=1, TOY_SIDE_BY_SIDE="toy:lines")
+    found = opened(toy)
+    assert (found.status.sel(gait="long", w_t=[0.25, 0.5]) == 0).all()
+    reasons = found.reason_text.values[found.reason.sel(w_t=13.0).values]
+    assert all("no atlas here" in str(each) for each in reasons.ravel())
+
+
 def test_a_run_that_was_suspended_blames_no_point(toy):
     """All of its processes stopped for longer than a point may take, as a scheduler does; the worker wakes last."""
     toy.write(ONE_LINE.replace("n = 191", "n = 3").replace("= 0.5", "= 2"))

@@ -51,6 +51,16 @@ def points(params, inputs):
     return found
 
 
+def lines(params, inputs):
+    """Atlas and points of several lines."""
+    results = []
+    for line in params["lines"]:
+        one = {**params, "line": line}
+        source = atlas(one, [])
+        results.append((source, points(one, [source])))
+    return results
+
+
 def _trouble(slope, kinds):
     for kind in kinds.split():
         name, _, place = kind.partition("@")

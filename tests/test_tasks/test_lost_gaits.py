@@ -10,7 +10,7 @@ from oracle import Oracle, StepFailed
 from pipeline.bench.bounds import compared
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.newton import newton
-from tasks.fixed_points.polish import UNKNOWN, measured_guesses
+from tasks.fixed_points.polish import UNKNOWN, unmeasured
 from tasks.fixed_points.step_check import verify_steps
 from tasks.registry import GAITS, STATUSES
 from tasks.step.verify_step import strike_distance
@@ -173,6 +173,8 @@ def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
 def test_a_gap_between_two_nodes_is_found():
     """Nodes so far apart that none lies in the gap: the guard's minimum between them tells."""
     from tasks.continuation import atlas
+    from tasks.continuation.lockstep import run
+    from tasks.continuation.refine import FINE
 
     problem, found = branches("C", **GAP)
     low, high = beside_the_gap(found)
@@ -185,7 +187,7 @@ def test_a_gap_between_two_nodes_is_found():
     )
     wide = np.exp(joined.q)
     assert not ((wide > 0.004174) & (wide < 0.004285)).any()
-    assert [b.why for b in atlas._without_gaps(problem, joined)] == [low.why, high.why]
+    assert [b.why for b in run(problem, atlas._without_gaps(joined, FINE))] == [low.why, high.why]
 
 
 def test_the_distance_from_an_earlier_strike_vanishes_where_one_cuts_in():
@@ -224,7 +226,7 @@ def test_a_point_is_measured_where_its_segment_does_not_vouch_for_it():
     assert np.isinf(branch.lipschitz[fold]) and np.isfinite(np.delete(branch.lipschitz, fold)).all()
     q = branch.q[fold] + np.sign(branch.q[fold + 1] - branch.q[fold]) * 1e-8
     (_, Z, _), *_ = (g for g in branch.guesses(np.array([q])))
-    guesses = measured_guesses(problem, np.delete(Z, problem.m, axis=1).T, np.exp([q]), near=8)
+    guesses = unmeasured(problem, np.delete(Z, problem.m, axis=1).T, np.exp([q]))
     ((_, bound, error, _, _),) = compared(problem, replace(guesses, lipschitz=np.array([np.inf])))
     assert error <= bound < 1e-12
 

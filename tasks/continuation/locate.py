@@ -1,0 +1,228 @@
+"""Points of a segment of a branch, and where a property changes on it.
+
+All are procedures, which run side by side (`tasks.continuation.lockstep`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from typing import Any
+
+import numpy as np
+
+from tasks.continuation.branch import Branch
+from tasks.continuation.lockstep import Call, Procedure
+from tasks.continuation.root import root_search
+from tasks.continuation.tracking import Point, correct
+from tasks.fixed_points.step_check import verify_steps
+from tasks.step.problem import Problem
+from tasks.step.step_map import Stride
+from tasks.step.verify_step import StepCheck, strike_distance
+
+TestFunction = Callable[[Point, np.ndarray], float | bool]
+
+
+#: Splits of a segment on which an end or a fold lies, and the largest error of its polynomial over its length.
+_MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
+
+
+def oriented_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
+    """Return the tangent of X at a point, turned along the branch.
+
+    Parameters
+    ----------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+
+    Returns
+    -------
+    ndarray, shape (m + 1,)
+    """
+    tangent = point.tangent[:, 0]
+    return tangent if tangent @ direction >= 0 else -tangent
+
+
+def correct_at(branch: Branch, segment: int, x: float) -> Procedure[tuple[Point, np.ndarray]]:
+    """Correct the point at coordinate x of a segment.
+
+    Returns
+    -------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+    """
+    m = branch.m
+    Z = branch.evaluate(np.array([segment]), np.array([x]))
+    direction = branch.tangent[segment, : m + 1] + branch.tangent[segment + 1, : m + 1]
+    direction = direction / np.linalg.norm(direction)
+    point = yield Call(_correct_and_evaluate, (Z[:, : m + 1].T, Z[:, m + 1 :].T, direction[:, None]))
+    return point, direction
+
+
+def _correct_and_evaluate(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray) -> Point:
+    """Correct points; the corrector's derivative is that before its last step, this one's that at the point itself."""
+    point = correct(problem, X, times, border)
+    at_point = correct(problem, point.X, point.times, border, max_iterations=1)
+    at_point.ok = point.ok
+    return at_point
+
+
+def search_segment(
+    search: Generator[float, float, float], branch: Branch, segment: int, test: Callable[..., Any]
+) -> Procedure[float]:
+    """Send a search for a root the values of a test function, or of a procedure, at corrected points of a segment."""
+    x = next(search)
+    while True:
+        value = test(*(yield from correct_at(branch, segment, x)))
+        if isinstance(value, Generator):
+            value = yield from value
+        try:
+            x = search.send(value)
+        except StopIteration as end:
+            return float(end.value)
+
+
+def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[tuple[Point, np.ndarray]]:
+    """Locate the root of a test function on a segment over which it changes sign, to rounding.
+
+    Returns
+    -------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+    """
+    axis = branch.axis[segment]
+    a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
+
+    try:
+        root = yield from search_segment(root_search(a, b, 1e-15 * max(1.0, abs(a))), branch, segment, test)
+    except ValueError:
+        # The values at the nodes differ in sign by rounding only: the end nearer zero is the root.
+        at_a, at_b = (yield from correct_at(branch, segment, a)), (yield from correct_at(branch, segment, b))
+        root = a if abs(test(*at_a)) < abs(test(*at_b)) else b
+    return (yield from correct_at(branch, segment, root))
+
+
+def row(point: Point) -> np.ndarray:
+    """Return a corrected point as a node of a branch.
+
+    Returns
+    -------
+    ndarray, shape (m + 1 + k,)
+        A row of Z.
+    """
+    return np.concatenate([point.X[:, 0], point.times[:, 0]])
+
+
+def row_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
+    """Return the tangent of a corrected point as that of a node.
+
+    Parameters
+    ----------
+    point : Point
+        Of one lane.
+    direction : ndarray, shape (m + 1,)
+        Of the branch there.
+
+    Returns
+    -------
+    ndarray, shape (m + 1 + k,)
+        Pointing along the branch.
+    """
+    tangent = np.concatenate([point.tangent[:, 0], point.times_tangent[:, 0]])
+    return tangent if point.tangent[:, 0] @ direction >= 0 else -tangent
+
+
+def check_steps(problem: Problem, X: np.ndarray, times: np.ndarray) -> StepCheck:
+    """Verify that points of branches are steps.
+
+    Parameters
+    ----------
+    X, times : ndarray, shape (m + 1, n) and (k, n)
+    """
+    _, check = verify_steps(problem, np.vstack([X[: problem.m], times]), X[problem.m])
+    return check
+
+
+def is_step(point: Point) -> Procedure[bool]:
+    """Whether a corrected point is a step that happens."""
+    check = yield Call(check_steps, (point.X, point.times))
+    return bool(check.step[0])
+
+
+def narrow_segment(
+    branch: Branch, segment: int, like_left: Callable[[Point, np.ndarray], bool | Procedure[bool]]
+) -> Procedure[tuple[Branch, int]]:
+    """Split a segment on which a property changes until its polynomial leads to this branch and to no other.
+
+    Parameters
+    ----------
+    like_left : callable
+        Whether a point, with the branch's direction there, has the property of the segment's left node; it may be a
+        procedure.
+
+    Returns
+    -------
+    branch : Branch
+        With the new nodes.
+    segment : int
+        Number of its segment on which the change lies.
+    """
+    for _ in range(_MAX_SPLITS):
+        alone = branch.part(np.array([segment, segment + 1]))
+        # By all four nodes around; by its own two where the others mislead.
+        for part, at, share in ((branch, segment, 0.5), (alone, 0, 0.5), (alone, 0, 0.25), (alone, 0, 0.75)):
+            x = float(part.Z[at : at + 2, part.axis[at]] @ [1 - share, share])
+            guess = part.evaluate(np.array([at]), np.array([x]))[0, : branch.m + 1]
+            point, direction = yield from correct_at(part, at, x)
+            chord = np.linalg.norm(np.diff(part.Z[at : at + 2, : branch.m + 1], axis=0))
+            near = bool(np.linalg.norm(point.X[:, 0] - guess) < _MAX_PREDICTION_ERROR * chord)
+            if point.ok[0] and part.lies_between(np.array([at]), point.X, point.times)[0]:
+                break
+        else:
+            return branch, segment
+        if near and part is branch:
+            break
+        branch = branch.insert(segment + 1, row(point), row_tangent(point, direction))
+        is_left = like_left(point, direction)
+        segment += (yield from is_left) if isinstance(is_left, Generator) else is_left
+    return branch, segment
+
+
+def strike_distances(problem: Problem, X: np.ndarray, times: np.ndarray, samples: int) -> np.ndarray:
+    """Distances of the steps at points of branches from an earlier strike, as `strike_distance` has them.
+
+    Parameters
+    ----------
+    X, times : ndarray, shape (m + 1, n) and (k, n)
+    samples : int
+        Intervals of each phase.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return sampled_steps(problem, X, times, samples)[1]
+
+
+def sampled_steps(problem: Problem, X: np.ndarray, times: np.ndarray, samples: int) -> tuple[Stride, np.ndarray]:
+    """Evaluate the steps at points of branches with samples of their motion.
+
+    Parameters
+    ----------
+    X, times : ndarray, shape (m + 1, n) and (k, n)
+    samples : int
+        Intervals of each phase.
+
+    Returns
+    -------
+    stride : Stride
+    distance : ndarray, shape (n,)
+        From an earlier strike, as `strike_distance` has it.
+    """
+    stride, _ = problem.stride(np.vstack([X[: problem.m], times]), X[problem.m], samples=samples)
+    return stride, strike_distance(stride.scaled_motion(), stride.times)

@@ -1,0 +1,96 @@
+"""Many procedures side by side: each is written for one branch, and all of them are computed in common batches.
+
+A procedure is a generator. Where it needs the step map it yields a `Call`, and goes on with the call's result. What
+many procedures ask for at the same time is computed in one batch, each lane with the walker of its procedure; a lane's
+bits do not depend on the others, so neither does what a procedure returns.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Generator, Sequence
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from tasks.step.problem import Problem
+
+Result = TypeVar("Result")
+
+
+class Call(NamedTuple):
+    """A call of `function(problem, *arrays, **options)`, of arrays and for results whose last axis counts lanes."""
+
+    function: Callable[..., Any]
+    arrays: tuple[np.ndarray, ...]
+    options: tuple[tuple[str, Any], ...] = ()
+
+
+Procedure = Generator[Call, Any, Result]
+
+
+def lanes_of(result: Any, lanes: slice | np.ndarray) -> Any:
+    """Return some lanes of a result.
+
+    Parameters
+    ----------
+    result : ndarray, or a dataclass, tuple or list of such
+        Whose last axes count lanes.
+    lanes : slice, or ndarray of int, shape (k,)
+    """
+    if isinstance(result, np.ndarray):
+        return result[..., lanes]
+    if isinstance(result, tuple | list):
+        return type(result)(lanes_of(each, lanes) for each in result)
+    values = {field.name: lanes_of(getattr(result, field.name), lanes) for field in dataclasses.fields(result)}
+    return type(result)(**values)
+
+
+def run(problem: Problem, procedure: Procedure[Result]) -> Result:
+    """Run one procedure for the walker of `problem`."""
+    return side_by_side(problem, [0], [procedure])[0]
+
+
+def side_by_side(
+    problem: Problem, lines: Sequence[int] | np.ndarray, procedures: Sequence[Procedure[Result]]
+) -> list[Result]:
+    """Run procedures side by side.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of a lane for each line.
+    lines : sequence or ndarray of int
+        The line of each procedure.
+    procedures : sequence of Procedure
+
+    Returns
+    -------
+    list
+        What each returns.
+    """
+    results: dict[int, Result] = {}
+    pending: dict[int, Call] = {}
+
+    def advance(number: int, value: Any) -> None:
+        try:
+            pending[number] = procedures[number].send(value)
+        except StopIteration as end:
+            results[number] = end.value
+
+    for number in range(len(procedures)):
+        advance(number, None)
+    while pending:
+        alike: dict[tuple[Any, ...], list[int]] = {}
+        for number, call in pending.items():
+            alike.setdefault((call.function, call.options), []).append(number)
+        calls, pending = pending, {}
+        for (function, options), numbers in alike.items():
+            counts = [calls[number].arrays[0].shape[-1] for number in numbers]
+            ends = np.cumsum(counts).tolist()
+            arrays = (np.concatenate(each, axis=-1) for each in zip(*(calls[n].arrays for n in numbers), strict=True))
+            lanes = np.repeat([lines[number] for number in numbers], counts)
+            result = function(problem.some(lanes), *arrays, **dict(options))
+            for number, count, end in zip(numbers, counts, ends, strict=True):
+                advance(number, lanes_of(result, slice(end - count, end)))
+    return [results[number] for number in range(len(procedures))]

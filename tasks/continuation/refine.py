@@ -1,0 +1,187 @@
+"""Nodes between those that following a branch gave, what is measured at them, and checks of the whole branch.
+
+All are procedures, which run side by side (`tasks.continuation.lockstep`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tasks.continuation.branch import Branch
+from tasks.continuation.locate import check_steps, sampled_steps, strike_distances
+from tasks.continuation.lockstep import Call, Procedure
+from tasks.continuation.tracking import MAX_CROSSING_STEP, branch_point_determinant, correct
+from tasks.fixed_points.newton import lipschitz
+from tasks.fixed_points.rounding import rounding, rounding_std
+from tasks.fixed_points.step_check import gait_ratio
+from tasks.step.step_map import SAMPLES
+from tasks.step.verify_step import verify
+
+#: Largest change Newton may still make at a segment's middle before the segment is split: in a fine atlas points take
+#: one step each, and what their bounds need is measured at the nodes; in a coarse one, for few points, at each of them.
+FINE, COARSE = 2e-13, 1e-6
+
+
+_MAX_ROUNDS = 5
+
+
+#: A split that leaves more than this share of the change may show rounding: one more is tried, and no other.
+_MIN_IMPROVEMENT = 0.25
+
+
+#: Nodes to either side over whose measured rounding a segment's is averaged.
+_ROUNDING_WINDOW = 4
+
+
+def _refine(
+    branch: Branch, segments: np.ndarray, before: np.ndarray, tolerance: float
+) -> Procedure[tuple[Branch, np.ndarray, np.ndarray]]:
+    """Correct the middles of some segments and split those that moved.
+
+    `before` (n - 1,) is how far the middle of the segment moved from which each was split, 0 where it is split for the
+    last time. Returned are the branch, its segments that changed, and `before` for all segments.
+    """
+    m = branch.m
+    x = 0.5 * (branch.Z[segments, branch.axis[segments]] + branch.Z[segments + 1, branch.axis[segments]])
+    # Near a singular node the polynomial may lead anywhere.
+    a, b = branch.Z[segments], branch.Z[segments + 1]
+    apart = np.abs(b - a).max(axis=1, keepdims=True)
+    Z = np.clip(branch.evaluate(segments, x), np.minimum(a, b) - apart, np.maximum(a, b) + apart)
+    border = branch.tangent[segments][:, : m + 1] + branch.tangent[segments + 1][:, : m + 1]
+    border /= np.linalg.norm(border, axis=1, keepdims=True)
+    point = yield Call(correct, (Z[:, : m + 1].T, Z[:, m + 1 :].T, border.T))
+    # Newton may have jumped to another branch: a middle that is not between its neighbours is discarded.
+    ok = point.ok & branch.lies_between(segments, point.X, point.times)
+    moved = np.where(ok, np.abs(point.X.T - Z[:, : m + 1]).max(axis=1), np.inf)
+    sign = np.sign((point.tangent.T * border).sum(axis=1))[:, None]
+    new_Z = np.vstack([point.X, point.times]).T
+    new_T = np.vstack([point.tangent, point.times_tangent]).T * sign
+    # Below the rounding of the fixed point no split helps, be it by estimate or because the last split did not.
+    keep = ok & (moved > np.maximum(tolerance, 7 * rounding(point.stride).max(axis=0)))
+    keep &= before[segments] > 0
+    at = segments[keep] + 1
+    moved_from = np.where(moved < _MIN_IMPROVEMENT * before[segments], moved, 0.0)[keep]
+    before[segments[keep]] = moved_from
+    before = np.insert(before, at, moved_from)
+    is_new = np.insert(np.zeros(len(branch.Z), bool), at, True)
+    branch = branch.insert(at, new_Z[keep], new_T[keep])
+    return branch, np.nonzero(is_new[branch.window].any(axis=1))[0], before
+
+
+def densify(branch: Branch, tolerance: float) -> Procedure[Branch]:
+    """Add nodes until Newton moves the middles of segments by less than the tolerance, or than rounding."""
+    segments = np.arange(len(branch.Z) - 1)
+    before = np.full(len(segments), np.inf)
+    for _ in range(_MAX_ROUNDS):
+        branch, segments, before = yield from _refine(branch, segments, before, tolerance)
+        if not len(segments):
+            break
+    return branch
+
+
+def without_jumps(branch: Branch) -> Procedure[Branch]:
+    """Check the branch as a whole: where Newton jumped to another branch, only the part with most nodes is kept."""
+    m = branch.m
+    X, times, tangent = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T, branch.tangent[:, : m + 1].T
+    border = tangent / np.linalg.norm(tangent, axis=0)
+    point = yield Call(correct, (X, times, border), (("max_iterations", 1),))
+    side = np.sign(branch_point_determinant(point, border))
+    jumps = (side[1:] * side[:-1] < 0) & (np.linalg.norm(np.diff(X, axis=1), axis=0) > MAX_CROSSING_STEP)
+    for end, why in zip((0, -1), branch.why, strict=True):
+        # The derivative has a pole where heelstrike turns tangential: that sign change is no jump.
+        jumps[end] &= why != "end_tangential_heelstrike"
+    if not jumps.any():
+        return branch
+    return branch.part(max(np.split(np.arange(len(side)), np.flatnonzero(jumps) + 1), key=len))
+
+
+def locate_gaps(branch: Branch, distance: np.ndarray, steps: np.ndarray) -> Procedure[list[float]]:
+    """Places of a branch, segment plus fraction, where an earlier strike occurs between nodes that are steps.
+
+    Parameters
+    ----------
+    distance, steps : ndarray, shape (n,)
+        Distances of the nodes from an earlier strike, and whether they are steps: `measure`.
+    """
+    m, gaps = branch.m, []
+    with np.errstate(invalid="ignore"):
+        bend = distance[:-2] - 2 * distance[1:-1] + distance[2:]
+        distance = np.where(steps, distance, np.nan)
+        inner = distance[1:-1]
+        least = (inner <= distance[:-2]) & (inner <= distance[2:]) & ~(inner > bend)
+    for i in np.nonzero(least & np.isfinite(inner) & ~(branch.safe[:-2] & branch.safe[1:-1]))[0] + 1:
+        low, high = i - 1.0, i + 1.0
+        for _ in range(_MAX_ROUNDS):
+            place = np.linspace(low, high, 9)
+            rows = branch.at(place)
+            X, times = rows[:, : m + 1].T, rows[:, m + 1 :].T
+            fine = yield Call(strike_distances, (X, times), (("samples", 8 * SAMPLES),))
+            k = int(np.argmin(fine[1:-1])) + 1
+            if fine[k] < 0:
+                check = yield Call(check_steps, (X[:, k : k + 1], times[:, k : k + 1]))
+                if not check.step[0]:
+                    gaps.append(float(place[k]))
+                    break
+            if fine[k] > max(fine[k - 1], fine[k + 1]) - fine[k]:
+                break
+            low, high = place[k - 1], place[k + 1]
+    return gaps
+
+
+def measure(branch: Branch, tolerance: float) -> Procedure[tuple[np.ndarray, np.ndarray]]:
+    """Set gait ratios, where every gait is a step, and in a fine atlas Lipschitz estimates and rounding.
+
+    Returns
+    -------
+    distance, steps : ndarray, shape (n,)
+        Distances of the nodes from an earlier strike (`strike_distance`), and whether they are steps.
+    """
+    m = branch.m
+    X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
+    folds = np.array([first for first, _ in branch.pieces()[1:]], int)
+    if tolerance == FINE:
+        branch.lipschitz, branch.rounding_std = yield from _roughness(X, times, folds)
+    else:
+        branch.lipschitz = np.full(len(X.T), np.nan)
+        branch.rounding_std = np.full((len(X.T), 3 + len(times)), np.nan)
+    stride, distance = yield Call(sampled_steps, (X, times), (("samples", 8 * SAMPLES),))
+    branch.ratio = gait_ratio(stride)
+    motion = stride.scaled_motion()
+    n = len(branch.Z)
+    margin = np.zeros(n)
+    apart = np.max([np.abs(np.diff(part, axis=-1)).max(axis=(0, 1)) for part in motion], axis=0)
+    # A guard adds two angles, and a gait between two nodes is no farther from one of them than they are apart.
+    margin[:-1] = 2 * apart
+    margin[1:] = np.maximum(margin[1:], 2 * apart)
+    check = verify(motion, stride.closing / stride.y[0], stride.times, margin)
+    clear = check.step & ~check.doubt
+    branch.leg_passes = check.leg_passes
+    branch.safe = np.append(clear[1:] & clear[:-1] & (check.leg_passes[1:] == check.leg_passes[:-1]), False)
+    return distance, check.step
+
+
+def _roughness(X: np.ndarray, times: np.ndarray, folds: np.ndarray) -> Procedure[tuple[np.ndarray, np.ndarray]]:
+    """Lipschitz estimates at a branch's nodes (n,), and the standard deviation of rounding after each (n, o).
+
+    Measured at every other node. A node between two takes the larger Lipschitz estimate of them; rounding is random,
+    and a segment takes the mean square of the nodes near it. At a fold the map at fixed slope is singular, its
+    estimate infinite.
+    """
+    m, n = len(X) - 1, X.shape[1]
+    # At the branch's ends they may change by orders of magnitude from node to node.
+    nodes = np.unique(np.r_[0 : min(n, 4), 0:n:2, max(0, n - 4) : n, folds - 1, folds + 1])
+    estimates = np.full(n, -np.inf)
+    estimates[nodes] = yield Call(lipschitz, (X[:, nodes], times[:, nodes]))
+    estimates[folds] = np.inf
+    left, right = np.append(estimates[:1], estimates[:-1]), np.append(estimates[1:], estimates[-1:])
+    estimates = np.where(np.isneginf(estimates), np.maximum(left, right), estimates)
+    # The ends themselves are left out: at a tangential one the map has no derivative to measure by.
+    inner = nodes[(nodes > 0) & (nodes < n - 1)]
+    measured = yield Call(rounding_std, (np.vstack([X[:m], times])[:, inner], X[m, inner]))
+    square = np.full((len(measured), n + 2 * _ROUNDING_WINDOW), np.nan)
+    square[:, _ROUNDING_WINDOW + inner] = measured**2
+    around = np.lib.stride_tricks.sliding_window_view(square, 2 * _ROUNDING_WINDOW + 1, axis=1)
+    known = np.isfinite(around)
+    with np.errstate(invalid="ignore"):
+        mean = np.sqrt(np.where(known, around, 0.0).sum(axis=-1) / known.sum(axis=-1))
+    return estimates, np.nan_to_num(mean, nan=np.inf).T
