@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,9 +17,10 @@ from pipeline.archive.citation import PAPER
 from pipeline.errors import StudyError
 from pipeline.statuses import ALL_STATUSES
 from pipeline.study.broadcast import broadcast
-from tasks.registry import ALWAYS, GAITS, TASKS, VARIABLES
+from tasks.registry import ALWAYS, GAITS, SHORT_LINE, TASKS, VARIABLES
 
 _MAX_REMEMBERED = 256 << 20  # atlases kept for later calls [byte]
+_BLOCK = 64  # short lines surveyed side by side
 _SLOPES = "must lie in (0, 0.5) rad"
 Arrays = dict[str, np.ndarray]
 
@@ -32,24 +33,31 @@ class Memory:
         self.results: OrderedDict[bytes, tuple[int, Arrays]] = OrderedDict()
         self.lock = threading.Lock()
 
-    def get(self, key: bytes, compute: Callable[[], Arrays]) -> Arrays:
-        """A result, computed if it is not remembered.
+    def get(self, key: bytes) -> Arrays | None:
+        """A result, or None if it is not remembered.
 
         Parameters
         ----------
         key : bytes
-        compute : callable
-            Takes nothing.
 
         Returns
         -------
-        dict of ndarray
+        dict of ndarray, or None
         """
         with self.lock:
-            if key in self.results:
-                self.results.move_to_end(key)
-                return self.results[key][1]
-        result = compute()
+            if key not in self.results:
+                return None
+            self.results.move_to_end(key)
+            return self.results[key][1]
+
+    def put(self, key: bytes, result: Arrays) -> None:
+        """Remember a result.
+
+        Parameters
+        ----------
+        key : bytes
+        result : dict of ndarray
+        """
         size = len(key) + sum(np.asarray(v).nbytes for v in result.values())
         with self.lock:
             if key not in self.results:
@@ -57,7 +65,6 @@ class Memory:
                 self.size += size
             while self.size > self.bound:
                 self.size -= self.results.popitem(last=False)[1][0]
-        return result
 
 
 _MEMORY = Memory(_MAX_REMEMBERED)
@@ -141,12 +148,17 @@ def gaits(
     points = _Points.empty(len(slope), wanted, max((c["multipliers"] for c in answers), default=3))
     for k in np.flatnonzero(~is_slope).tolist():
         points.fail(np.array([k]), f"`slope` {_SLOPES}; got {float(slope[k])!r}.")
+    solvable = []
     for (line, at), check in zip(lines, checks, strict=True):
         at = at[is_slope[at]]
         if isinstance(check, StudyError):
             points.fail(at, str(check))
         elif len(at):
-            _solve(line, at, slope[at], wanted, steps, points)
+            solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True)))
+    for k in range(0, len(solvable), _BLOCK):
+        _survey([line for line in solvable[k : k + _BLOCK] if line.is_short])
+        for one in solvable[k : k + _BLOCK]:
+            _solve(one, wanted, steps, points)
     is_si = bool(answers) and answers[0]["si"]
     dataset = _dataset(points, grid[0], is_si)
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
@@ -194,33 +206,63 @@ def _check(line: dict[str, Any]) -> dict[str, Any] | StudyError:
         return error
 
 
-def _solve(
-    line: dict[str, Any], at: np.ndarray, slope: np.ndarray, wanted: tuple[str, ...], steps: int, points: _Points
-) -> None:
-    """Solve the points `at` of a line, each slope once, from its branches."""
-    slopes, row = np.unique(slope, return_inverse=True)
-    params = {"line": line, "slope": slopes, "want": wanted, "steps": steps}
+@dataclass
+class _Line:
+    """A line of the grid, its points, their distinct slopes, and the slope of each point among these."""
+
+    line: dict[str, Any]
+    at: np.ndarray
+    slopes: np.ndarray
+    row: np.ndarray
+
+    @property
+    def is_short(self) -> bool:
+        """Whether its atlas is coarse, as that of a study with so few slopes."""
+        return len(self.slopes) <= SHORT_LINE
+
+    def key(self, steps: int = 1) -> bytes:
+        """Key under which its branches are remembered."""
+        return serialize.dump({"line": self.line, "coarse": self.is_short, "steps": steps})
+
+    def branches(self, steps: int = 1) -> Arrays:
+        """Branches of its gaits that repeat after some steps, remembered or followed."""
+        known = _MEMORY.get(self.key(steps))
+        if known is None:
+            params = {"line": self.line, "coarse": self.is_short, "steps": steps}
+            if steps == 1:
+                known = dispatch.resolve(TASKS["atlas"].function)(params, [])
+            else:
+                known = dispatch.call("cycle_branches", {**params, "atlas": self.branches()})
+            _MEMORY.put(self.key(steps), known)
+        return known
+
+
+def _survey(lines: list[_Line]) -> None:
+    """Find the branches of short lines that are not remembered, side by side, and remember them."""
+    unknown = [line for line in lines if _MEMORY.get(line.key()) is None]
+    if len(unknown) < 2:
+        return
+    params = {"lines": [line.line for line in unknown], "slope": np.empty(0), "want": ()}
     try:
-        branches = _branches(line, steps)
+        results = dispatch.resolve(TASKS["atlas"].side_by_side)(params, [])
+    except Exception:  # each is tried by itself, and its own error is its points' reason
+        return
+    for line, (atlas, _) in zip(unknown, results, strict=True):
+        _MEMORY.put(line.key(), atlas)
+
+
+def _solve(one: _Line, wanted: tuple[str, ...], steps: int, points: _Points) -> None:
+    """Solve the points of a line, each slope once, from its branches."""
+    params = {"line": one.line, "slope": one.slopes, "want": wanted, "steps": steps}
+    try:
         if steps == 1:
-            result = dispatch.resolve(TASKS["points"].function)(params, [branches])
+            result = dispatch.resolve(TASKS["points"].function)(params, [one.branches()])
         else:
-            result = dispatch.call("cycle_points", {**params, "branches": branches})
+            result = dispatch.call("cycle_points", {**params, "branches": one.branches(steps)})
     except Exception as error:  # as in a study, a task that raises is a status at its points
-        points.fail(at, f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
+        points.fail(one.at, f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
     else:
-        points.put(at, result, row)
-
-
-def _branches(line: dict[str, Any], steps: int) -> Arrays:
-    """Branches of a line's gaits that repeat after some steps, remembered or followed."""
-
-    def follow() -> Arrays:
-        if steps == 1:
-            return dispatch.resolve(TASKS["atlas"].function)({"line": line}, [])
-        return dispatch.call("cycle_branches", {"line": line, "steps": steps, "atlas": _branches(line, 1)})
-
-    return _MEMORY.get(serialize.dump({"line": line, "steps": steps}), follow)
+        points.put(one.at, result, one.row)
 
 
 def _dataset(points: _Points, grid: xr.DataArray, is_si: bool) -> xr.Dataset:

@@ -1,5 +1,7 @@
 """`pipeline.gaits`: arrays in, gaits out, as a study finds them."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -8,6 +10,7 @@ import pipeline
 from pipeline import in_memory
 from pipeline.errors import StudyError
 from pipeline.statuses import ALL_STATUSES
+from tasks.registry import TASKS
 
 SLOPES = np.geomspace(0.004, 0.05, 4)
 RAISED, CONVERGED = ALL_STATUSES["raised"], ALL_STATUSES["converged"]
@@ -139,20 +142,42 @@ def test_what_is_remembered_changes_time_only(monkeypatch):
     assert same(one.period.values, first.period.values[0])
 
 
-def test_a_line_is_solved_once_for_all_its_slopes(monkeypatch):
+def test_a_line_is_surveyed_once(monkeypatch):
     """What makes a slider over slopes fast: the second call needs no atlas."""
     monkeypatch.setattr(in_memory, "_MEMORY", memory := in_memory.Memory(1 << 30))
     pipeline.gaits("E", SLOPES)
-    remembered = dict(memory.results)
-    monkeypatch.setattr(memory, "get", lambda key, compute: remembered[key][1])
+    monkeypatch.setattr(memory, "put", lambda *_: pytest.fail("surveyed again"))
     assert (pipeline.gaits("E", SLOPES + 1e-4).status.values[:, :2] == CONVERGED).all()
+
+
+def test_lines_side_by_side_are_those_that_are_surveyed_alone(monkeypatch):
+    monkeypatch.setattr(in_memory, "_MEMORY", in_memory.Memory(1 << 30))
+    together = pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]])
+    monkeypatch.setattr(in_memory, "_MEMORY", in_memory.Memory(1 << 30))
+    monkeypatch.setattr(in_memory, "_survey", lambda lines: None)
+    assert pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]]).equals(together)
+
+
+def test_a_long_line_takes_the_atlas_that_a_long_study_takes(tmp_path):
+    slopes = np.geomspace(0.004, 0.05, 300)
+    study = {"name": "long", "walker": "D", "axes": {"slope": slopes}, "want": {"variables": ["period"]}}
+    pipeline.run(study, jobs=1, archive=tmp_path / "long.nc", quiet=True)
+    stored = xr.load_dataset(tmp_path / "long.nc").period.values
+    answer = pipeline.gaits("D", slopes, variables=["period"]).period.values
+    assert same(answer[:, : stored.shape[1]], stored)
 
 
 def test_a_task_that_raises_is_a_status(monkeypatch):
     def fail(*_):
         raise MemoryError("of\nno use")
 
-    monkeypatch.setattr(in_memory, "_MEMORY", memory := in_memory.Memory(1 << 30))
-    monkeypatch.setattr(memory, "get", fail)
-    answer = pipeline.gaits("E", SLOPES)
+    monkeypatch.setattr(in_memory._Line, "branches", fail)
+    answer = pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]])
     assert (answer.status == RAISED).all() and answer.reason_text.values.tolist() == ["MemoryError: of no use"]
+
+
+def test_lines_that_fail_side_by_side_are_surveyed_alone(monkeypatch):
+    monkeypatch.setattr(in_memory, "_MEMORY", in_memory.Memory(1 << 30))
+    broken = dataclasses.replace(TASKS["atlas"], side_by_side="tasks.solve_points:no_such_function")
+    monkeypatch.setitem(TASKS, "atlas", broken)
+    assert (pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]]).status.values[..., :2] == CONVERGED).all()
