@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,31 +34,29 @@ class Memory:
         self.results: OrderedDict[bytes, tuple[int, Arrays]] = OrderedDict()
         self.lock = threading.Lock()
 
-    def get(self, key: bytes) -> Arrays | None:
-        """A result, or None if it is not remembered.
+    def has(self, key: bytes) -> bool:
+        """Whether a result is remembered."""
+        with self.lock:
+            return key in self.results
+
+    def get(self, key: bytes, compute: Callable[[], Arrays]) -> Arrays:
+        """A result, computed if it is not remembered.
 
         Parameters
         ----------
         key : bytes
+        compute : callable
+            Takes nothing.
 
         Returns
         -------
-        dict of ndarray, or None
+        dict of ndarray
         """
         with self.lock:
-            if key not in self.results:
-                return None
-            self.results.move_to_end(key)
-            return self.results[key][1]
-
-    def put(self, key: bytes, result: Arrays) -> None:
-        """Remember a result.
-
-        Parameters
-        ----------
-        key : bytes
-        result : dict of ndarray
-        """
+            if key in self.results:
+                self.results.move_to_end(key)
+                return self.results[key][1]
+        result = compute()
         size = len(key) + sum(np.asarray(v).nbytes for v in result.values())
         with self.lock:
             if key not in self.results:
@@ -65,6 +64,7 @@ class Memory:
                 self.size += size
             while self.size > self.bound:
                 self.size -= self.results.popitem(last=False)[1][0]
+        return result
 
 
 _MEMORY = Memory(_MAX_REMEMBERED)
@@ -156,7 +156,8 @@ def gaits(
         elif len(at):
             solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True)))
     for k in range(0, len(solvable), _BLOCK):
-        _survey([line for line in solvable[k : k + _BLOCK] if line.is_short])
+        if steps == 1:
+            _survey([line for line in solvable[k : k + _BLOCK] if line.is_short])
         for one in solvable[k : k + _BLOCK]:
             _solve(one, wanted, steps, points)
     is_si = bool(answers) and answers[0]["si"]
@@ -220,26 +221,25 @@ class _Line:
         """Whether its atlas is coarse, as that of a study with so few slopes."""
         return len(self.slopes) <= SHORT_LINE
 
-    def key(self, steps: int = 1) -> bytes:
-        """Key under which its branches are remembered."""
-        return serialize.dump({"line": self.line, "coarse": self.is_short, "steps": steps})
+    def atlas_key(self, coarse: bool) -> bytes:
+        """Key under which its atlas is remembered."""
+        return serialize.dump({"line": self.line, "coarse": coarse})
 
-    def branches(self, steps: int = 1) -> Arrays:
-        """Branches of its gaits that repeat after some steps, remembered or followed."""
-        known = _MEMORY.get(self.key(steps))
-        if known is None:
-            params = {"line": self.line, "coarse": self.is_short, "steps": steps}
-            if steps == 1:
-                known = dispatch.resolve(TASKS["atlas"].function)(params, [])
-            else:
-                known = dispatch.call("cycle_branches", {**params, "atlas": self.branches()})
-            _MEMORY.put(self.key(steps), known)
-        return known
+    def atlas(self, coarse: bool) -> Arrays:
+        """Branches of its gaits, remembered or surveyed."""
+        params = {"line": self.line, "coarse": coarse}
+        return _MEMORY.get(self.atlas_key(coarse), lambda: dispatch.resolve(TASKS["atlas"].function)(params, []))
+
+    def cycle_branches(self, steps: int) -> Arrays:
+        """Branches of its gaits that repeat after several steps, remembered or followed."""
+        params = {"line": self.line, "steps": steps}
+        key = serialize.dump(params)
+        return _MEMORY.get(key, lambda: dispatch.call("cycle_branches", {**params, "atlas": self.atlas(False)}))
 
 
 def _survey(lines: list[_Line]) -> None:
     """Find the branches of short lines that are not remembered, side by side, and remember them."""
-    unknown = [line for line in lines if _MEMORY.get(line.key()) is None]
+    unknown = [line for line in lines if not _MEMORY.has(line.atlas_key(True))]
     if len(unknown) < 2:
         return
     params = {"lines": [line.line for line in unknown], "slope": np.empty(0), "want": ()}
@@ -248,7 +248,7 @@ def _survey(lines: list[_Line]) -> None:
     except Exception:  # each is tried by itself, and its own error is its points' reason
         return
     for line, (atlas, _) in zip(unknown, results, strict=True):
-        _MEMORY.put(line.key(), atlas)
+        _MEMORY.get(line.atlas_key(True), functools.partial(dict, atlas))
 
 
 def _solve(one: _Line, wanted: tuple[str, ...], steps: int, points: _Points) -> None:
@@ -256,9 +256,9 @@ def _solve(one: _Line, wanted: tuple[str, ...], steps: int, points: _Points) -> 
     params = {"line": one.line, "slope": one.slopes, "want": wanted, "steps": steps}
     try:
         if steps == 1:
-            result = dispatch.resolve(TASKS["points"].function)(params, [one.branches()])
+            result = dispatch.resolve(TASKS["points"].function)(params, [one.atlas(one.is_short)])
         else:
-            result = dispatch.call("cycle_points", {**params, "branches": one.branches(steps)})
+            result = dispatch.call("cycle_points", {**params, "branches": one.cycle_branches(steps)})
     except Exception as error:  # as in a study, a task that raises is a status at its points
         points.fail(one.at, f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
     else:
