@@ -58,6 +58,25 @@ def test_arrays_broadcast_by_the_rules_of_numpy():
     assert pipeline.gaits("E", []).period.shape == (0, 4)
 
 
+def test_slopes_may_come_in_any_order_and_twice():
+    slopes = [0.05, 0.02, 0.01, 0.05, 0.03]  # below 0.015 this walker has no gait
+    answer = pipeline.gaits("physical-straight", slopes)
+    assert (answer.status.values[:, 0] == CONVERGED).tolist() == [True, True, False, True, True]
+    for k, slope in enumerate(slopes):
+        alone = pipeline.gaits("physical-straight", slope)
+        for name in ("stance_angle", "multiplier_real", "status", "error_bound"):
+            assert same(answer[name].values[k], alone[name].values), name
+        assert (
+            answer.reason_text.values[answer.reason.values[k]] == alone.reason_text.values[alone.reason.values]
+        ).all()
+
+
+def test_keys_that_a_derived_one_moves_are_no_constants():
+    attrs = pipeline.gaits("E", 0.01, foot_mass_ratio=[0.05, 0.1]).attrs
+    assert not {"m_s", "m_t", "m_h", "foot_mass_ratio"} & set(attrs) and attrs["R"] == 0.0
+    assert pipeline.gaits("E", 0.01, foot_mass_ratio=0.05).attrs["m_s"] == 0.05
+
+
 def test_data_arrays_keep_their_dimensions():
     slope = xr.DataArray(SLOPES, dims="place", coords={"place": list("abcd")})
     answer = pipeline.gaits("E", slope, R=xr.DataArray([0.1, 0.2, 0.3], dims="foot"), variables=["period"])
@@ -121,6 +140,13 @@ def test_knees_may_vary_and_multipliers_are_padded():
             {"slope": xr.DataArray([0.01, 0.02], dims="a"), "R": xr.DataArray([0.1, 0.2, 0.3], dims="a")},
             "The DataArrays do not fit each other: .*'a'",
         ),
+        (
+            {
+                "slope": xr.DataArray([0.01, 0.02], dims="a", coords={"a": [1, 2]}),
+                "R": xr.DataArray([0.1, 0.2], dims="a", coords={"a": [1, 3]}),
+            },
+            "The DataArrays do not fit each other: .*'a'",
+        ),
     ],
 )
 def test_wrong_input_is_one_sentence(arguments, words):
@@ -140,6 +166,13 @@ def test_what_is_remembered_changes_time_only(monkeypatch):
     assert set(memory.results) != set(kept)
     one = pipeline.gaits("E", 0.01, R=radii[0])
     assert same(one.period.values, first.period.values[0])
+
+
+def test_what_was_used_last_is_kept():
+    memory = in_memory.Memory(2 * (8 + 1))
+    for key in (b"a", b"b", b"a", b"c"):
+        memory.get(key, lambda: {"x": np.zeros(1)})
+    assert memory.has(b"a") and memory.has(b"c") and not memory.has(b"b") and memory.size == memory.bound
 
 
 def test_a_line_is_surveyed_once(monkeypatch):
@@ -166,6 +199,12 @@ def test_a_long_line_takes_the_atlas_that_a_long_study_takes(tmp_path):
     stored = xr.load_dataset(tmp_path / "long.nc").period.values
     answer = pipeline.gaits("D", slopes, variables=["period"]).period.values
     assert same(answer[:, : stored.shape[1]], stored)
+
+
+def test_long_lines_are_not_surveyed_side_by_side(monkeypatch):
+    monkeypatch.setattr(in_memory, "_MEMORY", memory := in_memory.Memory(1 << 30))
+    pipeline.gaits("E", np.geomspace(0.004, 0.05, 300), R=[[0.1], [0.2]], variables=["period"])
+    assert len(memory.results) == 2
 
 
 def test_a_task_that_raises_is_a_status(monkeypatch):
