@@ -100,7 +100,7 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
         "stance_rate": rates[:, 0],
         "thigh_rate": rates[:, 1],
         "shank_rate": rates[:, 2],
-        "period": np.where(np.arange(n) < taken, times[:, -1], np.nan) * time_unit,
+        "period": times[:, -1] * time_unit,
         "kneestrike_time": (times[:, 0] if phases == 2 else np.full(n, np.nan)) * time_unit,
         "cause": CAUSES[outcome],
         "steps_taken": taken,

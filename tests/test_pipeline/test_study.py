@@ -181,6 +181,7 @@ def test_equal_steps_are_the_decimals_that_one_would_write(write):
         float(f"{k * 5 - 70}e-3") for k in range(36)
     ]
     assert axis(write, "{ from = 1e-3, to = 2e-3, n = 5 }").tolist() == [1e-3, 1.25e-3, 1.5e-3, 1.75e-3, 2e-3]
+    assert axis(write, "{ from = 0.05, to = 0.25, n = 3 }").tolist() == [0.05, 0.15, 0.25]
     # Thirds are no short decimals; neither are numbers of seventeen digits.
     for text, values in (
         ("{ from = 0.0, to = 0.1, n = 4 }", np.linspace(0.0, 0.1, 4)),

@@ -232,6 +232,7 @@ def test_units_are_the_walkers(tmp_path):
         ("step_map", {"state": 0.2}, "`state` must be 3 numbers; got 0.2"),
         ("step_map", {"state": (0.2, -1.0, np.nan)}, "`state` must be finite"),
         ("step_map", {"slope": 0.0}, r"`slope` must lie in \(0, 0.5\) rad; got 0.0"),
+        ("simulate", {"slope": 0.5}, r"`slope` must lie in \(0, 0.5\) rad; got 0.5"),
         ("step_map", {"slope": [0.01, 0.02]}, "`slope` must be a number"),
         ("step_map", {"foot": 1.0}, "`foot` is not a walker key"),
         ("step_map", {"walker": object()}, "`walker` must be a name, a file or a table; got object"),
