@@ -298,7 +298,7 @@ class _LineWriter:
             if outcome is None:
                 return "not_attempted", lines.NOT_ATTEMPTED
             if outcome.status != "ok":
-                return outcome.status, f"{'The atlas of the line: ' if name == 'atlas' else ''}{outcome.reason}"
+                return outcome.status, lines.of_atlas(outcome.reason) if name == "atlas" else outcome.reason
         if self.study.kind == "curve":
             result = self.plan.journal.result(keys["curve"].key)
             if result is not None and not len(serialize.load(result.data)["curves/slope"]):

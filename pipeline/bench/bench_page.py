@@ -42,6 +42,10 @@ for scipy is {% if numba %}compiled by numba{% else %}not compiled, for numba is
 <h2>A line of slopes</h2>
 <p>At each grid point all gaits are solved, with multipliers, energies and error bounds.</p>
 {{ table(work) }}
+<h2>Lines</h2>
+<p>Processor time of a line of 20 slopes, searched from nothing, with all its gaits, multipliers, error bounds and its
+part of the archive; lines of one key run side by side. A peer solves the long gait alone, from its neighbour's.</p>
+{{ table(lines) }}
 <h2>Work against wanted variables</h2>
 <p>The same line for studies that want fewer and fewer variables. Each step includes its Jacobian; an event check
 samples the guards of a step that the atlas does not already guarantee; bytes are those of the wanted variables.</p>
@@ -98,6 +102,7 @@ def write(measurements: Measurements, path: Path) -> None:
         less=[{"walker": k, **v} for k, of in measurements.less.items() for v in of],
         outcomes=measurements.outcomes,
         bounds=measurements.bounds,
+        lines=measurements.lines,
         flows=[{"walker": k, **v} for k, of in measurements.flows.items() for v in of],
     )
     path.write_text(text, encoding="utf-8")

@@ -48,6 +48,7 @@ def write(measurements: Measurements, path: Path) -> None:
         ("less", less),
         ("outcomes", measurements.outcomes),
         ("bounds", measurements.bounds),
+        ("lines", measurements.lines),
     ):
         columns = {
             re.sub(r"\W+", "_", k.replace("/", " per ")).strip("_"): (

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.bench import FAMILIES, bounds, counted, machine, problems, stress
+from pipeline.bench import FAMILIES, bounds, counted, lines, machine, problems, stress
 from pipeline.bench.harness import Case, time_in_turns
 from tasks.walkers.resolve import resolve
 
@@ -27,6 +27,7 @@ class Measurements:
     less: dict[str, list[dict[str, float | str]]] = field(default_factory=dict)
     outcomes: list[dict[str, float | str]] = field(default_factory=list)
     bounds: list[dict[str, float | str]] = field(default_factory=list)
+    lines: list[dict[str, float | str]] = field(default_factory=list)
     kind: str = ""
     quick: bool = False
 
@@ -72,6 +73,8 @@ def measure(quick: bool, families: Sequence[str], grid: int | None, say: Callabl
         measurements.work[name] = counted.line(f, n)
         measurements.flows[name] = counted.roofline(f, peak)
         measurements.less[name] = counted.less_and_less(f, n)
+    say("lines")
+    measurements.lines = lines.table(quick, [case for case in measurements.cases if case.problem == "grid"])
     say("random walkers and bounds")
     measurements.outcomes = stress.lanes(RANDOM_LANES[quick]).rows()
     each = RANDOM_SLOPES[quick]

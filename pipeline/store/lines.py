@@ -144,6 +144,11 @@ def states(
     return status, reason, list(sentences), sources
 
 
+def of_atlas(reason: str) -> str:
+    """Reason of a failed atlas as that of what needs it."""
+    return f"The atlas of the line: {reason[:1].lower()}{reason[1:]}"
+
+
 def line(
     journal: Journal,
     keys: dict[str, TaskKey],
@@ -182,7 +187,7 @@ def line(
     if atlas and atlas.status != "ok":
         unsolved = status == ALL_STATUSES["not_attempted"]
         status[unsolved], reason[unsolved] = ALL_STATUSES[atlas.status], len(sentences)
-        sentences.append(f"The atlas of the line: {atlas.reason[:1].lower()}{atlas.reason[1:]}")
+        sentences.append(of_atlas(atlas.reason))
     multipliers = max(check["multipliers"] for check in study.checks)
     values = fill(journal, names, sources, len(slopes), multipliers, gaits)
     return {

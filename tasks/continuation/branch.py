@@ -225,6 +225,18 @@ class Branch:
         cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
         return list(itertools.pairwise(cuts))
 
+    def distance_from_fold(self) -> np.ndarray:
+        """Return how far each segment is from the branch's nearest fold in ln slope.
+
+        Returns
+        -------
+        ndarray, shape (n - 1,)
+            Infinite without a fold.
+        """
+        folds = np.array([first for first, _ in self.pieces()[1:]], int)
+        apart = np.abs(self.q[:, None] - self.q[folds]).min(axis=1, initial=np.inf)
+        return np.minimum(apart[1:], apart[:-1])
+
     def piece(self, segment: np.ndarray) -> np.ndarray:
         """Return the numbers of the pieces on which segments lie.
 

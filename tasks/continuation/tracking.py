@@ -153,10 +153,13 @@ def correct(
 
 def _rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
     """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
-    inverse = np.abs(np.linalg.inv(matrix)).transpose(1, 2, 0)
-    error = np.abs(stride.y) + matvec(np.abs(stride.jacobian), np.abs(stride.y))
-    error = np.nan_to_num(np.vstack([error / stride.y[0], np.ones(error.shape[1])]))
-    return 6 * EPS * matvec(inverse, error).max(axis=0)
+    m, y = len(stride.y), np.abs(stride.y) / stride.y[0]
+    inverse = np.linalg.inv(matrix).transpose(1, 2, 0)
+    error = matvec(np.abs(inverse), np.vstack([y, np.ones(y.shape[1])]))
+    for k in range(m):
+        # Rounding of the start, carried through the step; the inverse takes back most of what the step amplifies.
+        error = error + np.abs(matvec(inverse[:, :m], stride.jacobian[:, k])) * y[k]
+    return 6 * EPS * np.nan_to_num(error).max(axis=0)
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def fit(x: np.ndarray, y: np.ndarray) -> PowerLaw | None:
 
 
 def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[tuple[int, int]]:
-    """Find the runs of points over which the local exponent changes by less than `flatness`, longest first.
+    """Find the runs of points over which the local exponent changes by less than `flatness`, in order of x.
 
     Parameters
     ----------
@@ -113,5 +113,4 @@ def plateaus(x: np.ndarray, y: np.ndarray, flatness: float = FLATNESS) -> list[t
                 if extremes[0] < start:
                     extremes.popleft()
     runs.append((start, len(p)))
-    good = [(a, b) for a, b in runs if b - a + 1 >= MIN_POINTS and np.log10(x[b] / x[a]) >= MIN_DECADES]
-    return sorted(good, key=lambda r: np.log(x[r[0]] / x[r[1]]))
+    return [(a, b) for a, b in runs if b - a + 1 >= MIN_POINTS and np.log10(x[b] / x[a]) >= MIN_DECADES]

@@ -158,9 +158,7 @@ class Flow:
 FLOWS: dict[tuple[Any, ...], Flow] = {}
 
 
-def flow(
-    structure: Structure, free_knee: bool = False, directions: int = 0, with_slope: bool = False, coarse: bool = False
-) -> Flow:
+def flow(structure: Structure, free_knee: bool, directions: int, with_slope: bool, coarse: bool = False) -> Flow:
     """Return the compiled flow of a structure, one a process; the compiled code is kept on disk between processes.
 
     Parameters

@@ -20,7 +20,7 @@ TOYS = {
         registry.Task("points", "toy:points", int(VERSIONS.get("points", 1)), needs=("atlas",), seconds_per_point=1e-5),
         registry.Task("scaling", "toy:fit", int(VERSIONS.get("scaling", 1)), needs=("points",)),
         registry.Task("transition", "toy:fit_atlas", 1, needs=("points", "atlas")),
-        registry.Task("orbit", "toy:orbit", 1),
+        registry.Task("orbit", "toy:orbit", 1, needs=("atlas",)),
     )
 }
 registry.TASKS.clear()

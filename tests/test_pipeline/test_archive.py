@@ -1,13 +1,17 @@
 """The archive is plain CF netCDF that any tool opens; `verify` and `diff` see what is wrong with it."""
 
 import contextlib
+import errno
 import json
 import multiprocessing
+import os
 import random
 import resource
 import shutil
 import signal
 from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
 
 import netCDF4
 import numpy as np
@@ -15,9 +19,10 @@ import pytest
 import xarray as xr
 
 from conftest import STUDY, Toy
-from pipeline.archive import diff, verify
+from pipeline.archive import diff, layout, read, verify, write
 from pipeline.cli import commands
-from pipeline.errors import ArchiveError
+from pipeline.errors import ArchiveError, DiskFullError
+from pipeline.statuses import ALL_STATUSES as STATUS
 
 EVERYTHING = STUDY.replace('"multipliers"', '"multipliers", "energy", "violations"')
 
@@ -60,6 +65,8 @@ def test_everything_is_described(made):
             if variable.name not in (*file.dimensions, "status", "reason", "reason_text"):
                 assert variable.ancillary_variables == "status reason"
                 assert variable.filters()["complevel"] == 1 and variable.filters()["fletcher32"]
+            else:
+                assert "ancillary_variables" not in variable.ncattrs()
         assert file["slope"].units == file["stance_angle"].units == "rad" and file["loss_normal"].units == "1"
         assert file["status"].dtype == np.int8 and "worker_died" in file["status"].flag_meanings
         assert file["violations"].flag_masks.tolist() == [1, 2, 4, 8, 16, 32, 64]
@@ -68,8 +75,60 @@ def test_everything_is_described(made):
         assert not any(word in file.provenance for word in ("/tmp", "/home", "jobs"))
 
 
+def test_an_archive_of_lines_says_how_each_ended(tmp_path):
+    toy = Toy(tmp_path)
+    toy.write('name = "toy"\nkind = "orbit"\nwalker = ["E", "F"]\n[axes]\nslope = [0.1, 0.2]\nw_t = [0.0, 0.1, 13.0]\n')
+    said = toy("run", "toy.toml", expect=1).stderr
+    reason = "The atlas of the line: it raised ValueError: no atlas here."
+    assert f"2 x {reason} First: E w_t=13.0\n" in said and "converged 4" in said and "raised 2" in said
+    with netCDF4.Dataset(tmp_path / "data" / "archive" / "toy.nc") as file:
+        assert file["status"].dimensions == file["reason"].dimensions == ("walker", "w_t")
+        assert file["status"][:].tolist() == [[0, 0, STATUS["raised"]]] * 2
+        sentences = file["reason_text"][:][file["reason"][:].data]
+        assert (sentences[:, 2] == reason).all() and all("followed" in each for each in sentences[:, :2].ravel())
+        assert file["orbits/w_t"][:].tolist() == [0, 0, 0.1, 0.1] * 2
+
+
+@pytest.mark.parametrize(
+    ("failure", "blocks", "error"),
+    [
+        (OSError(errno.ENOSPC, "full"), 1 << 20, DiskFullError),
+        (RuntimeError("NetCDF: HDF error"), 255, DiskFullError),
+        (RuntimeError("NetCDF: HDF error"), 256, ArchiveError),
+    ],
+)
+def test_a_failed_write_is_a_full_disk_where_less_than_a_mebibyte_is_left(copy, monkeypatch, failure, blocks, error):
+    """The netCDF library does not say why it cannot write."""
+
+    def fail(plan, draft, threads):
+        draft.write_bytes(b"begun")
+        raise failure
+
+    before = copy.read_bytes()
+    monkeypatch.setattr(write, "_write", fail)
+    monkeypatch.setattr(os, "statvfs", lambda folder: SimpleNamespace(f_bavail=blocks, f_frsize=4096))
+    with pytest.raises((ArchiveError, DiskFullError)) as raised:
+        write.write(None, copy)
+    assert raised.type is error
+    assert copy.read_bytes() == before and list(copy.parent.iterdir()) == [copy]
+
+
 def test_verify_finds_nothing_wrong_with_a_whole_one(made):
     assert verify.verify(made) == []
+
+
+def test_a_variable_is_checked_box_by_box(copy, monkeypatch):
+    """The sum over its boxes passes 2^32; small boxes stand in for a variable of more than 65536 points."""
+    monkeypatch.setattr(layout, "CHUNK", 16)
+    monkeypatch.setattr(layout, "REGION", 32)
+    with netCDF4.Dataset(copy, "a") as file:
+        boxes = list(layout.regions({"slope": 200, "w_t": 2}))
+        sums = [layout.checksum(np.ma.getdata(file["stance_angle"][box]), box) for box in boxes]
+        assert len(boxes) > 10 and sum(sums) > 1 << 33
+        checksums = {name: read._checksum(file[name]) for name in json.loads(file.checksums)}
+        assert checksums["stance_angle"] == sum(sums) % (1 << 32)
+        file.checksums = json.dumps(checksums)
+    assert verify.verify(copy) == []
 
 
 def _edit(path, change):
@@ -205,6 +264,26 @@ def test_a_variable_may_have_a_tolerance_of_its_own(made, copy, capsys):
     assert differing("2")[0] == 2
 
 
+def test_whole_numbers_and_names_differ_whatever_the_tolerance(made, copy):
+    _edit(copy, lambda file: file["branch"].__setitem__((slice(3), 1, 0), 7))
+    _edit(copy, lambda file: file["fits/scaling"].createVariable("quantity", str, ("row",)))
+    other = copy.with_name("other.nc")
+    shutil.copy(copy, other)
+    _edit(other, lambda file: file["fits/scaling/quantity"].__setitem__(1, "speed"))
+    assert "`branch`: 3 of 800 differ" in diff.diff(made, copy, rtol=0.5)
+    assert diff.diff(copy, other, rtol=0.5) == ["`fits/scaling/quantity`: 1 of 2 differ"]
+
+
+def test_measures_of_rounding_are_compared_with_one(copy, tmp_path):
+    """One residual may be a million times another: both are rounding."""
+    other = tmp_path / "other.nc"
+    shutil.copy(copy, other)
+    for path, residual in ((copy, 1e-16), (other, 3e-10)):
+        _edit(path, lambda file, residual=residual: file["residual"].__setitem__((3, 1, 0), residual))
+    assert diff.diff(copy, other, rtol=1e-9) == []
+    assert len(diff.diff(copy, other, rtol=1e-10)) == 1
+
+
 def test_tables_are_compared_on_the_lines_both_archives_have(tmp_path):
     toy = Toy(tmp_path)
     for name, values in (("a", "[0.0, 0.25]"), ("b", "[0.0, 0.1, 0.25]")):
@@ -238,6 +317,29 @@ def test_a_bug_is_not_called_damage(made, copy, monkeypatch, capsys):
     _edit(copy, lambda file: file["stance_angle"].__setitem__((0, 0, 0), 1.0))
     assert commands.main(["diff", str(copy), str(made)]) == 2
     assert capsys.readouterr().err == f"gaitsweep: {copy} is damaged: `stance_angle` is not as it was written.\n"
+
+
+class _Counted:
+    """A variable that counts how often each of its values is read, a hundred of them or one row at a time."""
+
+    def __init__(self, shape):
+        self.shape, self.times = shape, np.zeros(shape, int)
+
+    def __getitem__(self, index):
+        assert self.times[index].size <= max(100, self.times[:1].size if self.shape else 1)
+        self.times[index] += 1
+
+
+def test_an_archive_is_probed_in_every_value_some_at_a_time(monkeypatch):
+    """One value that crashes the library is enough, and a foreign file may be larger than the memory."""
+    shapes = ((), (0,), (7,), (1000,), (31, 5), (10, 4, 30), (2, 101))
+    inner, outer = ({str(shape): _Counted(shape) for shape in shapes} for _ in range(2))
+    deep = SimpleNamespace(variables=inner, groups={})
+    file = SimpleNamespace(variables=outer, groups={"fits": SimpleNamespace(variables={}, groups={"scaling": deep})})
+    monkeypatch.setattr(read, "open_archive", lambda path: contextlib.nullcontext(file))
+    monkeypatch.setattr(read, "_MAX_VALUES", 100)
+    read._read_whole(Path("file.nc"))
+    assert all((variable.times == 1).all() for variable in (*inner.values(), *outer.values()))
 
 
 def _junk(path, original, dice):

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import os
 import random
+import shutil
 import sqlite3
 
 import numpy as np
@@ -286,6 +287,21 @@ def test_what_a_damaged_journal_gives_is_what_was_written(tmp_path, seed):
         for file in tmp_path.glob("j*"):
             file.unlink()
     assert lost < 15 * 600 * (1 if seed < 2 else 2) / 3  # SQLite reads a log up to where it is torn
+
+
+def test_a_repaired_journal_is_not_overwritten_by_the_log_of_the_damaged_one(tmp_path):
+    """As a crash leaves it: what is in the log is in the repaired journal, and the log itself is gone."""
+    slopes, crashed = np.linspace(0.1, 0.4, 9), tmp_path / "crashed"
+    crashed.mkdir()
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        journal.add_points("L", "k", WANT, row(slopes, 1.0), 0.1)
+        for file in tmp_path.glob("j*"):
+            shutil.copy(file, crashed)
+    assert (crashed / "j-wal").stat().st_size
+    repair(crashed / "j")
+    assert [f.name for f in crashed.iterdir()] == ["j"]
+    with contextlib.closing(Journal(crashed / "j")) as journal:
+        np.testing.assert_array_equal(values(journal, slopes), (np.zeros(9), np.ones(9)))
 
 
 def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypatch):

@@ -10,13 +10,17 @@ from scipy.optimize import brentq
 from lines import branches, gait
 from pipeline.bench.bounds import compared
 from pipeline.bench.stress import random_walker
-from tasks.continuation import ends
+from tasks.continuation import atlas, ends
 from tasks.continuation.atlas import survey
+from tasks.continuation.branch import Branch
+from tasks.continuation.lockstep import run
+from tasks.continuation.refine import FINE
 from tasks.continuation.root import bracketed_root
 from tasks.continuation.special_points import special_points
 from tasks.continuation.tracking import correct, follow
 from tasks.fixed_points.newton import LONGEST_PERIOD
 from tasks.fixed_points.polish import UNKNOWN
+from tasks.fixed_points.search import search
 from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.walker import Walker
@@ -62,6 +66,55 @@ def test_the_kneed_walker_flips_and_hyperextends():
     released = [p["slope"] for p in pick(points_of("C"), "release_hyperextension")]
     assert min(released) == pytest.approx(2.2077e-4, rel=1e-4)
     assert max(released) == pytest.approx(0.0079745, abs=5e-8)
+
+
+def test_a_branch_followed_the_other_way_has_the_same_ends():
+    """One end lies on a segment that must be split first, now the first of the branch and now the last."""
+    problem, found = branches("C", detuning=0.112)
+    (branch,) = [b for b in found if "end_kneestrike_at_heelstrike" in b.why]
+    middle = len(branch.Z) // 2
+    (tracks,) = follow(problem, np.delete(branch.Z[middle], problem.m)[:, None], branch.q[[middle]])
+    (up,), (down,) = (run(problem, atlas._from_tracks(problem.m, *pair, FINE)) for pair in (tracks, tracks[::-1]))
+    assert up.why == down.why[::-1] == ("end_earlier_strike", "end_kneestrike_at_heelstrike")
+    np.testing.assert_allclose(up.Z[[0, -1]], down.Z[[-1, 0]], rtol=1e-12, atol=1e-13)
+
+
+def test_a_branch_ends_where_a_search_no_longer_finds_its_gait():
+    """The time of kneestrike changes ever faster towards the end, and beyond it the step has no such kneestrike."""
+    problem = Problem(random_walker("kneed, near", 336))
+    found = survey(problem)
+    (end,) = [np.exp(b.q[0]) for b in found if b.why == ("end_earlier_strike", "end_kneestrike_at_heelstrike")]
+    for slope, number in ((1.01 * end, 2), (0.99 * end, 1)):
+        assert search(problem, slope)[2].step.sum() == number
+        assert sum(len(index) for b in found for index, _, _ in b.guesses(np.log([slope]))) == number
+
+
+def test_a_fold_is_found_however_few_nodes_there_are():
+    problem, found = branches("physical-straight")
+    (branch,) = [b for b in found if len(b.pieces()) == 2]
+    fold = branch.pieces()[0][1]
+    for every in (16, 64):
+        kept = np.union1d(np.arange(0, len(branch.Z), every), len(branch.Z) - 1)
+        assert fold not in kept
+        few = Branch(branch.m, branch.Z[kept], branch.tangent[kept], branch.lipschitz[kept], branch.why)
+        located = run(problem, atlas._with_folds(few))
+        assert located.q[located.pieces()[0][1]] == pytest.approx(branch.q[fold], abs=1e-14)
+
+
+def test_a_polynomial_in_the_slope_is_reproduced_however_fast_the_time_runs():
+    """Towards a fall the time is a logarithm of the slope; the coordinates of the gait are not to follow it there."""
+    q = np.linspace(0, 3, 7)
+
+    def gaits(q):
+        X = np.stack([q / 3 + q**2 / 10, q**7 / 3**7, q, -8 * np.log(3.1 - q)], axis=1)
+        rate = np.stack([1 / 3 + q / 5, 7 * q**6 / 3**7, np.ones_like(q), 8 / (3.1 - q)], axis=1)
+        return X, rate
+
+    X, rate = gaits(q)
+    branch = Branch(2, X, rate, np.zeros(7), ("end of the window", "a fall"))
+    between = np.linspace(0.05, 2.95, 20)
+    ((index, found, _),) = branch.guesses(between)
+    np.testing.assert_allclose(found[:, :3], gaits(between[index])[0][:, :3], rtol=1e-13, atol=1e-13)
 
 
 def test_a_located_flip_has_the_multiplier():

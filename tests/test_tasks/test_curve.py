@@ -66,6 +66,8 @@ def test_flips_agree_with_those_located_line_by_line():
     # The slope of the flip is least a little off the tuned walker.
     assert found["turnings/turn"].tolist() == ["slope"]
     assert found["turnings/value"][0] == pytest.approx(0.053798, abs=1e-5)
+    # There the slope changes in the second order only with an error along the curve.
+    assert found["turnings/error_bound"][0] < 1e-13
 
 
 def followed(walker, key, low, high, kind, **overrides):

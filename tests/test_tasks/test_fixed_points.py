@@ -10,11 +10,15 @@ import pytest
 from lines import branches, gait, solved
 from oracle import Oracle, StepFailed
 from tasks.continuation.atlas import to_arrays
+from tasks.continuation.special_points import special_points
 from tasks.fixed_points import polish
+from tasks.fixed_points.rounding import rounding
 from tasks.fixed_points.search import search
+from tasks.measures.losses import heelstrike_losses
 from tasks.registry import ALWAYS, GAITS
 from tasks.solve_points import points
 from tasks.step.problem import Problem
+from tasks.step.verify_step import verify
 from tasks.walkers.resolve import resolve
 
 REFERENCE = Path(__file__).parents[2] / "data" / "reference"
@@ -122,12 +126,11 @@ def test_the_massless_foot_loses_nothing_sideways():
     assert np.abs(out["energy_imbalance"][:, :2]).max() < 1e-12
 
 
-@pytest.mark.parametrize(("walker", "slope", "label"), [("B", 0.01, "long"), ("E", 0.01, "short"), ("C", 0.03, "long")])
-def test_losses_lie_on_the_axes_of_the_contact_mass(walker, slope, label):
-    """The contact mass matrix turns the foot's velocity into the ground's impulse; two impacts give it."""
-    found, slow = gait(walker, slope, label), Oracle(resolve(walker).table())
-    rates = [found["stance_rate"], found["thigh_rate"], found["shank_rate"]]
-    struck = slow.step(found["stance_angle"], rates, slope).before_heelstrike
+def _losses(slow, struck):
+    """Losses at heelstrike, normal and tangential, by the second derivation.
+
+    The contact mass matrix turns the foot's velocity into the ground's impulse; two impacts give it.
+    """
     velocities, impulses = [], []
     for before in (struck, struck * np.array([1, 1, 1, 0.5, 1, 1])):
         rows, _ = slow._constraints(slow._links(before[:3]), np.zeros(4), 1, ())
@@ -136,8 +139,54 @@ def test_losses_lie_on_the_axes_of_the_contact_mass(walker, slope, label):
     mass, axes = np.linalg.eigh(np.transpose(impulses) @ np.linalg.inv(np.transpose(velocities)))
     losses = 0.5 * mass * (axes.T @ velocities[0]) ** 2
     normal = np.abs(axes[1]).argmax()
-    assert found["loss_normal"] == pytest.approx(losses[normal], rel=1e-7)
-    assert found["loss_tangential"] == pytest.approx(losses[1 - normal], rel=1e-7)
+    return losses[normal], losses[1 - normal]
+
+
+@pytest.mark.parametrize(("walker", "slope", "label"), [("B", 0.01, "long"), ("E", 0.01, "short"), ("C", 0.03, "long")])
+def test_losses_lie_on_the_axes_of_the_contact_mass(walker, slope, label):
+    found, slow = gait(walker, slope, label), Oracle(resolve(walker).table())
+    rates = [found["stance_rate"], found["thigh_rate"], found["shank_rate"]]
+    losses = _losses(slow, slow.step(found["stance_angle"], rates, slope).before_heelstrike)
+    assert [found["loss_normal"], found["loss_tangential"]] == pytest.approx(losses, rel=1e-7)
+
+
+@pytest.mark.parametrize("angle", [0.7, 0.9])
+def test_a_leg_more_flat_than_upright_loses_most_along_the_ground(angle):
+    """The axis of the larger contact mass lies along the leg: past 45 degrees it is the tangential one."""
+    walker, rates = resolve("E"), np.array([-1.0, 0.3])
+    losses = heelstrike_losses(walker, np.array([angle]), rates[:, None])
+    slow = Oracle(walker.table())
+    expected = _losses(slow, np.array([-angle, angle, angle, *rates / slow.time_unit, rates[1] / slow.time_unit]))
+    weight_times_leg = walker.total_mass * walker.g * walker.leg
+    assert np.ravel(losses) * weight_times_leg == pytest.approx(expected, rel=1e-9)
+    assert (losses[1] > losses[0]) == (angle > np.pi / 4)
+
+
+def test_near_a_fold_rounding_moves_a_gait_by_the_inverse_root_of_the_distance():
+    """There I - DP is singular, its smallest eigenvalue proportional to the distance in stance angle."""
+    problem, found = branches("physical-straight")
+    ((branch, fold),) = [(b, p) for b in found for p in special_points(problem, b) if p["kind"] == "fold"]
+    estimates = []
+    for distance in (1e-5, 1e-7):
+        q = np.log(fold["slope"]) + np.array([distance])
+        for index, Z, _ in branch.guesses(q):
+            stride, _ = problem.stride(np.delete(Z, problem.m, axis=1).T, q[index])
+            estimates.append(rounding(stride)[:, 0])
+    far, near = estimates[:2], estimates[2:]
+    assert len(near) == 2
+    np.testing.assert_allclose(np.divide(near, far), 10, rtol=0.05)
+
+
+def test_a_doubt_is_what_a_chord_between_samples_could_hide():
+    """A guard with a minimum between samples differs from its chord there by h^2 g''/8; twice that is allowed for."""
+    time, bend = np.linspace(0, 1, 41), 0.1
+    h, behind = time[1], 0.3 - 0.6 * time
+    for lowest, doubt in ((0.24, True), (0.26, False)):
+        from_minimum = time - time[30] - h / 2
+        guard, rate = bend * (lowest * h**2 + from_minimum**2), 2 * bend * from_minimum
+        motion = np.stack([behind, guard - behind, np.full(41, -0.6), rate + 0.6], axis=1)[:, :, None]
+        check = verify([motion], np.array([-1.0]), np.ones((1, 1)))
+        assert check.anthropomorphic[0] and check.doubt[0] == doubt
 
 
 @pytest.mark.parametrize(("change", "slope"), [({}, 0.03), ({"r_s": 0.06}, 0.02)], ids=["foot", "knee"])

@@ -86,3 +86,15 @@ def test_a_lane_does_not_know_its_neighbours(name):
             assert np.array_equal(alone.times[:, 0], whole.times[:, lane])
             if exact:
                 assert np.array_equal(alone.jacobian[:, :, 0], whole.jacobian[:, :, lane])
+
+
+def test_a_knee_that_bends_again_before_it_is_straight_has_not_struck():
+    """The walker falls forward; on the way its knee's flexion has a minimum, far from zero, within one time step."""
+    walker = resolve("C")
+    problem, y, slope = Problem(walker), np.array([[0.346], [-0.88], [-0.014]]), np.array([0.052])
+    found = stride(problem, y, slope, exact=False)
+    assert found.outcome[0] == FORWARD and np.isnan(found.times).all()
+    begin = problem.map.start(y, problem.parameters(slope, np.ones(1)))[:, 0]
+    slow = Oracle(walker.table())
+    with pytest.raises(StepFailed):
+        slow.step(begin[0], begin[3:6] / slow.time_unit, slope[0])
