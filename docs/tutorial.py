@@ -1,36 +1,60 @@
 # %% [markdown]
 # # From one gait to a sweep of your own walker
 #
-# Open this file as a notebook (VS Code, or Jupyter with jupytext), or run it: `python docs/tutorial.py`. It takes a few
-# seconds and writes an archive and a picture into the current folder.
+# Open this file as a notebook (VS Code, or Jupyter with jupytext), or run it: `python docs/tutorial.py`. It takes a
+# few seconds and writes an archive and a picture into the current folder.
 
 # %%
 import matplotlib.pyplot as plt
 import numpy as np
 
-from pipeline import load, run, solve
+from pipeline import gaits, load, run, simulate, solve, step_map
 
 # %% [markdown]
 # ## One point
 # The simplest walker on a slope of 0.009 rad. Both gaits are found without initial guesses; the long one is stable.
 
 # %%
-gaits = solve("D", 0.009)
-print(gaits[["gait", "stance_angle", "period", "stable"]])
+table = solve("D", 0.009)
+print(table[["gait", "stance_angle", "period", "stable"]])
 
 # %% [markdown]
 # ## Your own walker
-# A walker is a table. This one is the catalogue's E, whose point feet have a tenth of the mass each, with round feet. A
-# walker file works as well, by its name.
+# A walker is a table. This one is the catalogue's E, whose point feet have a tenth of the mass each, with round feet.
+# A walker file works as well, by its name.
 
 # %%
 round_feet = {"base": "E", "R": 0.3}
 print(solve(round_feet, 0.009)[["gait", "stance_angle", "period", "stable"]])
 
 # %% [markdown]
+# ## Arrays in, gaits out
+# Slopes and keys may be arrays; the result has their dimensions, then `gait`. Nothing is written, and lines that have
+# been seen are fast.
+
+# %%
+curves = gaits(round_feet, np.geomspace(1e-3, 0.05, 200), m_h=[[0.0], [0.5]])
+stable_to = curves.slope.where(curves.spectral_radius.sel(gait="long") < 1).max("dim_1")
+print("stable up to", stable_to.values.round(4), "rad without and with a mass at the hip")
+
+# %% [markdown]
+# ## Modes, and a push
+# At a gait the step map's eigenvalues are the multipliers; along its eigenvectors a disturbance grows or decays by
+# them. A push changes the rates at the start of a step.
+
+# %%
+slope, hip = 0.009, {"m_h": 0.5}
+gait = gaits(round_feet, slope, **hip).sel(gait="long")
+state = [gait.stance_angle, gait.stance_rate, gait.thigh_rate]
+print(step_map(round_feet, slope, state, **hip).eigenvalues.round(4))
+for push in (0.005, 0.05):
+    walk = simulate(round_feet, slope, state, 40, pushes={2: (push, 0.0)}, **hip)
+    print(push, walk.reason.item())
+
+# %% [markdown]
 # ## A sweep
-# A study says what is wanted, and nothing else is computed. Its points are stored: if the cell is run
-# again, nothing is computed; if values are added to an axis, only those are.
+# A study says what is wanted, and nothing else is computed. Its points are stored: if the cell is run again, nothing
+# is computed; if values are added to an axis, only those are.
 
 # %%
 sweep = run(

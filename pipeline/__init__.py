@@ -2,12 +2,12 @@
 
 The folders follow a number from study to page: `study`, `plan`, `execution`, `store`, `archive`, `report`.
 
-In a notebook, `from pipeline import load, run, solve`.
+In a notebook, `from pipeline import load, run, solve, gaits`; `api` has them all.
 """
 
 from typing import Any
 
-__all__ = ["load", "run", "solve"]
+__all__ = ["gaits", "load", "run", "simulate", "solve", "step_map"]
 
 
 def __getattr__(name: str) -> Any:
@@ -17,3 +17,7 @@ def __getattr__(name: str) -> Any:
 
         return getattr(api, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,15 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from pipeline import in_memory
 from pipeline.archive import read
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import runner
-from pipeline.study import model, parse, single_point
+from pipeline.steps import simulate, step_map
+from pipeline.study import broadcast, model, parse, single_point
+from pipeline.study.location import Location
+
+__all__ = ["gaits", "load", "run", "simulate", "solve", "step_map"]
 
 
 def load(archive: str | Path, table: str | None = None) -> Any:
@@ -46,13 +51,24 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     with read.open_archive(path) as file:
         tables = list(read.tables(file))
     if table is None:
-        return _decode(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
+        grid = _decode(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
+        return _Grid(grid.data_vars, grid.coords, grid.attrs)
     if table not in tables:
         raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
     columns = xr.load_dataset(path, group=table, engine="netcdf4")
     frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
     frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}
     return frame
+
+
+class _Grid(xr.Dataset):
+    """A loaded grid; netCDF has no complex numbers, so its `multipliers` are written as their two parts."""
+
+    __slots__ = ()
+
+    def to_netcdf(self, *args: Any, **options: Any) -> Any:
+        """Write the grid as `xarray.Dataset.to_netcdf` does."""
+        return xr.Dataset.to_netcdf(self.drop_vars("multipliers", errors="ignore"), *args, **options)
 
 
 def _decode(grid: xr.Dataset) -> xr.Dataset:
@@ -148,7 +164,65 @@ def _to_toml(value: Any, key: str) -> str:
     raise StudyError(f"`{key}` must be a number, a text, a list or a mapping; got {type(value).__name__}.")
 
 
-def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = False, **keys: float) -> pd.DataFrame:
+def gaits(
+    walker: str | Path | Mapping[str, Any],
+    slope: Any,
+    *,
+    steps: int = 1,
+    accuracy: float | None = None,
+    variables: Sequence[str] | None = None,
+    **keys: Any,
+) -> xr.Dataset:
+    """Solve the gaits of a walker over arrays of slopes and keys, in memory.
+
+    Parameters
+    ----------
+    walker : str, Path or mapping
+        A name from the catalogue, a walker file, or the table of a walker.
+    slope : float, array or DataArray [rad]
+        Slopes of the ground, in (0, 0.5).
+    steps : int
+        Number of steps after which a gait repeats, at most 64; those that repeat after fewer are left out. The state
+        is that with the largest stance angle, `period` and losses are of all steps, the multipliers those of all steps.
+    accuracy : None
+        As good as doubles give.
+    variables : sequence of str, optional
+        Names and groups of variables, as in a study; by default all but the violations.
+    **keys : float, array or DataArray
+        Walker keys to change, `foot_mass_ratio` or `detuning`, in the walker's units; `knees` takes booleans.
+
+    Returns
+    -------
+    xarray.Dataset
+        Variables, units and flags as in an archive, with the dimensions to which the arguments broadcast (`dim_0`, …
+        for arrays, their own for DataArrays), then `gait`. Points with a slope or a walker that cannot be have the
+        status `raised`, and the sentence in `reason_text`.
+
+    Raises
+    ------
+    StudyError
+        If an argument is invalid, shapes do not broadcast, or no point at all has a slope and a walker that can be.
+
+    Notes
+    -----
+    Points are solved as by a study, line by line: the branches of the last lines are remembered, which makes later
+    calls faster and does not change them.
+    """
+    steps = broadcast.whole_number("steps", steps, 1)
+    if steps > single_point.MAX_STEPS:
+        raise Location("", "steps").wrong(f"must be at most {single_point.MAX_STEPS}", steps)
+    if accuracy is not None:
+        raise Location("", "accuracy").wrong("must be None", accuracy)
+    names = [variables] if isinstance(variables, str) else variables
+    wanted = parse.variables(None if names is None else list(names), Location("", "variables"))
+    if steps > 1 and {"proved", "proved_radius"} & set(wanted):
+        raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
+    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys}, steps)
+
+
+def solve(
+    walker: str | Path | Mapping[str, Any], slope: float, every: bool = False, *, steps: int = 1, **keys: float
+) -> pd.DataFrame:
     """Find every gait of a walker at one slope.
 
     Parameters
@@ -159,13 +233,15 @@ def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = Fa
         Slope of the ground, in (0, 0.5).
     every : bool
         Include gaits whose swing leg passes the stance leg more than once.
+    steps : int
+        Number of steps after which a gait repeats, as for `gaits`.
     **keys : float
         Walker keys to change, `foot_mass_ratio` or `detuning`.
 
     Returns
     -------
     pandas.DataFrame
-        One row for each gait, with the columns of archives, and `multipliers` and `violations` as tuples. Empty if
+        One row for each gait, with the columns of archives, and `multipliers` and `violations` as tuples. No row if
         there is no gait; `attrs["search"]` describes the search.
 
     Raises
@@ -173,8 +249,14 @@ def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = Fa
     StudyError
         If the walker, a key or the slope is invalid.
     """
-    definition = dict(walker) if isinstance(walker, Mapping) else str(walker)
-    answer = single_point.solve(definition, float(slope), {key: float(value) for key, value in keys.items()}, every)
+    changes = {key: broadcast.number(key, value) for key, value in keys.items()}
+    answer = single_point.solve(
+        broadcast.definition(walker),
+        broadcast.number("slope", slope),
+        changes,
+        every,
+        broadcast.whole_number("steps", steps, 1),
+    )
     rows = [
         {
             **{name: math.nan if value is None else value for name, value in gait.items()},
@@ -183,6 +265,6 @@ def solve(walker: str | Path | Mapping[str, Any], slope: float, every: bool = Fa
         }
         for gait in answer["gaits"]
     ]
-    frame = pd.DataFrame(rows)
+    frame = pd.DataFrame(rows, columns=answer["columns"])
     frame.attrs["search"] = answer["search"]
     return frame

@@ -71,8 +71,14 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "cascade/period": ("number", "steps of the periodic gait"),
     "ratio": ("number", "ratio of successive distances between flips"),
     "flips": ("number", "number of flips"),
+    "stopped": ("number", "why no further flip was located"),
     "deflated": ("number", "Newton iterations from initial guesses with known gaits deflated"),
     "found_deflated": ("number", "gaits that only deflation found"),
+    "swing_rate": (
+        "rate",
+        "swing leg's rate, in the ratio to the stance rate that the long gait has; of both locked legs just before"
+        " heelstrike with knees, else just after",
+    ),
     "low": ("angle", "lower end of the slope's interval"),
     "high": ("angle", "upper end of the slope's interval"),
     "area": ("number", "area of the section with that outcome, stance angle times stance rate in units of sqrt(g/leg)"),

@@ -10,6 +10,7 @@ import numpy as np
 
 from tasks import registry
 from tasks.continuation import atlas as atlases
+from tasks.continuation.branch import Branch
 from tasks.continuation.cycles import (
     MAX_POINTS,
     Cycle,
@@ -39,7 +40,7 @@ _ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
 _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
 #: Columns of the tables.
 _CASCADE = ("family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", "walks")
-_ACCUMULATION = ("family", "flips", "slope", "low", "high", "ratio")
+_ACCUMULATION = ("family", "flips", "slope", "low", "high", "ratio", "stopped")
 _LOST = ("family", "low", "high", "starts", "strides")
 
 
@@ -68,7 +69,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     -------
     dict
         Tables `cascade` (family, period, kind, slope, error_bound, ratio, stance_angle, walks), a row for each fold and
-        flip, `accumulation` (family, flips, slope, low, high, ratio), and `lost` (family, low, high, starts, strides):
+        flip, `accumulation` (family, flips, slope, low, high, ratio, stopped: why no further flip was located), and
+        `lost` (family, low, high, starts, strides):
         the slopes [rad] between which the chaos beyond a family's doublings ends, in falls or a period-one gait.
     """
     options = registry.options("cascade", params)
@@ -80,11 +82,13 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     ends: list[dict[str, Any]] = []
     for number in options["families"]:
         families: list[list[_Event]] = []
+        reasons: list[str] = []
         for start in _first_gaits(problem, inputs[0], slope, int(number), int(options["starts"])):
-            family = _follow_family(problem, start, slope, int(options["periods"]))
+            family, stopped = _follow_family(problem, start, slope, int(options["periods"]))
             if not any(_is_same_birth(family, other) for other in families):
                 families.append(family)
-        for k, family in enumerate(families):
+                reasons.append(stopped)
+        for k, (family, stopped) in enumerate(zip(families, reasons, strict=True)):
             name = f"{number}" if len(families) == 1 else f"{number}-{k + 1}"
             flips = np.array([e.cycle.slope for e in family if e.kind == "flip"])
             ratios = scaling.ratios(flips)
@@ -103,7 +107,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 )
                 rows.append(dict(zip(_CASCADE, values, strict=True)))
             value, low, high = scaling.accumulation(flips)
-            limit = (name, len(flips), value, low, high, float(ratios[-1]) if len(ratios) else np.nan)
+            limit = (name, len(flips), value, low, high, float(ratios[-1]) if len(ratios) else np.nan, stopped)
             limits.append(dict(zip(_ACCUMULATION, limit, strict=True)))
             if int(options["steps"]) and np.isfinite(value):
                 high = min(slope[-1], value + _MAX_EXTENT * (value - flips[0]))
@@ -146,21 +150,32 @@ def _first_gaits(problem: Problem, atlas: Arrays, slope: np.ndarray, n: int, sta
         cycle = from_start(problem, y[:, 0], slope[0], 1) if len(known) else None
         return [cycle] if cycle else []
     for s in slope:
-        cycles = _search_cycles(problem, atlas, float(s), n, starts)
+        cycles = search_cycles(problem, atlases.from_arrays(atlas), float(s), n, starts)
         if cycles:
             return cycles
     return []
 
 
-def _search_cycles(problem: Problem, atlas: Arrays, slope: float, n: int, starts: int) -> list[Cycle]:
-    """Distinct gaits of exact period n at one slope, in order of their largest multiplier.
+def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int, starts: int) -> list[Cycle]:
+    """Search for the distinct gaits of exact period n at one slope, in order of their largest multiplier.
+
+    Parameters
+    ----------
+    problem : Problem
+    branches : list of Branch
+        The line's atlas.
+    slope : float [rad]
+    n : int
+        Number of steps after which the gaits repeat.
+    starts : int
+        Initial states.
 
     Notes
     -----
     Initial conditions lie on a low-discrepancy lattice around the long gait, wide enough to hold every attractor of the
     paper's walkers; those that return close to themselves after n steps are polished by Newton on all n sections.
     """
-    known, y = gaits_at(problem, atlases.from_arrays(atlas), np.array([slope]), "long")
+    known, y = gaits_at(problem, branches, np.array([slope]), "long")
     if not len(known):
         return []
     Y = [y[:, :1] * (1 + 0.2 * (2 * r_sequence(problem.m, starts) - 1))]
@@ -198,8 +213,8 @@ def _distance(a: Cycle, b: Cycle) -> float:
     return min(float(np.abs(a.Y - np.roll(b.Y, k, axis=1)).max()) for k in range(b.period))
 
 
-def _follow_family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> list[_Event]:
-    """A family's fold, then its flips, switching at each to the branch of twice the period."""
+def _follow_family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> tuple[list[_Event], str]:
+    """A family's fold, then its flips, switching at each to the branch of twice the period; and why no more follow."""
     low, high = np.log(slope[0]), np.log(slope[-1])
     up = np.zeros(start.Y.size + 1)
     up[-1] = 1.0
@@ -207,36 +222,39 @@ def _follow_family(problem: Problem, start: Cycle, slope: np.ndarray, longest: i
     if start.period > 1:
         # Down to the fold at which the family is born; of its two sides the one nearer stability cascades.
         down = Path(problem, start, -up, _FIRST_STEP * (high - low))
-        events += _first_event(down, fold_test, "fold", low, high)
-        if events:
+        fold, _ = _first_event(down, fold_test, "fold", low, high)
+        if fold:
+            events.append(fold)
             start = min(down.points[-2:], key=lambda c: float(np.abs(c.multipliers()[0])))
     path: Path | None = Path(problem, start, up, _FIRST_STEP * (high - low))
-    expected = high - low
-    while path is not None and path.points[-1].period <= longest:
-        flips = _first_event(path, flip_test, "flip", low, high)
-        if not flips:
-            break
+    expected, period = high - low, start.period
+    while path is not None and period <= longest:
+        flip, stopped = _first_event(path, flip_test, "flip", low, high)
+        if flip is None:
+            return events, f"No flip of period {period}: {stopped}."
         before = [e.cycle.q for e in events]
-        events += flips
-        flip = flips[0].cycle
+        events.append(flip)
         # The next interval by Feigenbaum's law from the last.
-        expected = min(_MAX_INTERVAL, (flip.q - before[-1]) / scaling.DELTA if before else 0.02 * expected)
-        path = doubled(problem, flip, expected) if 2 * flip.period <= longest else None
-    return events
+        expected = min(_MAX_INTERVAL, (flip.cycle.q - before[-1]) / scaling.DELTA if before else 0.02 * expected)
+        period *= 2
+        path = doubled(problem, flip.cycle, expected) if period <= longest else None
+    if period <= longest:
+        return events, f"No gait of period {period} was found beside the flip."
+    return events, f"The longest period of the search, {longest}, is reached."
 
 
-def _first_event(path: Path, test: Test, kind: str, low: float, high: float) -> list[_Event]:
-    """The first zero of a test function along a branch inside the window, as a list of none or one."""
+def _first_event(path: Path, test: Test, kind: str, low: float, high: float) -> tuple[_Event | None, str]:
+    """The first zero of a test function along a branch inside the window, or why there is none."""
     for _ in range(MAX_POINTS):
         if not path.advance():
-            return []
+            return None, f"the branch could not be continued beyond a slope of {path.points[-1].slope:.6g}"
         before, after = path.points[-2:]
         if test(before) * test(after) < 0:
             cycle = path.locate_root(test)
-            return [_Event(kind, cycle, _slope_error(path, test, cycle))]
+            return _Event(kind, cycle, _slope_error(path, test, cycle)), ""
         if not low - 0.05 <= after.q <= high + 0.05:
-            return []
-    return []
+            return None, f"the branch leaves the window at a slope of {after.slope:.6g}"
+    return None, f"none on {MAX_POINTS} points of the branch, up to a slope of {path.points[-1].slope:.6g}"
 
 
 def _slope_error(path: Path, test: Test, cycle: Cycle) -> float:

@@ -208,7 +208,7 @@ TASKS = {
         Task("trace", "tasks.trace_motion:trace", 2, needs=("atlas",), seconds=0.2),
         Task("branch", "tasks.follow_branches:branch", 4, needs=("atlas",), seconds=0.3),
         Task("orbit", "tasks.iterate_orbits:orbit", 4, needs=("atlas",), seconds=30.0),
-        Task("cascade", "tasks.locate_cascade:cascade", 4, needs=("atlas",), seconds=3.0),
+        Task("cascade", "tasks.locate_cascade:cascade", 5, needs=("atlas",), seconds=3.0),
         Task("basin", "tasks.map_basin:basin", 2, needs=("atlas",), seconds=5.0),
         Task("curve", "tasks.follow_curves:curve", 4, needs=("atlas",), seconds=5.0),
         Task("design", "tasks.map_designs:design", 1, needs=("atlas",), seconds=0.1),
@@ -317,9 +317,13 @@ CLAIMS = tuple(
     for n in numbers
 )
 
-#: Calls answered at once, without a graph: `gaitsweep solve`, `walkers`, `tune`, and the check of a walker.
+#: Calls answered at once, without a graph: of the command line and of Python, and the check of a walker.
 CALLS = {
     "solve": "tasks.solve_at_slope:solve_one",
+    "step_map": "tasks.map_step:map_step",
+    "simulate": "tasks.simulate_steps:simulate_steps",
+    "cycle_branches": "tasks.solve_cycles:follow",
+    "cycle_points": "tasks.solve_cycles:cycle_points",
     "prove": "tasks.prove_gaits:prove_one",
     "prove_stored": "tasks.proofs.records:prove_stored",
     "certificates": "tasks.write_certificates:names",

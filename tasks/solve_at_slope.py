@@ -14,12 +14,19 @@ from tasks.fixed_points.labels import places
 from tasks.fixed_points.polish import unmeasured
 from tasks.fixed_points.search import search, starts
 from tasks.registry import COSTLY, GAITS, VARIABLES, VIOLATIONS
-from tasks.solve_points import points, solve
+from tasks.solve_cycles import cycle_points, follow
+from tasks.solve_points import Arrays, points, solve
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 
 #: Variables measured for one point; the amounts of violations are in archives only.
 _WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY or v == "violations")
+#: What is told of each gait.
+_COLUMNS = (
+    *("gait", "slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time"),
+    *("multipliers", "stable", "speed", "loss_normal", "loss_tangential", "loss_kneestrike", "violations", "status"),
+    *("residual", "error_bound", "branch", "piece"),
+)
 
 
 def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -29,13 +36,13 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     ----------
     params : mapping
         `walker` (name or table), `slope` [rad], `set` (keys to change), `all` (also gaits whose legs pass more
-        than once).
+        than once), `steps` after which the gaits repeat (1 if omitted).
 
     Returns
     -------
     dict
-        `gaits`, a list of one dict per gait, in the walker's units; `units` of its entries; and `search`, sentences on
-        how the gaits were searched for.
+        `gaits`, a list of one dict per gait, in the walker's units; `columns`, its keys; `units` of its entries; and
+        `search`, sentences on how the gaits were searched for.
 
     Raises
     ------
@@ -45,9 +52,12 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     line = {"walker": params["walker"], "set": params.get("set") or {}}
     slope = float(params["slope"])
     problem = Problem(resolve(line["walker"], line["set"]))
+    steps = int(params.get("steps", 1))
     branches = atlases.survey(problem, COARSE)
+    if steps > 1:
+        return _solve_cycles(line, slope, steps, atlases.to_arrays(branches))
     point = points({"line": line, "slope": np.array([slope]), "want": _WANT}, [atlases.to_arrays(branches)])
-    gaits = [{k: point[k][0, g] for k in _WANT} for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
+    gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
     log = [f"{atlases.guesses(problem)} initial guesses at {len(atlases.ANCHORS)} slopes"]
     log.append(f"{len(branches)} branches continued over {sum(len(b.Z) for b in branches)} points")
@@ -64,8 +74,28 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     place = places(angle, ratio)[:, 0]
     records = [_record(_name(place[i]), slope, gaits[i]) for i in np.argsort(place)]
     records += [_record(f"passes_{gait['passes']}_times", slope, gait) for gait in non_anthropomorphic]
-    units = {"slope": "rad", **{k: VARIABLES[k].units(problem.walker.si) for k in _WANT}}
-    return {"gaits": records, "units": units, "search": log}
+    return _answer(records, problem.walker.si, log)
+
+
+def _converged(point: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Variables of each gait that converged at the only slope."""
+    return [{k: point[k][0, g] for k in _WANT} for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
+
+
+def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str]) -> dict[str, Any]:
+    units = {"slope": "rad", **{k: VARIABLES[k].units(is_si) for k in _WANT}}
+    return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log}
+
+
+def _solve_cycles(line: dict[str, Any], slope: float, steps: int, atlas: Arrays) -> dict[str, Any]:
+    """Gaits that repeat after some steps, of which the branches alone are searched."""
+    branches = follow({"line": line, "steps": steps, "atlas": atlas})
+    asked = {"line": line, "steps": steps, "branches": branches, "slope": np.array([slope]), "want": _WANT}
+    point = cycle_points(asked)
+    labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
+    records = [_record(label, slope, gait) for label, gait in zip(labels, _converged(point), strict=True)]
+    log = [] if records else [str(point["reasons"][1])]
+    return _answer(records, resolve(line["walker"], line["set"]).si, log)
 
 
 def _describe_starts(problem: Problem, slope: float) -> str:
@@ -105,23 +135,16 @@ def _record(label: str, slope: float, value: dict[str, Any]) -> dict[str, Any]:
     """One gait as a plain dict; an absent quantity is None."""
     plain = {k: _plain(v) for k, v in value.items() if np.ndim(v) == 0}
     pairs = np.stack([value["multiplier_real"], value["multiplier_imag"]], axis=-1)
-    names = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time")
-    losses = ("loss_normal", "loss_tangential", "loss_kneestrike")
-    return {
+    record = {
+        **plain,
         "gait": label,
         "slope": slope,
-        **{k: plain[k] for k in names},
         "multipliers": pairs.tolist(),
         "stable": bool(plain["spectral_radius"] < 1),
-        "speed": plain["speed"],
-        **{k: plain[k] for k in losses},
         "violations": _flags(value.get("violations")),
         "status": "converged",
-        "residual": plain["residual"],
-        "error_bound": plain["error_bound"],
-        "branch": plain.get("branch"),
-        "piece": plain.get("piece"),
     }
+    return {name: record.get(name) for name in _COLUMNS}
 
 
 def _flags(bits: Any) -> list[str] | None:

@@ -104,9 +104,10 @@ def test_the_python_shown_is_python():
     for page in PAGES:
         for block in blocks(page.relative_to(ROOT), "python"):
             compile(block, str(page), "exec")
-    code = "import pipeline; print(pipeline.run.__name__, pipeline.load.__name__, pipeline.solve.__name__)"
+    names = ["gaits", "load", "run", "simulate", "solve", "step_map"]
+    code = f"import pipeline; print(*(getattr(pipeline, name).__name__ for name in {names}), *pipeline.__all__)"
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], cwd=ROOT, capture_output=True, text=True)
-    assert done.stdout.split() == ["run", "load", "solve"]
+    assert done.stdout.split() == [*names, *names]
 
 
 def test_every_option_of_every_kind_is_in_the_docs_and_the_help():

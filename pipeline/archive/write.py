@@ -29,16 +29,11 @@ from pipeline.statuses import ALL_STATUSES, ANSWERS
 from pipeline.store import lines
 from pipeline.store.journal import Outcome, TaskKey
 from pipeline.study.model import Study
-from tasks.registry import GAITS, PROVED, STATUSES, VARIABLES, VIOLATIONS, Variable
+from tasks.registry import GAITS, STATUSES, VARIABLES
 
 _FILTERS = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 #: Reason of a line on which a curve has no starting point.
 _NO_CURVE = "No point to start a curve from was found, neither at the value of the walker nor at the ends of the range."
-_LONG_NAMES = {
-    "slope": "slope of the ground",
-    "foot_mass_ratio": "mass of each foot over the total mass",
-    "detuning": "mixture of the exactly tuned walker (0) and the physical one (1)",
-}
 
 
 @dataclass
@@ -144,8 +139,7 @@ def _write_header(file: Any, plan: Plan, writer: _PointWriter | _LineWriter) -> 
             continue
         axis = next(a for a in study.axes if a.name == name)
         variable = file.createVariable(name, "f8", (name,), fill_value=False, fletcher32=True)
-        long_name = _LONG_NAMES.get(name, f"walker's {name}")
-        variable.setncatts({"long_name": long_name, "units": layout.axis_units(study, name)})
+        variable.setncatts(layout.axis_attributes(name, layout.is_si(study)))
         variable[:] = axis.values
     file.createDimension("reason_index", len(writer.sentences))
     _strings(file, "reason_text", "reason_index", writer.sentences, "sentences that `reason` counts from 0")
@@ -162,27 +156,6 @@ def _strings(file: Any, name: str, dim: str, values: list[str], long_name: str) 
     variable = file.createVariable(name, str, (dim,))
     variable.setncatts({"long_name": long_name, "units": "1"})
     variable[:] = np.array(values, object)
-
-
-def _describe(variable: Any, description: Variable, is_si: bool, is_mixed: bool) -> None:
-    variable.setncatts({"long_name": description.long_name, "units": description.units(is_si)})
-    if description.name == "status":
-        variable.setncatts(
-            {"flag_values": np.array(list(ALL_STATUSES.values()), np.int8), "flag_meanings": " ".join(ALL_STATUSES)}
-        )
-    elif description.name == "proved":
-        variable.setncatts({"flag_values": np.array(list(PROVED.values()), np.int8), "flag_meanings": " ".join(PROVED)})
-    elif description.name == "violations":
-        variable.setncatts(
-            {
-                "flag_masks": np.array([1 << i for i in range(len(VIOLATIONS))], np.int32),
-                "flag_meanings": " ".join(VIOLATIONS),
-            }
-        )
-    if description.name not in ("status", "reason"):
-        variable.ancillary_variables = "status reason"
-    if is_mixed and description.kind not in ("number", "angle"):
-        variable.comment = "in the units of each walker: see walker_units"
 
 
 def _line_description(study: Study, number: int) -> str:
@@ -265,7 +238,7 @@ class _PointWriter:
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
             self.shapes[name], self.dtypes[name] = tuple(variable.chunking()), variable.dtype
-            _describe(variable, description, is_si, is_mixed)
+            variable.setncatts(layout.attributes(description, is_si, is_mixed))
 
     def fill(self, draft: Path, threads: int) -> None:
         """Write values region by region; while one region is packed the next is assembled."""
@@ -336,7 +309,7 @@ class _LineWriter:
         """Create and write every variable."""
         for name, values in (("status", self.status), ("reason", self.reason)):
             variable = file.createVariable(name, values.dtype, self.dims, fill_value=False)
-            _describe(variable, VARIABLES[name], True, False)
+            variable.setncatts(layout.attributes(VARIABLES[name], True))
             variable[...] = values
 
     def fill(self, draft: Path, threads: int) -> None:

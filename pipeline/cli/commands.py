@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import dataclasses
 import json
+import math
 import os
 import sys
 import time
@@ -130,6 +131,8 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--slope", required=True, type=_number, metavar="S", help="rad")
     c.add_argument("--set", action="append", type=_setting, default=[], metavar="KEY=VALUE", help="a walker key")
     c.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
+    c.add_argument("--steps", type=_count, default=1, metavar="N", help="gaits that repeat after N steps (default 1)")
+    c.add_argument("--degrees", action="store_true", help="slope and angles in degrees (--json: the slope only)")
     c.add_argument("--json", action="store_true", help="for machines")
     c = add(_prove, "proofs of a walker's gaits at one slope, or of an archive's")
     c.add_argument("archive", nargs="?", metavar="ARCHIVE.nc", type=Path)
@@ -301,7 +304,8 @@ def _report(options: argparse.Namespace) -> int:
 def _solve(options: argparse.Namespace) -> int:
     from pipeline.study.single_point import solve
 
-    answer = solve(options.walker, options.slope, dict(options.set), options.all)
+    slope = math.radians(options.slope) if options.degrees else options.slope
+    answer = solve(options.walker, slope, dict(options.set), options.all, options.steps)
     for line in answer.get("search", []):
         print(line, file=sys.stderr)
     if options.json:
@@ -309,7 +313,7 @@ def _solve(options: argparse.Namespace) -> int:
         return 0
     from pipeline.cli import text
 
-    print("\n".join(text.gaits(answer["gaits"], answer["units"])))
+    print("\n".join(text.gaits(answer["gaits"], answer["units"], options.degrees)))
     return 0
 
 

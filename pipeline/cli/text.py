@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import math
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -13,6 +14,7 @@ from typing import Any
 from pipeline.execution.progress import duration, last_state, sentence
 from pipeline.paths import sidecar_path
 from pipeline.plan.missing import Plan, Summary
+from tasks.registry import VARIABLES
 
 
 def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
@@ -106,8 +108,8 @@ def tuned_walker(answer: dict[str, Any]) -> Iterator[str]:
     yield from table("walker", answer["walker"])
 
 
-def gaits(all_gaits: Iterable[dict[str, Any]], units: dict[str, str]) -> Iterator[str]:
-    """Gaits at one point, a paragraph each, with units."""
+def gaits(all_gaits: Iterable[dict[str, Any]], units: dict[str, str], in_degrees: bool = False) -> Iterator[str]:
+    """Gaits at one point, a paragraph each, with units; angles and rates in degrees if asked."""
     is_empty = True
     for gait in all_gaits:
         is_empty = False
@@ -118,7 +120,10 @@ def gaits(all_gaits: Iterable[dict[str, Any]], units: dict[str, str]) -> Iterato
             if key == "multipliers":
                 value = ", ".join(f"{re:.12g}{im:+.12g}j" if im else f"{re:.12g}" for re, im in value)
             elif isinstance(value, float):
-                value = f"{value:.15g} {units.get(key, '1')}".removesuffix(" 1")
+                unit = units.get(key, "1")
+                if in_degrees and (key == "slope" or VARIABLES[key].kind in ("angle", "rate")):
+                    value, unit = math.degrees(value), "deg s-1" if unit == "rad s-1" else "deg"
+                value = f"{value:.15g} {unit}".removesuffix(" 1")
             elif isinstance(value, list):
                 value = ", ".join(map(str, value)) or "none"
             yield f"  {key:<16} {value}"

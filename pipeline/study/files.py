@@ -10,7 +10,7 @@ from pipeline import dispatch
 from pipeline.errors import StudyError
 from pipeline.study.location import Location, clip
 
-_MAX_BYTES = 1 << 20
+_MAX_BYTES, _MAX_BASES = 1 << 20, 8
 
 
 def read_toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
@@ -43,7 +43,7 @@ def walker(value: str | dict[str, Any], folder: Path, location: Location | None 
     Parameters
     ----------
     value : str or dict
-        A name, a file relative to `folder`, or a table.
+        A name, a file (relative to `folder`, or absolute), or a table, whose `base` may be a file too.
     folder : Path
     location : Location, optional
         Place of the value in a study.
@@ -51,22 +51,33 @@ def walker(value: str | dict[str, Any], folder: Path, location: Location | None 
     Raises
     ------
     StudyError
-        If the name is unknown or the file is not a walker.
+        If the name is unknown or a file is not a walker.
     """
     location = location or Location("", "walker")
-    if isinstance(value, dict):
-        return value
-    if not value.endswith(".toml"):
-        catalogue = dispatch.resolve("tasks.walkers.catalogue:CATALOGUE")
-        if value not in catalogue:
-            raise location.unknown(value, [*catalogue, "or a file FILE.toml"])
-        return value
-    if location.file and Path(value).is_absolute():
-        raise location.wrong("must be a path relative to the study", value)
+    table, overrides = value, dict[str, Any]()
+    for _ in range(_MAX_BASES):
+        if isinstance(table, dict):
+            base = table.get("base")
+            overrides = {**table, **overrides}
+            if not isinstance(base, str) or not base.endswith(".toml"):
+                return overrides
+            del overrides["base"]
+            table = base
+        if not table.endswith(".toml"):
+            catalogue = dispatch.resolve("tasks.walkers.catalogue:CATALOGUE")
+            if table not in catalogue:
+                raise location.unknown(table, [*catalogue, "or a file FILE.toml"])
+            return table
+        table, folder = _walker_file(table, folder, location)
+    raise location.error(f"{clip(str(table))} is based on more than {_MAX_BASES} other files")
+
+
+def _walker_file(name: str, folder: Path, location: Location) -> tuple[dict[str, Any], Path]:
+    """The [walker] table of a file, and the folder to which its own `base` is relative."""
     try:
-        _, table = read_toml(folder / value, value)
+        _, table = read_toml(folder / name, name)
     except StudyError as error:
         raise location.error(str(error)) from error
     if not isinstance(table.get("walker"), dict):
-        raise location.error(f"{clip(value)} has no [walker] table")
-    return table["walker"]
+        raise location.error(f"{clip(name)} has no [walker] table")
+    return table["walker"], (folder / name).parent

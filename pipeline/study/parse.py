@@ -10,6 +10,7 @@ import importlib.util
 import itertools
 import re
 from collections.abc import Iterable, Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ _INTERNAL_TASKS = ("atlas", "points", "trace")
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
 #: Largest axis and grid; anything above is taken for a mistake.
 _MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
+_MAX_DIGITS = 15  # decimals of a linear axis
 _UNITS = {
     "": 1,
     "B": 1,
@@ -202,9 +204,23 @@ def _values(value: object, location: Location) -> np.ndarray:
         raise location.at("from").wrong(f"must be less than `to` = {stop!r}", start)
     if spacing == "log" and start <= 0:
         raise location.at("from").wrong("must be > 0 for log spacing", start)
-    values = (np.geomspace if spacing == "log" else np.linspace)(start, stop, n)
+    values = np.geomspace(start, stop, n) if spacing == "log" else _linear(start, stop, n)
     if n > 1 and not np.all(np.diff(values) > 0):
         raise location.at("n").wrong("is too large: neighbouring values would be equal", n)
+    return values
+
+
+def _linear(start: float, stop: float, n: int) -> np.ndarray:
+    """Equal steps, shape (n,), written as decimals where they are short ones: 0.3 and not 3 times 0.1."""
+    values = np.linspace(start, stop, n)
+    first, last = (Fraction(repr(x)) for x in (start, stop))
+    step = (last - first) / max(n - 1, 1)
+    for digits in range(_MAX_DIGITS + 1):
+        unit = 10**digits
+        if (first * unit).denominator == (step * unit).denominator == 1:
+            largest = max(abs(start), abs(stop)) * unit
+            # Whole numbers over a power of ten that are both exact: the quotient is the double nearest the decimal.
+            return np.rint(values * unit) / unit if largest < 2**53 else values
     return values
 
 
@@ -214,15 +230,27 @@ def need_proofs(location: Location) -> None:
         raise location.error("Proofs need the extra `proof` (python-flint): pip install 'gaitsweep[proof]'")
 
 
+def variables(value: object, location: Location) -> tuple[str, ...]:
+    """Names of the variables that a list of names and groups asks for; all but the costly ones if it is None.
+
+    Raises
+    ------
+    StudyError
+        If a name is unknown.
+    """
+    if value is None:
+        return tuple(v.name for v in VARIABLES.values() if v.group not in COSTLY)
+    groups = sorted({v.group for v in VARIABLES.values()} - {""})
+    requested = {*_names(value, (*VARIABLES, *groups), location), *ALWAYS}
+    wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
+    if any(VARIABLES[name].group == "proofs" for name in wanted):
+        need_proofs(location)
+    return wanted
+
+
 def _want(value: object, kind: str, location: Location) -> dict[str, tuple[str, ...]]:
     table = _table(value, ("variables", "fits", "figures", "claims"), location)
-    groups = sorted({v.group for v in VARIABLES.values()} - {""})
-    wanted = tuple(v.name for v in VARIABLES.values() if v.group not in COSTLY)
-    if "variables" in table:
-        requested = {*_names(table["variables"], (*VARIABLES, *groups), location.at("variables")), *ALWAYS}
-        wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
-        if any(VARIABLES[name].group == "proofs" for name in wanted):
-            need_proofs(location.at("variables"))
+    wanted = variables(table.get("variables"), location.at("variables"))
     names = {key: _free_names(table.get(key, []), location.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:

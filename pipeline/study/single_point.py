@@ -10,8 +10,13 @@ from pipeline.dispatch import ask
 from pipeline.study import files
 from pipeline.study.location import Location
 
+#: Longest period of gaits.
+MAX_STEPS = 64
 
-def solve(definition: str | dict[str, Any], slope: float, keys: Mapping[str, float], every: bool) -> dict[str, Any]:
+
+def solve(
+    definition: str | dict[str, Any], slope: float, keys: Mapping[str, float], every: bool, steps: int = 1
+) -> dict[str, Any]:
     """Find the gaits of a walker at one slope.
 
     Parameters
@@ -23,6 +28,8 @@ def solve(definition: str | dict[str, Any], slope: float, keys: Mapping[str, flo
         Walker keys to change.
     every : bool
         Include gaits whose swing leg passes the stance leg more than once.
+    steps : int
+        Number of steps after which a gait repeats, at most MAX_STEPS.
 
     Returns
     -------
@@ -36,4 +43,7 @@ def solve(definition: str | dict[str, Any], slope: float, keys: Mapping[str, flo
     """
     if not 0 < slope < 0.5:
         raise Location("", "slope").wrong("must lie in (0, 0.5) rad", slope)
-    return ask("solve", {"walker": files.walker(definition, Path()), "slope": slope, "set": dict(keys), "all": every})
+    if not 1 <= steps <= MAX_STEPS:
+        raise Location("", "steps").wrong(f"must lie in [1, {MAX_STEPS}]", steps)
+    walker = files.walker(definition, Path())
+    return ask("solve", {"walker": walker, "slope": slope, "set": dict(keys), "all": every, "steps": steps})

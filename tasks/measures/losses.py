@@ -29,16 +29,22 @@ def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
     -----
     Paper, equation 9. The velocity of a body is that of the contact plus that due to the joint rates, so
     M = 1 - L Q^-1 L^T with Q the mass matrix of the walker pivoting on the contact and L = sum m dV/dq'. With a
-    massless leg, M = n n^T along the leg.
+    massless leg, M = n n^T along the line from the contact to the hip.
     """
     chain = Chain(walker)
     if chain.massless:
-        normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+        normal = _to_hip(chain, angle)
         return normal[:, :, None] * normal[:, None, :]
     q = np.stack([angle, angle, -angle, -angle])
     lever = chain.levers(q)
     joints = np.array(chain.compliance(q, [lever.real, lever.imag], chain.kneed))
     return np.eye(2) - np.moveaxis(joints, -1, 0)
+
+
+def _to_hip(chain: Chain, angle: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 2) from the contact to the hip, the only direction in which a massless leg pushes."""
+    x, y = -chain.l * np.sin(angle), chain.R + chain.l * np.cos(angle)
+    return np.stack([x, y], axis=-1) / np.hypot(x, y)[..., None]
 
 
 def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -66,8 +72,7 @@ def heelstrike_losses(walker: Walker, angle: np.ndarray, rates: np.ndarray) -> t
         axis=-1,
     )
     if chain.massless:
-        along = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
-        return 0.5 * (along * velocity).sum(axis=-1) ** 2, np.zeros(len(angle))
+        return 0.5 * (_to_hip(chain, angle) * velocity).sum(axis=-1) ** 2, np.zeros(len(angle))
     M = contact_mass(walker, angle)
     # The angle between eigenvectors and axes, without cancellation.
     turn = 0.5 * np.arctan2(2 * M[:, 0, 1], M[:, 0, 0] - M[:, 1, 1])

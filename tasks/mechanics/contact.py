@@ -64,12 +64,13 @@ class Chain:
         )
         masses = np.array([m_s, m_t, walker.m_h / mass, m_t, m_s])
         I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
-        #: First moments and products of the arms; a massless leg's own rows are those of a unit point mass at its foot.
+        #: First moments and products of the arms; a massless leg's own rows are those of a shank of unit mass.
         self.S = masses @ arms
         self.K = arms.conj().T @ (masses[:, None] * arms) + np.diag([I_s, I_t, I_t, I_s])
         self.S_rows = self.S.copy()
         if self.massless:
             self.K[2:] = np.outer(arms[4].conj(), arms[4])[2:]
+            self.K[3, 3] += (walker.r_s / leg) ** 2
             self.S_rows[2:] = arms[4, 2:]
 
     def groups(self, free_knee: bool) -> list[list[int]]:

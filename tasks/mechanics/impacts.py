@@ -17,7 +17,9 @@ def _dot(u: Complex, v: Complex) -> Sym:
     return u.re * v.re + u.im * v.im
 
 
-def heelstrike(p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_knee: bool) -> list[Sym]:
+def heelstrike(
+    p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_knee: bool, old_angle: Sym | None = None
+) -> list[Sym]:
     """Rates just after heelstrike from the rates just before.
 
     Parameters
@@ -25,11 +27,13 @@ def heelstrike(p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_k
     p : Symbols
         The structure's parameters.
     angle : expression
-        Scaled stance angle just after heelstrike; both feet touch, so the new swing leg stands at minus it.
+        Scaled stance angle just after heelstrike.
     stance_rate, swing_rate : expression
         Rates of the old stance and swing leg just before.
     free_knee : bool
         True where the new swing knee is free.
+    old_angle : expression, optional
+        Scaled angle of the old stance leg; on even ground both feet touch, so it is minus the new one's.
 
     Returns
     -------
@@ -41,7 +45,8 @@ def heelstrike(p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_k
     Section 2.1 of the paper, with feet of any radius: the impulse acts at the new contact only, so angular momentum of
     the whole walker about it and of the old stance leg about the hip are conserved. That leg becomes the swing leg.
     """
-    new, old = p.scale * angle, -p.scale * angle
+    new = p.scale * angle
+    old = -p.scale * angle if old_angle is None else p.scale * old_angle
     trig_new, trig_old = (hy.sin(new), hy.cos(new)), (hy.sin(old), hy.cos(old))
     hip_new = Complex(-p.R - p.l * trig_new[1], -p.l * trig_new[0])
     hip_old = Complex(-p.R - p.l * trig_old[1], -p.l * trig_old[0])
@@ -52,10 +57,13 @@ def heelstrike(p: Symbols, angle: Sym, stance_rate: Sym, swing_rate: Sym, free_k
         return Complex(-rotated.im, rotated.re)
 
     S, J = p.locked()
-    angles = [angle, -angle] + ([-angle] if free_knee else [])
+    swing_angle = -angle if old_angle is None else old_angle
+    angles = [angle, swing_angle] + ([swing_angle] if free_knee else [])
     M, _ = rows(p, angles, [ZERO] * len(angles), free_knee)
     # The product hip_new . hip_old, without cancellation for legs at a wide angle.
     hips = p.R**2.0 + 2.0 * p.R * p.l * trig_new[1] + p.l**2.0 * hy.cos(2.0 * new)
+    if old_angle is not None:
+        hips = p.R**2.0 + p.R * p.l * (trig_new[1] + trig_old[1]) + p.l**2.0 * hy.cos(new - old)
     momentum = [
         (hips + p.eps * (_dot(sweep(S, trig_new), hip_old) + _dot(hip_new, sweep(S, trig_old)))) * stance_rate
         + p.eps * (_dot(hip_new, sweep(S, trig_new)) + J) * swing_rate

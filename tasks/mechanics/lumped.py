@@ -47,7 +47,7 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     thigh = _Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
     shank = _Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
     if walker.massless_leg:
-        # Only ratios of the swing leg's constants remain: a unit point at the foot.
+        # Only ratios of the swing leg's constants remain: a unit mass where the shank's was.
         eps, m_t, m_s = zero, zero, one
     else:
         eps, m_t, m_s = one, key["m_t"] / mass, key["m_s"] / mass

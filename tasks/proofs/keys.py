@@ -74,6 +74,7 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
     overrides, table = dict(overrides or {}), {} if isinstance(walker, str) else dict(walker)
     base = walker if isinstance(walker, str) else table.pop("base", None)
     keys, kneed = _named(base) if base is not None else (_DEFAULT, False)
+    overrides = {**{key: table.pop(key) for key in ("detuning", "foot_mass_ratio") if key in table}, **overrides}
     keys, kneed = _changed(keys, kneed, table)
     if "detuning" in overrides:
         physical, _ = _named(TUNED[str(base)][1])

@@ -25,7 +25,7 @@ from tasks.step.step_map import Stride, end_of_step, lock_knee
 STRUCK, BACKWARD, FORWARD, NO_KNEESTRIKE, NO_HEELSTRIKE, LOST = range(6)
 CAUSES = ("walks", "fell backward", "fell forward", "knee never struck", "foot never struck", "motion lost")
 #: Stance angle beyond which a walker has fallen [rad], and the longest time a step may take [sqrt(leg/g)].
-_MAX_ANGLE, _MAX_TIME = 1.2, 12.0
+MAX_ANGLE, MAX_TIME = 1.2, 12.0
 #: Time step of the scan [sqrt(leg/g)], by whether there are knees: a free shank swings faster.
 _TIME_STEP = {False: 0.125, True: 0.0625}
 
@@ -167,7 +167,7 @@ class Scanner:
         n, h = x.shape[1], _TIME_STEP[self.structure.kneed]
         state, time, outcome = np.full_like(x, np.nan), np.zeros(n), np.full(n, LOST)
         lanes, steps = np.arange(n), np.full(n, h)
-        for i in range(int(_MAX_TIME / h)):
+        for i in range(int(MAX_TIME / h)):
             if not len(lanes):
                 return state, time, outcome
             x_next = self._advance(free, x, steps[: len(lanes)], parameters)
@@ -179,8 +179,8 @@ class Scanner:
             angle = x_next[0] * parameters[1]
             with np.errstate(invalid="ignore"):
                 falls = {
-                    BACKWARD: angle > _MAX_ANGLE,
-                    FORWARD: angle < -_MAX_ANGLE,
+                    BACKWARD: angle > MAX_ANGLE,
+                    FORWARD: angle < -MAX_ANGLE,
                     LOST: ~np.isfinite(x_next).all(axis=0),
                 }
             done = strikes.copy()
@@ -188,7 +188,7 @@ class Scanner:
                 fallen &= ~strikes
                 outcome[lanes[fallen]] = cause
                 done |= fallen
-            late = ~done & (begin[lanes] + (i + 1) * h > _MAX_TIME)
+            late = ~done & (begin[lanes] + (i + 1) * h > MAX_TIME)
             outcome[lanes[late]] = NO_KNEESTRIKE if free else NO_HEELSTRIKE
             done |= late
             x = x_next
@@ -294,14 +294,14 @@ def _scan(problem: Problem, y: np.ndarray, slope: np.ndarray) -> tuple[Simulated
     """Steps by the scan alone, with the scales and parameters of every lane."""
     scan = scanner(problem.structure)
     m, n = y.shape
-    valid = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < _MAX_ANGLE)
+    valid = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < MAX_ANGLE)
     angle = np.where(valid, y[0], 0.5)
     scale = np.exp2(np.floor(np.log2(angle)))
     parameters = problem.parameters(slope, scale)
     image, times, outcome = np.full((m, n), np.nan), np.full((problem.phases, n), np.nan), np.full(n, LOST)
     # With the new stance leg behind or upright the walker falls back.
     outcome[np.isfinite(y[0]) & (y[0] <= 0)] = BACKWARD
-    outcome[y[0] >= _MAX_ANGLE] = FORWARD
+    outcome[y[0] >= MAX_ANGLE] = FORWARD
     lanes = np.nonzero(valid)[0]
     x = problem.map.start(y[:, lanes] / scale[lanes], parameters[:, lanes])[: problem.map.start_size]
     begin = np.zeros(len(lanes))

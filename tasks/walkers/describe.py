@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
-from tasks.walkers.resolve import from_catalogue, from_table
+from tasks.walkers.resolve import from_catalogue, resolve
 from tasks.walkers.tuning import statics
 from tasks.walkers.walker import Walker
 
@@ -31,7 +31,7 @@ def describe(params: Mapping[str, Any]) -> dict[str, Any]:
         If there is no such walker.
     """
     if params.get("walker") is not None:
-        walkers = {"custom": from_table(params["walker"])}
+        walkers = {"custom": resolve(params["walker"])}
     elif params.get("name"):
         walkers = {params["name"]: from_catalogue(params["name"])}
     else:

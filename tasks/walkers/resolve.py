@@ -65,7 +65,7 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     Parameters
     ----------
     walker : str or mapping
-        Name in the catalogue, or a `[walker]` table.
+        Name in the catalogue, or a `[walker]` table, which may hold `foot_mass_ratio` or `detuning` too.
     overrides : mapping, optional
         Values of walker keys, `knees`, `foot_mass_ratio` and `detuning`, in the walker's units.
 
@@ -75,8 +75,11 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
         If the walker, a key or a value cannot be.
     """
     changes: dict[str, Any] = dict(overrides or {})
+    if isinstance(walker, Mapping):
+        changes = {**{key: walker[key] for key in _DERIVED if key in walker}, **changes}
+        walker = {key: value for key, value in walker.items() if key not in _DERIVED}
     result = from_catalogue(walker) if isinstance(walker, str) else from_table(walker)
-    derived = {key: float(changes.pop(key)) for key in _DERIVED if changes.get(key) is not None}
+    derived = {key: _number(key, changes.pop(key)) for key in _DERIVED if changes.get(key) is not None}
     table = dict(walker) if isinstance(walker, Mapping) and "base" in walker else {}
     for owner, value in derived.items():
         result = detuned(walker, value) if owner == "detuning" else _with_foot_mass_ratio(result, value)
@@ -88,6 +91,12 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     numbers = {k: v for k, v in changes.items() if not (k == "knees" and isinstance(v, bool))}
     _check_names(numbers, NUMBERS, [*NUMBERS, *_DERIVED, "slope"])
     return replace(result, **changes) if changes else result
+
+
+def _number(key: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise WalkerError(key, repr(value), "must be a number")
+    return float(value)
 
 
 def owned(derived: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:

@@ -135,11 +135,11 @@ class Walker:
         self._refuse(bound, {key: abs(getattr(self, key)) > MAX_LEGS * self.leg for key in lengths})
 
     def _check_inertia(self) -> None:
-        no_swing = not self.knees and self.massless_leg and not self.point_foot
+        no_swing = not self.knees and self.massless_leg and not (abs(self.knee + self.shank_centre) + self.r_s)
         too_light = not self.massless_leg and self.leg_inertia < 1e-100 * self.total_mass * self.leg**2
         self._refuse("must be > 0 with a free knee", {"m_s": self.knees and self.m_s == 0})
         self._refuse("must leave the shank some inertia about its knee", {"r_s": self.knees and not self.shank_inertia})
-        self._refuse("may vanish only for a point foot: the swing leg has no inertia", {"m_s": no_swing})
+        self._refuse("may vanish only off the hip: the swing leg has no inertia", {"m_s": no_swing})
         self._refuse("must leave the leg some inertia about the hip", {"m_s": too_light})
 
     @property
@@ -191,7 +191,7 @@ class Walker:
 
     @property
     def massless_leg(self) -> bool:
-        """Whether the swing leg has no inertia about the hip: the limit of vanishing foot mass."""
+        """Whether the swing leg has no inertia about the hip: the limit in which the mass of its shank vanishes."""
         thigh = self.m_t * (self.r_t**2 + abs(self.thigh_centre) ** 2)
         return self.m_s == 0 and thigh == 0
 

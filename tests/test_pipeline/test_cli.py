@@ -3,6 +3,7 @@
 import errno
 import fcntl
 import json
+import math
 import os
 import re
 import shutil
@@ -256,6 +257,31 @@ def test_verify_and_diff_exit_with_1(toy):
     with netCDF4.Dataset(other, "a") as file:
         file["status"][0] = 7
     assert "`status`" in toy("diff", archive, other, expect=1).stdout
+
+
+def printed(capsys, *arguments):
+    """What `solve` prints of the first gait, by name."""
+    assert commands.main(["solve", *arguments]) == 0
+    lines = capsys.readouterr().out.splitlines()[1:]
+    return dict(line.split(maxsplit=1) for line in lines if line.startswith("  "))
+
+
+def test_solve_speaks_of_degrees_on_request(capsys):
+    walker = ["--walker", "physical-straight"]
+    plain = printed(capsys, *walker, "--slope", repr(math.radians(2)))
+    degrees = printed(capsys, *walker, "--slope", "2", "--degrees")
+    assert degrees["slope"] == "2 deg" and degrees["period"] == plain["period"]
+    for name, unit in (("stance_angle", "deg"), ("thigh_rate", "deg s-1")):
+        (there, told), (here, _) = (text[name].split(maxsplit=1) for text in (degrees, plain))
+        assert float(there) == pytest.approx(math.degrees(float(here)), rel=1e-13) and told == unit
+
+
+def test_solve_finds_gaits_of_several_steps(capsys):
+    gait = printed(capsys, "--walker", "D", "--slope", "0.016", "--steps", "2")
+    assert float(gait["period"]) == pytest.approx(2 * 3.88, abs=0.1) and gait["violations"] == "scuff"
+    assert commands.main(["solve", "--walker", "D", "--slope", "0.014", "--steps", "2", "--json"]) == 0
+    told = capsys.readouterr()
+    assert told.out == "[]\n" and "No gait of period 2 at this slope" in told.err
 
 
 def test_solve_tells_units_where_a_walker_has_any(capsys):

@@ -6,6 +6,7 @@ import types
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import pipeline
 from pipeline.cli import commands
@@ -50,6 +51,29 @@ def test_flags_are_words_and_multipliers_complex(mine):
     np.testing.assert_array_equal(radius.fillna(-1), found.spectral_radius.fillna(-1))
 
 
+def test_gaits_of_two_steps_at_one_point():
+    found = pipeline.solve("D", 0.016, steps=2)
+    alone = pipeline.gaits("D", 0.016, steps=2).isel(gait=0)
+    assert list(found.gait) == ["long"] and list(found.columns) == list(pipeline.solve("D", 0.009).columns)
+    for name in ("stance_angle", "period", "speed", "error_bound"):
+        assert found[name][0] == alone[name].item()
+    none = pipeline.solve("D", 0.014, steps=2)
+    assert none.empty and none.attrs["search"][0].startswith(
+        "No gait of period 2 at this slope: the branches found span"
+    )
+    with pytest.raises(StudyError, match=r"`steps` must lie in \[1, 64\]; got 65"):
+        pipeline.solve("D", 0.014, steps=65)
+
+
+def test_a_loaded_grid_can_be_written(mine, tmp_path):
+    """Its complex multipliers are left to their parts."""
+    found, _path = mine
+    found.isel(slope=[0, 1]).to_netcdf(tmp_path / "part.nc")
+    part = xr.load_dataset(tmp_path / "part.nc")
+    assert "multipliers" not in part and part.multiplier_imag.equals(found.multiplier_imag[:2])
+    assert (part.status == found.status[:2]).all() and part.violations.dtype == bool
+
+
 def test_a_sweep_and_a_single_solve_agree(mine):
     found, _ = mine
     slope = float(found.slope[2])
@@ -72,6 +96,7 @@ def test_solve_gives_what_the_command_gives(capsys):
 
 def test_no_gait_is_an_empty_table_that_says_how_it_was_sought():
     found = pipeline.solve("physical", 1e-4)
+    assert list(found.columns) == list(pipeline.solve("E", 0.01).columns) and "stance_angle" in found
     assert found.empty and any("initial guesses" in sentence for sentence in found.attrs["search"])
 
 

@@ -161,13 +161,54 @@ def test_a_wrong_option_is_answered_in_one_helpful_line(write, kind, option, sai
 
 
 def test_a_key_that_leaves_no_walker_to_follow_is_refused(write):
-    options = '[options]\nkey = "R"\nfrom = 0.0\nto = 0.3\n'
+    options = '[options]\nkey = "c_s"\nfrom = -0.5\nto = 0.4\n'
     with pytest.raises(StudyError) as error:
         parse.read(write(f'name = "s"\nkind = "curve"\nwalker = "D"\n[axes]\nslope = [0.001, 0.1]\n{options}'))
     assert str(error.value) == (
-        "`R` = 0.3 leaves no walker: `m_s` may vanish only for a point foot: the swing leg has no"
-        " inertia; got 0.0 (s.toml, options.to)."
+        "`c_s` = -0.5 leaves no walker: `m_s` may vanish only off the hip: the swing leg has no"
+        " inertia; got 0.0 (s.toml, options.from)."
     )
+
+
+def axis(write, text, name="R"):
+    study = parse.read(write(f'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01]\n{name} = {text}\n'))
+    return next(a.values for a in study.axes if a.name == name)
+
+
+def test_equal_steps_are_the_decimals_that_one_would_write(write):
+    assert axis(write, "{ from = 0.0, to = 0.5, n = 6 }").tolist() == [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]
+    assert axis(write, "{ from = -0.07, to = 0.105, n = 36 }", "c_t").tolist() == [
+        float(f"{k * 5 - 70}e-3") for k in range(36)
+    ]
+    assert axis(write, "{ from = 1e-3, to = 2e-3, n = 5 }").tolist() == [1e-3, 1.25e-3, 1.5e-3, 1.75e-3, 2e-3]
+    assert axis(write, "{ from = 0.05, to = 0.25, n = 3 }").tolist() == [0.05, 0.15, 0.25]
+    # Thirds are no short decimals; neither are numbers of seventeen digits.
+    for text, values in (
+        ("{ from = 0.0, to = 0.1, n = 4 }", np.linspace(0.0, 0.1, 4)),
+        ("{ from = 0.01234567890123456, to = 0.1, n = 5 }", np.linspace(0.01234567890123456, 0.1, 5)),
+        ("{ from = 0.1, to = 0.4, n = 1 }", [0.1]),
+    ):
+        np.testing.assert_array_equal(axis(write, text), values)
+
+
+def test_a_walker_may_be_based_on_a_file(write, tmp_path):
+    (tmp_path / "walkers").mkdir()
+    (tmp_path / "walkers" / "first.toml").write_text('[walker]\nbase = "C"\nm_h = 1.0\nR = 0.21\n')
+    (tmp_path / "walkers" / "second.toml").write_text('[walker]\nbase = "first.toml"\nR = 0.22\n')
+
+    def read(text):
+        (walker,) = parse.read(write(f'name = "s"\nwalker = {text}\n[axes]\nslope = [0.01]\n')).walkers
+        return walker
+
+    assert read('{ base = "walkers/second.toml", w_t = 0.0 }') == {"base": "C", "m_h": 1.0, "R": 0.22, "w_t": 0.0}
+    assert (
+        read('"walkers/first.toml"') == read(f'"{tmp_path}/walkers/first.toml"') == {"base": "C", "m_h": 1.0, "R": 0.21}
+    )
+    (tmp_path / "walkers" / "first.toml").write_text('[walker]\nbase = "second.toml"\n')
+    with pytest.raises(StudyError, match="is based on more than 8 other files"):
+        read('"walkers/first.toml"')
+    with pytest.raises(StudyError, match=r"^There is no file none.toml \(s.toml, walker\).$"):
+        read('{ base = "none.toml" }')
 
 
 def test_the_registry_names_every_claim_and_curve_of_the_tasks():

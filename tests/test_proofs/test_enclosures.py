@@ -233,3 +233,9 @@ def test_event_times_are_eliminated_from_the_derivative():
 def test_an_enclosure_that_grows_too_wide_is_given_up():
     with pytest.raises(flows.NotProvedError, match="Taylor|box"):
         coarse("C", 3, 0.3, time=3.0)
+
+
+def test_a_table_may_hold_derived_keys():
+    for name, key, value in (("E", "foot_mass_ratio", "0.02"), ("C", "detuning", "0.5")):
+        table, line = exact({"base": name, key: value})[0], exact(name, {key: value})[0]
+        assert all(written(table[k]) == written(line[k]) for k in line)

@@ -42,8 +42,16 @@ def test_the_cascade_of_d():
     assert found["cascade/walks"].all()
     assert found["accumulation/slope"] == pytest.approx(0.018293397965, abs=2e-10)
     assert found["accumulation/high"] - found["accumulation/low"] < 1e-9
+    assert found["accumulation/stopped"].tolist() == ["The longest period of the search, 64, is reached."]
     # Orbits from a thousandth around the gait, 200 of them at each of 11 slopes: lost from 0.019040 to 0.019045.
     assert 0.01903 < found["lost/low"][0] < found["lost/high"][0] < 0.01906
+
+
+def test_a_cascade_tells_why_it_stopped():
+    (stopped,) = doublings("D", 0.0145, 0.0171, periods=8, steps=0)["accumulation/stopped"]
+    assert stopped.startswith("No flip of period 4: the branch leaves the window at a slope of 0.01")
+    (none,) = doublings("D", 0.0100, 0.0120, periods=8, steps=0)["accumulation/stopped"]
+    assert none.startswith("No flip of period 1: the branch leaves the window at a slope of 0.01")
 
 
 def test_the_first_flips_of_c():

@@ -107,6 +107,18 @@ def test_a_key_that_a_derived_one_owns_is_refused(walker, overrides, key, owner)
         resolve(walker, overrides)
 
 
+def test_a_table_may_hold_derived_keys():
+    assert resolve({"base": "E", "foot_mass_ratio": 0.02}) == resolve("E", {"foot_mass_ratio": 0.02})
+    assert resolve({"base": "C", "detuning": 0.5, "m_h": 1.0}) == resolve("C", {"detuning": 0.5, "m_h": 1.0})
+    # An axis over the same key has the last word, as over any other.
+    assert resolve({"base": "E", "foot_mass_ratio": 0.02}, {"foot_mass_ratio": 0.1}) == resolve("E")
+    assert describe({"walker": {"base": "A", "detuning": 1.0}})["walkers"][0]["parameters"]["w_t"] == 0.0
+    with pytest.raises(WalkerError, match="`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 1.0"):
+        resolve({"base": "E", "foot_mass_ratio": 0.02, "m_h": 1.0})
+    with pytest.raises(WalkerError, match="`detuning` must be a number; got 'half'"):
+        resolve({"base": "C", "detuning": "half"})
+
+
 def test_foot_mass_ratio_keeps_the_total_mass():
     light = resolve("E", {"foot_mass_ratio": 0.01})
     assert light.total_mass == pytest.approx(1.0, abs=1e-15)

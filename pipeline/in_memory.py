@@ -1,0 +1,294 @@
+"""Gaits of arrays of walkers and slopes, in memory: the tasks of a study, without its files."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from pipeline import dispatch, serialize
+from pipeline.archive import layout
+from pipeline.archive.citation import PAPER
+from pipeline.errors import StudyError
+from pipeline.statuses import ALL_STATUSES
+from pipeline.study.broadcast import broadcast
+from tasks.registry import ALWAYS, GAITS, SHORT_LINE, TASKS, VARIABLES
+
+_MAX_REMEMBERED = 256 << 20  # atlases kept for later calls [byte]
+_BLOCK = 64  # short lines surveyed side by side
+_SLOPES = "must lie in (0, 0.5) rad"
+Arrays = dict[str, np.ndarray]
+
+
+class Memory:
+    """Results by their bytes of parameters, the least recently used dropped beyond a bound of bytes."""
+
+    def __init__(self, bound: int):
+        self.bound, self.size = bound, 0
+        self.results: OrderedDict[bytes, tuple[int, Arrays]] = OrderedDict()
+        self.lock = threading.Lock()
+
+    def has(self, key: bytes) -> bool:
+        """Whether a result is remembered."""
+        with self.lock:
+            return key in self.results
+
+    def get(self, key: bytes, compute: Callable[[], Arrays]) -> Arrays:
+        """A result, computed if it is not remembered.
+
+        Parameters
+        ----------
+        key : bytes
+        compute : callable
+            Takes nothing.
+
+        Returns
+        -------
+        dict of ndarray
+        """
+        with self.lock:
+            if key in self.results:
+                self.results.move_to_end(key)
+                return self.results[key][1]
+        result = compute()
+        size = len(key) + sum(np.asarray(v).nbytes for v in result.values())
+        with self.lock:
+            if key not in self.results:
+                self.results[key] = size, result
+                self.size += size
+            while self.size > self.bound:
+                self.size -= self.results.popitem(last=False)[1][0]
+        return result
+
+
+_MEMORY = Memory(_MAX_REMEMBERED)
+
+
+@dataclass
+class _Points:
+    """Results at n points in the order of the flattened grid, and the sentences that `reason` indexes."""
+
+    values: Arrays
+    reason: np.ndarray
+    sentences: dict[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def empty(cls, n: int, wanted: tuple[str, ...], multipliers: int) -> _Points:
+        values = {}
+        for name in (*wanted, *(v for v in ALWAYS if v not in wanted)):
+            variable = VARIABLES[name]
+            shape = (n, len(GAITS), *([multipliers] if "multiplier" in variable.dims else []))
+            values[name] = np.full(shape, variable.absent, variable.dtype)
+        return cls(values, np.zeros((n, len(GAITS)), np.int32))
+
+    def number(self, sentence: str) -> int:
+        """Number of a sentence."""
+        return self.sentences.setdefault(sentence, len(self.sentences))
+
+    def fail(self, at: np.ndarray, sentence: str) -> None:
+        """Give points a status and a sentence instead of values."""
+        self.values["status"][at], self.reason[at] = ALL_STATUSES["raised"], self.number(sentence)
+
+    def put(self, at: np.ndarray, result: Arrays, row: np.ndarray) -> None:
+        """Store rows of a task's result at points."""
+        for name, values in self.values.items():
+            part = result[name]
+            if part.ndim == 3:
+                values[at, :, : part.shape[2]] = part[row]
+            else:
+                values[at] = part[row]
+        table = np.array([self.number(str(s)) for s in result["reasons"]], np.int32)
+        self.reason[at] = table[result["reason"]][row]
+
+
+def gaits(
+    walker: str | dict[str, Any], wanted: tuple[str, ...], arguments: Mapping[str, Any], steps: int
+) -> xr.Dataset:
+    """Solve the gaits of a walker at every point of a grid.
+
+    Parameters
+    ----------
+    walker : str or dict
+        Name or table.
+    wanted : tuple of str
+        Names of variables.
+    arguments : mapping
+        `slope` [rad] and keys: numbers, arrays and DataArrays.
+    steps : int
+        Number of steps after which the gaits repeat.
+
+    Returns
+    -------
+    xarray.Dataset
+        Encoded as an archive.
+
+    Raises
+    ------
+    StudyError
+        If the arguments do not broadcast, or no point has a slope and a walker that can be.
+    """
+    arrays, grid = broadcast(arguments)
+    flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
+    lines = list(_lines(walker, flat, [name for name, a in arrays.items() if name != "slope" and a.ndim]))
+    checks = [_check(line) for line, _ in lines]
+    answers = [check for check in checks if not isinstance(check, StudyError)]
+    slope = flat["slope"]
+    is_slope = (slope > 0) & (slope < 0.5)
+    if len(slope) and not (answers and is_slope.any()):
+        raise next(
+            (check for check in checks if isinstance(check, StudyError)),
+            StudyError(f"`slope` {_SLOPES}; got {float(slope[0])!r}."),
+        )
+    points = _Points.empty(len(slope), wanted, max((c["multipliers"] for c in answers), default=3))
+    for k in np.flatnonzero(~is_slope).tolist():
+        points.fail(np.array([k]), f"`slope` {_SLOPES}; got {float(slope[k])!r}.")
+    solvable = []
+    for (line, at), check in zip(lines, checks, strict=True):
+        at = at[is_slope[at]]
+        if isinstance(check, StudyError):
+            points.fail(at, str(check))
+        elif len(at):
+            solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True)))
+    for k in range(0, len(solvable), _BLOCK):
+        if steps == 1:
+            _survey([line for line in solvable[k : k + _BLOCK] if line.is_short])
+        for one in solvable[k : k + _BLOCK]:
+            _solve(one, wanted, steps, points)
+    is_si = bool(answers) and answers[0]["si"]
+    dataset = _dataset(points, grid[0], is_si)
+    varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
+    coordinates = {name: a.assign_attrs(layout.axis_attributes(name, is_si)) for name, a in varying.items()}
+    first = next((line for (line, _), check in zip(lines, checks, strict=True) if check in answers), None)
+    return dataset.assign_coords(coordinates).assign_attrs(_constants(first, answers, varying) if first else {})
+
+
+def _lines(
+    walker: str | dict[str, Any], flat: Arrays, varying: list[str]
+) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
+    """Every line of the grid, in the order of its first point, with its points."""
+    n = len(flat["slope"])
+    fixed = {name: a[0].item() for name, a in flat.items() if n and name != "slope"}
+    if not varying or not n:
+        if n:
+            yield {"walker": walker, "set": fixed}, np.arange(n)
+        return
+    # Equal bytes, so that every NaN is a value like another.
+    rows = np.ascontiguousarray(np.stack([flat[name].astype(float) for name in varying], axis=1))
+    keys = rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    order = np.argsort(inverse, kind="stable")
+    groups = np.split(order, np.cumsum(np.bincount(inverse))[:-1])
+    for k in np.argsort(first):
+        values = {name: flat[name][first[k]].item() for name in varying}
+        yield {"walker": walker, "set": {**fixed, **values}}, groups[k]
+
+
+def _constants(
+    line: dict[str, Any], checks: list[dict[str, Any]], varying: Mapping[str, Any]
+) -> dict[str, str | float]:
+    """Keys that all walkers share, as attributes; of one line all that do not vary."""
+    table = dispatch.resolve("tasks.walkers.resolve:resolve")(line["walker"], line["set"]).table()
+    moved = {key for check in checks for key, owner in check["varied"].items() if owner in varying}
+    constants = {**line["set"], **table, "knees": "true" if table["knees"] else "false"}
+    return {key: value for key, value in constants.items() if key not in {*moved, *varying}}
+
+
+def _check(line: dict[str, Any]) -> dict[str, Any] | StudyError:
+    """What `tasks` knows of the walker of a line, or why it cannot be."""
+    try:
+        return dispatch.ask("check_walker", line)
+    except StudyError as error:
+        return error
+
+
+@dataclass
+class _Line:
+    """A line of the grid, its points, their distinct slopes, and the slope of each point among these."""
+
+    line: dict[str, Any]
+    at: np.ndarray
+    slopes: np.ndarray
+    row: np.ndarray
+
+    @property
+    def is_short(self) -> bool:
+        """Whether its atlas is coarse, as that of a study with so few slopes."""
+        return len(self.slopes) <= SHORT_LINE
+
+    def atlas_key(self, coarse: bool) -> bytes:
+        """Key under which its atlas is remembered."""
+        return serialize.dump({"line": self.line, "coarse": coarse})
+
+    def atlas(self, coarse: bool) -> Arrays:
+        """Branches of its gaits, remembered or surveyed."""
+        params = {"line": self.line, "coarse": coarse}
+        return _MEMORY.get(self.atlas_key(coarse), lambda: dispatch.resolve(TASKS["atlas"].function)(params, []))
+
+    def cycle_branches(self, steps: int) -> Arrays:
+        """Branches of its gaits that repeat after several steps, remembered or followed."""
+        params = {"line": self.line, "steps": steps}
+        key = serialize.dump(params)
+        return _MEMORY.get(key, lambda: dispatch.call("cycle_branches", {**params, "atlas": self.atlas(False)}))
+
+
+def _survey(lines: list[_Line]) -> None:
+    """Find the branches of short lines that are not remembered, side by side, and remember them."""
+    unknown = [line for line in lines if not _MEMORY.has(line.atlas_key(True))]
+    if len(unknown) < 2:
+        return
+    params = {"lines": [line.line for line in unknown], "slope": np.empty(0), "want": ()}
+    try:
+        results = dispatch.resolve(TASKS["atlas"].side_by_side)(params, [])
+    except Exception:  # each is tried by itself, and its own error is its points' reason
+        return
+    for line, (atlas, _) in zip(unknown, results, strict=True):
+        _MEMORY.get(line.atlas_key(True), functools.partial(dict, atlas))
+
+
+def _solve(one: _Line, wanted: tuple[str, ...], steps: int, points: _Points) -> None:
+    """Solve the points of a line, each slope once, from its branches."""
+    params = {"line": one.line, "slope": one.slopes, "want": wanted, "steps": steps}
+    try:
+        if steps == 1:
+            result = dispatch.resolve(TASKS["points"].function)(params, [one.atlas(one.is_short)])
+        else:
+            result = dispatch.call("cycle_points", {**params, "branches": one.cycle_branches(steps)})
+    except Exception as error:  # as in a study, a task that raises is a status at its points
+        points.fail(one.at, f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
+    else:
+        points.put(one.at, result, one.row)
+
+
+def _dataset(points: _Points, grid: xr.DataArray, is_si: bool) -> xr.Dataset:
+    """Results as an archive holds them, the gaits after the dimensions of the grid."""
+    used = np.unique(points.reason)
+    by_number = {number: sentence for sentence, number in points.sentences.items()}
+    order = sorted((k for k in used.tolist() if k in by_number), key=by_number.__getitem__)
+    sentences = [by_number[k] for k in order]
+    table = np.zeros(max(by_number, default=0) + 1, np.int32)
+    table[order] = np.arange(len(order))
+    is_wide = len(sentences) > np.iinfo(np.int16).max
+    points.values["reason"] = table[points.reason].astype(np.int32 if is_wide else np.int16)
+    variables = {}
+    for name in (v for v in VARIABLES if v in points.values):
+        values = points.values[name]
+        dims = (*grid.dims, *VARIABLES[name].dims)
+        values = values.reshape((*grid.shape, *values.shape[1:]))
+        variables[name] = (dims, values, layout.attributes(VARIABLES[name], is_si))
+    text = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
+    gait = ("gait", np.array(GAITS), {"long_name": "gait by its character", "units": "1"})
+    dataset = xr.Dataset(
+        {"reason_text": ("reason_index", np.array(sentences, str), text), **variables}, {**grid.coords, "gait": gait}
+    )
+    if "multiplier" in dataset.dims:
+        named = {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"}
+        numbers = np.arange(dataset.sizes["multiplier"], dtype=np.int32)
+        dataset = dataset.assign_coords(multiplier=("multiplier", numbers, named))
+    source = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"
+    return dataset.assign_attrs({"Conventions": "CF-1.11", "source": source, "references": PAPER})

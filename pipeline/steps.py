@@ -1,0 +1,223 @@
+"""Single steps in Python: the step map at a state with its modes, and simulations from a state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from pipeline import dispatch
+from pipeline.archive import layout
+from pipeline.errors import StudyError
+from pipeline.study.broadcast import definition, number, whole_number
+from pipeline.study.location import Location
+from tasks.registry import SI_UNITS, VARIABLES
+
+_MAX_STEPS = 100_000
+#: Variables of a simulation that archives do not have: kind of quantity and meaning.
+_LONG_NAMES = {
+    "thigh_angle": ("angle", "swing leg's angle just after heelstrike"),
+    "time": ("time", "time after the start of the step"),
+    "theta_st": ("angle", "angle of the stance leg"),
+    "theta_th": ("angle", "angle of the swing thigh"),
+    "theta_sh": ("angle", "angle of the swing shank"),
+    "foot_x": ("length", "centre of the stance foot from where it is at angle zero"),
+}
+
+
+class Times(NamedTuple):
+    """Times of the strikes after the start of a step; NaN for the knees that a walker does not have."""
+
+    kneestrike: float
+    heelstrike: float
+
+
+class Losses(NamedTuple):
+    """Energy lost in a step, by impact and by eigenvector of the contact mass matrix; NaN without knees."""
+
+    normal: float
+    tangential: float
+    kneestrike: float
+
+
+@dataclass(frozen=True)
+class StepMap:
+    """The step map at a state, in the walker's units; states are (stance_angle, stance_rate, thigh_rate).
+
+    Attributes
+    ----------
+    state : ndarray, shape (3,)
+        Just after the heelstrike that ends the step.
+    jacobian : ndarray, shape (3, 3)
+        Its derivative by the initial state.
+    by_slope : ndarray, shape (3,)
+        Its derivative by the slope.
+    eigenvalues : ndarray of complex, shape (3,)
+        Of the Jacobian, largest magnitude first; at a gait the multipliers.
+    eigenvectors : ndarray of complex, shape (3, 3)
+        Its columns are the modes, of length one and with a positive largest entry.
+    times : Times
+    losses : Losses
+    """
+
+    state: np.ndarray
+    jacobian: np.ndarray
+    by_slope: np.ndarray
+    eigenvalues: np.ndarray
+    eigenvectors: np.ndarray
+    times: Times
+    losses: Losses
+
+
+def step_map(walker: str | Path | Mapping[str, Any], slope: float, state: Sequence[float], **keys: float) -> StepMap:
+    """Evaluate the step map and its derivatives at a state.
+
+    Parameters
+    ----------
+    walker : str, Path or mapping
+        A name from the catalogue, a walker file, or the table of a walker.
+    slope : float [rad]
+        Slope of the ground, in (0, 0.5).
+    state : sequence of float, shape (3,)
+        (stance_angle, stance_rate, thigh_rate) just after heelstrike [rad, and the walker's rates]. The swing leg
+        stands at minus the stance angle; the rate of a free shank is the one that a heelstrike gives it.
+    **keys : float
+        Walker keys to change, `foot_mass_ratio` or `detuning`.
+
+    Returns
+    -------
+    StepMap
+
+    Raises
+    ------
+    StudyError
+        If the walker, the slope or the state is invalid, or the step does not end in a heelstrike.
+    """
+    answer = dispatch.ask("step_map", _params(walker, slope, state, keys))
+    times = (np.nan if (t := answer[f"{name}_time"]) is None else t for name in Times._fields)
+    losses = (np.nan if (e := answer[f"loss_{name}"]) is None else e for name in Losses._fields)
+    arrays = {name: answer[name] for name in ("state", "jacobian", "by_slope", "eigenvalues", "eigenvectors")}
+    return StepMap(**arrays, times=Times(*times), losses=Losses(*losses))
+
+
+def simulate(
+    walker: str | Path | Mapping[str, Any],
+    slope: float,
+    state: Sequence[float],
+    steps: int,
+    *,
+    motion: bool = False,
+    pushes: Mapping[int, Sequence[float]] | None = None,
+    ground: Mapping[int, float] | None = None,
+    **keys: float,
+) -> xr.Dataset:
+    """Simulate steps from a state until they are done or the walker falls.
+
+    Parameters
+    ----------
+    walker : str, Path or mapping
+        A name from the catalogue, a walker file, or the table of a walker.
+    slope : float [rad]
+        Slope of the ground, in (0, 0.5).
+    state : sequence of float, shape (3,)
+        (stance_angle, stance_rate, thigh_rate) just after heelstrike, as for `step_map`.
+    steps : int
+        Number of steps.
+    motion : bool
+        Sample the motion of every step.
+    pushes : mapping, optional
+        By the number of a step, from 0, the changes of (stance_rate, thigh_rate) at its start.
+    ground : mapping, optional
+        By the number of a step the height by which the ground is higher where it ends (negative: a step down), at
+        right angles to the slope, in the walker's unit of length. It stays so afterwards.
+    **keys : float
+        Walker keys to change, `foot_mass_ratio` or `detuning`.
+
+    Returns
+    -------
+    xarray.Dataset
+        Along `step`, from 0 to `steps`: `stance_angle`, `thigh_angle`, `stance_rate`, `thigh_rate`, `shank_rate` at the
+        start of the step, the last of them the state that is reached; `period` and `kneestrike_time`; NaN after a
+        fall. `outcome` says in words how the simulation ended, and `reason` in a sentence; `steps_taken` counts the
+        heelstrikes. With `motion` also `time` after the start of the step, `theta_st`, `theta_th`, `theta_sh` and
+        `foot_x`, along `phase` (the knee free, locked) and `sample`.
+
+    Raises
+    ------
+    StudyError
+        If an argument is invalid.
+    """
+    steps = whole_number("steps", steps, 1)
+    if steps > _MAX_STEPS:
+        raise Location("", "steps").wrong(f"must be at most {_MAX_STEPS:,}", steps)
+    pushed = {k: _numbers("pushes", v, 2) for k, v in _by_step("pushes", pushes, steps).items()}
+    heights = {k: number("ground", v) for k, v in _by_step("ground", ground, steps).items()}
+    params = _params(walker, slope, state, keys)
+    is_si = dispatch.ask("check_walker", params)["si"]
+    answer = dispatch.ask(
+        "simulate", {**params, "steps": steps, "motion": bool(motion), "pushes": pushed, "ground": heights}
+    )
+    taken, cause = answer.pop("steps_taken"), answer.pop("cause")
+    variables: dict[str, Any] = {
+        name: (("step", "phase", "sample")[: values.ndim], _padded(values, steps + 1), _attributes(name, is_si))
+        for name, values in answer.items()
+    }
+    reason = f"All {steps} steps end in a heelstrike." if taken == steps else f"Step {taken}: {cause}."
+    for name, value, text in (
+        ("outcome", cause, "how the simulation ended"),
+        ("reason", reason, "the outcome in a sentence"),
+        ("steps_taken", np.int32(taken), "number of steps that end in a heelstrike"),
+    ):
+        variables[name] = ((), value, {"long_name": text, "units": "1"})
+    named = {"long_name": "number of the step", "units": "1"}
+    return xr.Dataset(variables, {"step": ("step", np.arange(steps + 1, dtype=np.int32), named)})
+
+
+def _params(walker: object, slope: object, state: object, keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters of a call of `tasks`, checked but for what only it knows."""
+    value = number("slope", slope)
+    if not 0 < value < 0.5:
+        raise Location("", "slope").wrong("must lie in (0, 0.5) rad", value)
+    changes = {key: v if key == "knees" and isinstance(v, bool) else number(key, v) for key, v in keys.items()}
+    return {"walker": definition(walker), "slope": value, "set": changes, "state": _numbers("state", state, 3)}
+
+
+def _numbers(name: str, value: Any, count: int) -> list[float]:
+    try:
+        values = [] if isinstance(value, str | bytes | Mapping) else list(value)
+    except TypeError:  # not a sequence
+        values = []
+    if len(values) != count:
+        raise Location("", name).wrong(f"must be {count} numbers", value)
+    return [number(name, v) for v in values]
+
+
+def _by_step(name: str, value: Any, steps: int) -> Mapping[int, Any]:
+    """What is to happen at some steps."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise Location("", name).wrong("must be a mapping from steps", value)
+    for k in value:
+        if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 0 <= k < steps:
+            raise StudyError(f"`{name}` must name steps from 0 to {steps - 1}; got {k!r}.")
+    return {int(k): v for k, v in value.items()}
+
+
+def _padded(values: np.ndarray, n: int) -> np.ndarray:
+    """Values of every step, NaN for steps that are not taken."""
+    missing = np.full((n - len(values), *values.shape[1:]), np.nan)
+    return np.concatenate([values, missing])
+
+
+def _attributes(name: str, is_si: bool) -> dict[str, Any]:
+    if name in _LONG_NAMES:
+        kind, long_name = _LONG_NAMES[name]
+        return {"long_name": long_name, "units": SI_UNITS[kind] if is_si or kind == "angle" else "1"}
+    attributes = layout.attributes(VARIABLES[name], is_si)
+    del attributes["ancillary_variables"]
+    return attributes

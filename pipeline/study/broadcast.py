@@ -1,0 +1,140 @@
+"""What is asked in Python: a walker, and arrays of slopes and keys that are broadcast to one grid of points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from pipeline.errors import StudyError
+from pipeline.study import files
+from pipeline.study.location import Location, clip
+from tasks.registry import VARIABLES
+
+#: Dimensions and coordinates of results, which no argument may use.
+_RESERVED = ("gait", "multiplier", "reason_index", "reason_text", *VARIABLES)
+
+
+def definition(walker: object) -> str | dict[str, Any]:
+    """Name or table of a walker.
+
+    Parameters
+    ----------
+    walker : str, Path or mapping
+        A name from the catalogue, a walker file, or a table.
+
+    Raises
+    ------
+    StudyError
+        If it is anything else, or the name or the file is unknown.
+    """
+    if isinstance(walker, Mapping):
+        return {str(k): v.item() if isinstance(v, np.generic) else v for k, v in walker.items()}
+    if not isinstance(walker, str | Path):
+        raise StudyError(f"`walker` must be a name, a file or a table; got {_kind(walker)}.")
+    return files.walker(str(walker), Path())
+
+
+def number(name: str, value: object) -> float:
+    """Check that an argument is one finite number, of Python or numpy.
+
+    Raises
+    ------
+    StudyError
+        If it is not.
+    """
+    if isinstance(value, np.generic | np.ndarray | xr.DataArray) and np.ndim(value) == 0:
+        value = value.item()
+    return Location("", name).number(value)
+
+
+def whole_number(name: str, value: object, least: int) -> int:
+    """Check that an argument is a whole number, of Python or numpy.
+
+    Raises
+    ------
+    StudyError
+        If it is not, or is less than `least`.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise Location("", name).wrong(f"must be a whole number from {least}", value)
+    return int(value)
+
+
+def broadcast(values: Mapping[str, Any]) -> tuple[dict[str, xr.DataArray], tuple[xr.DataArray, ...]]:
+    """Broadcast arguments: arrays by numpy's rules along dimensions `dim_0`, …, DataArrays along their own.
+
+    Parameters
+    ----------
+    values : mapping
+        Numbers, arrays and DataArrays by the names of the arguments.
+
+    Returns
+    -------
+    arrays : dict
+        DataArrays, each with the dimensions along which it varies alone.
+    grid : tuple of DataArray
+        The same in their order, all with the dimensions of the grid: numpy's, then those of DataArrays as they appear.
+
+    Raises
+    ------
+    StudyError
+        If one holds anything but numbers, if shapes do not broadcast, or if the coordinates of two DataArrays differ.
+    """
+    values = {name: v if isinstance(v, xr.DataArray) else _numbers(name, v) for name, v in values.items()}
+    plain = {name: v for name, v in values.items() if isinstance(v, np.ndarray)}
+    try:
+        shape = np.broadcast_shapes(*(v.shape for v in plain.values()))
+    except ValueError as error:
+        shapes = ", ".join(f"`{name}` {v.shape}" for name, v in plain.items() if v.ndim)
+        raise StudyError(f"Shapes do not broadcast: {shapes}.") from error
+    named = {name: _named(name, v, shape) for name, v in values.items()}
+    try:
+        aligned = xr.align(*named.values(), join="exact", copy=False)
+        whole = xr.DataArray(np.broadcast_to(0.0, shape), dims=[f"dim_{i}" for i in range(len(shape))])
+        _, *grid = xr.broadcast(whole, *aligned)
+    except ValueError as error:
+        # Of xarray's own words only the first line says what is wrong.
+        raise StudyError(f"The DataArrays do not fit each other: {clip(str(error).splitlines()[0], 200)}.") from error
+    arrays = dict(zip(named, aligned, strict=True))
+    for name, array in arrays.items():
+        if name in grid[0].dims and array.dims != (name,):
+            raise StudyError(f"`{name}` is the name of a dimension, along which it does not vary alone.")
+    return arrays, tuple(grid)
+
+
+def _numbers(name: str, value: object) -> np.ndarray:
+    try:
+        array = np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+    except (ValueError, TypeError):  # rows of different lengths, objects of other packages
+        array = np.empty(0, object)
+    if array.dtype.kind not in ("iufb" if name == "knees" else "iuf") or (name == "knees") != (array.dtype.kind == "b"):
+        wanted = "true or false, or an array of them" if name == "knees" else "a number or an array of numbers"
+        raise StudyError(f"`{name}` must be {wanted}; got {_kind(value)}.")
+    return array if name == "knees" else array.astype(float, copy=False)
+
+
+def _named(name: str, value: np.ndarray | xr.DataArray, shape: tuple[int, ...]) -> xr.DataArray:
+    """A DataArray whose only dimensions are those along which the value varies."""
+    if isinstance(value, xr.DataArray):
+        clash = [str(d) for d in (*value.dims, *value.coords) if d in _RESERVED]
+        if clash:
+            raise StudyError(f"`{name}` has a dimension or coordinate `{clash[0]}`, a name that results use.")
+        return value.copy(data=_numbers(name, value.values))
+    first = len(shape) - value.ndim
+    varies = [i for i, n in enumerate(value.shape) if n == shape[first + i]]
+    return xr.DataArray(value.reshape([value.shape[i] for i in varies]), dims=[f"dim_{first + i}" for i in varies])
+
+
+def _kind(value: object) -> str:
+    """What an unsuitable argument is, in a few words."""
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype}"
+    return (
+        clip(repr(value))
+        if isinstance(value, str | bytes | complex | bool | list | tuple | None)
+        else type(value).__name__
+    )

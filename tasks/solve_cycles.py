@@ -1,0 +1,229 @@
+"""Gaits that repeat after n steps, at the slopes of a line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tasks import status
+from tasks.continuation import atlas as atlases
+from tasks.continuation.cycles import Cycle, at_slope, really_walks
+from tasks.fixed_points.labels import places
+from tasks.fixed_points.step_check import gait_ratio
+from tasks.follow_cycles import MAX_MULTIPLIER, CycleBranch, cycle_branches, from_arrays, is_same, to_arrays
+from tasks.measures import violations
+from tasks.measures.kinematics import step_length
+from tasks.measures.losses import heelstrike_losses, kneestrike_loss
+from tasks.registry import ALWAYS, GAITS, VARIABLES
+from tasks.step.problem import EPS, Problem, sizes
+from tasks.step.step_map import Stride
+from tasks.walkers.resolve import resolve
+
+Arrays = dict[str, np.ndarray]
+#: Units in which steps are evaluated again, to see their rounding.
+_UNITS = (0.75, 0.625, 0.875)
+#: Largest error bound of a converged gait.
+_MAX_BOUND = 1e-3
+
+
+def follow(params: Mapping[str, Any]) -> Arrays:
+    """Follow the branches of a line's gaits of period n.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `atlas`, the line's; `steps`, n > 1.
+
+    Returns
+    -------
+    dict of ndarray
+        The branches, which `cycle_points` reads.
+    """
+    problem = Problem(resolve(params["line"]["walker"], params["line"].get("set")))
+    return to_arrays(cycle_branches(problem, atlases.from_arrays(params["atlas"]), int(params["steps"])))
+
+
+def cycle_points(params: Mapping[str, Any]) -> Arrays:
+    """Solve the gaits of period n at the slopes of one line.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`; `branches`, as `follow` returns them; `steps`, n > 1; `slope`, ndarray, shape (k,) [rad]; `want`, names
+        of variables.
+
+    Returns
+    -------
+    dict
+        As `tasks.solve_points.points` returns it: `stance_angle` and rates at the largest stance angle of the n steps,
+        `kneestrike_time` and `heelstrike_rate_ratio` of the step that begins there; `period` and losses of all n;
+        speed, power and residual over all n; the multipliers of n steps; violations of any of them, each amount the
+        worst.
+    """
+    walker = resolve(params["line"]["walker"], params["line"].get("set"))
+    problem, n = Problem(walker), int(params["steps"])
+    branches = from_arrays(params["branches"])
+    slope = np.asarray(params["slope"], float)
+    want = [v for v in VARIABLES if v in params["want"] or v in ALWAYS]
+    width = 4 if walker.knees else 3
+    out: Arrays = {}
+    for name in want:
+        shape = (len(slope), len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (len(slope), len(GAITS))
+        out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
+    out["reason"][:] = [1, 1, 2, 2]
+    for k, value in enumerate(slope.tolist()):
+        _fill({name: values[k] for name, values in out.items()}, problem, branches, value, want)
+    reasons = [status.SETTLED, _outside(branches, n), status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP]
+    return {**out, "reasons": np.array(reasons)}
+
+
+def _outside(branches: list[CycleBranch], n: int) -> str:
+    """Why no branch has a gait at some slope."""
+    if not branches:
+        return f"No gait of period {n} found: no flip of fewer steps begins one."
+    q = [[c.q for c in branch.cycles] for branch in branches]
+    spans = "; ".join(f"{np.exp(min(x)):.6g} to {np.exp(max(x)):.6g}" for x in q)
+    limit = f"followed up to multipliers of {MAX_MULTIPLIER:g}"
+    return f"No gait of period {n} at this slope: the branches found span {spans} ({limit})."
+
+
+def _fill(out: Arrays, problem: Problem, branches: list[CycleBranch], slope: float, want: list[str]) -> None:
+    """Solve every gait at one slope and store it by its label in `out`, arrays of shape (len(GAITS), ...)."""
+    gaits: list[tuple[Cycle, dict[str, Any]]] = []
+    for number, branch in enumerate(branches):
+        for piece, Y, times in branch.guesses(float(np.log(slope))):
+            cycle = at_slope(problem, Y, times, slope)
+            measured: dict[str, Any] = {"branch": number, "piece": piece, "angle": Y[0].max(), "ratio": 0.0}
+            if not cycle.ok or not _is_exact(cycle):
+                measured |= {"status": status.NOT_CONVERGED, "reason": 3}
+            elif any(is_same(cycle, other) for other, _ in gaits if other.ok):
+                continue
+            elif not really_walks(problem, cycle):
+                measured |= {"status": status.NOT_CONVERGED, "reason": 4}
+            else:
+                measured |= _measure(problem, _from_largest(cycle), slope, want)
+            gaits.append((cycle, measured))
+    if not gaits:
+        return
+    place = places(*(np.array([[m[key]] for _, m in gaits]) for key in ("angle", "ratio")))[:, 0]
+    for slot, (_, measured) in zip(place.tolist(), gaits, strict=True):
+        if 0 <= slot < len(GAITS):
+            for name, values in out.items():
+                if name in measured:
+                    values[slot] = measured[name]
+
+
+def _is_exact(cycle: Cycle) -> bool:
+    """Whether a gait does not repeat after fewer steps."""
+    n = cycle.period
+    return all(float(np.abs(cycle.Y - np.roll(cycle.Y, k, axis=1)).max()) > 1e-9 for k in range(1, n) if n % k == 0)
+
+
+def _from_largest(cycle: Cycle) -> Cycle:
+    """The same gait, its steps beginning at the one with the largest stance angle."""
+    k = -int(cycle.Y[0].argmax())
+    rolled = (np.roll(x, k, axis=-1) for x in (cycle.Y, cycle.times, cycle.A))
+    Y, times, A = rolled
+    return Cycle(Y, times, cycle.q, A, cycle.tangent, cycle.ok, cycle.error)
+
+
+def _measure(problem: Problem, cycle: Cycle, slope: float, want: list[str]) -> dict[str, Any]:
+    """Variables of a gait in the walker's units, and its `angle` and `ratio`, which determine its label."""
+    walker, n = problem.walker, cycle.period
+    time_unit, scale = np.sqrt(walker.leg / walker.g), np.exp2(np.floor(np.log2(cycle.Y[0])))
+    slopes = np.full(n, slope)
+    is_flown = any(VARIABLES[name].group == "violations" for name in want)
+    parameters = problem.parameters(slopes, scale)
+    step = problem.map(cycle.Y / scale, cycle.times, parameters, samples=violations.SAMPLES if is_flown else 0)
+    size = problem.map.start_size
+    begin = problem.map.start(cycle.Y / scale, parameters)[:size, 0] * scale[0]
+    rates = begin[size // 2 :] / time_unit
+    after = np.roll(cycle.Y[0], -1)
+    energy = walker.total_mass * walker.g * walker.leg
+    normal, tangential = heelstrike_losses(walker, after, step.impact * scale)
+    knee = kneestrike_loss(walker, step.knee * scale) if walker.knees else np.zeros(n)
+    length, period = float(step_length(walker, cycle.Y[0]).sum()), float(cycle.times[-1].sum()) * time_unit
+    drop, speed = length / walker.leg * np.sin(slope), length / period
+    losses = [float(x.sum()) for x in (normal, tangential, knee)]
+    bound, residual = _error(problem, cycle, slopes, scale)
+    values = np.zeros(4 if walker.knees else 3, complex)
+    values[: problem.m] = cycle.multipliers()
+    ratio = gait_ratio(step)
+    measured = {
+        "angle": cycle.Y[0, 0],
+        "ratio": ratio[0],
+        "stance_angle": begin[0],
+        "stance_rate": rates[0],
+        "thigh_rate": rates[1],
+        "shank_rate": rates[-1],
+        "period": period,
+        "kneestrike_time": cycle.times[0, 0] * time_unit if walker.knees else np.nan,
+        "multiplier_real": values.real,
+        "multiplier_imag": values.imag,
+        "spectral_radius": np.abs(values).max(),
+        "speed": speed,
+        "froude_speed": speed / np.sqrt(walker.g * walker.leg),
+        "cost_of_transport": np.sin(slope),
+        "power": walker.total_mass * walker.g * speed * np.sin(slope),
+        "loss_normal": losses[0] * energy,
+        "loss_tangential": losses[1] * energy,
+        "loss_kneestrike": losses[2] * energy if walker.knees else np.nan,
+        "energy_imbalance": (sum(losses) - drop) / drop,
+        "heelstrike_rate_ratio": ratio[0],
+        "residual": residual,
+        "error_bound": bound,
+        "status": status.CONVERGED if bound < _MAX_BOUND else status.NOT_CONVERGED,
+        "reason": 0 if bound < _MAX_BOUND else 3,
+    }
+    if is_flown:
+        motion = [m * scale for m in step.motion]
+        measured |= _worst(violations.measure(walker, motion, step.impact * scale, cycle.times, slopes))
+    return measured
+
+
+def _worst(amounts: Arrays) -> dict[str, Any]:
+    """Violations of n steps as those of one gait."""
+    worst = {name: float(values.max()) for name, values in amounts.items() if values.dtype == float}
+    worst["least_normal_force"] = float(amounts["least_normal_force"].min())
+    if np.isfinite(amounts["unlocking_torque"]).all():
+        worst["unlocking_torque_time"] = float(amounts["unlocking_torque_time"][amounts["unlocking_torque"].argmax()])
+    return {**worst, "violations": int(np.bitwise_or.reduce(amounts["violations"]))}
+
+
+def _error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray) -> tuple[float, float]:
+    """Bound on the relative error of angles, rates and period, and the residual.
+
+    Notes
+    -----
+    The steps are evaluated again in other units, in which every operation rounds differently. What the largest change
+    of their images may do to the sections, all signs the worst, is what rounding may have done to Newton's solution.
+    """
+    m, n = cycle.Y.shape
+    steps: list[Stride] = []
+    for unit in (1.0, *_UNITS):
+        s = scale * unit
+        steps.append(problem.map(cycle.Y / s, cycle.times, problem.parameters(slope, s)))
+    images = np.array([step.image * scale * unit for step, unit in zip(steps, (1.0, *_UNITS), strict=True)])
+    times = np.array([step.times[-1] for step in steps])
+    after = np.roll(cycle.Y, -1, axis=1)
+    residual = images[0] - after
+    rounding = np.abs(images - images[0]).max(axis=0) + EPS * np.abs(sizes(after))
+    matrix = np.zeros((m * n, m * n))
+    for i in range(n):
+        rows = slice(m * i, m * i + m)
+        matrix[rows, rows] += cycle.A[:, :, i]
+        k = m * ((i + 1) % n)
+        matrix[rows, k : k + m] -= np.eye(m)
+    inverse = np.abs(np.linalg.inv(matrix))
+    moved = (inverse @ (rounding + np.abs(residual)).T.ravel()).reshape(n, m).T
+    size = problem.map.start_size
+    start, by_y = np.split(problem.map.start(cycle.Y / scale, problem.parameters(slope, scale))[:, 0], [size])
+    state = np.abs(start)
+    error = (np.abs(by_y.reshape(size, m)) @ moved[:, 0] / scale[0])[[0, *range(size // 2, size)]]
+    section = max(error[0] / state[0], (error[1:] / state[size // 2 :].max()).max())
+    late = np.abs(times - times[0]).max(axis=0).sum()
+    by_section = np.abs(steps[0].times_by_y[-1]) / scale
+    duration = (late + (by_section * moved).sum()) / cycle.times[-1].sum()
+    return float(max(section, duration)) + 2 * EPS, float((np.abs(residual) / sizes(after)).max())

@@ -1,0 +1,223 @@
+"""`pipeline.gaits`: arrays in, gaits out, as a study finds them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import pipeline
+from pipeline import in_memory
+from pipeline.errors import StudyError
+from pipeline.statuses import ALL_STATUSES
+from tasks.registry import TASKS
+
+SLOPES = np.geomspace(0.004, 0.05, 4)
+RAISED, CONVERGED = ALL_STATUSES["raised"], ALL_STATUSES["converged"]
+
+
+def same(a, b):
+    return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """The archive of a study, as any program reads it."""
+    path = tmp_path_factory.mktemp("study") / "study.nc"
+    axes = {"slope": SLOPES, "R": [0.0, 0.2, 0.3]}
+    pipeline.run({"name": "study", "walker": "E", "axes": axes}, jobs=1, archive=path, quiet=True)
+    return xr.load_dataset(path)
+
+
+def test_it_holds_what_the_archive_of_a_study_holds(study, tmp_path):
+    slope, radius = (xr.DataArray(study[n].values, dims=n, coords={n: study[n].values}) for n in ("slope", "R"))
+    answer = pipeline.gaits("E", slope, R=radius)
+    assert list(answer.data_vars) == list(study.data_vars) and answer.sizes["gait"] == 4
+    (tmp_path / "here").mkdir()
+    answer.to_netcdf(tmp_path / "here" / "answer.nc")
+    for dataset in (answer, xr.load_dataset(tmp_path / "here" / "answer.nc")):
+        for name, stored in study.variables.items():
+            values = dataset[name].isel(gait=slice(study.sizes["gait"])) if "gait" in stored.dims else dataset[name]
+            assert values.dims == stored.dims and values.dtype.kind == stored.dtype.kind, name
+            assert values.dtype == stored.dtype or values.dtype.kind == "U", name
+            assert same(values.values, stored.values), name
+            assert {k: str(v) for k, v in values.attrs.items()} == {k: str(v) for k, v in stored.attrs.items()}, name
+        assert dataset.attrs["m_s"] == 0.1 and dataset.attrs["knees"] == "false" and "R" not in dataset.attrs
+
+
+def test_arrays_broadcast_by_the_rules_of_numpy():
+    radii = np.array([[0.0], [0.2]])
+    answer = pipeline.gaits("E", SLOPES, R=radii, m_h=0.1, variables=["period", "multipliers"])
+    assert answer.period.dims == ("dim_0", "dim_1", "gait") and answer.period.shape == (2, 4, 4)
+    assert answer.multiplier_real.dims == (*answer.period.dims, "multiplier")
+    assert answer.R.dims == ("dim_0",) and answer.slope.dims == ("dim_1",) and answer.attrs["m_h"] == 0.1
+    one = pipeline.gaits("E", SLOPES[2], R=0.2, m_h=0.1)
+    assert one.period.dims == ("gait",) and same(one.period.values, answer.period.values[1, 2])
+    pairs = pipeline.gaits("E", SLOPES[[2, 0]], R=[0.2, 0.0], m_h=0.1)
+    assert same(pairs.period.values, answer.period.values[[1, 0], [2, 0]])
+    assert pipeline.gaits("E", []).period.shape == (0, 4)
+
+
+def test_slopes_may_come_in_any_order_and_twice():
+    slopes = [0.05, 0.02, 0.01, 0.05, 0.03]  # below 0.015 this walker has no gait
+    answer = pipeline.gaits("physical-straight", slopes)
+    assert (answer.status.values[:, 0] == CONVERGED).tolist() == [True, True, False, True, True]
+    for k, slope in enumerate(slopes):
+        alone = pipeline.gaits("physical-straight", slope)
+        for name in ("stance_angle", "multiplier_real", "status", "error_bound"):
+            assert same(answer[name].values[k], alone[name].values), name
+        assert (
+            answer.reason_text.values[answer.reason.values[k]] == alone.reason_text.values[alone.reason.values]
+        ).all()
+
+
+def test_keys_that_a_derived_one_moves_are_no_constants():
+    attrs = pipeline.gaits("E", 0.01, foot_mass_ratio=[0.05, 0.1]).attrs
+    assert not {"m_s", "m_t", "m_h", "foot_mass_ratio"} & set(attrs) and attrs["R"] == 0.0
+    assert pipeline.gaits("E", 0.01, foot_mass_ratio=0.05).attrs["m_s"] == 0.05
+
+
+def test_data_arrays_keep_their_dimensions():
+    slope = xr.DataArray(SLOPES, dims="place", coords={"place": list("abcd")})
+    answer = pipeline.gaits("E", slope, R=xr.DataArray([0.1, 0.2, 0.3], dims="foot"), variables=["period"])
+    assert answer.period.dims == ("place", "foot", "gait") and list(answer.place) == list("abcd")
+    assert "period" in answer and "speed" not in answer and answer.slope.units == "rad"
+    alone = pipeline.gaits("E", SLOPES[1], R=0.3)
+    assert same(answer.period.sel(place="b").isel(foot=2).values, alone.period.values)
+
+
+def test_a_point_that_cannot_be_has_a_status_and_a_sentence():
+    answer = pipeline.gaits("E", [0.01, np.nan, 0.7], R=[[0.1], [-1.0], [np.nan]])
+    assert (answer.status.values[0, 0, :2] == CONVERGED).all()
+    assert (np.delete(answer.status.values.reshape(9, 4), 0, axis=0) == RAISED).all()
+    text = answer.reason_text.values[answer.reason.values[..., 0]]
+    assert text[0, 1] == "`slope` must lie in (0, 0.5) rad; got nan." and text[0, 2].endswith("got 0.7.")
+    assert text[1, 0] == "`R` must be >= 0; got -1.0." and text[2, 0] == "`R` must be finite; got nan."
+    assert np.isnan(answer.period.values.reshape(9, 4)[1:]).all()
+
+
+def test_masked_values_are_missing():
+    answer = pipeline.gaits("E", np.ma.masked_array([0.01, 0.02], [False, True]))
+    assert answer.status.values[:, 0].tolist() == [CONVERGED, RAISED]
+
+
+def test_knees_may_vary_and_multipliers_are_padded():
+    answer = pipeline.gaits("C", 0.02, knees=[True, False])
+    assert answer.sizes["multiplier"] == 4 and np.isnan(answer.multiplier_real.values[1, :, 3]).all()
+    assert np.isfinite(answer.kneestrike_time.values[0, 0]) and np.isnan(answer.kneestrike_time.values[1, 0])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"slope": [0.01, 0.02], "R": [0.1, 0.2, 0.3]}, r"Shapes do not broadcast: `slope` \(2,\), `R` \(3,\)."),
+        ({"slope": np.nan}, r"`slope` must lie in \(0, 0.5\) rad; got nan"),
+        ({"slope": [0.7, -1.0]}, r"`slope` must lie in \(0, 0.5\) rad; got 0.7"),
+        ({"slope": [[0.01], [0.02, 0.03]]}, "`slope` must be a number or an array"),
+        ({"slope": xr.Dataset({"a": 1})}, "`slope` must be a number or an array of numbers; got Dataset"),
+        (
+            {"slope": xr.DataArray([0.01, 0.02], dims="R"), "R": [0.1, 0.2]},
+            "`R` is the name of a dimension, along which it does not vary alone",
+        ),
+        ({"slope": 0.01 + 0j}, "`slope` must be a number or an array"),
+        ({"slope": 0.01, "R": "wide"}, "`R` must be a number or an array of numbers; got 'wide'"),
+        ({"slope": 0.01, "R": [-1.0, -2.0]}, "`R` must be >= 0; got -1.0"),
+        ({"slope": 0.01, "radius": 0.1}, "`radius` is not a walker key"),
+        ({"slope": 0.01, "knees": 1}, "`knees` must be true or false"),
+        ({"slope": 0.01, "steps": 0}, "`steps` must be a whole number from 1; got 0"),
+        ({"slope": 0.01, "steps": 65}, "`steps` must be at most 64; got 65"),
+        ({"slope": 0.01, "steps": 2, "variables": ["proofs"]}, "Proofs are of gaits of one step"),
+        ({"slope": 0.01, "steps": True}, "`steps` must be a whole number"),
+        ({"slope": 0.01, "accuracy": 1e-9}, "`accuracy` must be None; got 1e-09"),
+        ({"slope": 0.01, "variables": ["weight"]}, "Unknown name `weight`"),
+        ({"slope": 0.01, "walker": 3}, "`walker` must be a name, a file or a table; got int"),
+        ({"slope": 0.01, "walker": np.zeros(2)}, "`walker` must be a name, a file or a table; got an array of float64"),
+        ({"slope": 0.01, "walker": "G"}, "Unknown name `G`"),
+        ({"slope": 0.01, "walker": "no.toml"}, "There is no file no.toml"),
+        ({"slope": 0.01, "walker": {"base": "E", "R": [0.1]}}, "`R` must be a number"),
+        ({"slope": xr.DataArray([0.01], dims="gait")}, "`slope` has a dimension or coordinate `gait`"),
+        (
+            {"slope": xr.DataArray([0.01, 0.02], dims="a"), "R": xr.DataArray([0.1, 0.2, 0.3], dims="a")},
+            "The DataArrays do not fit each other: .*'a'",
+        ),
+        (
+            {
+                "slope": xr.DataArray([0.01, 0.02], dims="a", coords={"a": [1, 2]}),
+                "R": xr.DataArray([0.1, 0.2], dims="a", coords={"a": [1, 3]}),
+            },
+            "The DataArrays do not fit each other: .*'a'",
+        ),
+    ],
+)
+def test_wrong_input_is_one_sentence(arguments, words):
+    with pytest.raises(StudyError, match=f"^{words}") as caught:
+        pipeline.gaits(**{"walker": "E", **arguments})
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_remembered_changes_time_only(monkeypatch):
+    memory = in_memory.Memory(100_000)
+    monkeypatch.setattr(in_memory, "_MEMORY", memory)
+    radii = [0.1, 0.15, 0.2, 0.25, 0.3]
+    first = pipeline.gaits("E", 0.01, R=radii)
+    assert 0 < len(memory.results) < len(radii) and memory.size <= memory.bound
+    kept = list(memory.results)
+    assert pipeline.gaits("E", 0.01, R=radii[::-1]).isel(dim_0=slice(None, None, -1)).equals(first)
+    assert set(memory.results) != set(kept)
+    one = pipeline.gaits("E", 0.01, R=radii[0])
+    assert same(one.period.values, first.period.values[0])
+
+
+def test_what_was_used_last_is_kept():
+    memory = in_memory.Memory(2 * (8 + 1))
+    for key in (b"a", b"b", b"a", b"c"):
+        memory.get(key, lambda: {"x": np.zeros(1)})
+    assert memory.has(b"a") and memory.has(b"c") and not memory.has(b"b") and memory.size == memory.bound
+
+
+def test_a_line_is_surveyed_once(monkeypatch):
+    """What makes a slider over slopes fast: the second call needs no atlas."""
+    monkeypatch.setattr(in_memory, "_MEMORY", memory := in_memory.Memory(1 << 30))
+    pipeline.gaits("E", SLOPES)
+    remembered = dict(memory.results)
+    monkeypatch.setattr(memory, "get", lambda key, compute: remembered[key][1])
+    assert (pipeline.gaits("E", SLOPES + 1e-4).status.values[:, :2] == CONVERGED).all()
+
+
+def test_lines_side_by_side_are_those_that_are_surveyed_alone(monkeypatch):
+    monkeypatch.setattr(in_memory, "_MEMORY", in_memory.Memory(1 << 30))
+    together = pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]])
+    monkeypatch.setattr(in_memory, "_MEMORY", in_memory.Memory(1 << 30))
+    monkeypatch.setattr(in_memory, "_survey", lambda lines: None)
+    assert pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]]).equals(together)
+
+
+def test_a_long_line_takes_the_atlas_that_a_long_study_takes(tmp_path):
+    slopes = np.geomspace(0.004, 0.05, 300)
+    study = {"name": "long", "walker": "D", "axes": {"slope": slopes}, "want": {"variables": ["period"]}}
+    pipeline.run(study, jobs=1, archive=tmp_path / "long.nc", quiet=True)
+    stored = xr.load_dataset(tmp_path / "long.nc").period.values
+    answer = pipeline.gaits("D", slopes, variables=["period"]).period.values
+    assert same(answer[:, : stored.shape[1]], stored)
+
+
+def test_long_lines_are_not_surveyed_side_by_side(monkeypatch):
+    monkeypatch.setattr(in_memory, "_MEMORY", memory := in_memory.Memory(1 << 30))
+    pipeline.gaits("E", np.geomspace(0.004, 0.05, 300), R=[[0.1], [0.2]], variables=["period"])
+    assert len(memory.results) == 2
+
+
+def test_a_task_that_raises_is_a_status(monkeypatch):
+    def fail(*_):
+        raise MemoryError("of\nno use")
+
+    monkeypatch.setattr(in_memory._Line, "atlas", fail)
+    answer = pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]])
+    assert (answer.status == RAISED).all() and answer.reason_text.values.tolist() == ["MemoryError: of no use"]
+
+
+def test_lines_that_fail_side_by_side_are_surveyed_alone(monkeypatch):
+    monkeypatch.setattr(in_memory, "_MEMORY", in_memory.Memory(1 << 30))
+    broken = dataclasses.replace(TASKS["atlas"], side_by_side="tasks.solve_points:no_such_function")
+    monkeypatch.setitem(TASKS, "atlas", broken)
+    assert (pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]]).status.values[..., :2] == CONVERGED).all()
