@@ -188,7 +188,8 @@ ALWAYS = ("residual", "error_bound", "branch", "piece", "status", "reason")
 class Task:
     """One kind of work: `function` is "module:name", called as function(params, inputs).
 
-    `side_by_side` computes this task and `points`, which needs it, for several short lines in one call.
+    `side_by_side` computes this task and `points`, which needs it, for several short lines in one call; then a line
+    takes `seconds_side_by_side`.
     """
 
     name: str
@@ -198,12 +199,20 @@ class Task:
     seconds: float = 0.01
     seconds_per_point: float = 0.0
     side_by_side: str = ""
+    seconds_side_by_side: float = 0.0
 
 
 TASKS = {
     t.name: t
     for t in (
-        Task("atlas", "tasks.solve_points:atlas", 12, seconds=1.0, side_by_side="tasks.solve_points:lines"),
+        Task(
+            "atlas",
+            "tasks.solve_points:atlas",
+            12,
+            seconds=0.5,
+            side_by_side="tasks.solve_points:lines",
+            seconds_side_by_side=0.1,
+        ),
         Task("points", "tasks.solve_points:points", 9, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 2, needs=("atlas",), seconds=0.2),
         Task("branch", "tasks.follow_branches:branch", 4, needs=("atlas",), seconds=0.3),

@@ -185,6 +185,9 @@ def summary(plan: Plan) -> Summary:
         seconds_each = layer.task.seconds
         if name == "points":
             seconds_each = measured or layer.task.seconds_per_point
+        elif name == "atlas" and graph.is_short(study):
+            # What is measured for a point of a short line includes its share of the atlas.
+            seconds_each = 0.0 if measured else layer.task.seconds_side_by_side
         result.seconds += seconds_each * sum(todo[name].values())
     return result
 
