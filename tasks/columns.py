@@ -51,6 +51,9 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "slope_transition_fitted": ("angle", "slope where fitted lines cross"),
     "fitted_below": ("angle", "largest slope of the points that the lower line is fitted to"),
     "fitted_above": ("angle", "smallest slope of the points that the upper line, of power 1/3, is fitted to"),
+    "fitted_exponent": ("number", "exponent of the lower fitted line"),
+    "fitted_amplitude": ("number", "stance angle over slope^fitted_exponent on the lower fitted line"),
+    "fitted_cube_root": ("number", "stance angle over slope^(1/3) on the upper fitted line"),
     "asymptotic": ("angle", "slope of the transition by the asymptotic formula"),
     "local_exponent": ("number", "d ln slope_transition / d ln foot_mass_ratio towards the next lighter foot"),
     "local_exponent_fitted": ("number", "local exponent of the crossing of fitted lines"),
@@ -117,6 +120,17 @@ COLUMNS: dict[str, tuple[str, str]] = {
         "number",
         "derivative of its stance angle with respect to the parameter, rad per unit of the parameter",
     ),
+    "swing_rate": ("rate", "rate of the swing leg at the same instant"),
+    "point": ("number", "number of the point in the paper's figure 6"),
+    **{
+        f"{table}/{column}": ("angle", meaning)
+        for table in ("landmarks", "crises")
+        for column, meaning in (
+            ("printed", "slope as the paper prints it"),
+            ("half_unit", "half a unit of the printed slope's last digit"),
+            ("slope", "slope computed"),
+        )
+    },
     "half_unit": ("number", "half a unit of the parameter's last printed digit, in the parameter's unit"),
     "contribution": ("angle", "contribution of the parameter's rounding to the interval's half width"),
     "matters_most": ("number", "whether it contributes most"),

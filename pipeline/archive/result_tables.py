@@ -1,4 +1,4 @@
-"""Tables in the archive: one netCDF group each, its columns along the dimension `row`."""
+"""Tables in the archive: one netCDF group each, its columns along the dimension `row`, or arrays over the grid."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import serialize
-from pipeline.archive import layout
+from pipeline.archive import arrays, layout
 from pipeline.dispatch import resolve
 from pipeline.plan.missing import Plan
 from tasks import registry
@@ -91,6 +91,9 @@ def _stack(parts: list[Columns]) -> Columns:
 
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
+    if set(arrays.LAYOUTS.get(group, ("",))) <= set(columns):
+        arrays.write(file, plan, group, columns, _attributes)
+        return
     netcdf_group = file.createGroup(group)
     netcdf_group.createDimension("row", len(next(iter(columns.values()))))
     for name, values in columns.items():

@@ -24,7 +24,7 @@ from tasks import registry
 from tasks.registry import ALWAYS, CLAIMS, COSTLY, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
 #: Tasks that are not kinds of study.
-_INTERNAL_TASKS = ("atlas", "points", "trace")
+_INTERNAL_TASKS = ("atlas", "points", "trace", *registry.FITS)
 #: Axes that are not keys of a walker.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
 #: Largest axis and grid; anything above is taken for a mistake.
@@ -226,8 +226,7 @@ def _want(value: object, kind: str, location: Location) -> dict[str, tuple[str, 
     names = {key: _free_names(table.get(key, []), location.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:
-            others = (*kinds(), *_INTERNAL_TASKS, "claims")
-            raise location.at("fits").unknown(fit, [name for name in TASKS if name not in others])
+            raise location.at("fits").unknown(fit, registry.FITS)
     for figure in names["figures"]:
         if figure not in FIGURES:
             raise location.at("figures").unknown(figure, FIGURES)

@@ -56,8 +56,18 @@ def _flips(walker: str, family: str) -> np.ndarray:
     return events["slope"][events["kind"] == "flip"]
 
 
-def _crisis(walker: str, family: str) -> tuple[float, float]:
-    """Slopes between which a family's last attractor is lost [rad]."""
+def crisis(walker: str, family: str) -> tuple[float, float]:
+    """Bracket the slope at which a family's last attractor is lost.
+
+    Parameters
+    ----------
+    walker, family : str
+        Name in the catalogue, and the first period of the family.
+
+    Returns
+    -------
+    low, high : float [rad]
+    """
     bracket = _doublings(walker, family, "lost")
     return float(bracket["low"][0]), float(bracket["high"][0])
 
@@ -79,7 +89,7 @@ def exponent(walker: str, slopes: np.ndarray, starts: int) -> tuple[float, float
     """
     own = line(walker)
     tables = orbit(
-        {**own.params, "slope": slopes, "starts": starts, "transient": 100, "strides": 176, "shown": 1}, [own.arrays]
+        {**own.params, "slope": slopes, "starts": starts, "transient": 100, "steps": 176, "shown": 1}, [own.arrays]
     )
     most = int(np.argmax(tables["lyapunov/exponent"]))
     value, error, slope = (float(tables[f"lyapunov/{k}"][most]) for k in ("exponent", "standard_error", "slope"))
@@ -92,7 +102,7 @@ def exponent(walker: str, slopes: np.ndarray, starts: int) -> tuple[float, float
 def doublings_to_chaos() -> ClaimResult:
     """Follow the period doublings of D from period one to chaos and the loss of walking."""
     at, limit = _flips("D", "1"), _doublings("D", "1", "accumulation")
-    low, high = _crisis("D", "1")
+    low, high = crisis("D", "1")
     value, error, _ = exponent("D", np.array([0.0189]), 64)
     chaotic = value > 4 * error
     begins = within(0.015, at[0] - 5e-4, at[0] + 5e-4)
@@ -121,8 +131,8 @@ def period_three() -> ClaimResult:
     """Follow the period-three family of D from its fold through its doublings to the end of its chaos."""
     events, limit = _doublings("D", "3"), _doublings("D", "3", "accumulation")
     fold, at = float(events["slope"][events["kind"] == "fold"][0]), _flips("D", "3")
-    low, high = _crisis("D", "3")
-    chaos_1 = (_doublings("D", "1", "accumulation")["slope"][0], _crisis("D", "1")[0])
+    low, high = crisis("D", "3")
+    chaos_1 = (_doublings("D", "1", "accumulation")["slope"][0], crisis("D", "1")[0])
     coexists = at[0] < _flips("D", "1")[0]
     four, four_at = _doublings("D", "4"), _flips("D", "4")
     more = (
@@ -172,8 +182,19 @@ def kneed_doublings() -> ClaimResult:
     )
 
 
-def _corners(walker: str) -> list[tuple[float, float]]:
-    """Brackets of the loss of walking at the two corners of a walker's rounding, lower one first [rad].
+@functools.lru_cache(maxsize=4)
+def corner_crises(walker: str) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Bracket the loss of walking at the two corners of a walker's rounding.
+
+    Parameters
+    ----------
+    walker : str
+        Name in the catalogue.
+
+    Returns
+    -------
+    lower, upper : tuple of float [rad]
+        Brackets (low, high).
 
     Notes
     -----
@@ -187,16 +208,16 @@ def _corners(walker: str) -> list[tuple[float, float]]:
         for key, half in HALF_UNITS[walker].items():
             corner = changed(walker, corner, key, direction * float(np.sign(sensitivity[key])) * half)
         params = {"line": {"walker": asdict(corner), "set": {}}}
-        ends = cascade({**params, "slope": np.array(CORNER), "periods": 8, "strides": 40}, [atlas(params, [])])
+        ends = cascade({**params, "slope": np.array(CORNER), "periods": 8, "steps": 40}, [atlas(params, [])])
         brackets.append((float(ends["lost/low"][0]), float(ends["lost/high"][0])))
-    return brackets
+    return brackets[0], brackets[1]
 
 
 @claim("K2", "persistent walking up to slopes of about 0.103, none above", "section 7", "figure12/bifurcation", _KNEED)
 def kneed_end() -> ClaimResult:
     """Bracket the slope at which C's persistent walking ends."""
-    ends = {w: _crisis(w, "1") for w in ("C", "C-printed")}
-    (low, _), (_, high) = _corners("C-printed")
+    ends = {w: crisis(w, "1") for w in ("C", "C-printed")}
+    (low, _), (_, high) = corner_crises("C-printed")
     brackets = ", ".join(f"{w} between {a:.6f} and {b:.6f}" for w, (a, b) in ends.items())
     return ClaimResult(
         f"chaotic walking ends in falls: {brackets}; rounding of the printed offsets and lengths allows "
@@ -211,7 +232,7 @@ def kneed_end() -> ClaimResult:
 @claim("K3", "unstable gaits continue at larger slopes", "figure 12", "figure8/locus", _KNEED)
 def unstable_beyond() -> ClaimResult:
     """Follow both gaits of C beyond the loss of walking."""
-    loss = _crisis("C", "1")[1]
+    loss = crisis("C", "1")[1]
     curves = [line("C").curve(k) for k in range(len(line("C").branches))]
     top = {("short" if c["short"][len(c["slope"]) // 2] else "long"): float(c["slope"].max()) for c in curves}
     least = min(float(c["spectral_radius"][c["slope"] > loss].min()) for c in curves)
@@ -315,7 +336,7 @@ def chaos(walker: str) -> tuple[int, str]:
     second flip: within the chaotic range, where some slopes lie in windows of stable gaits of long periods.
     """
     family = str(WINDOWS[walker][3][0])
-    tables = _compute_cascade(walker, (int(family),), periods=8, strides=0)
+    tables = _compute_cascade(walker, (int(family),), periods=8, steps=0)
     at, limit = tables["cascade/slope"][tables["cascade/kind"] == "flip"], float(tables["accumulation/slope"][0])
     value, error, slope = exponent(walker, limit + np.array([0.3, 0.5, 0.7]) * (limit - at[1]), 12)
     return int(value > 4 * error), (

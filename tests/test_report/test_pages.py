@@ -248,7 +248,7 @@ def test_figures_have_alt_text_and_follow_the_pages_colours(report):
         assert all(about.get("role") == "img" and len(about["aria-label"]) > 30 for about in pictures)
         drawn = "".join(re.findall(r"<svg viewBox.*?</svg>", path.read_text(), re.S))
         fixed = set(re.findall(r"(?:stroke|fill): (#[0-9a-f]{6})", drawn))
-        assert fixed <= {"#ffffff", "#3c8fd6", "#e0691f", "#8d9399"}, path.name
+        assert fixed <= {"#ffffff", "#3c8fd6", "#e0691f", "#8d9399", "#8fa3b8", "#b59a85", "#6c8f6c"}, path.name
 
 
 def test_an_archive_cannot_put_anything_into_a_page(tmp_path):

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pipeline.report.figures import body, branch_curves, cycle, design_maps, families, maps, scaling
+from pipeline.report.figures import (
+    bifurcation,
+    body,
+    branch_curves,
+    cycle,
+    design_maps,
+    families,
+    maps,
+    scaling,
+    searches,
+)
 from pipeline.report.figures.style import style
 from pipeline.report.figures.svg import Drawing, Sketch, render
 from pipeline.report.source import Source
@@ -18,10 +28,13 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
     "walker": body.walker,
     "conditions": body.conditions,
     "locus": branch_curves.locus,
-    "bifurcation": branch_curves.bifurcation,
+    "bifurcation": bifurcation.bifurcation,
     "heatmap": maps.heatmap,
     "basin": maps.basin,
     "design": design_maps.design,
+    "census": searches.census,
+    "cascade": searches.cascade,
+    "curves": searches.curves,
 }
 
 
