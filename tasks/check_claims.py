@@ -11,6 +11,7 @@ from tasks.paper import published_tables, tuned_walkers
 from tasks.paper.certificates import backed
 from tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResult
 from tasks.paper.lines import cache_atlas, set_tables
+from tasks.paper.quotations import QUOTATIONS
 from tasks.registry import VARIABLES
 
 Arrays = dict[str, np.ndarray]
@@ -36,7 +37,8 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Table `claims`: id, printed, source, computed, value, interval, interval_low, interval_high, verdict, figure,
+        Table `claims`: id, printed, quotation, source, computed, value, printed_value, printed_half_unit,
+        interval, interval_low, interval_high, verdict, figure,
         command, shape (claims,); with claim P1 `rounding`, with Z6 `figure9` and `figure10`, with T7 `offsets`.
 
     Raises
@@ -78,9 +80,12 @@ def _row(claim: Claim, result: ClaimResult) -> dict[str, Any]:
     return {
         "id": claim.id,
         "printed": claim.printed,
+        "quotation": QUOTATIONS.get(claim.id, ""),
         "source": claim.source,
         "computed": result.computed,
         "value": float(result.value),
+        "printed_value": float(result.printed),
+        "printed_half_unit": float(result.half_unit),
         "interval": f"{result.low:.12g} to {result.high:.12g}" if result.low <= result.high else "",
         "interval_low": float(result.low),
         "interval_high": float(result.high),

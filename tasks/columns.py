@@ -98,6 +98,9 @@ COLUMNS: dict[str, tuple[str, str]] = {
     # the ledger
     "id": ("number", "claim"),
     "printed": ("number", "statement or number as printed"),
+    "quotation": ("number", "the paper's words"),
+    "printed_value": ("number", "number as printed"),
+    "printed_half_unit": ("number", "half a unit of the printed number's last digit; 0 if it is exact"),
     "source": ("number", "place in the paper"),
     "computed": ("number", "computed result"),
     "claims/value": ("number", "number that decides the verdict"),

@@ -213,7 +213,7 @@ TASKS = {
         Task("transition", "tasks.fit_laws:transition", 3, needs=("points",)),
         Task("landmarks", "tasks.locate_landmarks:landmarks", 1, needs=("atlas",), seconds=2.0),
         Task("crises", "tasks.locate_landmarks:crises", 1, needs=("atlas",), seconds=8.0),
-        Task("claims", "tasks.check_claims:claims", 7, needs=("points", "atlas"), seconds=30.0),
+        Task("claims", "tasks.check_claims:claims", 8, needs=("points", "atlas"), seconds=30.0),
     )
 }
 

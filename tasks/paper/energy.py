@@ -86,7 +86,11 @@ def powers() -> ClaimResult:
             exponent[f"{name} {gait}"] = power
             agrees.append(abs(power - (4 if step < 2 / 3 else 2)) < 0.01)
     return ClaimResult(
-        f"P ~ v^p at slope {VANISHING:g}: {numbers(exponent, 5)}", verdict(all(agrees)), exponent["E long"]
+        f"P ~ v^p at slope {VANISHING:g}: {numbers(exponent, 5)}",
+        verdict(all(agrees)),
+        exponent["E long"],
+        printed=4,
+        half_unit=0,
     )
 
 
@@ -111,6 +115,8 @@ def kneestrike() -> ClaimResult:
         f"slope 1e-8: long {share[0]:.4f}, short {share[1]:.4f}",
         verdict(max(abs(p - 2) for p in exponent.values()) < 1e-3),
         exponent["long"],
+        printed=2,
+        half_unit=0,
     )
 
 

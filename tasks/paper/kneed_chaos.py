@@ -14,7 +14,7 @@ from tasks.count_gaits import census
 from tasks.follow_curves import curve
 from tasks.iterate_orbits import orbit
 from tasks.locate_cascade import cascade
-from tasks.paper.claim import NOT_REPRODUCED, ClaimResult, claim, verdict, within
+from tasks.paper.claim import NOT_REPRODUCED, ClaimResult, claim, compare, verdict
 from tasks.paper.lines import Arrays, line, numbers, table
 from tasks.paper.published import HALF_UNITS
 from tasks.paper.rounding_intervals import changed, interval
@@ -105,17 +105,17 @@ def doublings_to_chaos() -> ClaimResult:
     low, high = crisis("D", "1")
     value, error, _ = exponent("D", np.array([0.0189]), 64)
     chaotic = value > 4 * error
-    begins = within(0.015, at[0] - 5e-4, at[0] + 5e-4)
+    begins = abs(at[0] - 0.015) <= 5e-4
     last = 0.5 * (low + high)
     return ClaimResult(
         f"period doublings at slopes {', '.join(f'{s:.10f}' for s in at)}; the ratios of their intervals tend to "
         f"{limit['ratio'][0]:.4f}; accumulation at {limit['slope'][0]:.10f} "
         f"({limit['low'][0]:.10f}-{limit['high'][0]:.10f}); Lyapunov exponent at slope 0.0189: {value:.4f} "
         f"(standard error {error:.4f}) per step; walking is lost between {low:.6f} and {high:.6f}",
-        verdict(chaotic and begins != NOT_REPRODUCED and 0.0185 <= last <= 0.0195),
+        verdict(chaotic and begins and abs(last - 0.019) <= 5e-4),
         last,
-        0.0185,
-        0.0195,
+        printed=0.019,
+        half_unit=5e-4,
     )
 
 
@@ -148,9 +148,9 @@ def period_three() -> ClaimResult:
         f"{limit['slope'][0]:.9f}; its chaos ends between {low:.6f} and {high:.6f}; chaos of the period-one family "
         f"from {chaos_1[0]:.7f} to {chaos_1[1]:.5f}{more}",
         verdict(fold < 0.0125 < at[0] and coexists and separate and len(at) > 2),
-        fold,
-        0.01245,
-        0.01255,
+        0.5 * (fold + at[0]),
+        printed=0.0125,
+        half_unit=5e-5,
     )
 
 
@@ -175,10 +175,12 @@ def kneed_doublings() -> ClaimResult:
         f"period doublings of {'; '.join(cascades)}; rounding of the printed parameters allows "
         f"{printed.low:.4f}-{printed.high:.4f} for the first with the offsets as printed, "
         f"{exact.low:.4f}-{exact.high:.4f} exactly tuned",
-        within(0.084, printed.low, printed.high) if continues else NOT_REPRODUCED,
+        compare(0.084, 5e-4, printed.value, printed.low, printed.high) if continues else NOT_REPRODUCED,
         printed.value,
         printed.low,
         printed.high,
+        0.084,
+        5e-4,
     )
 
 
@@ -218,14 +220,17 @@ def kneed_end() -> ClaimResult:
     """Bracket the slope at which C's persistent walking ends."""
     ends = {w: crisis(w, "1") for w in ("C", "C-printed")}
     (low, _), (_, high) = corner_crises("C-printed")
+    loss = float(np.mean(ends["C-printed"]))
     brackets = ", ".join(f"{w} between {a:.6f} and {b:.6f}" for w, (a, b) in ends.items())
     return ClaimResult(
         f"chaotic walking ends in falls: {brackets}; rounding of the printed offsets and lengths allows "
         f"{low:.4f}-{high:.4f}",
-        within(0.103, low, high),
-        float(np.mean(ends["C-printed"])),
+        compare(0.103, 5e-4, loss, low, high),
+        loss,
         low,
         high,
+        0.103,
+        5e-4,
     )
 
 
@@ -323,6 +328,8 @@ def never_more() -> ClaimResult:
         f"separately: {numbers(others)}",
         verdict(most <= 2),
         float(most),
+        printed=2,
+        half_unit=0,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.paper.claim import ClaimResult, claim, verdict
+from tasks.paper.claim import VERDICTS, ClaimResult, claim, compare, verdict
 from tasks.paper.lines import line
 from tasks.paper.rounding_intervals import Interval, interval
 
@@ -25,13 +25,16 @@ def _format(mark: Interval) -> str:
 def smallest_slopes() -> ClaimResult:
     """Locate the folds at the smallest slopes."""
     kneed, straight = interval("smallest slope, kneed"), interval("smallest slope, straight")
-    both = kneed.low <= 0.020 <= kneed.high and straight.low <= 0.016 <= straight.high
+    marks = ((0.020, kneed), (0.016, straight))
+    verdicts = [compare(number, 5e-4, mark.value, mark.low, mark.high) for number, mark in marks]
     return ClaimResult(
         f"folds at slope {_format(kneed)} kneed, {_format(straight)} straight-legged",
-        verdict(both),
+        max(verdicts, key=VERDICTS.index),
         kneed.value,
         kneed.low,
         kneed.high,
+        0.020,
+        5e-4,
     )
 
 

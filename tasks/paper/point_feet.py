@@ -9,7 +9,7 @@ import numpy as np
 
 from tasks.fit_laws import transition
 from tasks.mechanics.lumped import constants_of
-from tasks.paper.claim import APPROXIMATELY, ClaimResult, claim, verdict
+from tasks.paper.claim import APPROXIMATE, ClaimResult, claim, verdict
 from tasks.paper.lines import LONG, SHORT, foot_ratio, line, numbers, root
 from tasks.step.problem import Problem
 from tasks.step.step_map import stride_map
@@ -129,8 +129,10 @@ def transition_power() -> ClaimResult:
         f"ratio of E to F {fitted:.3f} by fitted lines as in the paper, {exact:.3f} by the exact "
         f"asymptotes (2^1.5 = 2.828); local exponents between foot mass ratios "
         f"{', '.join(f'{r:g}' for r in RATIOS)}: {listed}, tending to 3/2",
-        APPROXIMATELY if tends else verdict(False),
+        APPROXIMATE if tends else verdict(False),
         fitted,
+        printed=2.83,
+        half_unit=5e-3,
     )
 
 

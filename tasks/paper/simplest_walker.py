@@ -50,8 +50,8 @@ def long_stable() -> ClaimResult:
         f"stable from slope 1e-8 (spectral radius at most {largest:.4f}) to the flip at slope {flip:.15g}",
         result.verdict if largest < 1 else verdict(False),
         result.value,
-        result.low,
-        result.high,
+        printed=result.printed,
+        half_unit=result.half_unit,
     )
 
 
@@ -126,6 +126,8 @@ def cube_roots() -> ClaimResult:
         f"periods at slope 1e-9: {numbers(period, 10)}",
         verdict(deviation < 1e-4 and drift < 1e-4),
         angle["long"],
+        printed=1 / 3,
+        half_unit=0,
     )
 
 
@@ -149,6 +151,8 @@ def fourth_power() -> ClaimResult:
         f"{factors[1]:.6f} (closed form {limits[0]:.6f} and {limits[1]:.6f})",
         verdict(max(abs(p - 4) for p in exponents) < 1e-3 and deviation < 1e-4),
         exponents[0],
+        printed=4,
+        half_unit=0,
     )
 
 

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import newton
-from tasks.paper.claim import ClaimResult, claim, verdict, within
+from tasks.paper.claim import ClaimResult, claim, compare, verdict
 from tasks.paper.lines import LONG, SHORT, Arrays, line, numbers, root
 from tasks.paper.rounding_intervals import interval
 from tasks.step.problem import Problem
@@ -101,10 +101,12 @@ def turns_linear() -> ClaimResult:
     return ClaimResult(
         f"the local exponent passes 2/3, midway between the laws, at slope {mark.value:.4e}; kneestrike accounts for "
         f"half of the losses at slope {half:.4e}; exponents at slopes {numbers(at, 3)}",
-        within(0.00015, mark.low, mark.high),
+        compare(0.00015, 5e-6, mark.value, mark.low, mark.high),
         mark.value,
         mark.low,
         mark.high,
+        0.00015,
+        5e-6,
     )
 
 
