@@ -151,6 +151,8 @@ COLUMNS: dict[str, tuple[str, str]] = {
         for of, law in (("angle", "the stance angle in the slope"), ("power", "power in speed"))
         for when in ("vanishing", "small", "larger")
     },
+    "column": ("number", "column of the paper's figure 10"),
+    "slopes": ("number", "range of slopes"),
     "faster_vanishing": ("number", "faster gait as the slope vanishes"),
     "faster_larger": ("number", "faster gait at larger slopes"),
     "crossing_slope": ("angle", "slope where both gaits are equally fast"),

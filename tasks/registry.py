@@ -225,9 +225,26 @@ READS = {
     "linear": ("stance_angle", "spectral_radius"),
     "transition_ladder": ("stance_angle",),
     "angles": ("trace",),
+    "multipliers": ("spectral_radius",),
+    "losses": ("loss_normal", "loss_tangential", "loss_kneestrike", "spectral_radius"),
+    "heelstrike": ("heelstrike_rate_ratio", "spectral_radius"),
+    "power": ("power", "speed", "spectral_radius"),
     "heatmap": ("speed", "stance_angle", "period", "spectral_radius"),
     **dict.fromkeys(
-        ("walker", "conditions", "locus", "bifurcation", "basin", "design", "census", "cascade", "curves"), ()
+        (
+            "walker",
+            "conditions",
+            "locus",
+            "bifurcation",
+            "basin",
+            "design",
+            "census",
+            "cascade",
+            "curves",
+            "exponents",
+            "claims",
+        ),
+        (),
     ),
 }
 
@@ -328,6 +345,7 @@ CALLS = {
     "prove_stored": "tasks.proofs.records:prove_stored",
     "certificates": "tasks.write_certificates:names",
     "certify": "tasks.write_certificates:certify",
+    "claims": "tasks.check_claims:check",
     "walkers": "tasks.walkers.describe:describe",
     "tune": "tasks.walkers.tuning:tune",
     "check_walker": "tasks.walkers.resolve:check",

@@ -146,6 +146,9 @@ def parser() -> argparse.ArgumentParser:
     c = add(_walkers, "the catalogue of walkers, or one walker")
     c.add_argument("name", nargs="?", metavar="NAME")
     c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_claims, "claims of the paper: what it says, the computed number and the verdict")
+    c.add_argument("ids", nargs="*", metavar="ID", help="such as D2 or K1 (default: all)")
+    c.add_argument("--json", action="store_true", help="for machines")
     c = add(_tune, "the nearest walker that can walk at vanishing slope")
     c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
     c.add_argument("--free", action="append", default=[], metavar="KEY", help="a key that may change")
@@ -334,14 +337,18 @@ def _walkers(options: argparse.Namespace) -> int:
     return 0
 
 
+def _claims(options: argparse.Namespace) -> int:
+    from pipeline.cli import claims
+
+    return claims.report(options.ids, options.json)
+
+
 def _tune(options: argparse.Namespace) -> int:
     from pipeline.dispatch import ask
     from pipeline.study import files
 
-    params: dict[str, Any] = {"walker": files.walker(options.walker, Path())}
-    if options.free:
-        params["free"] = options.free
-    answer = ask("tune", params)
+    free = {"free": options.free} if options.free else {}
+    answer = ask("tune", {"walker": files.walker(options.walker, Path()), **free})
     if options.json:
         print(json.dumps(answer))
         return 0

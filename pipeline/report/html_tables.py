@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from pipeline.report.entry import Entry
 from pipeline.report.figures.style import plain
 from pipeline.report.source import ANSWERS, Source, print_units
 
@@ -18,20 +17,6 @@ MAX_ROWS = 60
 
 #: Rows of the longest table that a page shows unfolded.
 _OPEN_ROWS = 20
-
-#: Families of claims by the letter of their id.
-FAMILIES = {
-    "D": "Simplest walker",
-    "E": "Point feet with mass",
-    "P": "Physical walker",
-    "T": "Tuning",
-    "Z": "Zero-slope walkers",
-    "M": "Energy",
-    "K": "Kneed chaos",
-    "W": "Wheels",
-    "G": "General",
-    "A": "Appendix A",
-}
 
 _HEADS = {
     "exponent_low": "low",
@@ -99,30 +84,6 @@ class Table:
     def folded(self) -> bool:
         """Whether the rows are folded under the caption."""
         return len(self.rows) > _OPEN_ROWS
-
-
-@dataclass(frozen=True)
-class ClaimRow:
-    """One claim of the ledger, with a link to the page that shows it."""
-
-    id: str
-    printed: Cell
-    source: str
-    computed: Cell
-    interval: list[Cell]
-    verdict: str
-    sign: str
-    figure: str
-    href: str
-    command: str
-
-
-@dataclass(frozen=True)
-class Family:
-    """Claims on one subject."""
-
-    title: str
-    verdicts: list[ClaimRow] = field(default_factory=list)
 
 
 def cell(value: Any, counted: bool = False, digits: int = 6) -> Cell:
@@ -206,6 +167,19 @@ def fits(source: Source) -> list[Table]:
     return tables
 
 
+def landmarks(source: Source) -> Table | None:
+    """Landmarks that the paper prints or numbers, beside those computed and what rounding allows."""
+    names = ["landmark", "walker", "point", "printed", "slope", "slope_low", "slope_high", "stance_angle"]
+    found = [source.tables[n] for n in ("landmarks", "crises") if n in source.tables]
+    frame = pd.concat([t[names] for t in found if set(names) <= set(t.columns)] or [pd.DataFrame(columns=names)])
+    if frame.empty:
+        return None
+    heads = ["landmark", "walker", "point", "printed γ (rad)", "computed γ (rad)", "from γ", "to γ", "θ* (rad)"]
+    rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
+    note = "From, to: the slopes that the rounding of the printed parameters allows."
+    return Table("The paper's numbers beside the computed ones", heads, rows, note)
+
+
 def special_points(source: Source) -> Table | None:
     """Folds, flips and ends, with their coordinates."""
     table = source.tables.get("special_points")
@@ -252,6 +226,20 @@ def statuses(source: Source) -> list[tuple[str, int, float]]:
     return [
         (source.statuses.get(int(v), str(v)), int(c), float(c / total)) for v, c in zip(values, counts, strict=True)
     ]
+
+
+def outcome_sentence(source: Source) -> str:
+    """The outcomes of a study in one sentence."""
+    counts = {name: count for name, count, _ in statuses(source)}
+    total = sum(counts.values())
+    if not total:
+        return ""
+    what = source.whole + ("" if total == 1 else "s")
+    grouped = f"{total:,}".replace(",", "\u202f")
+    if set(counts) == {"converged"}:
+        return f"{'All ' if total > 1 else 'The '}{grouped + ' ' if total > 1 else ''}{what} converged."
+    parts = [f"{count:,}".replace(",", "\u202f") + f" {name.replace('_', ' ')}" for name, count in counts.items()]
+    return f"Of {grouped} {what}: {', '.join(parts)}."
 
 
 def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
@@ -342,49 +330,3 @@ def claims(source: Source) -> list[dict[str, Any]]:
     table = source.tables.get("claims")
     rows = table.to_dict("records") if table is not None and "id" in table else []
     return [{str(k): v.item() if isinstance(v, np.generic) else v for k, v in row.items()} for row in rows]
-
-
-def ledger(entries: Iterable[Entry]) -> list[Family]:
-    """Every claim of some pages by family, each with a link to its figure."""
-    entries = list(entries)
-    pages = {entry.slug: f"{entry.slug}.html" for entry in entries}
-    pages |= {f"{entry.study}/{name}": f"{entry.slug}.html#{name}" for entry in entries for name in entry.figures}
-    families: dict[str, Family] = {}
-    for entry in entries:
-        for row in entry.claims:
-            letter = str(row["id"])[:1].upper()
-            title = FAMILIES.get(letter, "Others")
-            families.setdefault(title, Family(title)).verdicts.append(_claim_row(row, entry, pages))
-    order = [*FAMILIES.values(), "Others"]
-    for family in families.values():
-        family.verdicts.sort(key=lambda v: (v.id[:1], len(v.id), v.id))
-    return sorted(families.values(), key=lambda f: order.index(f.title))
-
-
-def _claim_row(row: dict[str, Any], entry: Entry, pages: dict[str, str]) -> ClaimRow:
-    verdict = str(row.get("verdict", ""))
-    figure = str(row.get("figure", ""))
-    href = pages.get(figure) or pages.get(f"{entry.study}/{figure}") or pages.get(entry.slug, "")
-    interval = [cell(row[k]) for k in ("interval_low", "interval_high") if k in row]
-    if any(c.value is None for c in interval):
-        interval = []
-    return ClaimRow(
-        str(row["id"]),
-        cell(row.get("printed", "")),
-        str(row.get("source", "")),
-        cell(row.get("computed", "")),
-        interval,
-        verdict.replace("_", " "),
-        sign(verdict),
-        figure or entry.name,
-        href,
-        str(row.get("command", "")),
-    )
-
-
-def sign(verdict: str) -> str:
-    """Sign of a verdict: yes, no or open."""
-    words = verdict.replace("_", " ").strip().lower()
-    if words in ("reproduced", "proved"):
-        return "yes"
-    return "no" if words.startswith("not ") else "open"

@@ -15,7 +15,7 @@ import jinja2
 import pandas as pd
 
 from pipeline.archive.citation import PAPER
-from pipeline.report import entry, html_tables, results
+from pipeline.report import entry, html_tables, ledger, results
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.cycle import animation
 from pipeline.report.figures.style import plain
@@ -119,8 +119,9 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
     wanted = {*keep, *(name for record in entries for name in record.files)}
     for record in previous.values():
         entry.remove(out, record, wanted)
-    ledger = html_tables.ledger(entries)
-    common = {"entries": entries, "ledger": ledger, "tally": _tally(ledger)}
+    claims = ledger.families(entries)
+    common = {"entries": entries, "ledger": claims, "tally": ledger.tally(claims), "signs": ledger.sign}
+    _publish(out / "ledger.csv", _csv(ledger.table(claims)) if claims else "")
     _publish(out / "ledger.html", environment.get_template("ledger.html").render(**common))
     moves = next((record.moves for record in entries if record.moves), [])
     index = environment.get_template("index.html")
@@ -130,8 +131,12 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
 
 def _study(environment: jinja2.Environment, page: Page) -> str:
     """Render the page of one study, which depends on no other."""
+    claims = html_tables.claims(page.source)
     return environment.get_template("study.html").render(
         page=page,
+        landmarks=html_tables.landmarks(page.source),
+        claims=[(row["id"], str(row.get("verdict", "")), ledger.sign(str(row.get("verdict", "")))) for row in claims],
+        sentence=html_tables.outcome_sentence(page.source),
         fits=html_tables.fits(page.source),
         special=html_tables.special_points(page.source),
         results=results.tables(page.source),
@@ -140,6 +145,7 @@ def _study(environment: jinja2.Environment, page: Page) -> str:
         failed_tasks=html_tables.failed_tasks(page.source),
         walkers=html_tables.walkers(page.source),
         run=html_tables.pairs({k: v for k, v in page.source.run.items() if k in _RUN}),
+        origin=_origin(page.source),
         provenance=html_tables.pairs(_rest(page.source)),
     )
 
@@ -168,14 +174,21 @@ def _slugs(sources: list[Source]) -> list[str]:
     return taken
 
 
+def _origin(source: Source) -> str:
+    """Where the archive comes from, in one line."""
+    record, packages = source.provenance, source.provenance.get("packages", {})
+    version = packages.get("gaitsweep", "") if isinstance(packages, dict) else ""
+    parts = [f"gaitsweep {version}".strip()]
+    parts += [f"{word} {str(record[key])[:12]}" for word, key in (("commit", "commit"), ("Python", "python"))
+              if record.get(key)]  # fmt: skip
+    seconds, jobs = source.run.get("seconds"), source.run.get("jobs", "?")
+    parts += [f"{seconds:.3g} s with {jobs} workers"] if isinstance(seconds, float) else []
+    return ", ".join(parts)
+
+
 def _rest(source: Source) -> dict[str, Any]:
     """Provenance without the parts that the page shows elsewhere."""
     return {key: value for key, value in source.provenance.items() if key not in ("study", "walkers", "varied")}
-
-
-def _tally(ledger: list[html_tables.Family]) -> dict[str, int]:
-    signs = [verdict.sign for family in ledger for verdict in family.verdicts]
-    return {sign: signs.count(sign) for sign in ("yes", "no", "open")} if signs else {}
 
 
 def _thumbnails(entries: list[entry.Entry]) -> dict[str, str]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pandas as pd
 
-from pipeline.report.html_tables import MAX_ROWS, Table, cell, from_frame, head
+from pipeline.report.html_tables import MAX_ROWS, Cell, Table, cell, from_frame, head
 from pipeline.report.source import Source
 
 #: Tables and their captions, in the order of a page.
 CAPTIONS = {
     "figure9": "The tuned walkers (the paper's figure 9)",
-    "figure10": "Gaits of the tuned walkers (the paper's figure 10)",
+    "figure10_cells": "Figure 10, cell by cell: as printed, as computed, and the verdict",
+    "figure10": "Exponents of the tuned walkers' gaits",
     "cascade": "Folds and flips of each family of periodic gaits",
     "accumulation": "Accumulation points of the period doublings",
     "census": "Gaits found",
@@ -26,7 +27,20 @@ CAPTIONS = {
 }
 
 #: Tables shown by figures, by the ledger or by tables of their own, or too long for a page.
-_ELSEWHERE = ("claims", "branches", "special_points", "trace", "orbits", "basin", "curves", "failed_tasks")
+_ELSEWHERE = (
+    "claims",
+    "landmarks",
+    "crises",
+    "figure10_cells",
+    "fixed_points",
+    "branches",
+    "special_points",
+    "trace",
+    "orbits",
+    "basin",
+    "curves",
+    "failed_tasks",
+)
 
 _EXPONENTS = "{1} step, p of {0}: γ {2}"
 _FIGURE10 = {
@@ -58,6 +72,8 @@ def _table(name: str, source: Source) -> Table:
     caption = CAPTIONS.get(name, name.replace("_", " ").replace("/", ": "))
     if name in ("figure9", "figure10") and "walker" in frame:
         return _transposed(caption, frame, {key for table in source.walkers.values() for key in table})
+    if name == "figure10_cells":
+        return _printed_cells(caption, frame)
     shown = frame.head(MAX_ROWS)
     note = f"{len(frame) - len(shown)} more rows are in the archive." if len(shown) < len(frame) else ""
     return from_frame(caption, shown, note)
@@ -78,3 +94,23 @@ def _transposed(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
         "",
         ["", *(frame["description"] if "description" in frame else [""] * len(frame))],
     )
+
+
+_VERDICTS = {"reproduced": "●", "approximate": "○", "not reproduced": "✕"}
+
+
+def _printed_cells(caption: str, frame: pd.DataFrame) -> Table:
+    """The paper's figure 10: a row per walker, in each cell what is printed and computed, by range of slopes."""
+    columns = list(dict.fromkeys(frame["column"]))
+    rows = []
+    for walker, cells in frame.groupby("walker", sort=False):
+        row = [cell(str(walker))]
+        for column in columns:
+            lines = []
+            for entry in cells[cells["column"] == column].itertuples():
+                sign = _VERDICTS.get(str(entry.verdict), "–")
+                where = f"γ {entry.slopes}: " if entry.slopes else ""
+                lines.append(f"{sign} {where}{entry.printed}\n    computed {entry.computed}")
+            row.append(Cell("\n".join(lines)))
+        rows.append(row)
+    return Table(caption, ["walker", *columns], rows, "● reproduced, ○ approximate, ✕ not reproduced, – not checked.")

@@ -54,7 +54,6 @@ class Claim:
     printed: str
     source: str
     figure: str
-    command: str
     find: Callable[[], ClaimResult]
 
 
@@ -63,7 +62,7 @@ CLAIMS: dict[str, Claim] = {}
 
 
 def claim(
-    id: str, printed: str, source: str, figure: str, command: str
+    id: str, printed: str, source: str, figure: str
 ) -> Callable[[Callable[[], ClaimResult]], Callable[[], ClaimResult]]:
     """Enter a function as the computation behind a claim.
 
@@ -73,8 +72,6 @@ def claim(
         Its name, a paraphrase of what the paper says, and the place there.
     figure : str
         The figure that shows it, as "study/figure".
-    command : str
-        A command that reproduces its number, or the gaits it is read from.
 
     Raises
     ------
@@ -85,7 +82,7 @@ def claim(
     def enter(find: Callable[[], ClaimResult]) -> Callable[[], ClaimResult]:
         if id in CLAIMS:
             raise ValueError(f"claim {id} is entered twice")
-        CLAIMS[id] = Claim(id, printed, source, figure, command, find)
+        CLAIMS[id] = Claim(id, printed, source, figure, find)
         return find
 
     return enter

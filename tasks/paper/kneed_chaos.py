@@ -34,7 +34,6 @@ WINDOWS: dict[str, tuple[float, float, int, tuple[int, ...]]] = {
 WALKERS = ("A", "B", "C", "D", "E", "F", "physical", "physical-straight")
 #: Window of slopes [rad] that holds the doublings and the loss of walking of kneed walkers within their rounding.
 CORNER = (0.06, 0.12)
-_CASCADE, _KNEED = (f"gaitsweep run data/studies/paper/{name}.toml" for name in ("cascade", "cascade-kneed"))
 
 
 def _compute_cascade(walker: str, families: tuple[int, ...], **options: int) -> Arrays:
@@ -97,7 +96,10 @@ def exponent(walker: str, slopes: np.ndarray, starts: int) -> tuple[float, float
 
 
 @claim(
-    "D8", "period doublings from about 0.015, and chaos, up to about 0.019", "section 3", "chaos/bifurcation", _CASCADE
+    "D8",
+    "period doublings from about 0.015, and chaos, up to about 0.019",
+    "section 3",
+    "chaos/bifurcation",
 )
 def doublings_to_chaos() -> ClaimResult:
     """Follow the period doublings of D from period one to chaos and the loss of walking."""
@@ -124,8 +126,7 @@ def doublings_to_chaos() -> ClaimResult:
     "an unconnected period-three branch near 0.0125 with period doublings of its own, coexisting with a stable "
     "period-one gait; two separate chaotic ranges",
     "section 3",
-    "basin/basin",
-    _CASCADE,
+    "cascade/cascade",
 )
 def period_three() -> ClaimResult:
     """Follow the period-three family of D from its fold through its doublings to the end of its chaos."""
@@ -159,7 +160,6 @@ def period_three() -> ClaimResult:
     "the kneed walker's period-one gait gives way at about 0.084 to period two, then four, and so on",
     "section 7",
     "figure12/bifurcation",
-    _KNEED,
 )
 def kneed_doublings() -> ClaimResult:
     """Follow the period doublings of C, exactly tuned and as printed."""
@@ -215,7 +215,12 @@ def corner_crises(walker: str) -> tuple[tuple[float, float], tuple[float, float]
     return brackets[0], brackets[1]
 
 
-@claim("K2", "persistent walking up to slopes of about 0.103, none above", "section 7", "figure12/bifurcation", _KNEED)
+@claim(
+    "K2",
+    "persistent walking up to slopes of about 0.103, none above",
+    "section 7",
+    "figure12/bifurcation",
+)
 def kneed_end() -> ClaimResult:
     """Bracket the slope at which C's persistent walking ends."""
     ends = {w: crisis(w, "1") for w in ("C", "C-printed")}
@@ -234,7 +239,7 @@ def kneed_end() -> ClaimResult:
     )
 
 
-@claim("K3", "unstable gaits continue at larger slopes", "figure 12", "figure8/locus", _KNEED)
+@claim("K3", "unstable gaits continue at larger slopes", "figure 12", "figure8/locus")
 def unstable_beyond() -> ClaimResult:
     """Follow both gaits of C beyond the loss of walking."""
     loss = crisis("C", "1")[1]
@@ -259,8 +264,7 @@ def _crossings(x: np.ndarray, y: np.ndarray, at: float) -> list[float]:
     "T6",
     "the branches approach, touch and re-pair as the walker is detuned",
     "section 5.2, 3",
-    "figure8/locus",
-    "gaitsweep run data/studies/paper/repairing.toml",
+    "repairing/curves",
 )
 def re_pairing() -> ClaimResult:
     """Locate the detuning at which the branches of C touch, a turning point of its curve of folds."""
@@ -305,8 +309,7 @@ def re_pairing() -> ClaimResult:
     "G1",
     "never more than two anthropomorphic gaits of period one",
     "section 8",
-    "figure11/linear",
-    "gaitsweep run data/studies/paper/census.toml",
+    "census/census",
 )
 def never_more() -> ClaimResult:
     """Count the anthropomorphic period-one gaits that searches over the whole section find."""

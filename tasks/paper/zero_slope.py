@@ -31,7 +31,6 @@ def _limits(gait: int) -> dict[str, float]:
     "all of A to E walk on arbitrarily small slopes",
     "section 5.3, 1",
     "figure11/loglog",
-    "gaitsweep run data/studies/paper/figure11.toml",
 )
 def arbitrarily_small() -> ClaimResult:
     """Solve both gaits at the smallest slopes that double precision resolves."""
@@ -50,7 +49,6 @@ def arbitrarily_small() -> ClaimResult:
     "only D has both step lengths ~ slope^(1/3)",
     "section 5.3, 2",
     "figure11/loglog",
-    "gaitsweep run data/studies/paper/figure11.toml",
 )
 def only_simplest() -> ClaimResult:
     """Compute the exponents of both gaits at a vanishing slope."""
@@ -68,7 +66,6 @@ def only_simplest() -> ClaimResult:
     "A, B, E: short ~ slope and long ~ slope^(1/3) at the smallest slopes, all ~ slope^(1/3) above 0.01",
     "section 5.3, 3",
     "figure11/loglog",
-    "gaitsweep run data/studies/paper/figure11.toml",
 )
 def two_laws() -> ClaimResult:
     """Compute the exponents of A, B and E at vanishing and at larger slopes."""
@@ -91,7 +88,6 @@ def two_laws() -> ClaimResult:
     "C's long step becomes linear in slope near slope 0.00015",
     "section 5.3, 4",
     "figure11/loglog",
-    "gaitsweep solve --walker C --slope 1.523e-4 --json",
 )
 def turns_linear() -> ClaimResult:
     """Locate the slope at which the local exponent of C's long step is midway between both laws."""
@@ -155,8 +151,7 @@ def _stability_limit(walker: str) -> float:
     "Z5",
     "every tuned long step is stable below some slope",
     "section 5.3, 5",
-    "figure11/linear",
-    "gaitsweep solve --walker E --slope 1e-4 --json",
+    "figure11/multipliers",
 )
 def stable_below() -> ClaimResult:
     """Locate the slope at which each long step loses stability, and the foot mass that allows it any."""

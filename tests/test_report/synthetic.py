@@ -75,6 +75,10 @@ claims = ["E2", "E3", "E4"]
     claims = {
         "id": ["E2", "E3", "E4", "Z5"],
         "printed": ["1/3", "1 below, 1/3 above", "2.828", "every walker"],
+        "quotation": ["proportional to the cube root", "proportional to γ", "approximately as observed", "all of them"],
+        "value": [0.3333, 1.0, 3.69, 0.0],
+        "printed_value": [1 / 3, 1.0, 2.828, np.nan],
+        "printed_half_unit": [0.0, 0.0, 5e-4, np.nan],
         "source": ["section 4.1", "section 4.1", "figure 5", "section 7"],
         "computed": [0.3333, 1.0, 3.69, 0.0],
         "interval_low": [0.332, 0.99, 3.1, np.nan],

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.archive.citation import PAPER
 from pipeline.errors import ArchiveError
-from pipeline.report import html_tables, pages, source
+from pipeline.report import html_tables, ledger, pages, source
 from pipeline.report.figures.style import plain
 from pipeline.report.source import read
 from test_report import synthetic
@@ -123,7 +123,7 @@ def test_tables_of_results_are_on_the_page_of_their_study(tmp_path):
     ):
         assert words in found.text
     assert "<summary>Falls</summary>" in source and found.text.count("fell forward") == 30
-    assert ">l_t<" in source and "1 converged line" in " ".join(found.text.split())
+    assert ">l_t<" in source and "The line converged." in found.text
     assert "Section 7: doublings and falls." in Page(tmp_path / "index.html").text
 
 
@@ -207,6 +207,7 @@ def test_only_leaves_nothing_else_of_a_report_and_all_that_is_none(tmp_path):
     assert {path.name for path in tmp_path.iterdir() if path.suffix != ".nc"} == {
         "index.html",
         "ledger.html",
+        "ledger.csv",
         "three.html",
         "three-linear.csv",
         "bench.html",
@@ -309,7 +310,7 @@ def test_the_ledger_links_each_claim_to_its_figure(report):
 def test_a_study_without_points_or_run_record_still_has_a_page(tmp_path):
     archive = write(tmp_path / "a.nc", 'name = "a"', {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}, {}, {})
     assert pages.write([archive], tmp_path).is_file()
-    assert "1 converged" in Page(tmp_path / "a.html").text
+    assert "The line converged." in Page(tmp_path / "a.html").text
 
 
 def test_no_archive_gives_an_index_that_says_so(tmp_path):
@@ -376,3 +377,40 @@ def test_a_table_shows_codes_as_words_and_units_as_in_print():
     table = html_tables.from_frame("Design", frame)
     assert [cell.text for cell in table.rows[0]] == ["end zero step", "my_walker", "0.5"]
     assert table.heads[2] == "speed (m s⁻¹)"
+
+
+def test_a_claim_is_shown_with_its_words_a_picture_and_a_command(report):
+    text = (report / "ledger.html").read_text()
+    claim = text[text.index('id="E4"') : text.index('id="Z5"')]
+    assert "approximately as observed" in claim and "figure 5" in claim
+    assert "printed 2.828, computed 3.69, from 3.1 to 3.9 by rounding" in claim
+    assert "<code>gaitsweep run transition.toml</code>" in claim and 'href="#E4"' in claim
+    assert "<svg" not in text[text.index('id="Z5"') : text.index("</main>")]  # nothing is printed for it
+    table = pd.read_csv(report / "ledger.csv")
+    assert list(table["id"]) == ["E2", "E3", "E4", "Z5"]
+    assert table["printed"][2] == 2.828 and table["interval_high"][2] == 3.9
+
+
+def test_failures_are_named_at_the_top_of_the_index(report):
+    text = (report / "index.html").read_text()
+    assert text.index("ledger.html#Z5") < text.index('id="studies"')
+    assert text.index("ledger.html#E4") < text.index('id="studies"')
+
+
+def test_a_bar_holds_all_its_numbers_in_proportion():
+    row = {"value": 0.0191, "printed_value": 0.020, "printed_half_unit": 5e-4, "interval_low": 0.018,
+           "interval_high": 0.0203}  # fmt: skip
+    bar = ledger._bar(row)
+    places = [bar.low, bar.value, bar.printed_from, bar.printed, bar.high, bar.printed_to]
+    assert places == sorted(places) and places[0] > 0 and places[-1] < 100
+    assert (bar.value - bar.low) / (bar.high - bar.low) == pytest.approx(0.0011 / 0.0023, rel=1e-3)
+    assert ledger._bar({"value": 1.0}) is None
+    # Equal numbers are drawn in one place, however many digits they differ in.
+    close = ledger._bar({"value": 4.00001, "printed_value": 4.0, "printed_half_unit": 0.0})
+    assert abs(close.value - close.printed) < 0.1
+
+
+def test_verdicts_have_signs():
+    assert [ledger.sign(v) for v in ("proved", "reproduced", "consistent within rounding", "approximate")] == [
+        "proved", "yes", "within", "open"]  # fmt: skip
+    assert ledger.sign("not_reproduced") == ledger.sign("not a verdict") == "no"

@@ -21,7 +21,7 @@ from pipeline.report.figures.style import VARIABLES, plain, spread_evenly
 TARGETS = 400
 
 #: Size of a figure that the index shows as it is [character]; it shows larger ones more coarsely.
-_MAX_THUMBNAIL = 20_000
+_MAX_THUMBNAIL = 11_000
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     svg = _to_svg(figure, f"{salt}/{name}", 200)
-    small = _to_svg(figure, f"{salt}/{name}/small", 80, 1) if len(svg) > _MAX_THUMBNAIL else svg
+    small = _small(_to_svg(figure, f"{salt}/{name}/small", 50, 0)) if len(svg) > _MAX_THUMBNAIL else svg
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
         name,
@@ -103,11 +103,32 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
     )
 
 
+def _coarsen(figure: Figure) -> None:
+    """Leave out what is too small to see on the index: ticks, grid, legends and the details of curves."""
+    for line in figure.findobj(Line2D):
+        line.get_path().simplify_threshold = 1.0
+    for axes in figure.axes:
+        axes.tick_params(length=0)
+        axes.grid(False)
+    for legend in [*figure.legends, *filter(None, (axes.get_legend() for axes in figure.axes))]:
+        legend.set_visible(False)
+
+
+def _small(svg: str) -> str:
+    """A picture without the words, which are too small to read on the index."""
+    svg = re.sub(r"<text.*?</text>", "", svg, flags=re.S)
+    svg = re.sub(r" data-line=\"\d+\"| clip-path=\"[^\"]*\"|; stroke-linecap: square|<clipPath.*?</clipPath>", "", svg)
+    previous = ""
+    while svg != previous:
+        previous, svg = svg, re.sub(r"<g[^>]*>\s*</g>", "", svg)
+    return svg
+
+
 def _to_svg(figure: Figure, salt: str, dpi: int, decimals: int = 2) -> str:
     """The figure's SVG; `dpi` is the resolution of its raster parts, `decimals` that of its paths."""
     stream = io.StringIO()
-    for line in figure.findobj(Line2D) if decimals < 2 else ():
-        line.get_path().simplify_threshold = 0.5
+    if not decimals:
+        _coarsen(figure)
     with matplotlib.rc_context({"svg.hashsalt": salt}):
         figure.savefig(stream, format="svg", dpi=dpi, metadata={"Date": None})
     return _adapt(stream.getvalue(), decimals)
@@ -122,11 +143,13 @@ def _adapt(svg: str, decimals: int) -> str:
         r"<svg [^>]*?viewBox=(\"[^\"]*\")[^>]*>", r'<svg viewBox=\1 aria-hidden="true" focusable="false">', svg
     )
     svg = re.sub(r' id="line-(\d+)"', r' data-line="\1"', svg)
-    svg = re.sub(r" id=\"[A-Za-z_.]+_\d+\"", "", svg).replace("xlink:href", "href")
+    svg = re.sub(r" id=\"[A-Za-z_.0-9]+_\d+\"", "", svg).replace("xlink:href", "href")
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
+    cut = rf"(\.\d{{{decimals}}})\d+" if decimals else r"()\.\d+"
     for drawn, variable in VARIABLES.items():
         svg = svg.replace(f": {drawn}", f": var(--{variable})")
-    svg = re.sub(r' d="[^"]*"', lambda path: re.sub(rf"(\.\d{{{decimals}}})\d+", r"\1", path[0]), svg)
+    svg = re.sub(r' d="[^"]*"', lambda path: re.sub(cut, r"\1", path[0]), svg)
+    svg = re.sub(r"<use [^>]*>", lambda use: re.sub(r"(\.\d\d)\d+", r"\1", use[0]), svg)
     return re.sub(r">\s+<", "><", re.sub(r"\n\s*", " ", svg))
 
 
