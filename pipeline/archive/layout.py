@@ -9,24 +9,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from pipeline.dispatch import resolve
 from pipeline.study.model import Study
-from tasks.registry import SI_UNITS
 
 CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box assembled in memory
 Box = tuple[slice, ...]
-
-
-def is_si(study: Study) -> bool:
-    """Whether every walker of a study is in SI units."""
-    return all(check["si"] for check in study.checks)
-
-
-def axis_units(study: Study, name: str) -> str:
-    """CF units of an axis."""
-    kind = {"slope": "angle", "foot_mass_ratio": "number", "detuning": "number"}.get(name)
-    kind = kind or resolve("tasks.walkers.walker:KEYS")[name]
-    return SI_UNITS[kind] if kind == "angle" or is_si(study) else "1"
 
 
 def chunk_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pipeline.report.figures import measured
 from pipeline.report.figures.style import plain
 from pipeline.report.source import ANSWERS, Source, print_units
 
@@ -178,6 +179,16 @@ def landmarks(source: Source) -> Table | None:
     rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
     note = "From, to: the slopes that the rounding of the printed parameters allows."
     return Table("The paper's numbers beside the computed ones", heads, rows, note)
+
+
+def residuals(source: Source) -> Table | None:
+    """The study's own measurements beside the computed values."""
+    frame = measured.residuals(source)
+    if frame.empty:
+        return None
+    shown = frame.head(2 * MAX_ROWS)
+    note = "Residual: measured less computed; – where no computed gait has that slope."
+    return from_frame("Residuals of the measurements", shown, note)
 
 
 def special_points(source: Source) -> Table | None:

@@ -137,6 +137,7 @@ def _study(environment: jinja2.Environment, page: Page) -> str:
         landmarks=html_tables.landmarks(page.source),
         claims=[(row["id"], str(row.get("verdict", "")), ledger.sign(str(row.get("verdict", "")))) for row in claims],
         sentence=html_tables.outcome_sentence(page.source),
+        residuals=html_tables.residuals(page.source),
         fits=html_tables.fits(page.source),
         special=html_tables.special_points(page.source),
         results=results.tables(page.source),
@@ -154,6 +155,8 @@ def _page(source: Source, slug: str) -> Page:
     wanted = list(dict.fromkeys(source.figures))
     if "fits/scaling" in source.tables and "residuals" not in wanted:
         wanted.append("residuals")
+    if "overlay" in source.tables and "measured" not in wanted:
+        wanted.append("measured")
     drawn = {name: draw(source, name, slug) for name in wanted}
     drawings = [drawing for drawing in drawn.values() if drawing is not None]
     undrawn = [name for name in source.figures if drawn[name] is None]

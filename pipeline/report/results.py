@@ -33,6 +33,7 @@ _ELSEWHERE = (
     "crises",
     "figure10_cells",
     "fixed_points",
+    "overlay",
     "branches",
     "special_points",
     "trace",

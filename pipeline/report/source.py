@@ -130,6 +130,13 @@ class Source:
         return [str(w) for w in (walkers if isinstance(walkers, list) else [walkers]) if str(w).endswith(".toml")]
 
     @property
+    def overlay_file(self) -> str:
+        """Name of the file of measurements that the study names; empty if there is none."""
+        figures = self.study.get("figures", {})
+        overlay = figures.get("overlay", {}) if isinstance(figures, dict) else {}
+        return str(overlay.get("file", "")) if isinstance(overlay, dict) else ""
+
+    @property
     def file(self) -> str:
         """A name for the study's file that differs from those of its walkers."""
         return f"{self.slug}-study.toml" if f"{self.slug}.toml" in self.walker_files else f"{self.slug}.toml"
@@ -142,7 +149,7 @@ class Source:
     @property
     def figures(self) -> list[str]:
         """Names of the figures that the study wants."""
-        wanted = self.study.get("want", {}).get("figures", self.study.get("figures", []))
+        wanted = self.study.get("want", {}).get("figures", [])
         return [str(name) for name in wanted]
 
     @cached_property

@@ -119,8 +119,8 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker before `set`), and `varied` (for each
-        of the walker's keys that `set` moves, the key of `set` that does).
+        `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker before `set`), `parameters` (the
+        walker with `set`), and `varied` (for each key of the walker that `set` moves, the key of `set` that does).
 
     Raises
     ------
@@ -137,6 +137,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "kneed": walker.knees,
         "multipliers": 4 if walker.knees else 3,
         "table": resolve(params["walker"]).table(),
+        "parameters": walker.table(),
         "varied": varied,
     }
 

@@ -108,3 +108,23 @@ def test_only_the_lines_that_both_archives_have_are_compared(archives, tmp_path)
     assert commands.main(["run", f"{tmp_path}/one.toml", "--archive", str(one), "--jobs", "1", "--quiet"]) == 0
     found = diff.diff(archives / "o.nc", one)
     assert found == [f"1 of 2 values of `foot_mass_ratio` are only in {archives / 'o.nc'}"]
+
+
+def test_parameters_are_variables_where_they_vary_and_attributes_where_not(archives, tmp_path):
+    orbits, basin = _tree(archives / "o.nc").to_dataset(), _tree(archives / "b.nc").to_dataset()
+    # Each foot has the ratio of the total mass, the two hip masses of the thighs the rest.
+    assert orbits["m_s"].dims == ("foot_mass_ratio",) and list(orbits["m_s"].values) == pytest.approx([0.0, 0.05])
+    assert (2 * (orbits["m_s"] + orbits["m_t"]) + orbits["m_h"]).values == pytest.approx([1.0, 1.0])
+    assert orbits.attrs["R"] == 0.0 and "R" not in orbits
+    assert basin["m_s"].dims == ("walker",) and basin["m_s"].attrs["units"] == "1"
+    assert list(basin["walker"].where(basin["m_s"] > 0, drop=True).values) == ["E"]
+    (tmp_path / "d.toml").write_text(
+        'name = "d"\nwalker = ["A", "C"]\n[axes]\ndetuning = [0.0, 1.0]\nc_s = [0.17, 0.18]\nslope = [0.03]\n'
+    )
+    path = tmp_path / "d.nc"
+    assert commands.main(["run", f"{tmp_path}/d.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    tuned = xr.load_dataset(path)
+    assert tuned["w_t"].dims == ("walker", "detuning") and tuned["w_t"].attrs["units"] == "m"
+    assert tuned["w_t"].sel(detuning=1.0).values == pytest.approx([0, 0], abs=1e-15)
+    assert tuned["c_s"].dims == ("c_s",) and tuned.attrs["g"] == 9.81
+    assert verify.verify(path) == []

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from pipeline.report.figures import landmarks
+from pipeline.report.figures import landmarks, measured
 from pipeline.report.figures.style import (
     DASHES,
     GAIT_COLOURS,
@@ -80,12 +80,13 @@ def locus(source: Source) -> Sketch | None:
     rows = -(-count // across)
     figure = canvas(350 if count == 1 else 200 * rows + 60)
     panels = np.atleast_1d(figure.subplots(rows, across, sharex=True, sharey=True)).ravel()
-    pieces, marks = [], []
+    pieces, marks, own = [], [], None
     for k, (at, frame) in enumerate(chosen):
         axes = panels[0 if together else k]
         command = line_command(source, frame)
         pieces += _draw_branches(axes, frame, k if together else 0)
         marks += _branch_marks(axes, frame, title(at), command)
+        own = measured.draw(axes, source, "stance_angle", at) or own
         marks += _draw_special(axes, _rows_at(special, at), command)
         if at and not together:
             letter = f"({'abcdef'[k]}) " if count > 1 else ""
@@ -106,7 +107,7 @@ def locus(source: Source) -> Sketch | None:
     else:
         figure.supylabel("stance angle θ* (rad)", fontsize=9.5)
     data = pd.concat(pieces, ignore_index=True)
-    _add_legend(figure, data, special, [str(at["walker"]) for at, _ in chosen] if together else [], has_printed)
+    _add_legend(figure, data, special, [str(at["walker"]) for at, _ in chosen] if together else [], has_printed, own)
     omitted = f" Six of {len(every)} lines are drawn." if len(every) > len(chosen) else ""
     return Sketch(
         figure,
@@ -124,7 +125,9 @@ def locus(source: Source) -> Sketch | None:
     )
 
 
-def _add_legend(figure: Figure, data: pd.DataFrame, special: pd.DataFrame, walkers: list[str], printed: bool) -> None:
+def _add_legend(
+    figure: Figure, data: pd.DataFrame, special: pd.DataFrame, walkers: list[str], printed: bool, own: Line2D | None
+) -> None:
     keys = [Line2D([], [], color=colour(g), lw=1.4, label=f"{shorten(g)} step") for g in data["drawn_as"].unique() if g]
     if "stable" in data and (data["stable"] == 1).any():
         keys.append(Line2D([], [], color=INK, lw=2.6, label="stable"))
@@ -134,6 +137,7 @@ def _add_legend(figure: Figure, data: pd.DataFrame, special: pd.DataFrame, walke
         keys.append(Line2D([], [], ls="", **_mark(kind), label=f"end: {words}" if kind.startswith("end_") else words))
     if printed:
         keys.append(Line2D([], [], color=PRINTED, lw=5, alpha=0.4, label="printed, and allowed by rounding"))
+    keys += [own] if own else []
     figure.legend(handles=keys, loc="outside upper left", ncols=3, columnspacing=1.2)
 
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from pipeline.report.figures import landmarks
+from pipeline.report.figures import landmarks, measured
 from pipeline.report.figures.style import (
     DASHES,
     INK,
@@ -77,6 +77,7 @@ def _families(source: Source, scale: str) -> Sketch | None:
     fitted = _draw_power_laws(source, axes, lines) if scale == "log" else False
     crossings = _draw_fitted_lines(source, axes, lines, names) if scale == "log" else ""
     printed = landmarks.rows(source) if scale == "log" else pd.DataFrame()
+    own = measured.draw(axes, source, "stance_angle")
     has_printed = bool(len(printed)) and landmarks.draw_at_angles(axes, printed)
     axes.set_xlabel("slope γ (rad)")
     letter = _letter(source, scale)
@@ -86,7 +87,7 @@ def _families(source: Source, scale: str) -> Sketch | None:
         axes.set_ylim(bottom=0)
     if len(lines) > 1 and scale == "log":
         end_labels(axes, labels)
-    _add_legend(figure, data, fitted, names, has_printed)
+    _add_legend(figure, data, fitted, names, has_printed, own)
     kind = "logarithmic" if scale == "log" else "linear"
     caption = (
         f"Stance angle just after heelstrike against slope, on {kind} axes, for {_line_names(names)}. "
@@ -218,7 +219,9 @@ def _line_names(names: list[str]) -> str:
     return ", ".join(names) if len(names) < 7 else f"{len(names)} lines from {names[0]} to {names[-1]}"
 
 
-def _add_legend(figure: Figure, data: pd.DataFrame, fitted: bool, names: list[str], printed: bool) -> None:
+def _add_legend(
+    figure: Figure, data: pd.DataFrame, fitted: bool, names: list[str], printed: bool, own: Line2D | None
+) -> None:
     handles = [
         Line2D([], [], color=colour(g), lw=1.4, label=f"{g} step" if g in ("long", "short") else shorten(g))
         for g in data["gait"].unique()
@@ -229,6 +232,7 @@ def _add_legend(figure: Figure, data: pd.DataFrame, fitted: bool, names: list[st
         handles.append(Line2D([], [], color=MUTED, lw=1, ls=(0, (1, 2)), label="fitted"))
     if printed:
         handles.append(Line2D([], [], color=PRINTED, lw=5, alpha=0.4, label="printed, and allowed by rounding"))
+    handles += [own] if own else []
     figure.legend(handles=handles, loc="outside upper left", ncols=3)
     if 1 < len(names) <= len(DASHES):
         keys = [Line2D([], [], color=MUTED, lw=1.2, ls=DASHES[k], label=shorten(n)) for k, n in enumerate(names)]

@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from pipeline.report.figures import measured
 from pipeline.report.figures.style import (
     DASHES,
     INK,
@@ -148,6 +149,8 @@ def _draw(source: Source, quantity: _Quantity) -> Sketch | None:
     names = [line.label for line in lines]
     if 1 < len(names) <= len(DASHES):
         keys += [Line2D([], [], color=MUTED, lw=1.2, ls=DASHES[k], label=shorten(n)) for k, n in enumerate(names)]
+    own = measured.draw(axes, source, quantity.reads[0]) if quantity.abscissa == "slope" and quantity.log else None
+    keys += [own] if own else []
     figure.legend(handles=keys, loc="outside upper left", ncols=4)
     finite = data["value"][np.isfinite(data["value"])]
     return Sketch(
