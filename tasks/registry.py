@@ -155,7 +155,7 @@ VARIABLES = {
             "proved", _G, "number", "whether the gait is proved to exist, alone in a box, as a step", "proofs", "i1", 0
         ),
         Variable("proved_radius", _G, "number", "relative radius of the box of the proof", "proofs"),
-        Variable("status", _G, "number", "what became of the solve", dtype="i1", absent=STATUSES["no_gait"]),
+        Variable("status", _G, "number", "outcome of the solve", dtype="i1", absent=STATUSES["no_gait"]),
         Variable("reason", _G, "number", "index into the table of reasons", dtype="i2", absent=0),
     )
 }

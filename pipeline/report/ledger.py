@@ -9,9 +9,9 @@ from typing import Any
 
 import pandas as pd
 
+from pipeline.report.cells import Cell, cell
 from pipeline.report.entry import Entry
 from pipeline.report.figures.style import plain
-from pipeline.report.html_tables import Cell, cell
 
 #: Families of claims by the letter of their id.
 FAMILIES = {

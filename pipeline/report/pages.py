@@ -41,7 +41,8 @@ _MAX_THUMBNAIL_BYTES = 235_000
 class Page:
     """One study as its page shows it.
 
-    `undrawn` names the figures that the archive holds no data for; `absent` lists the points without a converged gait.
+    `undrawn` names the figures that the archive holds no data for; `absent` lists the points without a converged gait;
+    `tables` are those of results, by their place on the page.
     """
 
     slug: str
@@ -51,13 +52,16 @@ class Page:
     moves: list[dict[str, Any]]
     statuses: list[tuple[str, int, float]]
     absent: pd.DataFrame
+    tables: dict[str, Any]
 
     @cached_property
     def files(self) -> dict[str, str]:
         """Texts of the data files of the page, by file name."""
         figures = {f"{self.slug}-{drawing.name}.csv": _csv(drawing.data) for drawing in self.drawings}
+        every = [t for value in self.tables.values() for t in (value if isinstance(value, list) else [value]) if t]
+        tables = {f"{self.slug}-table-{t.name}.csv": _csv(t.frame) for t in every if t.name and t.frame is not None}
         absent = {f"{self.slug}-absent.csv": _csv(self.absent.head(_MAX_ABSENT))} if len(self.absent) else {}
-        return figures | absent
+        return figures | tables | absent
 
     @property
     def entry(self) -> dict[str, Any]:
@@ -134,13 +138,9 @@ def _study(environment: jinja2.Environment, page: Page) -> str:
     claims = html_tables.claims(page.source)
     return environment.get_template("study.html").render(
         page=page,
-        landmarks=html_tables.landmarks(page.source),
         claims=[(row["id"], str(row.get("verdict", "")), ledger.sign(str(row.get("verdict", "")))) for row in claims],
+        **page.tables,
         sentence=html_tables.outcome_sentence(page.source),
-        residuals=html_tables.residuals(page.source),
-        fits=html_tables.fits(page.source),
-        special=html_tables.special_points(page.source),
-        results=results.tables(page.source),
         outcomes=html_tables.outcomes(page.source, page.absent),
         failures=html_tables.failures(page.absent),
         failed_tasks=html_tables.failed_tasks(page.source),
@@ -160,8 +160,22 @@ def _page(source: Source, slug: str) -> Page:
     drawn = {name: draw(source, name, slug) for name in wanted}
     drawings = [drawing for drawing in drawn.values() if drawing is not None]
     undrawn = [name for name in source.figures if drawn[name] is None]
+    tables = {
+        "landmarks": html_tables.landmarks(source),
+        "residuals": html_tables.residuals(source),
+        "fits": html_tables.fits(source),
+        "special": html_tables.special_points(source),
+        "results": results.tables(source),
+    }
     return Page(
-        slug, source, drawings, undrawn, animation(source), html_tables.statuses(source), html_tables.points(source)
+        slug,
+        source,
+        drawings,
+        undrawn,
+        animation(source),
+        html_tables.statuses(source),
+        html_tables.points(source),
+        tables,
     )
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pandas as pd
 
-from pipeline.report.html_tables import MAX_ROWS, Cell, Table, cell, from_frame, head
+from pipeline.report.cells import Cell, cell
+from pipeline.report.html_tables import MAX_ROWS, Table, from_frame, head
 from pipeline.report.source import Source
 
 #: Tables and their captions, in the order of a page.
@@ -77,7 +78,7 @@ def _table(name: str, source: Source) -> Table:
         return _printed_cells(caption, frame)
     shown = frame.head(MAX_ROWS)
     note = f"{len(frame) - len(shown)} more rows are in the archive." if len(shown) < len(frame) else ""
-    return from_frame(caption, shown, note)
+    return from_frame(caption, shown, note, name.replace("/", "-"), frame)
 
 
 def _transposed(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
@@ -86,7 +87,9 @@ def _transposed(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
     rows = []
     for column in columns:
         flag = set(frame[column]) <= {0, 1} and frame[column].dtype.kind in "iu"
-        values = [cell(bool(v)) if flag else cell(v) for v in frame[column]]
+        # What is left of a condition that is met exactly is rounding.
+        met = column.endswith("_offset")
+        values = [cell(bool(v)) if flag else cell(0.0 if met and abs(v) < 1e-15 else v) for v in frame[column]]
         rows.append([cell(column if column in keys else _FIGURE10.get(column, head(column))), *values])
     return Table(
         caption,

@@ -264,7 +264,7 @@ def _crossings(x: np.ndarray, y: np.ndarray, at: float) -> list[float]:
     "T6",
     "the branches approach, touch and re-pair as the walker is detuned",
     "section 5.2, 3",
-    "repairing/curves",
+    "touching-branches/curves",
 )
 def re_pairing() -> ClaimResult:
     """Locate the detuning at which the branches of C touch, a turning point of its curve of folds."""

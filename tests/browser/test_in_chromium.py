@@ -168,7 +168,11 @@ def test_no_serious_accessibility_finding(visit, name, scheme):
 def test_a_page_paints_within_a_second(visit, report):
     name = max(PAGES, key=lambda page: (report / f"{page}.html").stat().st_size)
     browser = visit(name)
-    paint = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime"
+    paint = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime ?? 0"
+    for _ in range(20):
+        if ask(browser, paint):
+            break
+        time.sleep(0.1)
     assert 0 < ask(browser, paint) < 1000
 
 
