@@ -120,6 +120,8 @@ def _decimals(values: np.ndarray) -> int | None:
     sizes = np.abs(values[np.isfinite(values) & (values != 0)])
     if not len(sizes) or sizes.min() < 1e-4 or sizes.max() >= 1e6 or sizes.max() > 2e3 * sizes.min():
         return None
-    if np.allclose(sizes, np.round(sizes, 3), rtol=0, atol=1e-12):
-        return next(d for d in range(4) if np.allclose(sizes, np.round(sizes, d), rtol=0, atol=1e-12))
+    # Numbers of a few digits, such as the values of an axis, are shown as they are.
+    for decimals in range(7):
+        if np.allclose(sizes, np.round(sizes, decimals), rtol=0, atol=1e-12):
+            return decimals
     return max(0, 5 - int(np.floor(np.log10(sizes.max()))))
