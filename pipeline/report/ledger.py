@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,6 +13,7 @@ import pandas as pd
 from pipeline.report.cells import Cell, cell
 from pipeline.report.entry import Entry
 from pipeline.report.figures.style import plain
+from pipeline.report.source import SUPERSCRIPTS
 
 #: Families of claims by the letter of their id.
 FAMILIES = {
@@ -129,6 +131,34 @@ def table(ledger: Iterable[Family]) -> pd.DataFrame:
     )
 
 
+#: What plain text writes for signs, in the order of replacement.
+_SIGNS_IN_TEXT = (
+    (r"(?<![\w.])1e([+-]\d+)\b", lambda m: "10" + _raised(m[1])),
+    (r"(?<=\d)e([+-]\d+)\b", lambda m: " × 10" + _raised(m[1])),
+    (r"\^\(1/3\)", lambda _: "¹ᐟ³"),
+    (r"\^\(3/2\)", lambda _: "³ᐟ²"),
+    (r"\^(\d+)\b(?!\.)", lambda m: _raised(m[1])),
+    (r"\^p\b", lambda _: "ᵖ"),
+    (r"->", lambda _: "→"),
+    (r"\+-", lambda _: "±"),
+    (r" ~ ", lambda _: " ∝ "),
+    (r"x'/y'", lambda _: "ẋ/ẏ"),
+    (r"(?<=\d)-(?=\d)", lambda _: "–"),
+    (r"(?<![\w)])-(?=\d)", lambda _: "−"),
+)
+
+
+def typeset(text: str) -> str:
+    """Text with the signs of print: powers, products, arrows, minus signs and ranges."""
+    for pattern, sign in _SIGNS_IN_TEXT:
+        text = re.sub(pattern, sign, text)
+    return text
+
+
+def _raised(power: str) -> str:
+    return str(int(power)).translate(SUPERSCRIPTS)
+
+
 def sign(verdict: str) -> str:
     """Sign of a verdict: proved, yes, within, no or open."""
     words = verdict.replace("_", " ").strip().lower()
@@ -143,10 +173,10 @@ def _claim_row(row: Mapping[str, Any], entry: Entry, pages: Mapping[str, str]) -
     words = [str(computed)] if not isinstance(computed, str) else [part.strip() for part in computed.split(";")]
     return ClaimRow(
         str(row["id"]),
-        cell(row.get("printed", "")),
+        Cell(typeset(printed)) if isinstance(printed := row.get("printed", ""), str) else cell(printed),
         str(row.get("quotation", "")),
         str(row.get("source", "")),
-        [part for part in words if part],
+        [typeset(part) for part in words if part],
         _number(row, "value") if "value" in row else _number(row, "computed"),
         _number(row, "printed_value"),
         interval if all(c.value is not None for c in interval) else [],

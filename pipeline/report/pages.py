@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import contextlib
+import fcntl
 import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +17,8 @@ import jinja2
 import pandas as pd
 
 from pipeline.archive.citation import PAPER
+from pipeline.archive.read import damage
+from pipeline.errors import ArchiveError
 from pipeline.report import entry, html_tables, ledger, results
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.cycle import animation
@@ -111,8 +115,42 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     environment = _environment()
-    pages = [_page(source, slug) for source, slug in zip(sources, _slugs(sources), strict=True)]
-    texts = {f"{page.slug}.html": _study(environment, page) for page in pages}
+    pages, texts = [], {}
+    for source, slug in zip(sources, _slugs(sources), strict=True):
+        with _readable(source.path):
+            pages.append(_page(source, slug))
+            texts[f"{slug}.html"] = _study(environment, pages[-1])
+    with _locked(out):
+        _combine(environment, out, pages, texts, only)
+    return out / "index.html"
+
+
+@contextlib.contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn an error over a damaged archive into an ArchiveError; any other is a bug and is raised as it is."""
+    try:
+        yield
+    except Exception as error:
+        problem = damage(path)
+        if not problem:
+            raise
+        raise ArchiveError(f"{path} is damaged: {problem}") from error
+
+
+@contextlib.contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """Hold the folder while its pages are combined: of two reports into it, one waits for the other."""
+    folder = os.open(out, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)
+
+
+def _combine(environment: jinja2.Environment, out: Path, pages: list[Page], texts: dict[str, str], only: bool) -> None:
+    """Write pages and their data, and the index and ledger of all pages in the folder."""
     previous, current = entry.read_all(out), {name: entry.read(text) for name, text in texts.items()}
     keep = {name: record for name, record in previous.items() if name not in texts and not only} | current
     entries = sorted((record for record in keep.values() if record), key=lambda record: record.order)
@@ -125,12 +163,14 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
         entry.remove(out, record, wanted)
     claims = ledger.families(entries)
     common = {"entries": entries, "ledger": claims, "tally": ledger.tally(claims), "signs": ledger.sign}
-    _publish(out / "ledger.csv", _csv(ledger.table(claims)) if claims else "")
+    if claims:
+        _publish(out / "ledger.csv", _csv(ledger.table(claims)))
+    else:
+        (out / "ledger.csv").unlink(missing_ok=True)
     _publish(out / "ledger.html", environment.get_template("ledger.html").render(**common))
     moves = next((record.moves for record in entries if record.moves), [])
     index = environment.get_template("index.html")
     _publish(out / "index.html", index.render(**common, thumbnails=_thumbnails(entries), moves=moves))
-    return out / "index.html"
 
 
 def _study(environment: jinja2.Environment, page: Page) -> str:

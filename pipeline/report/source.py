@@ -264,12 +264,14 @@ def read(path: Path) -> Source:
     netCDF4.set_chunk_cache(_CACHE)
     try:
         groups = xr.open_groups(path, engine="netcdf4", mask_and_scale=False, decode_times=False)
-    except (OSError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError) as error:
         raise ArchiveError(f"{path} is not a netCDF archive that can be read.") from error
     try:
         outcomes = groups["/"][[name for name in ("status", "reason") if name in groups["/"]]].load()
         groups["/"] = _thinned(groups["/"])
         loaded = {name: dataset.load() for name, dataset in groups.items()}
+    except (OSError, RuntimeError) as error:
+        raise ArchiveError(f"{path} is damaged: {' '.join(str(error).split())}.") from error
     finally:
         for dataset in groups.values():
             dataset.close()

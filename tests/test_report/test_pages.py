@@ -2,6 +2,7 @@ import json
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -414,3 +415,74 @@ def test_verdicts_have_signs():
     assert [ledger.sign(v) for v in ("proved", "reproduced", "consistent within rounding", "approximate")] == [
         "proved", "yes", "within", "open"]  # fmt: skip
     assert ledger.sign("not_reproduced") == ledger.sign("not a verdict") == "no"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("slope^(1/3) at slopes 1e-8 to 0.2", "slope¹ᐟ³ at slopes 10⁻⁸ to 0.2"),
+        ("x'/y' -> 0, P ~ v^4, 7.4e-06", "ẋ/ẏ → 0, P ∝ v⁴, 7.4 × 10⁻⁶"),
+        ("passes -1 at 0.015 +- 1.01e-15 (0.018-0.0203)", "passes −1 at 0.015 ± 1.01 × 10⁻¹⁵ (0.018–0.0203)"),
+        ("v^3.95, physical-straight, zero-slope", "v^3.95, physical-straight, zero-slope"),
+    ],
+)
+def test_signs_are_typeset(text, shown):
+    assert ledger.typeset(text) == shown
+
+
+def test_an_archive_damaged_inside_is_answered_in_one_line(tmp_path):
+    whole = synthetic.transition(tmp_path).read_bytes()
+    path = tmp_path / "torn.nc"
+    answers = set()
+    for start in range(0, len(whole), len(whole) // 12):
+        torn = bytearray(whole)
+        torn[start : start + 3000] = bytes(min(3000, len(whole) - start))
+        path.write_bytes(torn)
+        try:
+            pages.write([path], tmp_path / "out")
+        except ArchiveError as error:
+            assert "\n" not in str(error) and str(path) in str(error)
+            answers.add("damaged" if "damaged" in str(error) else "unreadable")
+    assert answers
+
+
+def test_two_reports_at_once_into_one_folder_give_the_index_of_both(tmp_path):
+    names = [f"study{k}" for k in range(6)]
+    archives = [_small(tmp_path, name) for name in names]
+    with ThreadPoolExecutor(3) as pool:
+        list(pool.map(lambda path: _report_in_another_process(path, tmp_path / "out"), archives))
+    links = Page(tmp_path / "out" / "index.html").all("href")
+    assert {f"{name}.html" for name in names} <= set(links)
+
+
+def _report_in_another_process(path, out):
+    code = (
+        "import sys; from pathlib import Path; from pipeline.report import pages; pages.write(*map(eval, sys.argv[1:]))"
+    )
+    subprocess.run([sys.executable, "-c", code, f"[Path({str(path)!r})]", f"Path({str(out)!r})"], check=True)
+
+
+def test_a_study_without_any_gait_has_a_page_that_says_so(tmp_path):
+    dims, nothing = ("slope", "gait"), np.full((3, 2), np.nan)
+    figures = ["linear", "loglog", "multipliers", "power", "losses", "heelstrike", "angles", "claims", "heatmap"]
+    text = f'name = "none"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02, 0.03]\n[want]\nfigures = {json.dumps(figures)}'
+    names = ("stance_angle", "spectral_radius", "speed", "power", "loss_normal", "loss_tangential", "loss_kneestrike",
+             "heelstrike_rate_ratio")  # fmt: skip
+    grid = dict.fromkeys(names, (dims, nothing))
+    grid |= {"status": (dims, np.ones((3, 2), "i1")), "reason": (dims, np.ones((3, 2), "i2"))}
+    coords = {"slope": [0.01, 0.02, 0.03], "gait": np.array(["long", "short"], object)}
+    pages.write([write(tmp_path / "none.nc", text, grid, coords, {"E": POINT})], tmp_path)
+    text = Page(tmp_path / "none.html").text
+    assert text.count("the archive holds nothing to draw it from") == len(figures)
+    assert "Of 6 points: 6 no gait." in text
+
+
+def test_names_in_other_scripts_are_shown_as_they_are(tmp_path):
+    name = "ходок 歩行 مشّاء"
+    dims = ("walker", "slope", "gait")
+    text = f'name = "w"\nwalker = ["{name}", "b"]\n[axes]\nslope = [0.01]\n[want]\nfigures = ["loglog", "walker"]'
+    coords = {"walker": np.array([name, "b"], object), "slope": [0.01, 0.02], "gait": np.array(["long"], object)}
+    grid = {"stance_angle": (dims, np.array([[[0.1], [0.2]], [[0.15], [0.25]]]))}
+    pages.write([write(tmp_path / "w.nc", text, grid, coords, {name: POINT, "b": POINT})], tmp_path)
+    assert name in Page(tmp_path / "w.html").text
+    assert name in (tmp_path / "w-loglog.csv").read_text(encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 from pipeline.report.figures import (
@@ -57,6 +58,8 @@ def draw(source: Source, name: str, salt: str) -> Drawing | None:
     function = FIGURES.get(name)
     if function is None:
         return None
-    with style():
+    with style(), warnings.catch_warnings():
+        # Words stay words in the SVG: the reader's fonts have the glyphs that the font of the layout has not.
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         sketch = function(source)
         return None if sketch is None else render(sketch, name, salt)
