@@ -12,13 +12,15 @@ from tasks.continuation import atlas as atlases
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.polish import measured_guesses
 from tasks.fixed_points.search import search, starts
-from tasks.registry import COSTLY, GAITS, VARIABLES, VIOLATIONS
+from tasks.measures.losses import contact_mass, velocity_ratio
+from tasks.registry import GAITS, SI_UNITS, VARIABLES, VIOLATIONS
 from tasks.solve_points import points, solve
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
+from tasks.walkers.walker import Walker
 
-#: Variables measured for one point; the amounts of violations are in archives only.
-_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY or v == "violations")
+#: Variables measured for one point: all but proofs.
+_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs")
 
 
 def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -61,9 +63,11 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
         np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in ("stance_angle", "heelstrike_rate_ratio")
     )
     place = places(angle, ratio)[:, 0]
-    records = [_record(_name(place[i]), slope, gaits[i]) for i in np.argsort(place)]
-    records += [_record(f"passes_{gait['passes']}_times", slope, gait) for gait in non_anthropomorphic]
-    units = {"slope": "rad", **{k: VARIABLES[k].units(problem.walker.si) for k in _WANT}}
+    walker = problem.walker
+    records = [_record(_name(place[i]), slope, gaits[i], walker) for i in np.argsort(place)]
+    records += [_record(f"passes_{gait['passes']}_times", slope, gait, walker) for gait in non_anthropomorphic]
+    units = {"slope": "rad", **{k: VARIABLES[k].units(walker.si) for k in _WANT}}
+    units |= {"step_length": SI_UNITS["length"] if walker.si else "1"}
     return {"gaits": records, "units": units, "search": log}
 
 
@@ -100,19 +104,22 @@ def _search_slope(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -
     return others, nearest
 
 
-def _record(label: str, slope: float, value: dict[str, Any]) -> dict[str, Any]:
+def _record(label: str, slope: float, value: dict[str, Any], walker: Walker) -> dict[str, Any]:
     """One gait as a plain dict; an absent quantity is None."""
     plain = {k: _plain(v) for k, v in value.items() if np.ndim(v) == 0}
     pairs = np.stack([value["multiplier_real"], value["multiplier_imag"]], axis=-1)
     names = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time")
     losses = ("loss_normal", "loss_tangential", "loss_kneestrike")
-    return {
+    means = ("speed", "froude_speed", "cost_of_transport", "power")
+    angle, rate_ratio = (np.atleast_1d(value[k]) for k in ("stance_angle", "heelstrike_rate_ratio"))
+    record = {
         "gait": label,
         "slope": slope,
         **{k: plain[k] for k in names},
         "multipliers": pairs.tolist(),
         "stable": bool(plain["spectral_radius"] < 1),
-        "speed": plain["speed"],
+        **{k: plain[k] for k in means},
+        "step_length": plain["speed"] * plain["period"],
         **{k: plain[k] for k in losses},
         "violations": _flags(value.get("violations")),
         "status": "converged",
@@ -120,7 +127,10 @@ def _record(label: str, slope: float, value: dict[str, Any]) -> dict[str, Any]:
         "error_bound": plain["error_bound"],
         "branch": plain.get("branch"),
         "piece": plain.get("piece"),
+        "velocity_ratio": _plain(velocity_ratio(walker, angle, rate_ratio)[0]),
+        "contact_mass_matrix": (walker.total_mass * contact_mass(walker, angle)[0]).tolist(),
     }
+    return record | {k: v for k, v in plain.items() if k in VARIABLES and k not in (*record, "reason", "status")}
 
 
 def _flags(bits: Any) -> list[str] | None:

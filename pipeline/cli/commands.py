@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pipeline.errors import ArchiveError, GaitsweepError, StudyError, unwritten
+from pipeline.errors import GaitsweepError, StudyError, unwritten
 
 #: Exit codes of several studies, gravest first: the gravest is that of all.
 _EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
@@ -155,6 +155,7 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--json", action="store_true", help="for machines")
     c = add(_verify, "check that an archive is intact, complete and valid")
     c.add_argument("archive", type=Path, metavar="ARCHIVE.nc")
+    c.add_argument("--json", action="store_true", help="for machines")
     c = add(_diff, "differences between two archives")
     c.add_argument("a", type=Path, metavar="A.nc")
     c.add_argument("b", type=Path, metavar="B.nc")
@@ -359,18 +360,9 @@ def _tune(options: argparse.Namespace) -> int:
 
 
 def _verify(options: argparse.Namespace) -> int:
-    from pipeline.archive import read, verify
+    from pipeline.cli import verify
 
-    try:
-        read.probe([options.archive])
-        problems = verify.verify(options.archive)
-    except ArchiveError as error:
-        if not options.archive.is_file():
-            raise
-        problems = [str(error)]
-    intact = f"{options.archive} is intact, complete and valid (schema {read.SCHEMA})."
-    print("\n".join(problems) if problems else intact)
-    return 1 if problems else 0
+    return verify.report(options.archive, options.json)
 
 
 def _diff(options: argparse.Namespace) -> int:

@@ -408,3 +408,16 @@ def test_claims_are_printed_with_their_numbers(capsys):
     assert "D2: proved" in said and "γ < 0.015" in said and "0.0150884379411" in said
     assert commands.main(["claims", "D99"]) == 2
     assert capsys.readouterr().err.startswith("gaitsweep: There is no claim 'D99'; there are D1, ")
+
+
+def test_verify_answers_machines(tmp_path, capsys):
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
+    path = tmp_path / "s.nc"
+    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    capsys.readouterr()
+    assert commands.main(["verify", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"archive": str(path), "valid": True, "problems": []}
+    with netCDF4.Dataset(path, "a") as file:
+        file["period"][0, 0] = 1.0
+    assert commands.main(["verify", str(path), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["problems"] == ["`period` is not as it was written."]
