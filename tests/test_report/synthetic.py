@@ -69,7 +69,7 @@ slope = { from = 1e-6, to = 0.1, n = 80, spacing = "log" }
 foot_mass_ratio = [0.1, 0.05]
 [want]
 fits = ["scaling", "transition"]
-figures = ["loglog", "linear", "transition_ladder", "angles", "walker"]
+figures = ["loglog", "linear", "transition_ladder", "angles", "walker", "claims"]
 claims = ["E2", "E3", "E4"]
 """
     claims = {
@@ -138,6 +138,7 @@ def tuned(folder: Path) -> Path:
         },
         {"walker": np.array(names, dtype=object), "slope": slope, "gait": GAITS},
         {"A": KNEED | {"knees": False}, "B": POINT | {"R": 0.2}, "D": POINT | {"m_t": 0.5, "m_s": 0.0}, "E": POINT},
+        {"figure9": {"walker": names, "l_t": [0.35, 0.5, 0.5, 0.5], "m_t": [2.345, 0.4, 0.5, 0.4], "knees": [0] * 4}},
     )
 
 

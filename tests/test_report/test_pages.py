@@ -5,10 +5,12 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pandas as pd
 import pytest
 
+from pipeline.archive import read as archive_reader
 from pipeline.archive.citation import PAPER
 from pipeline.errors import ArchiveError
 from pipeline.report import html_tables, ledger, pages, source
@@ -84,7 +86,7 @@ def test_every_figure_has_its_data_beside_it(report, archives):
 
 def test_every_value_under_the_pointer_is_in_an_archive(report, archives):
     known = {plain(number, 7) for path in archives for number in numbers_in(path)} | {"yes", "no", "–"}
-    derived = ("residual (%)", "time")  # a ratio of archived numbers; the second step's times
+    derived = ("residual (%)", "time", "claim", "verdict")  # a ratio of archived numbers; the second step's times
     count = 0
     for path in report.glob("*.html"):
         for series in re.findall(r'<script type="application/json">(\[\{"command".*?)</script>', path.read_text()):
@@ -430,20 +432,33 @@ def test_signs_are_typeset(text, shown):
     assert ledger.typeset(text) == shown
 
 
+def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bug(tmp_path, monkeypatch):
+    path = _small(tmp_path, "s")
+
+    def stumble(*_):
+        raise IndexError("out of bounds")
+
+    monkeypatch.setattr(pages, "_page", stumble)
+    with netCDF4.Dataset(path, "a") as file:
+        sums = {"stance_angle": archive_reader._checksum(file["stance_angle"])}
+        file.checksums = json.dumps(sums)
+    with pytest.raises(IndexError):
+        pages.write([path], tmp_path / "out")
+    with netCDF4.Dataset(path, "a") as file:
+        file["stance_angle"][0] = 3.0
+    with pytest.raises(ArchiveError, match=r"s\.nc is damaged: `stance_angle` is not as it was written\."):
+        pages.write([path], tmp_path / "out")
+
+
 def test_an_archive_damaged_inside_is_answered_in_one_line(tmp_path):
-    whole = synthetic.transition(tmp_path).read_bytes()
-    path = tmp_path / "torn.nc"
-    answers = set()
-    for start in range(0, len(whole), len(whole) // 12):
-        torn = bytearray(whole)
-        torn[start : start + 3000] = bytes(min(3000, len(whole) - start))
-        path.write_bytes(torn)
-        try:
-            pages.write([path], tmp_path / "out")
-        except ArchiveError as error:
-            assert "\n" not in str(error) and str(path) in str(error)
-            answers.add("damaged" if "damaged" in str(error) else "unreadable")
-    assert answers
+    path = synthetic.tuned(tmp_path)
+    whole = path.read_bytes()
+    values = np.geomspace(1e-5, 0.06, 70).tobytes()  # the slopes, as they lie in the file
+    start = whole.index(values)
+    path.write_bytes(whole[: start + 200])
+    with pytest.raises(ArchiveError) as caught:
+        pages.write([path], tmp_path / "out")
+    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
 
 
 def test_two_reports_at_once_into_one_folder_give_the_index_of_both(tmp_path):
@@ -486,3 +501,9 @@ def test_names_in_other_scripts_are_shown_as_they_are(tmp_path):
     pages.write([write(tmp_path / "w.nc", text, grid, coords, {name: POINT, "b": POINT})], tmp_path)
     assert name in Page(tmp_path / "w.html").text
     assert name in (tmp_path / "w-loglog.csv").read_text(encoding="utf-8")
+
+
+def test_no_page_has_an_identifier_twice(report):
+    for path in report.glob("*.html"):
+        found = re.findall(r'\sid="([^"]+)"', path.read_text())
+        assert len(found) == len(set(found)), (path.name, sorted(i for i in found if found.count(i) > 1))

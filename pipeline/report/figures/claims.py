@@ -26,7 +26,8 @@ def claims(source: Source) -> Sketch | None:
     table = source.tables.get("claims")
     if table is None or not len(table) or not {"id", "verdict", "value"} <= set(table.columns):
         return None
-    table = table.iloc[::-1].reset_index(drop=True)
+    verdicts = table["verdict"].astype(str).str.replace("_", " ")
+    table = table.assign(verdict=verdicts).iloc[::-1].reset_index(drop=True)
     printed = table["printed_value"].astype(float) if "printed_value" in table else pd.Series(np.nan, table.index)
     figure = canvas(max(180, 60 + 13 * len(table)))
     axes = figure.add_subplot()

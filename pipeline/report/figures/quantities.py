@@ -122,7 +122,7 @@ def _draw(source: Source, quantity: _Quantity) -> Sketch | None:
     pieces, marks = [], []
     for k, line in enumerate(lines):
         for frame in line.curves(*quantity.reads, "stance_angle"):
-            curve = thin(frame, max(60, 1500 // len(lines)))
+            curve = thin(frame, max(60, 700 // len(lines)))
             curve = curve.assign(value=quantity.value(curve))
             for gait in (g for g in source.gaits if (curve["gait"] == g).any()):
                 part = curve[(curve["gait"] == gait) & curve["value"].notna()]

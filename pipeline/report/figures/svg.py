@@ -143,7 +143,7 @@ def _adapt(svg: str, decimals: int) -> str:
         r"<svg [^>]*?viewBox=(\"[^\"]*\")[^>]*>", r'<svg viewBox=\1 aria-hidden="true" focusable="false">', svg
     )
     svg = re.sub(r' id="line-(\d+)"', r' data-line="\1"', svg)
-    svg = re.sub(r" id=\"[A-Za-z_.0-9]+_\d+\"", "", svg).replace("xlink:href", "href")
+    svg = re.sub(r" id=\"([A-Za-z_.0-9]+_\d+|image[0-9a-f]+)\"", "", svg).replace("xlink:href", "href")
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
     cut = rf"(\.\d{{{decimals}}})\d+" if decimals else r"()\.\d+"
     for drawn, variable in VARIABLES.items():

@@ -206,6 +206,7 @@ for (const table of document.querySelectorAll("table.archive")) {
   if (!body || body.rows.length < 3) continue;
   const exact = cell => { const data = cell.querySelector("data"); return data ? Number(data.value) : NaN; };
   [...table.tHead.rows[0].cells].forEach((head, k) => {
+    if (!head.textContent.trim()) return;
     const button = document.createElement("button");
     button.type = "button"; button.className = "sort";
     button.append(...head.childNodes);
