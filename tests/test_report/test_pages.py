@@ -407,6 +407,8 @@ def test_a_bar_holds_all_its_numbers_in_proportion():
     places = [bar.low, bar.value, bar.printed_from, bar.printed, bar.high, bar.printed_to]
     assert places == sorted(places) and places[0] > 0 and places[-1] < 100
     assert (bar.value - bar.low) / (bar.high - bar.low) == pytest.approx(0.0011 / 0.0023, rel=1e-3)
+    # 8 % of the span is left free on either side.
+    assert (places[0], places[-1]) == pytest.approx((100 * 0.08 / 1.16, 100 * 1.08 / 1.16), abs=0.02)
     assert ledger._bar({"value": 1.0}) is None
     # Equal numbers are drawn in one place, however many digits they differ in.
     close = ledger._bar({"value": 4.00001, "printed_value": 4.0, "printed_half_unit": 0.0})

@@ -215,3 +215,5 @@ def test_the_velocity_ratio_is_that_of_the_losses(walker, slope):
         total = np.array(gait["contact_mass_matrix"]).max()
         assert total == pytest.approx(resolve(walker).total_mass, rel=0.2)
         assert gait["cost_of_transport"] == pytest.approx(np.sin(slope), rel=1e-3)
+        legs, angle = resolve(walker), gait["stance_angle"]
+        assert gait["step_length"] == pytest.approx(2 * (legs.l * np.sin(angle) + legs.R * angle), rel=1e-9)
