@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from pipeline.archive import arrays
 from pipeline.errors import ArchiveError
 
 #: The paper's symbols.
@@ -303,7 +304,7 @@ def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
     """A group as a frame: its columns along `row`, or its arrays with a row per element that holds something."""
     variables = dataset.variables
     if any(variable.ndim > 1 for variable in variables.values()):
-        frame = _unfolded(dataset, grid)
+        frame = arrays.unfolded(dataset, grid)
     else:
         columns = {str(k): v.values for k, v in variables.items() if v.ndim == 1}
         rows = max((len(v) for v in columns.values()), default=0)
@@ -311,28 +312,6 @@ def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
     frame.attrs["units"] = {str(k): str(v.attrs.get("units", "")) for k, v in variables.items()}
     frame.attrs["meanings"] = {str(k): str(v.attrs.get("long_name", "")) for k, v in variables.items()}
     return frame
-
-
-def _unfolded(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
-    """Arrays as rows: coordinates as columns, flags as words; rows without a number or a flag are left out."""
-    dims = max((v.dims for v in dataset.variables.values()), key=len)
-    whole = dataset.assign_coords({d: grid[d] for d in dims if d in grid.coords and d not in dataset.coords})
-    own = {f"{d}_values" for d in dims}
-    frame = whole.drop_vars([n for n in whole.data_vars if not set(whole[n].dims) <= set(dims)]).to_dataframe()
-    frame = frame.reset_index()
-    for name in own & set(frame):
-        frame[name.removesuffix("_values")] = frame.pop(name)
-    numbers = frame.columns.difference([str(d) for d in dims])
-    empty = np.ones(len(frame), bool)
-    for name in numbers:
-        meanings = str(dataset[name].attrs.get("flag_meanings", "")).split() if name in dataset else []
-        values = frame[name].to_numpy()
-        if values.dtype.kind != "O":
-            empty &= np.isnan(values) if values.dtype.kind == "f" else values < 0
-        if meanings:
-            words = [word.replace("_", " ") for word in meanings]
-            frame[name] = pd.Categorical.from_codes(np.where(values < len(words), values, -1), words)
-    return frame[~empty].reset_index(drop=True)
 
 
 def _run(path: Path) -> dict[str, Any]:

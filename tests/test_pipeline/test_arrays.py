@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from pipeline import load
 from pipeline.archive import diff, verify
 from pipeline.cli import commands
 from pipeline.report.source import read
@@ -128,3 +129,9 @@ def test_parameters_are_variables_where_they_vary_and_attributes_where_not(archi
     assert tuned["w_t"].sel(detuning=1.0).values == pytest.approx([0, 0], abs=1e-15)
     assert tuned["c_s"].dims == ("c_s",) and tuned.attrs["g"] == 9.81
     assert verify.verify(path) == []
+
+
+def test_arrays_are_loaded_as_tables(archives):
+    basin, orbits = load(archives / "b2.nc", "basin"), load(archives / "o.nc", "orbits")
+    assert len(basin) == 4 * 144 and set(basin["walker"]) == {"D", "E"} and "fell forward" in set(basin["outcome"])
+    assert {"foot_mass_ratio", "slope", "start", "step", "period"} <= set(orbits) and orbits["period"].notna().all()
