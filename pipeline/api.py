@@ -13,7 +13,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from pipeline.archive import arrays, read
+from pipeline.archive import read
+from pipeline.archive.unfold import unfolded
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import runner
 from pipeline.study import model, parse, single_point
@@ -51,7 +52,7 @@ def load(archive: str | Path, table: str | None = None) -> Any:
         raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
     columns = xr.load_dataset(path, group=table, engine="netcdf4")
     if any(column.ndim > 1 for column in columns.values()):
-        frame = arrays.unfolded(columns, xr.load_dataset(path, engine="netcdf4"))
+        frame = unfolded(columns, xr.load_dataset(path, engine="netcdf4"))
     else:
         frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
     frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}

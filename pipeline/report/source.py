@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from pipeline.archive import arrays
+from pipeline.archive.unfold import unfolded
 from pipeline.errors import ArchiveError
 
 #: The paper's symbols.
@@ -304,7 +304,7 @@ def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
     """A group as a frame: its columns along `row`, or its arrays with a row per element that holds something."""
     variables = dataset.variables
     if any(variable.ndim > 1 for variable in variables.values()):
-        frame = arrays.unfolded(dataset, grid)
+        frame = unfolded(dataset, grid)
     else:
         columns = {str(k): v.values for k, v in variables.items() if v.ndim == 1}
         rows = max((len(v) for v in columns.values()), default=0)
