@@ -15,6 +15,7 @@ import xarray as xr
 
 from pipeline import in_memory
 from pipeline.archive import read
+from pipeline.archive.unfold import unfolded
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import runner
 from pipeline.steps import simulate, step_map
@@ -56,7 +57,10 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     if table not in tables:
         raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
     columns = xr.load_dataset(path, group=table, engine="netcdf4")
-    frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
+    if any(column.ndim > 1 for column in columns.values()):
+        frame = unfolded(columns, xr.load_dataset(path, engine="netcdf4"))
+    else:
+        frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
     frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}
     return frame
 

@@ -11,13 +11,15 @@ from tasks.paper import published_tables, tuned_walkers
 from tasks.paper.certificates import backed
 from tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResult
 from tasks.paper.lines import cache_atlas, set_tables
+from tasks.paper.quotations import QUOTATIONS
 from tasks.registry import VARIABLES
 
 Arrays = dict[str, np.ndarray]
 #: Tables that go with a claim.
 _TABLES = {
     "P1": (published_tables.rounding,),
-    "Z6": (published_tables.figure9, published_tables.figure10),
+    "T1": (published_tables.figure9,),
+    "Z6": (published_tables.figure10, published_tables.figure10_cells),
     "T7": (lambda: {f"offsets/{k}": v for k, v in tuned_walkers.offsets().items()},),
 }
 
@@ -28,7 +30,7 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `ids`, names of claims; `lines` of the study.
+        `ids`, names of claims; `lines` of the study; `tables`, whether the tables that go with claims are wanted too.
     inputs : list
         One dict a line, with its atlas and the tables of the study's own task; what a claim needs beyond them is
         computed in place.
@@ -36,8 +38,10 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Table `claims`: id, printed, source, computed, value, interval, interval_low, interval_high, verdict, figure,
-        command, shape (claims,); with claim P1 `rounding`, with Z6 `figure9` and `figure10`, with T7 `offsets`.
+        Table `claims`: id, printed, quotation, source, computed, value, printed_value, printed_half_unit,
+        interval, interval_low, interval_high, verdict, figure,
+        command, shape (claims,); with claim P1 `rounding`, with T1 `figure9`, with Z6 `figure10` and
+        `figure10_cells`, with T7 `offsets`.
 
     Raises
     ------
@@ -59,10 +63,35 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(c.id[1:])))
     rows = [_row(claim, backed(claim.id, _check(claim))) for claim in wanted]
     out: Arrays = {f"claims/{k}": np.array([row[k] for row in rows]) for k in (rows[0] if rows else {})}
-    for claim in wanted:
+    for claim in wanted if params.get("tables", True) else ():
         for table in _TABLES.get(claim.id, ()):
             out |= table()
     return out
+
+
+def check(params: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Check claims at once, without a study.
+
+    Parameters
+    ----------
+    params : mapping
+        `ids`, names of claims; all of them if there are none.
+
+    Returns
+    -------
+    list of dict
+        The columns of table `claims` of each, NaN as None.
+
+    Raises
+    ------
+    ValueError
+        If there is no such claim.
+    """
+    set_tables([])
+    table = claims({"lines": [], "ids": list(params["ids"]) or list(CLAIMS), "tables": False}, [])
+    rows = zip(*(column.tolist() for column in table.values()), strict=True)
+    names = [name.removeprefix("claims/") for name in table]
+    return [{k: None if v != v else v for k, v in zip(names, row, strict=True)} for row in rows]
 
 
 def _check(claim: Claim) -> ClaimResult:
@@ -78,13 +107,16 @@ def _row(claim: Claim, result: ClaimResult) -> dict[str, Any]:
     return {
         "id": claim.id,
         "printed": claim.printed,
+        "quotation": QUOTATIONS.get(claim.id, ""),
         "source": claim.source,
         "computed": result.computed,
         "value": float(result.value),
+        "printed_value": float(result.printed),
+        "printed_half_unit": float(result.half_unit),
         "interval": f"{result.low:.12g} to {result.high:.12g}" if result.low <= result.high else "",
         "interval_low": float(result.low),
         "interval_high": float(result.high),
         "verdict": result.verdict,
         "figure": claim.figure,
-        "command": claim.command,
+        "command": f"gaitsweep claims {claim.id}",
     }

@@ -51,6 +51,9 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "slope_transition_fitted": ("angle", "slope where fitted lines cross"),
     "fitted_below": ("angle", "largest slope of the points that the lower line is fitted to"),
     "fitted_above": ("angle", "smallest slope of the points that the upper line, of power 1/3, is fitted to"),
+    "fitted_exponent": ("number", "exponent of the lower fitted line"),
+    "fitted_amplitude": ("number", "stance angle over slope^fitted_exponent on the lower fitted line"),
+    "fitted_cube_root": ("number", "stance angle over slope^(1/3) on the upper fitted line"),
     "asymptotic": ("angle", "slope of the transition by the asymptotic formula"),
     "local_exponent": ("number", "d ln slope_transition / d ln foot_mass_ratio towards the next lighter foot"),
     "local_exponent_fitted": ("number", "local exponent of the crossing of fitted lines"),
@@ -101,6 +104,9 @@ COLUMNS: dict[str, tuple[str, str]] = {
     # the ledger
     "id": ("number", "claim"),
     "printed": ("number", "statement or number as printed"),
+    "quotation": ("number", "the paper's words"),
+    "printed_value": ("number", "number as printed"),
+    "printed_half_unit": ("number", "half a unit of the printed number's last digit; 0 if it is exact"),
     "source": ("number", "place in the paper"),
     "computed": ("number", "computed result"),
     "claims/value": ("number", "number that decides the verdict"),
@@ -123,6 +129,16 @@ COLUMNS: dict[str, tuple[str, str]] = {
         "number",
         "derivative of its stance angle with respect to the parameter, rad per unit of the parameter",
     ),
+    "point": ("number", "number of the point in the paper's figure 6"),
+    **{
+        f"{table}/{column}": ("angle", meaning)
+        for table in ("landmarks", "crises")
+        for column, meaning in (
+            ("printed", "slope as the paper prints it"),
+            ("half_unit", "half a unit of the printed slope's last digit"),
+            ("slope", "slope computed"),
+        )
+    },
     "half_unit": ("number", "half a unit of the parameter's last printed digit, in the parameter's unit"),
     "contribution": ("angle", "contribution of the parameter's rounding to the interval's half width"),
     "matters_most": ("number", "whether it contributes most"),
@@ -140,6 +156,8 @@ COLUMNS: dict[str, tuple[str, str]] = {
         for of, law in (("angle", "the stance angle in the slope"), ("power", "power in speed"))
         for when in ("vanishing", "small", "larger")
     },
+    "column": ("number", "column of the paper's figure 10"),
+    "slopes": ("number", "range of slopes"),
     "faster_vanishing": ("number", "faster gait as the slope vanishes"),
     "faster_larger": ("number", "faster gait at larger slopes"),
     "crossing_slope": ("angle", "slope where both gaits are equally fast"),

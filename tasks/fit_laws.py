@@ -153,7 +153,7 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             continue
         linear, error, to, n = laws.linear_amplitude(slope, angle)
         exact = laws.crossing(linear, laws.CUBE_ROOT)
-        fitted, low, high = laws.fitted_crossing(slope, angle, exact)
+        fitted = laws.fitted_lines(slope, angle, exact)
         rows.append(
             {
                 "foot_mass_ratio": ratio,
@@ -165,9 +165,12 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 "n": n,
                 "amplitude_cube_root": laws.CUBE_ROOT,
                 "slope_transition": exact,
-                "slope_transition_fitted": fitted,
-                "fitted_below": low,
-                "fitted_above": high,
+                "slope_transition_fitted": fitted.slope,
+                "fitted_below": fitted.low,
+                "fitted_above": fitted.high,
+                "fitted_exponent": fitted.exponent,
+                "fitted_amplitude": fitted.amplitude,
+                "fitted_cube_root": fitted.upper_amplitude,
                 "asymptotic": float(laws.asymptotic(np.array(ratio))),
             }
         )

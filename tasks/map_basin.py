@@ -39,8 +39,9 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Tables `basin` (slope, stance_angle, stance_rate[, swing_rate], outcome, steps), a row per initial condition,
-        and `areas` (slope, outcome, area, standard_error, share, starts), in the walker's units.
+        Tables `basin` (slope, stance_angle, stance_rate[, swing_rate], outcome, steps), a row per initial condition;
+        `fixed_points` (slope, gait, stance_angle, stance_rate, swing_rate, NaN for point feet), the gaits in the same
+        coordinates, and `areas` (slope, outcome, area, standard_error, share, starts), in the walker's units.
 
     Notes
     -----
@@ -56,6 +57,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     time_unit = np.sqrt(walker.leg / walker.g)
     tables: list[Arrays] = []
     areas: dict[str, list[Any]] = {k: [] for k in ("slope", "outcome", "area", "standard_error", "share", "starts")}
+    gaits: dict[str, list[Any]] = {k: [] for k in ("slope", "gait", "stance_angle", "stance_rate", "swing_rate")}
     branches = atlases.from_arrays(inputs[0])
     for slope in np.asarray(params["slope"], float):
         targets = {}
@@ -65,6 +67,10 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 targets[label] = y[:, 0]
         if "long" not in targets:
             continue
+        for label, y in targets.items():
+            rates = [*(y[1:] / time_unit), np.nan][:2]
+            for column, value in zip(gaits.values(), (slope, label, y[0], *rates), strict=True):
+                column.append(value)
         starts, cell = _starts(problem, targets["long"], options, time_unit)
         outcome, steps = _classify(problem, starts, float(slope), targets, int(options["steps"]))
         table = {
@@ -80,7 +86,8 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             for column, value in zip(areas.values(), row, strict=True):
                 column.append(value)
     basins = {f"basin/{k}": np.concatenate([t[k] for t in tables]) for k in (tables[0] if tables else {})}
-    return basins | {f"areas/{k}": np.array(v) for k, v in areas.items()}
+    fixed = {f"fixed_points/{k}": np.array(v) for k, v in gaits.items()}
+    return basins | fixed | {f"areas/{k}": np.array(v) for k, v in areas.items()}
 
 
 def _starts(

@@ -155,7 +155,7 @@ VARIABLES = {
             "proved", _G, "number", "whether the gait is proved to exist, alone in a box, as a step", "proofs", "i1", 0
         ),
         Variable("proved_radius", _G, "number", "relative radius of the box of the proof", "proofs"),
-        Variable("status", _G, "number", "what became of the solve", dtype="i1", absent=STATUSES["no_gait"]),
+        Variable("status", _G, "number", "outcome of the solve", dtype="i1", absent=STATUSES["no_gait"]),
         Variable("reason", _G, "number", "index into the table of reasons", dtype="i2", absent=0),
     )
 }
@@ -218,13 +218,15 @@ TASKS = {
         Task("branch", "tasks.follow_branches:branch", 4, needs=("atlas",), seconds=0.3),
         Task("orbit", "tasks.iterate_orbits:orbit", 4, needs=("atlas",), seconds=30.0),
         Task("cascade", "tasks.locate_cascade:cascade", 5, needs=("atlas",), seconds=3.0),
-        Task("basin", "tasks.map_basin:basin", 2, needs=("atlas",), seconds=5.0),
+        Task("basin", "tasks.map_basin:basin", 3, needs=("atlas",), seconds=5.0),
         Task("curve", "tasks.follow_curves:curve", 4, needs=("atlas",), seconds=5.0),
         Task("design", "tasks.map_designs:design", 1, needs=("atlas",), seconds=0.1),
         Task("census", "tasks.count_gaits:census", 3, seconds=10.0),
         Task("scaling", "tasks.fit_laws:scaling", 2, needs=("points",)),
-        Task("transition", "tasks.fit_laws:transition", 2, needs=("points",)),
-        Task("claims", "tasks.check_claims:claims", 6, needs=("points", "atlas"), seconds=30.0),
+        Task("transition", "tasks.fit_laws:transition", 3, needs=("points",)),
+        Task("landmarks", "tasks.locate_landmarks:landmarks", 1, needs=("atlas",), seconds=2.0),
+        Task("crises", "tasks.locate_landmarks:crises", 1, needs=("atlas",), seconds=8.0),
+        Task("claims", "tasks.check_claims:claims", 8, needs=("points", "atlas"), seconds=30.0),
     )
 }
 
@@ -239,12 +241,34 @@ READS = {
     "linear": ("stance_angle", "spectral_radius"),
     "transition_ladder": ("stance_angle",),
     "angles": ("trace",),
+    "multipliers": ("spectral_radius",),
+    "losses": ("loss_normal", "loss_tangential", "loss_kneestrike", "spectral_radius"),
+    "heelstrike": ("heelstrike_rate_ratio", "spectral_radius"),
+    "power": ("power", "speed", "spectral_radius"),
     "heatmap": ("speed", "stance_angle", "period", "spectral_radius"),
-    **dict.fromkeys(("walker", "conditions", "locus", "bifurcation", "basin", "design"), ()),
+    **dict.fromkeys(
+        (
+            "walker",
+            "conditions",
+            "locus",
+            "bifurcation",
+            "basin",
+            "design",
+            "census",
+            "cascade",
+            "curves",
+            "exponents",
+            "claims",
+        ),
+        (),
+    ),
 }
 
+#: Tasks over a whole study that a study's `fits` may name.
+FITS = ("scaling", "transition", "landmarks", "crises")
+
 #: Names a study's `figures` may hold.
-FIGURES = tuple(name for name in READS if name not in ("scaling", "transition"))
+FIGURES = tuple(name for name in READS if name not in FITS)
 
 
 @dataclass(frozen=True)
@@ -306,7 +330,11 @@ def options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
 FOLLOWED = ("fold", "flip", "end_kneestrike_at_heelstrike", "end_tangential_heelstrike")
 
 #: Figures that only one kind of study can show.
-SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin", "design": "design"}
+SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin", "design": "design"} | {
+    "census": "census",
+    "cascade": "cascade",
+    "curves": "curve",
+}
 
 #: Claims of the ledger.
 CLAIMS = tuple(
@@ -337,6 +365,7 @@ CALLS = {
     "prove_stored": "tasks.proofs.records:prove_stored",
     "certificates": "tasks.write_certificates:names",
     "certify": "tasks.write_certificates:certify",
+    "claims": "tasks.check_claims:check",
     "walkers": "tasks.walkers.describe:describe",
     "tune": "tasks.walkers.tuning:tune",
     "check_walker": "tasks.walkers.resolve:check",

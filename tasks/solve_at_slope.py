@@ -9,24 +9,28 @@ import numpy as np
 
 from tasks import status
 from tasks.continuation import atlas as atlases
-from tasks.continuation.refine import COARSE
+from tasks.continuation.refine import COARSE, FINE
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.polish import unmeasured
 from tasks.fixed_points.search import search, starts
-from tasks.registry import COSTLY, GAITS, VARIABLES, VIOLATIONS
+from tasks.measures.losses import contact_mass, velocity_ratio
+from tasks.registry import GAITS, SI_UNITS, VARIABLES, VIOLATIONS
 from tasks.solve_cycles import cycle_points, follow
 from tasks.solve_points import Arrays, points, solve
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
+from tasks.walkers.walker import Walker
 
-#: Variables measured for one point; the amounts of violations are in archives only.
-_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY or v == "violations")
-#: What is told of each gait.
-_COLUMNS = (
+#: Variables measured for one point: all but proofs.
+_WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs")
+#: What is told of each gait, and the further variables after it.
+_FIRST = (
     *("gait", "slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time"),
-    *("multipliers", "stable", "speed", "loss_normal", "loss_tangential", "loss_kneestrike", "violations", "status"),
-    *("residual", "error_bound", "branch", "piece"),
+    *("multipliers", "stable", "speed", "froude_speed", "cost_of_transport", "power", "step_length"),
+    *("loss_normal", "loss_tangential", "loss_kneestrike", "violations", "status", "residual", "error_bound"),
+    *("branch", "piece", "velocity_ratio", "contact_mass_matrix"),
 )
+_COLUMNS = (*_FIRST, *(v for v in _WANT if v not in (*_FIRST, "reason", "multiplier_real", "multiplier_imag")))
 
 
 def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -53,7 +57,8 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     slope = float(params["slope"])
     problem = Problem(resolve(line["walker"], line["set"]))
     steps = int(params.get("steps", 1))
-    branches = atlases.survey(problem, COARSE)
+    # Cycles are followed far from the branches where they begin.
+    branches = atlases.survey(problem, FINE if steps > 1 else COARSE)
     if steps > 1:
         return _solve_cycles(line, slope, steps, atlases.to_arrays(branches))
     point = points({"line": line, "slope": np.array([slope]), "want": _WANT}, [atlases.to_arrays(branches)])
@@ -72,9 +77,10 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
         np.array([gait[k] for gait in gaits]).reshape(-1, 1) for k in ("stance_angle", "heelstrike_rate_ratio")
     )
     place = places(angle, ratio)[:, 0]
-    records = [_record(_name(place[i]), slope, gaits[i]) for i in np.argsort(place)]
-    records += [_record(f"passes_{gait['passes']}_times", slope, gait) for gait in non_anthropomorphic]
-    return _answer(records, problem.walker.si, log)
+    walker = problem.walker
+    records = [_record(_name(place[i]), slope, gaits[i], walker) for i in np.argsort(place)]
+    records += [_record(f"passes_{gait['passes']}_times", slope, gait, walker) for gait in non_anthropomorphic]
+    return _answer(records, walker.si, log)
 
 
 def _converged(point: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -84,18 +90,20 @@ def _converged(point: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str]) -> dict[str, Any]:
     units = {"slope": "rad", **{k: VARIABLES[k].units(is_si) for k in _WANT}}
+    units |= {"step_length": SI_UNITS["length"] if is_si else "1"}
     return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log}
 
 
 def _solve_cycles(line: dict[str, Any], slope: float, steps: int, atlas: Arrays) -> dict[str, Any]:
     """Gaits that repeat after some steps, of which the branches alone are searched."""
+    walker = resolve(line["walker"], line["set"])
     branches = follow({"line": line, "steps": steps, "atlas": atlas})
     asked = {"line": line, "steps": steps, "branches": branches, "slope": np.array([slope]), "want": _WANT}
     point = cycle_points(asked)
     labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
-    records = [_record(label, slope, gait) for label, gait in zip(labels, _converged(point), strict=True)]
+    records = [_record(label, slope, gait, walker) for label, gait in zip(labels, _converged(point), strict=True)]
     log = [] if records else [str(point["reasons"][1])]
-    return _answer(records, resolve(line["walker"], line["set"]).si, log)
+    return _answer(records, walker.si, log)
 
 
 def _describe_starts(problem: Problem, slope: float) -> str:
@@ -131,18 +139,22 @@ def _search_slope(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -
     return others, nearest
 
 
-def _record(label: str, slope: float, value: dict[str, Any]) -> dict[str, Any]:
+def _record(label: str, slope: float, value: dict[str, Any], walker: Walker) -> dict[str, Any]:
     """One gait as a plain dict; an absent quantity is None."""
     plain = {k: _plain(v) for k, v in value.items() if np.ndim(v) == 0}
     pairs = np.stack([value["multiplier_real"], value["multiplier_imag"]], axis=-1)
+    angle, rate_ratio = (np.atleast_1d(value[k]) for k in ("stance_angle", "heelstrike_rate_ratio"))
     record = {
         **plain,
         "gait": label,
         "slope": slope,
         "multipliers": pairs.tolist(),
         "stable": bool(plain["spectral_radius"] < 1),
+        "step_length": plain["speed"] * plain["period"],
         "violations": _flags(value.get("violations")),
         "status": "converged",
+        "velocity_ratio": _plain(velocity_ratio(walker, angle, rate_ratio)[0]),
+        "contact_mass_matrix": (walker.total_mass * contact_mass(walker, angle)[0]).tolist(),
     }
     return {name: record.get(name) for name in _COLUMNS}
 

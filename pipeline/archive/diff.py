@@ -165,16 +165,28 @@ def _compare_groups(
             differences.append(f"the group {group_path} is only in {a if name in left.groups else b}")
             continue
         left_group, right_group = left.groups[name], right.groups[name]
-        rows = [_rows_of(group, shared) for group in (left_group, right_group)]
         for column in sorted(set(left_group.variables) | set(right_group.variables)):
             if column not in left_group.variables or column not in right_group.variables:
                 differences.append(f"`{group_path}/{column}` is only in {a if column in left_group.variables else b}")
             else:
-                pairs = zip((left_group, right_group), rows, strict=True)
-                x, y = (np.ma.getdata(group.variables[column][...])[indices] for group, indices in pairs)
+                x, y = (_shared_part(group, column, shared) for group in (left_group, right_group))
                 differences += _compare_values(f"{group_path}/{column}".lstrip("/"), x, y, tolerance)
         differences += _compare_groups(left_group, right_group, tolerance, shared, a, b, group_path)
     return differences
+
+
+def _shared_part(group: Any, column: str, shared: dict[str, np.ndarray]) -> np.ndarray:
+    """Values of a column, or of an array over the lines' axes, on the lines that both archives have."""
+    variable = group.variables[column]
+    values = np.ma.getdata(variable[...])
+    if variable.dimensions == ("row",):
+        return values[_rows_of(group, shared)]
+    for axis, name in enumerate(variable.dimensions):
+        coordinate = group.parent.variables.get(name)
+        if name in shared and name not in group.variables and coordinate is not None:
+            kept = np.isin(np.ma.getdata(coordinate[...]).astype(shared[name].dtype), shared[name])
+            values = np.compress(kept, values, axis)
+    return values
 
 
 def _rows_of(group: Any, shared: dict[str, np.ndarray]) -> np.ndarray:

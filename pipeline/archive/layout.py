@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.dispatch import resolve
 from pipeline.statuses import ALL_STATUSES
+from pipeline.study import units
 from pipeline.study.model import Study
-from tasks.registry import PROVED, SI_UNITS, VIOLATIONS, Variable
+from tasks.registry import PROVED, VIOLATIONS, Variable
 
 CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box assembled in memory
 Box = tuple[slice, ...]
@@ -24,17 +24,9 @@ _LONG_NAMES = {
 }
 
 
-def is_si(study: Study) -> bool:
-    """Whether every walker of a study is in SI units."""
-    return all(check["si"] for check in study.checks)
-
-
 def axis_attributes(name: str, is_si: bool) -> dict[str, str]:
     """CF attributes of an axis, for walkers in SI (`is_si`) or in consistent units."""
-    kind = {"slope": "angle", "foot_mass_ratio": "number", "detuning": "number"}.get(name)
-    kind = kind or resolve("tasks.walkers.walker:KEYS")[name]
-    units = SI_UNITS.get(kind, "1") if kind == "angle" or is_si else "1"
-    return {"long_name": _LONG_NAMES.get(name, f"walker's {name}"), "units": units}
+    return {"long_name": _LONG_NAMES.get(name, f"walker's {name}"), "units": units.axis_units(name, is_si)}
 
 
 def attributes(variable: Variable, is_si: bool, is_mixed: bool = False) -> dict[str, Any]:

@@ -75,6 +75,17 @@ def _damage(file: Any) -> Iterator[str]:
         yield f"its checksums cannot be checked, {_one_line(error)}."
 
 
+def damage(path: Path) -> str:
+    """What is not as it was written in an archive, in a sentence; empty if nothing is."""
+    import netCDF4
+
+    try:
+        with netCDF4.Dataset(path) as file:
+            return next(_damage(file), "")
+    except (OSError, RuntimeError) as error:
+        return _one_line(error)
+
+
 def _checksum(variable: Any) -> int:
     """Checksum of a variable: the sum over its boxes."""
     sizes = dict(zip(variable.dimensions, variable.shape, strict=True))

@@ -1,4 +1,4 @@
-"""Tables in the archive: one netCDF group each, its columns along the dimension `row`."""
+"""Tables in the archive: one netCDF group each, its columns along the dimension `row`, or arrays over the grid."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from pipeline import serialize
-from pipeline.archive import layout
+from pipeline.archive import arrays
 from pipeline.dispatch import resolve
 from pipeline.plan.missing import Plan
+from pipeline.study import units
 from tasks import registry
 from tasks.columns import COLUMNS
 
@@ -40,6 +41,8 @@ def write(file: Any, plan: Plan) -> None:
         names, outcomes, reasons = zip(*failures, strict=True)
         columns = {"task": np.array(names), "outcome": np.array(outcomes), "reason": np.array(reasons)}
         _group(file, plan, "failed_tasks", columns)
+    if plan.study.overlay:
+        _group(file, plan, "overlay", dict(plan.study.overlay))
 
 
 def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str]]:
@@ -91,6 +94,9 @@ def _stack(parts: list[Columns]) -> Columns:
 
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
+    if set(arrays.LAYOUTS.get(group, ("",))) <= set(columns):
+        arrays.write(file, plan, group, columns, _attributes)
+        return
     netcdf_group = file.createGroup(group)
     netcdf_group.createDimension("row", len(next(iter(columns.values()))))
     for name, values in columns.items():
@@ -106,7 +112,10 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
 
 def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
     """Attributes of a column; one without a description is called by its name."""
-    study, is_si = plan.study, layout.is_si(plan.study)
+    if group == "overlay" and name.endswith("_error"):
+        measured = _attributes(plan, group, name.removesuffix("_error"))
+        return {**measured, "long_name": f"standard error of the measured {measured['long_name']}"}
+    study, is_si = plan.study, units.is_si(plan.study)
     kind, meaning = COLUMNS.get(f"{group}/{name}") or COLUMNS.get(name) or ("number", name.replace("_", " "))
     if f"{group}/{name}" not in COLUMNS and name in registry.VARIABLES:
         kind, meaning = registry.VARIABLES[name].kind, registry.VARIABLES[name].long_name

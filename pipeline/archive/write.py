@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import paths, serialize
-from pipeline.archive import chunks, layout, read, result_tables
+from pipeline.archive import chunks, layout, parameters, read, result_tables
 from pipeline.archive.citation import PAPER
 from pipeline.archive.provenance import provenance
 from pipeline.archive.read import SCHEMA
@@ -28,6 +28,7 @@ from pipeline.plan.missing import Plan
 from pipeline.statuses import ALL_STATUSES, ANSWERS
 from pipeline.store import lines
 from pipeline.store.journal import Outcome, TaskKey
+from pipeline.study import units
 from pipeline.study.model import Study
 from tasks.registry import GAITS, STATUSES, VARIABLES
 
@@ -139,8 +140,9 @@ def _write_header(file: Any, plan: Plan, writer: _PointWriter | _LineWriter) -> 
             continue
         axis = next(a for a in study.axes if a.name == name)
         variable = file.createVariable(name, "f8", (name,), fill_value=False, fletcher32=True)
-        variable.setncatts(layout.axis_attributes(name, layout.is_si(study)))
+        variable.setncatts(layout.axis_attributes(name, units.is_si(study)))
         variable[:] = axis.values
+    parameters.write(file, study)
     file.createDimension("reason_index", len(writer.sentences))
     _strings(file, "reason_text", "reason_index", writer.sentences, "sentences that `reason` counts from 0")
 
@@ -223,7 +225,7 @@ class _PointWriter:
             multiplier = file.createVariable("multiplier", "i4", ("multiplier",), fill_value=False)
             multiplier.setncatts({"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"})
             multiplier[:] = np.arange(multipliers)
-        is_si, is_mixed = layout.is_si(self.study), len({c["si"] for c in self.study.checks}) > 1
+        is_si, is_mixed = units.is_si(self.study), len({c["si"] for c in self.study.checks}) > 1
         chunk = layout.chunk_shape(self.grid.sizes, layout.CHUNK)
         for name in names:
             description = VARIABLES[name]

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pipeline.errors import ArchiveError, GaitsweepError, StudyError, unwritten
+from pipeline.errors import GaitsweepError, StudyError, unwritten
 
 #: Exit codes of several studies, gravest first: the gravest is that of all.
 _EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
@@ -149,12 +149,16 @@ def parser() -> argparse.ArgumentParser:
     c = add(_walkers, "the catalogue of walkers, or one walker")
     c.add_argument("name", nargs="?", metavar="NAME")
     c.add_argument("--json", action="store_true", help="for machines")
+    c = add(_claims, "claims of the paper: what it says, the computed number and the verdict")
+    c.add_argument("ids", nargs="*", metavar="ID", help="such as D2 or K1 (default: all)")
+    c.add_argument("--json", action="store_true", help="for machines")
     c = add(_tune, "the nearest walker that can walk at vanishing slope")
     c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
     c.add_argument("--free", action="append", default=[], metavar="KEY", help="a key that may change")
     c.add_argument("--json", action="store_true", help="for machines")
     c = add(_verify, "check that an archive is intact, complete and valid")
     c.add_argument("archive", type=Path, metavar="ARCHIVE.nc")
+    c.add_argument("--json", action="store_true", help="for machines")
     c = add(_diff, "differences between two archives")
     c.add_argument("a", type=Path, metavar="A.nc")
     c.add_argument("b", type=Path, metavar="B.nc")
@@ -338,14 +342,18 @@ def _walkers(options: argparse.Namespace) -> int:
     return 0
 
 
+def _claims(options: argparse.Namespace) -> int:
+    from pipeline.cli import claims
+
+    return claims.report(options.ids, options.json)
+
+
 def _tune(options: argparse.Namespace) -> int:
     from pipeline.dispatch import ask
     from pipeline.study import files
 
-    params: dict[str, Any] = {"walker": files.walker(options.walker, Path())}
-    if options.free:
-        params["free"] = options.free
-    answer = ask("tune", params)
+    free = {"free": options.free} if options.free else {}
+    answer = ask("tune", {"walker": files.walker(options.walker, Path()), **free})
     if options.json:
         print(json.dumps(answer))
         return 0
@@ -356,18 +364,9 @@ def _tune(options: argparse.Namespace) -> int:
 
 
 def _verify(options: argparse.Namespace) -> int:
-    from pipeline.archive import read, verify
+    from pipeline.cli import verify
 
-    try:
-        read.probe([options.archive])
-        problems = verify.verify(options.archive)
-    except ArchiveError as error:
-        if not options.archive.is_file():
-            raise
-        problems = [str(error)]
-    intact = f"{options.archive} is intact, complete and valid (schema {read.SCHEMA})."
-    print("\n".join(problems) if problems else intact)
-    return 1 if problems else 0
+    return verify.report(options.archive, options.json)
 
 
 def _diff(options: argparse.Namespace) -> int:

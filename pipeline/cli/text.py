@@ -110,12 +110,13 @@ def tuned_walker(answer: dict[str, Any]) -> Iterator[str]:
 
 def gaits(all_gaits: Iterable[dict[str, Any]], units: dict[str, str], in_degrees: bool = False) -> Iterator[str]:
     """Gaits at one point, a paragraph each, with units; angles and rates in degrees if asked."""
-    is_empty = True
+    is_empty, has_others = True, False
     for gait in all_gaits:
         is_empty = False
+        width = max(16, *(len(key) for key, value in gait.items() if value is not None))
         yield f"{gait['gait']} ({'stable' if gait['stable'] else 'unstable'}, {gait['status']})"
         for key, value in gait.items():
-            if key in ("gait", "stable", "status") or value is None:
+            if key in ("gait", "stable", "status", "contact_mass_matrix") or value is None:
                 continue
             if key == "multipliers":
                 value = ", ".join(f"{re:.12g}{im:+.12g}j" if im else f"{re:.12g}" for re, im in value)
@@ -126,7 +127,10 @@ def gaits(all_gaits: Iterable[dict[str, Any]], units: dict[str, str], in_degrees
                 value = f"{value:.15g} {unit}".removesuffix(" 1")
             elif isinstance(value, list):
                 value = ", ".join(map(str, value)) or "none"
-            yield f"  {key:<16} {value}"
+            yield f"  {key:<{width}} {value}"
+        has_others = has_others or str(gait["gait"]).startswith("other")
+    if has_others:
+        yield "Of several gaits under one label that of the largest stance angle has it; others are other1, other2, ..."
     if is_empty:
         yield "no gait"
 

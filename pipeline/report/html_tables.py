@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from pipeline.report.entry import Entry
+from pipeline.report.cells import Cell, cell, column_cells
+from pipeline.report.figures import measured
 from pipeline.report.figures.style import plain
 from pipeline.report.source import ANSWERS, Source, print_units
 
@@ -18,20 +19,6 @@ MAX_ROWS = 60
 
 #: Rows of the longest table that a page shows unfolded.
 _OPEN_ROWS = 20
-
-#: Families of claims by the letter of their id.
-FAMILIES = {
-    "D": "Simplest walker",
-    "E": "Point feet with mass",
-    "P": "Physical walker",
-    "T": "Tuning",
-    "Z": "Zero-slope walkers",
-    "M": "Energy",
-    "K": "Kneed chaos",
-    "W": "Wheels",
-    "G": "General",
-    "A": "Appendix A",
-}
 
 _HEADS = {
     "exponent_low": "low",
@@ -46,7 +33,36 @@ _HEADS = {
     "slope": "γ",
     "stance_angle": "θ*",
     "period": "T",
-    "slope_transition": "γ transition",
+    "slope_transition": "γ where asymptotes cross",
+    "slope_transition_fitted": "γ where fitted lines cross",
+    "amplitude_linear": "linear amplitude",
+    "amplitude_linear_error": "relative error",
+    "amplitude_cube_root": "cube-root amplitude",
+    "linear_to": "linear up to γ",
+    "fitted_below": "lower line below γ",
+    "fitted_above": "upper line above γ",
+    "fitted_exponent": "exponent of the lower line",
+    "fitted_amplitude": "amplitude of the lower line",
+    "fitted_cube_root": "amplitude of the upper line",
+    "asymptotic": "γ by the asymptotic formula",
+    "local_exponent": "local exponent",
+    "local_exponent_fitted": "local exponent of fitted lines",
+    "predicted": "by the 3/2 law",
+    "exact_asymptotes": "by asymptotes",
+    "fitted_lines": "by fitted lines",
+    "found_deflated": "added by deflation",
+    "found_once": "found once",
+    "non_anthropomorphic": "legs pass more than once",
+    "unseen": "share unseen",
+    "over_error": "residual / error",
+    "error_bound": "relative error bound",
+    "largest_stable_slope": "largest stable γ",
+    "smallest_slope": "smallest γ",
+    "fastest_slope": "γ of the fastest",
+    "fastest_froude_speed": "fastest stable Fr",
+    "fastest_stable_speed": "fastest stable v",
+    "stance_rate_values": "θ̇*",
+    "stride": "step",
     "spectral_radius": "max |λ|",
     "stance_rate": "θ̇*",
     **{key: key for key in ("l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "m_h", "eps_T")},
@@ -64,36 +80,19 @@ _LAWS = {"stance_angle": "θ* of γ", "speed": "v of γ", "power_speed": "P of v
 
 
 @dataclass(frozen=True)
-class Cell:
-    """Text of a table cell, and the number that it rounds (None for words).
-
-    `counted` marks numbers that the report counts, which are not in the archive.
-    """
-
-    text: str
-    value: float | None = None
-    counted: bool = False
-
-    @property
-    def long(self) -> bool:
-        """Whether the text needs a wide column."""
-        return self.value is None and len(self.text) > 24
-
-    @property
-    def exact(self) -> str:
-        """The number with all its digits; empty for words."""
-        return "" if self.value is None else repr(self.value)
-
-
-@dataclass(frozen=True)
 class Table:
-    """A caption, column headings and rows of cells; `meanings` are the long names of the columns."""
+    """A caption, column headings and rows of cells; `meanings` are the long names of the columns.
+
+    `frame` holds all rows, for the CSV file that is called after `name`.
+    """
 
     caption: str
     heads: list[str]
     rows: list[list[Cell]]
     note: str = ""
     meanings: list[str] = field(default_factory=list)
+    name: str = ""
+    frame: pd.DataFrame | None = None
 
     @property
     def folded(self) -> bool:
@@ -101,86 +100,27 @@ class Table:
         return len(self.rows) > _OPEN_ROWS
 
 
-@dataclass(frozen=True)
-class ClaimRow:
-    """One claim of the ledger, with a link to the page that shows it."""
-
-    id: str
-    printed: Cell
-    source: str
-    computed: Cell
-    interval: list[Cell]
-    verdict: str
-    sign: str
-    figure: str
-    href: str
-    command: str
-
-
-@dataclass(frozen=True)
-class Family:
-    """Claims on one subject."""
-
-    title: str
-    verdicts: list[ClaimRow] = field(default_factory=list)
-
-
-def cell(value: Any, counted: bool = False, digits: int = 6) -> Cell:
-    """Make a cell of a value: numbers are shown with `digits` significant digits and kept exactly."""
-    if isinstance(value, (bool, np.bool_)):
-        return Cell("yes" if value else "no")
-    if isinstance(value, (int, np.integer)):
-        return Cell(str(int(value)).replace("-", "−"), int(value), counted)
-    if isinstance(value, (float, np.floating)):
-        return Cell("–") if np.isnan(value) else Cell(plain(float(value), digits), float(value), counted)
-    return Cell(str(value))
-
-
 def head(column: str) -> str:
     """Heading of a column: the paper's symbol where there is one, else the name in words."""
     return _HEADS.get(column, column.replace("_", " "))
 
 
-def from_frame(caption: str, frame: pd.DataFrame, note: str = "") -> Table:
-    """Make a table of a frame; located slopes are shown with the digits that their error bound warrants."""
+def from_frame(
+    caption: str, frame: pd.DataFrame, note: str = "", name: str = "", whole: pd.DataFrame | None = None
+) -> Table:
+    """Make a table of a frame.
+
+    Located numbers have the digits that their error leaves, with the error of the last digit in parentheses; errors and
+    bounds have two digits; the other numbers of a column have the same number of decimals where they are comparable.
+    `whole` is the frame with all rows, for the CSV file called after `name`.
+    """
+    whole = frame if whole is None else whole
     counts = frame.columns[[kind.kind in "iu" for kind in frame.dtypes]]
-    frame = frame.assign(**{c: [str(v).replace("_", " ") for v in frame[c]] for c in _CODED if c in frame})
-    digits = _digits(frame)
-    return Table(
-        caption,
-        [
-            _with_unit(
-                "steps" if c == "period" and c in counts else head(str(c)), frame.attrs.get("units", {}).get(c, "")
-            )
-            for c in frame.columns
-        ],
-        [
-            [cell(v, digits=n if c in _LOCATED else 6) for c, v in zip(frame.columns, row, strict=True)]
-            for n, row in zip(digits, frame.itertuples(index=False, name=None), strict=True)
-        ],
-        note,
-        [frame.attrs.get("meanings", {}).get(c, "") for c in frame.columns],
-    )
-
-
-#: Columns of names with underscores, which a page shows as words.
-_CODED = ("kind", "status", "smallest_at", "stability_lost_by")
-
-#: Columns of a located point that its error bound applies to.
-_LOCATED = ("slope", "value", "low", "high")
-
-
-def _digits(frame: pd.DataFrame) -> list[int]:
-    """Significant digits of the located numbers in each row: as many as the error bound or the interval warrants."""
-    if "error_bound" in frame:
-        error = frame["error_bound"].to_numpy(float)
-    elif {"low", "high", "slope"} <= set(frame.columns):
-        # A hundredth of the interval, so that its two ends are shown as different.
-        error = 0.01 * ((frame["high"] - frame["low"]) / frame["slope"]).to_numpy(float)
-    else:
-        return [6] * len(frame)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.clip(np.nan_to_num(-np.log10(error), nan=6.0), 6, 15).astype(int).tolist()
+    units = frame.attrs.get("units", {})
+    shown = {str(c): column_cells(str(c), frame) for c in frame.columns}
+    heads = [_with_unit("steps" if c == "period" and c in counts else head(str(c)), units.get(c, "")) for c in frame]
+    rows = [list(row) for row in zip(*shown.values(), strict=True)] if len(frame) else []
+    return Table(caption, heads, rows, note, [frame.attrs.get("meanings", {}).get(c, "") for c in frame], name, whole)
 
 
 def _with_unit(name: str, unit: str) -> str:
@@ -202,8 +142,33 @@ def fits(source: Source) -> list[Table]:
             if len(fitted) < len(table) and not note:
                 missing, more = len(table) - len(fitted), "more " if len(fitted) else ""
                 note = f"{missing} {more}fits found no range over which a power law holds."
-            tables.append(from_frame(_FITS.get(name, name.replace("_", " ")), shown, note))
+            caption = _FITS.get(name, name.replace("_", " "))
+            tables.append(from_frame(caption, shown, note, name.replace("/", "-"), table))
     return tables
+
+
+def landmarks(source: Source) -> Table | None:
+    """Landmarks that the paper prints or numbers, beside those computed and what rounding allows."""
+    names = ["landmark", "walker", "point", "printed", "slope", "slope_low", "slope_high", "stance_angle"]
+    found = [source.tables[n] for n in ("landmarks", "crises") if n in source.tables]
+    frame = pd.concat([t[names] for t in found if set(names) <= set(t.columns)] or [pd.DataFrame(columns=names)])
+    if frame.empty:
+        return None
+    heads = ["landmark", "walker", "point"]
+    heads += ["printed γ (rad)", "computed γ (rad)", "from γ (rad)", "to γ (rad)", "θ* (rad)"]
+    rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
+    note = "From, to: the slopes that the rounding of the printed parameters allows."
+    return Table("The paper's numbers beside the computed ones", heads, rows, note)
+
+
+def residuals(source: Source) -> Table | None:
+    """The study's own measurements beside the computed values."""
+    frame = measured.residuals(source)
+    if frame.empty:
+        return None
+    shown = frame.head(2 * MAX_ROWS)
+    note = "Residual: measured less computed; – where no computed gait has that slope."
+    return from_frame("Residuals of the measurements", shown, note, "residuals", frame)
 
 
 def special_points(source: Source) -> Table | None:
@@ -213,7 +178,7 @@ def special_points(source: Source) -> Table | None:
         return None
     shown = table.head(2 * MAX_ROWS)
     note = f"{len(table) - len(shown)} more are in the archive." if len(shown) < len(table) else ""
-    return from_frame("Special points", shown, note)
+    return from_frame("Special points", shown, note, "special_points", table)
 
 
 def points(source: Source) -> pd.DataFrame:
@@ -254,6 +219,20 @@ def statuses(source: Source) -> list[tuple[str, int, float]]:
     ]
 
 
+def outcome_sentence(source: Source) -> str:
+    """The outcomes of a study in one sentence."""
+    counts = {name: count for name, count, _ in statuses(source)}
+    total = sum(counts.values())
+    if not total:
+        return ""
+    what = source.whole + ("" if total == 1 else "s")
+    grouped = f"{total:,}".replace(",", "\u202f")
+    if set(counts) == {"converged"}:
+        return f"{'All ' if total > 1 else 'The '}{grouped + ' ' if total > 1 else ''}{what} converged."
+    parts = [f"{count:,}".replace(",", "\u202f") + f" {name.replace('_', ' ')}" for name, count in counts.items()]
+    return f"Of {grouped} {what}: {', '.join(parts)}."
+
+
 def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
     """Outcomes by status and reason: how many, and over which slopes."""
     counts = statuses(source)
@@ -275,7 +254,7 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
             ]
         )
     caption = "Outcome at each grid point" if source.whole == "point" else "Outcomes by line"
-    return Table(caption, ["status", "reason", "count", "from γ", "to γ"], rows)
+    return Table(caption, ["status", "reason", "count", "from γ (rad)", "to γ (rad)"], rows)
 
 
 def _range(slopes: np.ndarray) -> list[Cell]:
@@ -342,49 +321,3 @@ def claims(source: Source) -> list[dict[str, Any]]:
     table = source.tables.get("claims")
     rows = table.to_dict("records") if table is not None and "id" in table else []
     return [{str(k): v.item() if isinstance(v, np.generic) else v for k, v in row.items()} for row in rows]
-
-
-def ledger(entries: Iterable[Entry]) -> list[Family]:
-    """Every claim of some pages by family, each with a link to its figure."""
-    entries = list(entries)
-    pages = {entry.slug: f"{entry.slug}.html" for entry in entries}
-    pages |= {f"{entry.study}/{name}": f"{entry.slug}.html#{name}" for entry in entries for name in entry.figures}
-    families: dict[str, Family] = {}
-    for entry in entries:
-        for row in entry.claims:
-            letter = str(row["id"])[:1].upper()
-            title = FAMILIES.get(letter, "Others")
-            families.setdefault(title, Family(title)).verdicts.append(_claim_row(row, entry, pages))
-    order = [*FAMILIES.values(), "Others"]
-    for family in families.values():
-        family.verdicts.sort(key=lambda v: (v.id[:1], len(v.id), v.id))
-    return sorted(families.values(), key=lambda f: order.index(f.title))
-
-
-def _claim_row(row: dict[str, Any], entry: Entry, pages: dict[str, str]) -> ClaimRow:
-    verdict = str(row.get("verdict", ""))
-    figure = str(row.get("figure", ""))
-    href = pages.get(figure) or pages.get(f"{entry.study}/{figure}") or pages.get(entry.slug, "")
-    interval = [cell(row[k]) for k in ("interval_low", "interval_high") if k in row]
-    if any(c.value is None for c in interval):
-        interval = []
-    return ClaimRow(
-        str(row["id"]),
-        cell(row.get("printed", "")),
-        str(row.get("source", "")),
-        cell(row.get("computed", "")),
-        interval,
-        verdict.replace("_", " "),
-        sign(verdict),
-        figure or entry.name,
-        href,
-        str(row.get("command", "")),
-    )
-
-
-def sign(verdict: str) -> str:
-    """Sign of a verdict: yes, no or open."""
-    words = verdict.replace("_", " ").strip().lower()
-    if words in ("reproduced", "proved"):
-        return "yes"
-    return "no" if words.startswith("not ") else "open"

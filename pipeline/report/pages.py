@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import contextlib
+import fcntl
 import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +17,9 @@ import jinja2
 import pandas as pd
 
 from pipeline.archive.citation import PAPER
-from pipeline.report import entry, html_tables, results
+from pipeline.archive.read import damage
+from pipeline.errors import ArchiveError
+from pipeline.report import entry, html_tables, ledger, results
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.cycle import animation
 from pipeline.report.figures.style import plain
@@ -41,7 +45,8 @@ _MAX_THUMBNAIL_BYTES = 235_000
 class Page:
     """One study as its page shows it.
 
-    `undrawn` names the figures that the archive holds no data for; `absent` lists the points without a converged gait.
+    `undrawn` names the figures that the archive holds no data for; `absent` lists the points without a converged gait;
+    `tables` are those of results, by their place on the page.
     """
 
     slug: str
@@ -51,13 +56,16 @@ class Page:
     moves: list[dict[str, Any]]
     statuses: list[tuple[str, int, float]]
     absent: pd.DataFrame
+    tables: dict[str, Any]
 
     @cached_property
     def files(self) -> dict[str, str]:
         """Texts of the data files of the page, by file name."""
         figures = {f"{self.slug}-{drawing.name}.csv": _csv(drawing.data) for drawing in self.drawings}
+        every = [t for value in self.tables.values() for t in (value if isinstance(value, list) else [value]) if t]
+        tables = {f"{self.slug}-table-{t.name}.csv": _csv(t.frame) for t in every if t.name and t.frame is not None}
         absent = {f"{self.slug}-absent.csv": _csv(self.absent.head(_MAX_ABSENT))} if len(self.absent) else {}
-        return figures | absent
+        return figures | tables | absent
 
     @property
     def entry(self) -> dict[str, Any]:
@@ -107,8 +115,42 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     environment = _environment()
-    pages = [_page(source, slug) for source, slug in zip(sources, _slugs(sources), strict=True)]
-    texts = {f"{page.slug}.html": _study(environment, page) for page in pages}
+    pages, texts = [], {}
+    for source, slug in zip(sources, _slugs(sources), strict=True):
+        with _readable(source.path):
+            pages.append(_page(source, slug))
+            texts[f"{slug}.html"] = _study(environment, pages[-1])
+    with _locked(out):
+        _combine(environment, out, pages, texts, only)
+    return out / "index.html"
+
+
+@contextlib.contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Turn an error over a damaged archive into an ArchiveError; any other is a bug and is raised as it is."""
+    try:
+        yield
+    except Exception as error:
+        problem = damage(path)
+        if not problem:
+            raise
+        raise ArchiveError(f"{path} is damaged: {problem}") from error
+
+
+@contextlib.contextmanager
+def _locked(out: Path) -> Iterator[None]:
+    """Hold the folder while its pages are combined: of two reports into it, one waits for the other."""
+    folder = os.open(out, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)
+
+
+def _combine(environment: jinja2.Environment, out: Path, pages: list[Page], texts: dict[str, str], only: bool) -> None:
+    """Write pages and their data, and the index and ledger of all pages in the folder."""
     previous, current = entry.read_all(out), {name: entry.read(text) for name, text in texts.items()}
     keep = {name: record for name, record in previous.items() if name not in texts and not only} | current
     entries = sorted((record for record in keep.values() if record), key=lambda record: record.order)
@@ -119,27 +161,32 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
     wanted = {*keep, *(name for record in entries for name in record.files)}
     for record in previous.values():
         entry.remove(out, record, wanted)
-    ledger = html_tables.ledger(entries)
-    common = {"entries": entries, "ledger": ledger, "tally": _tally(ledger)}
+    claims = ledger.families(entries)
+    common = {"entries": entries, "ledger": claims, "tally": ledger.tally(claims), "signs": ledger.sign}
+    if claims:
+        _publish(out / "ledger.csv", _csv(ledger.table(claims)))
+    else:
+        (out / "ledger.csv").unlink(missing_ok=True)
     _publish(out / "ledger.html", environment.get_template("ledger.html").render(**common))
     moves = next((record.moves for record in entries if record.moves), [])
     index = environment.get_template("index.html")
     _publish(out / "index.html", index.render(**common, thumbnails=_thumbnails(entries), moves=moves))
-    return out / "index.html"
 
 
 def _study(environment: jinja2.Environment, page: Page) -> str:
     """Render the page of one study, which depends on no other."""
+    claims = html_tables.claims(page.source)
     return environment.get_template("study.html").render(
         page=page,
-        fits=html_tables.fits(page.source),
-        special=html_tables.special_points(page.source),
-        results=results.tables(page.source),
+        claims=[(row["id"], str(row.get("verdict", "")), ledger.sign(str(row.get("verdict", "")))) for row in claims],
+        **page.tables,
+        sentence=html_tables.outcome_sentence(page.source),
         outcomes=html_tables.outcomes(page.source, page.absent),
         failures=html_tables.failures(page.absent),
         failed_tasks=html_tables.failed_tasks(page.source),
         walkers=html_tables.walkers(page.source),
         run=html_tables.pairs({k: v for k, v in page.source.run.items() if k in _RUN}),
+        origin=_origin(page.source),
         provenance=html_tables.pairs(_rest(page.source)),
     )
 
@@ -148,11 +195,27 @@ def _page(source: Source, slug: str) -> Page:
     wanted = list(dict.fromkeys(source.figures))
     if "fits/scaling" in source.tables and "residuals" not in wanted:
         wanted.append("residuals")
+    if "overlay" in source.tables and "measured" not in wanted:
+        wanted.append("measured")
     drawn = {name: draw(source, name, slug) for name in wanted}
     drawings = [drawing for drawing in drawn.values() if drawing is not None]
     undrawn = [name for name in source.figures if drawn[name] is None]
+    tables = {
+        "landmarks": html_tables.landmarks(source),
+        "residuals": html_tables.residuals(source),
+        "fits": html_tables.fits(source),
+        "special": html_tables.special_points(source),
+        "results": results.tables(source),
+    }
     return Page(
-        slug, source, drawings, undrawn, animation(source), html_tables.statuses(source), html_tables.points(source)
+        slug,
+        source,
+        drawings,
+        undrawn,
+        animation(source),
+        html_tables.statuses(source),
+        html_tables.points(source),
+        tables,
     )
 
 
@@ -168,14 +231,21 @@ def _slugs(sources: list[Source]) -> list[str]:
     return taken
 
 
+def _origin(source: Source) -> str:
+    """Where the archive comes from, in one line."""
+    record, packages = source.provenance, source.provenance.get("packages", {})
+    version = packages.get("gaitsweep", "") if isinstance(packages, dict) else ""
+    parts = [f"gaitsweep {version}".strip()]
+    parts += [f"{word} {str(record[key])[:12]}" for word, key in (("commit", "commit"), ("Python", "python"))
+              if record.get(key)]  # fmt: skip
+    seconds, jobs = source.run.get("seconds"), source.run.get("jobs", "?")
+    parts += [f"{seconds:.3g} s with {jobs} workers"] if isinstance(seconds, float) else []
+    return ", ".join(parts)
+
+
 def _rest(source: Source) -> dict[str, Any]:
     """Provenance without the parts that the page shows elsewhere."""
     return {key: value for key, value in source.provenance.items() if key not in ("study", "walkers", "varied")}
-
-
-def _tally(ledger: list[html_tables.Family]) -> dict[str, int]:
-    signs = [verdict.sign for family in ledger for verdict in family.verdicts]
-    return {sign: signs.count(sign) for sign in ("yes", "no", "open")} if signs else {}
 
 
 def _thumbnails(entries: list[entry.Entry]) -> dict[str, str]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import pandas as pd
 
-from pipeline.report.html_tables import MAX_ROWS, Table, cell, from_frame, head
+from pipeline.report.cells import Cell, cell
+from pipeline.report.html_tables import MAX_ROWS, Table, from_frame, head
 from pipeline.report.source import Source
 
 #: Tables and their captions, in the order of a page.
 CAPTIONS = {
     "figure9": "The tuned walkers (the paper's figure 9)",
-    "figure10": "Gaits of the tuned walkers (the paper's figure 10)",
+    "figure10_cells": "Figure 10, cell by cell: as printed, as computed, and the verdict",
+    "figure10": "Exponents of the tuned walkers' gaits",
     "cascade": "Folds and flips of each family of periodic gaits",
     "accumulation": "Accumulation points of the period doublings",
     "census": "Gaits found",
@@ -26,7 +28,21 @@ CAPTIONS = {
 }
 
 #: Tables shown by figures, by the ledger or by tables of their own, or too long for a page.
-_ELSEWHERE = ("claims", "branches", "special_points", "trace", "orbits", "basin", "curves", "failed_tasks")
+_ELSEWHERE = (
+    "claims",
+    "landmarks",
+    "crises",
+    "figure10_cells",
+    "fixed_points",
+    "overlay",
+    "branches",
+    "special_points",
+    "trace",
+    "orbits",
+    "basin",
+    "curves",
+    "failed_tasks",
+)
 
 _EXPONENTS = "{1} step, p of {0}: γ {2}"
 _FIGURE10 = {
@@ -58,9 +74,11 @@ def _table(name: str, source: Source) -> Table:
     caption = CAPTIONS.get(name, name.replace("_", " ").replace("/", ": "))
     if name in ("figure9", "figure10") and "walker" in frame:
         return _transposed(caption, frame, {key for table in source.walkers.values() for key in table})
+    if name == "figure10_cells":
+        return _printed_cells(caption, frame)
     shown = frame.head(MAX_ROWS)
     note = f"{len(frame) - len(shown)} more rows are in the archive." if len(shown) < len(frame) else ""
-    return from_frame(caption, shown, note)
+    return from_frame(caption, shown, note, name.replace("/", "-"), frame)
 
 
 def _transposed(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
@@ -69,7 +87,9 @@ def _transposed(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
     rows = []
     for column in columns:
         flag = set(frame[column]) <= {0, 1} and frame[column].dtype.kind in "iu"
-        values = [cell(bool(v)) if flag else cell(v) for v in frame[column]]
+        # What is left of a condition that is met exactly is rounding.
+        met = column.endswith("_offset")
+        values = [cell(bool(v)) if flag else cell(0.0 if met and abs(v) < 1e-15 else v) for v in frame[column]]
         rows.append([cell(column if column in keys else _FIGURE10.get(column, head(column))), *values])
     return Table(
         caption,
@@ -78,3 +98,23 @@ def _transposed(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
         "",
         ["", *(frame["description"] if "description" in frame else [""] * len(frame))],
     )
+
+
+_VERDICTS = {"reproduced": "●", "approximate": "○", "not reproduced": "✕"}
+
+
+def _printed_cells(caption: str, frame: pd.DataFrame) -> Table:
+    """The paper's figure 10: a row per walker, in each cell what is printed and computed, by range of slopes."""
+    columns = list(dict.fromkeys(frame["column"]))
+    rows = []
+    for walker, cells in frame.groupby("walker", sort=False):
+        row = [cell(str(walker))]
+        for column in columns:
+            lines = []
+            for entry in cells[cells["column"] == column].itertuples():
+                sign = _VERDICTS.get(str(entry.verdict), "–")
+                where = f"γ {entry.slopes}: " if entry.slopes else ""
+                lines.append(f"{sign} {where}{entry.printed}\n    computed {entry.computed}")
+            row.append(Cell("\n".join(lines)))
+        rows.append(row)
+    return Table(caption, ["walker", *columns], rows, "● reproduced, ○ approximate, ✕ not reproduced, – not checked.")

@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from pipeline.archive.unfold import unfolded
 from pipeline.errors import ArchiveError
 
 #: The paper's symbols.
@@ -130,6 +131,13 @@ class Source:
         return [str(w) for w in (walkers if isinstance(walkers, list) else [walkers]) if str(w).endswith(".toml")]
 
     @property
+    def overlay_file(self) -> str:
+        """Name of the file of measurements that the study names; empty if there is none."""
+        figures = self.study.get("figures", {})
+        overlay = figures.get("overlay", {}) if isinstance(figures, dict) else {}
+        return str(overlay.get("file", "")) if isinstance(overlay, dict) else ""
+
+    @property
     def file(self) -> str:
         """A name for the study's file that differs from those of its walkers."""
         return f"{self.slug}-study.toml" if f"{self.slug}.toml" in self.walker_files else f"{self.slug}.toml"
@@ -142,7 +150,7 @@ class Source:
     @property
     def figures(self) -> list[str]:
         """Names of the figures that the study wants."""
-        wanted = self.study.get("want", {}).get("figures", self.study.get("figures", []))
+        wanted = self.study.get("want", {}).get("figures", [])
         return [str(name) for name in wanted]
 
     @cached_property
@@ -257,12 +265,14 @@ def read(path: Path) -> Source:
     netCDF4.set_chunk_cache(_CACHE)
     try:
         groups = xr.open_groups(path, engine="netcdf4", mask_and_scale=False, decode_times=False)
-    except (OSError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError) as error:
         raise ArchiveError(f"{path} is not a netCDF archive that can be read.") from error
     try:
         outcomes = groups["/"][[name for name in ("status", "reason") if name in groups["/"]]].load()
         groups["/"] = _thinned(groups["/"])
         loaded = {name: dataset.load() for name, dataset in groups.items()}
+    except (OSError, RuntimeError) as error:
+        raise ArchiveError(f"{path} is damaged: {' '.join(str(error).split())}.") from error
     finally:
         for dataset in groups.values():
             dataset.close()
@@ -272,7 +282,7 @@ def read(path: Path) -> Source:
         study = tomllib.loads(provenance["study"])
     except (KeyError, TypeError, ValueError) as error:
         raise ArchiveError(f"{path} is not an archive of gaitsweep: it has no study in its provenance.") from error
-    tables = {name.strip("/"): _table(dataset) for name, dataset in loaded.items() if dataset.variables}
+    tables = {name.strip("/"): _table(dataset, grid) for name, dataset in loaded.items() if dataset.variables}
     return Source(path, grid, outcomes, tables, provenance, study, _run(path))
 
 
@@ -290,13 +300,17 @@ def _name(walker: Any, place: int) -> str:
     return "walker" if walker is None else str(walker)
 
 
-def _table(dataset: xr.Dataset) -> pd.DataFrame:
-    """The one-dimensional variables of a group that share its longest dimension, as columns."""
-    columns = {str(k): v.values for k, v in dataset.variables.items() if v.ndim == 1}
-    rows = max((len(v) for v in columns.values()), default=0)
-    frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
-    frame.attrs["units"] = {str(k): str(v.attrs.get("units", "")) for k, v in dataset.variables.items()}
-    frame.attrs["meanings"] = {str(k): str(v.attrs.get("long_name", "")) for k, v in dataset.variables.items()}
+def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
+    """A group as a frame: its columns along `row`, or its arrays with a row per element that holds something."""
+    variables = dataset.variables
+    if any(variable.ndim > 1 for variable in variables.values()):
+        frame = unfolded(dataset, grid)
+    else:
+        columns = {str(k): v.values for k, v in variables.items() if v.ndim == 1}
+        rows = max((len(v) for v in columns.values()), default=0)
+        frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
+    frame.attrs["units"] = {str(k): str(v.attrs.get("units", "")) for k, v in variables.items()}
+    frame.attrs["meanings"] = {str(k): str(v.attrs.get("long_name", "")) for k, v in variables.items()}
     return frame
 
 

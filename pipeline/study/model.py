@@ -35,7 +35,8 @@ class Study:
     """A checked study.
 
     `walkers` are names or tables and `names` their labels; `axes` keep the order of the file; `walker_axis` is whether
-    walkers are a dimension; `checks` holds the properties of each walker that `tasks` reports.
+    walkers are a dimension; `checks` holds the properties of each walker that `tasks` reports; `overlay` are the user's
+    measurements, columns of shape (n,).
     """
 
     name: str
@@ -54,6 +55,7 @@ class Study:
     walker_axis: bool = False
     names: tuple[str, ...] = ("walker",)
     checks: tuple[dict[str, Any], ...] = ()
+    overlay: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def slope(self) -> np.ndarray:

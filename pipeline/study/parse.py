@@ -10,6 +10,7 @@ import importlib.util
 import itertools
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import dispatch
-from pipeline.study import options
+from pipeline.study import options, overlay, units
 from pipeline.study.files import read_toml, walker
 from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
@@ -25,7 +26,7 @@ from tasks import registry
 from tasks.registry import ALWAYS, CLAIMS, COSTLY, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
 #: Tasks that are not kinds of study.
-_INTERNAL_TASKS = ("atlas", "points", "trace")
+_INTERNAL_TASKS = ("atlas", "points", "trace", *registry.FITS)
 #: Axes that are not keys of a walker.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
 #: Largest axis and grid; anything above is taken for a mistake.
@@ -74,7 +75,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
         If anything in it is invalid.
     """
     top = Location(path.name)
-    known = ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options")
+    known = ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options", "figures")
     for key in table:
         if key not in known:
             raise top.unknown(key, known, "key")
@@ -110,7 +111,26 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     )
     if study.points > MAX_POINTS:
         raise top.at("axes").error(f"The grid has {study.points:.3g} points, more than {MAX_POINTS:.0e}")
-    return _check_walkers(study, top)
+    _check_walkers(study, top)
+    measured = _measurements(table.get("figures", {}), study, top.at("figures"))
+    return replace(study, overlay=measured) if measured else study
+
+
+def _measurements(value: object, study: Study, location: Location) -> dict[str, np.ndarray]:
+    """The user's measurements, if the study names a file of them."""
+    table = _table(value, ("overlay",), location)
+    if "overlay" not in table:
+        return {}
+    entry = _table(table["overlay"], ("file",), location.at("overlay"))
+    of_axes = {axis.name: units.axis_units(axis.name, units.is_si(study)) for axis in study.axes}
+    needed = [axis.name for axis in study.axes if len(axis) > 1 and (axis.name == "slope" or study.kind == "grid")]
+    needed += ["walker"] if len(study.walkers) > 1 else []
+    place = location.at("overlay", "file")
+    columns = overlay.read(entry.get("file"), study.path.parent, of_axes, needed, units.is_si(study), place)
+    for name in columns.get("walker", ()):
+        if name not in study.names:
+            raise place.unknown(str(name), study.names, "walker")
+    return columns
 
 
 def _table(value: object, known: Iterable[str], location: Location) -> dict[str, Any]:
@@ -254,8 +274,7 @@ def _want(value: object, kind: str, location: Location) -> dict[str, tuple[str, 
     names = {key: _free_names(table.get(key, []), location.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:
-            others = (*kinds(), *_INTERNAL_TASKS, "claims")
-            raise location.at("fits").unknown(fit, [name for name in TASKS if name not in others])
+            raise location.at("fits").unknown(fit, registry.FITS)
     for figure in names["figures"]:
         if figure not in FIGURES:
             raise location.at("figures").unknown(figure, FIGURES)

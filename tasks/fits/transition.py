@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -62,8 +63,32 @@ def crossing(linear: float, cube_root: float) -> float:
     return (cube_root / linear) ** 1.5
 
 
-def fitted_crossing(slope: np.ndarray, angle: np.ndarray, expected: float) -> tuple[float, float, float]:
-    """Compute the crossing of best-fit straight lines, as in figure 5 of the paper.
+@dataclass(frozen=True)
+class FittedLines:
+    """Two lines fitted to a short step on logarithmic axes, and their crossing.
+
+    Attributes
+    ----------
+    slope : float [rad]
+        Where they cross.
+    low, high : float [rad]
+        The lower line is fitted to slopes below `low`, the upper one, of power 1/3, above `high`.
+    exponent, amplitude : float
+        The lower law, angle = amplitude slope^exponent.
+    upper_amplitude : float
+        The upper law, angle = upper_amplitude slope^(1/3).
+    """
+
+    slope: float
+    low: float
+    high: float
+    exponent: float = math.nan
+    amplitude: float = math.nan
+    upper_amplitude: float = math.nan
+
+
+def fitted_lines(slope: np.ndarray, angle: np.ndarray, expected: float) -> FittedLines:
+    """Fit the two straight lines of figure 5 of the paper and let them cross.
 
     Parameters
     ----------
@@ -73,14 +98,15 @@ def fitted_crossing(slope: np.ndarray, angle: np.ndarray, expected: float) -> tu
 
     Returns
     -------
-    crossing, low, high : float [rad]
-        The lower line is fitted over slopes below low = expected/10, the upper, held at power 1/3, above
-        high = 3 expected; NaN where either has fewer than three points.
+    FittedLines
+        The lower line is fitted over slopes below expected/10, the upper, held at power 1/3, above 3 expected; its
+        numbers are NaN where either has fewer than three points.
     """
     low, high = expected / 10, expected * 3
     lower = fit(slope[slope < low], angle[slope < low])
     above = slope > high
     if lower is None or above.sum() < 3:
-        return math.nan, low, high
+        return FittedLines(math.nan, low, high)
     upper = float(np.exp(np.mean(np.log(angle[above]) - np.log(slope[above]) / 3)))
-    return (upper / lower.amplitude) ** (1 / (lower.exponent - 1 / 3)), low, high
+    crossing = (upper / lower.amplitude) ** (1 / (lower.exponent - 1 / 3))
+    return FittedLines(crossing, low, high, lower.exponent, lower.amplitude, upper)

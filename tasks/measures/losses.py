@@ -11,6 +11,29 @@ from tasks.mechanics.contact import Chain
 from tasks.walkers.walker import Walker
 
 
+def velocity_ratio(walker: Walker, angle: np.ndarray, rate_ratio: np.ndarray) -> np.ndarray:
+    """Ratio x'/y' of the swing foot's velocities just before heelstrike.
+
+    Parameters
+    ----------
+    walker : Walker
+    angle : ndarray, shape (n,) [rad]
+        Stance angle.
+    rate_ratio : ndarray, shape (n,)
+        Difference of the legs' rates over the stance rate, u.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+
+    Notes
+    -----
+    Paper, equation 12 with the sign of its first line corrected. Over the stance rate, x' = (R + l cos angle) u and
+    y' = -l sin angle (2 - u).
+    """
+    return (walker.R + walker.l * np.cos(angle)) * rate_ratio / (walker.l * np.sin(angle) * (2 - rate_ratio))
+
+
 def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:
     """Compute the contact mass matrix at the new foothold, in units of the walker's mass.
 

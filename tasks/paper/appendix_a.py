@@ -29,8 +29,7 @@ def _flags(gaits: Arrays, name: str) -> np.ndarray:
     "A1",
     "straight legs always scuff, kneed legs need not",
     "appendix A, 1",
-    "figure3/angles",
-    "gaitsweep solve --walker physical --slope 0.036 --json",
+    "ledger-walkers/claims",
 )
 def scuffing() -> ClaimResult:
     """Count the gaits whose swing foot scuffs."""
@@ -49,8 +48,7 @@ def scuffing() -> ClaimResult:
     "A2",
     "the gait of figure 3 has a slight unlocking impulse at the stance knee at kneestrike, and re-engages after it",
     "appendix A, 2",
-    "figure3/angles",
-    "gaitsweep solve --walker physical --slope 0.036 --json",
+    "ledger-walkers/claims",
 )
 def unlocking() -> ClaimResult:
     """Evaluate impulses and torque on the stance knee of the gait of figure 3."""
@@ -74,8 +72,7 @@ def unlocking() -> ClaimResult:
     "A3",
     "no contact tension; sufficient friction is assumed",
     "appendix A, 3",
-    "figure3/angles",
-    "gaitsweep solve --walker physical --slope 0.036 --json",
+    "ledger-walkers/claims",
 )
 def tension() -> ClaimResult:
     """Evaluate the least normal force and the friction that gaits demand."""
@@ -104,7 +101,6 @@ def tension() -> ClaimResult:
     "some non-tuned kneed walkers would hyperextend at release at very small steps",
     "appendix A, 4",
     "figure6/locus",
-    "gaitsweep solve --walker C --slope 1e-4 --json",
 )
 def hyperextension() -> ClaimResult:
     """Locate the slopes at which the released knee begins to hyperextend."""
@@ -141,8 +137,7 @@ def _count(name: str) -> tuple[int, int, str]:
     "A5",
     "at release the swing foot sometimes penetrates the ground at first",
     "appendix A, 5",
-    "figure3/angles",
-    "gaitsweep solve --walker physical-straight --slope 0.3 --json",
+    "ledger-walkers/claims",
 )
 def penetration() -> ClaimResult:
     """Count the gaits whose released foot penetrates the ground."""
@@ -161,8 +156,7 @@ def penetration() -> ClaimResult:
     "A6",
     "that no impulse acts on the trailing foot is self-consistent",
     "appendix A, 6",
-    "figure3/angles",
-    "gaitsweep solve --walker physical --slope 0.036 --json",
+    "ledger-walkers/claims",
 )
 def trailing_foot() -> ClaimResult:
     """Count the gaits in which simultaneous contact of both feet would push the trailing foot."""

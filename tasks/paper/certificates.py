@@ -10,7 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from tasks.paper.claim import PROVED, REPRODUCED, ClaimResult
+from tasks.paper.claim import CONSISTENT, PROVED, REPRODUCED, ClaimResult
 
 FOLDER = Path(__file__).parents[2] / "data" / "reference" / "proofs"
 #: Certificates of each claim; the first one's interval of slopes must hold the number its verdict rests on.
@@ -20,7 +20,7 @@ ROUNDING = 1e-12
 
 
 def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResult:
-    """A finding, `proved` where it is reproduced and its certificates are there and hold its number.
+    """A finding, `proved` where it is reproduced or consistent within rounding and its certificates hold its number.
 
     Parameters
     ----------
@@ -35,14 +35,20 @@ def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResul
     ClaimResult
     """
     kept = [path for certificate in BACKED.get(name, ()) if (path := folder / f"{certificate}.json").is_file()]
-    if not kept or len(kept) < len(BACKED[name]) or finding.verdict != REPRODUCED or not math.isfinite(finding.value):
+    if (
+        not kept
+        or len(kept) < len(BACKED[name])
+        or finding.verdict not in (REPRODUCED, CONSISTENT)
+        or not math.isfinite(finding.value)
+    ):
         return finding
     certificates = [json.loads(path.read_text(encoding="utf-8")) for path in kept]
     middle, radius = map(Fraction, certificates[0]["slope"])
     if abs(Fraction(finding.value) - middle) > radius + Fraction(ROUNDING) * middle:
         return finding
     said = "; ".join(part for certificate in certificates for part in _said(certificate))
-    return replace(finding, verdict=PROVED, computed=f"{finding.computed}; proved: {said}")
+    noted = f"; {CONSISTENT}" if finding.verdict == CONSISTENT else ""
+    return replace(finding, verdict=PROVED, computed=f"{finding.computed}{noted}; proved: {said}")
 
 
 def _said(certificate: Mapping[str, Any]) -> Iterator[str]:

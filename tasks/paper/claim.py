@@ -6,11 +6,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-#: The verdicts on a claim; it is proved where it is reproduced and the number that decides it has a certificate.
+#: The verdicts on a claim. It is reproduced where it holds and the computed number rounds to the printed one;
+#: consistent within rounding where it does not, but the rounding of the printed parameters allows the printed number;
+#: and proved where it is either and the number that decides it has a certificate.
 PROVED = "proved"
-REPRODUCED, APPROXIMATELY = "reproduced", "reproduced approximately"
+REPRODUCED, CONSISTENT, APPROXIMATE = "reproduced", "consistent within rounding", "approximate"
 NOT_REPRODUCED, NOT_CHECKABLE = "not reproduced", "not checkable"
-VERDICTS = (PROVED, REPRODUCED, APPROXIMATELY, NOT_REPRODUCED, NOT_CHECKABLE)
+VERDICTS = (PROVED, REPRODUCED, CONSISTENT, APPROXIMATE, NOT_REPRODUCED, NOT_CHECKABLE)
 
 
 @dataclass(frozen=True)
@@ -26,8 +28,9 @@ class ClaimResult:
     value : float
         The claim's own number; NaN where it has none.
     low, high : float
-        Bounds of `value` under the rounding of the printed parameters, or, where the walker is exact, under the
-        rounding of the printed number.
+        Interval of `value` that the rounding of the printed parameters allows; NaN where they are exact.
+    printed, half_unit : float
+        The number as printed, and half a unit of its last digit (zero if it is exact); NaN where none is printed.
     """
 
     computed: str
@@ -35,6 +38,8 @@ class ClaimResult:
     value: float = math.nan
     low: float = math.nan
     high: float = math.nan
+    printed: float = math.nan
+    half_unit: float = math.nan
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
@@ -49,7 +54,6 @@ class Claim:
     printed: str
     source: str
     figure: str
-    command: str
     find: Callable[[], ClaimResult]
 
 
@@ -58,7 +62,7 @@ CLAIMS: dict[str, Claim] = {}
 
 
 def claim(
-    id: str, printed: str, source: str, figure: str, command: str
+    id: str, printed: str, source: str, figure: str
 ) -> Callable[[Callable[[], ClaimResult]], Callable[[], ClaimResult]]:
     """Enter a function as the computation behind a claim.
 
@@ -68,8 +72,6 @@ def claim(
         Its name, a paraphrase of what the paper says, and the place there.
     figure : str
         The figure that shows it, as "study/figure".
-    command : str
-        A command that reproduces its number, or the gaits it is read from.
 
     Raises
     ------
@@ -80,29 +82,55 @@ def claim(
     def enter(find: Callable[[], ClaimResult]) -> Callable[[], ClaimResult]:
         if id in CLAIMS:
             raise ValueError(f"claim {id} is entered twice")
-        CLAIMS[id] = Claim(id, printed, source, figure, command, find)
+        CLAIMS[id] = Claim(id, printed, source, figure, find)
         return find
 
     return enter
 
 
 def verdict(holds: bool, nearly: bool = False) -> str:
-    """Give the verdict `reproduced` where a claim holds, `reproduced approximately` where it nearly does."""
-    return REPRODUCED if holds else APPROXIMATELY if nearly else NOT_REPRODUCED
+    """Give the verdict `reproduced` where a claim holds, `approximate` where it nearly does."""
+    return REPRODUCED if holds else APPROXIMATE if nearly else NOT_REPRODUCED
 
 
-def within(printed: float, low: float, high: float) -> str:
-    """Give the verdict on a printed number by whether it lies in the interval that rounding allows."""
-    return verdict(low <= printed <= high)
+def compare(printed: float, half_unit: float, value: float, low: float = math.nan, high: float = math.nan) -> str:
+    """Give the verdict on a printed number.
+
+    Parameters
+    ----------
+    printed, half_unit : float
+        The number, and half a unit of its last digit.
+    value, low, high : float
+        The computed number, and the interval that the rounding of the printed parameters allows it.
+
+    Returns
+    -------
+    str
+        `reproduced` if the computed number rounds to the printed one, `consistent within rounding` if the interval
+        holds the printed one, else `not reproduced`.
+    """
+    if abs(value - printed) <= half_unit:
+        return REPRODUCED
+    return CONSISTENT if low <= printed <= high else NOT_REPRODUCED
 
 
 def rounded(printed: float, half_unit: float, computed: float) -> ClaimResult:
-    """Compare a number of an exact walker with the printed one: the interval is all that rounds to the latter."""
-    low, high = printed - half_unit, printed + half_unit
+    """Compare a number of an exact walker with the printed one.
+
+    Parameters
+    ----------
+    printed, half_unit : float
+        The number, and half a unit of its last digit.
+    computed : float
+
+    Returns
+    -------
+    ClaimResult
+    """
     return ClaimResult(
-        f"{computed:.10g}; {low:g}-{high:g} rounds to the printed {printed:g}",
-        within(computed, low, high),
+        f"{computed:.10g}; {printed - half_unit:g}-{printed + half_unit:g} rounds to the printed {printed:g}",
+        compare(printed, half_unit, computed),
         computed,
-        low,
-        high,
+        printed=printed,
+        half_unit=half_unit,
     )

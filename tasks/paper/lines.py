@@ -16,6 +16,7 @@ from tasks.continuation.tracking import correct
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures.kinematics import travel
+from tasks.measures.losses import velocity_ratio
 from tasks.registry import COSTLY, GAITS, VARIABLES
 from tasks.solve_points import atlas, points
 from tasks.step.problem import Problem
@@ -257,13 +258,8 @@ def foot_ratio(walker: Walker, data: Arrays) -> np.ndarray:
     -------
     ndarray, shape (n, gaits)
 
-    Notes
-    -----
-    Paper, equation 12 with the sign of its first line corrected. With u the rate ratio, x' = (R + l cos angle) u and
-    y' = -l sin angle (2 - u), over the stance rate.
     """
-    angle, u = data["stance_angle"], data["heelstrike_rate_ratio"]
-    return np.abs((walker.R + walker.l * np.cos(angle)) * u / (walker.l * np.sin(angle) * (2 - u)))
+    return np.abs(velocity_ratio(walker, data["stance_angle"], data["heelstrike_rate_ratio"]))
 
 
 def numbers(pairs: Mapping[str, float], digits: int = 4) -> str:

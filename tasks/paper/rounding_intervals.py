@@ -66,7 +66,11 @@ TESTS: dict[str, Test] = {
 
 @dataclass(frozen=True)
 class Landmark:
-    """A special point of a walker: its test, the gait's label, which of several, and the printed slope [rad]."""
+    """A special point of a walker: its test, the gait's label, and which of several.
+
+    `printed` is the slope as the paper prints it and `half_unit` half a unit of its last digit [rad]; `point` is its
+    number in the paper's figure 6.
+    """
 
     name: str
     walker: str
@@ -74,21 +78,23 @@ class Landmark:
     label: str = ""
     which: int = 0
     printed: float = float("nan")
+    half_unit: float = float("nan")
+    point: str = ""
 
 
 #: Landmarks compared with numbers of the paper, and those of figure 6.
 LANDMARKS = {
     mark.name: mark
     for mark in (
-        Landmark("smallest slope, kneed", "physical", "fold", printed=0.020),
-        Landmark("smallest slope, straight", "physical-straight", "fold", printed=0.016),
-        Landmark("point 1", "physical", "end_kneestrike_at_heelstrike"),
-        Landmark("point 2", "physical-straight", "end_tangential_heelstrike"),
-        Landmark("point 3", "physical", "release_hyperextension"),
+        Landmark("smallest slope, kneed", "physical", "fold", printed=0.020, half_unit=5e-4),
+        Landmark("smallest slope, straight", "physical-straight", "fold", printed=0.016, half_unit=5e-4),
+        Landmark("point 1", "physical", "end_kneestrike_at_heelstrike", point="1"),
+        Landmark("point 2", "physical-straight", "end_tangential_heelstrike", point="2"),
+        Landmark("point 3", "physical", "release_hyperextension", point="3"),
         Landmark("highest slope, kneed", "physical", "fold", which=1),
-        Landmark("C flip", "C", "flip", "long", printed=0.084),
-        Landmark("C-printed flip", "C-printed", "flip", "long", printed=0.084),
-        Landmark("C exponent 2/3", "C", "exponent", "long", printed=0.00015),
+        Landmark("C flip", "C", "flip", "long", printed=0.084, half_unit=5e-4),
+        Landmark("C-printed flip", "C-printed", "flip", "long", printed=0.084, half_unit=5e-4),
+        Landmark("C exponent 2/3", "C", "exponent", "long", printed=0.00015, half_unit=5e-6),
         Landmark("C release, long", "C", "release_hyperextension", "long"),
         Landmark("C release, short", "C", "release_hyperextension", "short"),
     )

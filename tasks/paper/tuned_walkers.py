@@ -43,15 +43,13 @@ OFFSETS = (
     ("A", "w_s", 0.0234),
     ("A", "w_s", 0.0214),
 )
-_RUN = "gaitsweep run data/studies/paper/figure8.toml"
 
 
 @claim(
     "T1",
     "zero-slope walkers meet two static conditions, as do Goswami's compass gaits",
     "section 5.1",
-    "figure3/walker",
-    "gaitsweep walkers C",
+    "figure9/conditions",
 )
 def conditions() -> ClaimResult:
     """Evaluate the residuals of the static conditions for every walker of the catalogue."""
@@ -72,7 +70,6 @@ def conditions() -> ClaimResult:
     "A and C have two gaits at every slope below 0.04",
     "section 5.2",
     "figure8/locus",
-    "gaitsweep solve --walker C --slope 0.04",
 )
 def two_gaits() -> ClaimResult:
     """Solve both gaits of A and C over a grid of slopes."""
@@ -85,7 +82,12 @@ def two_gaits() -> ClaimResult:
     )
 
 
-@claim("T3", "the long step is stable at small slopes, the short one unstable", "section 5.2", "figure8/locus", _RUN)
+@claim(
+    "T3",
+    "the long step is stable at small slopes, the short one unstable",
+    "section 5.2",
+    "figure11/multipliers",
+)
 def stability() -> ClaimResult:
     """Evaluate the multipliers of both gaits of A and C over a grid of slopes."""
     radius = {w: line(w).grid(1e-8, 0.04, 65)["spectral_radius"] for w in "AC"}
@@ -115,7 +117,6 @@ def _long_branch(detuning: float) -> int:
     "with detuning the cusp breaks; the long step shifts to larger slopes, with an unstable part at low speed",
     "section 5.2, 1",
     "figure8/locus",
-    _RUN,
 )
 def cusp_breaks() -> ClaimResult:
     """Locate the fold of the long step at each detuning and evaluate the multipliers on both sides."""
@@ -144,7 +145,6 @@ def cusp_breaks() -> ClaimResult:
     "the short step's end (heelstrike at kneestrike) moves up with detuning",
     "section 5.2, 2",
     "figure8/locus",
-    _RUN,
 )
 def short_end() -> ClaimResult:
     """Locate the end of the short step at each detuning."""
@@ -186,8 +186,7 @@ def offsets() -> dict[str, np.ndarray]:
     "T7",
     "zero-slope capability is not generic: any fore-aft offset destroys it",
     "section 8",
-    "figure8/locus",
-    "gaitsweep solve --walker A --set w_t=-0.0219 --slope 1e-5",
+    "ledger-walkers/claims",
 )
 def not_generic() -> ClaimResult:
     """Compute the smallest slope for offsets on both sides of exact tuning."""
@@ -227,7 +226,6 @@ def _high_slope_branch() -> Branch:
     "the high-slope branch continues beyond figure 8",
     "section 5.2, 3",
     "figure8/locus",
-    "gaitsweep solve --walker physical --slope 0.2",
 )
 def high_slopes() -> ClaimResult:
     """Locate the special points of the branch at high slopes."""

@@ -19,13 +19,19 @@ _PARTNERS = {"A": "physical-straight", "C": "physical"}
 def from_table(table: Mapping[str, Any]) -> Walker:
     """Read a `[walker]` table: every key, or `base` and the keys that differ.
 
+    A `name` is allowed. Straight legs need not name what is zero by default: fore-aft offsets, the angle of the thigh
+    and the keys of a link without mass; and a leg of one link may be given by `m`, `c`, `w`, `r`, `l` (from the hip to
+    the centre of the foot) and `R`.
+
     Raises
     ------
     WalkerError
         If a key is unknown or missing, or the walker cannot be.
     """
-    values = dict(table)
+    values = {key: value for key, value in table.items() if key != "name"}
     base = values.pop("base", None)
+    if base is None and values.get("knees") is False:
+        values = _straight(values)
     _check_names(values, KEYS, KEYS)
     if base is not None:
         return replace(from_catalogue(base), **values)
@@ -33,6 +39,28 @@ def from_table(table: Mapping[str, Any]) -> Walker:
     if missing:
         raise WalkerError(missing[0], ", ".join(values) or "no key", "is missing from the walker")
     return Walker(**values)
+
+
+#: Keys of straight legs that are zero unless they are given.
+_ZERO_IF_STRAIGHT = ("w_t", "w_s", "eps_T")
+#: Keys of a leg of one link, and those of the thigh that they set.
+_ONE_LINK = {"m": "m_t", "c": "c_t", "w": "w_t", "r": "r_t"}
+
+
+def _straight(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of straight legs with both links: what is zero by default, and a leg of one link as thigh and shank."""
+    given = dict(values)
+    if "l" in given:
+        mixed = [key for key in given if key in KEYS and key not in ("R", "m_h", "g", "knees", "units")]
+        if mixed:
+            raise WalkerError(mixed[0], given[mixed[0]], "does not go with `l`, the length of a leg of one link")
+        length, radius = given.pop("l"), given.get("R", 0.0)
+        if not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in (length, radius)):
+            raise WalkerError("l", repr(length), "must be a number")
+        links = {_ONE_LINK[key]: given.pop(key) for key in _ONE_LINK if key in given}
+        halves = {"l_t": 0.5 * length, "l_s": 0.5 * length + radius, "m_s": 0.0, "c_s": 0.0, "r_s": 0.0}
+        given = {**halves, "R": radius, "r_t": 0.0, **links, **given}
+    return {**dict.fromkeys(_ZERO_IF_STRAIGHT, 0.0), **given}
 
 
 def from_catalogue(name: object) -> Walker:
@@ -128,8 +156,8 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker before `set`), and `varied` (for each
-        of the walker's keys that `set` moves, the key of `set` that does).
+        `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker before `set`), `parameters` (the
+        walker with `set`), and `varied` (for each key of the walker that `set` moves, the key of `set` that does).
 
     Raises
     ------
@@ -146,6 +174,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "kneed": walker.knees,
         "multipliers": 4 if walker.knees else 3,
         "table": resolve(params["walker"]).table(),
+        "parameters": walker.table(),
         "varied": varied,
     }
 

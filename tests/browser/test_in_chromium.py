@@ -1,5 +1,6 @@
 import re
 import time
+from pathlib import Path
 
 import pytest
 
@@ -150,3 +151,67 @@ def test_small_text_of_figures_stays_legible_on_a_phone(visit):
     size = """Math.min(...[...document.querySelectorAll('.plot')].map(plot =>
         parseFloat(getComputedStyle(plot.querySelector('text')).fontSize) * plot.clientWidth / plot.dataset.width))"""
     assert ask(browser, size) > 9
+
+
+@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_serious_accessibility_finding(visit, name, scheme):
+    axe = pytest.importorskip("axe_core_python", reason="accessibility is checked with axe-core")
+    browser = visit(name, scheme=scheme)
+    browser.execute_script((Path(axe.__file__).parent / "axe.min.js").read_text(encoding="utf-8"))
+    found = browser.execute_async_script("axe.run().then(arguments[0])")
+    serious = [f"{v['id']}: {v['nodes'][0]['html'][:120]}" for v in found["violations"]
+               if v["impact"] in ("serious", "critical")]  # fmt: skip
+    assert serious == []
+
+
+def test_a_page_paints_within_a_second(visit, report):
+    name = max(PAGES, key=lambda page: (report / f"{page}.html").stat().st_size)
+    browser = visit(name)
+    paint = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime ?? 0"
+    for _ in range(20):
+        if ask(browser, paint):
+            break
+        time.sleep(0.1)
+    assert 0 < ask(browser, paint) < 1000
+
+
+def test_claims_are_filtered_by_words_and_verdict(visit):
+    browser = visit("ledger")
+    shown = "[...document.querySelectorAll('.claim')].filter(claim => !claim.hidden).map(claim => claim.id)"
+    assert set(ask(browser, shown)) == {"E2", "E3", "E4", "Z5"}
+    one(browser, ".filter [name=words]").send_keys("cube root")
+    assert ask(browser, shown) == ["E2"]
+    one(browser, ".filter [name=words]").clear()
+    browser.execute_script("document.querySelector('.filter').dispatchEvent(new Event('input'))")
+    one(browser, ".filter option:last-child").click()
+    assert set(ask(browser, shown)) == {"E4", "Z5"}
+    assert "2 of 4" in one(browser, ".filter [role=status]").text
+
+
+def test_a_claim_has_an_address(visit):
+    browser = visit("ledger", anchor="#E4")
+    assert one(browser, ".claim:target h3").text.startswith("E4")
+
+
+def test_a_table_is_sorted_by_a_click_on_its_heading(visit):
+    browser = visit("transition")
+    table = "document.querySelectorAll('table.archive')[0]"
+    column = f"[...{table}.tBodies[0].rows].map(row => Number(row.cells[5].querySelector('data').value))"
+    before = ask(browser, column)
+    button = browser.execute_script(f"return {table}.tHead.rows[0].cells[5].querySelector('button')")
+    button.click()
+    assert ask(browser, column) == sorted(before) != before
+    button.click()
+    assert ask(browser, column) == sorted(before, reverse=True)
+
+
+def test_a_line_is_highlighted_from_the_legend(visit):
+    browser = visit("tuned-walkers")
+    lit = "[...document.querySelectorAll('#loglog svg .on')].map(part => part.dataset.line)"
+    button = one(browser, "#loglog .legend button:nth-child(2)")
+    button.click()
+    assert set(ask(browser, lit)) == {"1"}
+    assert one(browser, "#loglog .plot").get_attribute("class") == "plot lit"
+    button.click()
+    assert one(browser, "#loglog .plot").get_attribute("class") == "plot"

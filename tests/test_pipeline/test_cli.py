@@ -422,3 +422,28 @@ def test_walkers_from_files_keep_their_names(toy):
     with netCDF4.Dataset(toy.folder / "data" / "archive" / "toy.nc") as file:
         assert file["walker"][:].tolist() == ["light.toml", "heavy.toml", "E"]
         assert set(file["fits/scaling/walker"][:]) == {"light.toml", "heavy.toml", "E"}
+
+
+def test_claims_are_printed_with_their_numbers(capsys):
+    assert commands.main(["claims", "D2", "--json"]) == 0
+    (claim,) = json.loads(capsys.readouterr().out)
+    assert claim["id"] == "D2" and claim["printed_value"] == 0.015 and claim["interval_low"] is None
+    assert claim["value"] == pytest.approx(0.0150884379411195, rel=1e-12)
+    assert commands.main(["claims", "D2"]) == 0
+    said = capsys.readouterr().out
+    assert "D2: proved" in said and "γ < 0.015" in said and "0.0150884379411" in said
+    assert commands.main(["claims", "D99"]) == 2
+    assert capsys.readouterr().err.startswith("gaitsweep: There is no claim 'D99'; there are D1, ")
+
+
+def test_verify_answers_machines(tmp_path, capsys):
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
+    path = tmp_path / "s.nc"
+    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    capsys.readouterr()
+    assert commands.main(["verify", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"archive": str(path), "valid": True, "problems": []}
+    with netCDF4.Dataset(path, "a") as file:
+        file["period"][0, 0] = 1.0
+    assert commands.main(["verify", str(path), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["problems"] == ["`period` is not as it was written."]

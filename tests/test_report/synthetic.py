@@ -69,12 +69,16 @@ slope = { from = 1e-6, to = 0.1, n = 80, spacing = "log" }
 foot_mass_ratio = [0.1, 0.05]
 [want]
 fits = ["scaling", "transition"]
-figures = ["loglog", "linear", "transition_ladder", "angles", "walker"]
+figures = ["loglog", "linear", "transition_ladder", "angles", "walker", "claims"]
 claims = ["E2", "E3", "E4"]
 """
     claims = {
         "id": ["E2", "E3", "E4", "Z5"],
         "printed": ["1/3", "1 below, 1/3 above", "2.828", "every walker"],
+        "quotation": ["proportional to the cube root", "proportional to γ", "approximately as observed", "all of them"],
+        "value": [0.3333, 1.0, 3.69, 0.0],
+        "printed_value": [1 / 3, 1.0, 2.828, np.nan],
+        "printed_half_unit": [0.0, 0.0, 5e-4, np.nan],
         "source": ["section 4.1", "section 4.1", "figure 5", "section 7"],
         "computed": [0.3333, 1.0, 3.69, 0.0],
         "interval_low": [0.332, 0.99, 3.1, np.nan],
@@ -134,6 +138,7 @@ def tuned(folder: Path) -> Path:
         },
         {"walker": np.array(names, dtype=object), "slope": slope, "gait": GAITS},
         {"A": KNEED | {"knees": False}, "B": POINT | {"R": 0.2}, "D": POINT | {"m_t": 0.5, "m_s": 0.0}, "E": POINT},
+        {"figure9": {"walker": names, "l_t": [0.35, 0.5, 0.5, 0.5], "m_t": [2.345, 0.4, 0.5, 0.4], "knees": [0] * 4}},
     )
 
 

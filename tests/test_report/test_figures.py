@@ -1,8 +1,10 @@
 import shlex
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from pipeline.report import cells
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.cycle import animation, traced_steps
@@ -211,3 +213,27 @@ def test_a_design_map_of_a_third_key_says_which_values_it_draws(tmp_path):
         "l_t=0.4",
         "l_t=0.5",
     }
+
+
+def test_a_number_has_the_digits_that_its_error_leaves():
+    frame = pd.DataFrame({"slope": [0.0150884379411195, 0.02, 1e-6], "error_bound": [1.3e-14, 0.03, 1e-3]})
+    texts = [c.text for c in cells.column_cells("slope", frame)]
+    # The error is relative: 2e-16, below what a double of that size holds, and 6e-4.
+    assert texts[0] == "0.0150884379411195(2)" and texts[1] == "0.0200(6)" and texts[2].startswith("10⁻⁶")
+    assert [c.value for c in cells.column_cells("slope", frame)] == list(frame["slope"])
+    assert [c.text for c in cells.column_cells("error_bound", frame)] == ["1.3 × 10⁻¹⁴", "0.03", "0.001"]
+
+
+def test_comparable_numbers_of_a_column_have_the_same_decimals():
+    frame = pd.DataFrame({"period": [0.757, 1.1], "mixed": [1e-6, 3.0], "zero": [0.0, 1.23456789], "walks": [1, 0]})
+    assert [c.text for c in cells.column_cells("period", frame)] == ["0.757", "1.100"]
+    assert [c.text for c in cells.column_cells("mixed", frame)] == ["10⁻⁶", "3"]
+    assert [c.text for c in cells.column_cells("zero", frame)] == ["0", "1.23457"]
+    assert [c.text for c in cells.column_cells("walks", frame)] == ["yes", "no"]
+
+
+def test_the_ends_of_an_interval_are_told_apart():
+    frame = pd.DataFrame({"low": [0.0182933977], "high": [0.0182933982], "slope": [0.018293398]})
+    low, high = (cells.column_cells(name, frame)[0].text for name in ("low", "high"))
+    assert low != high and "(" not in low
+    assert cells.column_cells("slope", frame)[0].text == "0.0182933980(3)"

@@ -2,15 +2,18 @@ import json
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pandas as pd
 import pytest
 
+from pipeline.archive import read as archive_reader
 from pipeline.archive.citation import PAPER
 from pipeline.errors import ArchiveError
-from pipeline.report import html_tables, pages, source
+from pipeline.report import html_tables, ledger, pages, source
 from pipeline.report.figures.style import plain
 from pipeline.report.source import read
 from test_report import synthetic
@@ -83,7 +86,7 @@ def test_every_figure_has_its_data_beside_it(report, archives):
 
 def test_every_value_under_the_pointer_is_in_an_archive(report, archives):
     known = {plain(number, 7) for path in archives for number in numbers_in(path)} | {"yes", "no", "–"}
-    derived = ("residual (%)", "time")  # a ratio of archived numbers; the second step's times
+    derived = ("residual (%)", "time", "claim", "verdict")  # a ratio of archived numbers; the second step's times
     count = 0
     for path in report.glob("*.html"):
         for series in re.findall(r'<script type="application/json">(\[\{"command".*?)</script>', path.read_text()):
@@ -123,7 +126,7 @@ def test_tables_of_results_are_on_the_page_of_their_study(tmp_path):
     ):
         assert words in found.text
     assert "<summary>Falls</summary>" in source and found.text.count("fell forward") == 30
-    assert ">l_t<" in source and "1 converged line" in " ".join(found.text.split())
+    assert ">l_t<" in source and "The line converged." in found.text
     assert "Section 7: doublings and falls." in Page(tmp_path / "index.html").text
 
 
@@ -207,6 +210,7 @@ def test_only_leaves_nothing_else_of_a_report_and_all_that_is_none(tmp_path):
     assert {path.name for path in tmp_path.iterdir() if path.suffix != ".nc"} == {
         "index.html",
         "ledger.html",
+        "ledger.csv",
         "three.html",
         "three-linear.csv",
         "bench.html",
@@ -248,7 +252,7 @@ def test_figures_have_alt_text_and_follow_the_pages_colours(report):
         assert all(about.get("role") == "img" and len(about["aria-label"]) > 30 for about in pictures)
         drawn = "".join(re.findall(r"<svg viewBox.*?</svg>", path.read_text(), re.S))
         fixed = set(re.findall(r"(?:stroke|fill): (#[0-9a-f]{6})", drawn))
-        assert fixed <= {"#ffffff", "#3c8fd6", "#e0691f", "#8d9399"}, path.name
+        assert fixed <= {"#ffffff", "#3c8fd6", "#e0691f", "#8d9399", "#8fa3b8", "#b59a85", "#6c8f6c"}, path.name
 
 
 def test_an_archive_cannot_put_anything_into_a_page(tmp_path):
@@ -309,7 +313,7 @@ def test_the_ledger_links_each_claim_to_its_figure(report):
 def test_a_study_without_points_or_run_record_still_has_a_page(tmp_path):
     archive = write(tmp_path / "a.nc", 'name = "a"', {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}, {}, {})
     assert pages.write([archive], tmp_path).is_file()
-    assert "1 converged" in Page(tmp_path / "a.html").text
+    assert "The line converged." in Page(tmp_path / "a.html").text
 
 
 def test_no_archive_gives_an_index_that_says_so(tmp_path):
@@ -376,3 +380,132 @@ def test_a_table_shows_codes_as_words_and_units_as_in_print():
     table = html_tables.from_frame("Design", frame)
     assert [cell.text for cell in table.rows[0]] == ["end zero step", "my_walker", "0.5"]
     assert table.heads[2] == "speed (m s⁻¹)"
+
+
+def test_a_claim_is_shown_with_its_words_a_picture_and_a_command(report):
+    text = (report / "ledger.html").read_text()
+    claim = text[text.index('id="E4"') : text.index('id="Z5"')]
+    assert "approximately as observed" in claim and "figure 5" in claim
+    assert "printed 2.828, computed 3.69, from 3.1 to 3.9 by rounding" in claim
+    assert "<code>gaitsweep run transition.toml</code>" in claim and 'href="#E4"' in claim
+    assert "<svg" not in text[text.index('id="Z5"') : text.index("</main>")]  # nothing is printed for it
+    table = pd.read_csv(report / "ledger.csv")
+    assert list(table["id"]) == ["E2", "E3", "E4", "Z5"]
+    assert table["printed"][2] == 2.828 and table["interval_high"][2] == 3.9
+
+
+def test_failures_are_named_at_the_top_of_the_index(report):
+    text = (report / "index.html").read_text()
+    assert text.index("ledger.html#Z5") < text.index('id="studies"')
+    assert text.index("ledger.html#E4") < text.index('id="studies"')
+
+
+def test_a_bar_holds_all_its_numbers_in_proportion():
+    row = {"value": 0.0191, "printed_value": 0.020, "printed_half_unit": 5e-4, "interval_low": 0.018,
+           "interval_high": 0.0203}  # fmt: skip
+    bar = ledger._bar(row)
+    places = [bar.low, bar.value, bar.printed_from, bar.printed, bar.high, bar.printed_to]
+    assert places == sorted(places) and places[0] > 0 and places[-1] < 100
+    assert (bar.value - bar.low) / (bar.high - bar.low) == pytest.approx(0.0011 / 0.0023, rel=1e-3)
+    # 8 % of the span is left free on either side.
+    assert (places[0], places[-1]) == pytest.approx((100 * 0.08 / 1.16, 100 * 1.08 / 1.16), abs=0.02)
+    assert ledger._bar({"value": 1.0}) is None
+    # Equal numbers are drawn in one place, however many digits they differ in.
+    close = ledger._bar({"value": 4.00001, "printed_value": 4.0, "printed_half_unit": 0.0})
+    assert abs(close.value - close.printed) < 0.1
+
+
+def test_verdicts_have_signs():
+    assert [ledger.sign(v) for v in ("proved", "reproduced", "consistent within rounding", "approximate")] == [
+        "proved", "yes", "within", "open"]  # fmt: skip
+    assert ledger.sign("not_reproduced") == ledger.sign("not a verdict") == "no"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("slope^(1/3) at slopes 1e-8 to 0.2", "slope¹ᐟ³ at slopes 10⁻⁸ to 0.2"),
+        ("x'/y' -> 0, P ~ v^4, 7.4e-06", "ẋ/ẏ → 0, P ∝ v⁴, 7.4 × 10⁻⁶"),
+        ("passes -1 at 0.015 +- 1.01e-15 (0.018-0.0203)", "passes −1 at 0.015 ± 1.01 × 10⁻¹⁵ (0.018–0.0203)"),
+        ("v^3.95, physical-straight, zero-slope", "v^3.95, physical-straight, zero-slope"),
+    ],
+)
+def test_signs_are_typeset(text, shown):
+    assert ledger.typeset(text) == shown
+
+
+def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bug(tmp_path, monkeypatch):
+    path = _small(tmp_path, "s")
+
+    def stumble(*_):
+        raise IndexError("out of bounds")
+
+    monkeypatch.setattr(pages, "_page", stumble)
+    with netCDF4.Dataset(path, "a") as file:
+        sums = {"stance_angle": archive_reader._checksum(file["stance_angle"])}
+        file.checksums = json.dumps(sums)
+    with pytest.raises(IndexError):
+        pages.write([path], tmp_path / "out")
+    with netCDF4.Dataset(path, "a") as file:
+        file["stance_angle"][0] = 3.0
+    with pytest.raises(ArchiveError, match=r"s\.nc is damaged: `stance_angle` is not as it was written\."):
+        pages.write([path], tmp_path / "out")
+
+
+def test_an_archive_damaged_inside_is_answered_in_one_line(tmp_path):
+    path = synthetic.tuned(tmp_path)
+    whole = path.read_bytes()
+    values = np.geomspace(1e-5, 0.06, 70).tobytes()  # the slopes, as they lie in the file
+    start = whole.index(values)
+    path.write_bytes(whole[: start + 200])
+    with pytest.raises(ArchiveError) as caught:
+        pages.write([path], tmp_path / "out")
+    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+
+
+def test_two_reports_at_once_into_one_folder_give_the_index_of_both(tmp_path):
+    names = [f"study{k}" for k in range(6)]
+    archives = [_small(tmp_path, name) for name in names]
+    with ThreadPoolExecutor(3) as pool:
+        list(pool.map(lambda path: _report_in_another_process(path, tmp_path / "out"), archives))
+    links = Page(tmp_path / "out" / "index.html").all("href")
+    assert {f"{name}.html" for name in names} <= set(links)
+
+
+def _report_in_another_process(path, out):
+    code = (
+        "import sys; from pathlib import Path; from pipeline.report import pages; pages.write(*map(eval, sys.argv[1:]))"
+    )
+    subprocess.run([sys.executable, "-c", code, f"[Path({str(path)!r})]", f"Path({str(out)!r})"], check=True)
+
+
+def test_a_study_without_any_gait_has_a_page_that_says_so(tmp_path):
+    dims, nothing = ("slope", "gait"), np.full((3, 2), np.nan)
+    figures = ["linear", "loglog", "multipliers", "power", "losses", "heelstrike", "angles", "claims", "heatmap"]
+    text = f'name = "none"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02, 0.03]\n[want]\nfigures = {json.dumps(figures)}'
+    names = ("stance_angle", "spectral_radius", "speed", "power", "loss_normal", "loss_tangential", "loss_kneestrike",
+             "heelstrike_rate_ratio")  # fmt: skip
+    grid = dict.fromkeys(names, (dims, nothing))
+    grid |= {"status": (dims, np.ones((3, 2), "i1")), "reason": (dims, np.ones((3, 2), "i2"))}
+    coords = {"slope": [0.01, 0.02, 0.03], "gait": np.array(["long", "short"], object)}
+    pages.write([write(tmp_path / "none.nc", text, grid, coords, {"E": POINT})], tmp_path)
+    text = Page(tmp_path / "none.html").text
+    assert text.count("the archive holds nothing to draw it from") == len(figures)
+    assert "Of 6 points: 6 no gait." in text
+
+
+def test_names_in_other_scripts_are_shown_as_they_are(tmp_path):
+    name = "ходок 歩行 مشّاء"
+    dims = ("walker", "slope", "gait")
+    text = f'name = "w"\nwalker = ["{name}", "b"]\n[axes]\nslope = [0.01]\n[want]\nfigures = ["loglog", "walker"]'
+    coords = {"walker": np.array([name, "b"], object), "slope": [0.01, 0.02], "gait": np.array(["long"], object)}
+    grid = {"stance_angle": (dims, np.array([[[0.1], [0.2]], [[0.15], [0.25]]]))}
+    pages.write([write(tmp_path / "w.nc", text, grid, coords, {name: POINT, "b": POINT})], tmp_path)
+    assert name in Page(tmp_path / "w.html").text
+    assert name in (tmp_path / "w-loglog.csv").read_text(encoding="utf-8")
+
+
+def test_no_page_has_an_identifier_twice(report):
+    for path in report.glob("*.html"):
+        found = re.findall(r'\sid="([^"]+)"', path.read_text())
+        assert len(found) == len(set(found)), (path.name, sorted(i for i in found if found.count(i) > 1))

@@ -167,7 +167,7 @@ def test_solve_tells_branch_and_piece_and_labels_what_a_search_adds(monkeypatch)
     assert (other["gait"], other["branch"], other["piece"]) == ("other1", 0, 0)
     # A branch that the atlas misses: the search finds its gait, which is on no branch known and has its label.
     survey = solve_at_slope.atlases.survey
-    monkeypatch.setattr(solve_at_slope.atlases, "survey", lambda problem: survey(problem)[:1])
+    monkeypatch.setattr(solve_at_slope.atlases, "survey", lambda *asked: survey(*asked)[:1])
     short, long = sorted(
         solve_at_slope.solve_one({"walker": "D", "slope": 0.009, "all": True})["gaits"],
         key=lambda found: found["stance_angle"],

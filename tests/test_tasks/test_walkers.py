@@ -3,8 +3,10 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from tasks.solve_at_slope import solve_one
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.describe import describe, drawing
 from tasks.walkers.resolve import check, from_table, owned, resolve
@@ -177,3 +179,53 @@ def test_a_drawing_shows_knees_and_feet():
     assert [rows[-1].count("(_)") for rows in (round_feet, points, kneed)] == [2, 0, 2]
     assert points[-1].count("*") == 2
     assert [any("knee" in row for row in rows) for rows in (round_feet, points, kneed)] == [False, False, True]
+
+
+def test_straight_legs_need_not_name_what_is_zero():
+    short = {
+        "knees": False,
+        "l_t": 0.5,
+        "m_t": 0.4,
+        "r_t": 0.0,
+        "c_t": 0.0,
+        "l_s": 0.5,
+        "m_s": 0.1,
+        "r_s": 0.0,
+        "c_s": 0.5,
+    }
+    walker = from_table({**short, "R": 0.0, "name": "mine"})
+    assert walker == CATALOGUE["E"]
+    with pytest.raises(WalkerError, match="`w_t` is missing"):
+        from_table({**short, "R": 0.0, "eps_T": 0.0, "knees": True})
+
+
+def test_a_leg_of_one_link_walks_as_the_same_leg_in_two():
+    one = {"knees": False, "m": 1.0, "c": 0.3, "r": 0.2, "l": 0.8, "R": 0.1, "m_h": 5.0}
+    walker = from_table(one)
+    assert (walker.l, walker.leg, walker.total_mass) == pytest.approx((0.8, 0.9, 7.0))
+    halves = {"m_t": 0.5, "m_s": 0.5, "c_t": 0.3, "c_s": -0.1, "r_t": 0.2, "r_s": 0.2, "l_t": 0.4, "l_s": 0.5}
+    two = {"knees": False, "R": 0.1, "m_h": 5.0, **halves}
+    for a, b in zip(*(solve_one({"walker": w, "slope": 0.01})["gaits"] for w in (one, two)), strict=True):
+        assert (a["stance_angle"], a["period"]) == pytest.approx((b["stance_angle"], b["period"]), rel=1e-12)
+    with pytest.raises(WalkerError, match="`l_t` does not go with `l`"):
+        from_table({**one, "l_t": 0.4})
+    with pytest.raises(WalkerError, match="`m` is not a walker key"):
+        from_table({**one, "knees": True})
+
+
+@pytest.mark.parametrize(("walker", "slope"), [("E", 1e-6), ("E", 0.01), ("A", 1e-3), ("physical", 0.036)])
+def test_the_velocity_ratio_is_that_of_the_losses(walker, slope):
+    """Each loss is half of an eigenvalue of the contact mass times the velocity along its eigenvector, squared."""
+    for gait in solve_one({"walker": walker, "slope": slope})["gaits"]:
+        values, vectors = np.linalg.eigh(np.array(gait["contact_mass_matrix"]))
+        normal = int(np.argmax(np.abs(vectors[1])))
+        losses = [gait["loss_normal"] if k == normal else gait["loss_tangential"] for k in (0, 1)]
+        along = np.sqrt(2 * np.array(losses) / values)
+        velocities = [vectors @ (along * [1, sign]) for sign in (1, -1)]
+        ratios = [abs(v[0] / v[1]) for v in velocities]
+        assert min(abs(r / abs(gait["velocity_ratio"]) - 1) for r in ratios) < 1e-6
+        total = np.array(gait["contact_mass_matrix"]).max()
+        assert total == pytest.approx(resolve(walker).total_mass, rel=0.2)
+        assert gait["cost_of_transport"] == pytest.approx(np.sin(slope), rel=1e-3)
+        legs, angle = resolve(walker), gait["stance_angle"]
+        assert gait["step_length"] == pytest.approx(2 * (legs.l * np.sin(angle) + legs.R * angle), rel=1e-9)

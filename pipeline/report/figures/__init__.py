@@ -2,9 +2,24 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
-from pipeline.report.figures import body, branch_curves, cycle, design_maps, families, maps, scaling
+from pipeline.report.figures import (
+    bifurcation,
+    body,
+    branch_curves,
+    claims,
+    cycle,
+    design_maps,
+    families,
+    laws,
+    maps,
+    measured,
+    quantities,
+    scaling,
+    searches,
+)
 from pipeline.report.figures.style import style
 from pipeline.report.figures.svg import Drawing, Sketch, render
 from pipeline.report.source import Source
@@ -18,10 +33,20 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
     "walker": body.walker,
     "conditions": body.conditions,
     "locus": branch_curves.locus,
-    "bifurcation": branch_curves.bifurcation,
+    "bifurcation": bifurcation.bifurcation,
     "heatmap": maps.heatmap,
     "basin": maps.basin,
     "design": design_maps.design,
+    "multipliers": quantities.multipliers,
+    "losses": quantities.losses,
+    "heelstrike": quantities.heelstrike,
+    "power": quantities.power,
+    "measured": measured.measured,
+    "claims": claims.claims,
+    "exponents": laws.exponents,
+    "census": searches.census,
+    "cascade": searches.cascade,
+    "curves": searches.curves,
 }
 
 
@@ -33,6 +58,8 @@ def draw(source: Source, name: str, salt: str) -> Drawing | None:
     function = FIGURES.get(name)
     if function is None:
         return None
-    with style():
+    with style(), warnings.catch_warnings():
+        # Words stay words in the SVG: the reader's fonts have the glyphs that the font of the layout has not.
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         sketch = function(source)
         return None if sketch is None else render(sketch, name, salt)

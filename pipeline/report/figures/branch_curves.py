@@ -1,23 +1,27 @@
-"""Solution branches continued through folds (figures 6 and 8), and bifurcation diagrams of orbits (figure 12)."""
+"""Solution branches continued through folds to their ends (figures 6 and 8)."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from pipeline.report.figures import landmarks, measured
 from pipeline.report.figures.style import (
+    DASHES,
     GAIT_COLOURS,
     INK,
+    MUTED,
     PAPER,
-    RASTER,
-    SHAPES,
+    PRINTED,
     canvas,
     colour,
     draw_curve,
-    labelled,
     plain,
     set_heading,
     shorten,
@@ -27,20 +31,39 @@ from pipeline.report.figures.style import (
 from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
-_MAX_PANELS = 6
-_SHAPES = {"fold": "o", "flip": "s", "neimark_sacker": "D", "branch_point": "P"}
+MAX_PANELS = 6
+#: Marker of each kind of special point; ends are filled.
+_SHAPES = {
+    "fold": "o",
+    "flip": "s",
+    "neimark_sacker": "D",
+    "branch_point": "P",
+    "release_hyperextension": "^",
+    "end_kneestrike_at_heelstrike": "X",
+    "end_tangential_heelstrike": "v",
+    "end_zero_step": "d",
+    "end_contact_lost": "p",
+    "end_earlier_strike": "h",
+}
 
 
-def _groups(source: Source, table: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
-    """Rows of a table grouped by line, in the archive's order."""
+def groups(source: Source, table: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
+    """Rows of a table grouped by line, in the archive's order, with the values that differ between lines."""
     columns = [c for c in source.line_columns(table) if table[c].nunique() > 1]
     if not columns:
         return [({}, table)]
     return [(dict(zip(columns, key, strict=True)), rows) for key, rows in table.groupby(columns, sort=False)]
 
 
-def _title(at: dict[str, Any]) -> str:
+def title(at: dict[str, Any]) -> str:
+    """Values of a line as a title."""
     return ", ".join(str(v) if k == "walker" else f"{SYMBOLS.get(k, k)} {plain(float(v), 6)}" for k, v in at.items())
+
+
+def line_command(source: Source, rows: pd.DataFrame) -> str:
+    """The `gaitsweep solve` command of a line, without the slope."""
+    settings = {c: float(rows[c].iloc[0]) for c in source.line_columns(rows) if c != "walker"}
+    return source.command(str(rows["walker"].iloc[0]) if "walker" in rows else source.walker, settings)
 
 
 def locus(source: Source) -> Sketch | None:
@@ -49,34 +72,25 @@ def locus(source: Source) -> Sketch | None:
     if table is None or not {"slope", "stance_angle"} <= set(table.columns) or table.empty:
         return None
     special = source.tables.get("special_points", pd.DataFrame())
-    every = _groups(source, table)
+    every = groups(source, table)
     together = len(every) == 2 and all(set(at) == {"walker"} for at, _ in every)
-    chosen = [every[i] for i in spread_evenly(len(every), _MAX_PANELS)]
+    chosen = [every[i] for i in spread_evenly(len(every), MAX_PANELS)]
     count = 1 if together else len(chosen)
     across = min(count, 3)
     rows = -(-count // across)
-    figure = canvas(300 if rows == 1 and count == 1 else 170 * rows + 30)
+    figure = canvas(350 if count == 1 else 200 * rows + 60)
     panels = np.atleast_1d(figure.subplots(rows, across, sharex=True, sharey=True)).ravel()
-    pieces, marks = [], []
+    pieces, marks, own = [], [], None
     for k, (at, frame) in enumerate(chosen):
         axes = panels[0 if together else k]
-        command = source.command(str(_first(frame, "walker", source)), _settings(source, frame))
+        command = line_command(source, frame)
         pieces += _draw_branches(axes, frame, k if together else 0)
-        marks += _branch_marks(axes, frame, _title(at), command)
-        marks += _draw_special(axes, _rows_at(special, at), numbered=count > 2, command=command)
+        marks += _branch_marks(axes, frame, title(at), command)
+        own = measured.draw(axes, source, "stance_angle", at) or own
+        marks += _draw_special(axes, _rows_at(special, at), command)
         if at and not together:
-            axes.set_title(shorten(_title(at), 60 // across), fontsize=9, pad=4)
-        if together:
-            end = frame.iloc[frame["stance_angle"].argmax()]
-            axes.annotate(
-                str(at["walker"]),
-                (end["slope"], end["stance_angle"]),
-                xytext=(-6, 4),
-                textcoords="offset points",
-                ha="right",
-                fontsize=8.5,
-                annotation_clip=False,
-            )
+            letter = f"({'abcdef'[k]}) " if count > 1 else ""
+            axes.set_title(letter + shorten(title(at), 60 // across), fontsize=9, pad=4, loc="left")
     for axes in panels[count:]:
         axes.axis("off")
     for axes in panels:
@@ -84,18 +98,26 @@ def locus(source: Source) -> Sketch | None:
         axes.set_xlim(left=0)
         if across > 1:
             axes.locator_params(axis="x", nbins=3)
+    numbered = _draw_points(panels[0], landmarks.point_numbers(source)) if count == 1 else False
+    printed = landmarks.rows(source)
+    has_printed = count == 1 and landmarks.draw_at_angles(panels[0], printed)
     figure.supxlabel("slope γ (rad)", fontsize=9.5)
     if count == 1:
         set_heading(panels[0], "stance angle θ* (rad)")
     else:
         figure.supylabel("stance angle θ* (rad)", fontsize=9.5)
     data = pd.concat(pieces, ignore_index=True)
+    _add_legend(figure, data, special, [str(at["walker"]) for at, _ in chosen] if together else [], has_printed, own)
     omitted = f" Six of {len(every)} lines are drawn." if len(every) > len(chosen) else ""
     return Sketch(
         figure,
         "Solution branches",
-        "Stance angle along each solution branch, continued through folds to its ends. Thick: stable. Marked: folds "
-        f"(circles), flips (squares), ends and other special points (triangles); the table lists them.{omitted}",
+        "Stance angle along each solution branch, continued through folds to its ends. A branch has one colour, that "
+        "of the label (long or short) that most of its gaits have: a gait is long if the legs' rates differ by less "
+        "than half the stance rate just before heelstrike. Filled marks are ends."
+        + (" The numbers 1 to 4 are those of the paper's figure." if numbered else "")
+        + (landmarks.sentence(printed) if has_printed else "")
+        + omitted,
         f"{count} panel{'s' * (count > 1)} of stance angle against slope along branches of gaits, slopes "
         f"{plain(data['slope'].min())} to {plain(data['slope'].max())} rad, with {len(special)} special points.",
         data,
@@ -103,23 +125,55 @@ def locus(source: Source) -> Sketch | None:
     )
 
 
+def _add_legend(
+    figure: Figure, data: pd.DataFrame, special: pd.DataFrame, walkers: list[str], printed: bool, own: Line2D | None
+) -> None:
+    keys = [Line2D([], [], color=colour(g), lw=1.4, label=f"{shorten(g)} step") for g in data["drawn_as"].unique() if g]
+    if "stable" in data and (data["stable"] == 1).any():
+        keys.append(Line2D([], [], color=INK, lw=2.6, label="stable"))
+    keys += [Line2D([], [], color=INK, lw=1.1, ls=DASHES[k], label=shorten(w)) for k, w in enumerate(walkers)]
+    for kind in special["kind"].astype(str).unique() if "kind" in special else ():
+        words = kind.replace("_", " ").removeprefix("end ")
+        keys.append(Line2D([], [], ls="", **_mark(kind), label=f"end: {words}" if kind.startswith("end_") else words))
+    if printed:
+        keys.append(Line2D([], [], color=PRINTED, lw=5, alpha=0.4, label="printed, and allowed by rounding"))
+    keys += [own] if own else []
+    figure.legend(handles=keys, loc="outside upper left", ncols=3, columnspacing=1.2)
+
+
+def _mark(kind: str) -> dict[str, Any]:
+    """Properties of the mark of a kind of special point."""
+    is_end = kind.startswith("end_")
+    return {"marker": _SHAPES.get(kind, "*"), "color": INK, "mfc": INK if is_end else PAPER, "ms": 6 if is_end else 5}
+
+
+def _main_label(branch: pd.DataFrame, taken: Iterable[str]) -> str:
+    """The label that most gaits of a branch have, or another where a branch of the panel has it already."""
+    if "gait" not in branch:
+        return ""
+    label = str(branch["gait"].mode().iloc[0])
+    return label if label not in taken else next((g for g in GAIT_COLOURS if g not in taken), label)
+
+
 def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame]:
-    pieces = []
+    pieces: list[pd.DataFrame] = []
+    taken: list[str] = []
     edges = frame["slope"].min(), frame["slope"].max()
-    for branch, whole in frame.groupby("branch", sort=False) if "branch" in frame else [(0, frame)]:
+    by_branch = frame.groupby("branch", sort=False) if "branch" in frame else [(0, frame)]
+    for branch, whole in sorted(by_branch, key=lambda item: -len(item[1])):
+        label = _main_label(whole, taken)
+        taken.append(label)
         # A branch that leaves the window may come back at the same edge: no line joins the two parts.
         at = np.array([np.isclose(whole["slope"], edge, rtol=1e-9, atol=0) for edge in edges])
         for _, run in whole.groupby(np.cumsum((at & np.roll(at, 1, axis=1)).any(axis=0))):
-            rows = thin(run, 500)
-            for gait in rows["gait"].unique() if "gait" in rows else [""]:
-                angle = labelled(rows, gait) if gait else rows["stance_angle"]
-                stable = rows["stable"] if "stable" in rows else pd.Series(np.nan, rows.index)
-                draw_curve(axes, rows["slope"], angle, stable, colour(str(gait)), k)
-            pieces.append(rows.assign(branch=branch))
+            rows = thin(run, 400)
+            stable = rows["stable"] if "stable" in rows else pd.Series(np.nan, rows.index)
+            draw_curve(axes, rows["slope"], rows["stance_angle"], stable, colour(label), k)
+            pieces.append(rows.assign(branch=branch, drawn_as=label))
     return pieces
 
 
-def _branch_marks(axes: Axes, frame: pd.DataFrame, title: str, command: str) -> list[Marks]:
+def _branch_marks(axes: Axes, frame: pd.DataFrame, name: str, command: str) -> list[Marks]:
     frame = thin(frame.dropna(subset=["stance_angle"]), 300)
     slopes, angles = frame["slope"].to_numpy(), frame["stance_angle"].to_numpy()
     values = {"γ (rad)": slopes, "θ* (rad)": angles}
@@ -127,38 +181,37 @@ def _branch_marks(axes: Axes, frame: pd.DataFrame, title: str, command: str) -> 
         values["period"] = frame["period"].to_numpy()
     if "stable" in frame:
         values["stable"] = np.where(frame["stable"] == 1, "yes", "no")
-    return [Marks(axes, slopes, angles, title or "branch", values, command, slopes)]
+    return [Marks(axes, slopes, angles, name or "branch", values, command, slopes)]
 
 
-def _draw_special(axes: Axes, points: pd.DataFrame, numbered: bool, command: str) -> list[Marks]:
-    if not {"kind", "slope", "stance_angle"} <= set(points.columns):
+def _draw_special(axes: Axes, points: pd.DataFrame, command: str) -> list[Marks]:
+    if not {"kind", "slope", "stance_angle"} <= set(points.columns) or points.empty:
         return []
-    placed: list[tuple[float, float]] = []
-    wide, high = np.maximum(axes.dataLim.size, 1e-300)
-    # Folds and ends get their labels first, so that they keep them where points are dense.
-    order = points["kind"].astype(str).str.startswith(("fold", "end")).sort_values(ascending=False, kind="stable").index
-    for row in points.loc[order].itertuples():
-        kind = str(row.kind)
-        axes.plot(row.slope, row.stance_angle, _SHAPES.get(kind, "^"), color=INK, mfc=PAPER, ms=5, zorder=5)
-        is_crowded = any(
-            abs(row.slope - x) < 0.3 * wide and abs(row.stance_angle - y) < 0.045 * high for x, y in placed
-        )
-        if not (numbered or is_crowded or row.stance_angle < 0.02 * high):
-            placed.append((row.slope, row.stance_angle))
-            axes.annotate(
-                f"({plain(row.slope, 3)}, {plain(row.stance_angle, 3)})",
-                (row.slope, row.stance_angle),
-                xytext=(7, -3),
-                textcoords="offset points",
-                fontsize=8,
-                annotation_clip=False,
-            )
-    if points.empty:
-        return []
+    for kind, rows in points.groupby(points["kind"].astype(str), sort=False):
+        axes.plot(rows["slope"], rows["stance_angle"], ls="", zorder=5, clip_on=False, **_mark(str(kind)))
     slopes, angles = points["slope"].to_numpy(), points["stance_angle"].to_numpy()
     kinds = [str(kind).replace("_", " ") for kind in points["kind"]]
     values = {"kind": kinds, "γ (rad)": slopes, "θ* (rad)": angles}
     return [Marks(axes, slopes, angles, "special point", values, command, slopes)]
+
+
+def _draw_points(axes: Axes, numbered: pd.DataFrame) -> bool:
+    """Number the points as the paper does, with the interval that rounding allows; whether there were any."""
+    for row in numbered.itertuples():
+        if np.isfinite(row.slope_low):
+            axes.plot([row.slope_low, row.slope_high], [row.stance_angle] * 2, color=MUTED, lw=0.8, zorder=4)
+        axes.annotate(
+            str(row.point),
+            (row.slope, row.stance_angle),
+            xytext=(-11, 9) if row.stance_angle < 0.01 else (14, -12 if row.stance_angle > 0.05 else 8),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=10,
+            fontweight="bold",
+            annotation_clip=False,
+        )
+    return bool(len(numbered))
 
 
 def _rows_at(points: pd.DataFrame, at: dict[str, Any]) -> pd.DataFrame:
@@ -166,46 +219,3 @@ def _rows_at(points: pd.DataFrame, at: dict[str, Any]) -> pd.DataFrame:
         if column in points:
             points = points[points[column] == value]
     return points
-
-
-def _settings(source: Source, frame: pd.DataFrame) -> dict[str, float]:
-    return {c: float(frame[c].iloc[0]) for c in source.line_columns(frame) if c != "walker"}
-
-
-def _first(frame: pd.DataFrame, column: str, source: Source) -> str:
-    return str(frame[column].iloc[0]) if column in frame else source.walker
-
-
-def bifurcation(source: Source) -> Sketch | None:
-    """Plot stance angles of successive steps of orbits against slope."""
-    table = source.tables.get("orbits")
-    if table is None or not {"slope", "stance_angle"} <= set(table.columns):
-        return None
-    table = table[np.isfinite(table["stance_angle"])]
-    if table.empty:
-        return None
-    groups = _groups(source, table)[:_MAX_PANELS]
-    figure = canvas(300 if len(groups) == 1 else 190 * len(groups))
-    panels = np.atleast_1d(figure.subplots(len(groups), 1, sharex=True))
-    raster = len(table) > SHAPES
-    ink = RASTER["long"] if raster else GAIT_COLOURS["long"]
-    panels[-1].set_xlabel("slope γ (rad)")
-    marks = []
-    for axes, (at, rows) in zip(panels, groups, strict=True):
-        axes.plot(rows["slope"], rows["stance_angle"], ".", ms=2, mew=0, color=ink, rasterized=raster)
-        set_heading(axes, (shorten(_title(at)) + ": " if at else "") + "stance angle θ* of successive steps (rad)")
-        shown = thin(rows, 400)
-        slopes, angles = shown["slope"].to_numpy(), shown["stance_angle"].to_numpy()
-        command = source.command(_first(shown, "walker", source), _settings(source, shown))
-        marks.append(
-            Marks(axes, slopes, angles, _title(at) or "orbit", {"γ (rad)": slopes, "θ* (rad)": angles}, command, slopes)
-        )
-    return Sketch(
-        figure,
-        "Bifurcation diagram",
-        "Stance angles of successive steps after the transient; initial conditions that fall are left out.",
-        f"Bifurcation diagram: {len(table)} stance angles against slope from {plain(table['slope'].min())} to "
-        f"{plain(table['slope'].max())} rad.",
-        table,
-        marks,
-    )

@@ -19,6 +19,7 @@ from pipeline.report.figures.style import (
     colour,
     plain,
     set_heading,
+    shorten,
     spread_evenly,
     thin,
 )
@@ -44,6 +45,12 @@ class TracedStep:
     def period(self) -> float:
         """Duration of the step, in the walker's unit of time."""
         return float(self.frame["time"].iloc[-1])
+
+    @property
+    def kneestrike(self) -> float | None:
+        """Time at which the swing knee locks; None for legs that do not bend."""
+        bent = np.flatnonzero(np.abs(self.frame["theta_th"] - self.frame["theta_sh"]).to_numpy() > 1e-9)
+        return float(self.frame["time"].iloc[min(bent[-1] + 1, len(self.frame) - 1)]) if len(bent) else None
 
 
 def traced_steps(source: Source) -> Iterator[TracedStep]:
@@ -72,58 +79,92 @@ def traced_steps(source: Source) -> Iterator[TracedStep]:
 
 
 def angles(source: Source) -> Sketch | None:
-    """Plot joint angles over two steps, with a cartoon of the walker at even times below."""
-    step = _middle(list(traced_steps(source)))
-    if step is None:
+    """Plot joint angles over two steps, with a cartoon of the walker at even times below; one column per walker."""
+    steps = _one_per_walker(list(traced_steps(source)))
+    if not steps:
         return None
-    figure = canvas(300)
-    top, below = figure.subplots(2, 1, height_ratios=[5, 2], sharex=False)
-    frame, period = step.frame, step.period
-    time = frame["time"].to_numpy()
-    first = {"thigh": frame["theta_st"].to_numpy(), "shank": frame["theta_st"].to_numpy()}
-    second = {"thigh": frame["theta_th"].to_numpy(), "shank": frame["theta_sh"].to_numpy()}
+    figure = canvas(310 if len(steps) == 1 else 270 * len(steps))
+    panels = figure.subplots(2 * len(steps), 1, height_ratios=[5, 2] * len(steps))
     pieces, marks = [], []
-    kneed = not np.allclose(second["thigh"], second["shank"])
-    for leg, (early, late) in {"heavy": (first, second), "light": (second, first)}.items():
-        for part in ("thigh", "shank") if kneed else ("thigh",):
-            t, angle = np.concatenate([time, period + time]), np.concatenate([early[part], late[part]])
-            width, ink = (2.2, colour(step.gait)) if leg == "heavy" else (0.9, MUTED)
-            top.plot(t, angle, color=ink, lw=width, ls="-" if part == "thigh" else (0, (4, 1.4)))
-            pieces.append(pd.DataFrame({"time": t, "angle": angle, "leg": leg, "link": part if kneed else "leg"}))
-            if leg == "heavy":
-                label, values = f"{part if kneed else 'leg'}, heavy line", {"time": t, "angle (rad)": angle}
-                marks.append(Marks(top, t, angle, label, values, step.command, np.full(len(t), step.slope)))
-    top.axvline(period, color=MUTED, lw=0.7, ls=(0, (1, 2)))
-    top.text(1.01 * period, 0.99, "heelstrike", transform=top.get_xaxis_transform(), va="top", fontsize=8.5)
-    top.set_xlim(0, 2 * period)
-    set_heading(top, "angle from the ground normal (rad)")
-    unit = source.units("period")
-    top.set_xlabel(f"time ({unit})" if unit else "time")
-    _draw_strobe(below, step)
-    data = pd.concat(pieces, ignore_index=True).assign(gait=step.gait, slope=step.slope)
+    for k, step in enumerate(steps):
+        top, below = panels[2 * k], panels[2 * k + 1]
+        piece, mark = _draw_angles(top, step)
+        pieces.append(piece)
+        marks += mark
+        words = f"{shorten(step.label, 24)}: angle from the ground normal (rad)" if len(steps) > 1 else ""
+        set_heading(top, words or "angle from the ground normal (rad)")
+        unit = source.units("period")
+        top.set_xlabel(f"time ({unit})" if unit else "time")
+        _draw_strobe(below, step)
+    data = pd.concat(pieces, ignore_index=True)
+    kneed = any(step.kneestrike for step in steps)
+    said = "; ".join(f"the {s.gait} gait of walker {s.label} at γ = {plain(s.slope)} rad" for s in steps)
     caption = (
-        f"Two steps of the {step.gait} gait of walker {step.label} at γ = {plain(step.slope)} rad. The heavy line is "
-        "the leg drawn heavy in the cartoon, first in stance, then in swing." + (" Dashed: the shank." if kneed else "")
+        f"Two steps of {said}. The heavy line is the leg drawn heavy in the cartoon, first in stance, then in swing."
+        + (" Dashed: the shank while the knee is free, until kneestrike." if kneed else "")
     )
     alt = (
-        f"Joint angles of walker {step.label} over two steps lasting {plain(period)} each, "
+        f"Joint angles over two steps of {said}, "
         f"between {plain(data['angle'].min(), 3)} and {plain(data['angle'].max(), 3)} rad; the walker is drawn below."
     )
     return Sketch(figure, "A walking cycle", caption, alt, data, marks)
 
 
-def _middle(steps: list[TracedStep]) -> TracedStep | None:
-    """The long step in the middle of the list, or the step there if none is long."""
-    long = [step for step in steps if step.gait == "long"] or steps
-    return long[(len(long) - 1) // 2] if long else None
+def _draw_angles(axes: Axes, step: TracedStep) -> tuple[pd.DataFrame, list[Marks]]:
+    """Draw the angles of both legs over two steps, with the impacts; their data and marks."""
+    frame, period = step.frame, step.period
+    time = frame["time"].to_numpy()
+    first = {"thigh": frame["theta_st"].to_numpy(), "shank": frame["theta_st"].to_numpy()}
+    second = {"thigh": frame["theta_th"].to_numpy(), "shank": frame["theta_sh"].to_numpy()}
+    pieces, marks = [], []
+    kneed = step.kneestrike is not None
+    for leg, (early, late) in {"heavy": (first, second), "light": (second, first)}.items():
+        for part in ("thigh", "shank") if kneed else ("thigh",):
+            t, angle = np.concatenate([time, period + time]), np.concatenate([early[part], late[part]])
+            width, ink = (2.2, colour(step.gait)) if leg == "heavy" else (0.9, MUTED)
+            axes.plot(t, angle, color=ink, lw=width, ls="-" if part == "thigh" else (0, (4, 1.4)))
+            pieces.append(pd.DataFrame({"time": t, "angle": angle, "leg": leg, "link": part if kneed else "leg"}))
+            if leg == "heavy":
+                label, values = f"{part if kneed else 'leg'}, heavy line", {"time": t, "angle (rad)": angle}
+                marks.append(Marks(axes, t, angle, label, values, step.command, np.full(len(t), step.slope)))
+    impacts = [("heelstrike", period)]
+    if step.kneestrike is not None:
+        impacts += [("kneestrike", step.kneestrike), ("kneestrike", period + step.kneestrike)]
+    for word, at in impacts:
+        axes.axvline(at, color=MUTED, lw=0.8, ls="-" if word == "heelstrike" else (0, (1, 2)))
+        axes.annotate(
+            word,
+            (at, 0.01),
+            xycoords=axes.get_xaxis_transform(),
+            xytext=(-2, 0),
+            textcoords="offset points",
+            rotation=90,
+            ha="right",
+            va="bottom",
+            fontsize=8,
+        )
+    axes.set_xlim(0, 2 * period)
+    data = pd.concat(pieces, ignore_index=True).assign(walker=step.label, gait=step.gait, slope=step.slope)
+    return data, marks
 
 
-def _draw_strobe(axes: Axes, step: TracedStep, moments: int = 6) -> None:
+def _one_per_walker(steps: list[TracedStep]) -> list[TracedStep]:
+    """The long step, or else the first, in the middle of each walker's list; at most two walkers."""
+    walkers: dict[str, list[TracedStep]] = {}
+    for step in steps:
+        walkers.setdefault(step.label, []).append(step)
+    chosen = [long if (long := [s for s in own if s.gait == "long"]) else own for own in walkers.values()]
+    middle = [own[(len(own) - 1) // 2] for own in chosen]
+    return middle if len(middle) <= 2 else [middle[(len(middle) - 1) // 2]]
+
+
+def _draw_strobe(axes: Axes, step: TracedStep, moments: int = 4) -> None:
     """Draw the walker at even times of two steps, each below its time in the graph."""
     body, frame, period = step.body, step.frame, step.period
     height = body.length + body.radius
-    apart = 0.62 * height
-    axes.plot([-0.5 * apart, (2 * moments - 0.5) * apart], [0, 0], color=MUTED, lw=0.8)
+    apart = 1.15 * height
+    edges = -0.7 * apart, (2 * moments - 0.3) * apart
+    axes.plot(edges, [0, 0], color=MUTED, lw=0.8)
     for number in (0, 1):
         for k in range(moments):
             t = period * (k + 0.5) / moments
@@ -135,7 +176,7 @@ def _draw_strobe(axes: Axes, step: TracedStep, moments: int = 6) -> None:
             draw_leg(axes, body, hip, st, st, **(heavy if number == 0 else light))
             draw_leg(axes, body, hip, th, sh, **(light if number == 0 else heavy))
             axes.plot(hip.real, hip.imag, "o", color=INK, ms=2.6, zorder=5)
-    axes.set_xlim(-0.5 * apart, (2 * moments - 0.5) * apart)
+    axes.set_xlim(*edges)
     axes.set_ylim(-0.06 * height, 1.08 * height)
     axes.set_aspect("equal")
     axes.axis("off")

@@ -15,10 +15,14 @@ from pipeline.report.source import SYMBOLS, Source
 
 #: Quantities mapped, from left to right, and their titles.
 _SHOWN = {
-    "smallest_slope": "smallest slope γ",
-    "largest_stable_slope": "largest stable γ",
-    "fastest_froude_speed": "fastest stable Fr",
+    "smallest_slope": "smallest slope γ (rad)",
+    "largest_stable_slope": "largest stable γ (rad)",
+    "fastest_froude_speed": "fastest stable Fr (1)",
 }
+#: Quantities that compare, which share one colour scale.
+_COMPARED = ("smallest_slope", "largest_stable_slope")
+#: Fewest cells along each side of a map on which contours are drawn.
+_MIN_CONTOURED = 6
 #: Largest number of rows of maps, one for each value of the other axes.
 _MAX_ROWS = 4
 
@@ -35,14 +39,16 @@ def design(source: Source) -> Sketch | None:
     others = [c for c in source.line_columns(table) if c not in keys]
     every = table[others].drop_duplicates().to_dict("records") if others else [{}]
     rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]
-    figure = canvas(60 + 130 * len(rows))
+    figure = canvas(60 + 150 * len(rows))
     panels = figure.subplots(len(rows), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
     marks = []
     several = [{k: v for k, v in at.items() if table[k].nunique() > 1} for at in rows]
     for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
         cells = table[np.logical_and.reduce([table[c] == v for c, v in at.items()], initial=True)] if at else table
         for axes, (column, words) in zip(row, _SHOWN.items(), strict=True):
-            _draw_map(axes, cells.pivot(index=down, columns=along, values=column), table[column], figure)
+            scale = table[list(_COMPARED)] if column in _COMPARED else table[column]
+            _draw_map(axes, cells.pivot(index=down, columns=along, values=column), scale, figure)
+            _mark_walker(axes, source.walkers.get(str(at.get("walker", source.walker)), {}), down, along)
             axes.set_title(words if k == 0 else "", pad=5)
             marks.append(_marks(axes, source, cells, at, (down, along), column))
         name = axis_values(several[k])
@@ -54,7 +60,8 @@ def design(source: Source) -> Sketch | None:
         figure,
         "Design map",
         f"The smallest slope with a gait, the largest slope with a stable gait, and the Froude number of the fastest "
-        f"stable gait, over {down} and {along}. Blank: no such gait." + rows_caption(several, every),
+        f"stable gait, over {down} and {along}. Circle: the walker itself. The two slopes share one scale. Blank: no "
+        "such gait." + rows_caption(several, every),
         f"Heat maps over {along} and {down}: "
         + "; ".join(f"{c.replace('_', ' ')} from {plain(table[c].min())} to {plain(table[c].max())}" for c in _SHOWN)
         + ".",
@@ -63,17 +70,31 @@ def design(source: Source) -> Sketch | None:
     )
 
 
-def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series, figure: Figure) -> None:
+def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series | pd.DataFrame, figure: Figure) -> None:
     """Draw one map; all maps of a quantity share one colour scale."""
-    low, high = np.nanmin(whole, initial=np.inf), np.nanmax(whole, initial=-np.inf)
+    values = np.asarray(whole, float)
+    low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
     low, high = (low, high) if low <= high else (0.0, 1.0)
     picture = axes.pcolormesh(
         z.columns, z.index, z.values, shading="nearest", cmap="cividis", rasterized=True, vmin=low, vmax=high
     )
     axes.grid(False)
+    if min(z.shape) >= _MIN_CONTOURED and np.isfinite(z.to_numpy()).any():
+        axes.contour(z.columns, z.index, np.ma.masked_invalid(z.to_numpy()), levels=5, colors="#ffffff", linewidths=0.7)
     bar = figure.colorbar(picture, ax=axes, shrink=0.9, aspect=16)
     bar.outline.set_visible(False)
     bar.ax.grid(False)
+
+
+def _mark_walker(axes: Axes, parameters: dict[str, Any], down: str, along: str) -> None:
+    """Mark the place of the study's walker, before the axes change it, if it lies on the map."""
+    if not {down, along} <= set(parameters):
+        return
+    x, y = float(parameters[along]), float(parameters[down])
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    if left <= x <= right and low <= y <= high:
+        axes.plot([x], [y], "o", color="#ffffff", mfc="none", ms=9, mew=2)
+        axes.plot([x], [y], "o", color="#000000", mfc="none", ms=9, mew=0.8)
 
 
 def _symbol(source: Source, key: str) -> str:

@@ -10,8 +10,11 @@ import pandas as pd
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 
 from pipeline.report.figures.style import (
+    INK,
     RASTER,
     SHAPES,
     axis_values,
@@ -33,8 +36,9 @@ _SHOWN = ("speed", "froude_speed", "stance_angle", "period", "spectral_radius")
 #: Largest number of rows of maps, one for each value of the other axes.
 _MAX_ROWS = 4
 
-#: Colours of outcomes other than gaits and falls, and of falls: muted, so that gaits stand out.
-_OTHER_COLOURS, _FALL_COLOURS = ("#b8a23a", "#9a74c4", "#4a9c74"), ("#8d939940", "#8d939980", "#8d9399c0")
+#: Colours of outcomes other than gaits and falls, and of falls: muted, so that gaits stand out, and of different hues,
+#: so that they are told apart on light and on dark pages.
+_OTHER_COLOURS, _FALL_COLOURS = ("#b8a23a", "#9a74c4", "#4a9c74"), ("#8fa3b866", "#b59a8566", "#6c8f6c99", "#8d9399cc")
 
 
 def heatmap(source: Source) -> Sketch | None:
@@ -164,7 +168,7 @@ def _column(table: pd.DataFrame, name: str) -> str:
 
 
 def basin(source: Source) -> Sketch | None:
-    """Map the outcome of each initial condition over its first two coordinates."""
+    """Map the outcome of each initial condition over its first two coordinates, whole and around the gaits."""
     table = source.tables.get("basin")
     if table is None or "outcome" not in table or table.empty:
         return None
@@ -172,42 +176,90 @@ def basin(source: Source) -> Sketch | None:
     plane = [c for c in table.columns if c not in others and table[c].dtype.kind == "f" and table[c].nunique() > 1][:2]
     if len(plane) < 2:
         return None
-    figure = canvas(300)
-    axes = figure.add_subplot()
-    outcomes = sorted({str(o) for o in table["outcome"]}, key=lambda o: (_is_fall(o), o))
+    table = table.astype({"outcome": str})
+    same = [c for c in (*source.line_columns(table), "slope") if c in table and table[c].nunique() > 1]
+    first = table[same].iloc[0].to_dict() if same else {}
+    shown = table[np.logical_and.reduce([table[c] == v for c, v in first.items()])] if first else table
+    outcomes = sorted(set(shown["outcome"]), key=lambda o: (_is_fall(o), o))
     other_inks, fall_inks = itertools.cycle(_OTHER_COLOURS), itertools.cycle(_FALL_COLOURS)
     inks = [next(fall_inks) if _is_fall(o) else RASTER.get(o) or next(other_inks) for o in outcomes]
-    which = table["outcome"].astype(str).map(outcomes.index)
-    if len(table) == table[plane[0]].nunique() * table[plane[1]].nunique():
-        z = table.assign(which=which.astype(float)).pivot(index=plane[1], columns=plane[0], values="which")
-        axes.pcolormesh(
-            z.columns,
-            z.index,
-            z.values,
-            shading="nearest",
-            cmap=ListedColormap(inks),
-            vmin=-0.5,
-            vmax=len(inks) - 0.5,
-            rasterized=True,
+    walking = shown[~shown["outcome"].map(_is_fall)]
+    window = _window(walking, plane) if 0 < len(walking) < 0.3 * len(shown) else []
+    figure = canvas(330 if window else 380)
+    panels = np.atleast_1d(figure.subplots(1, 1 + bool(window)))
+    gaits = _fixed_points(source, first, plane)
+    for axes in panels:
+        _draw_outcomes(axes, shown, plane, outcomes, inks)
+        for row in gaits.itertuples():
+            stable = row.gait in outcomes
+            axes.plot(
+                *(getattr(row, c) for c in plane), "o" if stable else "X", color=INK, mfc=INK if stable else "#ffffff",
+                ms=6, mew=1, zorder=5,
+            )  # fmt: skip
+        axes.grid(False)
+        axes.set_xlabel(_column(table, plane[0]))
+    set_heading(panels[0], _column(table, plane[1]))
+    if window:
+        panels[1].set_xlim(*window[0])
+        panels[1].set_ylim(*window[1])
+        set_heading(panels[1], "around the gaits")
+        panels[0].add_patch(
+            Rectangle(
+                (window[0][0], window[1][0]), np.diff(window[0])[0], np.diff(window[1])[0], fill=False, ec=INK, lw=0.9
+            )
         )
-    else:
-        axes.scatter(
-            table[plane[0]], table[plane[1]], s=4, lw=0, c=[inks[w] for w in which], rasterized=len(table) > SHAPES
-        )
-    for outcome, ink in zip(outcomes, inks, strict=True):
-        axes.scatter([], [], s=40, marker="s", lw=0, color=ink, label=shorten(outcome.replace("_", " ")))
-    axes.grid(False)
-    axes.set_xlabel(_column(table, plane[0]))
-    set_heading(axes, _column(table, plane[1]))
-    figure.legend(loc="outside upper left", ncols=3)
-    shown = thin(table, 400)
-    x, y = (shown[name].to_numpy() for name in plane)
-    values = {plane[0]: x, plane[1]: y, "outcome": shown["outcome"].astype(str).to_numpy()}
+    handles = [
+        Line2D([], [], ls="", marker="s", ms=7, color=ink, label=shorten(outcome.replace("_", " ")))
+        for outcome, ink in zip(outcomes, inks, strict=True)
+    ]
+    for label, marker, fill in (("stable gait", "o", INK), ("unstable gait", "X", "#ffffff")) if len(gaits) else ():
+        handles.append(Line2D([], [], ls="", marker=marker, color=INK, mfc=fill, label=label))
+    figure.legend(handles=handles, loc="outside upper left", ncols=4)
+    marked = thin(shown, 300)
+    x, y = (marked[name].to_numpy() for name in plane)
+    values = {plane[0]: x, plane[1]: y, "outcome": marked["outcome"].to_numpy()}
+    share = 100 * len(walking) / len(shown)
+    only = f" Drawn: {axis_values(first)}; the archive has the others." if first else ""
     return Sketch(
         figure,
         "Basin of attraction",
-        "Initial conditions coloured by outcome; grey ones fall.",
-        f"{len(table)} initial conditions over {' and '.join(plane)}, coloured by outcome: {', '.join(outcomes)}.",
+        f"Initial conditions coloured by outcome; {share:.2g} % of them lead to walking, the others, in muted colours, "
+        f"fall.{only}",
+        f"{len(shown)} initial conditions over {' and '.join(plane)}, coloured by outcome: {', '.join(outcomes)}.",
         table,
-        [Marks(axes, x, y, "initial condition", values)],
+        [Marks(panels[0], x, y, "initial condition", values)],
     )
+
+
+def _draw_outcomes(axes: Axes, table: pd.DataFrame, plane: list[str], outcomes: list[str], inks: list[str]) -> None:
+    """Draw outcomes as cells where the initial conditions are a grid, else as dots."""
+    which = table["outcome"].map(outcomes.index).astype(float)
+    if len(table) != table[plane[0]].nunique() * table[plane[1]].nunique():
+        axes.scatter(
+            table[plane[0]], table[plane[1]], s=4, lw=0, c=[inks[int(w)] for w in which], rasterized=len(table) > SHAPES
+        )
+        return
+    z = table.assign(which=which).pivot(index=plane[1], columns=plane[0], values="which")
+    limits: Any = {"vmin": -0.5, "vmax": len(inks) - 0.5}
+    axes.pcolormesh(
+        z.columns, z.index, z.values, shading="nearest", cmap=ListedColormap(inks), rasterized=True, **limits
+    )
+
+
+def _window(walking: pd.DataFrame, plane: list[str]) -> list[tuple[float, float]]:
+    """Ranges that hold the middle half of the walking initial conditions, with a margin."""
+    ranges = []
+    for name in plane:
+        low, high = np.quantile(walking[name], [0.05, 0.75] if walking[name].mean() > 0 else [0.25, 0.95])
+        ranges.append((low - 0.08 * (high - low), high + 0.08 * (high - low)))
+    return ranges
+
+
+def _fixed_points(source: Source, first: dict[str, Any], plane: list[str]) -> pd.DataFrame:
+    """Gaits of the line and slope drawn, in the coordinates of the map."""
+    table = source.tables.get("fixed_points")
+    if table is None or not {"gait", *plane} <= set(table.columns):
+        return pd.DataFrame(columns=["gait", *plane])
+    for column, value in first.items():
+        table = table[table[column] == value] if column in table else table
+    return table

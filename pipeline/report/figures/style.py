@@ -15,11 +15,13 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from pipeline.report.source import SUPERSCRIPTS, SYMBOLS
 
 #: Width of a figure [pt]; its text stays legible on a phone.
-WIDTH = 400
+WIDTH = 480
 
 #: Colours as drawn. On the page each is a CSS variable with a light and a dark value.
 INK, MUTED, RULE, PAPER = "#1b1d20", "#5d6268", "#dfe2e6", "#fefefd"
 GAIT_COLOURS = {"long": "#1f6fb2", "short": "#c04a08", "other1": "#7a4fa3", "other2": "#2a7a54"}
+#: What the paper prints.
+PRINTED = GAIT_COLOURS["other1"]
 VARIABLES = {
     INK: "ink",
     MUTED: "muted",
@@ -146,16 +148,22 @@ def _superscript(power: int) -> str:
     return str(power).translate(SUPERSCRIPTS)
 
 
-def draw_curve(axes: Axes, x: pd.Series, y: pd.Series, stable: pd.Series, ink: str, k: int = 0) -> None:
-    """Draw line k of a colour: thin, and thick where it is stable, with the same dashes."""
+def draw_curve(
+    axes: Axes, x: pd.Series, y: pd.Series, stable: pd.Series, ink: str, k: int = 0, group: int | None = None
+) -> None:
+    """Draw line k of a colour: thin, and thick where it is stable, with the same dashes.
+
+    `group` is the number of the line that the page highlights as one.
+    """
+    gid = None if group is None else f"line-{group}"
     dash = DASHES[k % len(DASHES)]
     thick = dash if dash == "-" else (0, tuple(length / 2.2 for length in dash[1]))
     is_stable = stable.to_numpy() == 1
     # The thin line extends one point into the thick one, so that there is no gap between them.
     inside = is_stable & np.roll(is_stable, 1) & np.roll(is_stable, -1)
     inside[[0, -1]] &= is_stable[[0, -1]]
-    axes.plot(x, y.mask(inside), color=ink, lw=1.1, ls=dash)
-    axes.plot(x, y.where(is_stable), color=ink, lw=2.6, ls=thick)
+    axes.plot(x, y.mask(inside), color=ink, lw=1.1, ls=dash, gid=gid)
+    axes.plot(x, y.where(is_stable), color=ink, lw=2.6, ls=thick, gid=gid)
 
 
 def labelled(frame: pd.DataFrame, gait: str) -> pd.Series:

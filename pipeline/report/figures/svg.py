@@ -13,11 +13,15 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from pipeline.report.figures.style import VARIABLES, plain, spread_evenly
 
 #: Points of a figure that show their values under the pointer.
 TARGETS = 400
+
+#: Size of a figure that the index shows as it is [character]; it shows larger ones more coarsely.
+_MAX_THUMBNAIL = 11_000
 
 
 @dataclass(frozen=True)
@@ -35,11 +39,15 @@ class Marks:
     command: str = ""
     slopes: np.ndarray | None = None
     commands: Sequence[str] | None = None
+    group: int | None = None
 
 
 @dataclass
 class Sketch:
-    """A figure as its function returns it: matplotlib's figure, its texts, its data and its marks."""
+    """A figure as its function returns it: matplotlib's figure, its texts, its data and its marks.
+
+    `lines` names the groups of curves that the page highlights one at a time.
+    """
 
     figure: Figure
     title: str
@@ -47,6 +55,7 @@ class Sketch:
     alt: str
     data: pd.DataFrame
     marks: list[Marks] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -63,6 +72,7 @@ class Drawing:
     data: pd.DataFrame
     small: str
     targets: list[dict[str, Any]]
+    lines: list[str]
 
 
 def render(sketch: Sketch, name: str, salt: str) -> Drawing:
@@ -76,7 +86,7 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     svg = _to_svg(figure, f"{salt}/{name}", 200)
-    small = _to_svg(figure, f"{salt}/{name}/small", 80) if "data:image" in svg else svg
+    small = _small(_to_svg(figure, f"{salt}/{name}/small", 50, 0)) if len(svg) > _MAX_THUMBNAIL else svg
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
         name,
@@ -89,18 +99,42 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
         sketch.data,
         small,
         _targets(sketch.marks, height),
+        sketch.lines,
     )
 
 
-def _to_svg(figure: Figure, salt: str, dpi: int) -> str:
-    """The figure's SVG; `dpi` is the resolution of its raster parts."""
+def _coarsen(figure: Figure) -> None:
+    """Leave out what is too small to see on the index: ticks, grid, legends and the details of curves."""
+    for line in figure.findobj(Line2D):
+        line.get_path().simplify_threshold = 1.0
+    for axes in figure.axes:
+        axes.tick_params(length=0)
+        axes.grid(False)
+    for legend in [*figure.legends, *filter(None, (axes.get_legend() for axes in figure.axes))]:
+        legend.set_visible(False)
+
+
+def _small(svg: str) -> str:
+    """A picture without the words, which are too small to read on the index."""
+    svg = re.sub(r"<text.*?</text>", "", svg, flags=re.S)
+    svg = re.sub(r" data-line=\"\d+\"| clip-path=\"[^\"]*\"|; stroke-linecap: square|<clipPath.*?</clipPath>", "", svg)
+    previous = ""
+    while svg != previous:
+        previous, svg = svg, re.sub(r"<g[^>]*>\s*</g>", "", svg)
+    return svg
+
+
+def _to_svg(figure: Figure, salt: str, dpi: int, decimals: int = 2) -> str:
+    """The figure's SVG; `dpi` is the resolution of its raster parts, `decimals` that of its paths."""
     stream = io.StringIO()
+    if not decimals:
+        _coarsen(figure)
     with matplotlib.rc_context({"svg.hashsalt": salt}):
         figure.savefig(stream, format="svg", dpi=dpi, metadata={"Date": None})
-    return _adapt(stream.getvalue())
+    return _adapt(stream.getvalue(), decimals)
 
 
-def _adapt(svg: str) -> str:
+def _adapt(svg: str, decimals: int) -> str:
     """Matplotlib's SVG without prologue, foreign names and fixed colours."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
@@ -108,11 +142,14 @@ def _adapt(svg: str) -> str:
     svg = re.sub(
         r"<svg [^>]*?viewBox=(\"[^\"]*\")[^>]*>", r'<svg viewBox=\1 aria-hidden="true" focusable="false">', svg
     )
-    svg = re.sub(r" id=\"[A-Za-z_.]+_\d+\"", "", svg).replace("xlink:href", "href")
+    svg = re.sub(r' id="line-(\d+)"', r' data-line="\1"', svg)
+    svg = re.sub(r" id=\"([A-Za-z_.0-9]+_\d+|image[0-9a-f]+)\"", "", svg).replace("xlink:href", "href")
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
+    cut = rf"(\.\d{{{decimals}}})\d+" if decimals else r"()\.\d+"
     for drawn, variable in VARIABLES.items():
         svg = svg.replace(f": {drawn}", f": var(--{variable})")
-    svg = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]), svg)
+    svg = re.sub(r' d="[^"]*"', lambda path: re.sub(cut, r"\1", path[0]), svg)
+    svg = re.sub(r"<use [^>]*>", lambda use: re.sub(r"(\.\d\d)\d+", r"\1", use[0]), svg)
     return re.sub(r">\s+<", "><", re.sub(r"\n\s*", " ", svg))
 
 
@@ -137,7 +174,8 @@ def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
             ]
             for i, (a, b) in zip(inside.tolist(), pixels, strict=True)
         ]
-        targets.append({"label": mark.label, "names": list(mark.values), "command": mark.command, "rows": rows})
+        target = {"label": mark.label, "names": list(mark.values), "command": mark.command, "rows": rows}
+        targets.append(target if mark.group is None else {**target, "line": mark.group})
     return targets[:TARGETS]
 
 

@@ -8,6 +8,21 @@ for (const plot of document.querySelectorAll(".plot")) {
   const dot = plot.appendChild(make("span", "dot")), tip = plot.appendChild(make("div", "tip"));
   tip.setAttribute("role", "status");
   let at = null, pinned = false;
+  const buttons = [...plot.querySelectorAll(".legend button")];
+  let chosen = null;
+  // One line of a figure stands out: that of the point under the pointer, or the one chosen in the legend.
+  function highlight(line) {
+    if (!buttons.length) return;
+    const shown = line ?? chosen;
+    plot.classList.toggle("lit", shown !== null);
+    for (const part of plot.querySelectorAll("svg [data-line]")) part.classList.toggle("on", Number(part.dataset.line) === shown);
+  }
+  for (const button of buttons) button.addEventListener("click", () => {
+    const line = Number(button.dataset.line);
+    chosen = chosen === line ? null : line;
+    for (const other of buttons) other.setAttribute("aria-pressed", Number(other.dataset.line) === chosen);
+    highlight(null);
+  });
   hide();
 
   function make(tag, name, text) {
@@ -16,7 +31,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     if (text !== undefined) node.textContent = text;
     return node;
   }
-  function hide() { dot.hidden = tip.hidden = true; at = null; pinned = false; tip.classList.remove("pinned"); }
+  function hide() { highlight(null); dot.hidden = tip.hidden = true; at = null; pinned = false; tip.classList.remove("pinned"); }
   function nearest(event) {
     const box = plot.getBoundingClientRect(), scale = box.width / width;
     let best = null, least = 24;
@@ -29,6 +44,7 @@ for (const plot of document.querySelectorAll(".plot")) {
   function show([s, r]) {
     const curve = series[s], [x, y, more, ...values] = curve.rows[r];
     at = [s, r];
+    highlight(curve.line ?? null);
     const list = make("dl");
     curve.names.forEach((name, i) => list.append(make("dt", "", name), make("dd", "", values[i])));
     tip.replaceChildren(make("b", "", curve.label), list);
@@ -48,7 +64,7 @@ for (const plot of document.querySelectorAll(".plot")) {
   });
   plot.addEventListener("pointerleave", () => { if (!pinned) hide(); });
   plot.addEventListener("click", event => {
-    if (tip.contains(event.target)) return;
+    if (tip.contains(event.target) || event.target.closest(".legend")) return;
     const point = nearest(event);
     if (!point) return hide();
     show(point);
@@ -182,6 +198,48 @@ for (const motion of document.querySelectorAll(".motion")) {
   button("step").addEventListener("click", () => { play(false); time += gait.time[gait.time.length - 1] / 24; frame(); });
   motion.querySelector("select")?.addEventListener("change", event => choose(Number(event.target.value)));
   choose(0);
+}
+
+// Tables: a click on a heading sorts the rows.
+for (const table of document.querySelectorAll("table.archive")) {
+  const body = table.tBodies[0];
+  if (!body || body.rows.length < 3) continue;
+  const exact = cell => { const data = cell.querySelector("data"); return data ? Number(data.value) : NaN; };
+  [...table.tHead.rows[0].cells].forEach((head, k) => {
+    if (!head.textContent.trim()) return;
+    const button = document.createElement("button");
+    button.type = "button"; button.className = "sort";
+    button.append(...head.childNodes);
+    head.append(button);
+    button.addEventListener("click", () => {
+      const down = head.getAttribute("aria-sort") === "ascending";
+      for (const other of table.tHead.rows[0].cells) other.removeAttribute("aria-sort");
+      head.setAttribute("aria-sort", down ? "descending" : "ascending");
+      const rows = [...body.rows].map(row => [exact(row.cells[k]), row.cells[k].textContent, row]);
+      rows.sort((a, b) => isNaN(a[0]) || isNaN(b[0]) ? a[1].localeCompare(b[1]) || 0 : a[0] - b[0]);
+      if (down) rows.reverse();
+      body.append(...rows.map(row => row[2]));
+    });
+  });
+}
+
+// Ledger: filter by words and verdict.
+for (const form of document.querySelectorAll(".filter")) {
+  form.hidden = false;
+  const claims = [...document.querySelectorAll(".claim")], said = form.querySelector("[role=status]");
+  const apply = () => {
+    const words = form.elements.words.value.toLowerCase().split(/\s+/).filter(Boolean), verdict = form.elements.verdict.value;
+    let count = 0;
+    for (const claim of claims) {
+      const text = claim.textContent.toLowerCase();
+      claim.hidden = !(words.every(word => text.includes(word)) && (!verdict || claim.dataset.verdict === verdict));
+      count += !claim.hidden;
+    }
+    for (const family of document.querySelectorAll(".family")) family.hidden = !family.querySelector(".claim:not([hidden])");
+    said.textContent = words.length || verdict ? `${count} of ${claims.length} claims` : "";
+  };
+  for (const event of ["input", "change"]) form.addEventListener(event, apply);
+  form.addEventListener("submit", event => event.preventDefault());
 }
 
 addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(details => { details.open = true; }));

@@ -1,0 +1,126 @@
+"""Tables that are arrays over the grid: orbits and basins, with flags in the place of words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from pipeline.archive import layout
+from pipeline.plan.missing import Plan
+
+Columns = Mapping[str, np.ndarray]
+#: Dimensions of each array after those of the lines, by the columns that hold their coordinates.
+LAYOUTS = {"basin": ("slope", "stance_angle", "stance_rate"), "orbits": ("slope", "start", "stride")}
+#: Names of dimensions that differ from the columns'.
+_RENAMED = {"stride": "step"}
+#: Dimensions along which a column is constant.
+_CONSTANT = {"repeats_to": ("stride",), "swing_rate": ("stance_angle",)}
+_FILTERS = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
+
+
+def write(
+    file: Any, plan: Plan, group: str, columns: Columns, attributes: Callable[[Plan, str, str], dict[str, str]]
+) -> None:
+    """Write the rows of a table as arrays over the lines' axes and the table's own dimensions.
+
+    Parameters
+    ----------
+    file : netCDF4.Dataset
+    plan : Plan
+    group : str
+        A table of `LAYOUTS`.
+    columns : mapping
+        Columns of all lines, shape (rows,), those of the lines' coordinates included. A coordinate that differs from
+        case to case, as the ranges of basins do by default, is an array over the cases and its own index.
+    attributes : callable
+        From plan, group and column to the attributes of a variable.
+    """
+    study, lines = plan.study, layout.Grid(plan.study)
+    places = [_walkers(study, columns) if d == "walker" else _find(columns[d], _axis(study, d)) for d in lines.lines]
+    sizes = [lines.sizes[d] for d in lines.lines]
+    slopes = study.slope
+    places.append(_find(columns["slope"], slopes))
+    sizes.append(len(slopes))
+    case = np.ravel_multi_index(places, sizes) if len(case_rows := columns["slope"]) else np.zeros(len(case_rows), int)
+    netcdf_group = file.createGroup(group)
+    dims = [*lines.lines, "slope"]
+    netcdf_group.createDimension("slope", len(slopes))
+    _variable(netcdf_group, "slope", ("slope",), slopes, attributes(plan, group, "slope"))
+    inner: dict[str, tuple[np.ndarray, int]] = {}
+    for name in LAYOUTS[group][1:]:
+        dim = _RENAMED.get(name, name)
+        place, values = _positions(case, columns[name])
+        inner[name] = place, values.shape[-1]
+        netcdf_group.createDimension(dim, values.shape[-1])
+        if values.ndim == 1:
+            _variable(netcdf_group, dim, (dim,), values, attributes(plan, group, name))
+        else:
+            array = np.full((math.prod(sizes), values.shape[-1]), np.nan)
+            array[np.unique(case)] = values
+            shaped = array.reshape(*sizes, -1)
+            _variable(netcdf_group, f"{name}_values", (*dims, dim), shaped, attributes(plan, group, name))
+    for name, values in columns.items():
+        if name in (*dims, "walker", *inner) or name in lines.sizes:
+            continue
+        kept = [c for c in inner if c not in _CONSTANT.get(name, ())]
+        shape = [math.prod(sizes), *(inner[c][1] for c in kept)]
+        text, words = values.dtype.kind == "U", np.unique(values)
+        codes = np.searchsorted(words, values).astype(np.int8) if text else values
+        array = np.full(
+            shape, -1 if codes.dtype.kind in "iu" else np.nan, np.int32 if codes.dtype.kind in "iu" else "f8"
+        )
+        array[(case, *(inner[c][0] for c in kept))] = codes
+        described: dict[str, Any] = dict(attributes(plan, group, name))
+        if text:
+            described |= {
+                "flag_values": np.arange(len(words), dtype=np.int8),
+                "flag_meanings": " ".join(str(word).replace(" ", "_") for word in words),
+            }
+        small = (
+            array
+            if array.dtype.kind == "f"
+            else array.astype(np.int8 if text else np.min_scalar_type(-array.max() - 1))
+        )
+        names = (*dims, *(_RENAMED.get(c, c) for c in kept))
+        _variable(netcdf_group, name, names, small.reshape(*sizes, *shape[1:]), described)
+
+
+def _axis(study: Any, name: str) -> np.ndarray:
+    return next(axis.values for axis in study.axes if axis.name == name)
+
+
+def _walkers(study: Any, columns: Columns) -> np.ndarray:
+    names = np.array(study.names)
+    order = np.argsort(names)
+    return order[np.searchsorted(names[order], columns["walker"])]
+
+
+def _find(values: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Index of each value in an array that holds it."""
+    order = np.argsort(among)
+    return order[np.searchsorted(among[order], values)]
+
+
+def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index of each coordinate, and the coordinates: shape (n,) if all cases share them, else (cases, n)."""
+    every = np.unique(values)
+    cases = np.unique(case)
+    if values.dtype.kind != "f" or all(len(np.unique(values[case == c])) == len(every) for c in cases):
+        return np.searchsorted(every, values), every
+    place, own = np.zeros(len(values), int), []
+    for c in cases:
+        mine, inverse = np.unique(values[case == c], return_inverse=True)
+        place[case == c] = inverse
+        own.append(mine)
+    return place, np.array(own)
+
+
+def _variable(group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, attributes: dict[str, Any]) -> None:
+    fill = np.nan if values.dtype.kind == "f" and name not in dims else False
+    filters = _FILTERS if values.size and dims else {}
+    variable = group.createVariable(name, values.dtype, dims, fill_value=fill, **filters)
+    variable.setncatts(attributes)
+    variable[...] = values

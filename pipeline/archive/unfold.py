@@ -1,0 +1,42 @@
+"""Arrays of an archive as tables; reading needs neither the tasks nor the plan."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+
+def unfolded(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
+    """Turn arrays of a group into rows again.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The group.
+    grid : Dataset
+        The archive's main group, with the coordinates of the lines.
+
+    Returns
+    -------
+    DataFrame
+        Coordinates and variables as columns, flags as words; rows without a number or a flag are left out.
+    """
+    dims = max((v.dims for v in dataset.variables.values()), key=len)
+    whole = dataset.assign_coords({d: grid[d] for d in dims if d in grid.coords and d not in dataset.coords})
+    own = {f"{d}_values" for d in dims}
+    frame = whole.drop_vars([n for n in whole.data_vars if not set(whole[n].dims) <= set(dims)]).to_dataframe()
+    frame = frame.reset_index()
+    for name in own & set(frame):
+        frame[name.removesuffix("_values")] = frame.pop(name)
+    numbers = frame.columns.difference([str(d) for d in dims])
+    empty = np.ones(len(frame), bool)
+    for name in numbers:
+        meanings = str(dataset[name].attrs.get("flag_meanings", "")).split() if name in dataset else []
+        values = frame[name].to_numpy()
+        if values.dtype.kind != "O":
+            empty &= np.isnan(values) if values.dtype.kind == "f" else values < 0
+        if meanings:
+            words = [word.replace("_", " ") for word in meanings]
+            frame[name] = pd.Categorical.from_codes(np.where(values < len(words), values, -1), words)
+    return frame[~empty].reset_index(drop=True)

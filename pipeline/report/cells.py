@@ -1,0 +1,127 @@
+"""Cells of tables: texts, each number with the exact value that it rounds and the digits that its error leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pipeline.report.figures.style import plain
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Text of a table cell, and the number that it rounds (None for words).
+
+    `counted` marks numbers that the report counts, which are not in the archive.
+    """
+
+    text: str
+    value: float | None = None
+    counted: bool = False
+
+    @property
+    def long(self) -> bool:
+        """Whether the text needs a wide column."""
+        return self.value is None and len(self.text) > 24
+
+    @property
+    def exact(self) -> str:
+        """The number with all its digits; empty for words."""
+        return "" if self.value is None else repr(self.value)
+
+
+def cell(value: Any, counted: bool = False, digits: int = 6) -> Cell:
+    """Make a cell of a value: numbers are shown with `digits` significant digits and kept exactly."""
+    if isinstance(value, (bool, np.bool_)):
+        return Cell("yes" if value else "no")
+    if isinstance(value, (int, np.integer)):
+        return Cell(str(int(value)).replace("-", "−"), int(value), counted)
+    if isinstance(value, (float, np.floating)):
+        return Cell("–") if np.isnan(value) else Cell(plain(float(value), digits), float(value), counted)
+    return Cell(str(value))
+
+
+#: Columns of names with underscores, which a page shows as words.
+_CODED = ("kind", "status", "smallest_at", "stability_lost_by")
+
+#: Columns of flags, shown as yes and no.
+_FLAGS = ("stable", "walks", "matters_most", "knees", "chaotic", "zero_slope_capable")
+
+#: Columns of errors and bounds.
+_ERRORS = (
+    "error_bound",
+    "standard_error",
+    "amplitude_linear_error",
+    "residual",
+    "energy_imbalance",
+    "repeats_to",
+    "error",
+)
+
+
+def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
+    """Make the cells of one column of a frame, each number with the digits that fit it."""
+    column = frame[name]
+    if name in _CODED:
+        return [Cell(str(v).replace("_", " ")) for v in column]
+    if name in _FLAGS and set(column) <= {0, 1}:
+        return [cell(bool(v)) for v in column]
+    if column.dtype.kind != "f":
+        return [cell(v) for v in column]
+    if name in _ERRORS:
+        return [cell(float(v), digits=2) for v in column]
+    if name in ("low", "high") and {"low", "high"} <= set(frame.columns):
+        width = np.abs((frame["high"] - frame["low"]) / column)
+        return [cell(float(v), digits=_digits(w)) for v, w in zip(column, width, strict=True)]
+    error = _error(name, frame)
+    if error is not None:
+        return [_located(v, e) for v, e in zip(column.to_numpy(), error, strict=True)]
+    decimals = _decimals(column.to_numpy())
+    if decimals is None:
+        return [cell(float(v)) for v in column]
+    texts = [f"{v + 0.0:.{decimals}f}".replace("-", "−") if np.isfinite(v) and v else "" for v in column]
+    return [Cell(text, float(v)) if text else cell(float(v)) for text, v in zip(texts, column, strict=True)]
+
+
+def _error(name: str, frame: pd.DataFrame) -> np.ndarray | None:
+    """Error of each number of a column, in its unit, where the table has one."""
+    if name in ("slope", "value") and "error_bound" in frame:
+        return np.asarray(frame["error_bound"] * frame[name].abs(), float)
+    if name == "slope" and {"low", "high"} <= set(frame.columns):
+        return 0.5 * np.asarray(frame["high"] - frame["low"], float)
+    if name == "exponent" and "standard_error" in frame:
+        return np.asarray(frame["standard_error"], float)
+    return None
+
+
+def _digits(width: float) -> int:
+    """Significant digits with which the two ends of an interval of that relative width differ in the last two."""
+    return int(np.clip(np.ceil(-np.log10(width)) + 1, 6, 15)) if width > 0 else 6
+
+
+def _located(value: float, error: float) -> Cell:
+    """A number with the digits that its error leaves, and the error of the last one: 0.01508844(2)."""
+    if not (np.isfinite(value) and np.isfinite(error) and 0 < error < abs(value)):
+        return cell(float(value))
+    power = max(int(np.floor(np.log10(error))), int(np.floor(np.log10(abs(value)))) - 14)
+    digit = int(np.ceil(round(error / 10.0**power, 6)))
+    if digit > 9:
+        power, digit = power + 1, 1
+    if power >= 0 or abs(value) < 1e-4:
+        return cell(float(value), digits=int(np.floor(np.log10(abs(value)))) - power + 1)
+    return Cell(f"{value:.{-power}f}({digit})".replace("-", "−"), float(value))
+
+
+def _decimals(values: np.ndarray) -> int | None:
+    """Decimals with which the numbers of a column are comparable; None if they span too much."""
+    sizes = np.abs(values[np.isfinite(values) & (values != 0)])
+    if not len(sizes) or sizes.min() < 1e-4 or sizes.max() >= 1e6 or sizes.max() > 2e3 * sizes.min():
+        return None
+    # Numbers of a few digits, such as the values of an axis, are shown as they are.
+    for decimals in range(7):
+        if np.allclose(sizes, np.round(sizes, decimals), rtol=0, atol=1e-12):
+            return decimals
+    return max(0, 5 - int(np.floor(np.log10(sizes.max()))))

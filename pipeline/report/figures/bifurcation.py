@@ -1,0 +1,97 @@
+"""Bifurcation diagrams of orbits (figure 12)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from pipeline.report.figures import landmarks
+from pipeline.report.figures.branch_curves import MAX_PANELS, groups, line_command, title
+from pipeline.report.figures.style import (
+    GAIT_COLOURS,
+    INK,
+    PRINTED,
+    RASTER,
+    SHAPES,
+    canvas,
+    plain,
+    set_heading,
+    shorten,
+    thin,
+)
+from pipeline.report.figures.svg import Marks, Sketch
+from pipeline.report.source import Source
+
+
+def bifurcation(source: Source) -> Sketch | None:
+    """Plot stance angles of successive steps of orbits against slope, with printed and computed landmarks."""
+    table = source.tables.get("orbits")
+    if table is None or not {"slope", "stance_angle"} <= set(table.columns):
+        return None
+    table = table[np.isfinite(table["stance_angle"])]
+    if table.empty:
+        return None
+    lines = groups(source, table)[:MAX_PANELS]
+    figure = canvas(330 if len(lines) == 1 else 230 * len(lines))
+    panels = np.atleast_1d(figure.subplots(len(lines), 1, sharex=True))
+    raster = len(table) > SHAPES
+    panels[-1].set_xlabel("slope γ (rad)")
+    marks, printed = [], []
+    for axes, (at, rows) in zip(panels, lines, strict=True):
+        size = 0.9 if len(rows) > 10_000 else 2
+        ink = RASTER["long"] if raster else GAIT_COLOURS["long"]
+        axes.plot(rows["slope"], rows["stance_angle"], ".", ms=size, mew=0, color=ink, rasterized=raster)
+        set_heading(axes, (shorten(title(at)) + ": " if at else "") + "stance angle θ* of successive steps (rad)")
+        walker = str(at.get("walker", source.walker))
+        here = landmarks.rows(source, walker)
+        shown = here[here["printed"].between(0.8 * rows["slope"].min(), 1.2 * rows["slope"].max())]
+        landmarks.draw_over_slopes(axes, shown)
+        printed.append(shown)
+        marks.append(_marks(source, axes, rows, title(at)))
+    _widen(panels, printed)
+    every = pd.concat(printed, ignore_index=True)
+    if len(every):
+        keys = [
+            Line2D([], [], color=PRINTED, lw=1.4, ls=(0, (5, 2)), label="printed"),
+            Line2D([], [], color=PRINTED, lw=7, alpha=0.25, label="allowed by rounding"),
+            Line2D([], [], color=INK, lw=0.8, ls=(0, (1, 2)), label="computed"),
+        ]
+        figure.legend(handles=keys, loc="outside upper left", ncols=3)
+    return Sketch(
+        figure,
+        "Bifurcation diagram",
+        "Stance angles of successive steps after the transient; initial conditions that fall are left out."
+        + landmarks.sentence(every),
+        f"Bifurcation diagram: {len(table)} stance angles against slope from {plain(table['slope'].min())} to "
+        f"{plain(table['slope'].max())} rad.",
+        table,
+        marks,
+    )
+
+
+def _widen(panels: np.ndarray[tuple[int], np.dtype[np.object_]], printed: list[pd.DataFrame]) -> None:
+    """Extend the shared slope axis so that every printed and computed landmark lies on it."""
+    values = pd.concat(printed)[["printed", "slope"]].to_numpy(float).ravel()
+    left, right = panels[-1].get_xlim()
+    if len(values):
+        panels[-1].set_xlim(min(left, values.min()), max(right, values.max() + 0.07 * (right - left)))
+
+
+def _marks(source: Source, axes: Axes, rows: pd.DataFrame, name: str) -> Marks:
+    # A dot is one step of an attractor: only its walker and slope can be solved again, for the gaits there.
+    shown = thin(rows, 400)
+    slopes, angles = shown["slope"].to_numpy(), shown["stance_angle"].to_numpy()
+    values = {"γ (rad)": slopes, "θ* of one step (rad)": angles}
+    if "period" in shown:
+        values["period"] = shown["period"].to_numpy()
+    return Marks(
+        axes,
+        slopes,
+        angles,
+        f"{name or 'orbit'}; command: the gaits there",
+        values,
+        line_command(source, shown),
+        slopes,
+    )

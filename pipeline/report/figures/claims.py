@@ -1,0 +1,73 @@
+"""The numbers of a study's claims beside the printed ones: a strip of ratios with their intervals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.lines import Line2D
+
+from pipeline.report.figures.style import GAIT_COLOURS, INK, MUTED, PRINTED, canvas, plain, set_heading
+from pipeline.report.figures.svg import Marks, Sketch
+from pipeline.report.source import Source
+
+#: Colour and marker of each verdict.
+_MARKS = {
+    "proved": (GAIT_COLOURS["long"], "D"),
+    "reproduced": (GAIT_COLOURS["long"], "o"),
+    "consistent within rounding": (PRINTED, "o"),
+    "approximate": (MUTED, "s"),
+    "not reproduced": (GAIT_COLOURS["short"], "X"),
+    "not checkable": (MUTED, "X"),
+}
+
+
+def claims(source: Source) -> Sketch | None:
+    """Plot the verdict on every claim of a study, and the ratio of computed to printed numbers where one is printed."""
+    table = source.tables.get("claims")
+    if table is None or not len(table) or not {"id", "verdict", "value"} <= set(table.columns):
+        return None
+    verdicts = table["verdict"].astype(str).str.replace("_", " ")
+    table = table.assign(verdict=verdicts).iloc[::-1].reset_index(drop=True)
+    printed = table["printed_value"].astype(float) if "printed_value" in table else pd.Series(np.nan, table.index)
+    figure = canvas(max(180, 60 + 13 * len(table)))
+    axes = figure.add_subplot()
+    axes.axvline(1, color=INK, lw=0.8, zorder=1)
+    marks, drawn = [], []
+    for k, row in table.iterrows():
+        ink, marker = _MARKS.get(str(row["verdict"]), (MUTED, "s"))
+        ratio = float(row["value"]) / printed[k] if np.isfinite(printed[k]) and printed[k] else 1.0
+        fill = ink if np.isfinite(printed[k]) else "none"
+        if np.isfinite(printed[k]) and row["interval_low"] <= row["interval_high"]:
+            ends = [row["interval_low"] / printed[k], row["interval_high"] / printed[k]]
+            axes.plot(ends, [k, k], color=PRINTED, lw=5, alpha=0.3, solid_capstyle="butt")
+        axes.plot([ratio], [k], marker, color=ink, mfc=fill, ms=6)
+        values = {"claim": [row["printed"]], "computed": [float(row["value"])], "verdict": [row["verdict"]]}
+        marks.append(
+            Marks(axes, np.array([ratio]), np.array([float(k)]), str(row["id"]), values, commands=[row["command"]])
+        )
+        drawn.append(str(row["verdict"]))
+    axes.set_yticks(range(len(table)), table["id"].astype(str), fontsize=8)
+    axes.set_ylim(-0.8, len(table) - 0.2)
+    axes.grid(axis="y", visible=False)
+    axes.set_xlabel("computed over printed number")
+    set_heading(axes, "claim")
+    keys = [
+        Line2D([], [], ls="", marker=marker, color=ink, ms=6, label=verdict)
+        for verdict, (ink, marker) in _MARKS.items()
+        if verdict in drawn
+    ]
+    keys.append(Line2D([], [], ls="", marker="o", color=MUTED, mfc="none", ms=6, label="no number printed"))
+    keys.append(Line2D([], [], color=PRINTED, lw=5, alpha=0.3, label="allowed by rounding"))
+    figure.legend(handles=keys, loc="outside upper left", ncols=3)
+    counts = ", ".join(f"{drawn.count(v)} {v}" for v in _MARKS if v in drawn)
+    compared = int(np.isfinite(printed).sum())
+    worst = np.nanmax(np.abs(table["value"].astype(float) / printed - 1)) if compared else np.nan
+    return Sketch(
+        figure,
+        "Claims",
+        f"Verdicts on the {len(table)} claims of this study: {counts}. Filled: computed over printed number, for the "
+        f"{compared} claims with one" + (f"; they differ by up to {plain(100 * worst, 2)} %." if compared else "."),
+        f"Ratio of computed to printed numbers of {len(table)} claims: {counts}.",
+        table,
+        marks,
+    )

@@ -1,0 +1,97 @@
+"""Printed numbers beside computed ones: a mark at the printed number, a bar over what rounding allows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from pipeline.report.figures.style import INK, PRINTED, plain
+from pipeline.report.source import Source
+
+#: Columns of the tables of landmarks.
+_COLUMNS = ["landmark", "walker", "printed", "half_unit", "slope", "slope_low", "slope_high", "stance_angle"]
+
+
+def rows(source: Source, walker: str | None = None) -> pd.DataFrame:
+    """Rows of the tables `landmarks` and `crises` with a printed number, of one walker or of all."""
+    found = [source.tables[name] for name in ("landmarks", "crises") if name in source.tables]
+    found = [table[_COLUMNS] for table in found if set(_COLUMNS) <= set(table.columns)]
+    table = pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=_COLUMNS)
+    table = table.astype(dict.fromkeys(_COLUMNS[2:], float))
+    table = table[np.isfinite(table["printed"])]
+    return table if walker is None else table[table["walker"] == walker]
+
+
+def point_numbers(source: Source) -> pd.DataFrame:
+    """Rows of the table `landmarks` that are numbered in the paper's figure."""
+    table = source.tables.get("landmarks")
+    if table is None or not {"point", "slope", "walker"} <= set(table.columns):
+        return pd.DataFrame(columns=["walker", "slope", "point"])
+    return table[table["point"].astype(str) != ""]
+
+
+def _as_printed(value: float, half_unit: float) -> str:
+    """A number with the digits that the paper prints, given half a unit of the last: 0.020."""
+    digits = max(0, round(-math.log10(2 * half_unit))) if half_unit > 0 else 0
+    return f"{value:.{digits}f}" if half_unit > 0 else plain(value)
+
+
+def draw_at_angles(axes: Axes, table: pd.DataFrame) -> bool:
+    """Mark printed slopes at the stance angles of the computed landmarks; whether there were any."""
+    low, high = sorted(axes.get_xlim())
+    log = axes.get_xscale() == "log"
+    table = table[np.isfinite(table["stance_angle"]) & table["printed"].between(low, high)]
+    for row in table.itertuples():
+        axes.plot([row.slope_low, row.slope_high], [row.stance_angle] * 2, color=PRINTED, lw=5, alpha=0.3, zorder=3)
+        axes.plot([row.printed], [row.stance_angle], "|", color=PRINTED, ms=15, mew=2, zorder=6)
+        axes.annotate(
+            _as_printed(row.printed, row.half_unit),
+            (row.printed if log else row.slope_low, row.stance_angle),
+            xytext=(5, -10) if log else (-5, 0),
+            textcoords="offset points",
+            ha="left" if log else "right",
+            va="center",
+            color=PRINTED,
+            fontsize=8.5,
+        )
+    return bool(len(table))
+
+
+def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> bool:
+    """Mark printed slopes by lines across the panel, beside the computed ones; whether there were any."""
+    for row in table.sort_values("slope").itertuples():
+        axes.axvspan(row.slope_low, row.slope_high, color=PRINTED, alpha=0.12, lw=0, zorder=0.5)
+        axes.axvline(row.printed, color=PRINTED, lw=1.4, ls=(0, (5, 2)), zorder=3)
+        axes.axvline(row.slope, color=INK, lw=0.8, ls=(0, (1, 2)), zorder=3)
+        for text, at, ink, height in (
+            (f"printed {_as_printed(row.printed, row.half_unit)}", row.printed, PRINTED, 0.02),
+            (f"computed {plain(row.slope, 5)}", row.slope, INK, 0.1),
+        ):
+            axes.annotate(
+                text,
+                (at, height),
+                xycoords=axes.get_xaxis_transform(),
+                xytext=(3 if at == max(row.printed, row.slope) else -3, 0),
+                textcoords="offset points",
+                ha="left" if at == max(row.printed, row.slope) else "right",
+                color=ink,
+                fontsize=8,
+            )
+    return bool(len(table))
+
+
+def sentence(table: pd.DataFrame) -> str:
+    """The printed and computed slopes in words."""
+    parts = []
+    for row in table.itertuples():
+        interval = (
+            f", {plain(row.slope_low, 3)}–{plain(row.slope_high, 3)} with the parameters as printed"
+            if row.slope_high - row.slope_low > 1e-3 * row.slope
+            else ""
+        )
+        printed = _as_printed(row.printed, row.half_unit)
+        parts.append(f"{row.landmark}: printed {printed}, computed {plain(row.slope, 5)}{interval}")
+    return f" Purple: printed slopes, and the interval that rounding allows ({'; '.join(parts)})." if parts else ""

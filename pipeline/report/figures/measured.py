@@ -1,0 +1,189 @@
+"""The user's own measurements: drawn on the figures of their variables, and compared with the curves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from pipeline.report.figures.style import (
+    DASHES,
+    INK,
+    PAPER,
+    canvas,
+    colour,
+    draw_curve,
+    plain,
+    set_heading,
+    shorten,
+    thin,
+)
+from pipeline.report.figures.svg import Marks, Sketch
+from pipeline.report.source import SYMBOLS, Line, Source
+
+#: How measurements are drawn.
+_MARK: Any = {"fmt": "s", "color": INK, "mfc": PAPER, "ms": 5, "capsize": 2.5, "lw": 0.9, "zorder": 7}
+
+
+def table(source: Source) -> pd.DataFrame:
+    """The measurements in the archive; no rows if there are none."""
+    found = source.tables.get("overlay")
+    return pd.DataFrame() if found is None else found
+
+
+def variables(source: Source) -> list[str]:
+    """Names of the variables that were measured."""
+    names = [str(c) for c in table(source).columns]
+    return [n for n in names if n not in ("walker", "gait", *source.axes, "slope") and not n.endswith("_error")]
+
+
+def draw(axes: Axes, source: Source, variable: str, at: dict[str, Any] | None = None) -> Line2D | None:
+    """Draw the measurements of a variable against slope; their entry for the legend, None if there are none."""
+    rows = _rows(table(source), at or {})
+    if variable not in rows or "slope" not in rows or not rows[variable].notna().any():
+        return None
+    errors = {
+        key: rows[name].fillna(0.0)
+        for key, name in (("xerr", "slope_error"), ("yerr", f"{variable}_error"))
+        if name in rows
+    }
+    axes.errorbar(rows["slope"], rows[variable], **errors, **_MARK)
+    return Line2D([], [], ls="", marker="s", color=INK, mfc=PAPER, ms=5, label="measured")
+
+
+def _rows(frame: pd.DataFrame, at: dict[str, Any]) -> pd.DataFrame:
+    """Rows of measurements on one line."""
+    for column, value in at.items():
+        if column in frame:
+            same = frame[column] == value if frame[column].dtype == object else np.isclose(frame[column], value)
+            frame = frame[same]
+    return frame
+
+
+def _position(line: Line, source: Source) -> dict[str, Any]:
+    """Values of a line's axes, as columns of the measurements."""
+    return {**line.set, **({"walker": line.walker} if len(source.walkers) > 1 else {})}
+
+
+def _branch_lines(source: Source) -> list[tuple[str, dict[str, Any], list[pd.DataFrame]]]:
+    """Lines of the study: name, values of the axes, and curves with `slope`, `gait` and variables."""
+    if source.lines:
+        names = [v for v in variables(source) if v in source.grid]
+        return [(line.label, _position(line, source), list(line.curves(*names))) for line in source.lines]
+    branches = source.tables.get("branches")
+    if branches is None:
+        return []
+    columns = [c for c in source.line_columns(branches) if branches[c].nunique() > 1]
+    grouped = branches.groupby(columns, sort=False) if columns else [((), branches)]
+    lines = []
+    for key, rows in grouped:
+        at = dict(zip(columns, key if isinstance(key, tuple) else (key,), strict=True))
+        name = ", ".join(str(v) for v in at.values()) or source.walker
+        pieces = [piece for _, branch in rows.groupby("branch", sort=False) for piece in _monotone(branch)]
+        lines.append((name, at, pieces))
+    return lines
+
+
+def _monotone(branch: pd.DataFrame) -> list[pd.DataFrame]:
+    """Pieces of a branch between its folds, each by rising slope."""
+    direction = np.sign(np.diff(branch["slope"].to_numpy(), prepend=np.nan))
+    direction[0] = direction[1] if len(direction) > 1 else 1
+    piece = np.cumsum(np.diff(direction, prepend=direction[0]) != 0)
+    return [rows.sort_values("slope") for _, rows in branch.groupby(piece)]
+
+
+def residuals(source: Source) -> pd.DataFrame:
+    """Compare every measurement with the curve at its slope.
+
+    Returns
+    -------
+    DataFrame
+        The coordinates of each measurement, `variable`, `measured`, `computed` (NaN where no curve has that slope),
+        `residual`, its `error` and the residual `over_error`. Curves are interpolated linearly; of several gaits the
+        nearest is taken, unless the measurement names one.
+    """
+    rows = []
+    for variable in variables(source):
+        for _, at, curves in _branch_lines(source):
+            for _, row in _rows(table(source), at).iterrows():
+                value = float(row[variable])
+                if np.isfinite(value):
+                    computed = _nearest(curves, variable, row, value)
+                    error = float(row.get(f"{variable}_error", np.nan))
+                    place = {c: row[c] for c in ("walker", *source.axes, "slope", "gait") if c in row}
+                    rows.append(
+                        {
+                            **place,
+                            "variable": variable.replace("_", " "),
+                            "measured": value,
+                            "computed": computed,
+                            "residual": value - computed,
+                            "error": error,
+                            "over_error": (value - computed) / error if error > 0 else np.nan,
+                        }
+                    )
+    return pd.DataFrame(rows)
+
+
+def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series, value: float) -> float:
+    """The computed value nearest to a measured one among the gaits at its slope; NaN if there is none."""
+    found = []
+    for curve in curves:
+        wanted = str(row.get("gait", "") or "")
+        part = curve if not wanted else curve[curve["gait"] == wanted]
+        if variable not in part:
+            continue
+        part = part.dropna(subset=[variable]).sort_values("slope")
+        slope = float(row.get("slope", part["slope"].iloc[0] if len(part) else np.nan))
+        if len(part) and part["slope"].iloc[0] <= slope <= part["slope"].iloc[-1]:
+            found.append(float(np.interp(slope, part["slope"], part[variable])))
+    return min(found, key=lambda y: abs(y - value)) if found else np.nan
+
+
+def measured(source: Source) -> Sketch | None:
+    """Plot every measured variable against slope, with the curves and their measurements."""
+    names = [v for v in variables(source) if any(v in c for _, _, curves in _branch_lines(source) for c in curves)]
+    if not names or "slope" not in table(source):
+        return None
+    figure = canvas(60 + 250 * len(names))
+    panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
+    marks, pieces, gaits = [], [], []
+    for axes, name in zip(panels, names, strict=True):
+        for k, (label, _, curves) in enumerate(_branch_lines(source)):
+            for whole in curves:
+                curve = thin(whole)
+                for gait in curve["gait"].unique() if name in curve else ():
+                    part = curve[(curve["gait"] == gait) & curve[name].notna()]
+                    stable = part["stable"] if "stable" in part else pd.Series(np.nan, part.index)
+                    draw_curve(axes, part["slope"], part[name], stable, colour(str(gait)), k)
+                    gaits += [str(gait)] if len(part) else []
+                    pieces.append(part.assign(line=label, variable=name, value=part[name]))
+        rows = table(source)
+        draw(axes, source, name)
+        values = {"γ (rad)": rows["slope"].to_numpy(), name.replace("_", " "): rows[name].to_numpy()}
+        marks.append(Marks(axes, rows["slope"].to_numpy(), rows[name].to_numpy(), "measured", values))
+        unit = source.units(name)
+        symbol = SYMBOLS.get(name, "")
+        set_heading(axes, " ".join(filter(None, (name.replace("_", " "), symbol, f"({unit})" if unit else ""))))
+    panels[-1].set_xlabel("slope γ (rad)")
+    keys = [Line2D([], [], color=colour(g), lw=1.4, label=f"{shorten(g)} step") for g in dict.fromkeys(gaits) if g]
+    keys.append(Line2D([], [], ls="", marker="s", color=INK, mfc=PAPER, ms=5, label="measured"))
+    labels = [label for label, _, _ in _branch_lines(source)]
+    if 1 < len(labels) <= len(DASHES):
+        keys += [Line2D([], [], color=INK, lw=1, ls=DASHES[k], label=shorten(n)) for k, n in enumerate(labels)]
+    figure.legend(handles=keys, loc="outside upper left", ncols=4)
+    data = pd.concat(pieces, ignore_index=True) if pieces else pd.DataFrame()
+    left = residuals(source)["residual"].abs()
+    worst = f"; the largest residual is {plain(float(left.max()), 3)}" if left.notna().any() else ""
+    return Sketch(
+        figure,
+        "Measured and computed",
+        f"Squares: the study's own measurements with their errors ({len(table(source))} rows){worst}. The table of "
+        "residuals compares each with the curve.",
+        f"Measurements of {', '.join(names)} beside the computed curves, against slope.",
+        data,
+        marks,
+    )

@@ -1,0 +1,224 @@
+"""The ledger of claims: rows made of the pages' entries, a small picture of each number, and the tally of verdicts."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import pandas as pd
+
+from pipeline.report.cells import Cell, cell
+from pipeline.report.entry import Entry
+from pipeline.report.figures.style import plain
+from pipeline.report.source import SUPERSCRIPTS
+
+#: Families of claims by the letter of their id.
+FAMILIES = {
+    "D": "Simplest walker",
+    "E": "Point feet with mass",
+    "P": "Physical walker",
+    "T": "Tuning",
+    "Z": "Zero-slope walkers",
+    "M": "Energy",
+    "K": "Kneed chaos",
+    "W": "Wheels",
+    "G": "General",
+    "A": "Appendix A",
+}
+
+#: Verdicts, best first, and the sign of each.
+_SIGNS = {
+    "proved": "proved",
+    "reproduced": "yes",
+    "consistent within rounding": "within",
+    "approximate": "open",
+    "not reproduced": "no",
+    "not checkable": "open",
+}
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A printed number and a computed one on one scale: positions in percent of the picture's width.
+
+    `printed_from` and `printed_to` are what rounds to the printed number, `low` and `high` what the rounding of the
+    printed parameters allows the computed one; equal ends mean an exact number.
+    """
+
+    printed: float | None
+    printed_from: float
+    printed_to: float
+    value: float
+    low: float
+    high: float
+    words: str
+
+
+@dataclass(frozen=True)
+class ClaimRow:
+    """One claim of the ledger, with links to the pages that show it."""
+
+    id: str
+    printed: Cell
+    quotation: str
+    source: str
+    computed: list[str]
+    value: Cell
+    number: Cell
+    interval: list[Cell]
+    bar: Bar | None
+    verdict: str
+    sign: str
+    figure: str
+    href: str
+    command: str
+
+
+@dataclass(frozen=True)
+class Family:
+    """Claims on one subject."""
+
+    title: str
+    verdicts: list[ClaimRow] = field(default_factory=list)
+
+
+def families(entries: Iterable[Entry]) -> list[Family]:
+    """Every claim of some pages by family, each with a link to its figure."""
+    entries = list(entries)
+    pages = {entry.slug: f"{entry.slug}.html" for entry in entries}
+    pages |= {f"{entry.study}/{name}": f"{entry.slug}.html#{name}" for entry in entries for name in entry.figures}
+    groups: dict[str, Family] = {}
+    for entry in entries:
+        for row in entry.claims:
+            title = FAMILIES.get(str(row["id"])[:1].upper(), "Others")
+            groups.setdefault(title, Family(title)).verdicts.append(_claim_row(row, entry, pages))
+    order = [*FAMILIES.values(), "Others"]
+    for family in groups.values():
+        family.verdicts.sort(key=lambda v: (v.id[:1], len(v.id), v.id))
+    return sorted(groups.values(), key=lambda f: order.index(f.title))
+
+
+def tally(ledger: Iterable[Family]) -> dict[str, list[ClaimRow]]:
+    """Claims by verdict, the best verdict first."""
+    rows = [row for family in ledger for row in family.verdicts]
+    order = list(dict.fromkeys([*_SIGNS, *(row.verdict for row in rows)]))
+    return {verdict: found for verdict in order if (found := [row for row in rows if row.verdict == verdict])}
+
+
+def table(ledger: Iterable[Family]) -> pd.DataFrame:
+    """The ledger as a table, for the CSV file."""
+    return pd.DataFrame(
+        [
+            {
+                "id": row.id,
+                "claim": row.printed.text,
+                "quotation": row.quotation,
+                "place": row.source,
+                "printed": row.number.value,
+                "computed": row.value.value,
+                "interval_low": row.interval[0].value if row.interval else None,
+                "interval_high": row.interval[1].value if row.interval else None,
+                "verdict": row.verdict,
+                "result": "; ".join(row.computed),
+                "command": row.command,
+            }
+            for family in ledger
+            for row in family.verdicts
+        ]
+    )
+
+
+#: What plain text writes for signs, in the order of replacement.
+_SIGNS_IN_TEXT = (
+    (r"(?<![\w.])1e([+-]\d+)\b", lambda m: "10" + _raised(m[1])),
+    (r"(?<=\d)e([+-]\d+)\b", lambda m: " × 10" + _raised(m[1])),
+    (r"\^\(1/3\)", lambda _: "¹ᐟ³"),
+    (r"\^\(3/2\)", lambda _: "³ᐟ²"),
+    (r"\^(\d+)\b(?!\.)", lambda m: _raised(m[1])),
+    (r"\^p\b", lambda _: "ᵖ"),
+    (r"->", lambda _: "→"),
+    (r"\+-", lambda _: "±"),
+    (r" ~ ", lambda _: " ∝ "),
+    (r"x'/y'", lambda _: "ẋ/ẏ"),
+    (r"(?<=\d)-(?=\d)", lambda _: "–"),
+    (r"(?<![\w)])-(?=\d)", lambda _: "−"),
+)
+
+
+def typeset(text: str) -> str:
+    """Text with the signs of print: powers, products, arrows, minus signs and ranges."""
+    for pattern, sign in _SIGNS_IN_TEXT:
+        text = re.sub(pattern, sign, text)
+    return text
+
+
+def _raised(power: str) -> str:
+    return str(int(power)).translate(SUPERSCRIPTS)
+
+
+def sign(verdict: str) -> str:
+    """Sign of a verdict: proved, yes, within, no or open."""
+    words = verdict.replace("_", " ").strip().lower()
+    return _SIGNS.get(words, "no" if words.startswith("not ") else "open")
+
+
+def _claim_row(row: Mapping[str, Any], entry: Entry, pages: Mapping[str, str]) -> ClaimRow:
+    verdict, figure = str(row.get("verdict", "")).replace("_", " "), str(row.get("figure", ""))
+    href = pages.get(figure) or pages.get(f"{entry.study}/{figure}") or pages.get(entry.slug, "")
+    interval = [_number(row, name) for name in ("interval_low", "interval_high")]
+    computed = row.get("computed", "")
+    words = [str(computed)] if not isinstance(computed, str) else [part.strip() for part in computed.split(";")]
+    return ClaimRow(
+        str(row["id"]),
+        Cell(typeset(printed)) if isinstance(printed := row.get("printed", ""), str) else cell(printed),
+        str(row.get("quotation", "")),
+        str(row.get("source", "")),
+        [typeset(part) for part in words if part],
+        _number(row, "value") if "value" in row else _number(row, "computed"),
+        _number(row, "printed_value"),
+        interval if all(c.value is not None for c in interval) else [],
+        _bar(row),
+        verdict,
+        sign(verdict),
+        figure or entry.name,
+        href,
+        str(row.get("command", "")),
+    )
+
+
+def _number(row: Mapping[str, Any], name: str) -> Cell:
+    value = row.get(name)
+    return cell(value) if isinstance(value, (int, float)) and math.isfinite(value) else Cell("")
+
+
+def _bar(row: Mapping[str, Any]) -> Bar | None:
+    """Picture of a claim's numbers; None where nothing is printed and nothing varies."""
+    value, printed, half, low, high = (
+        float(v) if isinstance(v := row.get(name), (int, float)) else math.nan
+        for name in ("value", "printed_value", "printed_half_unit", "interval_low", "interval_high")
+    )
+    has_interval = low <= high
+    if not math.isfinite(value) or not (math.isfinite(printed) or has_interval):
+        return None
+    low, high = (low, high) if has_interval else (value, value)
+    half = half if math.isfinite(half) else 0.0
+    around = [value, low, high] + ([printed - half, printed + half] if math.isfinite(printed) else [])
+    left, right = min(around), max(around)
+    # At least 2 % of the number, so that equal numbers are not drawn apart.
+    span = max(right - left, 0.02 * abs(value)) or 1.0
+    left, right = 0.5 * (left + right - 1.16 * span), 0.5 * (left + right + 1.16 * span)
+
+    def place(x: float) -> float:
+        return round(100 * (x - left) / (right - left), 2)
+
+    if not math.isfinite(printed):
+        words = f"computed {plain(value, 6)}, from {plain(low, 4)} to {plain(high, 4)} by rounding"
+        return Bar(None, 0, 0, place(value), place(low), place(high), words)
+    words = f"printed {plain(printed, 4)}, computed {plain(value, 6)}"
+    words += f", from {plain(low, 4)} to {plain(high, 4)} by rounding" if has_interval else ""
+    return Bar(
+        place(printed), place(printed - half), place(printed + half), place(value), place(low), place(high), words
+    )

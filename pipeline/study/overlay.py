@@ -1,0 +1,130 @@
+"""Measurements of the user's own, shown beside the curves: `[figures.overlay] file = "measured.csv"`."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.errors import StudyError
+from pipeline.study.location import Location, clip
+from tasks.registry import GAITS, SI_UNITS, VARIABLES
+
+Columns = dict[str, np.ndarray]
+_MAX_BYTES, _MAX_ROWS = 1 << 22, 20_000
+#: Other spellings of units, and factors of units that are converted.
+_SPELLINGS = {"": "1", "-": "1", "m/s": "m s-1", "rad/s": "rad s-1", "kg m2": "kg m2", "N*m": "N m"}
+_DEGREES = ("deg", "°", "degree", "degrees")
+
+
+def read(
+    name: object, folder: Path, axes: Mapping[str, str], needed: Sequence[str], is_si: bool, location: Location
+) -> Columns:
+    """Read measurements from a CSV file.
+
+    Parameters
+    ----------
+    name : object
+        The study's entry: a file, relative to `folder`. Its first row names each column and its unit, as `slope [rad]`,
+        `period [s]`, `period_error [s]`; `walker` and `gait` hold names. Degrees are converted to radians.
+    folder : Path
+    axes : mapping
+        CF units of the study's axes by name; `walker` has none.
+    needed : sequence of str
+        Axes with several values, which the file must have a column for.
+    is_si : bool
+        Whether the study's walkers are in SI units.
+    location : Location
+        Place of the entry in the study.
+
+    Returns
+    -------
+    dict of ndarray, shape (n,)
+        Columns by name: numbers, in the study's units and NaN where a cell is empty, or words.
+
+    Raises
+    ------
+    StudyError
+        If the file cannot be read, or a column, a unit or a cell is wrong.
+    """
+    if not isinstance(name, str) or not name or Path(name).is_absolute():
+        raise location.wrong("must be a path relative to the study", name)
+    shown = clip(name, 200)
+    try:
+        path = folder / name
+        if not path.is_file():
+            raise location.error(f"There is no file {shown}")
+        if path.stat().st_size > _MAX_BYTES:
+            raise location.error(f"{shown} is larger than 4 MiB")
+        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines(), strict=True))
+    except (OSError, ValueError, csv.Error) as error:
+        if isinstance(error, StudyError):
+            raise
+        raise location.error(f"{shown} cannot be read: {clip(str(error), 120)}") from error
+    rows = [row for row in rows if any(cell.strip() for cell in row)]
+    if len(rows) < 2 or len(rows) > _MAX_ROWS:
+        raise location.error(f"{shown} must have a heading and 1 to {_MAX_ROWS:,} rows; it has {max(0, len(rows) - 1)}")
+    columns = dict(_columns(rows, shown, axes, is_si, location))
+    for axis in needed:
+        if axis not in columns:
+            raise location.error(f"{shown} needs the column `{axis}`, an axis with several values")
+    if not any(column in VARIABLES for column in columns):
+        raise location.error(f"{shown} has no measured variable, such as `period` or `stance_angle`")
+    return columns
+
+
+def _columns(
+    rows: list[list[str]], shown: str, axes: Mapping[str, str], is_si: bool, location: Location
+) -> Iterator[tuple[str, np.ndarray]]:
+    measured = [v.name for v in VARIABLES.values() if v.dims == ("gait",) and v.dtype == "f8"]
+    known = [*axes, "walker", "gait", *measured]
+    seen = []
+    for k, heading in enumerate(rows[0]):
+        match = re.fullmatch(r"\s*(\w+)\s*(?:\[([^\]]*)\])?\s*", heading)
+        name, unit = (match[1], (match[2] or "").strip()) if match else (heading, "")
+        base = name.removesuffix("_error")
+        if name not in known and not (base != name and base in known and base not in ("walker", "gait")):
+            raise location.unknown(name, known, f"column of {shown}")
+        if name in seen:
+            raise location.error(f"{shown} has two columns `{name}`")
+        seen.append(name)
+        cells = [row[k].strip() if k < len(row) else "" for row in rows[1:]]
+        if name in ("walker", "gait"):
+            yield name, _words(name, cells, shown, location)
+            continue
+        expected = axes[base] if base in axes else VARIABLES[base].units(is_si)
+        yield name, _numbers(name, cells, shown, location) * _factor(name, unit, expected, shown, location)
+
+
+def _factor(name: str, unit: str, expected: str, shown: str, location: Location) -> float:
+    """Factor from the unit given to the expected one."""
+    given = _SPELLINGS.get(unit, unit)
+    if expected == SI_UNITS["angle"] and given in _DEGREES:
+        return float(np.pi / 180)
+    if given != expected:
+        wanted = f"`{name} [{expected}]`" if expected != "1" else f"`{name}` without a unit, as the walker has none"
+        raise location.error(f"The column `{name} [{clip(unit, 20)}]` of {shown} must be {wanted}")
+    return 1.0
+
+
+def _numbers(name: str, cells: list[str], shown: str, location: Location) -> np.ndarray:
+    values = np.full(len(cells), np.nan)
+    for i, cell in enumerate(cells):
+        try:
+            values[i] = float(cell) if cell else np.nan
+        except ValueError:
+            values[i] = np.inf
+        if np.isinf(values[i]) or (name.endswith("_error") and values[i] < 0):
+            bound = "must be a number" if np.isinf(values[i]) else "must be at least 0"
+            raise location.error(f"`{name}` {bound}; got {clip(cell)!r} ({shown}, row {i + 2})")
+    return values
+
+
+def _words(name: str, cells: list[str], shown: str, location: Location) -> np.ndarray:
+    for i, cell in enumerate(cells):
+        if name == "gait" and cell and cell not in GAITS:
+            raise location.error(f"`gait` must be one of {', '.join(GAITS)}; got {clip(cell)!r} ({shown}, row {i + 2})")
+    return np.array([clip(cell) for cell in cells], dtype=str)

@@ -1,0 +1,135 @@
+"""The user's own measurements: read, refused in one line, archived, and compared with the curves."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from pipeline.cli import commands
+from pipeline.errors import StudyError
+from pipeline.report import pages
+from pipeline.report.figures import measured
+from pipeline.report.source import read as read_archive
+from pipeline.study import parse
+
+STUDY = """name = "own"
+walker = "{walker}"
+[axes]
+slope = {{ from = 0.02, to = 0.05, n = 61 }}
+[figures.overlay]
+file = "measured.csv"
+[want]
+variables = ["stance_angle", "period"]
+figures = ["linear"]
+"""
+HEAD = "slope [rad],period [s]\n"
+
+
+@pytest.fixture
+def refuse(tmp_path):
+    """The one line that answers a file of measurements."""
+
+    def ask(text, walker="physical"):
+        (tmp_path / "s.toml").write_text(STUDY.format(walker=walker))
+        if text is not None:
+            (tmp_path / "measured.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
+        with pytest.raises(StudyError) as caught:
+            parse.read(tmp_path / "s.toml")
+        assert "\n" not in str(caught.value) and len(str(caught.value)) < 500
+        return str(caught.value)
+
+    return ask
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "There is no file measured.csv (s.toml, figures.overlay.file)."),
+        ("", "must have a heading and 1 to 20,000 rows; it has 0"),
+        (HEAD, "must have a heading and 1 to 20,000 rows; it has 0"),
+        (HEAD + "0.03,abc\n", "`period` must be a number; got 'abc' (measured.csv, row 2)"),
+        (HEAD + "0.03,inf\n", "`period` must be a number; got 'inf'"),
+        ("slope [rad],periode [s]\n0.03,1\n", "Unknown column of measured.csv `periode`, did you mean `period`?"),
+        ("slope [rad],period [ms]\n0.03,1\n", "The column `period [ms]` of measured.csv must be `period [s]`"),
+        ("slope [m],period [s]\n0.03,1\n", "The column `slope [m]` of measured.csv must be `slope [rad]`"),
+        ("slope [rad],period [s],period [s]\n0.03,1,1\n", "measured.csv has two columns `period`"),
+        ("slope [rad],period [s],period_error [s]\n0.03,1,-1\n", "`period_error` must be at least 0; got '-1'"),
+        ("slope [rad],period [s],gait\n0.03,1,medium\n", "`gait` must be one of long, short, other1, other2"),
+        ("period [s]\n1\n", "needs the column `slope`, an axis with several values"),
+        ("slope [rad]\n0.03\n", "has no measured variable"),
+        ("slope [rad],period [s],walker\n0.03,1,Z\n", "Unknown walker `Z`"),
+        (b"\xff\xfe\x00slope", "measured.csv cannot be read"),
+        (b'slope [rad],period [s]\n"0.03,1\n', "measured.csv cannot be read"),
+    ],
+)
+def test_a_wrong_file_is_answered_in_one_line(refuse, text, said):
+    assert said in refuse(text)
+
+
+def test_units_are_those_of_the_walker(refuse):
+    said = refuse(HEAD + "0.03,1\n", walker="E")
+    assert "must be `period` without a unit, as the walker has none" in said
+
+
+def test_a_study_may_name_nothing_else_there(tmp_path):
+    relative = "`file` must be a path relative to the study"
+    wrong = {
+        "[figures]\nshade = 1\n": "Unknown key `shade`",
+        "[figures.overlay]\nfile = 3\n": relative,
+        '[figures.overlay]\nfile = "/etc/passwd"\n': relative,
+    }
+    for text, said in wrong.items():
+        (tmp_path / "s.toml").write_text('name = "s"\nwalker = "E"\n[axes]\nslope = [0.01]\n' + text)
+        with pytest.raises(StudyError, match=said):
+            parse.read(tmp_path / "s.toml")
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "own.toml").write_text(STUDY.format(walker="physical"))
+    rows = "0.025,0.83,0.02,10.5,long\n0.036,0.756985,,14,\n0.09,0.7,,,\n"
+    heading = "slope [rad],period [s],period_error [s],stance_angle [deg],gait\n"
+    (folder / "measured.csv").write_text(heading + rows)
+    path = folder / "own.nc"
+    assert commands.main(["run", f"{folder}/own.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    return path
+
+
+def test_measurements_are_archived_with_units(archive):
+    with xr.open_dataset(archive, group="overlay") as overlay:
+        assert overlay["period"].attrs["units"] == overlay["period_error"].attrs["units"] == "s"
+        assert overlay["stance_angle"].attrs["units"] == "rad"
+        assert overlay["stance_angle"].values[0] == pytest.approx(np.radians(10.5))
+        assert list(overlay["gait"].values) == ["long", "", ""] and np.isnan(overlay["stance_angle"].values[2])
+    assert commands.main(["verify", str(archive)]) == 0
+
+
+def test_residuals_are_those_from_the_nearest_gait_or_the_one_named(archive):
+    left = measured.residuals(read_archive(archive))
+    period = left[left["variable"] == "period"].set_index("slope")
+    assert list(period.index) == [0.025, 0.036, 0.09]
+    # The period of figure 3's gait, 0.756985 s, is known: the interpolation leaves less than 1e-4.
+    assert abs(period.loc[0.036, "residual"]) < 1e-4
+    assert period.loc[0.025, "residual"] == pytest.approx(0.83 - period.loc[0.025, "computed"])
+    assert period.loc[0.025, "over_error"] == pytest.approx(period.loc[0.025, "residual"] / 0.02)
+    assert np.isnan(period.loc[0.09, "computed"]) and np.isnan(period.loc[0.09, "residual"])
+    assert len(left) == 5
+
+
+def test_the_page_shows_measurements_and_residuals(archive, tmp_path):
+    pages.write([archive], tmp_path)
+    text = (tmp_path / "own.html").read_text()
+    assert "Residuals of the measurements" in text and ">measured<" in text and 'id="measured"' in text
+    assert "<code>measured.csv</code>" in text  # to be saved beside the study
+
+
+def test_a_branch_study_compares_between_folds(tmp_path):
+    (tmp_path / "b.toml").write_text(
+        'name = "b"\nkind = "branch"\nwalker = "physical"\n[axes]\nslope = { from = 0.015, to = 0.06, n = 60 }\n'
+        '[figures.overlay]\nfile = "m.csv"\n[want]\nfigures = ["locus"]\n'
+    )
+    (tmp_path / "m.csv").write_text("slope [rad],stance_angle [rad]\n0.045,0.28\n0.045,0.22\n")
+    path = tmp_path / "b.nc"
+    assert commands.main(["run", f"{tmp_path}/b.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    computed = measured.residuals(read_archive(path))["computed"].to_numpy()
+    assert computed[0] > 0.27 and computed[1] < 0.24  # on either side of the fold at 0.053

@@ -1,0 +1,56 @@
+"""The tables of printed landmarks, and the lines fitted to the two regimes of a short step."""
+
+import numpy as np
+import pytest
+
+from tasks.fits.transition import fitted_lines
+from tasks.locate_landmarks import landmarks
+from tasks.paper.lines import line
+
+# The search for gaits lets lanes that go astray overflow.
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+
+def _landmarks(*walkers):
+    lines = [{"walker": w, "set": {}, "name": w} for w in walkers]
+    table = landmarks({"lines": lines}, [line(w).arrays for w in walkers])
+    columns = {name.removeprefix("landmarks/"): column for name, column in table.items()}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def test_the_points_of_figure_6_are_numbered_and_lie_where_the_branches_end():
+    rows = _landmarks("physical", "physical-straight")
+    points = {r["point"]: r for r in rows if r["point"]}
+    assert set(points) == {"1", "2", "3", "4"}
+    # Slopes of the ledger's claims P4 to P6.
+    expected = {"1": 0.03638698, "2": 0.05611778, "3": 0.02154161, "4": 0.021068}
+    assert {k: r["slope"] for k, r in points.items()} == pytest.approx(expected, rel=2e-5)
+    assert points["4"]["stance_angle"] < 1e-4 and np.isnan(points["4"]["slope_low"])
+    printed = {r["walker"]: r for r in rows if r["printed"] > 0}
+    assert {w: r["printed"] for w, r in printed.items()} == {"physical": 0.020, "physical-straight": 0.016}
+    assert all(r["slope_low"] < r["printed"] < r["slope_high"] for r in printed.values())
+    assert all(r["slope_low"] < r["slope"] < r["slope_high"] for r in rows if r["point"] != "4")
+
+
+def test_an_exact_walkers_landmark_has_no_interval_of_rounding():
+    (flip,) = _landmarks("D")
+    assert flip["slope"] == pytest.approx(0.0150884379411195, rel=1e-11)
+    assert flip["slope_low"] == flip["slope_high"] == flip["slope"]
+    assert abs(flip["printed"] - flip["slope"]) < flip["half_unit"] == 5e-4
+
+
+def test_a_study_without_walkers_of_the_paper_has_no_landmarks():
+    assert (
+        landmarks({"lines": [{"walker": {"l_t": 1.0}, "set": {}}, {"walker": "C", "set": {"R": 0.1}}]}, [{}, {}]) == {}
+    )
+
+
+def test_fitted_lines_recover_two_power_laws_and_their_crossing():
+    slope = np.geomspace(1e-8, 0.1, 400)
+    angle = np.minimum(20 * slope, 0.9 * slope ** (1 / 3))
+    crossing = (0.9 / 20) ** 1.5
+    fitted = fitted_lines(slope, angle, crossing)
+    assert fitted.slope == pytest.approx(crossing, rel=1e-10)
+    assert (fitted.exponent, fitted.amplitude, fitted.upper_amplitude) == pytest.approx((1, 20, 0.9), rel=1e-10)
+    assert (fitted.low, fitted.high) == (crossing / 10, 3 * crossing)
+    assert np.isnan(fitted_lines(slope[:200], angle[:200], crossing).slope)
