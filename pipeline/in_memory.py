@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from pipeline import dispatch, serialize
-from pipeline.archive import layout
+from pipeline.archive import attributes
 from pipeline.archive.citation import PAPER
 from pipeline.errors import StudyError
 from pipeline.statuses import ALL_STATUSES
@@ -163,7 +163,7 @@ def gaits(
     is_si = bool(answers) and answers[0]["si"]
     dataset = _dataset(points, grid[0], is_si)
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
-    coordinates = {name: a.assign_attrs(layout.axis_attributes(name, is_si)) for name, a in varying.items()}
+    coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si)) for name, a in varying.items()}
     first = next((line for (line, _), check in zip(lines, checks, strict=True) if check in answers), None)
     return dataset.assign_coords(coordinates).assign_attrs(_constants(first, answers, varying) if first else {})
 
@@ -280,7 +280,7 @@ def _dataset(points: _Points, grid: xr.DataArray, is_si: bool) -> xr.Dataset:
         values = points.values[name]
         dims = (*grid.dims, *VARIABLES[name].dims)
         values = values.reshape((*grid.shape, *values.shape[1:]))
-        variables[name] = (dims, values, layout.attributes(VARIABLES[name], is_si))
+        variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], is_si))
     text = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
     gait = ("gait", np.array(GAITS), {"long_name": "gait by its character", "units": "1"})
     dataset = xr.Dataset(

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from pipeline import dispatch
-from pipeline.archive import layout
+from pipeline.archive import attributes
 from pipeline.errors import StudyError
 from pipeline.study.broadcast import definition, number, whole_number
 from pipeline.study.location import Location
@@ -218,6 +218,6 @@ def _attributes(name: str, is_si: bool) -> dict[str, Any]:
     if name in _LONG_NAMES:
         kind, long_name = _LONG_NAMES[name]
         return {"long_name": long_name, "units": SI_UNITS[kind] if is_si or kind == "angle" else "1"}
-    attributes = layout.attributes(VARIABLES[name], is_si)
-    del attributes["ancillary_variables"]
-    return attributes
+    told = attributes.of_variable(VARIABLES[name], is_si)
+    del told["ancillary_variables"]
+    return told

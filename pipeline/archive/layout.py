@@ -6,43 +6,13 @@ import itertools
 import math
 import zlib
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
-from pipeline.statuses import ALL_STATUSES
-from pipeline.study import units
 from pipeline.study.model import Study
-from tasks.registry import PROVED, VIOLATIONS, Variable
 
 CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box assembled in memory
 Box = tuple[slice, ...]
-_LONG_NAMES = {
-    "slope": "slope of the ground",
-    "foot_mass_ratio": "mass of each foot over the total mass",
-    "detuning": "mixture of the exactly tuned walker (0) and the physical one (1)",
-}
-
-
-def axis_attributes(name: str, is_si: bool) -> dict[str, str]:
-    """CF attributes of an axis, for walkers in SI (`is_si`) or in consistent units."""
-    return {"long_name": _LONG_NAMES.get(name, f"walker's {name}"), "units": units.axis_units(name, is_si)}
-
-
-def attributes(variable: Variable, is_si: bool, is_mixed: bool = False) -> dict[str, Any]:
-    """CF attributes of a variable, for walkers in SI (`is_si`) or not, or some in SI and some not (`is_mixed`)."""
-    attrs: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units(is_si)}
-    flags = {"status": ALL_STATUSES, "proved": PROVED}.get(variable.name)
-    if flags is not None:
-        attrs |= {"flag_values": np.array(list(flags.values()), np.int8), "flag_meanings": " ".join(flags)}
-    elif variable.name == "violations":
-        masks = np.array([1 << i for i in range(len(VIOLATIONS))], np.int32)
-        attrs |= {"flag_masks": masks, "flag_meanings": " ".join(VIOLATIONS)}
-    if variable.name not in ("status", "reason"):
-        attrs["ancillary_variables"] = "status reason"
-    if is_mixed and variable.kind not in ("number", "angle"):
-        attrs["comment"] = "in the units of each walker: see walker_units"
-    return attrs
 
 
 def chunk_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import paths, serialize
-from pipeline.archive import chunks, layout, parameters, read, result_tables
+from pipeline.archive import attributes, chunks, layout, parameters, read, result_tables
 from pipeline.archive.citation import PAPER
 from pipeline.archive.provenance import provenance
 from pipeline.archive.read import SCHEMA
@@ -140,7 +140,7 @@ def _write_header(file: Any, plan: Plan, writer: _PointWriter | _LineWriter) -> 
             continue
         axis = next(a for a in study.axes if a.name == name)
         variable = file.createVariable(name, "f8", (name,), fill_value=False, fletcher32=True)
-        variable.setncatts(layout.axis_attributes(name, units.is_si(study)))
+        variable.setncatts(attributes.of_axis(name, units.is_si(study)))
         variable[:] = axis.values
     parameters.write(file, study)
     file.createDimension("reason_index", len(writer.sentences))
@@ -240,7 +240,7 @@ class _PointWriter:
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
             self.shapes[name], self.dtypes[name] = tuple(variable.chunking()), variable.dtype
-            variable.setncatts(layout.attributes(description, is_si, is_mixed))
+            variable.setncatts(attributes.of_variable(description, is_si, is_mixed))
 
     def fill(self, draft: Path, threads: int) -> None:
         """Write values region by region; while one region is packed the next is assembled."""
@@ -311,7 +311,7 @@ class _LineWriter:
         """Create and write every variable."""
         for name, values in (("status", self.status), ("reason", self.reason)):
             variable = file.createVariable(name, values.dtype, self.dims, fill_value=False)
-            variable.setncatts(layout.attributes(VARIABLES[name], True))
+            variable.setncatts(attributes.of_variable(VARIABLES[name], True))
             variable[...] = values
 
     def fill(self, draft: Path, threads: int) -> None:

@@ -122,7 +122,7 @@ def gaits(all_gaits: Iterable[dict[str, Any]], units: dict[str, str], in_degrees
                 value = ", ".join(f"{re:.12g}{im:+.12g}j" if im else f"{re:.12g}" for re, im in value)
             elif isinstance(value, float):
                 unit = units.get(key, "1")
-                if in_degrees and (key == "slope" or VARIABLES[key].kind in ("angle", "rate")):
+                if in_degrees and (key == "slope" or (key in VARIABLES and VARIABLES[key].kind in ("angle", "rate"))):
                     value, unit = math.degrees(value), "deg s-1" if unit == "rad s-1" else "deg"
                 value = f"{value:.15g} {unit}".removesuffix(" 1")
             elif isinstance(value, list):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -109,46 +108,6 @@ def newton(
             cells = np.vstack([group[active], np.round(w[:, active] / merge_cell)])
             active = np.sort(active[np.unique(cells, axis=1, return_index=True)[1]])
     return NewtonResult(w, converged)
-
-
-# Beside a fold a step of the differences may lead to where there is no step.
-@np.errstate(invalid="ignore", over="ignore")
-def newton_curvature(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> np.ndarray:
-    """Estimate of half the second derivative of the Newton map at solutions, with the event times as unknowns.
-
-    Parameters
-    ----------
-    w : ndarray, shape (m + phases, n)
-        Solutions in similarity coordinates.
-    log_slope : ndarray, shape (n,)
-        ln of the slope in rad.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        As `lipschitz`: a Newton step of length h leaves an error of at most this times h^2.
-
-    Notes
-    -----
-    Where heelstrike is nearly tangential its time, and with it the Newton map in the section's coordinates alone,
-    bends sharply; that of coordinates and times together does not, and its iterates are the same. From a distance h
-    along d, N(w + h d) - N(w) = h^2/2 N''(d, d); two directions at once give the mixed derivatives.
-    """
-    size, h = len(w), 1e-4
-
-    def along(*directions: int) -> np.ndarray:
-        moved = w.copy()
-        moved[list(directions)] += h
-        stride, _ = problem.stride(moved, log_slope)
-        return (moved + newton_step(stride, moved) - base) / h**2
-
-    stride, _ = problem.stride(w, log_slope)
-    base = w + newton_step(stride, w)
-    single = [along(i) for i in range(size)]
-    total = sum(np.abs(each) for each in single)
-    for i, j in itertools.combinations(range(size), 2):
-        total = total + np.abs(along(i, j) - single[i] - single[j])
-    return np.asarray(np.nan_to_num(total.max(axis=0), nan=np.inf))
 
 
 def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from tasks.fixed_points.newton import lipschitz as lipschitz_at
-from tasks.fixed_points.newton import newton_curvature, newton_step
+from tasks.fixed_points.newton import newton_step
 from tasks.fixed_points.rounding import apply_newton_step, rounding, rounding_std
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step import extended_precision
@@ -155,10 +155,6 @@ def _lipschitz_at_points(
         X = np.vstack([w[: problem.m, lanes], np.log(slope[lanes])])
         lipschitz = lipschitz.copy()
         lipschitz[lanes] = lipschitz_at(problem.some(lanes), X, w[problem.m :, lanes])
-    lanes = lanes[~(2 * lipschitz[lanes] * eta[lanes] <= _MAX_CONTRACTION)]
-    if len(lanes):
-        curvature = newton_curvature(problem.some(lanes), w[:, lanes], np.log(slope[lanes]))
-        lipschitz[lanes] = np.fmin(lipschitz[lanes], curvature)
     return lipschitz
 
 
