@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pipeline
-from pipeline import api
+from pipeline.api import studies
 from pipeline.archive import diff
 
 #: The smallest study of each kind, and one over walkers of different units.
@@ -80,7 +80,7 @@ def test_a_study_gives_the_same_bytes_whatever_its_worker_did_before(archives, t
     files = []
     for name in reversed(STUDIES):
         files.append(tmp_path / f"{len(files)}.toml")
-        files[-1].write_text(api._study(mapping(name)).text)
+        files[-1].write_text(studies._study(mapping(name)).text)
     command = [
         sys.executable,
         "-W",

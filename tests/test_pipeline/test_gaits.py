@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import pipeline
-from pipeline import in_memory
+from pipeline.api import in_memory
 from pipeline.errors import StudyError
 from pipeline.statuses import ALL_STATUSES
 from tasks.registry import TASKS

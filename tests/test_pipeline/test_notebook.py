@@ -112,10 +112,10 @@ def test_a_table_is_a_frame_with_units(mine):
 def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
     text = 'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\n'
     (tmp_path / "s.toml").write_text(text)
-    from pipeline import api
+    from pipeline.api import studies
 
     read = [
-        api._study(one)
+        studies._study(one)
         for one in (
             tmp_path / "s.toml",
             str(tmp_path / "s.toml"),

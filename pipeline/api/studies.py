@@ -13,16 +13,13 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from pipeline import in_memory
+from pipeline.api import in_memory
 from pipeline.archive import read
 from pipeline.archive.unfold import unfolded
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import runner
-from pipeline.steps import simulate, step_map
 from pipeline.study import broadcast, model, parse, single_point
 from pipeline.study.location import Location
-
-__all__ = ["gaits", "load", "run", "simulate", "solve", "step_map"]
 
 
 def load(archive: str | Path, table: str | None = None) -> Any:
