@@ -47,6 +47,8 @@ ANCHORS = (
 _SHARES = 3
 #: Gaits of one slope nearer than this are one; where a branch turns a coarse polynomial is no more accurate.
 _SAME = 1e-4
+#: Nodes nearer than this are the same but for the last digits.
+_TWIN = 1e-14
 
 
 def _join(m: int, down: Track, up: Track) -> tuple[Branch, int]:
@@ -106,6 +108,13 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
         why[side], errors[side] = end.kind, end.error
     if len(branch.Z) < 3:
         return None
+    # The node before an end may be that end: between them there is no polynomial.
+    twins = np.linalg.norm(np.diff(branch.Z[:, : branch.m + 1], axis=0), axis=1) < _TWIN
+    kept = np.ones(len(branch.Z), bool)
+    kept[[1, -2]] = ~twins[[0, -1]] | [0 not in ends, 1 not in ends]
+    branch = branch.part(np.flatnonzero(kept))
+    if len(branch.Z) < 3:
+        return None
     return replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
 
 
@@ -151,7 +160,9 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
 
         branch, at = yield from narrow_segment(branch, int(segment), is_before)
         point, direction = yield from locate_root(branch, at, slope_rate)
-        branch = branch.insert(at + 1, row(point), row_tangent(point, direction))
+        # A node may be the fold but for the last digits: between the two there is no polynomial.
+        if np.linalg.norm(branch.Z[at : at + 2, : m + 1] - point.X[:, 0], axis=1).min() > _TWIN:
+            branch = branch.insert(at + 1, row(point), row_tangent(point, direction))
     return branch
 
 

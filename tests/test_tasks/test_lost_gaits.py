@@ -256,6 +256,29 @@ def test_no_point_of_a_random_line_fails(count):
     assert not failed
 
 
+def test_a_fold_at_a_node_gets_no_node_beside_it():
+    """Two nodes that are one but for the last digit have no polynomial between them."""
+    from tasks.solve_points import lines
+
+    near_c = {
+        "m_t": 2.5842990949854276,
+        "m_s": 1.0897795697340276,
+        "r_t": 0.20555592702562264,
+        "r_s": 0.10248002454852735,
+    }
+    near_c |= {
+        "c_t": 0.09547836664274166,
+        "c_s": 0.15240608532700292,
+        "R": 0.1712150670605063,
+        "eps_T": 0.07878795719274959,
+    }
+    near_c |= {"l_t": 0.2975081638879152, "l_s": 0.5104774396091883}
+    asked = {"lines": [{"walker": "C", "set": near_c}], "slope": np.geomspace(1e-3, 0.15, 9), "want": ("stance_angle",)}
+    ((found, _),) = lines(asked, [])
+    apart = np.linalg.norm(np.diff(found["Z"][:, :4], axis=0), axis=1)
+    assert (apart > 1e-14).all()
+
+
 def test_a_kept_point_is_a_step_by_its_own_motion():
     problem, found = branches("C", **GAP)
     for branch in found:
