@@ -56,7 +56,10 @@ def _refine(
     point = yield Call(correct, (Z[:, : m + 1].T, Z[:, m + 1 :].T, border.T))
     # Newton may have jumped to another branch: a middle that is not between its neighbours is discarded.
     ok = point.ok & branch.lies_between(segments, point.X, point.times)
-    moved = np.where(ok, np.abs(point.X.T - Z[:, : m + 1]).max(axis=1), np.inf)
+    moved = np.abs(point.X.T - Z[:, : m + 1]).max(axis=1)
+    # Event times need only lead to their own roots of the guards.
+    late = np.abs(point.times.T - Z[:, m + 1 :]).max(axis=1)
+    moved = np.where(ok, np.where(late > COARSE, np.maximum(moved, late), moved), np.inf)
     sign = np.sign((point.tangent.T * border).sum(axis=1))[:, None]
     new_Z = np.vstack([point.X, point.times]).T
     new_T = np.vstack([point.tangent, point.times_tangent]).T * sign
