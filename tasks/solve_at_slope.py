@@ -64,7 +64,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     point = points({"line": line, "slope": np.array([slope]), "want": _WANT}, [atlases.to_arrays(branches)])
     gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
-    log = [f"{atlases.guesses(problem)} initial guesses at {len(atlases.ANCHORS)} slopes"]
+    log = [atlases.searched(problem.walker)]
     log.append(f"{len(branches)} branches continued over {sum(len(b.Z) for b in branches)} points")
     if params.get("all") or not gaits:
         others, nearest = _search_slope(problem, slope, gaits)
@@ -107,7 +107,7 @@ def _solve_cycles(line: dict[str, Any], slope: float, steps: int, atlas: Arrays)
 
 
 def _describe_starts(problem: Problem, slope: float) -> str:
-    return f"{starts(problem, slope).shape[1]} initial guesses at slope {slope:g}"
+    return f"{starts(problem.walker, [slope])[0].shape[1]} initial guesses at slope {slope:g}"
 
 
 def _name(place: int) -> str:

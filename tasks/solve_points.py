@@ -117,13 +117,14 @@ def _solve_lines(
     solved = [name for name in VARIABLES if name in want or (proofs and name in PROVED_FROM) if name not in proofs]
     problems = [Problem(problem.walker_of(i)) for i in range(len(lines))]
     results = []
-    for one, branches in zip(problems, atlas, strict=True):
+    searched = f"searched from {atlases.searched(problem.walker)}"
+    for branches in atlas:
         out: Arrays = {}
         for name in (*solved, *proofs):
             shape = (n, len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
             out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
         out["reason"][:] = [1, 5, 2, 2]
-        out["reasons"] = np.array(_reasons(one, branches))
+        out["reasons"] = np.array(_reasons(branches, searched))
         results.append(out)
     for k in range(0, n, _BLOCK):
         part = slice(k, k + _BLOCK)
@@ -145,11 +146,8 @@ def _solve_lines(
     return [{name: out[name] for name in (*want, "reasons")} for out in results]
 
 
-def _reasons(problem: Problem, branches: list[Branch]) -> list[str]:
+def _reasons(branches: list[Branch], searched: str) -> list[str]:
     """Sentences that `reason` indexes."""
-    low, high = min(atlases.ANCHORS), max(atlases.ANCHORS)
-    guesses = atlases.guesses(problem)
-    searched = f"searched from {guesses} initial guesses at {len(atlases.ANCHORS)} slopes from {low:g} to {high:g}"
     long, short = (
         status.outside(label, [s for b in branches for s in _spans(b, label)], searched) for label in GAITS[:2]
     )

@@ -221,15 +221,15 @@ class Scheduler:
 
     def open_lines(self, works: list[LineWork]) -> list[Job]:
         """First jobs of lines: one for all short lines of which nothing is solved, and those of each other line."""
-        together = [
-            work
-            for work in works
-            if self.lines_at_once > 1 and "atlas" in work.why and len(work.missing) == len(self.study.slope)
-        ]
-        jobs = [job for work in works if work not in together for job in self.open_line(work)]
-        if together:
-            for work in together:
+        jobs: list[Job] = []
+        together: list[LineWork] = []
+        for work in works:
+            if self.lines_at_once > 1 and "atlas" in work.why and len(work.missing) == len(self.study.slope):
                 self.costs.open_line(work.number, work.missing)
+                together.append(work)
+            else:
+                jobs += self.open_line(work)
+        if together:
             task = self.plan.layers["atlas"].task
             params = {"lines": [work.line for work in together], **self.study.options}
             jobs.append(Job(task.name, together[0].keys["atlas"], params, block=tuple(together)))
@@ -320,8 +320,7 @@ class Scheduler:
         seconds = result["seconds"] / len(job.block)
         for work, parts in zip(job.block, result["lines"], strict=True):
             if parts is None:
-                self.costs.abandon(work.number)
-                jobs += self.open_line(work)
+                jobs.append(self._line_job("atlas", work))
                 continue
             shared = {key: result.get(key) for key in ("pid", "worker")} | {"line": work.number, "seconds": seconds}
             if self.keeps_atlas:

@@ -37,6 +37,7 @@ from tasks.continuation.tracking import (
 from tasks.fixed_points.search import search_lines, starts
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Lanes, Problem
+from tasks.walkers.walker import Walker
 
 #: Slopes at which gaits to follow are searched for [rad], so close that short branches have one, in an order that
 #: samples the range evenly; of the lattice of guesses each takes one in `_SHARES`, its neighbours the others.
@@ -166,9 +167,10 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
     return branch
 
 
-def guesses(problem: Problem) -> int:
-    """Return with how many initial guesses a survey of a line begins."""
-    return sum(starts(problem, slope)[:, i % _SHARES :: _SHARES].shape[1] for i, slope in enumerate(ANCHORS))
+def searched(walker: Walker) -> str:
+    """Return with how many initial guesses a survey of the walker's line begins, and where, in words."""
+    guesses = sum(w.shape[1] for w in starts(walker, ANCHORS, _SHARES))
+    return f"{guesses} initial guesses at {len(ANCHORS)} slopes from {min(ANCHORS):g} to {max(ANCHORS):g}"
 
 
 def survey(problem: Problem, tolerance: float = FINE) -> list[Branch]:

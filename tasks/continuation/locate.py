@@ -40,8 +40,7 @@ def oriented_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
     -------
     ndarray, shape (m + 1,)
     """
-    tangent = point.tangent[:, 0]
-    return tangent if tangent @ direction >= 0 else -tangent
+    return row_tangent(point, direction)[: len(point.X)]
 
 
 def correct_at(branch: Branch, segment: int, x: float) -> Procedure[tuple[Point, np.ndarray]]:

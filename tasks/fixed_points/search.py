@@ -13,6 +13,7 @@ from tasks.mechanics.small_angles import exchange_rates
 from tasks.step.problem import Lanes, Problem
 from tasks.step.step_map import Stride
 from tasks.step.verify_step import StepCheck
+from tasks.walkers.walker import Walker
 
 #: Guesses whose first, second, ... Newton step is larger are given up: hardly one converges, and others reach its gait.
 #: By the number of phases of a step.
@@ -23,19 +24,20 @@ _MERGE_CELL = 0.1
 _MAX_RATE = 20.0
 
 
-def starts(problem: Problem, slope: float) -> np.ndarray:
-    """Return a lattice of initial guesses over step length and period.
+def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.ndarray]:
+    """Return the initial guesses at some slopes, from a lattice over step length and period.
 
     Parameters
     ----------
-    problem : Problem
-        Of one walker.
-    slope : float [rad]
+    walker : Walker
+    slopes : sequence of float [rad]
+    shares : int
+        Slopes that follow each other share the lattice, so many at a time.
 
     Returns
     -------
-    ndarray, shape (m + phases, n)
-        In similarity coordinates.
+    list of ndarray, shape (m + phases, n)
+        For each slope, in similarity coordinates; their number depends on whether there are knees alone.
 
     Notes
     -----
@@ -44,19 +46,29 @@ def starts(problem: Problem, slope: float) -> np.ndarray:
     inverted pendulum which crosses from +angle to -angle in the period, with several swing rates and times of
     kneestrike.
     """
-    top = np.log(min(2.0 * slope ** (1 / 3), 0.7))
-    bottom = np.log(max(1.5 * slope, 0.02 * slope ** (1 / 3)))
-    if problem.phases == 1:
-        angles = np.linspace(bottom, top, 9)
-        log_angle, period = (g.ravel() for g in np.meshgrid(angles, (2.0, 2.5, 3.0, 3.5, 4.0, 5.0), indexing="ij"))
+    if walker.knees:
+        angles, others = 7, [(2.0, 2.7, 3.4, 4.3), (-0.7, 0.1), (0.55, 0.75)]
+    else:
+        angles, others = 9, [(2.0, 2.5, 3.0, 3.5, 4.0, 5.0)]
+    lattices = []
+    for i, slope in enumerate(slopes):
+        top = np.log(min(2.0 * slope ** (1 / 3), 0.7))
+        bottom = np.log(max(1.5 * slope, 0.02 * slope ** (1 / 3)))
+        grid = np.meshgrid(np.linspace(bottom, top, angles), *others, indexing="ij")
+        lattices.append(np.array([axis.ravel()[i % shares :: shares] for axis in grid]))
+    counts = [lattice.shape[1] for lattice in lattices]
+    log_angle, period, *rest = np.hstack(lattices)
+    if walker.knees:
+        ratio, fraction = rest
+        rate = -1.0 / np.tanh(period / 2)
+        rows = [log_angle, rate, -ratio * rate, fraction * period, period]
+    else:
         angle = np.exp(log_angle)
-        rates = exchange_rates(problem.walker, angle, period, slope)[: problem.m - 1]
-        return np.vstack([log_angle, np.clip(rates / angle, -_MAX_RATE, _MAX_RATE), period])
-    angles = np.linspace(bottom, top, 7)
-    grid = np.meshgrid(angles, (2.0, 2.7, 3.4, 4.3), (-0.7, 0.1), (0.55, 0.75), indexing="ij")
-    log_angle, period, ratio, fraction = (g.ravel() for g in grid)
-    rate = -1.0 / np.tanh(period / 2)
-    return np.vstack([log_angle, rate, -ratio * rate, fraction * period, period])
+        rates = exchange_rates(walker, angle, period, np.repeat(slopes, counts))
+        # Heelstrike itself sets the swing leg's rate where its mass is at the foot.
+        free = rates[:1] if walker.point_foot else rates
+        rows = [log_angle, *np.clip(free / angle, -_MAX_RATE, _MAX_RATE), period]
+    return np.split(np.vstack(rows), np.cumsum(counts)[:-1], axis=1)
 
 
 def search(problem: Problem, slope: float) -> tuple[np.ndarray, Stride | None, StepCheck | None]:
@@ -90,15 +102,15 @@ def search_lines(problem: Lanes, slopes: Sequence[float], shares: int = 1) -> li
         Of one lane for each line.
     slopes : sequence of float [rad]
     shares : int
-        Slopes that follow each other share the lattice, so many at a time.
+        As for `starts`.
 
     Returns
     -------
     list of list of ndarray, shape (m + phases, n)
         In similarity coordinates, for each slope one array a line.
     """
-    problems = [Problem(problem.walker_of(line)) for line in range(len(problem.lanes))]
-    lattice = [starts(one, slope)[:, i % shares :: shares] for one in problems for i, slope in enumerate(slopes)]
+    lines = range(len(problem.lanes))
+    lattice = [w for line in lines for w in starts(problem.walker_of(line), slopes, shares)]
     # A group is a slope of a line.
     group = np.repeat(np.arange(len(lattice)), [w.shape[1] for w in lattice])
     w, log_slope = np.hstack(lattice), np.log(np.asarray(slopes))
@@ -112,7 +124,7 @@ def search_lines(problem: Lanes, slopes: Sequence[float], shares: int = 1) -> li
     # Only what converges with coarse integration is integrated exactly.
     w, group = solve(w, group, 1e-3, coarse=True, max_step_by_iteration=limits, merge_cell=_MERGE_CELL)
     w, group = solve(w, group, 1e-5)
-    return [[w[:, group == i + len(slopes) * k] for k in range(len(problems))] for i in range(len(slopes))]
+    return [[w[:, group == i + len(slopes) * line] for line in lines] for i in range(len(slopes))]
 
 
 def _distinct(w: np.ndarray, group: np.ndarray, apart: float) -> tuple[np.ndarray, np.ndarray]:

@@ -8,15 +8,14 @@ from tasks.mechanics.lumped import lump
 from tasks.walkers.walker import Walker
 
 
-def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope: float) -> np.ndarray:
+def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Rates just after heelstrike with which straight legs exchange places in a given time.
 
     Parameters
     ----------
     walker : Walker
         Without knees.
-    angle, period : ndarray, shape (n,) [rad] and [sqrt(leg/g)]
-    slope : float [rad]
+    angle, period, slope : ndarray, shape (n,) [rad], [sqrt(leg/g)] and [rad]
 
     Returns
     -------
@@ -34,7 +33,7 @@ def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope:
     S_a, S_b = complex(k["S_a_re"], k["S_a_im"]), complex(k["S_b_re"], k["S_b_im"])
     M = np.array([[k["C_aa"] + 2 * k["R"] * S_a.imag, k["eps"] * S_b.imag], [S_b.imag, k["C_bb"]]])
     G = np.array([S_a.imag, S_b.imag])
-    rest = np.array([S_a.real + (S_a.imag - k["R"]) * slope, S_b.real + S_b.imag * slope]) / G
+    rest = np.array([S_a.real + (S_a.imag - k["R"]) * slope, S_b.real + S_b.imag * slope]) / G[:, None]
     squares, modes = np.linalg.eig((np.linalg.inv(M) * G).astype(complex))
     growth = np.sqrt(squares)[:, None]
     inverse = np.linalg.inv(modes)
@@ -44,7 +43,7 @@ def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope:
 
     by_angles, by_rates = propagator(np.cosh(growth * period)), propagator(np.sinh(growth * period) / growth)
     start = np.array([angle, -angle])
-    lack = -start - rest[:, None] - np.einsum("nij,jn->in", by_angles, start - rest[:, None])
+    lack = -start - rest - np.einsum("nij,jn->in", by_angles, start - rest)
     if walker.point_foot:
         along = np.array([np.ones_like(angle), np.cos(2 * angle)])
         return along * lack[0] / np.einsum("nj,jn->n", by_rates[:, 0], along)

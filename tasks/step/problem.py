@@ -92,18 +92,17 @@ class Lanes(Problem):
     Parameters
     ----------
     walkers : sequence of Walker
+        Lane i has walker i.
     structure : Structure, optional
         By default the first walker's.
-    lanes : ndarray of int, shape (n,), optional
-        Which walker each lane has; by default lane i has walker i.
     """
 
-    def __init__(self, walkers: Sequence[Walker], structure: Structure | None = None, lanes: np.ndarray | None = None):
+    def __init__(self, walkers: Sequence[Walker], structure: Structure | None = None):
         self.walkers, self.walker = walkers, walkers[0]
         self.structure = structure or structure_of(walkers[0])
         self.map = stride_map(self.structure)
         self.constants = np.array([constants_of(walker, self.structure) for walker in walkers]).T
-        self.lanes = np.arange(len(walkers)) if lanes is None else lanes
+        self.lanes = np.arange(len(walkers))
         self.m, self.phases = self.map.m, 2 if self.structure.kneed else 1
 
     def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
