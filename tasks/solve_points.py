@@ -116,16 +116,11 @@ def _solve_lines(
     proofs = [name for name in want if VARIABLES[name].group == "proofs"]
     solved = [name for name in VARIABLES if name in want or (proofs and name in PROVED_FROM) if name not in proofs]
     problems = [Problem(problem.walker_of(i)) for i in range(len(lines))]
-    results = []
     searched = f"searched from {atlases.searched(problem.walker)}"
-    for branches in atlas:
-        out: Arrays = {}
-        for name in (*solved, *proofs):
-            shape = (n, len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
-            out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
-        out["reason"][:] = [1, 5, 2, 2]
-        out["reasons"] = np.array(_reasons(branches, searched))
-        results.append(out)
+    results = [
+        {**nothing_solved((*solved, *proofs), n, width), "reasons": np.array(_reasons(branches, searched))}
+        for branches in atlas
+    ]
     for k in range(0, n, _BLOCK):
         part = slice(k, k + _BLOCK)
         pieces = [_pieces(branches, slope[part], wanted) for branches in atlas]
@@ -137,13 +132,28 @@ def _solve_lines(
         at = settle(problem.some(np.repeat(here, counts)), join(guesses))
         for i, each, count, end in zip(here, guesses, counts, np.cumsum(counts).tolist(), strict=True):
             gaits = describe(
-                problems[i], lanes_of(at, slice(end - count, end)), each.slope, tuple(solved), friction_limit
+                problems[i],
+                problems[i].walker,
+                lanes_of(at, slice(end - count, end)),
+                each.slope,
+                tuple(solved),
+                friction_limit,
             )
-            _store({name: results[i][name][part] for name in solved}, pieces[i], gaits, wanted)
+            store({name: results[i][name][part] for name in solved}, _parts(pieces[i], gaits), wanted)
     if proofs:
         for line, out in zip(lines, results, strict=True):
             _prove(out, line, slope)
     return [{name: out[name] for name in (*want, "reasons")} for out in results]
+
+
+def nothing_solved(names: Sequence[str], n: int, multipliers: int) -> Arrays:
+    """Return arrays of variables at n points without a gait, shape (n, len(GAITS)[, multipliers])."""
+    out: Arrays = {}
+    for name in names:
+        shape = (n, len(GAITS), multipliers) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
+        out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
+    out["reason"][:] = [1, 5, 2, 2]
+    return out
 
 
 def _reasons(branches: list[Branch], searched: str) -> list[str]:
@@ -192,28 +202,58 @@ def _pieces(branches: list[Branch], slope: np.ndarray, wanted: set[str]) -> list
     return pieces
 
 
-def _store(out: Arrays, pieces: list[_Piece], gaits: Arrays, wanted: set[str]) -> None:
-    """Store gaits by label in `out`, arrays of shape (n, len(GAITS)); `gaits` are those of all pieces in order."""
-    n = len(out["status"])
-    angle, ratio = np.full((2, len(pieces), n), np.nan)
-    ends = np.cumsum([len(piece.index) for piece in pieces])
+@dataclass(frozen=True)
+class Part:
+    """Gaits of one piece of a branch: their points, what labels them, and what was solved.
+
+    `angle` and `ratio` are those by which labels are given; `angle` is NaN where a gait has none.
+    """
+
+    index: np.ndarray
+    angle: np.ndarray
+    ratio: np.ndarray
+    solved: Arrays
+
+
+def _parts(pieces: list[_Piece], gaits: Arrays) -> list[Part]:
+    """Parts of the pieces, whose `gaits` follow one another."""
     parts = []
-    for k, (piece, end) in enumerate(zip(pieces, ends.tolist(), strict=True)):
-        index = piece.index
-        solved = {name: value[end - len(index) : end] for name, value in gaits.items()}
-        solved |= {"branch": np.full(len(index), piece.number), "piece": piece.branch.piece(piece.segment)}
-        angle[k, index] = np.where(solved["anthropomorphic"], piece.guesses.w[0], np.nan)
+    ends = np.cumsum([len(piece.index) for piece in pieces])
+    for piece, end in zip(pieces, ends.tolist(), strict=True):
+        count, branch = len(piece.index), piece.branch
+        solved = {name: value[end - count : end] for name, value in gaits.items()}
+        solved |= {"branch": np.full(count, piece.number), "piece": branch.piece(piece.segment)}
+        angle = np.where(solved["anthropomorphic"], piece.guesses.w[0], np.nan)
         # A lane that has not converged still counts as its branch's gait.
-        nodes = 0.5 * (piece.branch.ratio[piece.segment] + piece.branch.ratio[piece.segment + 1])
-        ratio[k, index] = np.where(solved["status"] == status.CONVERGED, solved["heelstrike_rate_ratio"], nodes)
-        parts.append((index, solved))
+        nodes = 0.5 * (branch.ratio[piece.segment] + branch.ratio[piece.segment + 1])
+        ratio = np.where(solved["status"] == status.CONVERGED, solved["heelstrike_rate_ratio"], nodes)
+        parts.append(Part(piece.index, angle, ratio, solved))
+    return parts
+
+
+def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
+    """Store gaits by label.
+
+    Parameters
+    ----------
+    out : dict of ndarray, shape (n, len(GAITS)[, multipliers])
+        Changed in place.
+    parts : sequence of Part
+        With indices into the n points.
+    wanted : set of str
+        Labels to store.
+    """
+    n = len(out["status"])
+    angle, ratio = np.full((2, len(parts), n), np.nan)
+    for k, part in enumerate(parts):
+        angle[k, part.index], ratio[k, part.index] = part.angle, part.ratio
     is_wanted = np.array([gait in wanted for gait in GAITS] + [False])  # there may be more gaits than labels
-    for (index, solved), place in zip(parts, places(angle, ratio), strict=True):
-        slot = np.minimum(place[index], len(GAITS))
+    for part, place in zip(parts, places(angle, ratio), strict=True):
+        slot = np.minimum(place[part.index], len(GAITS))
         keep = np.flatnonzero((slot >= 0) & is_wanted[slot])
-        row, slot = index[keep], slot[keep]
+        row, slot = part.index[keep], slot[keep]
         for name, values in out.items():
-            values[row, slot] = solved[name][keep]
+            values[row, slot] = part.solved[name][keep]
 
 
 def _spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
@@ -251,11 +291,12 @@ def solve(
     friction_limit: float = violations.FRICTION_LIMIT,
 ) -> Arrays:
     """Polish guesses of one walker, verify that they are steps and measure the wanted variables, as `describe` does."""
-    return describe(problem, settle(problem, guesses), guesses.slope, want, friction_limit)
+    return describe(problem, problem.walker, settle(problem, guesses), guesses.slope, want, friction_limit)
 
 
 def describe(
     problem: Problem,
+    walker: Walker,
     at: Polished,
     slope: np.ndarray,
     want: Sequence[str],
@@ -266,9 +307,11 @@ def describe(
     Parameters
     ----------
     problem : Problem
-        Of one walker.
+        Of one walker, or of one for each gait.
+    walker : Walker
+        That walker, or an array of them, for which losses and violations cannot be measured.
     at : Polished
-        Its gaits.
+        The gaits.
     slope : ndarray, shape (n,) [rad]
     want : sequence of str
         Names of variables.
@@ -288,16 +331,18 @@ def describe(
         "anthropomorphic": ~at.step | (at.leg_passes == 1),
         "passes": at.leg_passes,
     }
-    solved |= _measure(problem, at, slope, want, friction_limit)
+    solved |= _measure(problem, walker, at, slope, want, friction_limit)
     for name, value in solved.items():
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
             value[code != status.CONVERGED] = np.nan
     return solved
 
 
-def _measure(problem: Problem, at: Polished, slope: np.ndarray, want: Sequence[str], friction_limit: float) -> Arrays:
+def _measure(
+    problem: Problem, walker: Walker, at: Polished, slope: np.ndarray, want: Sequence[str], friction_limit: float
+) -> Arrays:
     """Variables of the groups wanted, in the walker's units."""
-    walker, stride, scale = problem.walker, at.stride, at.scale
+    stride, scale = at.stride, at.scale
     y, state, times = at.y * scale, at.state * scale, at.times
     time_unit = np.sqrt(walker.leg / walker.g)
     half = problem.map.start_size // 2

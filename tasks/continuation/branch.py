@@ -283,13 +283,31 @@ class Branch:
         """
         guesses = []
         for first, last in self.pieces():
-            nodes = self.q[first : last + 1]
-            rising = nodes[-1] > nodes[0]
-            ordered = nodes if rising else nodes[::-1]
-            inside = np.nonzero((q >= ordered[0]) & (q <= ordered[-1]))[0]
-            if not len(inside):
-                continue
-            k = np.clip(np.searchsorted(ordered, q[inside], side="right") - 1, 0, len(ordered) - 2)
-            segment = first + (k if rising else len(ordered) - 2 - k)
-            guesses.append((inside, self.evaluate(segment, self._coordinate_at(segment, q[inside])), segment))
+            ends = self.q[[first, last]]
+            inside = np.nonzero((q >= ends.min()) & (q <= ends.max()))[0]
+            if len(inside):
+                guesses.append((inside, *self.on_piece(first, last, q[inside])))
         return guesses
+
+    def on_piece(self, first: int, last: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate the piece between two nodes at slopes that it covers.
+
+        Parameters
+        ----------
+        first, last : int
+            Of `pieces`.
+        q : ndarray, shape (k,)
+            Values of ln slope.
+
+        Returns
+        -------
+        Z : ndarray, shape (k, c)
+            Rows of Z.
+        segment : ndarray of int, shape (k,)
+        """
+        nodes = self.q[first : last + 1]
+        rising = nodes[-1] > nodes[0]
+        ordered = nodes if rising else nodes[::-1]
+        k = np.clip(np.searchsorted(ordered, q, side="right") - 1, 0, len(ordered) - 2)
+        segment = first + (k if rising else len(ordered) - 2 - k)
+        return self.evaluate(segment, self._coordinate_at(segment, q)), segment

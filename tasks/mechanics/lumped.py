@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from tasks.walkers.walker import NUMBERS, Walker
+from tasks.walkers.walker_array import WalkerArray
 
 
 def lump(walker: Walker, number: type = float) -> dict[str, Any]:
@@ -23,7 +24,7 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     Parameters
     ----------
     walker : Walker
-        Its table of masses and lengths, in any units.
+        Its table of masses and lengths, in any units; or an array of walkers, whose constants are arrays.
     number : type
         `float`, or a wider type for constants to more digits: numpy's long double or heyoka's real128.
 
@@ -38,7 +39,7 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     sin_T, cos_T = _sine(key["eps_T"]), _cosine(key["eps_T"])
     d = key["l_s"] - key["R"]
     # sin eps_S = l_t sin eps_T / d closes the leg.
-    sin_S = key["l_t"] * sin_T / d if walker.eps_T else zero
+    sin_S = key["l_t"] * sin_T / d if np.any(walker.eps_T) else zero
     cos_S = (one - sin_S * sin_S) ** number(0.5)
     l = key["l_t"] * cos_T + d * cos_S
     length, mass = l + key["R"], two * (key["m_t"] + key["m_s"]) + key["m_h"]
@@ -97,18 +98,26 @@ class _Vector:
 
 def _sine(x: Any) -> Any:
     """Sine in the argument's type of number."""
+    if isinstance(x, np.ndarray):
+        return np.sin(x)
     return math.sin(x) if isinstance(x, float) and type(x) is float else np.sin(np.array([x], dtype=type(x)))[0]
 
 
 def _cosine(x: Any) -> Any:
     """Cosine in the argument's type of number."""
+    if isinstance(x, np.ndarray):
+        return np.cos(x)
     return math.cos(x) if isinstance(x, float) and type(x) is float else np.cos(np.array([x], dtype=type(x)))[0]
 
 
 def _pair(name: str, v: _Vector) -> dict[str, Any]:
     """A complex constant as `_re` and `_im`; a part that is zero but for rounding becomes zero."""
+    parts = {f"{name}_re": v.x, f"{name}_im": v.y}
+    if any(isinstance(x, np.ndarray) for x in parts.values()):
+        size = 4e-16 * np.maximum(np.abs(v.x), np.abs(v.y))
+        return {key: np.where(np.abs(x) > size, x, 0.0) for key, x in parts.items()}
     size = 4e-16 * max(abs(float(v.x)), abs(float(v.y)))
-    return {f"{name}_{part}": x if abs(float(x)) > size else type(x)(0.0) for part, x in (("re", v.x), ("im", v.y))}
+    return {key: x if abs(float(x)) > size else type(x)(0.0) for key, x in parts.items()}
 
 
 @dataclass(frozen=True)
@@ -132,12 +141,15 @@ class Structure:
 
 
 def structure_of(walker: Walker) -> Structure:
-    """Return a walker's structure: a straight leg's constants that are 0 or +-1 become code, all others parameters."""
-    constants = lump(walker)
+    """Return the structure of a walker, or of an array of walkers.
+
+    A straight leg's constants that are 0 or +-1, for all walkers of an array, become code, all others parameters.
+    """
+    constants = lump(walker, np.float64 if isinstance(walker, WalkerArray) else float)
     # Three links compile slowly and gain little from a zero, so all kneed walkers share one structure.
     plain = () if walker.knees else (0.0, 1.0, -1.0)
-    fixed = tuple((k, v) for k, v in constants.items() if v in plain)
-    free = tuple(k for k, v in constants.items() if v not in plain)
+    fixed = tuple((k, p) for k, v in constants.items() for p in plain if np.all(v == p))
+    free = tuple(k for k in constants if k not in dict(fixed))
     return Structure(walker.knees, walker.point_foot, free, fixed)
 
 
@@ -147,14 +159,15 @@ def constants_of(walker: Walker, structure: Structure) -> np.ndarray:
     Parameters
     ----------
     walker : Walker
-        Of that structure.
+        Of that structure; or an array of n such walkers.
     structure : Structure
         Names the constants and their order.
 
     Returns
     -------
-    ndarray, shape (len(structure.constants),)
+    ndarray, shape (len(structure.constants),) or (len(structure.constants), n)
         In units of the walker's leg, its mass and g.
     """
     lumped = lump(walker, np.longdouble)
-    return np.array([float(lumped[k]) for k in structure.constants])
+    shape = (len(walker),) if isinstance(walker, WalkerArray) else ()
+    return np.array([np.broadcast_to(np.asarray(lumped[k], float), shape) for k in structure.constants])

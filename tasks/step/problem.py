@@ -10,6 +10,7 @@ import numpy as np
 from tasks.mechanics.lumped import Structure, constants_of, structure_of
 from tasks.step.step_map import Stride, StrideMap, stride_map
 from tasks.walkers.walker import Walker
+from tasks.walkers.walker_array import WalkerArray
 
 EPS = np.finfo(float).eps
 
@@ -91,17 +92,21 @@ class Lanes(Problem):
 
     Parameters
     ----------
-    walkers : sequence of Walker
+    walkers : sequence of Walker, or WalkerArray
         Lane i has walker i.
     structure : Structure, optional
-        By default the first walker's.
+        By default the first walker's, or that of the array.
     """
 
-    def __init__(self, walkers: Sequence[Walker], structure: Structure | None = None):
+    def __init__(self, walkers: Sequence[Walker] | WalkerArray, structure: Structure | None = None):
         self.walkers, self.walker = walkers, walkers[0]
-        self.structure = structure or structure_of(walkers[0])
+        if isinstance(walkers, WalkerArray):
+            self.structure = structure or structure_of(walkers)
+            self.constants = constants_of(walkers, self.structure)
+        else:
+            self.structure = structure or structure_of(walkers[0])
+            self.constants = np.array([constants_of(walker, self.structure) for walker in walkers]).T
         self.map = stride_map(self.structure)
-        self.constants = np.array([constants_of(walker, self.structure) for walker in walkers]).T
         self.lanes = np.arange(len(walkers))
         self.m, self.phases = self.map.m, 2 if self.structure.kneed else 1
 

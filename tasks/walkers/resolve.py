@@ -7,8 +7,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from typing import Any
 
+import numpy as np
+
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.walker import KEYS, NUMBERS, Walker, WalkerError
+from tasks.walkers.walker_array import WalkerArray
 
 #: Keys of a line that set several of a walker's.
 _DERIVED = ("foot_mass_ratio", "detuning")
@@ -139,10 +142,48 @@ def _with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
     """A point-foot walker with each foot `ratio` of the total mass; the hip carries the rest (section 4.1)."""
     if not walker.point_foot:
         raise WalkerError("foot_mass_ratio", ratio, "needs a point-foot walker (D, E or F)")
-    total = walker.total_mass
     if not 0 <= ratio < 0.5:
         raise WalkerError("foot_mass_ratio", ratio, "must lie in [0, 0.5)")
-    return replace(walker, m_s=ratio * total, m_t=(0.5 - ratio) * total, m_h=0.0)
+    return replace(walker, **_masses(walker, ratio))
+
+
+def _masses(walker: Walker, ratio: Any) -> dict[str, Any]:
+    """Masses of a point-foot walker with foot mass ratio `ratio`, a number or an array."""
+    total = walker.total_mass
+    return {"m_s": ratio * total, "m_t": (0.5 - ratio) * total, "m_h": 0.0}
+
+
+def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) -> WalkerArray:
+    """Make walkers of a name or table and arrays of values of keys.
+
+    Parameters
+    ----------
+    walker : str or mapping
+        As for `resolve`.
+    overrides : mapping
+        As for `resolve`, of numbers and of ndarrays, shape (n,), which are not checked beyond their first values.
+
+    Returns
+    -------
+    WalkerArray
+        The walkers that `resolve` would make one by one.
+
+    Raises
+    ------
+    WalkerError
+        If the first of the walkers cannot be.
+    """
+    arrays = {key: value for key, value in overrides.items() if isinstance(value, np.ndarray)}
+    first = resolve(walker, {**overrides, **{key: float(value[0]) for key, value in arrays.items()}})
+    values: dict[str, Any] = {}
+    for key, array in arrays.items():
+        if key == "detuning":
+            values |= _mixed(walker, array)
+        elif key == "foot_mass_ratio":
+            values |= _masses(resolve(walker), array)
+        else:
+            values[key] = array
+    return WalkerArray(**{**first.table(), **values})
 
 
 def check(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -206,7 +247,12 @@ def detuned(walker: str | Mapping[str, Any], amount: float) -> Walker:
     """
     if (walker if isinstance(walker, str) else walker.get("base")) not in _PARTNERS:
         raise WalkerError("detuning", amount, "needs walker A or C")
+    mixed = _mixed(walker, amount) if amount else {}
+    return replace(from_catalogue(walker) if isinstance(walker, str) else from_table(walker), **mixed)
+
+
+def _mixed(walker: str | Mapping[str, Any], amount: Any) -> dict[str, Any]:
+    """Values of the keys that detuning by `amount`, a number or an array, sets."""
     tuned, physical = _detuning_ends(walker)
-    keys = owned("detuning", walker) if amount else ()
-    mixed: dict[str, Any] = {k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in keys}
-    return replace(tuned if isinstance(walker, str) else from_table(walker), **mixed)
+    keys = owned("detuning", walker)
+    return {k: (1 - amount) * getattr(tuned, k) + amount * getattr(physical, k) for k in keys}

@@ -1,0 +1,61 @@
+"""Boxes in the space of one or two keys, their nodes, and points drawn in them."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+
+def roots(n: int) -> np.ndarray:
+    """Return the roots of the n-th Chebyshev polynomial, rising.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return np.cos((2 * np.arange(n)[::-1] + 1) * np.pi / (2 * n))
+
+
+@dataclass(frozen=True)
+class Box:
+    """Values of keys from `low` to `high`, in the walker's units.
+
+    Nodes lie inside, where no constant of a walker vanishes that does not vanish everywhere.
+    """
+
+    keys: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    def nodes(self, n: int | tuple[int, ...]) -> np.ndarray:
+        """Return n Chebyshev nodes along each key, shape (product of n, d), the last key fastest."""
+        sizes = (n,) * len(self.keys) if isinstance(n, int) else n
+        return self.at(np.array(list(itertools.product(*map(roots, sizes)))))
+
+    def at(self, unit: np.ndarray) -> np.ndarray:
+        """Return the points with coordinates `unit`, shape (n, d), that run from -1 to 1."""
+        low, high = np.array(self.low), np.array(self.high)
+        return 0.5 * (low + high) + 0.5 * (high - low) * unit
+
+    def unit(self, points: np.ndarray) -> np.ndarray:
+        """Return coordinates from -1 to 1 of points, shape (n, d)."""
+        low, high = np.array(self.low), np.array(self.high)
+        return (2 * points - low - high) / (high - low)
+
+    def halves(self, axis: int) -> tuple[Box, Box]:
+        """Return both halves along one key."""
+        middle = 0.5 * (self.low[axis] + self.high[axis])
+        change = (*self.low[:axis], middle, *self.low[axis + 1 :])
+        return (
+            Box(self.keys, self.low, (*self.high[:axis], middle, *self.high[axis + 1 :])),
+            Box(self.keys, change, self.high),
+        )
+
+    def draw(self, n: int, d: int, purpose: str) -> np.ndarray:
+        """Draw n points of the unit cube [-1, 1]^d by a hash of the box and a purpose, shape (n, d)."""
+        text = repr((self.keys, [x.hex() for x in (*self.low, *self.high)], purpose))
+        seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
+        return np.random.Generator(np.random.PCG64(seed)).uniform(-1, 1, (n, d))

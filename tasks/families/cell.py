@@ -1,0 +1,316 @@
+"""Cells: the patches of a box of keys for a panel of slopes, checked, or the boxes it is split into."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tasks.continuation.atlas import survey_lines
+from tasks.continuation.branch import Branch
+from tasks.continuation.refine import COARSE
+from tasks.families.box import Box, roots
+from tasks.families.patch import Patch, along, fit, tails
+from tasks.families.pieces import Piece, match, pieces_of
+from tasks.fixed_points.newton import lipschitz, newton, newton_step
+from tasks.fixed_points.rounding import rounding_std
+from tasks.mechanics.lumped import Structure, structure_of
+from tasks.step.problem import Lanes
+from tasks.walkers.resolve import resolve_many
+from tasks.walkers.walker_array import WalkerArray
+
+#: Width of a panel in ln slope.
+PANEL = 0.125
+#: Lines surveyed along each key: always, and where pieces end in the panel.
+_FEW, _MANY = 3, 5
+#: Nodes along a piece and along a key with which a patch begins, and at most.
+_FIRST, _MOST = 4, 11
+#: A patch is good if Newton corrects its predictions at points drawn by lot by no more; one that stays worse is used up
+#: to the second.
+_GOOD, _FAIR = 1e-6, 5e-3
+_DRAWN = 48
+#: Nodes along a piece that ends in the panel: as many as leave coefficients no larger than a coarse atlas resolves.
+_ALONG, _COARSE_TAIL = (8, 16, 32, 48), 1e-5
+#: Nodes along a piece and along each key at which rounding and the Lipschitz constant are measured.
+_MEASURED = (6, 3)
+#: A piece that goes on farther than this beyond the panel, in ln slope, is cut, at most twice as far.
+_CLEAR = 0.03
+#: How often a box is halved, and from how many lines on its patches are worth their making.
+_MOST_SPLITS, _LEAST_LINES = 6, 24
+
+
+class Refused(Exception):
+    """Why a box has no patches, and the key along which it should be halved."""
+
+    def __init__(self, why: str, axis: int = 0):
+        super().__init__(why)
+        self.axis = axis
+
+
+@dataclass(frozen=True)
+class Family:
+    """A walker with free keys: its name or table, the keys that have one value, and the free ones."""
+
+    walker: Any
+    fixed: Mapping[str, Any]
+    keys: tuple[str, ...]
+
+    def walkers(self, points: np.ndarray) -> WalkerArray:
+        """Return the walkers at values of the free keys, shape (n, d)."""
+        return resolve_many(self.walker, {**self.fixed, **dict(zip(self.keys, points.T.copy(), strict=True))})
+
+
+@dataclass
+class Cell:
+    """A box with its patches; where they were refused, `why` says so, and its lines are surveyed one by one."""
+
+    box: Box
+    structure: Structure
+    patches: list[Patch] = field(default_factory=list)
+    why: str = ""
+
+
+def make(family: Family, box: Box, low: float, count: Callable[[Box], int], splits: int = _MOST_SPLITS) -> list[Cell]:
+    """Make the cells of a box for the panel from ln slope `low` on.
+
+    Parameters
+    ----------
+    family : Family
+    box : Box
+    low : float
+    count : callable
+        Number of lines in a box.
+    splits : int
+        How often it may be halved.
+    """
+    maker = _Maker(family, box, low)
+    if count(box) < _LEAST_LINES:
+        return [Cell(box, maker.structure, why="few lines")]
+    try:
+        return [Cell(box, maker.structure, maker.patches())]
+    except Refused as refused:
+        if not splits:
+            return [Cell(box, maker.structure, why=str(refused))]
+        halves = box.halves(refused.axis)
+    return [cell for half in halves for cell in make(family, half, low, count, splits - 1)]
+
+
+class _Maker:
+    def __init__(self, family: Family, box: Box, low: float):
+        self.family, self.box, self.low, self.high = family, box, low, low + PANEL
+        self.d = len(box.keys)
+        self.structure = structure_of(family.walkers(box.nodes(_FEW)))
+
+    def problem(self, points: np.ndarray) -> Lanes:
+        return Lanes(self.family.walkers(points), self.structure)
+
+    @functools.cache  # noqa: B019
+    def survey(self, n: int) -> list[list[Branch]]:
+        return survey_lines(self.problem(self.box.nodes(n)), COARSE)
+
+    def patches(self) -> list[Patch]:
+        patches, groups = [], self.groups(_FEW)
+        if any(np.isnan(self.cuts(group)).any() for group in groups):
+            groups = self.groups(_MANY)
+        for group in groups:
+            patches.append(self.with_events(group) if np.isnan(self.cuts(group)).any() else self.regular(group))
+        self.check(patches)
+        return patches
+
+    def groups(self, n: int) -> list[list[Piece]]:
+        """Pieces that come near the panel on any of n^d node lines, each on all of them."""
+        lines = [pieces_of(branches) for branches in self.survey(n)]
+        groups: list[list[Piece]] = []
+        for group in match(lines, _neighbours(n, self.d), self.low - _CLEAR, self.high + _CLEAR):
+            known = [piece for piece in group if piece is not None]
+            if not any(piece.q[1] > self.low - _CLEAR and piece.q[0] < self.high + _CLEAR for piece in known):
+                continue
+            if len(known) < len(group):
+                present = np.array([piece is not None for piece in group]).reshape((n,) * self.d)
+                changes = [np.abs(np.diff(present.astype(int), axis=k)).sum() for k in range(self.d)]
+                raise Refused(f"{len(known)} of {len(group)} node lines have a piece", int(np.argmax(changes)))
+            groups.append(known)
+        return groups
+
+    def cuts(self, group: list[Piece]) -> np.ndarray:
+        """Ln slopes at which a piece is cut, shape (2,); NaN where it ends near the panel on some line."""
+        q = np.array([piece.q for piece in group])
+        beyond = np.array([self.low - q[:, 0].max(), q[:, 1].min() - self.high])
+        off = np.where(beyond > _CLEAR, np.minimum(2 * _CLEAR, 0.5 * beyond), np.nan)
+        return np.array([self.low - off[0], self.high + off[1]])
+
+    def regular(self, group: list[Piece]) -> Patch:
+        """A patch that no piece ends on: at more keys gaits follow from those of the surveyed lines."""
+        cut, n = self.cuts(group), round(len(group) ** (1 / self.d))
+        sizes: tuple[int, ...] = (_FIRST, *[n] * self.d)
+        q = np.broadcast_to(cut, (len(group), 2))
+        patch = self.patch(group, (False, False), (False, False), sizes, q, self.gaits_of(group, q, sizes))
+        while self.error(patch) > _GOOD:
+            grow = tails(patch.gaits, sizes) > 0.1 * _GOOD
+            larger = tuple(min(size + 2 * int(more), _MOST) for size, more in zip(sizes, grow, strict=True))
+            if larger == sizes:
+                break
+            sizes = larger
+            keys, q = self.grid(sizes, np.broadcast_to(cut, (int(np.prod(sizes[1:])), 2)))
+            guess, _ = patch.predict(self.box.unit(keys), q, np.broadcast_to(cut, (len(q), 2)))
+            ends = np.broadcast_to(cut, (int(np.prod(sizes[1:])), 2))
+            patch = self.patch(group, (False, False), (False, False), sizes, ends, self.solve(keys, q, guess))
+        return self.measured(patch)
+
+    def with_events(self, group: list[Piece]) -> Patch:
+        """A patch that ends at events, whose slopes are those of surveyed lines."""
+        own, is_event = np.array([piece.q for piece in group]), np.isnan(self.cuts(group))
+        q = own.copy()
+        if not is_event.all():
+            # Cut at one distance from the event on all lines: as a share of it, gaits are smooth over the keys.
+            event = int(is_event[1])
+            reach = np.abs((self.high + _CLEAR, self.low - _CLEAR)[event] - own[:, event]).max()
+            q[:, 1 - event] = own[:, event] + (reach if event == 0 else -reach)
+            beyond = (q - own)[:, 1 - event] * (1 if event == 0 else -1) > 0
+            if beyond.any():
+                q[:, 1 - event], is_event[1 - event] = own[:, 1 - event], True
+        for end in (0, 1):
+            kinds = {piece.kinds[end] for piece in group}
+            if is_event[end] and len(kinds) > 1:
+                raise Refused(f"a piece ends at {' or '.join(sorted(kinds))}", self.steeper(own))
+        low, high = (bool(is_event[end]) and group[0].kinds[end] == "fold" for end in (0, 1))
+        events = bool(is_event[0]), bool(is_event[1])
+        for along_piece in _ALONG:
+            sizes = (along_piece, *[_MANY] * self.d)
+            patch = self.patch(group, (low, high), events, sizes, q, self.gaits_of(group, q, sizes, (low, high)))
+            if tails(patch.gaits, sizes)[0] < _COARSE_TAIL:
+                break
+        patch.end_errors = np.array([tails(patch.ends[:, [i]], sizes[1:]).max() * is_event[i] for i in (0, 1)])
+        self.error(patch)
+        return self.measured(patch)
+
+    def steeper(self, q: np.ndarray) -> int:
+        """The key along which ends, (n^d, 2), vary most."""
+        ends = q.reshape(*[_MANY] * self.d, 2)
+        return int(np.argmax([np.ptp(ends, axis=k).max() for k in range(self.d)]))
+
+    def patch(
+        self,
+        group: list[Piece],
+        folds: tuple[bool, bool],
+        events: tuple[bool, bool],
+        sizes: tuple[int, ...],
+        ends: np.ndarray,
+        w: np.ndarray,
+    ) -> Patch:
+        """A patch of the ends (l, 2) and gaits (m + k, n) at its nodes, with nothing measured."""
+        lines = self.box.unit(self.box.nodes(round(len(group) ** (1 / self.d))))
+        return Patch(
+            lines=lines,
+            numbers=np.array([[piece.number, piece.place] for piece in group]),
+            folds=folds,
+            events=events,
+            sizes=sizes,
+            ends=fit(ends, sizes[1:]),
+            end_errors=np.zeros(2),
+            gaits=fit(w.T, sizes),
+            error=np.inf,
+            lipschitz=np.zeros(0),
+            rounding_std=np.zeros((0, 0)),
+            side=0.0,
+        )
+
+    def grid(
+        self, sizes: tuple[int, ...], ends: np.ndarray, folds: tuple[bool, bool] = (False, False)
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Keys (n, d) and ln slopes (n,) of a patch's nodes; the piece's own coordinate slowest."""
+        share = along(0.5 * (1 + roots(sizes[0])), folds)
+        q = ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
+        return np.tile(self.box.nodes(sizes[1:]), (sizes[0], 1)), q.ravel()
+
+    def gaits_of(
+        self, group: list[Piece], ends: np.ndarray, sizes: tuple[int, ...], folds: tuple[bool, bool] = (False, False)
+    ) -> np.ndarray:
+        """Gaits at the nodes of a patch by the polynomials of surveyed lines, shape (m + k, n)."""
+        _, q = self.grid(sizes, ends, folds)
+        by_line = q.reshape(sizes[0], -1)
+        rows = np.stack([piece.at(by_line[:, i]) for i, piece in enumerate(group)], axis=1)
+        return np.delete(rows.reshape(len(q), -1), group[0].branch.m, axis=1).T
+
+    def solve(self, keys: np.ndarray, q: np.ndarray, guess: np.ndarray) -> np.ndarray:
+        """Gaits near guesses, shape (m + k, n)."""
+        result = newton(self.problem(keys), guess, q)
+        moved = np.abs(result.w - guess).max(axis=0)
+        if not result.converged.all() or moved.max() > 0.3:
+            raise Refused(
+                f"{(~result.converged).sum()} of {len(q)} nodes do not converge, or move by {moved.max():.2g}"
+            )
+        return result.w
+
+    def error(self, patch: Patch) -> float:
+        """Set and return the largest correction of predictions at points drawn by lot, and the side of a fold."""
+        drawn = self.box.draw(_DRAWN, 1 + self.d, f"patch {patch.numbers[0]}")
+        share, unit = along(0.5 * (1 + drawn[:, 0]), patch.folds), drawn[:, 1:]
+        ends = patch.ends_at(unit)
+        q = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
+        w, _ = patch.predict(unit, q, ends)
+        stride, _ = self.problem(self.box.at(unit)).stride(w, q)
+        patch.error = float(np.nan_to_num(np.abs(newton_step(stride, w)), nan=np.inf).max())
+        sides = np.sign(np.linalg.det(np.nan_to_num(stride.inverse).transpose(2, 0, 1)))
+        patch.side = float(sides[0]) if (sides == sides[0]).all() else np.nan
+        return patch.error
+
+    def measured(self, patch: Patch) -> Patch:
+        """A good patch with what is measured at its nodes."""
+        if not patch.error < _FAIR:
+            raise Refused(f"predictions err by {patch.error:.1g}", int(np.argmax(tails(patch.gaits, patch.sizes)[1:])))
+        if np.isnan(patch.side):
+            raise Refused("a fold lies inside")
+        sizes, m = (_MEASURED[0], *[_MEASURED[1]] * self.d), self.structure.dimension
+        unit = self.box.unit(self.box.nodes(sizes[1:]))
+        keys, q = self.grid(sizes, patch.ends_at(unit), patch.folds)
+        unit = self.box.unit(keys)
+        w, _ = patch.predict(unit, q, patch.ends_at(unit))
+        problem = self.problem(keys)
+        patch.lipschitz = lipschitz(problem, np.vstack([w[:m], q]), w[m:]).reshape(sizes[0], -1).max(axis=1)
+        std = rounding_std(problem, w, q)
+        patch.rounding_std = np.sqrt((std.reshape(len(std), sizes[0], -1) ** 2).mean(axis=-1)).T
+        return patch
+
+    def check(self, patches: list[Patch]) -> None:
+        """Survey a line drawn by lot: it must have these pieces and no others; it shows the errors of their ends."""
+        unit = self.box.draw(1, self.d, "line")
+        (branches,) = survey_lines(self.problem(self.box.at(unit)), COARSE)
+        pieces = [p for p in pieces_of(branches) if p.q[1] > self.low - _CLEAR and p.q[0] < self.high + _CLEAR]
+        for patch in patches:
+            ends = patch.ends_at(unit)
+            off = [self.compare(patch, piece, unit, ends) for piece in pieces]
+            nearest = int(np.argmin(off)) if off else -1
+            if off and off[nearest] < 1e-2:
+                piece = pieces.pop(nearest)
+                for end in (0, 1):
+                    if patch.events[end]:
+                        patch.end_errors[end] = max(patch.end_errors[end], abs(piece.q[end] - ends[0, end]))
+            elif ends[0, 1] > self.low - 0.5 * _CLEAR and ends[0, 0] < self.high + 0.5 * _CLEAR:
+                raise Refused("a line between the nodes lacks a piece")
+        if any(piece.q[1] > self.low and piece.q[0] < self.high for piece in pieces):
+            raise Refused("a line between the nodes has a further piece")
+
+    def compare(self, patch: Patch, piece: Piece, unit: np.ndarray, ends: np.ndarray) -> float:
+        """How far a patch is from a piece of a line, at three slopes that both have; infinite where there is none."""
+        low, high = max(ends[0, 0], piece.q[0]), min(ends[0, 1], piece.q[1])
+        if low >= high:
+            return np.inf
+        q = low + (high - low) * np.array([0.2, 0.5, 0.8])
+        w, _ = patch.predict(np.repeat(unit, 3, axis=0), q, np.repeat(ends, 3, axis=0))
+        return float(np.abs(w - np.delete(piece.at(q), piece.branch.m, axis=1).T).max())
+
+
+def _neighbours(n: int, d: int) -> list[int]:
+    """For each node line the one next to it towards the middle, the middle's own for itself."""
+    neighbours = []
+    for i in range(n**d):
+        place = np.array(np.unravel_index(i, (n,) * d))
+        off = place - n // 2
+        k = int(np.abs(off).argmax())
+        place[k] -= np.sign(off[k])
+        neighbours.append(int(np.ravel_multi_index(tuple(place), (n,) * d)))
+    return neighbours

@@ -1,0 +1,144 @@
+"""A patch: polynomials of one piece of the gaits of a family, over slope and keys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+
+from tasks.families.box import roots
+
+
+def along(share: np.ndarray, folds: tuple[bool, bool]) -> np.ndarray:
+    """Return the share of the range of ln slope at a coordinate from 0 to 1 in which gaits are smooth.
+
+    Parameters
+    ----------
+    share : ndarray
+    folds : (bool, bool)
+        Whether the piece begins and ends at a fold, where gaits depend on the root of the distance in ln slope.
+    """
+    low, high = folds
+    if low and high:
+        return 0.5 * (1 - np.cos(np.pi * share))
+    return share**2 if low else 1 - (1 - share) ** 2 if high else share
+
+
+def coordinate(share: np.ndarray, folds: tuple[bool, bool]) -> np.ndarray:
+    """Return the coordinate at a share of the range of ln slope, the inverse of `along`."""
+    share = np.clip(share, 0.0, 1.0)
+    low, high = folds
+    if low and high:
+        return np.arccos(1 - 2 * share) / np.pi
+    return np.sqrt(share) if low else 1 - np.sqrt(1 - share) if high else share
+
+
+def fit(values: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
+    """Chebyshev coefficients of values at tensor nodes.
+
+    Parameters
+    ----------
+    values : ndarray, shape (product of sizes, c)
+        At `roots(size)` along each dimension, the last fastest.
+    sizes : tuple of int
+
+    Returns
+    -------
+    ndarray, shape (product of sizes, c)
+    """
+    coefficients = values.reshape(*sizes, -1)
+    for axis, n in enumerate(sizes):
+        inverse = 2.0 / n * chebvander(roots(n), n - 1).T
+        inverse[0] *= 0.5
+        coefficients = np.moveaxis(np.tensordot(inverse, coefficients, axes=(1, axis)), 0, axis)
+    return coefficients.reshape(len(values), -1)
+
+
+def basis(points: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
+    """Products of Chebyshev polynomials at points, shape (n, d), of the cube from -1 to 1: (n, product of sizes)."""
+    product = np.ones((len(points), 1))
+    for x, n in zip(points.T, sizes, strict=True):
+        product = (product[:, :, None] * chebvander(x, n - 1)[:, None, :]).reshape(len(points), -1)
+    return product
+
+
+def tails(coefficients: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
+    """Sums of the sizes of the coefficients of highest degree in each dimension, the largest of all values: (d,)."""
+    c = np.abs(coefficients).reshape(*sizes, -1)
+    return np.array([np.take(c, -1, axis=k).reshape(-1, c.shape[-1]).sum(axis=0).max() for k in range(len(sizes))])
+
+
+@dataclass
+class Patch:
+    """The gaits on one piece of a family's branches, in a box of keys and a range of slopes.
+
+    Attributes
+    ----------
+    lines, numbers : ndarray, shape (l, d) and (l, 2)
+        Coordinates of keys of surveyed lines, and on each the numbers of the branch and of the piece on it.
+    folds : (bool, bool)
+        Whether the piece begins and ends at a fold.
+    events : (bool, bool)
+        Whether it ends at an event, whose slope depends on the keys; elsewhere it is cut.
+    sizes : tuple of int
+        Nodes along the piece and along each key.
+    ends : ndarray, shape (product of sizes[1:], 2)
+        Coefficients of the ln slopes of both ends over the keys.
+    end_errors : ndarray, shape (2,)
+        Their errors.
+    gaits : ndarray, shape (product of sizes, m + k)
+        Coefficients of the gaits in similarity coordinates.
+    error : float
+        Largest error of a prediction that was measured.
+    lipschitz : ndarray, shape (p,)
+        Largest Lipschitz estimates of the Newton map at `roots(p)` along the piece.
+    rounding_std : ndarray, shape (p, o)
+        Standard deviations of rounding there, as `Branch` has them.
+    side : float
+        Sign of det(I - DP), the same on the whole piece.
+    """
+
+    lines: np.ndarray
+    numbers: np.ndarray
+    folds: tuple[bool, bool]
+    events: tuple[bool, bool]
+    sizes: tuple[int, ...]
+    ends: np.ndarray
+    end_errors: np.ndarray
+    gaits: np.ndarray
+    error: float
+    lipschitz: np.ndarray
+    rounding_std: np.ndarray
+    side: float
+
+    def ends_at(self, unit: np.ndarray) -> np.ndarray:
+        """Return the ln slopes of both ends, shape (n, 2), at coordinates of keys, shape (n, d)."""
+        return basis(unit, self.sizes[1:]) @ self.ends
+
+    def numbers_at(self, unit: np.ndarray) -> np.ndarray:
+        """Return the numbers of branch and piece on the nearest surveyed line, shape (n, 2)."""
+        return self.numbers[np.abs(unit[:, None] - self.lines).max(axis=2).argmin(axis=1)]
+
+    def predict(self, unit: np.ndarray, q: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predict gaits.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+        q : ndarray, shape (n,)
+            Values of ln slope.
+        ends : ndarray, shape (n, 2)
+            Of `ends_at`.
+
+        Returns
+        -------
+        w : ndarray, shape (m + k, n)
+        node : ndarray of int, shape (n,)
+            The nearest of the places along the piece at which rounding is measured.
+        """
+        s = coordinate((q - ends[:, 0]) / (ends[:, 1] - ends[:, 0]), self.folds)
+        x = 2 * s - 1
+        w = (basis(np.column_stack([x, unit]), self.sizes) @ self.gaits).T
+        return w, np.abs(x[:, None] - roots(max(1, len(self.lipschitz)))).argmin(axis=1)

@@ -1,0 +1,164 @@
+"""Gaits at points of a cell: predicted by its patches, solved by their own steps, or left to the road of lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from tasks.continuation.lockstep import lanes_of
+from tasks.families.cell import Cell, Family
+from tasks.families.patch import Patch
+from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished, join, settle
+from tasks.measures import violations
+from tasks.registry import VARIABLES
+from tasks.solve_points import Arrays, Part, describe, nothing_solved, store
+from tasks.step.problem import Lanes
+from tasks.walkers.walker_array import WalkerArray
+
+#: A gait may lie this many times farther from its prediction than any that was measured.
+_SAFETY = 8.0
+#: Lipschitz estimates of the nodes around, times this, serve a point.
+_LIPSCHITZ_SAFETY = 4.0
+#: Gaits of two pieces nearer than this could be one.
+_APART = 1e-7
+_BLOCK = 4096
+
+
+def solve(
+    family: Family,
+    cell: Cell,
+    keys: np.ndarray,
+    slope: np.ndarray,
+    want: Sequence[str],
+    wanted: set[str],
+    friction_limit: float = violations.FRICTION_LIMIT,
+) -> tuple[Arrays, np.ndarray]:
+    """Solve the gaits at the slopes of lines in a cell.
+
+    Parameters
+    ----------
+    family : Family
+    cell : Cell
+    keys : ndarray, shape (n, d)
+        Values of the free keys of n lines.
+    slope : ndarray, shape (s,) [rad]
+        Within the range of the cell.
+    want : sequence of str
+        Names of variables.
+    wanted : set of str
+        Labels.
+    friction_limit : float
+
+    Returns
+    -------
+    out : dict of ndarray, shape (n, s, len(GAITS)[, multipliers])
+        In the walkers' units.
+    accepted : ndarray of bool, shape (n,)
+        Lines all of whose gaits are accepted; what `out` has of the others is void.
+    """
+    n, s = len(keys), len(slope)
+    solved = [name for name in VARIABLES if name in want]
+    out = nothing_solved(solved, n * s, 4 if cell.structure.kneed else 3)
+    accepted = np.full(n, bool(not cell.why))
+    lines = max(1, _BLOCK // s)
+    for k in range(0, n if not cell.why else 0, lines):
+        some = slice(k, k + lines)
+        part = {name: value[k * s : (k + lines) * s] for name, value in out.items()}
+        accepted[some] = _solve_block(family, cell, keys[some], slope, solved, wanted, part, friction_limit)
+    return {name: value.reshape(n, s, *value.shape[1:]) for name, value in out.items()}, accepted
+
+
+def _solve_block(
+    family: Family,
+    cell: Cell,
+    keys: np.ndarray,
+    slope: np.ndarray,
+    solved: list[str],
+    wanted: set[str],
+    out: Arrays,
+    friction_limit: float,
+) -> np.ndarray:
+    """Store the gaits of a few lines in `out`, shape (n s, ...), and return which lines are accepted."""
+    n, s = len(keys), len(slope)
+    unit, q = cell.box.unit(keys), np.log(slope)
+    accepted = np.ones(n, bool)
+    indices, predictions = [], []
+    for patch in cell.patches:
+        ends = patch.ends_at(unit)
+        index = np.arange(n * s).reshape(n, s)
+        off = (ends[:, :1] - q, q - ends[:, 1:])
+        for end in (0, 1):
+            if patch.events[end]:
+                accepted &= (np.abs(off[end]) > _SAFETY * patch.end_errors[end]).all(axis=1)
+        index = index[(off[0] <= 0) & (off[1] <= 0)]
+        line = index // s
+        w, node = patch.predict(unit[line], q[index % s], ends[line])
+        indices.append(index)
+        predictions.append(_guesses(patch, w, node, slope[index % s]))
+    if not sum(map(len, indices)):
+        return accepted
+    guesses = join(predictions)
+    line = np.concatenate(indices) // s
+    walkers = family.walkers(keys).some(line)
+    problem = Lanes(walkers, cell.structure)
+    at = settle(problem, guesses)
+    fine = _are_predicted(at, guesses, np.repeat([p.error for p in cell.patches], [len(i) for i in indices]))
+    fine &= _side(at) == np.repeat([p.side for p in cell.patches], [len(i) for i in indices])
+    np.logical_and.at(accepted, line, fine)
+    gaits = _describe(problem, walkers, at, guesses.slope, solved, friction_limit)
+    parts, ends_of = [], np.cumsum([len(i) for i in indices]).tolist()
+    for patch, index, end in zip(cell.patches, indices, ends_of, strict=True):
+        own = {name: value[end - len(index) : end] for name, value in gaits.items()}
+        own["branch"], own["piece"] = patch.numbers_at(unit[index // s]).T
+        angle = np.where(own["anthropomorphic"], guesses.w[0, end - len(index) : end], np.nan)
+        parts.append(Part(index, angle, own["heelstrike_rate_ratio"], own))
+    store(out, parts, wanted)
+    w = _similarity(at)
+    for i, j in combinations(range(len(parts)), 2):
+        _, a, b = np.intersect1d(indices[i], indices[j], assume_unique=True, return_indices=True)
+        a, b = a + ends_of[i] - len(indices[i]), b + ends_of[j] - len(indices[j])
+        alike = np.abs(w[:, a] - w[:, b]).max(axis=0, initial=0.0) < _APART
+        accepted[line[a[alike]]] = False
+    return accepted
+
+
+def _guesses(patch: Patch, w: np.ndarray, node: np.ndarray, slope: np.ndarray) -> Guesses:
+    last = len(patch.lipschitz) - 1
+    around = [np.clip(node + i, 0, last) for i in (-1, 0, 1)]
+    lipschitz = _LIPSCHITZ_SAFETY * np.max([patch.lipschitz[k] for k in around], axis=0)
+    std = np.max([patch.rounding_std[k] for k in around], axis=0).T
+    return Guesses(w, slope, lipschitz, std, np.full(len(slope), UNKNOWN))
+
+
+def _similarity(at: Polished) -> np.ndarray:
+    return np.vstack([np.log(at.y[:1] * at.scale), at.y[1:] / at.y[0], at.times])
+
+
+def _are_predicted(at: Polished, guesses: Guesses, error: np.ndarray) -> np.ndarray:
+    """Whether gaits are converged steps as near their predictions as they should be, shape (n,)."""
+    with np.errstate(invalid="ignore"):
+        moved = np.abs(_similarity(at) - guesses.w).max(axis=0)
+    return at.converged & at.step & (moved < _SAFETY * error)
+
+
+def _side(at: Polished) -> np.ndarray:
+    """Sign of det(I - DP), shape (n,)."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sign(np.linalg.det(np.nan_to_num(at.stride.inverse).transpose(2, 0, 1))))
+
+
+def _describe(
+    problem: Lanes, walkers: WalkerArray, at: Polished, slope: np.ndarray, want: list[str], friction_limit: float
+) -> Arrays:
+    """Measure the gaits: all at once, or walker by walker where losses or violations are wanted."""
+    if not any(VARIABLES[name].group in ("energy", "violations") for name in want):
+        return describe(problem, walkers, at, slope, want, friction_limit)
+    each = []
+    for i in range(len(slope)):
+        one = slice(i, i + 1)
+        each.append(
+            describe(problem.some(np.array([i])), walkers[i], lanes_of(at, one), slope[one], want, friction_limit)
+        )
+    return {name: np.concatenate([gait[name] for gait in each]) for name in each[0]}
