@@ -10,7 +10,7 @@ import numpy as np
 from tasks.paper import published_tables, tuned_walkers
 from tasks.paper.certificates import backed
 from tasks.paper.claim import CLAIMS, NOT_CHECKABLE, Claim, ClaimResult
-from tasks.paper.lines import cache_atlas, set_tables
+from tasks.paper.lines import set_tables, use_atlases
 from tasks.paper.quotations import QUOTATIONS
 from tasks.registry import VARIABLES
 
@@ -55,10 +55,11 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     named = [
         (line, data) for line, data in zip(params["lines"], inputs, strict=False) if isinstance(line["walker"], str)
     ]
-    for line, data in named:
-        atlas = {k: v for k, v in data.items() if k not in VARIABLES and k not in ("slope", "reasons") and "/" not in k}
-        if atlas:
-            cache_atlas(line["walker"], line["set"], atlas)
+    atlases = (
+        {k: v for k, v in data.items() if k not in VARIABLES and k not in ("slope", "reasons") and "/" not in k}
+        for _, data in named
+    )
+    use_atlases((line["walker"], line["set"], a) for (line, _), a in zip(named, atlases, strict=True) if a)
     set_tables((line["walker"], {k: v for k, v in data.items() if "/" in k}) for line, data in named)
     wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(c.id[1:])))
     rows = [_row(claim, backed(claim.id, _check(claim))) for claim in wanted]

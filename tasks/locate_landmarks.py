@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tasks.paper.kneed_chaos import corner_crises, crisis
-from tasks.paper.lines import cache_atlas, line
+from tasks.paper.lines import line, use_atlases
 from tasks.paper.published import HALF_UNITS
 from tasks.paper.rounding_intervals import LANDMARKS, interval
 
@@ -83,12 +83,13 @@ def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 def _walkers(params: Mapping[str, Any], inputs: list[Arrays]) -> list[str]:
     """Walkers of the catalogue among a study's lines, as they are there; their atlases are kept for the look-ups."""
-    names = []
-    for one, atlas in zip(params["lines"], inputs, strict=True):
-        if isinstance(one["walker"], str) and not one["set"]:
-            cache_atlas(one["walker"], one["set"], atlas)
-            names.append(one["walker"])
-    return names
+    known = [
+        (one["walker"], one["set"], atlas)
+        for one, atlas in zip(params["lines"], inputs, strict=True)
+        if isinstance(one["walker"], str) and not one["set"]
+    ]
+    use_atlases(known)
+    return [walker for walker, _, _ in known]
 
 
 def _table(group: str, rows: Iterable[tuple[Any, ...]]) -> Arrays:

@@ -132,7 +132,7 @@ def run(
     """
     study = _study(wanted)
     path = Path(archive) if archive else Path("data", "archive", f"{study.name}.nc")
-    runner.run(study, path, runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))
+    runner.run([(study, path)], runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))
     return load(path)
 
 

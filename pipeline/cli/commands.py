@@ -239,14 +239,16 @@ def _run(options: argparse.Namespace) -> int:
 
     names = (field.name for field in dataclasses.fields(runner.Options))
     run_options = runner.Options(**{name: getattr(options, name) for name in names})
-    start, finished = time.monotonic(), {}
-    for study, path in studies:
-        with _report_errors(codes, options.debug):
-            codes.append(runner.run(study, path, run_options))
-            finished[study.path] = path
-        if codes[-1] > 128:  # a signal stops all studies
-            break
+    start = time.monotonic()
+
+    def report(error: Exception) -> None:
+        with _report_errors([], options.debug):
+            raise error
+
+    ends = runner.run(studies, run_options, report)
+    codes += ends
     if not options.quiet:
+        finished = {study.path: path for (study, path), end in zip(studies, ends, strict=True) if end in (0, 1)}
         others = [str(path) for path in options.studies if path not in finished]
         for line in text.after(list(finished.values()), others, time.monotonic() - start):
             print(line, file=sys.stderr)

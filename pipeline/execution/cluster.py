@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 import re
-from collections.abc import Iterator
-from typing import Any
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 from pipeline.errors import StudyError, WorkerError
 
+_Result = TypeVar("_Result")
+_RECOUNT = 5.0  # interval of counting the workers [s]
 _TIMEOUT = 20  # time to find the scheduler and a first worker [s]
 
 
@@ -50,15 +54,33 @@ def connect(address: str) -> Iterator[Any]:
         yield client
 
 
-def backend(client: Any) -> Any:
-    """Dask backend of joblib for any cluster; joblib itself runs the jobs of a single slot in this process."""
-    from joblib._dask import DaskDistributedBackend
+def results(client: Any, run: Callable[..., _Result], jobs: Iterator[tuple[Any, ...]]) -> Iterator[_Result]:
+    """Run jobs on the cluster and yield their results as they arrive; each worker has a second one waiting.
 
-    class Backend(DaskDistributedBackend):
-        def effective_n_jobs(self, n_jobs: int) -> int:
-            return max(2, super().effective_n_jobs(n_jobs))
+    Parameters
+    ----------
+    client : distributed.Client
+    run : callable
+        Called with the arguments of each job.
+    jobs : iterator of tuple
+    """
+    import distributed
 
-    return Backend(client=client)
+    pending = distributed.as_completed(loop=client.loop, with_results=True)
+    slots, counted = workers(client), time.monotonic()
+
+    def submit() -> None:
+        for job in itertools.islice(jobs, 2 * slots - pending.count()):
+            pending.add(client.submit(run, *job, pure=False))
+
+    submit()
+    for future, result in pending:
+        if future.status != "finished":
+            raise ConnectionError("the cluster lost a job")
+        if time.monotonic() - counted > _RECOUNT:
+            slots, counted = workers(client), time.monotonic()
+        submit()
+        yield result
 
 
 def workers(client: Any) -> int:

@@ -66,9 +66,17 @@ class Costs:
         """Number of points left on open lines."""
         return sum(regions[0].sum() for regions in self.lines.values())
 
-    def abandon(self, line: int) -> None:
-        """Close a line."""
+    def reopen(self, line: int, indices: np.ndarray) -> None:
+        """Close a line that is to be opened again.
+
+        Parameters
+        ----------
+        line : int
+        indices : ndarray of int, shape (n,)
+            As it was opened with.
+        """
         self.lines.pop(line, None)
+        self.points += len(indices)
 
     def add(self, line: int, indices: np.ndarray, seconds: float, probe: bool) -> None:
         """Add a measurement.
@@ -90,7 +98,7 @@ class Costs:
             self.lines[line][0] -= counts
             self.lines[line][slice(3, 5) if probe else slice(1, 3)] += counts_and_seconds
             if not self.lines[line][0].any():
-                self.abandon(line)
+                del self.lines[line]
 
     def cost_per_point(self, line: int) -> np.ndarray:
         """Time of a point by region.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,8 @@ from typing import Any
 from pipeline.execution import worker_process
 from pipeline.execution.worker_process import Request
 
-NOOP_JOB, _NOOP_SECONDS = -1, 0.05  # number of a job that does nothing, and its duration [s]
+_Jobs = Iterator[tuple[int, Request]]
+_Results = Iterator[tuple[int, dict[str, Any]]]
 
 
 @dataclass
@@ -22,27 +22,22 @@ class Engine:
     address: str | None = None
 
     @contextlib.contextmanager
-    def parallel(self) -> Iterator[Callable[[Iterator[Any]], Iterator[Any]]]:
-        """Provide a function that runs numbered jobs and yields their results as they arrive."""
-        import joblib
+    def parallel(self) -> Iterator[Callable[[_Jobs], _Results]]:
+        """Provide a function that runs numbered requests and yields their numbered results as they arrive."""
+        if self.address is None:
+            import joblib
 
-        options: dict[str, Any] = {"return_as": "generator_unordered", "batch_size": 1}
-        with contextlib.ExitStack() as stack:
-            if self.address is None:
-                options["backend"] = "threading"
-            else:
-                from pipeline.execution import cluster
+            options = {"backend": "threading", "return_as": "generator_unordered", "batch_size": 1}
+            with joblib.Parallel(self.jobs, pre_dispatch=2 * self.jobs, **options) as parallel:
+                yield lambda jobs: parallel(joblib.delayed(_run_job)(number, request) for number, request in jobs)
+        else:
+            from pipeline.execution import cluster
 
-                client = stack.enter_context(cluster.connect(self.address))
-                stack.enter_context(joblib.parallel_config(cluster.backend(client)))
+            with cluster.connect(self.address) as client:
                 self.jobs = cluster.workers(client)
-            parallel = stack.enter_context(joblib.Parallel(self.jobs, pre_dispatch=2 * self.jobs, **options))
-            yield lambda jobs: parallel(joblib.delayed(_run_job)(number, job) for number, job in jobs)
+                yield lambda jobs: cluster.results(client, _run_job, jobs)
 
 
-def _run_job(number: int, request: Request | None) -> tuple[int, dict[str, Any]]:
-    """Run a numbered job in a guarded worker process."""
-    if request is None:
-        time.sleep(_NOOP_SECONDS)
-        return number, {}
+def _run_job(number: int, request: Request) -> tuple[int, dict[str, Any]]:
+    """Run a numbered request in a guarded worker process."""
     return number, worker_process.run(request)

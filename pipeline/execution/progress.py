@@ -5,6 +5,7 @@ Progress only listens; nothing waits for it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import threading
@@ -18,13 +19,14 @@ from pipeline.execution import worker_process
 from pipeline.plan.missing import Plan, Summary
 
 if TYPE_CHECKING:
-    from pipeline.execution.scheduler import Scheduler
+    from pipeline.execution.study_jobs import StudyJobs
 
+_SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
 _LOG, _SLOW, _FAST = 5.0, 60.0, 0.5  # intervals of states in the log, of lines without a terminal, and with one [s]
 
 
 class Progress:
-    """Counts events, writes them to `FILE.events.jsonl` and, unless `quiet`, shows progress on stderr."""
+    """Counts events of one study, writes them to `FILE.events.jsonl` and, unless `quiet`, shows some on stderr."""
 
     def __init__(
         self,
@@ -37,43 +39,39 @@ class Progress:
     ):
         self.plan, self.log, self.quiet, self.verbose = plan, log, quiet, verbose
         self.stream = stream or sys.stderr
-        self.is_terminal = self.stream.isatty()
-        self.bar = None if quiet else notebook_bar()
-        self.start = self.last_log = self.last_shown = time.time()
+        self.start = time.time()
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
         self.cached_tasks = [name for name, n in todo.cached.items() if n]
-        self.scheduler: Scheduler | None = None
+        self.jobs: StudyJobs | None = None
         self.remote_workers: dict[tuple[str, int], tuple[float, dict[str, Any]]] = {}
         self.done: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
         self.counts: Counter[str] = Counter()
         self.file = open(log, "a", encoding="utf-8")  # noqa: SIM115 - open as long as the run
-        self.lock, self.stopped = threading.Lock(), threading.Event()
-        self.thread = threading.Thread(target=self._tick, daemon=True)
+        self.lock = threading.Lock()
 
-    def __enter__(self) -> Progress:
+    def begin(self) -> None:
+        """Write the first events."""
         self("begin", {"study": self.plan.study.name, "points": self.total, "cached": self.cached})
-        self._log("state", self.state())
-        self.thread.start()
-        return self
+        self.log_state()
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.stopped.set()
-        self.thread.join()
-        self._log("state", self.state())
-        if kind is None:
+    def close(self, is_over: bool) -> None:
+        """Write the last state, and whether the study is finished."""
+        self.log_state()
+        if is_over:
             self._log("end", {})
-        if self.bar:
-            self.bar(self.state())
-        if self.is_terminal and not self.quiet:
-            self.stream.write("\r\033[K")
-        self.file.close()
+        with self.lock, contextlib.suppress(OSError):
+            self.file.close()
+
+    def log_state(self) -> None:
+        """Write the state to the event log."""
+        self._log("state", self.state())
 
     def __call__(self, event: str, details: dict[str, Any]) -> None:
         """Record an event."""
         worker = details.pop("worker", None)
-        if worker and self.scheduler and self.scheduler.engine.address:
+        if worker and self.jobs and self.jobs.engine.address:
             self.remote_workers[worker["host"], worker["pid"]] = time.time(), worker
         if event in ("chunk", "task") and "seconds" in details:
             n = details.get("points", 1)
@@ -91,7 +89,7 @@ class Progress:
     def say(self, text: str) -> None:
         """Print a line on stderr."""
         if not self.quiet:
-            self.stream.write(("\r\033[K" if self.is_terminal else "") + text + "\n")
+            self.stream.write(("\r\033[K" if self.stream.isatty() else "") + text + "\n")
             self.stream.flush()
 
     def state(self) -> dict[str, Any]:
@@ -120,37 +118,76 @@ class Progress:
 
     def _stages(self) -> dict[str, dict[str, float]]:
         """Progress of each task, and its remaining time on all workers [s]."""
-        at_once, stages = self.scheduler.engine.jobs if self.scheduler else 1, {}
+        at_once, stages = self.jobs.engine.jobs if self.jobs else 1, {}
         for name, count in self.todo.items():
             done = self.done[name]
             mean_seconds = self.seconds[name] / done if done else self.plan.layers[name].task.seconds
             seconds_left = mean_seconds * max(0, count - done)
             if name == "points":
-                seconds_left = self.scheduler.costs.seconds_left() if self.scheduler else 0.0
+                seconds_left = self.jobs.costs.seconds_left() if self.jobs else 0.0
             if count:
                 stages[name] = {"done": done, "todo": count, "eta": round(seconds_left / at_once, 1)}
         return stages
 
     def _log(self, event: str, details: dict[str, Any]) -> None:
-        with self.lock:
+        # On a full disk the run goes on as long as its results find room.
+        with self.lock, contextlib.suppress(OSError):
+            if self.file.closed:
+                return
             self.file.write(json.dumps({"time": round(time.time(), 3), "event": event, **details}) + "\n")
             self.file.flush()
 
+
+class Display:
+    """Shows the progress of all studies of a command on one line, or in a notebook, and logs their states."""
+
+    def __init__(self, studies: list[Progress], quiet: bool):
+        self.studies, self.quiet, self.stream = studies, quiet, sys.stderr
+        self.is_terminal = self.stream.isatty()
+        self.bar = None if quiet else notebook_bar()
+        self.stopped = threading.Event()
+        self.thread = threading.Thread(target=self._tick, daemon=True)
+
+    def __enter__(self) -> Display:
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stopped.set()
+        self.thread.join()
+        if self.bar:
+            self.bar(total([study.state() for study in self.studies]))
+        if self.is_terminal and not self.quiet:
+            self.stream.write("\r\033[K")
+
     def _tick(self) -> None:
+        last_log = last_shown = time.time()
         while not self.stopped.wait(_FAST):
             clock = time.time()
-            if clock - self.last_log >= _LOG:
-                self.last_log = clock
-                self._log("state", self.state())
-            if not self.quiet and clock - self.last_shown >= (_FAST if self.is_terminal or self.bar else _SLOW):
-                self.last_shown = clock
-                state = self.state()
+            if clock - last_log >= _LOG:
+                last_log = clock
+                for study in self.studies:
+                    study.log_state()
+            if not self.quiet and clock - last_shown >= (_FAST if self.is_terminal or self.bar else _SLOW):
+                last_shown = clock
+                state = total([study.state() for study in self.studies])
                 if self.bar:
                     self.bar(state)
                     continue
                 text = sentence(state)
                 self.stream.write(f"\r\033[K{text[:118]}" if self.is_terminal else text + "\n")
                 self.stream.flush()
+
+
+def total(states: list[dict[str, Any]]) -> dict[str, Any]:
+    """State of several studies together, as `sentence` reads it."""
+    result: dict[str, Any] = {key: sum(state[key] for state in states) for key in _SUMMED}
+    result["counts"] = dict(sum((Counter(state["counts"]) for state in states), Counter()))
+    stages: dict[str, Counter[str]] = {}
+    for state in states:
+        for name, stage in state["stages"].items():
+            stages.setdefault(name, Counter()).update(stage)
+    return {**result, "stages": {name: dict(stage) for name, stage in stages.items()}}
 
 
 def notebook_bar() -> Callable[[dict[str, Any]], None] | None:

@@ -1,30 +1,29 @@
-"""Run one study from its lock to its archive: journal, plan, execution, archive and the record of the run."""
+"""Run studies from their locks to their archives: journal, plan, execution, archive and the record of the run."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import platform
-import signal
 import sys
-import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from pipeline import paths
 from pipeline.archive import read, write
 from pipeline.archive.provenance import code_digest, cpu_features, version
-from pipeline.errors import ArchiveError, BusyError, GaitsweepError, StoppedError, unwritten
+from pipeline.errors import ArchiveError, StoppedError, StudyError, unwritten
 from pipeline.execution import worker_process
 from pipeline.execution.executors import Engine
-from pipeline.execution.progress import Progress, duration
+from pipeline.execution.locks import lock_archive
+from pipeline.execution.progress import Display, Progress, duration
 from pipeline.execution.scheduler import Scheduler
+from pipeline.execution.signals import Signals
+from pipeline.execution.study_jobs import StudyJobs
 from pipeline.paths import sidecar_path
 from pipeline.plan.missing import Plan, summary
 from pipeline.store.compact import compact
@@ -32,6 +31,7 @@ from pipeline.store.journal import CorruptJournalError, Journal, forget, repair
 from pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
+_MAX_REPAIRS = 3  # damages of a journal in one run, after which it is given up
 _MAX_REASONS = 10  # reasons listed at the end of a run
 _SNAPSHOT_PAUSE = 20  # minimum interval, in multiples of the time of writing one
 
@@ -50,188 +50,215 @@ class Options:
     snapshot: float = _SNAPSHOT
 
 
-@contextlib.contextmanager
-def lock_archive(path: Path) -> Iterator[None]:
-    """Lock an archive. A lock ends with its process; drafts it left behind are removed.
+def run(
+    targets: Sequence[tuple[Study, Path]], options: Options, report: Callable[[Exception], None] | None = None
+) -> list[int]:
+    """Run studies into archives, all as one graph; one that fails does not end the others.
 
-    Raises
-    ------
-    BusyError
-        If another run holds it.
-    """
-    with open(sidecar_path(path, ".lock"), "a+", encoding="utf-8") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            holder = _holder(file)
-            name = "its process is not known yet."
-            if {"pid", "host", "started"} <= holder.keys():
-                name = f"process {holder['pid']} on {holder['host']}, started {holder['started']}."
-            raise BusyError(f"{path} is held by another run: {name}") from error
-        for file_path in (path.resolve(), sidecar_path(path, ".journal"), sidecar_path(path, ".run.json")):
-            paths.discard(file_path, _holder(file).get("drafts"))
-        file.seek(0)
-        file.truncate()
-        started = time.strftime("%Y-%m-%d %H:%M:%S")
-        json.dump({"pid": os.getpid(), "host": platform.node(), "started": started, "drafts": paths.SECRET}, file)
-        file.flush()
-        yield
+    Parameters
+    ----------
+    targets : sequence of (Study, Path)
+        Studies and the paths of their archives.
+    options : Options
+    report : callable, optional
+        Receives the error of each study that ends with one; a signal is reported once. By default the first is raised.
 
-
-def _holder(file: Any) -> dict[str, Any]:
-    """Holder of a lock, or the last one, as far as is known."""
-    try:
-        file.seek(0)
-        holder = json.load(file)
-        return holder if isinstance(holder, dict) else {}
-    except (ValueError, RecursionError):
-        return {}
-
-
-class Signals:
-    """Stop a run at INT, TERM or HUP, but never while a result is written; a second signal kills.
-
-    Signals that were ignored at the start, as under `nohup`, stay ignored.
-    """
-
-    def __init__(self) -> None:
-        self.postponed, self.received = False, 0
-
-    @contextlib.contextmanager
-    def handle(self) -> Iterator[None]:
-        """Handle signals inside; only the main thread can."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-        handlers = {
-            s: signal.signal(s, self._receive)
-            for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-            if signal.getsignal(s) not in (signal.SIG_IGN, None)
-        }
-        try:
-            yield
-        except StoppedError:
-            raise
-        except Exception:
-            if self.received:  # an error of a library that was interrupted
-                self._stop()
-            raise
-        finally:
-            for signum, handler in handlers.items():
-                signal.signal(signum, handler)
-
-    def _receive(self, signum: int, frame: FrameType | None) -> None:
-        worker_process.stop()
-        if self.received:
-            os._exit(128 + signum)
-        self.received = signum
-        if not self.postponed:
-            self._stop()
-
-    def _stop(self) -> None:
-        name = signal.Signals(self.received).name
-        raise StoppedError(self.received, f"Stopped by {name}; finished results are kept.") from None
-
-    def __enter__(self) -> None:
-        self.postponed = True
-
-    def __exit__(self, *_: object) -> None:
-        self.postponed = False
-        if self.received:
-            self._stop()
-
-
-def run(study: Study, path: Path, options: Options) -> int:
-    """Run a study into the archive at `path` and return the exit code.
+    Returns
+    -------
+    list of int
+        Exit code of each study.
 
     Raises
     ------
     GaitsweepError
-        If the run cannot start or continue; finished results are kept.
+        If a study cannot start or continue, and `report` is not given; finished results are kept.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock = lock_archive(path)
-        with lock:
-            if path.exists():
-                read.check_replaceable(path)
-            return _run(study, path, options)
-    except OSError as error:
-        raise unwritten(path.parent, error) from error
-
-
-def _run(study: Study, path: Path, options: Options) -> int:
-    journal = sidecar_path(path, ".journal")
-    if options.fresh:
-        forget(journal)
-    record: dict[str, Any] = {
-        "study": study.name,
-        "archive": path.name,
-        "began": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "host": platform.node(),
-        "jobs": options.jobs,
-        "cluster": options.cluster,
-        "cpu": cpu_features(),
-        "version": version("gaitsweep"),
-    }
-    clock, code = time.monotonic(), 1
-    try:
-        code = _run_repairing(study, path, journal, options, record)
-        return code
-    except GaitsweepError as error:
-        code = error.exit_code
-        record["error"] = str(error)
-        raise
-    finally:
-        record |= {"exit_code": code, "seconds": round(time.monotonic() - clock, 3)}
-        with contextlib.suppress(OSError):
-            _write_record(sidecar_path(path, ".run.json"), record)
-
-
-def _run_repairing(study: Study, path: Path, journal_path: Path, options: Options, record: dict[str, Any]) -> int:
-    for _ in range(3):
+    errors: list[Exception] = []
+    studies = [StudyRun(study, path, options, report or errors.append) for study, path in targets]
+    signals = Signals()
+    with contextlib.ExitStack() as stack:
+        for study in studies:
+            stack.callback(study.close)
+            study.open()
         try:
-            with contextlib.closing(Journal(journal_path, points=study.points)) as journal:
-                return _attempt(Plan(study, journal, options.retry_failed), path, options, record)
-        except CorruptJournalError:
-            repair(journal_path)
-            if not options.quiet:
-                print(
-                    f"{journal_path} was damaged; it is repaired, and lost results are computed again.", file=sys.stderr
-                )
-    raise ArchiveError(f"{journal_path} cannot be repaired; run again with --fresh.")
+            with signals.handle():
+                while waiting := [study for study in studies if study.is_open]:
+                    _attempt(waiting, options, signals)
+        except Exception as error:
+            stopped = [study for study in studies if study.is_open]
+            for study in stopped:
+                study.end(error, quietly=study is not stopped[0])
+    if errors:
+        raise errors[0]
+    return [study.code for study in studies]
 
 
-def _attempt(plan: Plan, path: Path, options: Options, record: dict[str, Any]) -> int:
-    todo = summary(plan)
-    engine, signals = Engine(options.jobs, options.cluster), Signals()
-    log = sidecar_path(path, ".events.jsonl")
-    with signals.handle(), Progress(plan, todo, log, options.quiet, options.verbose) as progress:
-        _warn_of_changed_code(plan, progress)
-        listen = _Snapshots(plan, path, options.snapshot, progress)
+def _attempt(studies: list[StudyRun], options: Options, signals: Signals) -> None:
+    """Run what is missing of the studies that are open; of a damaged journal it is known only now what that is."""
+    engine = Engine(options.jobs, options.cluster)
+    by_jobs: dict[StudyJobs, StudyRun] = {}
+    with contextlib.ExitStack() as stack:
+        stack.callback(worker_process.close_all)
+        for study in studies:
+            jobs = study.plan(engine, signals)
+            if jobs:
+                by_jobs[jobs] = study
+                stack.callback(study.pause)
+        with Display([study.progress for study in by_jobs.values() if study.progress], options.quiet):
+            Scheduler(list(by_jobs), engine, lambda jobs: by_jobs[jobs].finish(jobs)).run()
+
+
+class StudyRun:
+    """One study of a command, from its lock to its archive and the record of the run.
+
+    Parameters
+    ----------
+    study : Study
+    path : Path
+        Of the archive.
+    options : Options
+    report : callable
+        Receives the error that ends it, if any.
+
+    Attributes
+    ----------
+    is_open : bool
+        Whether it is locked and not finished.
+    code : int
+        Exit code.
+    """
+
+    def __init__(self, study: Study, path: Path, options: Options, report: Callable[[Exception], None]):
+        self.study, self.path, self.options, self.report = study, path, options, report
+        self.is_open, self.code = False, 1
+        self.progress: Progress | None = None
+        self._journal: Journal | None = None
+        self._resources = contextlib.ExitStack()
+        self._repairs, self._clock = 0, time.monotonic()
+        self._record: dict[str, Any] = {
+            "study": study.name,
+            "archive": path.name,
+            "began": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            "host": platform.node(),
+            "jobs": options.jobs,
+            "cluster": options.cluster,
+            "cpu": cpu_features(),
+            "version": version("gaitsweep"),
+        }
+
+    def open(self) -> None:
+        """Lock the archive, and with `fresh` forget earlier results."""
         try:
-            if any(todo.todo.values()):
-                points = sum(todo.todo.get("points", {}).values())
-                progress.scheduler = Scheduler(plan, engine, listen, points, options.chunk, signals)
-                progress.scheduler.run()
-            record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-            written = write.write(plan, path, min(options.jobs, os.cpu_count() or 1))
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._resources.enter_context(lock_archive(self.path))
+            if self.path.exists():
+                read.check_replaceable(self.path)
+            self.is_open = True
+            if self.options.fresh:
+                forget(sidecar_path(self.path, ".journal"))
+        except Exception as error:
+            self.end(error)
+
+    def plan(self, engine: Engine, signals: Signals) -> StudyJobs | None:
+        """Compare the study with its journal, and lay out the jobs that are missing."""
+        try:
+            self._journal = Journal(sidecar_path(self.path, ".journal"), points=self.study.points)
+            plan = Plan(self.study, self._journal, self.options.retry_failed)
+            todo = summary(plan)
+            log = sidecar_path(self.path, ".events.jsonl")
+            self.progress = progress = Progress(plan, todo, log, self.options.quiet, self.options.verbose)
+            progress.begin()
+            _warn_of_changed_code(plan, progress)
+            listen = _Snapshots(plan, self.path, self.options.snapshot, progress)
+            points = sum(todo.todo.get("points", {}).values())
+            progress.jobs = StudyJobs(plan, engine, listen, points, self.options.chunk, signals)
+            return progress.jobs
+        except StoppedError:
+            raise
+        except Exception as error:
+            self.pause()
+            self._fail(error)
+            return None
+
+    def finish(self, jobs: StudyJobs) -> None:
+        """Write the archive of a study whose jobs are done, or report what ended it."""
+        try:
+            if jobs.error:
+                raise jobs.error
+            self._record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+            written = write.write(jobs.plan, self.path, min(self.options.jobs, os.cpu_count() or 1))
             if written.counts["not_attempted"]:  # stored results are missing
-                raise CorruptJournalError(plan.journal.path)
-            compact(plan.journal)
-        finally:
-            record |= {"state": progress.state()}
-            worker_process.close_all()
-    failed = _failed_tasks(plan)
-    record |= {
-        "points": sum(written.counts.values()),
-        "counts": dict(written.counts),
-        "failed": sum(written.failures.values()),
-        "failures": dict(written.failures),
-        "failed_tasks": failed,
-    }
-    _summarise(plan, progress, written, failed, path)
-    return 1 if written.failures or failed else 0
+                raise CorruptJournalError(jobs.journal.path)
+            compact(jobs.journal)
+            failed = _failed_tasks(jobs.plan)
+            self._record |= {
+                "points": sum(written.counts.values()),
+                "counts": dict(written.counts),
+                "failed": sum(written.failures.values()),
+                "failures": dict(written.failures),
+                "failed_tasks": failed,
+            }
+            if self.progress:
+                _summarise(jobs.plan, self.progress, written, failed, self.path)
+            self.code = 1 if written.failures or failed else 0
+        except StoppedError:
+            raise
+        except Exception as error:
+            self.pause()
+            self._fail(error)
+        else:
+            self.pause(is_over=True)
+            self.end(None)
+
+    def pause(self, is_over: bool = False) -> None:
+        """Close the journal and the event log."""
+        if self.progress:
+            self._record["state"] = self.progress.state()
+            self.progress.close(is_over)
+        if self._journal:
+            self._journal.close()
+        self.progress = self._journal = None
+
+    def _fail(self, error: Exception) -> None:
+        """End with an error; a damaged journal is repaired, and the study planned again."""
+        if not isinstance(error, CorruptJournalError):
+            self.end(error)
+            return
+        self._repairs += 1
+        if self._repairs == _MAX_REPAIRS:
+            self.end(ArchiveError(f"{error.path} cannot be repaired; run again with --fresh."))
+            return
+        try:
+            repair(error.path)
+        except Exception as failure:
+            self.end(failure)
+        else:
+            if not self.options.quiet:
+                print(
+                    f"{error.path} was damaged; it is repaired, and lost results are computed again.", file=sys.stderr
+                )
+
+    def end(self, error: Exception | None, quietly: bool = False) -> None:
+        """Write the record of the run and unlock the archive."""
+        self.pause()
+        if isinstance(error, OSError):
+            error = unwritten(self.path.parent, error)
+        if error:
+            self.code = getattr(error, "exit_code", StudyError.exit_code)
+            self._record["error"] = str(error)
+        if self.is_open:
+            self._record |= {"exit_code": self.code, "seconds": round(time.monotonic() - self._clock, 3)}
+            with contextlib.suppress(OSError):
+                _write_record(sidecar_path(self.path, ".run.json"), self._record)
+        self.is_open = False
+        self._resources.close()
+        if error and not quietly:
+            self.report(error)
+
+    def close(self) -> None:
+        """Unlock the archive, whatever happened."""
+        self.pause()
+        self._resources.close()
 
 
 def _warn_of_changed_code(plan: Plan, progress: Progress) -> None:

@@ -55,6 +55,23 @@ def layers(study: Study) -> dict[str, Layer]:
     return needed
 
 
+def depths(graph: dict[str, Layer]) -> dict[str, int]:
+    """Longest chain of inputs of each layer."""
+    depth: dict[str, int] = {}
+    for name, layer in graph.items():  # inputs come first
+        depth[name] = max((1 + depth[need] for need in layer.needs), default=0)
+    return depth
+
+
+def seconds_after(graph: dict[str, Layer]) -> dict[str, float]:
+    """Estimated time of the longest chain of tasks that depend on a task of each layer [s]."""
+    seconds = dict.fromkeys(graph, 0.0)
+    for name, layer in reversed(graph.items()):
+        for need in layer.needs:
+            seconds[need] = max(seconds[need], layer.task.seconds + seconds[name])
+    return seconds
+
+
 def _over_lines(name: str) -> bool:
     return not any(need == "points" or not _over_lines(need) for need in TASKS[name].needs) or name == "points"
 

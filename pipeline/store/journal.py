@@ -43,6 +43,7 @@ class CorruptJournalError(ArchiveError):
     """The journal does not hold what was written; `repair` it and plan again."""
 
     def __init__(self, path: Path):
+        self.path = path
         super().__init__(f"{path} is damaged; the next run repairs it.")
 
 
@@ -256,8 +257,7 @@ class Journal:
         self, numbers: Iterable[int], line: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes]
     ) -> None:
         """Replace several blocks by one, in one transaction."""
-        numbers = sorted(numbers)
-        selection = f"FROM points WHERE id IN ({','.join(map(str, numbers))})"
+        selection = f"FROM points WHERE id IN ({','.join(map(str, numbers := sorted(numbers)))})"
         unversioned_key, seconds = self._read(f"SELECT max(kin), sum(seconds) {selection}")[0]
         self._recent.clear()
         with self._lock:

@@ -15,7 +15,7 @@ from tasks.follow_curves import curve
 from tasks.iterate_orbits import orbit
 from tasks.locate_cascade import cascade
 from tasks.paper.claim import NOT_REPRODUCED, ClaimResult, claim, compare, verdict
-from tasks.paper.lines import Arrays, line, numbers, table
+from tasks.paper.lines import Arrays, line, memoize, numbers, table
 from tasks.paper.published import HALF_UNITS
 from tasks.paper.rounding_intervals import changed, interval
 from tasks.solve_points import atlas
@@ -184,7 +184,7 @@ def kneed_doublings() -> ClaimResult:
     )
 
 
-@functools.lru_cache(maxsize=4)
+@memoize
 def corner_crises(walker: str) -> tuple[tuple[float, float], tuple[float, float]]:
     """Bracket the loss of walking at the two corners of a walker's rounding.
 
@@ -336,7 +336,7 @@ def never_more() -> ClaimResult:
     )
 
 
-@functools.lru_cache(maxsize=8)
+@memoize
 def chaos(walker: str) -> tuple[int, str]:
     """Whether a walker's period doublings lead to chaos, and where (last column of figure 10).
 

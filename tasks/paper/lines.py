@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from scipy.optimize import brentq
@@ -154,29 +154,49 @@ _STUDY_TABLES: dict[str, Arrays] = {}
 _MADE_TABLES: dict[str, Arrays] = {}
 
 
+#: Atlases that the task at hand was given, and the memoized functions of claims, which read lines.
+_given: list[Any] = []
+_MEMOIZED: list[Any] = []
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def memoize(function: _Function) -> _Function:
+    """Remember the results of a function of claims until a task is given other atlases."""
+    _MEMOIZED.append(functools.lru_cache(maxsize=32)(function))
+    return cast(_Function, _MEMOIZED[-1])
+
+
 def line(walker: str, **settings: float) -> Line:
-    """Line of a catalogue walker with some keys set; solved once a process."""
+    """Line of a catalogue walker with some keys set; solved once for all that is computed from the same atlases."""
     key = walker, tuple(sorted(settings.items()))
     if key not in _LINES:
         _LINES[key] = Line(walker, settings)
     return _LINES[key]
 
 
-def cache_atlas(walker: str, settings: Mapping[str, float], known: Arrays) -> None:
-    """Use an atlas that is known already for a line.
+def use_atlases(known: Iterable[tuple[str, Mapping[str, float], Arrays]]) -> None:
+    """Use atlases that are known already, and forget what was computed from others.
 
     Parameters
     ----------
-    walker : str
-        Name in the catalogue.
-    settings : mapping
-        Values of the keys that the line sets.
-    known : dict
-        The atlas, as arrays of task `atlas`.
+    known : iterable of (str, mapping, dict)
+        Name in the catalogue, values of the keys that the line sets, and the atlas as arrays of task `atlas`.
+
+    Notes
+    -----
+    A result must not depend on what its process computed before: atlases of other studies may be coarser.
     """
-    key = walker, tuple(sorted(settings.items()))
-    if key not in _LINES:
-        _LINES[key] = Line(walker, settings, known)
+    lines = [(walker, tuple(sorted(settings.items())), arrays) for walker, settings, arrays in known]
+    given = [(walker, keys, sorted((k, v.tobytes()) for k, v in arrays.items())) for walker, keys, arrays in lines]
+    if given == _given:
+        return
+    _given[:] = given
+    for cache in (_LINES, _MADE_TABLES):
+        cache.clear()
+    for function in _MEMOIZED:
+        function.cache_clear()
+    for walker, keys, arrays in lines:
+        _LINES.setdefault((walker, keys), Line(walker, dict(keys), arrays))
 
 
 def set_tables(tables: Iterable[tuple[str, Arrays]]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from tasks.fit_laws import transition
 from tasks.mechanics.lumped import constants_of
 from tasks.paper.claim import APPROXIMATE, ClaimResult, claim, verdict
-from tasks.paper.lines import LONG, SHORT, foot_ratio, line, numbers, root
+from tasks.paper.lines import LONG, SHORT, foot_ratio, line, memoize, numbers, root
 from tasks.step.problem import Problem
 from tasks.step.step_map import stride_map
 
@@ -98,7 +97,7 @@ def short_two_laws() -> ClaimResult:
     )
 
 
-@functools.lru_cache(maxsize=1)
+@memoize
 def _transitions() -> dict[str, np.ndarray]:
     """Tables of task `transition` for the foot mass ratios in `RATIOS`."""
     slope = np.geomspace(1e-11, 0.2, 220)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from tasks.paper.claim import NOT_CHECKABLE, ClaimResult, claim, verdict
 from tasks.paper.kneed_chaos import chaos
-from tasks.paper.lines import LONG, SHORT, line
+from tasks.paper.lines import LONG, SHORT, line, memoize
 from tasks.paper.point_feet import speed_crossing
 from tasks.paper.rounding_intervals import LANDMARKS, interval
 from tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
@@ -63,7 +62,7 @@ def figure9() -> Columns:
     return _columns("figure9", rows)
 
 
-@functools.lru_cache(maxsize=1)
+@memoize
 def _figure10() -> tuple[dict[str, Any], ...]:
     rows = []
     for name in ROWS:
@@ -153,7 +152,7 @@ class _Cell:
         return verdict(self.deviation < TOLERANCE, self.deviation < 10 * TOLERANCE)
 
 
-@functools.lru_cache(maxsize=1)
+@memoize
 def _cells() -> tuple[_Cell, ...]:
     """Every cell of figure 10, in the order of its rows."""
     rows = {row["walker"]: row for row in _figure10()}

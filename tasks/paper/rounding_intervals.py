@@ -8,7 +8,6 @@ sizes, extrapolated. The interval is the printed walker's value plus or minus th
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -21,7 +20,7 @@ from tasks.continuation.lockstep import run
 from tasks.continuation.tracking import Point, linearised
 from tasks.mechanics.equations import Symbols
 from tasks.mechanics.impacts import heelstrike
-from tasks.paper.lines import Line, line
+from tasks.paper.lines import Line, line, memoize
 from tasks.paper.published import HALF_UNITS
 from tasks.step.problem import Lanes, Problem
 from tasks.step.step_map import Stride
@@ -302,7 +301,7 @@ def _size(walker: Walker, key: str) -> float:
     return {"g": walker.g, "eps_T": 1.0}.get(key, walker.leg)
 
 
-@functools.lru_cache(maxsize=32)
+@memoize
 def interval(name: str) -> Interval:
     """Compute the interval of a landmark, by its name."""
     mark = LANDMARKS[name]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 
 from tasks.continuation.branch import Branch
 from tasks.continuation.special_points import special_points
 from tasks.paper.claim import ClaimResult, claim, verdict
-from tasks.paper.lines import LONG, SHORT, line, numbers
+from tasks.paper.lines import LONG, SHORT, line, memoize, numbers
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.tuning import is_tuned, statics
 from tasks.walkers.walker import Walker
@@ -165,7 +163,7 @@ def short_end() -> ClaimResult:
     )
 
 
-@functools.lru_cache(maxsize=1)
+@memoize
 def offsets() -> dict[str, np.ndarray]:
     """Tabulate the smallest slope against fore-aft offsets from exact tuning.
 
@@ -206,7 +204,7 @@ def not_generic() -> ClaimResult:
     )
 
 
-@functools.lru_cache(maxsize=1)
+@memoize
 def _high_slope_branch() -> Branch:
     """The physical walker's gaits at high slopes, which may lie on a branch apart from its gaits at low slopes.
 

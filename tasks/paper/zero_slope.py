@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 from scipy.optimize import brentq
 
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import newton
 from tasks.paper.claim import ClaimResult, claim, compare, verdict
-from tasks.paper.lines import LONG, SHORT, Arrays, line, numbers, root
+from tasks.paper.lines import LONG, SHORT, Arrays, line, memoize, numbers, root
 from tasks.paper.rounding_intervals import interval
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
@@ -117,7 +115,7 @@ def _half_knee_loss() -> float:
     return root(lambda slope: float(excess(gaits.at([slope], losses))[0]), grid["slope"], excess(grid))
 
 
-@functools.lru_cache(maxsize=2)
+@memoize
 def mass_limit(slope: float = 1e-9) -> float:
     """Find the largest foot mass ratio whose long step is stable at a vanishing slope [rad]."""
     gaits, q = line("E"), np.array([np.log(slope)])

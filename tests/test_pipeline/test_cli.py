@@ -10,12 +10,14 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 from unittest.mock import Mock
 
 import netCDF4
 import pytest
 
 from conftest import ROOT, STUDY
+from pipeline.archive import write
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError
 
@@ -209,30 +211,56 @@ def test_a_study_that_is_refused_does_not_end_the_list(toy):
 
 
 @pytest.mark.parametrize(
-    ("ends", "code", "runs"),
+    ("ends", "code"),
     [
-        ([0, 1, 0], 1, 3),
-        ([1, BusyError("b"), 0], 5, 3),
-        ([BusyError("b"), ArchiveError("a"), 1], 2, 3),
-        ([ValueError(), WorkerError("w"), BusyError("b")], 3, 3),
-        ([DiskFullError("d"), WorkerError("w"), 0], 4, 3),
-        ([DiskFullError("d"), StoppedError(2, "s"), 0], 130, 2),
-        ([1, StoppedError(15, "s"), 0], 143, 2),
-        ([KeyboardInterrupt(), 0, 0], 130, 1),
+        ([0, 1, 0], 1),
+        ([1, BusyError("b"), 0], 5),
+        ([BusyError("b"), ArchiveError("a"), 1], 2),
+        ([ValueError(), WorkerError("w"), BusyError("b")], 3),
+        ([DiskFullError("d"), WorkerError("w"), 0], 4),
+        ([DiskFullError("d"), StoppedError(2, "s"), 0], 130),
+        ([1, StoppedError(15, "s"), 0], 143),
     ],
 )
-def test_several_studies_end_with_the_gravest_code(toy, monkeypatch, capsys, ends, code, runs):
+def test_several_studies_end_with_the_gravest_code(toy, monkeypatch, capsys, ends, code):
     monkeypatch.chdir(toy.folder)
     names = ["a", "b", "c"]
     for name in names:
         toy.write(STUDY.replace('"toy"', f'"{name}"'), f"{name}.toml")
-    run = Mock(side_effect=ends)
+
+    def run(targets, options, report):
+        for end in ends:
+            if isinstance(end, Exception):
+                report(end)
+        return [end if isinstance(end, int) else getattr(end, "exit_code", 2) for end in ends]
+
     monkeypatch.setattr("pipeline.execution.runner.run", run)
     assert commands.main(["run", *(f"{name}.toml" for name in names)]) == code
-    assert run.call_count == runs
-    left = [f"{name}.toml" for name, end in zip(names, ends, strict=True) if end not in (0, 1)]
-    left += [f"{name}.toml" for name in names[runs:] if f"{name}.toml" not in left]
-    assert (f"not run to the end: {', '.join(left)}\n" in capsys.readouterr().err) == bool(left)
+    said, left = capsys.readouterr().err, [f"{n}.toml" for n, end in zip(names, ends, strict=True) if end not in (0, 1)]
+    assert (f"not run to the end: {', '.join(left)}\n" in said) == bool(left)
+    assert said.count("gaitsweep: ") == sum(isinstance(end, Exception) for end in ends)
+
+
+def test_one_study_that_fails_on_the_way_does_not_end_the_others(toy, monkeypatch, capsys):
+    """Its archive cannot be written; the others have theirs, and each its own record."""
+    monkeypatch.chdir(toy.folder)
+    for name in ("a", "b", "c"):
+        toy.write(f'name = "{name}"\nwalker = "D"\n[axes]\nslope = [0.01]\n', f"{name}.toml")
+    written = write.write
+
+    def fail(plan, path, threads=1):
+        if plan.study.name == "b":
+            raise DiskFullError("The disk is full.")
+        return written(plan, path, threads)
+
+    monkeypatch.setattr("pipeline.archive.write.write", fail)
+    assert commands.main(["run", "a.toml", "b.toml", "c.toml", "--jobs", "1"]) == 4
+    assert "2 of 3 studies in" in capsys.readouterr().err
+    folder = Path("data", "archive")
+    assert sorted(path.stem for path in folder.glob("*.nc")) == ["a", "c"]
+    records = {path.name[0]: json.loads(path.read_text()) for path in folder.glob("*.run.json")}
+    assert {name: record["exit_code"] for name, record in records.items()} == {"a": 0, "b": 4, "c": 0}
+    assert records["b"]["error"] == "The disk is full."
 
 
 def test_verbose_tells_of_every_chunk_in_words(toy):

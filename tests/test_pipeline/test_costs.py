@@ -12,6 +12,7 @@ from conftest import STUDY
 from pipeline import serialize
 from pipeline.execution.executors import Engine
 from pipeline.execution.scheduler import Scheduler
+from pipeline.execution.study_jobs import StudyJobs
 from pipeline.plan.missing import Plan
 from pipeline.store.journal import Journal
 from pipeline.study import parse
@@ -76,10 +77,10 @@ def test_what_is_left_is_told_to_a_quarter_after_a_fifth_of_the_work(tmp_path, n
     journal = Journal(tmp_path / "j")
 
     def listen(*_):
-        told.append((engine.spent, scheduler.costs.seconds_left()))
+        told.append((engine.spent, jobs.costs.seconds_left()))
 
-    scheduler = Scheduler(Plan(found, journal), engine, listen, found.points)
-    scheduler.run()
+    jobs = StudyJobs(Plan(found, journal), engine, listen, found.points)
+    Scheduler([jobs], engine).run()
     journal.close()
     wrong = [
         abs(left / (engine.spent - spent) - 1)

@@ -30,6 +30,15 @@ def test_nothing_that_is_not_wanted_is_in_the_graph(make):
     assert "stance_angle" in graph.variables(found) and "multiplier_real" not in graph.variables(found)
 
 
+def test_what_depends_on_a_task_is_in_its_depth_and_urgency(make):
+    layers = graph.layers(make(want={"variables": ["period"], "fits": ["scaling", "landmarks"], "claims": ["E2"]}))
+    assert graph.depths(layers) == {"atlas": 0, "points": 1, "scaling": 2, "landmarks": 1, "claims": 2}
+    after = graph.seconds_after(layers)
+    seconds = {name: layer.task.seconds for name, layer in layers.items()}
+    assert after["points"] == max(seconds["scaling"], seconds["claims"]) and after["claims"] == 0
+    assert after["atlas"] == max(seconds["points"] + after["points"], seconds["landmarks"])
+
+
 def test_the_graph_is_plain_data_and_whole(make):
     nodes = graph.expand(make(want={"fits": ["scaling", "transition"]}))
     assert [key.split("-")[0] for key in nodes] == ["atlas", "points"] * 2 + ["scaling", "transition"]

@@ -212,7 +212,7 @@ def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
     plan = types.SimpleNamespace(study=types.SimpleNamespace(points=900), layers=layers)
     todo = Summary({"atlas": {"new": 8}, "points": {"new": 900}}, {})
     shown = progress.Progress(plan, todo, tmp_path / "log", quiet=True)
-    shown.scheduler = types.SimpleNamespace(
+    shown.jobs = types.SimpleNamespace(
         costs=types.SimpleNamespace(seconds_left=lambda: 30.0), engine=types.SimpleNamespace(jobs=3, address=None)
     )
     for _ in range(2):

@@ -6,6 +6,7 @@ import pytest
 from tasks.fits.transition import fitted_lines
 from tasks.locate_landmarks import landmarks
 from tasks.paper.lines import line
+from tasks.solve_points import atlas
 
 # The search for gaits lets lanes that go astray overflow.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -30,6 +31,17 @@ def test_the_points_of_figure_6_are_numbered_and_lie_where_the_branches_end():
     assert {w: r["printed"] for w, r in printed.items()} == {"physical": 0.020, "physical-straight": 0.016}
     assert all(r["slope_low"] < r["printed"] < r["slope_high"] for r in printed.values())
     assert all(r["slope_low"] < r["slope"] < r["slope_high"] for r in rows if r["point"] != "4")
+
+
+def test_landmarks_do_not_depend_on_what_their_process_computed_before():
+    """Workers go from study to study, and atlases of short lines are coarser."""
+    walker = {"line": {"walker": "D", "set": {}}}
+    given = [atlas(walker, []), atlas({**walker, "coarse": True}, [])]
+    tables = []
+    for k in (0, 1, 0):
+        tables.append(landmarks({"lines": [{"walker": "D", "set": {}, "name": "D"}]}, [given[k]]))
+        assert line("D").arrays is given[k]
+    assert tables[0]["landmarks/slope"].tolist() == tables[2]["landmarks/slope"].tolist()
 
 
 def test_an_exact_walkers_landmark_has_no_interval_of_rounding():

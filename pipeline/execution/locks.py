@@ -1,0 +1,55 @@
+"""The lock of an archive: one run at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import platform
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from pipeline import paths
+from pipeline.errors import BusyError
+from pipeline.paths import sidecar_path
+
+
+@contextlib.contextmanager
+def lock_archive(path: Path) -> Iterator[None]:
+    """Lock an archive. A lock ends with its process; drafts it left behind are removed.
+
+    Raises
+    ------
+    BusyError
+        If another run holds it.
+    """
+    with open(sidecar_path(path, ".lock"), "a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = _holder(file)
+            name = "its process is not known yet."
+            if {"pid", "host", "started"} <= holder.keys():
+                name = f"process {holder['pid']} on {holder['host']}, started {holder['started']}."
+            raise BusyError(f"{path} is held by another run: {name}") from error
+        for file_path in (path.resolve(), sidecar_path(path, ".journal"), sidecar_path(path, ".run.json")):
+            paths.discard(file_path, _holder(file).get("drafts"))
+        file.seek(0)
+        file.truncate()
+        started = time.strftime("%Y-%m-%d %H:%M:%S")
+        json.dump({"pid": os.getpid(), "host": platform.node(), "started": started, "drafts": paths.SECRET}, file)
+        file.flush()
+        yield
+
+
+def _holder(file: Any) -> dict[str, Any]:
+    """Holder of a lock, or the last one, as far as is known."""
+    try:
+        file.seek(0)
+        holder = json.load(file)
+        return holder if isinstance(holder, dict) else {}
+    except (ValueError, RecursionError):
+        return {}

@@ -1,0 +1,395 @@
+"""Jobs of one study: which are ready, what a worker is asked, and how its answer is recorded."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import heapq
+import itertools
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pipeline import serialize
+from pipeline.errors import StoppedError
+from pipeline.execution.estimates import Costs
+from pipeline.execution.executors import Engine
+from pipeline.execution.worker_process import Request
+from pipeline.plan import graph
+from pipeline.plan.missing import LineWork, Plan, golden_ratio_order
+from pipeline.store import lines
+from pipeline.store.journal import Result, TaskKey
+from tasks.registry import GAITS, READS, SECONDS_PER_PROOF, VARIABLES
+
+_TARGET_SECONDS = 1.0  # work in a chunk [s]
+_MAX_CHUNK = 32768  # points in a chunk: this bounds the memory of a worker
+_CHUNKS_PER_WORKER = 4  # chunks for each worker at least, where there is enough work
+_MIN_SECONDS = 0.25  # less work than this is not divided [s]
+_FIRST_CHUNK = 256  # points in a chunk until costs are measured
+_MAX_OPEN_LINES, _MAX_OPEN_POINTS = 32, 1_000_000  # limits on lines at work and their points
+_PROBED_SECONDS = 10.0  # lines that take longer are probed [s]
+_WHOLE_TASK_FACTOR = 60  # a task over a line or study may take this many times the limit of a point
+_IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
+_MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
+_MIN_LINES, _MAX_LINES = 16, 64  # short lines in a block: enough to fill registers, few enough to show progress
+Listener = Callable[[str, dict[str, Any]], None]
+
+
+@dataclass
+class Job:
+    """A task over one line, over a chunk of its points (`indices` of slopes), or, without `work`, over the study.
+
+    With `block` it is the atlas and all points of several short lines. `seconds` is the estimated time.
+    """
+
+    study: StudyJobs = field(repr=False)
+    name: str
+    keys: TaskKey
+    params: Mapping[str, Any]
+    work: LineWork | None = None
+    block: tuple[LineWork, ...] = ()
+    inputs: tuple[bytes, ...] = ()
+    indices: np.ndarray | None = None
+    probe: bool = False
+    seconds: float = 0.0
+
+
+class StudyJobs:
+    """Jobs of one study, in waves: those of a wave depend only on earlier ones.
+
+    Parameters
+    ----------
+    plan : Plan
+    engine : Engine
+    listen : callable
+        Receives the name of each event and its details.
+    points : int
+        Number of points to solve.
+    chunk : int, optional
+        Points in a chunk; by default about a second of work.
+    hold : context manager, optional
+        Entered while a result is written to the journal.
+
+    Attributes
+    ----------
+    next : Job or None
+        The next job of the present wave.
+    taken, recorded : int
+        Jobs taken, by the thread of an executor, and recorded or put back.
+    error : Exception or None
+        What ended the study.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        engine: Engine,
+        listen: Listener,
+        points: int,
+        chunk: int | None = None,
+        hold: contextlib.AbstractContextManager[Any] | None = None,
+    ):
+        self.hold = hold or contextlib.nullcontext()
+        self.plan, self.engine, self.listen, self.points, self.chunk = plan, engine, listen, points, chunk
+        self.study, self.journal = plan.study, plan.journal
+        self.tokens = lines.needed((*plan.variables,), self.study.gaits)
+        self.columns = [GAITS.index(g) for g in self.study.gaits]
+        layer = plan.layers.get("points")
+        self.cost = self.journal.seconds_per_point() or (layer.task.seconds_per_point if layer else 0.0) or 1e-3
+        if {"proved", "proved_radius"} & set(plan.variables):
+            self.cost = max(self.cost, SECONDS_PER_PROOF)
+        self.points_measured = 0
+        #: Lines that are opened together; more than one where short lines are computed side by side.
+        self.lines_at_once = 1
+        if "points" in plan.layers and graph.is_short(self.study):
+            share = math.ceil(self.study.lines / (engine.jobs * _CHUNKS_PER_WORKER))
+            self.lines_at_once = min(_MAX_LINES, max(share, _MIN_LINES))
+        # Atlases of short lines are kept only for those that read them.
+        self.keeps_atlas = any("atlas" in layer.needs for name, layer in plan.layers.items() if name != "points")
+        self.costs = Costs(len(self.study.slope), points, self.cost)
+        self._seconds_after = graph.seconds_after(plan.layers)
+        self.next: Job | None = None
+        self.taken = self.recorded = 0
+        self.error: Exception | None = None
+        self._waves = self._all_waves()
+        self._wave: Iterator[Job] = iter(())
+        self._returned: deque[Job] = deque()
+        self._ran = False
+        self._alone: list[LineWork] = []  # lines of blocks that failed
+        self._open: deque[int] = deque()  # numbers of lines whose jobs beside the atlas are due
+        self._chunks: deque[Job] = deque()  # chunks of open lines
+        self._to_probe: deque[LineWork] = deque()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no job is left."""
+        return self.next is None and self.taken == self.recorded
+
+    @property
+    def urgency(self) -> float:
+        """Estimated time [s] of the next job and of what depends on it."""
+        return self.next.seconds + self._seconds_after[self.next.name] if self.next else -math.inf
+
+    def advance(self) -> None:
+        """Begin the next wave that has a job, once all jobs of the present one are recorded."""
+        try:
+            while self.is_over and not self.error:
+                self._wave = next(self._waves)
+                self.next = next(self._wave, None)
+        except StopIteration:
+            pass
+        except StoppedError:
+            raise
+        except Exception as error:
+            self.fail(error)
+
+    def take(self) -> Job:
+        """Take the next job."""
+        job = self.next
+        assert job is not None
+        self.taken += 1
+        try:
+            self.next = self._returned.popleft() if self._returned else next(self._wave, None)
+        except Exception as error:
+            self.fail(error)
+        return job
+
+    def put_back(self, job: Job) -> None:
+        """Return a job that was taken and lost."""
+        self.recorded += 1
+        if self.error:
+            return
+        if self.next:
+            self._returned.append(self.next)
+        self.next = job
+
+    def fail(self, error: Exception) -> None:
+        """End the study with an error; results of its running jobs are dropped."""
+        self.error, self.next, self._wave, self._waves = error, None, iter(()), iter(())
+        self._returned.clear()
+
+    def _all_waves(self) -> Iterator[Iterator[Job]]:
+        """Waves in order; each is laid out when those before it are recorded."""
+        yield self._first_jobs()
+        while self._alone:
+            alone, self._alone = self._alone, []
+            yield (self._line_job("atlas", work) for work in alone)
+        depths, over_study = graph.depths(self.plan.layers), self.plan.over_study(self._ran)
+        for depth in range(1, 1 + max(1, *depths.values())):
+            study_jobs = (
+                self._study_job(name, keys) for name, (keys, _) in over_study.items() if max(1, depths[name]) == depth
+            )
+            dependent = self._dependent_jobs() if depth == 1 else iter(())
+            yield heapq.merge(study_jobs, dependent, key=lambda job: -job.seconds)
+
+    def _first_jobs(self) -> Iterator[Job]:
+        """Blocks of short lines of which nothing is solved, and atlases of the others."""
+        all_works = self.plan.lines()
+        while works := list(itertools.islice(all_works, self.lines_at_once)):
+            self._ran = True
+            block: list[LineWork] = []
+            for work in works:
+                if "atlas" not in work.why:
+                    self._open.append(work.number)
+                elif self.lines_at_once > 1 and len(work.missing) == len(self.study.slope):
+                    self.costs.open_line(work.number, work.missing)
+                    block.append(work)
+                else:
+                    yield self._line_job("atlas", work)
+            if block:
+                task = self.plan.layers["atlas"].task
+                params = {"lines": [work.line for work in block], **self.study.options}
+                seconds = len(block) * (task.seconds_side_by_side + len(self.study.slope) * self.cost)
+                yield Job(self, task.name, block[0].keys["atlas"], params, block=tuple(block), seconds=seconds)
+
+    def _dependent_jobs(self) -> Iterator[Job]:
+        """Jobs of open lines; lines are opened before those at work are done, to measure costs early."""
+        while self._open or self._chunks:
+            while self._open and (not self._chunks or self._opens_line()):
+                work = self.plan.line(self._open.popleft())
+                atlas = self.journal.result(work.keys["atlas"].key) if "atlas" in work.keys else None
+                inputs = (atlas.data,) if atlas else ()
+                yield from (self._line_job(name, work, inputs) for name in work.why if name not in ("atlas", "points"))
+                if len(work.missing):
+                    self._open_line(work, inputs)
+            while self._to_probe:
+                self._probe(self._to_probe.popleft())
+            if self._chunks:
+                yield self._next_chunk()
+
+    def _opens_line(self) -> bool:
+        costs = self.costs
+        return (
+            len(self._chunks) < _MAX_OPEN_LINES
+            and len(costs.lines) < _MAX_OPEN_LINES
+            and costs.open_points() < _MAX_OPEN_POINTS
+        )
+
+    def _open_line(self, work: LineWork, inputs: tuple[bytes, ...]) -> None:
+        """Divide the points of a line into chunks, in an order that samples the line; only the first goes in front."""
+        self.costs.open_line(work.number, work.missing)
+        parts = np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size()))
+        pieces = [parts[k] for k in golden_ratio_order(len(parts))]
+        if len(work.missing) * self.cost > _TARGET_SECONDS:  # a probe of the line before the next ones are opened
+            pieces[:1] = filter(len, (pieces[0][:_FIRST_CHUNK], pieces[0][_FIRST_CHUNK:]))
+        points = self._line_job("points", work, inputs)
+        self._chunks.appendleft(dataclasses.replace(points, indices=pieces[0]))
+        self._chunks.extend(dataclasses.replace(points, indices=piece) for piece in pieces[1:])
+
+    def _next_chunk(self) -> Job:
+        job = self._chunks.popleft()
+        assert job.indices is not None
+        size = self.chunk_size(job)
+        if len(job.indices) > size:
+            self._chunks.appendleft(dataclasses.replace(job, indices=job.indices[size:]))
+        indices = job.indices[:size]
+        return dataclasses.replace(job, indices=indices, seconds=len(indices) * self.cost)
+
+    def _probe(self, work: LineWork) -> None:
+        """Solve a few points of every region of a line first, so that its remaining cost can be estimated."""
+        chunks = [job for job in self._chunks if job.work is work]
+        if chunks:
+            indices = np.sort(np.concatenate([job.indices for job in chunks if job.indices is not None]))
+            probes, remainder = self.costs.probes(work.number, indices)
+            self._chunks = deque(job for job in self._chunks if job.work is not work)
+            self._chunks.extend(
+                dataclasses.replace(chunks[0], indices=remainder[k]) for k in golden_ratio_order(len(remainder))
+            )
+            self._chunks.extendleft(dataclasses.replace(chunks[0], indices=p, probe=True) for p in probes)
+
+    def _line_job(self, name: str, work: LineWork, inputs: tuple[bytes, ...] = ()) -> Job:
+        params, seconds = graph.line_params(self.study, name, work.line), self.plan.layers[name].task.seconds
+        return Job(self, name, work.keys[name], params, work, inputs=inputs, seconds=seconds)
+
+    def chunk_size(self, job: Job | None = None) -> int:
+        """Points in the next chunk: about a second of work, less where workers would otherwise be idle."""
+        if self.chunk:
+            return self.chunk
+        cost = self.cost
+        if job and job.work and job.indices is not None and job.work.number in self.costs.probed:
+            cost = self.costs.cost_per_point(job.work.number)[self.costs.region(job.indices[0])] or cost
+        if job and not self.points_measured:
+            return _FIRST_CHUNK
+        share = self.points * self.cost / (self.engine.jobs * _CHUNKS_PER_WORKER)
+        seconds = min(_TARGET_SECONDS, max(_MIN_SECONDS, share), self.study.limits.seconds / 4)
+        return max(1, min(_MAX_CHUNK, int(seconds / cost)))
+
+    def request(self, job: Job) -> Request:
+        """Request to a worker process for a job."""
+        layer, limits = self.plan.layers[job.name], self.study.limits
+        params = dict(job.params)
+        divided = "lines" if job.block else "slope" if job.indices is not None else ""
+        if divided:
+            slopes = self.study.slope if job.indices is None else self.study.slope[job.indices]
+            params |= {"slope": slopes, "want": self.plan.variables, "gaits": self.study.gaits}
+        function = layer.task.side_by_side if job.block else layer.task.function
+        seconds = limits.seconds * (1 if divided == "slope" else _WHOLE_TASK_FACTOR)
+        idle = None if self.engine.address is None else _IDLE_TIMEOUT
+        inputs = job.inputs if job.work or job.block else self._study_inputs(job)
+        return Request(function, params, list(inputs), divided, seconds, limits.memory, idle)
+
+    def record(self, job: Job, result: dict[str, Any]) -> None:
+        """Store the result of a job."""
+        self.recorded += 1
+        try:
+            if self.error:
+                return
+            if job.block:
+                self._record_lines(job, result)
+            elif job.work and job.indices is not None:
+                counts = self._record_points(job, job.work, job.indices, result)
+                self.listen("chunk", {**_event(job, result), "points": len(job.indices), "counts": dict(counts)})
+            else:
+                self._record_task(job, result)
+        except StoppedError:
+            raise
+        except Exception as error:
+            self.fail(error)
+
+    def _record_task(self, job: Job, result: dict[str, Any]) -> None:
+        outcome, reason = result["outcome"], result["reason"]
+        seen = self.plan.last_block() if job.work is None else 0
+        with self.hold:
+            self.journal.add_result(*job.keys, Result(outcome, reason, seen, result["data"]), result["seconds"])
+        lost = 0
+        if job.work and job.name == "atlas":
+            if outcome == "ok":
+                self._open.append(job.work.number)
+            else:
+                self.costs.points -= (lost := len(job.work.missing))
+        self.listen("task", {**_event(job, result), "outcome": outcome, "reason": reason, "lost": lost})
+
+    def _record_lines(self, job: Job, result: dict[str, Any]) -> None:
+        """Store the atlases and points of a block of lines; a line that failed is tried again, step by step."""
+        seconds = result["seconds"] / len(job.block)
+        for work, parts in zip(job.block, result["lines"], strict=True):
+            if parts is None:
+                self.costs.reopen(work.number, work.missing)
+                self._alone.append(work)
+                continue
+            shared = {key: result.get(key) for key in ("pid", "worker")} | {"line": work.number, "seconds": seconds}
+            if self.keeps_atlas:
+                with self.hold:
+                    self.journal.add_result(*work.keys["atlas"], Result("ok", "", 0, parts[0]), 0.0)
+            self.listen("task", {**shared, "task": "atlas", "seconds": 0.0, "outcome": "ok", "reason": "", "lost": 0})
+            points = self._line_job("points", work)
+            row = (self.study.slope[work.missing].tobytes(), *parts[1:])
+            counts = self._record_points(points, work, work.missing, {"rows": [row], "seconds": seconds})
+            self.listen("chunk", {**shared, "task": "points", "points": len(work.missing), "counts": dict(counts)})
+            if any(name not in ("atlas", "points") for name in work.why):
+                self._open.append(work.number)
+
+    def _record_points(self, job: Job, work: LineWork, indices: np.ndarray, result: dict[str, Any]) -> Counter[str]:
+        """Store a chunk of points, update the costs and return the points by outcome."""
+        n, cost = len(indices), result["seconds"] / len(indices)
+        counts: Counter[str] = Counter()
+        with self.hold:
+            for row in result["rows"]:
+                self.journal.add_points(*job.keys, self.tokens, row, cost * (len(row[0]) // 8))
+                counts += lines.count(serialize.load(row[1])["status"][:, self.columns])
+        weight = n / (n + min(self.points_measured, 20 * n))
+        self.cost += weight * (cost - self.cost)
+        self.points_measured += n
+        self.costs.add(work.number, indices, result["seconds"], job.probe)
+        if work.number not in self.costs.probed and self.costs.seconds_left(work.number) > _PROBED_SECONDS:
+            self._to_probe.append(work)
+        return counts
+
+    def _study_job(self, name: str, keys: TaskKey) -> Job:
+        params, seconds = graph.study_params(self.study, name), self.plan.layers[name].task.seconds
+        return Job(self, name, keys, params, seconds=seconds)
+
+    def _study_inputs(self, job: Job) -> Iterator[bytes]:
+        """Inputs of a job over the study: a dict of arrays for each line, then tables."""
+        layer = self.plan.layers[job.name]
+        reads = READS.get(job.name, self.plan.variables)
+        names = [v for v in reads if v in VARIABLES and v not in ("status", "reason")]
+        slopes = self.study.slope[:: math.ceil(len(self.study.slope) / _MAX_SLOPES)]
+        for i in range(self.study.lines):
+            keys = self.plan.line_keys(i)
+            columns: dict[str, Any] = {}
+            if "points" in layer.needs:
+                columns = lines.line(self.journal, keys, self.plan.want, self.study, names, slopes)
+            for need in layer.needs:
+                if need != "points" and self.plan.layers[need].per_line:
+                    stored = self.journal.result(keys[need].key)
+                    columns |= serialize.load(stored.data) if stored and stored.outcome == "ok" else {}
+            yield serialize.dump(columns)
+        for need in layer.needs:
+            if not self.plan.layers[need].per_line:
+                stored = self.journal.result(self.plan.study_keys()[need].key)
+                yield stored.data if stored and stored.outcome == "ok" else serialize.dump({})
+
+
+def _event(job: Job, result: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "task": job.name,
+        "line": job.work.number if job.work else None,
+        "seconds": result["seconds"],
+        "pid": result["pid"],
+        "worker": result.get("worker"),
+    }
