@@ -20,7 +20,7 @@ from pipeline.statuses import ALL_STATUSES
 from pipeline.study.broadcast import broadcast
 from tasks.registry import ALWAYS, GAITS, SHORT_LINE, TASKS, VARIABLES
 
-_MAX_REMEMBERED = 256 << 20  # atlases kept for later calls [byte]
+_MAX_REMEMBERED = 256 << 20  # atlases kept for later calls, and as much of short lines' points [byte]
 _BLOCK = 64  # short lines surveyed side by side
 _SLOPES = "must lie in (0, 0.5) rad"
 Arrays = dict[str, np.ndarray]
@@ -67,7 +67,7 @@ class Memory:
         return result
 
 
-_MEMORY = Memory(_MAX_REMEMBERED)
+_ATLASES, _POINTS = Memory(_MAX_REMEMBERED), Memory(_MAX_REMEMBERED)
 
 
 @dataclass
@@ -157,7 +157,8 @@ def gaits(
             solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True)))
     for k in range(0, len(solvable), _BLOCK):
         if steps == 1:
-            _survey([line for line in solvable[k : k + _BLOCK] if line.is_short])
+            short = [line for line in solvable[k : k + _BLOCK] if line.is_short]
+            _survey([line for line in short if not _POINTS.has(line.points_key(wanted, 1))])
         for one in solvable[k : k + _BLOCK]:
             _solve(one, wanted, steps, points)
     is_si = bool(answers) and answers[0]["si"]
@@ -221,6 +222,14 @@ class _Line:
         """Whether its atlas is coarse, as that of a study with so few slopes."""
         return len(self.slopes) <= SHORT_LINE
 
+    def points_params(self, wanted: tuple[str, ...], steps: int) -> dict[str, Any]:
+        """Parameters of its points."""
+        return {"line": self.line, "slope": self.slopes, "want": wanted, "steps": steps}
+
+    def points_key(self, wanted: tuple[str, ...], steps: int) -> bytes:
+        """Key under which its points are remembered."""
+        return serialize.dump(self.points_params(wanted, steps))
+
     def atlas_params(self, coarse: bool, steps: int = 1) -> dict[str, Any]:
         """Parameters of its atlas."""
         return {"line": self.line, "coarse": coarse, **({"steps": steps} if steps > 1 else {})}
@@ -233,13 +242,13 @@ class _Line:
             atlas: Arrays = dispatch.resolve(TASKS["atlas"].function)(params, [self.atlas(False)] if steps > 1 else [])
             return atlas
 
-        return _MEMORY.get(serialize.dump(params), follow)
+        return _ATLASES.get(serialize.dump(params), follow)
 
 
 def _survey(lines: list[_Line]) -> None:
     """Find the branches of short lines that are not remembered, side by side, and remember them."""
     keys = {id(line): serialize.dump(line.atlas_params(True)) for line in lines}
-    unknown = [line for line in lines if not _MEMORY.has(keys[id(line)])]
+    unknown = [line for line in lines if not _ATLASES.has(keys[id(line)])]
     if len(unknown) < 2:
         return
     params = {"lines": [line.line for line in unknown], "slope": np.empty(0), "want": ()}
@@ -248,15 +257,20 @@ def _survey(lines: list[_Line]) -> None:
     except Exception:  # each is tried by itself, and its own error is its points' reason
         return
     for line, (atlas, _) in zip(unknown, results, strict=True):
-        _MEMORY.get(keys[id(line)], functools.partial(dict, atlas))
+        _ATLASES.get(keys[id(line)], functools.partial(dict, atlas))
 
 
 def _solve(one: _Line, wanted: tuple[str, ...], steps: int, points: _Points) -> None:
     """Solve the points of a line, each slope once, from its branches."""
-    params = {"line": one.line, "slope": one.slopes, "want": wanted, "steps": steps}
-    try:
+
+    def solve() -> Arrays:
         atlas = one.atlas(one.is_short and steps == 1, steps)
-        result = dispatch.resolve(TASKS["points"].function)(params, [atlas])
+        points: Arrays = dispatch.resolve(TASKS["points"].function)(one.points_params(wanted, steps), [atlas])
+        return points
+
+    try:
+        # A slider comes back to values that it has shown; points of long lines cost less than to keep them.
+        result = _POINTS.get(one.points_key(wanted, steps), solve) if one.is_short else solve()
     except Exception as error:  # as in a study, a task that raises is a status at its points
         points.fail(one.at, f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
     else:
