@@ -15,7 +15,9 @@ from tasks.continuation.sampling import chosen, within
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.step_check import gait_ratio
+from tasks.follow_cycles import from_arrays
 from tasks.measures import violations
+from tasks.sample_cycles import sample_cycles
 from tasks.step.problem import EPS, Problem
 from tasks.walkers.resolve import resolve
 
@@ -30,9 +32,9 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     ----------
     params : mapping
         `line`; `slope_from`, `slope_to` [rad], the window; `n`, the least number of points of a branch in it, or
-        `adaptive`, the tolerance of linear interpolation between them.
+        `adaptive`, the tolerance of linear interpolation between them; `steps` after which the gaits repeat.
     inputs : list
-        The line's atlas.
+        The line's atlas, of the same `steps`.
 
     Returns
     -------
@@ -42,6 +44,8 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
+    if int(params.get("steps", 1)) > 1:
+        return sample_cycles(problem, from_arrays(inputs[0]), params)
     time_unit = np.sqrt(walker.leg / walker.g)
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))

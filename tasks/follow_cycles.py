@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,46 +24,58 @@ _MAX_SLOPE, _FIRST_STEP, _MIN_STEP = 0.5, 2e-3, 1e-6
 MAX_MULTIPLIER = 20.0
 #: Length in ln slope that a doubled branch is taken to have: its first point is near enough to its flip for a cubic.
 _EXPECTED = 5e-4
+#: Least fraction of a step between two strikes that do not coincide.
+_NEAR_STRIKE = 1e-4
 #: Distance of sections, over the angle, within which two gaits are the same.
 _SAME = 1e-7
 #: Intervals of a segment in which its gaits at a slope are bracketed.
 _INTERVALS = 8
 
 
+class Guess(NamedTuple):
+    """A point of a branch of cycles, from which one is corrected.
+
+    Attributes
+    ----------
+    place : float
+        Number of the segment plus the fraction of it.
+    piece : int
+        Number of the piece between folds.
+    Y, times : ndarray, shape (m, n) and (k, n)
+        Sections [rad, rad/sqrt(leg/g)] and event times [sqrt(leg/g)].
+    """
+
+    place: float
+    piece: int
+    Y: np.ndarray
+    times: np.ndarray
+
+
 @dataclass
 class CycleBranch:
-    """One branch of gaits of period n: its corrected gaits, between which cubic polynomials run, and its flips."""
+    """One branch of gaits of period n: its corrected gaits, between which cubic polynomials run, and its flips.
+
+    `ends` say what the first and the last gait are: a `branch_point` (a flip of n/2 steps), an end of walking
+    (`end_…`), or where the branch is followed no further (`multiplier_limit`, `window`, `lost`).
+    """
 
     cycles: list[Cycle]
     flips: list[Cycle]
+    ends: tuple[str, str] = ("lost", "lost")
 
     @functools.cached_property
     def rises(self) -> list[bool]:
-        """Whether the slope rises along the branch at each gait; at the flip that begins it, as after it."""
-        return [
-            (c.tangent[-1] or after.tangent[-1]) > 0
-            for c, after in zip(self.cycles, [*self.cycles[1:], self.cycles[-1]], strict=True)
-        ]
+        """Whether the slope rises along the branch at each gait; at a flip that bounds it, as beside it."""
+        beside = [*self.cycles[1:], self.cycles[-2]] if len(self.cycles) > 1 else self.cycles
+        return [(c.tangent[-1] or other.tangent[-1]) > 0 for c, other in zip(self.cycles, beside, strict=True)]
 
-    def guesses(self, log_slope: float) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Guesses of the gaits at one slope.
-
-        Parameters
-        ----------
-        log_slope : float
-
-        Yields
-        ------
-        piece : int
-            Number of the piece between folds.
-        Y, times : ndarray, shape (m, n) and (k, n)
-            Sections [rad, rad/sqrt(leg/g)] and event times [sqrt(leg/g)].
-        """
+    def guesses(self, log_slope: float) -> Iterator[Guess]:
+        """Yield a guess of each gait at one slope."""
         piece = 0
         for i in range(len(self.cycles) - 1):
             a, b, rises = self.cycles[i], self.cycles[i + 1], self.rises[i]
             length = float(np.linalg.norm(b.Z - a.Z))
-            point = functools.partial(hermite, a.Z, a.tangent, b.Z, b.tangent, length)
+            point = cubic(a, b)
             # Near a fold the slope leaves the interval of the ends, by less than the segment's length.
             if min(a.q, b.q) - length <= log_slope <= max(a.q, b.q) + length:
                 h = np.linspace(0.0, 1.0, _INTERVALS + 1)
@@ -71,8 +84,35 @@ class CycleBranch:
                     root = bracketed_root(functools.partial(_slope_off, point, log_slope), h[j], h[j + 1])
                     Y = point(root)[:-1].reshape(a.period, -1).T * np.sqrt(a.period)
                     beyond_fold = (off[j + 1] > off[j]) != rises
-                    yield piece + beyond_fold, Y, a.times * (1 - root) + b.times * root
+                    yield Guess(i + root, int(piece + beyond_fold), Y, a.times * (1 - root) + b.times * root)
             piece += rises != self.rises[i + 1]
+
+
+def cubic(a: Cycle, b: Cycle) -> Callable[[float], np.ndarray]:
+    """Polynomial of a branch between two of its gaits.
+
+    Parameters
+    ----------
+    a, b : Cycle
+
+    Returns
+    -------
+    callable
+        From the fraction of the way to Z, shape (m n + 1,).
+
+    Notes
+    -----
+    Beside a flip, where the slope changes by the square of the distance, its parameter is the distance of the halves;
+    in arclength the curve would bend too much.
+    """
+    for flip in (a, b):
+        if flip.tangent[-1] == 0:
+            along = flip.tangent
+            length = float((b.Z - a.Z) @ along)
+            return functools.partial(
+                hermite, a.Z, a.tangent / (a.tangent @ along), b.Z, b.tangent / (b.tangent @ along), length
+            )
+    return functools.partial(hermite, a.Z, a.tangent, b.Z, b.tangent, float(np.linalg.norm(b.Z - a.Z)))
 
 
 def _slope_off(point: Callable[[float], np.ndarray], log_slope: float, h: float) -> float:
@@ -90,12 +130,14 @@ def to_arrays(branches: list[CycleBranch]) -> Arrays:
     Returns
     -------
     dict of ndarray
-        By the number of the branch: `Y`, shape (gaits, m, n), `times`, (gaits, k, n), `q`, (gaits,), and `tangent`.
+        By the number of the branch: `Y`, shape (gaits, m, n), `times`, (gaits, k, n), `q`, (gaits,), `tangent`, and
+        `ends`.
     """
     names = ("Y", "times", "q", "tangent")
-    return {
+    gaits = {
         f"{i}/{name}": np.array([getattr(c, name) for c in b.cycles]) for i, b in enumerate(branches) for name in names
     }
+    return gaits | {f"{i}/ends": np.array(b.ends) for i, b in enumerate(branches)}
 
 
 def from_arrays(arrays: Arrays) -> list[CycleBranch]:
@@ -114,7 +156,8 @@ def from_arrays(arrays: Arrays) -> list[CycleBranch]:
     for i in range(len({name.partition("/")[0] for name in arrays})):
         columns = (arrays[f"{i}/{name}"] for name in ("Y", "times", "q", "tangent"))
         cycles = [Cycle(Y, t, float(q), np.empty(0), T, True, 0.0) for Y, t, q, T in zip(*columns, strict=True)]
-        branches.append(CycleBranch(cycles, []))
+        first, last = arrays[f"{i}/ends"].tolist()
+        branches.append(CycleBranch(cycles, [], (first, last)))
     return branches
 
 
@@ -135,14 +178,14 @@ def cycle_branches(problem: Problem, branches: list[Branch], n: int) -> list[Cyc
         By their lowest slopes.
     """
     single = [flip for branch in branches for flip in _flips(problem, branch)]
-    flips, period, doublings = single, 1, list[CycleBranch]()
-    while n % (2 * period) == 0:
+    period = n // (n & -n)  # its odd part
+    followed = _searched(problem, branches, period, single, [])
+    flips = [flip for branch in followed for flip in branch.flips] if period > 1 else single
+    while period < n:
         period *= 2
-        doublings = [branch for flip in flips for branch in [_from_flip(problem, flip)] if branch]
-        flips = [flip for branch in doublings for flip in branch.flips]
-    followed = _distinct(problem, doublings if period == n else [])
-    if n > 2 and single:
-        followed += _searched(problem, branches, n, min(flip.slope for flip in single), followed)
+        followed = _distinct(problem, [branch for flip in flips if (branch := _from_flip(problem, flip, flips))])
+        followed += _searched(problem, branches, period, single, followed)
+        flips = [flip for branch in followed for flip in branch.flips]
     return sorted(followed, key=lambda branch: min(c.q for c in branch.cycles))
 
 
@@ -171,42 +214,81 @@ def _reversed(cycle: Cycle) -> Cycle:
     return cycle
 
 
-def _from_flip(problem: Problem, flip: Cycle) -> CycleBranch | None:
-    """The branch of twice the period that begins at a flip, the flip itself its first gait."""
+def _from_flip(problem: Problem, flip: Cycle, others: list[Cycle]) -> CycleBranch | None:
+    """The branch of twice the period from a flip, its first gait, to where it is lost or to one of the others."""
     path = doubled(problem, flip, _EXPECTED)
     if path is None:
         return None
-    first = path.points[0]
-    cycles, flips = _continue(problem, path)
-    Y, times = np.tile(flip.Y, 2), np.tile(flip.times, 2)
+    trace = _continue(problem, path, others)
+    begin = _at_flip(flip, path.points[0], 1.0)
+    return CycleBranch([begin, *trace.cycles], trace.flips, ("branch_point", trace.end)) if trace.cycles else None
+
+
+def _at_flip(flip: Cycle, beside: Cycle, sign: float) -> Cycle:
+    """A flip as a gait of twice its period, with its tangent to (sign 1) or from (-1) a gait beside it."""
     # The halves leave the flip to opposite sides; all else changes by the square of the distance.
-    tangent = np.append((first.Y - np.roll(first.Y, flip.period, axis=1)).T.ravel(), 0.0)
-    begin = Cycle(Y, times, flip.q, np.tile(flip.A, 2), tangent / np.linalg.norm(tangent), True, flip.error)
-    return CycleBranch([begin, *cycles], flips) if cycles else None
+    tangent = np.append((beside.Y - np.roll(beside.Y, flip.period, axis=1)).T.ravel(), 0.0)
+    along = sign * tangent / np.linalg.norm(tangent)
+    # The gait beside it may begin at another step.
+    offset = min(
+        range(flip.period), key=lambda k: float(np.abs(beside.Y - np.tile(np.roll(flip.Y, k, axis=1), 2)).max())
+    )
+    Y, times, A = (np.roll(np.tile(x, 2), offset, axis=-1) for x in (flip.Y, flip.times, flip.A))
+    return Cycle(Y, times, flip.q, A, along, True, flip.error)
 
 
-def _continue(problem: Problem, path: Path) -> tuple[list[Cycle], list[Cycle]]:
-    """Gaits along a path while they walk and keep their period, and the flips that it passes."""
+class _Trace(NamedTuple):
+    """Gaits along a path, the flips that it passes, and what the last gait is."""
+
+    cycles: list[Cycle]
+    flips: list[Cycle]
+    end: str
+
+
+def _continue(problem: Problem, path: Path, closing: list[Cycle]) -> _Trace:
+    """Gaits along a path while they walk and keep their period, and the flips that it passes.
+
+    Where the period is halved the branch ends at the nearest of the `closing` flips.
+    """
     if not really_walks(problem, path.points[0]):
-        return [], []
+        return _Trace([], [], "lost")
     flips: list[Cycle] = []
+    end = "lost"
     for _ in range(MAX_POINTS):
         step = path.step
         if not path.advance():
             break
         before, after = path.points[-2:]
         if abs(after.multipliers()[0]) > MAX_MULTIPLIER:
+            end = "multiplier_limit"
             break
         if after.slope < _MAX_SLOPE and _keeps_period(before, after) and really_walks(problem, after):
             if flip_test(before) * flip_test(after) < 0:
-                flips.append(path.locate_root(flip_test))
+                flip = path.locate_root(flip_test)
+                flips += [flip] if flip.ok else []
             continue
         # The end lies between the two: approach it by ever shorter steps.
         path.points.pop()
+        if not _keeps_period(before, after) and closing:
+            flip = min(closing, key=lambda flip: abs(flip.q - before.q))
+            if abs(flip.q - before.q) < 0.2 * _EXPECTED:
+                return _Trace([*path.points, _at_flip(flip, before, -1.0)], flips, "branch_point")
         path.step = 0.25 * min(step, float(np.linalg.norm(after.Z - before.Z)))
         if path.step < _MIN_STEP:
+            end = _end(before, after)
             break
-    return path.points, [flip for flip in flips if flip.ok]
+    return _Trace(path.points, flips, end)
+
+
+def _end(before: Cycle, after: Cycle) -> str:
+    """What ends a branch between two gaits as near as branches are followed."""
+    if after.slope >= _MAX_SLOPE:
+        return "window"
+    if not _keeps_period(before, after):
+        return "lost"
+    knee = before.times[0] / before.times[-1]
+    is_last = len(before.times) == 2 and knee.max() > 1 - _NEAR_STRIKE
+    return "end_kneestrike_at_heelstrike" if is_last else "end_earlier_strike"
 
 
 def _keeps_period(before: Cycle, after: Cycle) -> bool:
@@ -219,27 +301,27 @@ def _keeps_period(before: Cycle, after: Cycle) -> bool:
 
 
 def _searched(
-    problem: Problem, branches: list[Branch], n: int, flip: float, known: list[CycleBranch]
+    problem: Problem, branches: list[Branch], n: int, flips: list[Cycle], known: list[CycleBranch]
 ) -> list[CycleBranch]:
-    """Branches of gaits of period n that a search near the first flip finds besides the known ones."""
+    """Branches of gaits of period n that a search near the first flip of one step finds besides the known ones."""
     followed: list[CycleBranch] = []
-    for slope in flip * _SEARCHED:
+    for slope in min(flip.slope for flip in flips) * _SEARCHED if flips and n > 2 else ():
         for cycle in search_cycles(problem, branches, float(slope), n, _STARTS):
             is_far = abs(cycle.multipliers()[0]) > MAX_MULTIPLIER
             if is_far or any(_holds(problem, branch, cycle) for branch in (*known, *followed)):
                 continue
             up = np.zeros(cycle.Y.size + 1)
             up[-1] = 1.0
-            sides = [_continue(problem, Path(problem, cycle, sign * up, _FIRST_STEP)) for sign in (-1, 1)]
-            (back, back_flips), (ahead, ahead_flips) = sides
-            begin = [_reversed(c) for c in back[:0:-1]]
-            followed.append(CycleBranch([*begin, *ahead], [*back_flips[::-1], *ahead_flips]))
+            sides = [_continue(problem, Path(problem, cycle, sign * up, _FIRST_STEP), []) for sign in (-1, 1)]
+            back, ahead = sides
+            cycles = [*(_reversed(c) for c in back.cycles[:0:-1]), *ahead.cycles]
+            followed.append(CycleBranch(cycles, [*back.flips[::-1], *ahead.flips], (back.end, ahead.end)))
     return followed
 
 
 def _holds(problem: Problem, branch: CycleBranch, cycle: Cycle) -> bool:
     """Whether a gait lies on a branch."""
-    others = (at_slope(problem, Y, times, cycle.slope) for _, Y, times in branch.guesses(cycle.q))
+    others = (at_slope(problem, guess.Y, guess.times, cycle.slope) for guess in branch.guesses(cycle.q))
     return any(other.ok and is_same(cycle, other) for other in others)
 
 

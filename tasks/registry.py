@@ -271,12 +271,17 @@ FITS = ("scaling", "transition", "landmarks", "crises")
 FIGURES = tuple(name for name in READS if name not in FITS)
 
 
+#: Longest period of gaits, in steps.
+MAX_STEPS = 64
+
+
 @dataclass(frozen=True)
 class Option:
     """One option of a kind of study: what it holds, its default, and its meaning.
 
-    `holds` is "number", "positive", "count" (a whole number from 1), "count or 0", "counts" (a list of them), "range"
-    (two rising numbers), "gait" (a label), "key" (of a walker) or "kinds" (of special points).
+    `holds` is "number", "positive", "count" (a whole number from 1), "count or 0", "counts" (a list of them), "steps"
+    (from 1 to MAX_STEPS), "range" (two rising numbers), "gait" (a label), "key" (of a walker) or "kinds" (of special
+    points).
     """
 
     holds: str
@@ -284,9 +289,15 @@ class Option:
     meaning: str
 
 
+_STEPS = Option("steps", 1, f"steps after which a gait repeats, at most {MAX_STEPS}")
+
 #: Options of each kind of study; the parser, `gaitsweep plan --help`, the tasks and the docs read them here.
 OPTIONS: dict[str, dict[str, Option]] = {
-    "grid": {"friction_limit": Option("positive", 1.0, "contact friction above which a gait is flagged")},
+    "grid": {
+        "friction_limit": Option("positive", 1.0, "contact friction above which a gait is flagged"),
+        "steps": _STEPS,
+    },
+    "branch": {"steps": _STEPS},
     "orbit": {
         "gait": Option("gait", "long", "label of the gait that the initial states are near"),
         "starts": Option("count", 8, "initial states"),
@@ -329,6 +340,9 @@ def options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
 #: Points whose curves a study of kind `curve` follows.
 FOLLOWED = ("fold", "flip", "end_kneestrike_at_heelstrike", "end_tangential_heelstrike")
 
+#: What is known of gaits of one step only: tasks, figures and variables that a study of longer ones cannot want.
+OF_ONE_STEP = ("transition", "landmarks", "crises", "angles", "claims", "proved", "proved_radius")
+
 #: Figures that only one kind of study can show.
 SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin", "design": "design"} | {
     "census": "census",
@@ -359,8 +373,6 @@ CALLS = {
     "solve": "tasks.solve_at_slope:solve_one",
     "step_map": "tasks.map_step:map_step",
     "simulate": "tasks.simulate_steps:simulate_steps",
-    "cycle_branches": "tasks.solve_cycles:follow",
-    "cycle_points": "tasks.solve_cycles:cycle_points",
     "prove": "tasks.prove_gaits:prove_one",
     "prove_stored": "tasks.proofs.records:prove_stored",
     "certificates": "tasks.write_certificates:names",

@@ -9,14 +9,13 @@ import numpy as np
 
 from tasks import status
 from tasks.continuation import atlas as atlases
-from tasks.continuation.refine import COARSE, FINE
+from tasks.continuation.refine import COARSE
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.polish import unmeasured
 from tasks.fixed_points.search import search, starts
 from tasks.measures.losses import contact_mass, velocity_ratio
 from tasks.registry import GAITS, SI_UNITS, VARIABLES, VIOLATIONS
-from tasks.solve_cycles import cycle_points, follow
-from tasks.solve_points import Arrays, points, solve
+from tasks.solve_points import atlas, points, solve
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker
@@ -57,10 +56,9 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     slope = float(params["slope"])
     problem = Problem(resolve(line["walker"], line["set"]))
     steps = int(params.get("steps", 1))
-    # Cycles are followed far from the branches where they begin.
-    branches = atlases.survey(problem, FINE if steps > 1 else COARSE)
     if steps > 1:
-        return _solve_cycles(line, slope, steps, atlases.to_arrays(branches))
+        return _solve_cycles(line, slope, steps)
+    branches = atlases.survey(problem, COARSE)
     point = points({"line": line, "slope": np.array([slope]), "want": _WANT}, [atlases.to_arrays(branches)])
     gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
@@ -94,12 +92,10 @@ def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str]) -> dict[
     return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log}
 
 
-def _solve_cycles(line: dict[str, Any], slope: float, steps: int, atlas: Arrays) -> dict[str, Any]:
+def _solve_cycles(line: dict[str, Any], slope: float, steps: int) -> dict[str, Any]:
     """Gaits that repeat after some steps, of which the branches alone are searched."""
-    walker = resolve(line["walker"], line["set"])
-    branches = follow({"line": line, "steps": steps, "atlas": atlas})
-    asked = {"line": line, "steps": steps, "branches": branches, "slope": np.array([slope]), "want": _WANT}
-    point = cycle_points(asked)
+    walker, params = resolve(line["walker"], line["set"]), {"line": line, "steps": steps}
+    point = points({**params, "slope": np.array([slope]), "want": _WANT}, [atlas(params, [])])
     labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
     records = [_record(label, slope, gait, walker) for label, gait in zip(labels, _converged(point), strict=True)]
     log = [] if records else [str(point["reasons"][1])]

@@ -8,51 +8,38 @@ from typing import Any
 import numpy as np
 
 from tasks import status
-from tasks.continuation import atlas as atlases
-from tasks.continuation.cycles import Cycle, at_slope, really_walks
+from tasks.continuation.cycles import Cycle, at_slope, really_walks, system
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.step_check import gait_ratio
-from tasks.follow_cycles import MAX_MULTIPLIER, CycleBranch, cycle_branches, from_arrays, is_same, to_arrays
+from tasks.follow_cycles import MAX_MULTIPLIER, CycleBranch, Guess, is_same
 from tasks.measures import violations
 from tasks.measures.kinematics import step_length
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
 from tasks.registry import ALWAYS, GAITS, VARIABLES
 from tasks.step.problem import EPS, Problem, sizes
 from tasks.step.step_map import Stride
-from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
 #: Units in which steps are evaluated again, to see their rounding.
 _UNITS = (0.75, 0.625, 0.875)
 #: Largest error bound of a converged gait.
 _MAX_BOUND = 1e-3
+#: Least distance of a gait's sections from each other, rounding's, beside flips too [rad].
+_LEAST_APART = 1e-10
+#: Iterations across a branch, and the largest last step of a corrected gait.
+_MAX_ACROSS, _MAX_STEP = 6, 1e-11
 
 
-def follow(params: Mapping[str, Any]) -> Arrays:
-    """Follow the branches of a line's gaits of period n.
-
-    Parameters
-    ----------
-    params : mapping
-        `line`; `atlas`, the line's; `steps`, n > 1.
-
-    Returns
-    -------
-    dict of ndarray
-        The branches, which `cycle_points` reads.
-    """
-    problem = Problem(resolve(params["line"]["walker"], params["line"].get("set")))
-    return to_arrays(cycle_branches(problem, atlases.from_arrays(params["atlas"]), int(params["steps"])))
-
-
-def cycle_points(params: Mapping[str, Any]) -> Arrays:
+def cycle_points(problem: Problem, branches: list[CycleBranch], params: Mapping[str, Any]) -> Arrays:
     """Solve the gaits of period n at the slopes of one line.
 
     Parameters
     ----------
+    problem : Problem
+    branches : list of CycleBranch
+        The line's, of period n.
     params : mapping
-        `line`; `branches`, as `follow` returns them; `steps`, n > 1; `slope`, ndarray, shape (k,) [rad]; `want`, names
-        of variables.
+        `steps`, n > 1; `slope`, ndarray, shape (k,) [rad]; `want`, names of variables; `friction_limit`, as for points.
 
     Returns
     -------
@@ -62,19 +49,17 @@ def cycle_points(params: Mapping[str, Any]) -> Arrays:
         speed, power and residual over all n; the multipliers of n steps; violations of any of them, each amount the
         worst.
     """
-    walker = resolve(params["line"]["walker"], params["line"].get("set"))
-    problem, n = Problem(walker), int(params["steps"])
-    branches = from_arrays(params["branches"])
+    n, friction_limit = int(params["steps"]), float(params.get("friction_limit", violations.FRICTION_LIMIT))
     slope = np.asarray(params["slope"], float)
     want = [v for v in VARIABLES if v in params["want"] or v in ALWAYS]
-    width = 4 if walker.knees else 3
+    width = 4 if problem.walker.knees else 3
     out: Arrays = {}
     for name in want:
         shape = (len(slope), len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (len(slope), len(GAITS))
         out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
     out["reason"][:] = [1, 1, 2, 2]
     for k, value in enumerate(slope.tolist()):
-        _fill({name: values[k] for name, values in out.items()}, problem, branches, value, want)
+        _fill({name: values[k] for name, values in out.items()}, problem, branches, value, want, friction_limit)
     reasons = [status.SETTLED, _outside(branches, n), status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP]
     return {**out, "reasons": np.array(reasons)}
 
@@ -89,21 +74,23 @@ def _outside(branches: list[CycleBranch], n: int) -> str:
     return f"No gait of period {n} at this slope: the branches found span {spans} ({limit})."
 
 
-def _fill(out: Arrays, problem: Problem, branches: list[CycleBranch], slope: float, want: list[str]) -> None:
+def _fill(
+    out: Arrays, problem: Problem, branches: list[CycleBranch], slope: float, want: list[str], friction_limit: float
+) -> None:
     """Solve every gait at one slope and store it by its label in `out`, arrays of shape (len(GAITS), ...)."""
     gaits: list[tuple[Cycle, dict[str, Any]]] = []
     for number, branch in enumerate(branches):
-        for piece, Y, times in branch.guesses(float(np.log(slope))):
-            cycle = at_slope(problem, Y, times, slope)
-            measured: dict[str, Any] = {"branch": number, "piece": piece, "angle": Y[0].max(), "ratio": 0.0}
-            if not cycle.ok or not _is_exact(cycle):
+        for guess in branch.guesses(float(np.log(slope))):
+            cycle = solve_cycle(problem, guess, slope)
+            measured: dict[str, Any] = {"branch": number, "piece": guess.piece, "angle": guess.Y[0].max(), "ratio": 0.0}
+            if not cycle.ok:
                 measured |= {"status": status.NOT_CONVERGED, "reason": 3}
             elif any(is_same(cycle, other) for other, _ in gaits if other.ok):
                 continue
             elif not really_walks(problem, cycle):
                 measured |= {"status": status.NOT_CONVERGED, "reason": 4}
             else:
-                measured |= _measure(problem, _from_largest(cycle), slope, want)
+                measured |= _measure(problem, _from_largest(cycle), slope, want, friction_limit)
             gaits.append((cycle, measured))
     if not gaits:
         return
@@ -115,10 +102,52 @@ def _fill(out: Arrays, problem: Problem, branches: list[CycleBranch], slope: flo
                     values[slot] = measured[name]
 
 
-def _is_exact(cycle: Cycle) -> bool:
-    """Whether a gait does not repeat after fewer steps."""
-    n = cycle.period
-    return all(float(np.abs(cycle.Y - np.roll(cycle.Y, k, axis=1)).max()) > 1e-9 for k in range(1, n) if n % k == 0)
+def solve_cycle(problem: Problem, guess: Guess, slope: float) -> Cycle:
+    """Correct a guess to a gait of exactly its period.
+
+    Parameters
+    ----------
+    problem : Problem
+    guess : Guess
+    slope : float [rad]
+
+    Returns
+    -------
+    Cycle
+        Not `ok` where it repeats sooner or was not found.
+    """
+    cycle = at_slope(problem, guess.Y, guess.times, slope)
+    if not (cycle.ok and _keeps_apart(cycle.Y, guess.Y)):
+        cycle = _correct_across(problem, guess, slope)
+        cycle.ok &= _keeps_apart(cycle.Y, guess.Y)
+    return cycle
+
+
+def _keeps_apart(Y: np.ndarray, guess: np.ndarray) -> bool:
+    """Whether the steps of a gait differ, and not by much less than those of its guess."""
+    n = Y.shape[1]
+    sooner = [k for k in range(1, n) if n % k == 0]
+    distances, guessed = ([float(np.abs(x - np.roll(x, k, axis=1)).max()) for k in sooner] for x in (Y, guess))
+    return all(a > max(0.5 * b, _LEAST_APART) for a, b in zip(distances, guessed, strict=True))
+
+
+def _correct_across(problem: Problem, guess: Guess, slope: float) -> Cycle:
+    """Correct a guess so near a flip that along the branch Newton's step is rounding, in all other directions.
+
+    There the branch's polynomial, which is exact at the flip, is more accurate than the equations.
+    """
+    Y, times, q = guess.Y, guess.times, float(np.log(slope))
+    m, n = Y.shape
+    A, size = np.zeros((m, m, n)), np.inf
+    for _ in range(_MAX_ACROSS):
+        residual, derivative, A, times_after = system(problem, Y, times, q)
+        if not (np.isfinite(residual).all() and np.isfinite(derivative).all()):
+            break
+        left, values, right = np.linalg.svd(derivative[:, :-1])
+        dZ = np.append(-right[:-1].T @ ((left[:, :-1].T @ residual) / values[:-1]), 0.0)
+        size = float(np.abs(dZ).max())
+        Y, times = Y + dZ[:-1].reshape(n, m).T * np.sqrt(n), times_after(dZ)
+    return Cycle(Y, times, q, A, np.zeros(m * n + 1), size < _MAX_STEP, size)
 
 
 def _from_largest(cycle: Cycle) -> Cycle:
@@ -129,7 +158,7 @@ def _from_largest(cycle: Cycle) -> Cycle:
     return Cycle(Y, times, cycle.q, A, cycle.tangent, cycle.ok, cycle.error)
 
 
-def _measure(problem: Problem, cycle: Cycle, slope: float, want: list[str]) -> dict[str, Any]:
+def _measure(problem: Problem, cycle: Cycle, slope: float, want: list[str], friction_limit: float) -> dict[str, Any]:
     """Variables of a gait in the walker's units, and its `angle` and `ratio`, which determine its label."""
     walker, n = problem.walker, cycle.period
     time_unit, scale = np.sqrt(walker.leg / walker.g), np.exp2(np.floor(np.log2(cycle.Y[0])))
@@ -179,7 +208,8 @@ def _measure(problem: Problem, cycle: Cycle, slope: float, want: list[str]) -> d
     }
     if is_flown:
         motion = [m * scale for m in step.motion]
-        measured |= _worst(violations.measure(walker, motion, step.impact * scale, cycle.times, slopes))
+        amounts = violations.measure(walker, motion, step.impact * scale, cycle.times, slopes, friction_limit)
+        measured |= _worst(amounts)
     return measured
 
 
@@ -190,6 +220,24 @@ def _worst(amounts: Arrays) -> dict[str, Any]:
     if np.isfinite(amounts["unlocking_torque"]).all():
         worst["unlocking_torque_time"] = float(amounts["unlocking_torque_time"][amounts["unlocking_torque"].argmax()])
     return {**worst, "violations": int(np.bitwise_or.reduce(amounts["violations"]))}
+
+
+def _beside_flip(Y: np.ndarray, moved: np.ndarray) -> float:
+    """Factor by which a gait beside a flip may move further than linearised equations say.
+
+    Notes
+    -----
+    With a the half distance of its halves, the equation along the branch is a (a^2 - a*^2) = noise beside a flip: a
+    cubic, whose root a* keeps the sign of a. Its linearisation at a moves by x = noise/(2 a^2); a* lies within
+    a - sqrt(a^2 - 2 a x) below, if x < a/2, else within a, and within sqrt(a^2 + 2 a x) - a above.
+    """
+    n = Y.shape[1]
+    half = np.abs(Y - np.roll(Y, n // 2, axis=1)).max() / 2 if n % 2 == 0 else np.inf
+    x = float(np.abs(moved).max() / half)
+    if x < 1e-6:
+        return 1.0 + x
+    exact = 1 - np.sqrt(1 - 2 * x) if x <= 0.5 else max(1.0, np.sqrt(1 + 2 * x) - 1)
+    return float(exact / x)
 
 
 def _error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray) -> tuple[float, float]:
@@ -218,6 +266,7 @@ def _error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray)
         matrix[rows, k : k + m] -= np.eye(m)
     inverse = np.abs(np.linalg.inv(matrix))
     moved = (inverse @ (rounding + np.abs(residual)).T.ravel()).reshape(n, m).T
+    moved *= _beside_flip(cycle.Y, moved)
     size = problem.map.start_size
     start, by_y = np.split(problem.map.start(cycle.Y / scale, problem.parameters(slope, scale))[:, 0], [size])
     state = np.abs(start)

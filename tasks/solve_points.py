@@ -17,11 +17,13 @@ from tasks.fixed_points.labels import places
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.polish import Guesses, Polished, join, settle
 from tasks.fixed_points.step_check import gait_ratio
+from tasks.follow_cycles import cycle_branches, from_arrays, to_arrays
 from tasks.measures import violations
 from tasks.measures.kinematics import step_length, travel
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
 from tasks.mechanics.lumped import Structure, structure_of
 from tasks.registry import ALWAYS, GAITS, PROVED, VARIABLES
+from tasks.solve_cycles import cycle_points
 from tasks.step.problem import Lanes, Problem, sizes
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker
@@ -40,16 +42,23 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Parameters
     ----------
     params : mapping
-        `line`: `{"walker": name or table, "set": {key: value}}`; `coarse`: whether for few points.
+        `line`: `{"walker": name or table, "set": {key: value}}`; `coarse`: whether for few points; `steps` after which
+        the gaits repeat (1 if omitted).
     inputs : list
-        Empty.
+        Empty, or for gaits of several steps the atlas, not coarse, of those of one step; it is computed otherwise.
 
     Returns
     -------
     dict
-        The branches as arrays, which `tasks.continuation.atlas.from_arrays` reads.
+        The branches as arrays, which `tasks.continuation.atlas.from_arrays` reads; of gaits of several steps
+        `tasks.follow_cycles.from_arrays`.
     """
     problem = Problem(_walker(params["line"]))
+    steps = int(params.get("steps", 1))
+    if steps > 1:
+        # They are followed far from the branches where they begin.
+        single = atlases.from_arrays(inputs[0]) if inputs else atlases.survey(problem, FINE)
+        return to_arrays(cycle_branches(problem, single, steps))
     return atlases.to_arrays(atlases.survey(problem, COARSE if params.get("coarse") else FINE))
 
 
@@ -60,9 +69,9 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     ----------
     params : mapping
         `line`; `slope`, ndarray, shape (n,) [rad]; `want`, names of variables; `gaits`, labels wanted;
-        `friction_limit`, the coefficient above which a gait is flagged.
+        `friction_limit`, the coefficient above which a gait is flagged; `steps` after which the gaits repeat.
     inputs : list
-        The line's atlas.
+        The line's atlas, of the same `steps`.
 
     Returns
     -------
@@ -71,6 +80,8 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         that `reason` indexes.
     """
     problem = Problem(_walker(params["line"]))
+    if int(params.get("steps", 1)) > 1:
+        return cycle_points(problem, from_arrays(inputs[0]), params)
     (solved,) = _solve_lines(problem, [params["line"]], [atlases.from_arrays(inputs[0])], params)
     return solved
 

@@ -20,7 +20,7 @@ from pipeline.statuses import ALL_STATUSES
 from pipeline.study.broadcast import broadcast
 from tasks.registry import ALWAYS, GAITS, SHORT_LINE, TASKS, VARIABLES
 
-_MAX_REMEMBERED = 256 << 20  # atlases kept for later calls [byte]
+_MAX_REMEMBERED = 256 << 20  # atlases kept for later calls, and as much of short lines' points [byte]
 _BLOCK = 64  # short lines surveyed side by side
 _SLOPES = "must lie in (0, 0.5) rad"
 Arrays = dict[str, np.ndarray]
@@ -67,7 +67,7 @@ class Memory:
         return result
 
 
-_MEMORY = Memory(_MAX_REMEMBERED)
+_ATLASES, _POINTS = Memory(_MAX_REMEMBERED), Memory(_MAX_REMEMBERED)
 
 
 @dataclass
@@ -157,11 +157,12 @@ def gaits(
             solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True)))
     for k in range(0, len(solvable), _BLOCK):
         if steps == 1:
-            _survey([line for line in solvable[k : k + _BLOCK] if line.is_short])
+            short = [line for line in solvable[k : k + _BLOCK] if line.is_short]
+            _survey([line for line in short if not _POINTS.has(line.points_key(wanted, 1))])
         for one in solvable[k : k + _BLOCK]:
             _solve(one, wanted, steps, points)
     is_si = bool(answers) and answers[0]["si"]
-    dataset = _dataset(points, grid[0], is_si)
+    dataset = _dataset(points, grid[0], is_si, steps)
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
     coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si)) for name, a in varying.items()}
     first = next((line for (line, _), check in zip(lines, checks, strict=True) if check in answers), None)
@@ -221,25 +222,33 @@ class _Line:
         """Whether its atlas is coarse, as that of a study with so few slopes."""
         return len(self.slopes) <= SHORT_LINE
 
-    def atlas_key(self, coarse: bool) -> bytes:
-        """Key under which its atlas is remembered."""
-        return serialize.dump({"line": self.line, "coarse": coarse})
+    def points_params(self, wanted: tuple[str, ...], steps: int) -> dict[str, Any]:
+        """Parameters of its points."""
+        return {"line": self.line, "slope": self.slopes, "want": wanted, "steps": steps}
 
-    def atlas(self, coarse: bool) -> Arrays:
-        """Branches of its gaits, remembered or surveyed."""
-        params = {"line": self.line, "coarse": coarse}
-        return _MEMORY.get(self.atlas_key(coarse), lambda: dispatch.resolve(TASKS["atlas"].function)(params, []))
+    def points_key(self, wanted: tuple[str, ...], steps: int) -> bytes:
+        """Key under which its points are remembered."""
+        return serialize.dump(self.points_params(wanted, steps))
 
-    def cycle_branches(self, steps: int) -> Arrays:
-        """Branches of its gaits that repeat after several steps, remembered or followed."""
-        params = {"line": self.line, "steps": steps}
-        key = serialize.dump(params)
-        return _MEMORY.get(key, lambda: dispatch.call("cycle_branches", {**params, "atlas": self.atlas(False)}))
+    def atlas_params(self, coarse: bool, steps: int = 1) -> dict[str, Any]:
+        """Parameters of its atlas."""
+        return {"line": self.line, "coarse": coarse, **({"steps": steps} if steps > 1 else {})}
+
+    def atlas(self, coarse: bool, steps: int = 1) -> Arrays:
+        """Branches of its gaits that repeat after some steps, remembered or followed."""
+        params = self.atlas_params(coarse, steps)
+
+        def follow() -> Arrays:
+            atlas: Arrays = dispatch.resolve(TASKS["atlas"].function)(params, [self.atlas(False)] if steps > 1 else [])
+            return atlas
+
+        return _ATLASES.get(serialize.dump(params), follow)
 
 
 def _survey(lines: list[_Line]) -> None:
     """Find the branches of short lines that are not remembered, side by side, and remember them."""
-    unknown = [line for line in lines if not _MEMORY.has(line.atlas_key(True))]
+    keys = {id(line): serialize.dump(line.atlas_params(True)) for line in lines}
+    unknown = [line for line in lines if not _ATLASES.has(keys[id(line)])]
     if len(unknown) < 2:
         return
     params = {"lines": [line.line for line in unknown], "slope": np.empty(0), "want": ()}
@@ -248,24 +257,27 @@ def _survey(lines: list[_Line]) -> None:
     except Exception:  # each is tried by itself, and its own error is its points' reason
         return
     for line, (atlas, _) in zip(unknown, results, strict=True):
-        _MEMORY.get(line.atlas_key(True), functools.partial(dict, atlas))
+        _ATLASES.get(keys[id(line)], functools.partial(dict, atlas))
 
 
 def _solve(one: _Line, wanted: tuple[str, ...], steps: int, points: _Points) -> None:
     """Solve the points of a line, each slope once, from its branches."""
-    params = {"line": one.line, "slope": one.slopes, "want": wanted, "steps": steps}
+
+    def solve() -> Arrays:
+        atlas = one.atlas(one.is_short and steps == 1, steps)
+        points: Arrays = dispatch.resolve(TASKS["points"].function)(one.points_params(wanted, steps), [atlas])
+        return points
+
     try:
-        if steps == 1:
-            result = dispatch.resolve(TASKS["points"].function)(params, [one.atlas(one.is_short)])
-        else:
-            result = dispatch.call("cycle_points", {**params, "branches": one.cycle_branches(steps)})
+        # A slider comes back to values that it has shown; points of long lines cost less than to keep them.
+        result = _POINTS.get(one.points_key(wanted, steps), solve) if one.is_short else solve()
     except Exception as error:  # as in a study, a task that raises is a status at its points
         points.fail(one.at, f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
     else:
         points.put(one.at, result, one.row)
 
 
-def _dataset(points: _Points, grid: xr.DataArray, is_si: bool) -> xr.Dataset:
+def _dataset(points: _Points, grid: xr.DataArray, is_si: bool, steps: int) -> xr.Dataset:
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
     used = np.unique(points.reason)
     by_number = {number: sentence for sentence, number in points.sentences.items()}
@@ -280,7 +292,7 @@ def _dataset(points: _Points, grid: xr.DataArray, is_si: bool) -> xr.Dataset:
         values = points.values[name]
         dims = (*grid.dims, *VARIABLES[name].dims)
         values = values.reshape((*grid.shape, *values.shape[1:]))
-        variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], is_si))
+        variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], is_si, steps=steps))
     text = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
     gait = ("gait", np.array(GAITS), {"long_name": "gait by its character", "units": "1"})
     dataset = xr.Dataset(
@@ -291,4 +303,5 @@ def _dataset(points: _Points, grid: xr.DataArray, is_si: bool) -> xr.Dataset:
         numbers = np.arange(dataset.sizes["multiplier"], dtype=np.int32)
         dataset = dataset.assign_coords(multiplier=("multiplier", numbers, named))
     source = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"
-    return dataset.assign_attrs({"Conventions": "CF-1.11", "source": source, "references": PAPER})
+    described = {"Conventions": "CF-1.11", "source": source, "references": PAPER, **attributes.of_steps(steps)}
+    return dataset.assign_attrs(described)

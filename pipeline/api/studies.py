@@ -20,6 +20,7 @@ from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import runner
 from pipeline.study import broadcast, model, parse, single_point
 from pipeline.study.location import Location
+from tasks.registry import MAX_STEPS
 
 
 def load(archive: str | Path, table: str | None = None) -> Any:
@@ -210,8 +211,8 @@ def gaits(
     calls faster and does not change them.
     """
     steps = broadcast.whole_number("steps", steps, 1)
-    if steps > single_point.MAX_STEPS:
-        raise Location("", "steps").wrong(f"must be at most {single_point.MAX_STEPS}", steps)
+    if steps > MAX_STEPS:
+        raise Location("", "steps").wrong(f"must be at most {MAX_STEPS}", steps)
     if accuracy is not None:
         raise Location("", "accuracy").wrong("must be None", accuracy)
     names = [variables] if isinstance(variables, str) else variables

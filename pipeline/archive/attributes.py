@@ -22,9 +22,26 @@ def of_axis(name: str, is_si: bool) -> dict[str, str]:
     return {"long_name": _LONG_NAMES.get(name, f"walker's {name}"), "units": units.axis_units(name, is_si)}
 
 
-def of_variable(variable: Variable, is_si: bool, is_mixed: bool = False) -> dict[str, Any]:
+def of_steps(steps: int) -> dict[str, Any]:
+    """Attributes of a dataset of gaits that repeat after several steps; none for gaits of one step."""
+    meaning = (
+        f"gaits that repeat after {steps} steps: the state is that with the largest stance angle, period and losses "
+        f"are of all {steps} steps, a violation is the worst of them"
+    )
+    return {"steps": np.int32(steps), "comment": meaning} if steps > 1 else {}
+
+
+def over_steps(long_name: str, steps: int) -> str:
+    """Meaning of a quantity of one step, for gaits that repeat after several."""
+    if steps == 1:
+        return long_name
+    iterate = f"the step map's {steps}-th iterate's eigenvalues"
+    return long_name.replace("one step", f"{steps} steps").replace("the step map's eigenvalues", iterate)
+
+
+def of_variable(variable: Variable, is_si: bool, is_mixed: bool = False, steps: int = 1) -> dict[str, Any]:
     """CF attributes of a variable, for walkers in SI (`is_si`) or not, or some in SI and some not (`is_mixed`)."""
-    attrs: dict[str, Any] = {"long_name": variable.long_name, "units": variable.units(is_si)}
+    attrs: dict[str, Any] = {"long_name": over_steps(variable.long_name, steps), "units": variable.units(is_si)}
     flags = {"status": ALL_STATUSES, "proved": PROVED}.get(variable.name)
     if flags is not None:
         attrs |= {"flag_values": np.array(list(flags.values()), np.int8), "flag_meanings": " ".join(flags)}

@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline import serialize
 from pipeline.archive import arrays
+from pipeline.archive.attributes import over_steps
 from pipeline.dispatch import resolve
 from pipeline.plan.missing import Plan
 from pipeline.study import units
@@ -123,6 +124,7 @@ def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:
         kind, meaning = keys[name], f"walker's {name}"
     elif name == "slope":
         kind, meaning = "angle", "slope of the ground"
+    meaning = over_steps(meaning, study.steps)
     attributes = {"long_name": meaning, "units": registry.SI_UNITS[kind] if is_si or kind == "angle" else "1"}
     if len({check["si"] for check in study.checks}) > 1 and kind not in ("number", "angle"):
         attributes["comment"] = "in the units of each walker: SI, or any consistent ones"

@@ -124,6 +124,7 @@ def _write_header(file: Any, plan: Plan, writer: _PointWriter | _LineWriter) -> 
             "not_attempted": np.int64(writer.written.counts["not_attempted"]),
             "figures": " ".join(study.figures),
             "provenance": provenance(plan),
+            **attributes.of_steps(study.steps),
         }
     )
     for name, size in writer.grid.sizes.items():
@@ -240,7 +241,7 @@ class _PointWriter:
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
             self.shapes[name], self.dtypes[name] = tuple(variable.chunking()), variable.dtype
-            variable.setncatts(attributes.of_variable(description, is_si, is_mixed))
+            variable.setncatts(attributes.of_variable(description, is_si, is_mixed, self.study.steps))
 
     def fill(self, draft: Path, threads: int) -> None:
         """Write values region by region; while one region is packed the next is assembled."""

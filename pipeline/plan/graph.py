@@ -86,13 +86,14 @@ def variables(study: Study) -> tuple[str, ...]:
 
 def is_short(study: Study) -> bool:
     """Whether the lines of a study are short: its atlases are coarse, and lines are computed side by side."""
-    return study.kind == "grid" and len(study.slope) <= SHORT_LINE and bool(TASKS["atlas"].side_by_side)
+    is_grid = study.kind == "grid" and study.steps == 1
+    return is_grid and len(study.slope) <= SHORT_LINE and bool(TASKS["atlas"].side_by_side)
 
 
 def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of a task over one line, except the slopes of a block of points."""
     if name == "atlas":
-        return {"line": line, "coarse": is_short(study)}
+        return {"line": line, "coarse": is_short(study), **({"steps": study.steps} if study.steps > 1 else {})}
     if name == "points":
         return {"line": line, **study.options}
     if name == "branch":

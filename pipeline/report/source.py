@@ -148,6 +148,11 @@ class Source:
         return "point" if "gait" in self.grid.dims else "line"
 
     @property
+    def steps(self) -> int:
+        """Steps after which the gaits repeat."""
+        return int(self.grid.attrs.get("steps", 1))
+
+    @property
     def figures(self) -> list[str]:
         """Names of the figures that the study wants."""
         wanted = self.study.get("want", {}).get("figures", [])
@@ -222,6 +227,7 @@ class Source:
         words = ["gaitsweep", "solve", "--walker", walker]
         for key, value in overrides.items():
             words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
+        words += ["--steps", str(self.steps)] if self.steps > 1 else []
         return shlex.join(words)
 
     @cached_property

@@ -63,6 +63,11 @@ class Study:
         return next(a.values for a in self.axes if a.name == "slope")
 
     @property
+    def steps(self) -> int:
+        """Steps after which the gaits of a grid or of branches repeat."""
+        return int(self.options.get("steps", 1)) if self.kind in ("grid", "branch") else 1
+
+    @property
     def line_axes(self) -> tuple[Axis, ...]:
         """Every axis but the slope."""
         return tuple(a for a in self.axes if a.name != "slope")

@@ -8,7 +8,7 @@ from typing import Any
 
 from pipeline.study.location import Location
 from tasks import registry
-from tasks.registry import FOLLOWED, GAITS, OPTIONS
+from tasks.registry import FOLLOWED, GAITS, MAX_STEPS, OPTIONS
 
 _MAX = 10**6
 
@@ -25,7 +25,7 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
         raise place.wrong("must be a table", options)
     known = OPTIONS.get(kind, {})
     for old, new in registry.RENAMED_OPTIONS.items():
-        if old in options and new in known and new not in options:
+        if old in options and new in known and new not in options and known[new].holds != "steps":
             options = {new if name == old else name: value for name, value in options.items()}
     if options and not known:
         raise place.error(f"A study of kind `{kind}` has no options; got {', '.join(options)}")
@@ -33,10 +33,12 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
         if name not in known:
             raise place.unknown(name, known, "key")
         _check(value, known[name].holds, axes, place.at(name))
+    # An option at its default is as one left out.
+    options = {name: value for name, value in options.items() if value != known[name].default}
     whole = registry.options(kind, options) if known else {}
     if kind == "curve" and not whole["from"] < whole["to"]:
         raise place.at("from").wrong(f"must be less than `to` = {whole['to']!r}", whole["from"])
-    return dict(options)
+    return options
 
 
 def listing() -> str:
@@ -54,6 +56,8 @@ def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> Non
         raise place.wrong(f"must be a whole number from 0 to {_MAX:,}", value)
     if what == "count" and not _count(value):
         raise place.wrong(f"must be a whole number from 1 to {_MAX:,}", value)
+    if what == "steps" and not (_count(value) and value <= MAX_STEPS):
+        raise place.wrong(f"must be a whole number from 1 to {MAX_STEPS}", value)
     if what == "counts" and not (isinstance(value, list) and value and all(map(_count, value))):
         raise place.wrong("must be a list of whole numbers from 1", value)
     if what == "number":

@@ -112,8 +112,23 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     if study.points > MAX_POINTS:
         raise top.at("axes").error(f"The grid has {study.points:.3g} points, more than {MAX_POINTS:.0e}")
     _check_walkers(study, top)
+    if study.steps > 1:
+        _check_of_one_step(study, top)
     measured = _measurements(table.get("figures", {}), study, top.at("figures"))
     return replace(study, overlay=measured) if measured else study
+
+
+def _check_of_one_step(study: Study, top: Location) -> None:
+    """Check that a study of gaits of several steps wants nothing that is known of those of one step only."""
+    wanted = {"variables": study.variables, "fits": study.fits, "figures": study.figures, "claims": study.claims}
+    for key, names in wanted.items():
+        for name in names:
+            if name in registry.OF_ONE_STEP or key == "claims":
+                sentence = f"`{name}` is of gaits of one step, and `steps` is {study.steps}"
+                raise top.at("want", key).error(sentence)
+    if "adaptive" in study.options:
+        sentence = f"`adaptive` is for gaits of one step, and `steps` is {study.steps}: give `n`"
+        raise top.at("axes", "slope").error(sentence)
 
 
 def _measurements(value: object, study: Study, location: Location) -> dict[str, np.ndarray]:

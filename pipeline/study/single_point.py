@@ -9,9 +9,7 @@ from typing import Any
 from pipeline.dispatch import ask
 from pipeline.study import files
 from pipeline.study.location import Location
-
-#: Longest period of gaits.
-MAX_STEPS = 64
+from tasks.registry import MAX_STEPS
 
 
 def solve(

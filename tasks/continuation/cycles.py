@@ -96,10 +96,27 @@ def _product(A: np.ndarray) -> np.ndarray:
     return M
 
 
-def _system(
+def system(
     problem: Problem, Y: np.ndarray, times: np.ndarray, q: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Residual and derivative by Z, the steps' Jacobians, and the event times after a change of Z."""
+    """Equations of a cycle.
+
+    Parameters
+    ----------
+    Y : ndarray, shape (m, n) [rad, rad/sqrt(leg/g)]
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+    q : float
+
+    Returns
+    -------
+    residual : ndarray, shape (m n,)
+    derivative : ndarray, shape (m n, m n + 1)
+        By Z.
+    A : ndarray, shape (m, m, n)
+        Jacobians of the steps.
+    times_after : callable
+        Event times after a change of Z.
+    """
     m, n = Y.shape
     scale = np.exp2(np.floor(np.log2(np.abs(Y[0]))))
     slope = np.full(n, np.exp(q))
@@ -145,7 +162,7 @@ def correct(problem: Problem, Z: np.ndarray, times: np.ndarray, border: np.ndarr
         Y = Z[:-1].reshape(n, m).T * np.sqrt(n)
         if not (np.isfinite(Z).all() and (Y[0] > 0).all()):
             break
-        residual, derivative, A, times_after = _system(problem, Y, times, Z[-1])
+        residual, derivative, A, times_after = system(problem, Y, times, Z[-1])
         matrix = np.vstack([derivative, border])
         if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
             break

@@ -155,9 +155,36 @@ def test_wrong_input_is_one_sentence(arguments, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.fixture(autouse=True)
+def _forget_points(monkeypatch):
+    monkeypatch.setattr(in_memory, "_POINTS", in_memory.Memory(0))
+
+
+def test_points_that_were_seen_are_not_solved_again(monkeypatch):
+    """What makes a slider over keys fast: 3 ms for 200 slopes."""
+    monkeypatch.setattr(in_memory, "_POINTS", memory := in_memory.Memory(1 << 30))
+    monkeypatch.setattr(in_memory, "_ATLASES", in_memory.Memory(1 << 30))
+    radii = [[0.1], [0.2]]
+    grid = pipeline.gaits("E", SLOPES, R=radii)
+    assert len(memory.results) == 2
+    monkeypatch.setattr(in_memory, "_ATLASES", atlases := in_memory.Memory(1 << 30))
+    one = pipeline.gaits("E", SLOPES, R=0.2)
+    assert not atlases.results and same(one.period.values, grid.period.values[1])
+    one.period[:] = 0.0  # a caller's own
+    assert same(pipeline.gaits("E", SLOPES, R=radii).period.values, grid.period.values) and not atlases.results
+    # Neither other variables nor other slopes nor longer gaits are taken for these.
+    names = ["period", "multipliers"]
+    assert "multiplier_real" in pipeline.gaits("E", SLOPES, R=0.2, variables=names) and len(memory.results) == 3
+    assert not same(pipeline.gaits("E", SLOPES * 1.1, R=0.2).period.values, one.period.values)
+    # Points of long lines cost less than to keep them.
+    kept = len(memory.results)
+    pipeline.gaits("E", np.geomspace(0.004, 0.05, 300), R=0.2, variables=["period"])
+    assert len(memory.results) == kept
+
+
 def test_what_is_remembered_changes_time_only(monkeypatch):
     memory = in_memory.Memory(100_000)
-    monkeypatch.setattr(in_memory, "_MEMORY", memory)
+    monkeypatch.setattr(in_memory, "_ATLASES", memory)
     radii = [0.1, 0.15, 0.2, 0.25, 0.3]
     first = pipeline.gaits("E", 0.01, R=radii)
     assert 0 < len(memory.results) < len(radii) and memory.size <= memory.bound
@@ -177,7 +204,7 @@ def test_what_was_used_last_is_kept():
 
 def test_a_line_is_surveyed_once(monkeypatch):
     """What makes a slider over slopes fast: the second call needs no atlas."""
-    monkeypatch.setattr(in_memory, "_MEMORY", memory := in_memory.Memory(1 << 30))
+    monkeypatch.setattr(in_memory, "_ATLASES", memory := in_memory.Memory(1 << 30))
     pipeline.gaits("E", SLOPES)
     remembered = dict(memory.results)
     monkeypatch.setattr(memory, "get", lambda key, compute: remembered[key][1])
@@ -185,9 +212,9 @@ def test_a_line_is_surveyed_once(monkeypatch):
 
 
 def test_lines_side_by_side_are_those_that_are_surveyed_alone(monkeypatch):
-    monkeypatch.setattr(in_memory, "_MEMORY", in_memory.Memory(1 << 30))
+    monkeypatch.setattr(in_memory, "_ATLASES", in_memory.Memory(1 << 30))
     together = pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]])
-    monkeypatch.setattr(in_memory, "_MEMORY", in_memory.Memory(1 << 30))
+    monkeypatch.setattr(in_memory, "_ATLASES", in_memory.Memory(1 << 30))
     monkeypatch.setattr(in_memory, "_survey", lambda lines: None)
     assert pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]]).equals(together)
 
@@ -202,7 +229,7 @@ def test_a_long_line_takes_the_atlas_that_a_long_study_takes(tmp_path):
 
 
 def test_long_lines_are_not_surveyed_side_by_side(monkeypatch):
-    monkeypatch.setattr(in_memory, "_MEMORY", memory := in_memory.Memory(1 << 30))
+    monkeypatch.setattr(in_memory, "_ATLASES", memory := in_memory.Memory(1 << 30))
     pipeline.gaits("E", np.geomspace(0.004, 0.05, 300), R=[[0.1], [0.2]], variables=["period"])
     assert len(memory.results) == 2
 
@@ -217,7 +244,7 @@ def test_a_task_that_raises_is_a_status(monkeypatch):
 
 
 def test_lines_that_fail_side_by_side_are_surveyed_alone(monkeypatch):
-    monkeypatch.setattr(in_memory, "_MEMORY", in_memory.Memory(1 << 30))
+    monkeypatch.setattr(in_memory, "_ATLASES", in_memory.Memory(1 << 30))
     broken = dataclasses.replace(TASKS["atlas"], side_by_side="tasks.solve_points:no_such_function")
     monkeypatch.setitem(TASKS, "atlas", broken)
     assert (pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]]).status.values[..., :2] == CONVERGED).all()

@@ -88,7 +88,7 @@ WRONG = {
     "seconds = 5": {"seconds = 0": "`seconds` must be > 0 and at most 1e6 s; got 0.0 (s.toml, limits.seconds)."},
     'memory = "1.5 GiB"': {
         'memory = "2 GB/s"': "`memory` must be at least 64 MiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory).",
-        'memory = "2 GiB"\n[options]\nstarts = 3': "Unknown key `starts`, known: friction_limit (s.toml, options).",
+        'memory = "2 GiB"\n[options]\nstarts = 3': "Unknown key `starts`, known: friction_limit, steps (s.toml, options).",
         'memory = "2 GiB"\n[options]\nfriction_limit = 0': "`friction_limit` must be above 0; got 0"
         " (s.toml, options.friction_limit).",
     },
@@ -96,7 +96,7 @@ WRONG = {
 
 #: Options of a study of another kind, and what is said about them.
 WRONG_OPTIONS = [
-    ("branch", "n = 3", "A study of kind `branch` has no options; got n (s.toml, options)."),
+    ("branch", "n = 3", "Unknown key `n`, known: steps (s.toml, options)."),
     ("orbit", "stebs = 3", "Unknown key `stebs`, did you mean `steps`? (s.toml, options)."),
     (
         "orbit",

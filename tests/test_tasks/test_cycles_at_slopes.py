@@ -1,13 +1,15 @@
 """Gaits that repeat after n steps: against simulation, the product of single steps, orbits, and other units."""
 
+import mpmath as mp
 import numpy as np
 import pytest
 
 import pipeline
+from extended import Walker, _derivative
 from lines import branches as atlas_of
 from tasks.continuation.cycles import at_slope
 from tasks.follow_cycles import CycleBranch, cycle_branches, from_arrays, to_arrays
-from tasks.solve_cycles import _is_exact, _worst, cycle_points
+from tasks.solve_cycles import _beside_flip, _keeps_apart, _worst, cycle_points, solve_cycle
 from tasks.status import NOT_CONVERGED
 
 STATE = ("stance_angle", "stance_rate", "thigh_rate")
@@ -93,7 +95,7 @@ def test_the_two_gaits_beside_a_fold_are_on_two_pieces():
         middle = (low + high) / 2
         low, high = (low, middle) if list(branch.guesses(middle)) else (middle, high)
     # So near that both lie between the same two computed gaits.
-    assert [piece for piece, *_ in branch.guesses(high + 1e-9)] == [0, 1]
+    assert [guess.piece for guess in branch.guesses(high + 1e-9)] == [0, 1]
     assert np.exp(high) == pytest.approx(0.0122808, abs=1e-7)
 
 
@@ -102,10 +104,8 @@ def test_a_gait_that_repeats_sooner_is_none_of_n_steps():
     flip = cycle_branches(problem, known, 2)[0].cycles[0]
     single = [at_slope(problem, flip.Y, flip.times, slope) for slope in (0.0140, 0.0145)]
     assert all(cycle.ok for cycle in single)
-    line = {"walker": "D", "set": {}}
-    branches = to_arrays([CycleBranch(single, [])])
-    asked = {"line": line, "branches": branches, "steps": 2, "slope": np.array([0.0142]), "want": ("period",)}
-    answer = cycle_points(asked)
+    asked = {"steps": 2, "slope": np.array([0.0142]), "want": ("period",)}
+    answer = cycle_points(problem, [CycleBranch(single, [])], asked)
     assert answer["status"][0, 0] == NOT_CONVERGED and np.isnan(answer["period"][0, 0])
 
 
@@ -117,17 +117,22 @@ def test_a_branch_between_two_flips_is_followed_from_one_of_them():
     assert len(spans) == 2 and spans[0] == pytest.approx([0.0191312, 0.0202299], abs=2e-7)
     first, *inner, last = followed[0].cycles
     apart = [np.abs(c.Y - np.roll(c.Y, 1, axis=1)).max() for c in (first, *inner, last)]
-    assert apart[0] == 0 and apart[-1] < 1e-5 < 1e-4 < min(apart[1:-5])
+    assert apart[0] == apart[-1] == 0 and min(apart[1:-1]) > 1e-3
     # A gait of two steps is none of one step.
-    assert not _is_exact(first) and all(_is_exact(c) for c in inner)
+    assert not _keeps_apart(first.Y, first.Y) and all(_keeps_apart(c.Y, c.Y) for c in inner)
+    # The slope falls to the flip at which the branch ends, too.
+    assert followed[0].rises[0] and not followed[0].rises[-1]
+    for end, sign in ((first, 1), (last, 1)):
+        near = pipeline.gaits("physical", end.slope * (1 + sign * 1e-7), steps=2)
+        merged = np.abs(near.stance_angle / end.Y[0].max() - 1) < 3e-3
+        assert near.status.values[merged].tolist() == [0]
 
 
 def test_a_gait_on_two_branches_is_listed_once():
     problem, known = atlas_of("D")
-    branches = to_arrays(cycle_branches(problem, known, 2) * 2)
-    line = {"walker": "D", "set": {}}
-    asked = {"line": line, "branches": branches, "steps": 2, "slope": np.array([0.016]), "want": ("period",)}
-    assert cycle_points(asked)["status"].tolist() == [[0, 1, 1, 1]]
+    branches = cycle_branches(problem, known, 2) * 2
+    asked = {"steps": 2, "slope": np.array([0.016]), "want": ("period",)}
+    assert cycle_points(problem, branches, asked)["status"].tolist() == [[0, 1, 1, 1]]
 
 
 def test_a_walker_without_flips_has_no_doubled_gaits():
@@ -174,7 +179,60 @@ def test_branches_survive_as_arrays():
     followed = cycle_branches(problem, known, 3)
     again = from_arrays(to_arrays(followed))
     for a, b in zip(followed, again, strict=True):
-        for (p, Y, times), (r, U, others) in zip(a.guesses(np.log(0.016)), b.guesses(np.log(0.016)), strict=True):
-            assert p == r
-            np.testing.assert_array_equal(Y, U)
-            np.testing.assert_array_equal(times, others)
+        for one, other in zip(a.guesses(np.log(0.016)), b.guesses(np.log(0.016)), strict=True):
+            assert one.piece == other.piece
+            np.testing.assert_array_equal(one.Y, other.Y)
+            np.testing.assert_array_equal(one.times, other.times)
+
+
+def extended_cycle(slope, guess):
+    """Largest stance angle and period of the simplest walker's gait of several steps, by Newton in 113 bits.
+
+    `guess` has a row (angle, stance rate, thigh rate, time) for each step.
+    """
+    walker, z = Walker("D", slope), [mp.mpf(float(x)) for x in np.ravel(guess)]
+    n = len(z) // 4
+    for _ in range(60):
+        residual, matrix = [], mp.zeros(4 * n)
+        for i in range(n):
+            step = z[4 * i : 4 * i + 4]
+            guards, end, _ = walker.stride(step)
+            after = (i + 1) % n * 4
+            residual += guards + [e - a for e, a in zip(end, z[after : after + 3], strict=True)]
+            matrix[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] = _derivative(walker, step, mp.mpf("1e-10"), 2)
+            for k in range(3):
+                matrix[4 * i + 1 + k, after + k] -= 1
+        dz = -mp.lu_solve(matrix, mp.matrix(residual))
+        z = [a + d for a, d in zip(z, dz, strict=True)]
+        if max(abs(d) for d in dz) < mp.mpf("1e-22"):
+            return max(z[::4]), sum(z[3::4])
+    raise ArithmeticError("no convergence")
+
+
+@pytest.mark.parametrize(("beyond", "worst"), [(1e-4, 1e-9), (3e-7, 3e-7), (1e-8, 1e-5), (1e-11, 3e-4)])
+def test_the_error_bound_holds_beside_a_flip(beyond, worst):
+    """Down to where the gait merges with that of one step, against 113 bits."""
+    problem, known = atlas_of("D")
+    (branch,) = cycle_branches(problem, known, 2)
+    slope = branch.cycles[0].slope * (1 + beyond)
+    gait = first("D", slope, 2)
+    walk = pipeline.simulate("D", slope, state_of(gait), 2)
+    angle, period = extended_cycle(slope, np.array([walk[name].values[:2] for name in (*STATE, "period")]).T)
+    error = abs(float(gait.stance_angle.item() / angle - 1)), abs(float(gait.period.item() / period - 1))
+    assert max(error) < gait.error_bound < worst
+    # The branch's own polynomial loses far less than the bound allows.
+    (guess,) = branch.guesses(np.log(slope))
+    merged = solve_cycle(problem, guess, slope).Y[0]
+    half = float(np.ptp(merged)) / 2
+    assert abs(float(merged.max() - angle)) < (3e-5 + 1e-13 / beyond) * half
+
+
+def test_a_gait_beside_its_flip_moves_by_the_cubic_not_by_its_linearisation():
+    Y = np.array([[0.3, 0.1]])  # half distance 0.1
+    for x in (1e-7, 0.01, 0.4, 0.5, 3.0, 1e4):
+        moved = np.array([[0.1 * x, 0.0]])
+        # All a* > 0 with |a (a^2 - a*^2)| at most 2 a^3 x, where a = 1.
+        reach = [a for a in np.linspace(0, np.sqrt(1 + 2 * x) + 1, 200001) if abs(1 - a * a) <= 2 * x]
+        farthest = max(1 - min(reach), max(reach) - 1)
+        assert _beside_flip(Y, moved) * x == pytest.approx(farthest, rel=1e-3, abs=2e-5 * (1 + np.sqrt(x)))
+    assert _beside_flip(np.array([[0.3, 0.2, 0.1]]), np.array([[1.0, 0.0, 0.0]])) == 1.0

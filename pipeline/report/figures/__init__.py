@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 
 from pipeline.report.figures import (
     bifurcation,
@@ -62,4 +63,9 @@ def draw(source: Source, name: str, salt: str) -> Drawing | None:
         # Words stay words in the SVG: the reader's fonts have the glyphs that the font of the layout has not.
         warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         sketch = function(source)
-        return None if sketch is None else render(sketch, name, salt)
+        if sketch is None:
+            return None
+        if source.steps > 1:
+            caption = f"{sketch.caption} The gaits repeat after {source.steps} steps, not sooner."
+            sketch = replace(sketch, caption=caption)
+        return render(sketch, name, salt)

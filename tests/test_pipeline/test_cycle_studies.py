@@ -1,0 +1,188 @@
+"""Studies of gaits that repeat after n steps: grids and branches, from the file to the page."""
+
+import contextlib
+import html
+import re
+
+import netCDF4
+import numpy as np
+import pytest
+
+import pipeline
+from pipeline import load
+from pipeline.cli import commands
+from pipeline.errors import StudyError
+from pipeline.plan.graph import is_short, layers, line_keys
+from pipeline.plan.missing import Plan, summary
+from pipeline.store.journal import Journal
+from pipeline.study.parse import read
+
+GRID = """name = "two"
+walker = "D"
+[axes]
+slope = { from = 0.014, to = 0.034, n = 6 }
+[options]
+steps = 2
+[want]
+fits = ["scaling"]
+figures = ["linear", "loglog"]
+"""
+BRANCH = """name = "three"
+kind = "branch"
+walker = "D"
+[axes]
+slope = { from = 0.012, to = 0.016, n = 60 }
+[options]
+steps = 3
+[want]
+figures = ["locus"]
+"""
+
+
+def run(folder, text, *options):
+    (folder / "s.toml").write_text(text)
+    return commands.main(["run", f"{folder}/s.toml", "--archive", f"{folder}/s.nc", "--jobs", "1", "--quiet", *options])
+
+
+@pytest.fixture(scope="module")
+def archives(tmp_path_factory):
+    paths = {}
+    for name, text in (("grid", GRID), ("branch", BRANCH)):
+        paths[name] = tmp_path_factory.mktemp(name)
+        assert run(paths[name], text) == 0
+    return paths
+
+
+def test_a_grid_holds_what_python_solves(archives):
+    grid = load(archives["grid"] / "s.nc")
+    gaits = pipeline.gaits("D", grid.slope.values, steps=2)
+    solved = gaits.sel(gait=grid.gait.values)
+    np.testing.assert_array_equal(grid.status == "converged", solved.status == 0)
+    assert (grid.status == "converged").sum() == 5
+    for name in ("stance_angle", "period", "multiplier_real", "loss_normal", "error_bound", "branch"):
+        np.testing.assert_array_equal(grid[name], solved[name])
+        assert grid[name].attrs["long_name"] == solved[name].attrs["long_name"]
+    assert grid.period.long_name == "duration of 2 steps" and grid.attrs["steps"] == 2 == gaits.attrs["steps"]
+    assert "2-th iterate" in grid.multiplier_real.long_name
+    single = load_single(archives)
+    assert "steps" not in single.attrs and single.period.long_name == "duration of one step"
+
+
+def load_single(archives):
+    folder = archives["grid"].parent
+    assert run(folder, GRID.replace("steps = 2", "steps = 1").replace("0.034", "0.015")) == 0
+    return load(folder / "s.nc")
+
+
+def test_archives_do_not_depend_on_chunks_and_resume(archives, tmp_path):
+    assert run(tmp_path, GRID, "--chunk", "2") == 0
+    assert (tmp_path / "s.nc").read_bytes() == (archives["grid"] / "s.nc").read_bytes()
+    wider = GRID.replace("n = 6", "n = 11")
+    (tmp_path / "s.toml").write_text(wider)
+    with contextlib.closing(Journal(tmp_path / "s.journal")) as journal:
+        todo = summary(Plan(read(tmp_path / "s.toml"), journal)).todo
+    # Every other slope is known, and so are the branches.
+    assert todo["points"] == {"new": 5} and not todo["atlas"]
+    assert run(tmp_path, wider) == 0 and len(load(tmp_path / "s.nc").slope) == 11
+
+
+def test_results_of_one_step_are_kept_when_steps_is_written_out(tmp_path):
+    studies = []
+    for k, text in enumerate((GRID.replace("steps = 2", "steps = 1"), GRID.replace("[options]\nsteps = 2\n", ""))):
+        (tmp_path / f"{k}.toml").write_text(text)
+        studies.append(read(tmp_path / f"{k}.toml"))
+    keys = [line_keys(study, layers(study), study.line(0)) for study in studies]
+    assert keys[0] == keys[1] and is_short(studies[0])
+    (tmp_path / "2.toml").write_text(GRID)
+    two = read(tmp_path / "2.toml")
+    assert not is_short(two)
+    assert not set(keys[0].values()) & set(line_keys(two, layers(two), two.line(0)).values())
+
+
+def test_a_branch_is_followed_through_its_fold_and_flips_as_the_cascade_has_them(archives, tmp_path):
+    """The period-three gaits of the simplest walker begin at a fold at 0.0122808."""
+    text = BRANCH.replace('"branch"', '"cascade"').replace("steps = 3", "families = [3]\nperiods = 3\nsteps = 0")
+    assert run(tmp_path, text.replace('figures = ["locus"]', "")) == 0
+    cascade = load(tmp_path / "s.nc", "cascade")
+    points, branch = (load(archives["branch"] / "s.nc", name) for name in ("special_points", "branches"))
+    points = points.sort_values("slope", ignore_index=True)
+    assert points["kind"].tolist() == ["fold", "flip"]
+    np.testing.assert_allclose(points["slope"], cascade["slope"], rtol=1e-11)
+    np.testing.assert_allclose(points["stance_angle"], cascade["stance_angle"], rtol=1e-6)
+    assert points["slope"][0] == pytest.approx(0.0122808, abs=1e-7)
+    assert len(branch) >= 60 and branch["slope"].between(0.012, 0.016).all()
+    # One curve through the fold, with both edges of the window; stable between fold and flip only.
+    assert branch["slope"].iloc[[0, -1]].tolist() == pytest.approx([0.016, 0.016], rel=1e-14)
+    turn = int(branch["slope"].argmin())
+    assert (np.diff(branch["slope"])[:turn] < 0).all() and (np.diff(branch["slope"])[turn:] > 0).all()
+    stable = branch["stable"] == 1
+    assert branch["slope"][stable].between(points["slope"][0], points["slope"][1]).all() and stable.any()
+    one = pipeline.gaits("D", 0.016, steps=3)
+    np.testing.assert_allclose(sorted(branch["stance_angle"].iloc[[0, -1]]), sorted(one.stance_angle[[0, 2]]))
+    assert branch.attrs["units"]["period"] == "1"
+    with netCDF4.Dataset(archives["branch"] / "s.nc") as file:
+        assert file["branches/period"].long_name == "duration of 3 steps" and file.steps == 3
+
+
+def test_a_branch_that_a_flip_begins_starts_there(tmp_path):
+    text = BRANCH.replace("steps = 3", "steps = 2").replace("0.016", "0.0160")
+    assert run(tmp_path, text) == 0
+    points, branch = (load(tmp_path / "s.nc", name) for name in ("special_points", "branches"))
+    assert points["kind"].tolist() == ["branch_point"] and branch["slope"][0] == points["slope"][0]
+    # The paper, section 3: period doubling at 0.0151.
+    assert points["slope"][0] == pytest.approx(0.0150884, abs=1e-7)
+
+
+def test_pages_say_how_many_steps_and_their_commands_work(archives, capsys):
+    for name, steps in (("grid", 2), ("branch", 3)):
+        folder = archives[name]
+        assert commands.main(["report", f"{folder}/s.nc", "-o", f"{folder}/pages"]) == 0
+        (page,) = [p for p in (folder / "pages").glob("*.html") if p.stem not in ("index", "ledger")]
+        text = html.unescape(page.read_text())
+        assert f"The gaits repeat after {steps} steps, not sooner." in text
+        assert f"gaitsweep solve --walker D --steps {steps}" in text
+    scaling = load(archives["grid"] / "s.nc", "fits/scaling")
+    assert set(scaling.columns) > {"quantity", "exponent"}
+
+
+WRONG = [
+    ("steps = 0", "`steps` must be a whole number from 1 to 64; got 0 (s.toml, options.steps)."),
+    ("steps = 65", "`steps` must be a whole number from 1 to 64; got 65 (s.toml, options.steps)."),
+    ("steps = 2.0", "`steps` must be a whole number from 1 to 64; got 2.0 (s.toml, options.steps)."),
+    ("steps = true", "`steps` must be a whole number from 1 to 64; got True (s.toml, options.steps)."),
+    ('steps = "2"', "`steps` must be a whole number from 1 to 64; got '2' (s.toml, options.steps)."),
+    ("strides = 2", "Unknown key `strides`"),
+    ("step = 2", "Unknown key `step`, did you mean `steps`? (s.toml, options)."),
+]
+
+
+@pytest.mark.parametrize(("line", "sentence"), WRONG)
+@pytest.mark.parametrize("text", [GRID, BRANCH])
+def test_steps_that_cannot_be_are_one_line(tmp_path, text, line, sentence):
+    (tmp_path / "s.toml").write_text(re.sub(r"steps = \d", line, text))
+    with pytest.raises(StudyError) as error:
+        read(tmp_path / "s.toml")
+    assert sentence in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "name"),
+    [
+        ("claims", '["D1"]', "D1"),
+        ("fits", '["transition"]', "transition"),
+        ("fits", '["landmarks"]', "landmarks"),
+        ("figures", '["angles"]', "angles"),
+        ("variables", '["proofs"]', "proved"),
+    ],
+)
+def test_what_is_of_one_step_is_refused(tmp_path, key, value, name):
+    text = GRID.split("[want]")[0] + f"[want]\n{key} = {value}\n"
+    (tmp_path / "s.toml").write_text(text)
+    with pytest.raises(StudyError, match=f"`{name}` is of gaits of one step, and `steps` is 2"):
+        read(tmp_path / "s.toml")
+
+
+def test_adaptive_points_are_of_one_step(tmp_path):
+    (tmp_path / "s.toml").write_text(BRANCH.replace("n = 60", "adaptive = 1e-3"))
+    with pytest.raises(StudyError, match="`adaptive` is for gaits of one step, and `steps` is 3"):
+        read(tmp_path / "s.toml")
