@@ -1,19 +1,24 @@
-"""Gaits at points of a cell: predicted by its patches, solved by their own steps, or left to the road of lines."""
+"""The task `lines` over a plane of keys: gaits predicted by the patches of a cell and solved by their own steps."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Mapping, Sequence
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
+from tasks import status
 from tasks.continuation.lockstep import lanes_of
-from tasks.families.cell import Cell, Family
+from tasks.families.box import Box
+from tasks.families.cell import PANEL, Cell, Family, make
 from tasks.families.patch import Patch
 from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished, join, settle
 from tasks.measures import violations
-from tasks.registry import VARIABLES
+from tasks.registry import ALWAYS, GAITS, VARIABLES
 from tasks.solve_points import Arrays, Part, describe, nothing_solved, store
+from tasks.solve_points import lines as lines_side_by_side
 from tasks.step.problem import Lanes
 from tasks.walkers.walker_array import WalkerArray
 
@@ -24,6 +29,82 @@ _LIPSCHITZ_SAFETY = 4.0
 #: Gaits of two pieces nearer than this could be one.
 _APART = 1e-7
 _BLOCK = 4096
+
+
+def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays, Arrays]]:
+    """Solve the gaits at the slopes of lines in one cell of a plane of keys.
+
+    Parameters
+    ----------
+    params : mapping
+        `lines`, the line of each; `cell`, with its `keys`, `low`, `high` and the `values` of each key that the study
+        has in it; the others as `tasks.solve_points:points` has them.
+    inputs : list
+        Empty.
+
+    Returns
+    -------
+    list of (dict, dict)
+        For each line an empty atlas, and what `points` returns. It depends on the line and the cell alone.
+    """
+    all_lines, slope = params["lines"], np.asarray(params["slope"], float)
+    cell = params["cell"]
+    family = Family.of(all_lines[0], cell["keys"])
+    box = Box(family.keys, tuple(cell["low"]), tuple(cell["high"]))
+    values = tuple(tuple(map(float, each)) for each in cell["values"])
+    want = [v for v in VARIABLES if v in params["want"] or v in ALWAYS]
+    wanted = set(params.get("gaits") or GAITS)
+    friction_limit = params.get("friction_limit", violations.FRICTION_LIMIT)
+    keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
+    accepted, out = np.ones(len(keys), bool), {}
+    panels = np.floor(np.log(slope) / PANEL) * PANEL
+    for low in np.unique(panels).tolist():
+        at_panel = np.flatnonzero(panels == low)
+        for part in _cells(family, box, low, values):
+            inside = np.flatnonzero(_inside(part.box, keys, box) & accepted)
+            if not len(inside):
+                continue
+            solved, accepted[inside] = solve(family, part, keys[inside], slope[at_panel], want, wanted, friction_limit)
+            for name, value in solved.items():
+                if name not in out:
+                    out[name] = np.zeros((len(keys), len(slope), *value.shape[2:]), value.dtype)
+                out[name][np.ix_(inside, at_panel)] = value
+    reasons = np.array(_reasons(family, box))
+    results: list[tuple[Arrays, Arrays]] = [
+        ({}, {name: value[i] for name, value in out.items()} | {"reasons": reasons}) for i in range(len(keys))
+    ]
+    others = np.flatnonzero(~accepted).tolist()
+    if others:
+        surveyed = lines_side_by_side({**params, "lines": [all_lines[i] for i in others]}, [])
+        for i, (_, points) in zip(others, surveyed, strict=True):
+            results[i] = {}, points
+    return results
+
+
+@functools.lru_cache(256)
+def _cells(family: Family, box: Box, low: float, values: tuple[tuple[float, ...], ...]) -> list[Cell]:
+    """Cells of a box for the panel from `low` on, for the lines at some values of its keys."""
+
+    def count(part: Box) -> int:
+        inside = (np.array(each) for each in values)
+        sides = zip(inside, part.low, part.high, strict=True)
+        return int(np.prod([((v >= a) & (v <= b)).sum() for v, a, b in sides]))
+
+    return make(family, box, low, count)
+
+
+def _inside(part: Box, keys: np.ndarray, whole: Box) -> np.ndarray:
+    """Whether lines, shape (n, d), lie in a part of a box; what two parts share belongs to the upper one."""
+    top = np.array([b == end for b, end in zip(part.high, whole.high, strict=True)])
+    return np.asarray(((keys >= part.low) & ((keys < part.high) | (top & (keys <= part.high)))).all(axis=1))
+
+
+def _reasons(family: Family, box: Box) -> list[str]:
+    """Sentences that `reason` indexes."""
+    sides = zip(family.keys, box.low, box.high, strict=True)
+    where = ", ".join(f"{key} from {low:.6g} to {high:.6g}" for key, low, high in sides)
+    long, short = (status.absent(label, where) for label in GAITS[:2])
+    return [status.SETTLED, long, status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP, short]
 
 
 def solve(

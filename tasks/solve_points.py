@@ -24,7 +24,7 @@ from tasks.measures.losses import heelstrike_losses, kneestrike_loss
 from tasks.mechanics.lumped import Structure, structure_of
 from tasks.registry import ALWAYS, GAITS, PROVED, VARIABLES
 from tasks.solve_cycles import cycle_points
-from tasks.step.problem import Lanes, Problem, sizes
+from tasks.step.problem import Lanes, Problem, residual_sizes
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker
 
@@ -337,7 +337,7 @@ def describe(
     solved = {
         "status": code,
         "reason": np.where(at.converged, np.where(at.step, 0, 4), 3),
-        "residual": np.abs((at.stride.image - at.stride.y) / sizes(at.stride.y)).max(axis=0),
+        "residual": np.abs(at.stride.residual / residual_sizes(at.stride.y, problem.phases)).max(axis=0),
         "error_bound": at.bound,
         "anthropomorphic": ~at.step | (at.leg_passes == 1),
         "passes": at.leg_passes,

@@ -26,3 +26,16 @@ def outside(label: str, pieces: list[tuple[float, float]], searched: str) -> str
         return f"No {label} gait found: {searched}."
     spans = "; ".join(f"{low:.6g} to {high:.6g}" for low, high in pieces)
     return f"No {label} gait at this slope: the branches found span {spans} ({searched})."
+
+
+def absent(label: str, where: str) -> str:
+    """Say that a family of walkers has no gait of a label at some keys and slope.
+
+    Parameters
+    ----------
+    label : str
+        `long` or `short`.
+    where : str
+        The cell of keys over which its branches were interpolated, in words.
+    """
+    return f"No {label} gait at this slope: no branch found over {where} has one here."

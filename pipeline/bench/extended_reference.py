@@ -9,7 +9,7 @@ import numpy as np
 
 from tasks.mechanics.equations import system
 from tasks.mechanics.lumped import Structure
-from tasks.step.step_map import StrideMap
+from tasks.step.step_map import StrideMap, finish_sizes
 
 
 class _Algebra(StrideMap):
@@ -122,25 +122,27 @@ class Precise:
         begin = self.algebra.begin(np.concatenate([y, parameters]))
         size = self.algebra.start_size
         start, D = begin[:size], begin[size:].reshape(size, m)
-        duration, first, first_by, parts = times[0], None, None, self.array([])
+        duration, parts, knee = times[0], self.array([]), self.array([])
         if self.kneed:
             final = self._integrate(self.free, start, D, parameters, times[0])
             assert self.algebra.lock is not None
             out = self.algebra.lock(np.concatenate([final[:6], self._padded(final[6:], 6), parameters]))
-            start, parts, first, first_by, _ = np.split(out, np.cumsum([4, 4 * (m + 2), 1, m + 1]))
-            first = first[0]
+            start, parts, knee, _ = np.split(out, np.cumsum([4, 4 * (m + 2), m + 3]))
             D = self.array(np.eye(4, m, -1).ravel()).reshape(4, m)
             duration = times[1] - times[0]
         final = self._integrate(self.locked, start, D, parameters, duration)
-        out = self.algebra.finish(np.concatenate([y, final[:4], self._padded(final[4:], 4), parts, parameters]))
-        cut = np.split(out, np.cumsum([m, m * m, m * m, m, 1, m + 1, 2]))
-        after, after_by = times[-1] + cut[4][0], cut[5][None, :m]
-        if first is None or first_by is None:
-            times, by = np.array([after], dtype=self.kind), after_by
-        else:
-            times = np.array([times[0] + first, after + first], dtype=self.kind)
-            by = np.stack([first_by[:m], after_by[0] + first_by[:m]])
-        return {"image": cut[0], "jacobian": cut[1].reshape(m, m), "newton": cut[3], "times": times, "times_by_y": by}
+        directions = self._padded(final[4:], 4)
+        out = self.algebra.finish(np.concatenate([y, final[:4], directions, parts, knee, parameters]))
+        k = len(times)
+        image, jacobian, _, shifts, _, _, _, newton, *_ = np.split(out, np.cumsum(finish_sizes(m, k)))
+        # The durations' shifts and their derivatives by y; heelstrike comes after both, less the shift along the field.
+        moved = shifts.reshape(k, m + 2)[:, : m + 1].copy()
+        if self.kneed:
+            moved[1] += moved[0] - parts[m] * moved[0]
+            moved[1, 1:] -= parts[:m]
+        times, by = times + moved[:, 0], moved[:, 1:]
+        jacobian = jacobian.reshape(m, m)
+        return {"image": image, "jacobian": jacobian, "newton": newton[:m], "times": times, "times_by_y": by}
 
     def settled_stride(
         self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, turns: int = 4

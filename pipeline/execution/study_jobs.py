@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import heapq
-import itertools
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
@@ -103,6 +102,7 @@ class StudyJobs:
         if {"proved", "proved_radius"} & set(plan.variables):
             self.cost = max(self.cost, SECONDS_PER_PROOF)
         self.points_measured = 0
+        self.over_plane = "points" in plan.layers and graph.over_plane(self.study)
         #: Lines that are opened together; more than one where short lines are computed side by side.
         self.lines_at_once = 1
         if "points" in plan.layers and graph.is_short(self.study):
@@ -188,8 +188,7 @@ class StudyJobs:
 
     def _first_jobs(self) -> Iterator[Job]:
         """Blocks of short lines of which nothing is solved, and atlases of the others."""
-        all_works = self.plan.lines()
-        while works := list(itertools.islice(all_works, self.lines_at_once)):
+        for works in self.plan.blocks(self.lines_at_once):
             self._ran = True
             block: list[LineWork] = []
             for work in works:
@@ -202,8 +201,11 @@ class StudyJobs:
                     yield self._line_job("atlas", work)
             if block:
                 task = self.plan.layers["atlas"].task
-                params = {"lines": [work.line for work in block], **self.study.options}
-                seconds = len(block) * (task.seconds_side_by_side + len(self.study.slope) * self.cost)
+                params: dict[str, Any] = {"lines": [work.line for work in block], **self.study.options}
+                if self.over_plane:
+                    params["cell"] = self.study.cell_of(block[0].number)
+                seconds_each = task.seconds_over_plane if self.over_plane else task.seconds_side_by_side
+                seconds = len(block) * (seconds_each + len(self.study.slope) * self.cost)
                 yield Job(self, task.name, block[0].keys["atlas"], params, block=tuple(block), seconds=seconds)
 
     def _dependent_jobs(self) -> Iterator[Job]:
@@ -286,7 +288,8 @@ class StudyJobs:
         if divided:
             slopes = self.study.slope if job.indices is None else self.study.slope[job.indices]
             params |= {"slope": slopes, "want": self.plan.variables, "gaits": self.study.gaits}
-        function = layer.task.side_by_side if job.block else layer.task.function
+        together = layer.task.over_plane if self.over_plane else layer.task.side_by_side
+        function = together if job.block else layer.task.function
         seconds = limits.seconds * (1 if divided == "slope" else _WHOLE_TASK_FACTOR)
         idle = None if self.engine.address is None else _IDLE_TIMEOUT
         inputs = job.inputs if job.work or job.block else self._study_inputs(job)

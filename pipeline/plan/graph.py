@@ -90,12 +90,22 @@ def is_short(study: Study) -> bool:
     return is_grid and len(study.slope) <= SHORT_LINE and bool(TASKS["atlas"].side_by_side)
 
 
+def over_plane(study: Study) -> bool:
+    """Whether gaits are interpolated over a plane of keys: where points alone are wanted of many short lines."""
+    readers = (*study.fits, *study.figures, *study.claims, *(("claims",) if study.claims else ()))
+    reads_atlas = any("atlas" in TASKS[name].needs for name in readers if name in TASKS)
+    reads_atlas |= any(read in TASKS and read != "points" for name in readers for read in READS.get(name, ()))
+    has_proofs = any(VARIABLES[name].group == "proofs" for name in study.variables)
+    return is_short(study) and not (reads_atlas or has_proofs) and study.plane is not None
+
+
 def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of a task over one line, except the slopes of a block of points."""
     if name == "atlas":
         return {"line": line, "coarse": is_short(study), **({"steps": study.steps} if study.steps > 1 else {})}
     if name == "points":
-        return {"line": line, **study.options}
+        cell = {"cell": study.plane.cell(line["set"])} if over_plane(study) and study.plane else {}
+        return {"line": line, **study.options, **cell}
     if name == "branch":
         slopes = study.slope
         window = {"slope_from": float(slopes.min()), "slope_to": float(slopes.max()), "n": len(slopes)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator
@@ -15,6 +16,9 @@ from pipeline.store import lines
 from pipeline.store.journal import Journal, TaskKey
 from pipeline.study.model import Study
 from tasks.registry import TASKS, VARIABLES
+
+#: Points of a plane computed at once.
+_MOST_POINTS = 16_384
 
 
 def golden_ratio_order(n: int) -> Iterator[int]:
@@ -110,6 +114,21 @@ class Plan:
             if work.why:
                 yield work
 
+    def blocks(self, size: int) -> Iterator[list[LineWork]]:
+        """Lines with work to do, up to `size` that may be computed side by side; of a plane those in one cell."""
+        if not graph.over_plane(self.study):
+            works = self.lines()
+            while block := list(itertools.islice(works, size)):
+                yield block
+            return
+        fresh, cells = self.journal.empty(), list(self.study.cells())
+        most = max(1, _MOST_POINTS // len(self.study.slope))
+        for k in golden_ratio_order(len(cells)):
+            for part in np.array_split(cells[k], math.ceil(len(cells[k]) / most)):
+                block = [work for work in (self.line(number, fresh) for number in part.tolist()) if work.why]
+                if block:
+                    yield block
+
     def over_study(self, ran: bool) -> dict[str, tuple[TaskKey, str]]:
         """Keys of the tasks over the whole study that would run, and why; `ran` if any of their inputs run."""
         names = [name for name, layer in self.layers.items() if not layer.per_line]
@@ -187,7 +206,8 @@ def summary(plan: Plan) -> Summary:
             seconds_each = measured or layer.task.seconds_per_point
         elif name == "atlas" and graph.is_short(study):
             # What is measured for a point of a short line includes its share of the atlas.
-            seconds_each = 0.0 if measured else layer.task.seconds_side_by_side
+            each = layer.task.seconds_over_plane if graph.over_plane(study) else layer.task.seconds_side_by_side
+            seconds_each = 0.0 if measured else each
         result.seconds += seconds_each * sum(todo[name].values())
     return result
 

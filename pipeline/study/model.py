@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from tasks.registry import LEAST_PLANE
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,33 @@ class Axis:
 
     def __len__(self) -> int:
         return len(self.values)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """One or two axes of keys and into how many equal parts each is divided: a cell is one part of each."""
+
+    axes: tuple[Axis, ...]
+    parts: tuple[int, ...]
+
+    def cell(self, values: Mapping[str, float]) -> dict[str, Any]:
+        """Return the keys of the cell that holds some values of them, and its bounds `low` and `high`."""
+        keys, low, high = [], [], []
+        for axis, parts in zip(self.axes, self.parts, strict=True):
+            edges = _edges(axis, parts)
+            k = int(_part(axis, parts, np.array([values[axis.name]]))[0])
+            keys.append(axis.name)
+            low.append(float(edges[k]))
+            high.append(float(edges[k + 1]))
+        return {"keys": keys, "low": low, "high": high}
+
+
+def _edges(axis: Axis, parts: int) -> np.ndarray:
+    return np.linspace(axis.values.min(), axis.values.max(), parts + 1)
+
+
+def _part(axis: Axis, parts: int, values: np.ndarray) -> np.ndarray:
+    return np.clip(np.searchsorted(_edges(axis, parts), values, side="right") - 1, 0, parts - 1)
 
 
 @dataclass(frozen=True)
@@ -94,6 +125,40 @@ class Study:
             number, k = divmod(number, len(axis))
             values[axis.name] = float(axis.values[k])
         return {"walker": self.walkers[number], "set": {a.name: values[a.name] for a in self.line_axes}}
+
+    @functools.cached_property
+    def plane(self) -> Plane | None:
+        """The longest one or two axes of keys, if they hold so many lines that gaits are interpolated over them."""
+        axes = [a for a in self.line_axes if len(a) > 1 and all(a.name in check["widths"] for check in self.checks)]
+        axes = sorted(sorted(axes, key=len)[-2:], key=lambda axis: axis.name)
+        if not axes or math.prod(map(len, axes)) < LEAST_PLANE:
+            return None
+        widths = [min(check["widths"][axis.name] for check in self.checks) for axis in axes]
+        spans = [float(np.ptp(axis.values)) for axis in axes]
+        return Plane(tuple(axes), tuple(max(1, math.ceil(s / w)) for s, w in zip(spans, widths, strict=True)))
+
+    def cell_of(self, number: int) -> dict[str, Any]:
+        """Return the cell of a line, with the study's `values` of each key in it."""
+        assert self.plane
+        cell = self.plane.cell(self.line(number)["set"])
+        sides = zip(self.plane.axes, cell["low"], cell["high"], strict=True)
+        return {**cell, "values": [axis.values[(axis.values >= a) & (axis.values <= b)] for axis, a, b in sides]}
+
+    def cells(self) -> Iterator[np.ndarray]:
+        """Yield the numbers of the lines of each cell of the plane, shape (n,)."""
+        assert self.plane
+        numbers = np.arange(self.lines).reshape(self.line_shape)
+        parts = dict(zip((axis.name for axis in self.plane.axes), self.plane.parts, strict=True))
+        places: list[list[np.ndarray]] = [[np.array([i]) for i in range(len(self.walkers))]]
+        for axis in self.line_axes:
+            if axis.name in parts:
+                k = _part(axis, parts[axis.name], axis.values)
+                places.append([np.flatnonzero(k == i) for i in range(parts[axis.name])])
+            else:
+                places.append([np.array([i]) for i in range(len(axis))])
+        for place in itertools.product(*places):
+            if all(map(len, place)):
+                yield numbers[np.ix_(*place)].ravel()
 
     def name_of(self, number: int) -> str:
         """Label of the walker of a line."""

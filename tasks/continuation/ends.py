@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from tasks.continuation.branch import Branch
 from tasks.continuation.locate import (
     TestFunction,
+    check_steps,
     correct_at,
     is_step,
     locate_root,
     oriented_tangent,
     row,
-    row_tangent,
     search_segment,
     strike_distances,
 )
-from tasks.continuation.lockstep import Call, Procedure
+from tasks.continuation.lockstep import Call, Procedure, lanes_of
 from tasks.continuation.root import root_search
-from tasks.continuation.tracking import Point
+from tasks.continuation.tracking import Point, correct
 from tasks.step.step_map import SAMPLES
 
-#: Spacing, over the segment, of the points from which a tangential end is extrapolated.
-SPACING = 4e-3
+#: Shares of the way to an end at which gaits must still be steps.
+_SHARES = 1 - 0.1 ** np.arange(1, 7)
+#: Value of an end's test function below which rounding may decide whether a gait is a step.
+_MIN_DISTANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class BranchEnd:
 #: Test functions of the ends of walking.
 _ENDS: dict[str, TestFunction] = {
     "end_kneestrike_at_heelstrike": lambda point, direction: float(point.times[-1, 0] - point.times[0, 0]),
-    "end_tangential_heelstrike": lambda point, direction: float(point.stride.closing[0] / point.stride.y[0, 0]),
+    "end_tangential_heelstrike": lambda point, direction: float(point.stride.closing[-1, 0] / point.stride.y[0, 0]),
+    "end_tangential_kneestrike": lambda point, direction: float(point.stride.closing[0, 0] / point.stride.y[0, 0]),
 }
 
 
@@ -52,58 +55,32 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     at_bad = yield from correct_at(branch, segment, branch.Z[bad, axis])
     ends: list[tuple[float, BranchEnd]] = []
     for kind, test in _ENDS.items():
-        if kind == "end_kneestrike_at_heelstrike" and len(at_good[0].times) == 1:
+        if "kneestrike" in kind and len(at_good[0].times) == 1:
             continue
         if test(*at_good) * test(*at_bad) < 0:
-            if kind == "end_tangential_heelstrike":
-                end = yield from _tangential_end(branch, segment)
-            else:
-                end = BranchEnd(kind, *(yield from locate_root(branch, segment, test)), 0.0)
+            end = BranchEnd(kind, *(yield from locate_root(branch, segment, test)), 0.0)
             distance = float(np.linalg.norm(end.point.X[:, 0] - branch.Z[good, : branch.m + 1]))
             ends.append((distance, end))
     if ends:
-        return min(ends, key=lambda end: end[0])[1]
+        end = min(ends, key=lambda end: end[0])[1]
+        if (yield from _walks_up_to(branch, good, segment, end)):
+            return end
     return (yield from _earlier_strike_end(branch, segment, good, bad))
 
 
-def _tangential_end(branch: Branch, segment: int) -> Procedure[BranchEnd]:
-    """Locate where heelstrike turns tangential on a segment.
-
-    At the point itself the event time has no derivative, though the branch is smooth. So it is interpolated by
-    polynomials through six points beside it; those through the inner four bound their error, a hundred times too wide.
-    """
-    kind = "end_tangential_heelstrike"
-    test = _ENDS[kind]
-    axis = branch.axis[segment]
-    a, b = branch.Z[segment, axis], branch.Z[segment + 1, axis]
-    middle = yield from search_segment(root_search(a, b, 1e-3 * abs(b - a)), branch, segment, test)
-    h = SPACING * (b - a)
-    offsets = np.array([-2.5, -1.5, -0.5, 0.5, 1.5, 2.5])
-    points = []
-    for offset in offsets:
-        points.append((yield from correct_at(branch, segment, float(middle + h * offset))))
-    values = np.array(
-        [np.concatenate([row(p), row_tangent(p, direction), [test(p, direction)]]) for p, direction in points]
-    )
-
-    def at_root(among: slice) -> np.ndarray:
-        coefficients = np.linalg.solve(np.vander(offsets[among]), values[among])
-        roots = np.roots(coefficients[:, -1])
-        root = roots[np.argmin(np.abs(roots))].real
-        return np.vander([root], len(coefficients))[0] @ coefficients
-
-    node, inner = at_root(slice(None)), at_root(slice(1, -1))
-    point, direction = points[2]
-    m, k = branch.m, len(point.times)
-    size = m + 1 + k
-    point = replace(
-        point,
-        X=node[: m + 1, None],
-        times=node[m + 1 : size, None],
-        tangent=node[size : size + m + 1, None],
-        times_tangent=node[size + m + 1 : -1, None],
-    )
-    return BranchEnd(kind, point, direction, abs(float(inner[m] - node[m])))
+def _walks_up_to(branch: Branch, good: int, segment: int, end: BranchEnd) -> Procedure[bool]:
+    """Whether gaits ever nearer an end are steps, so that no earlier strike comes before it."""
+    axis, m = branch.axis[segment], branch.m
+    a, b = branch.Z[good, axis], row(end.point)[axis]
+    Z = branch.evaluate(np.full(len(_SHARES), segment), a + (b - a) * _SHARES).T
+    border = np.repeat(end.direction[:, None], len(_SHARES), axis=1)
+    points = yield Call(correct, (Z[: m + 1], Z[m + 1 :], border))
+    check = yield Call(check_steps, (points.X, points.times))
+    each = [lanes_of(points, np.array([i])) for i in range(len(_SHARES))]
+    values = np.array([_ENDS[end.kind](point, end.direction) for point in each])
+    # Corrected points lie not quite where the polynomial is; those beyond the end do not count.
+    before = (np.sign(values) == np.sign(values[0])) & (np.abs(values) > _MIN_DISTANCE)
+    return bool((check.step | ~points.ok | ~before).all())
 
 
 def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Procedure[BranchEnd]:

@@ -95,9 +95,6 @@ def without_jumps(branch: Branch) -> Procedure[Branch]:
     point = yield Call(correct, (X, times, border), (("max_iterations", 1),))
     side = np.sign(branch_point_determinant(point, border))
     jumps = (side[1:] * side[:-1] < 0) & (np.linalg.norm(np.diff(X, axis=1), axis=0) > MAX_CROSSING_STEP)
-    for end, why in zip((0, -1), branch.why, strict=True):
-        # The derivative has a pole where heelstrike turns tangential: that sign change is no jump.
-        jumps[end] &= why != "end_tangential_heelstrike"
     if not jumps.any():
         return branch
     return branch.part(max(np.split(np.arange(len(side)), np.flatnonzero(jumps) + 1), key=len))

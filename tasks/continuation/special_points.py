@@ -78,9 +78,9 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
             for first, _ in branch.pieces()[1:]:
                 records.append((float(first), _record("fold", problem, nodes, first)))
         if kind in ("flip", "neimark_sacker", "branch_point"):
-            # The derivative has a pole where heelstrike turns tangential: that sign change is no root.
+            # The derivative has a pole where a strike turns tangential: that sign change is no root.
             for i in (0, -1):
-                crosses[i] &= branch.why[i] != "end_tangential_heelstrike"
+                crosses[i] &= not branch.why[i].startswith("end_tangential")
         crossed += [
             (kind, int(i), locate_root(branch, int(i), test))
             for i in np.nonzero(crosses & np.isfinite(values[1:]) & np.isfinite(values[:-1]))[0]
@@ -90,10 +90,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
         if point.ok[0] and _is_genuine(kind, point):
             records.append((segment + 0.5, _record(kind, problem, point, 0)))
     for index, kind, error in zip((0, len(branch.Z) - 1), branch.why, branch.end_errors, strict=True):
-        record = _record(END_NAMES.get(kind, kind), problem, nodes, index)
-        if kind == "end_tangential_heelstrike":
-            # The point is interpolated: the map has no derivative there that could bound its error.
-            record["error_bound"] = error + 64 * EPS
+        record = _record(END_NAMES.get(kind, kind), problem, nodes, index, error)
         records.append((float(index), record))
     return [record for _, record in sorted(records, key=lambda entry: entry[0])]
 
@@ -122,17 +119,18 @@ def _is_genuine(kind: str, point: Point) -> bool:
 
 def _fold_error(point: Point, lane: int) -> float:
     """Error of ln slope at a fold: rounding of the residual along the singular direction of I - DP."""
-    derivative = point.derivative[..., lane]
-    least = np.linalg.svd(derivative[:, :-1])[0][:, -1]
-    rounded = 3 * EPS * np.abs(np.vstack([point.stride.y[:, lane], point.stride.image[:, lane]])).sum(axis=0)
-    return float(np.abs(least) @ rounded / point.stride.y[0, lane] / abs(least @ derivative[:, -1]))
+    derivative, m = point.derivative[..., lane], len(point.X) - 1
+    least = np.linalg.svd(np.delete(derivative, m, axis=1))[0][:, -1]
+    y, image = np.abs([point.stride.y[:, lane], point.stride.image[:, lane]])
+    rounded = 3 * EPS * np.append(y + image, np.full(len(derivative) - m, 2 * y[0]))
+    return float(np.abs(least) @ rounded / y[0] / abs(least @ derivative[:, m]))
 
 
-def _record(kind: str, problem: Problem, point: Point, lane: int) -> dict[str, float | str]:
+def _record(kind: str, problem: Problem, point: Point, lane: int, error: float = 0.0) -> dict[str, float | str]:
     if kind == "fold":
         error = _fold_error(point, lane)
     else:
-        error = float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
+        error += float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
     return {
         "kind": kind,
         "slope": float(np.exp(point.X[problem.m, lane])),

@@ -1,7 +1,8 @@
 """Branches of gaits continued in slope, through folds, to their ends.
 
-A point is X = (w, q): similarity coordinates of the section (ln angle, rates/angle) and q = ln slope; the event times
-follow as functions of X. Pseudo-arclength continuation: bordered Newton with exact derivatives, tangents from the null
+A point is X = (w, q): similarity coordinates of the section (ln angle, rates/angle) and q = ln slope. The corrector
+solves for X and the event times together, so that nothing is singular where a strike turns tangential; lengths and
+angles are those of X. Pseudo-arclength continuation: bordered Newton with exact derivatives, tangents from the null
 vector, a second-order predictor, and step lengths by predictor error and turning angle. Any number of branches, of any
 number of walkers, advance side by side in SIMD lanes. In shapes, n counts lanes.
 """
@@ -46,8 +47,8 @@ class Point:
         Whether Newton converged.
     stride : Stride
         The last one evaluated, at the point or a Newton step away.
-    derivative : ndarray, shape (m, m + 1, n)
-        Of its P(y) - y by X.
+    derivative : ndarray, shape (m + k, m + 1 + k, n)
+        Of its joint equations by X and the durations of the phases.
     """
 
     X: np.ndarray
@@ -80,6 +81,21 @@ def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Rows over the angle are of order one on any slope.
     derivative = _by_X(J, stride.by_slope, stride, X) / stride.y[0]
     return ((stride.image - stride.y) / stride.y[0]).T, derivative.transpose(2, 0, 1)
+
+
+def _joint(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residual (n, m + k) and derivative (n, m + k, m + 1 + k), by X and the durations, of the joint equations.
+
+    Like those of `linearised` over the stance angle.
+    """
+    derivative = _joint_by_X(stride.derivative, stride, X)
+    return (stride.residual / stride.y[0]).T, (derivative / stride.y[0]).transpose(2, 0, 1)
+
+
+def _joint_by_X(by: np.ndarray, stride: Stride, X: np.ndarray) -> np.ndarray:
+    """Derivatives by X and the durations of what has the derivatives `by` y, the durations and the slope."""
+    m = len(stride.y)
+    return np.concatenate([_by_X(by[:, :m], by[:, -1], stride, X), by[:, m:-1]], axis=1)
 
 
 def _by_X(by_y: np.ndarray, by_slope: np.ndarray, stride: Stride, X: np.ndarray) -> np.ndarray:
@@ -120,17 +136,19 @@ def correct(
     for iteration in range(max_iterations):
         x, normal = X[:, active], border[:, active]
         stride, _ = problem.some(active).stride(np.vstack([x[:m], times[:, active]]), x[m], slope=True)
-        residual, derivative = linearised(stride, x)
-        by_X = _by_X(stride.times_by_y, stride.times_by_slope, stride, x)
-        matrix = np.concatenate([derivative, normal.T[:, None]], axis=1)
+        residual, derivative = _joint(stride, x)
+        by_X = _joint_by_X(stride.times_by, stride, x)
+        # In the plane normal to the border, whatever the durations.
+        plane = np.pad(normal, ((0, len(times)), (0, 0))).T[:, None]
+        matrix = np.concatenate([derivative, plane], axis=1)
         right = np.concatenate([-residual, (normal * (start[:, active] - x)).sum(axis=0)[:, None]], axis=1)
         solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-        # Where heelstrike is tangential but for the last digits, the derivative is infinite or its rows are equal.
         solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
-        matrix[~solvable], right[~solvable] = np.eye(m + 1), 0.0
-        dX = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
+        matrix[~solvable], right[~solvable] = np.eye(len(derivative[0]) + 1), 0.0
+        change = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
+        dX = change[: m + 1]
         size = np.abs(dX).max(axis=0)
-        new_times = stride.times + matvec(by_X, dX)
+        new_times = times[:, active] + matvec(by_X, change)
         moving = solvable & (size <= 1.0) & np.isfinite(new_times).all(axis=0)
         X[:, active[moving]] += dX[:, moving]
         times[:, active[moving]] = new_times[:, moving]
@@ -146,19 +164,23 @@ def correct(
         if not len(active):
             break
     _, _, V = np.linalg.svd(np.nan_to_num(derivatives))
-    tangent = V[:, -1].T
-    times_tangent = matvec(np.nan_to_num(times_by_X), tangent)
+    null = V[:, -1].T
+    length = np.sqrt((null[: m + 1] ** 2).sum(axis=0))
+    length[length == 0] = 1.0  # in lanes that are lost
+    null = null / length
+    tangent, times_tangent = null[: m + 1], matvec(np.nan_to_num(times_by_X), null)
     return Point(X, times, tangent, times_tangent, ok, steps, derivatives.transpose(1, 2, 0))
 
 
 def _rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
     """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
     m, y = len(stride.y), np.abs(stride.y) / stride.y[0]
-    inverse = np.linalg.inv(matrix).transpose(1, 2, 0)
-    error = matvec(np.abs(inverse), np.vstack([y, np.ones(y.shape[1])]))
+    inverse = np.linalg.inv(matrix).transpose(1, 2, 0)[: m + 1]
+    error = matvec(np.abs(inverse), np.vstack([y, np.ones((len(matrix[0]) - m, y.shape[1]))]))
     for k in range(m):
         # Rounding of the start, carried through the step; the inverse takes back most of what the step amplifies.
-        error = error + np.abs(matvec(inverse[:, :m], stride.jacobian[:, k])) * y[k]
+        carried = stride.derivative[:, k] + np.eye(len(stride.derivative))[k][:, None]
+        error = error + np.abs(matvec(inverse[:, :-1], carried)) * y[k]
     return 6 * EPS * np.nan_to_num(error).max(axis=0)
 
 
@@ -316,7 +338,7 @@ class _Tracks:
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore")
 def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
-    """Determinant that vanishes where branches cross, of the derivative by X and the tangent as its last row.
+    """Determinant that vanishes where branches cross, of the joint derivative and the tangent of X as its last row.
 
     Parameters
     ----------
@@ -331,7 +353,8 @@ def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
         Its sign is the same all along a branch, and the opposite on one that almost touches it.
     """
     tangent = point.tangent * np.sign((point.tangent * direction).sum(axis=0))
-    return np.linalg.det(np.concatenate([point.derivative, tangent[None]]).transpose(2, 0, 1))
+    row = np.pad(tangent, ((0, len(point.times)), (0, 0)))
+    return np.linalg.det(np.concatenate([point.derivative, row[None]]).transpose(2, 0, 1))
 
 
 def _are_steps(problem: Problem, tracks: _Tracks, which: np.ndarray) -> np.ndarray:

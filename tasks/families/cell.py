@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+import json
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -52,15 +53,21 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class Family:
-    """A walker with free keys: its name or table, the keys that have one value, and the free ones."""
+    """A walker with free keys: its name or table and the keys that have one value, as JSON, and the free ones."""
 
-    walker: Any
-    fixed: Mapping[str, Any]
+    text: str
     keys: tuple[str, ...]
+
+    @classmethod
+    def of(cls, line: Mapping[str, Any], keys: Iterable[str]) -> Family:
+        """Return the family of a line with some keys free."""
+        fixed = {key: value for key, value in (line.get("set") or {}).items() if key not in set(keys)}
+        return cls(json.dumps([line["walker"], fixed], sort_keys=True), tuple(keys))
 
     def walkers(self, points: np.ndarray) -> WalkerArray:
         """Return the walkers at values of the free keys, shape (n, d)."""
-        return resolve_many(self.walker, {**self.fixed, **dict(zip(self.keys, points.T.copy(), strict=True))})
+        walker, fixed = json.loads(self.text)
+        return resolve_many(walker, {**fixed, **dict(zip(self.keys, points.T.copy(), strict=True))})
 
 
 @dataclass
@@ -98,7 +105,21 @@ def make(family: Family, box: Box, low: float, count: Callable[[Box], int], spli
     return [cell for half in halves for cell in make(family, half, low, count, splits - 1)]
 
 
+@functools.lru_cache(64)
+def _survey(family: Family, box: Box, structure: Structure, n: int) -> tuple[list[Branch], ...]:
+    """Branches of n^d node lines, or with n = 0 of one line drawn by lot, the same for all panels."""
+    points = box.nodes(n) if n else box.at(_lot(box))
+    return tuple(survey_lines(Lanes(family.walkers(points), structure), COARSE))
+
+
+def _lot(box: Box) -> np.ndarray:
+    """Coordinates (1, d) of the line drawn by lot."""
+    return box.draw(1, len(box.keys), "line")
+
+
 class _Maker:
+    """Makes the patches of one box and panel."""
+
     def __init__(self, family: Family, box: Box, low: float):
         self.family, self.box, self.low, self.high = family, box, low, low + PANEL
         self.d = len(box.keys)
@@ -106,10 +127,6 @@ class _Maker:
 
     def problem(self, points: np.ndarray) -> Lanes:
         return Lanes(self.family.walkers(points), self.structure)
-
-    @functools.cache  # noqa: B019
-    def survey(self, n: int) -> list[list[Branch]]:
-        return survey_lines(self.problem(self.box.nodes(n)), COARSE)
 
     def patches(self) -> list[Patch]:
         patches, groups = [], self.groups(_FEW)
@@ -122,7 +139,7 @@ class _Maker:
 
     def groups(self, n: int) -> list[list[Piece]]:
         """Pieces that come near the panel on any of n^d node lines, each on all of them."""
-        lines = [pieces_of(branches) for branches in self.survey(n)]
+        lines = [pieces_of(branches) for branches in _survey(self.family, self.box, self.structure, n)]
         groups: list[list[Piece]] = []
         for group in match(lines, _neighbours(n, self.d), self.low - _CLEAR, self.high + _CLEAR):
             known = [piece for piece in group if piece is not None]
@@ -277,8 +294,8 @@ class _Maker:
 
     def check(self, patches: list[Patch]) -> None:
         """Survey a line drawn by lot: it must have these pieces and no others; it shows the errors of their ends."""
-        unit = self.box.draw(1, self.d, "line")
-        (branches,) = survey_lines(self.problem(self.box.at(unit)), COARSE)
+        unit = _lot(self.box)
+        (branches,) = _survey(self.family, self.box, self.structure, 0)
         pieces = [p for p in pieces_of(branches) if p.q[1] > self.low - _CLEAR and p.q[0] < self.high + _CLEAR]
         for patch in patches:
             ends = patch.ends_at(unit)

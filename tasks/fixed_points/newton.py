@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.fixed_points.rounding import rounding
-from tasks.step.problem import Problem, sizes
+from tasks.step.problem import Problem, joint_sizes
 from tasks.step.step_map import Stride, matvec
 
 #: Periods beyond this are a fall: the stance leg nearly comes to rest upright [sqrt(leg/g)].
@@ -39,8 +39,7 @@ def newton_step(stride: Stride, w: np.ndarray) -> np.ndarray:
     -------
     ndarray, shape (m + phases, n)
     """
-    times = stride.times + matvec(stride.times_by_y, stride.newton)
-    return np.vstack([_similarity(stride.y, stride.newton), times - w[len(stride.y) :]])
+    return np.vstack([_similarity(stride.y, stride.newton), stride.newton_times - w[len(stride.y) :]])
 
 
 @dataclass
@@ -111,7 +110,9 @@ def newton(
 
 
 def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Lipschitz estimate of the Newton map at solutions: maximum over directions of |J^-1 dJ|/|dw|.
+    """Lipschitz estimate of the Newton map at solutions: maximum over directions of |F'^-1 dF'|/|dw|.
+
+    Directions are those of the section and of the event times, F the joint equations of both.
 
     Parameters
     ----------
@@ -129,14 +130,14 @@ def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
     base, _ = problem.stride(w, X[m])
     worst = np.zeros(X.shape[1])
     h = 1e-4
-    for i in range(m):
+    # In relative coordinates of the base point; another scale would multiply rows and divide columns by the same.
+    size = joint_sizes(base.y, problem.phases)
+    for i in range(len(w)):
         moved = w.copy()
         moved[i] += h
         stride, _ = problem.stride(moved, X[m])
-        # In relative coordinates of the base point; another scale would multiply rows and divide columns by the same.
-        change = (stride.jacobian - base.jacobian) / h
-        size = sizes(base.y)
-        product = np.stack([matvec(base.inverse, change[:, j]) for j in range(m)], axis=1)
+        change = (stride.derivative - base.derivative) / h
+        product = np.stack([matvec(base.inverse, change[:, j]) for j in range(len(w))], axis=1)
         weighted = product * size[None] / size[:, None]
         worst = np.maximum(worst, np.abs(weighted).sum(axis=1).max(axis=0))
     return worst

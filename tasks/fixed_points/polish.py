@@ -12,7 +12,7 @@ from tasks.fixed_points.newton import newton_step
 from tasks.fixed_points.rounding import apply_newton_step, rounding, rounding_std
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step import extended_precision
-from tasks.step.problem import EPS, Problem, sizes
+from tasks.step.problem import EPS, Problem, joint_sizes
 from tasks.step.step_map import Stride, matvec
 
 #: Leg passes where the atlas has not shown that a point's step happens.
@@ -111,21 +111,22 @@ def settle(problem: Problem, guesses: Guesses) -> Polished:
     guesses : Guesses
     """
     slope, leg_passes = guesses.slope, guesses.leg_passes
-    m, n = problem.m, len(slope)
     stride, scale, w = _polish(problem, guesses.w, slope, guesses.lipschitz)
-    eta = np.abs(newton_step(stride, np.vstack([np.zeros((m, n)), stride.times]))).max(axis=0)
+    eta = np.abs(newton_step(stride, w)).max(axis=0)
     lipschitz = _lipschitz_at_points(problem, w, slope, guesses.lipschitz, eta)
     std = _rounding_at_points(problem, w, slope, guesses.rounding_std)
     # The states at the impacts are corrected to the fixed point, as the times are.
     stride.impact = stride.impact + matvec(stride.impact_by_y, stride.newton)
     stride.knee = stride.knee + matvec(stride.knee_by_y, stride.newton)
     gait = apply_newton_step(problem, stride, problem.parameters(slope, scale))
-    y, times, state, by_y = gait.y, gait.times, gait.state, np.abs(gait.by_y)
-    error = gait.sensitivity * (SAFETY_FACTOR * std + EPS / 2) + matvec(by_y, 2 * lipschitz * eta**2 * sizes(y))
+    y, times, state = gait.y, gait.times, gait.state
+    # How far the values move where the unknowns do by 1, each in its unit.
+    moves = matvec(np.abs(gait.by_unknowns), joint_sizes(y, problem.phases))
+    error = gait.sensitivity * (SAFETY_FACTOR * std + EPS / 2) + moves * 2 * lipschitz * eta**2
     bound = (error / gait.size).max(axis=0) + 2 * EPS
     doubles = bound.copy()
     converged = (bound < _MAX_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
-    amplification = (matvec(by_y, sizes(y)) / gait.size).max(axis=0)
+    amplification = (moves / gait.size).max(axis=0)
     for lane in np.flatnonzero((bound > extended_precision.ESCALATE) & (bound < _MAX_BOUND)).tolist():
         wide = extended_precision.refine(
             problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane]
@@ -133,7 +134,7 @@ def settle(problem: Problem, guesses: Guesses) -> Polished:
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
         bound[lane] = wide.last_step * max(1.0, amplification[lane]) + wide.rounding
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
-    step = (stride.closing < 0) & (np.diff(stride.times, axis=0, prepend=0) > 0).all(axis=0)
+    step = np.asarray(((stride.closing < 0) & (np.diff(times, axis=0, prepend=0.0) > 0)).all(axis=0))
     lanes = np.nonzero(leg_passes == UNKNOWN)[0]
     if len(lanes):
         _, check = verify_steps(problem.some(lanes), w[:, lanes], np.log(slope[lanes]))

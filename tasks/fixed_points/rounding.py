@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.step.problem import EPS, Problem, sizes
+from tasks.step.problem import EPS, Problem, residual_sizes, sizes
 from tasks.step.step_map import Stride, matvec
 
 
@@ -26,10 +26,10 @@ class NewtonStep:
         The gait's angle, rates and period.
     size : ndarray, shape (o, n)
         Scales of their errors; for rates the largest of them, which alone cannot vanish.
-    by_y : ndarray, shape (o, m, n)
-        Derivatives of the values.
+    by_unknowns : ndarray, shape (o, m + k, n)
+        Derivatives of the values by y and the event times.
     sensitivity : ndarray, shape (o, n)
-        How far a relative error of 1 of the image would move the values.
+        How far relative errors of 1 of the image and of the legs' angles at the strikes would move the values.
     """
 
     y: np.ndarray
@@ -37,7 +37,7 @@ class NewtonStep:
     state: np.ndarray
     values: np.ndarray
     size: np.ndarray
-    by_y: np.ndarray
+    by_unknowns: np.ndarray
     sensitivity: np.ndarray
 
 
@@ -58,14 +58,16 @@ def apply_newton_step(problem: Problem, stride: Stride, parameters: np.ndarray) 
     NewtonStep
     """
     y = stride.y + stride.newton
-    times = stride.times + matvec(stride.times_by_y, stride.newton)
+    times = stride.newton_times
     width = problem.map.start_size
     start, reported = problem.map.start(y, parameters), [0, *range(width // 2, width)]
     state, by_y = start[:width], start[width:].reshape(width, *y.shape)
-    values, by_y = np.vstack([state[reported], times[-1:]]), np.concatenate([by_y[reported], stride.times_by_y[-1:]])
+    values = np.vstack([state[reported], times[-1:]])
+    by_unknowns = np.zeros((len(values), len(y) + len(times), y.shape[1]))
+    by_unknowns[:-1, : len(y)], by_unknowns[-1, -1] = by_y[reported], 1.0
     size = np.vstack([sizes(values[:-1]), np.abs(values[-1:])])
-    sensitivity = size + matvec(np.abs(by_y), matvec(np.abs(stride.inverse), sizes(y)))
-    return NewtonStep(y, times, state, values, size, by_y, sensitivity)
+    moved = matvec(np.abs(stride.inverse), residual_sizes(y, len(times)))
+    return NewtonStep(y, times, state, values, size, by_unknowns, size + matvec(np.abs(by_unknowns), moved))
 
 
 #: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
@@ -138,5 +140,6 @@ def rounding(stride: Stride) -> np.ndarray:
     # constants; that of others many, each of them rounded, and several times the operations.
     share = 0.5 if len(size) == 2 else 3.0
     image = np.broadcast_to(share * (size + np.abs(stride.image)).max(axis=0), size.shape)
-    through = np.abs(stride.inverse - np.eye(len(size))[:, :, None])
-    return EPS * (matvec(np.abs(stride.inverse), image + beyond) + matvec(through, size + beyond)) / size
+    inverse = stride.inverse[: len(size), : len(size)]
+    through = np.abs(inverse - np.eye(len(size))[:, :, None])
+    return EPS * (matvec(np.abs(inverse), image + beyond) + matvec(through, size + beyond)) / size

@@ -141,7 +141,7 @@ def _evaluate_nodes(problem: Problem, branch: Branch) -> Arrays:
         "stance_angle": angle,
         "period": times[-1] * time_unit,
         "knee_share": times[0] / times[-1],
-        "closing": nodes.stride.closing / nodes.stride.y[0],
+        "closing": nodes.stride.closing[-1] / nodes.stride.y[0],
         "short": ~(gait_ratio(nodes.stride) < 0.5),
         "spectral_radius": np.abs(multipliers(nodes.stride.jacobian, m)).max(axis=1),
         "speed": travel(walker, slope, angle, times[-1] * time_unit)["speed"],

@@ -58,7 +58,7 @@ TESTS: dict[str, Test] = {
     "flip": _flip,
     "exponent": _exponent,
     "end_kneestrike_at_heelstrike": lambda stride, X: stride.times[-1] - stride.times[0],
-    "end_tangential_heelstrike": lambda stride, X: stride.closing / stride.y[0],
+    "end_tangential_heelstrike": lambda stride, X: stride.closing[-1] / stride.y[0],
     "release_hyperextension": lambda stride, X: (stride.start[4] - stride.start[5]) / stride.y[0],
 }
 

@@ -16,8 +16,9 @@ import numpy as np
 from tasks.mechanics.equations import Symbols, system
 from tasks.mechanics.kernel import prepare_compiler
 from tasks.mechanics.lumped import Structure, lump
-from tasks.step.problem import EPS, Problem, sizes
-from tasks.step.step_map import Stride, end_of_step, lock_knee, start_of_step
+from tasks.step.problem import EPS, Problem, joint_sizes
+from tasks.step.step_map import Stride
+from tasks.step.symbols import end_of_step, lock_knee, start_of_step
 
 #: Error bounds of a fixed point in doubles from which long double is used, and 128 bits.
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
@@ -31,8 +32,6 @@ class _ExtendedStepMap:
 
     def __init__(self, structure: Structure, number: Any, unit: float):
         self.structure, self.number = structure, number
-        #: Newton's shift of an event time that is the last: the next, its square, would be rounding.
-        self.last_shift = 0.1 * unit**0.5
         self.m, self.kneed = structure.dimension, structure.kneed
         flows = [True, False] if self.kneed else [False]
         systems = [system(structure, free, 0, False) for free in flows]
@@ -60,10 +59,10 @@ class _ExtendedStepMap:
         def function(outputs: list[Any], variables: list[Any]) -> Any:
             return hy.cfunc(outputs, vars=[*variables, *p.variables], fp_type=self.number, compact_mode=True)
 
-        # A guard's function gives its value and rate, then the state or section beyond it.
-        knee = function([x[1] - x[2], x[4] - x[5], *lock_knee(p, x)], x) if self.kneed else None
+        # Each strike's guard and the state beyond it; the rates just before heelstrike.
+        knee = function([x[1] - x[2], *lock_knee(p, x)], x) if self.kneed else None
         two = x[:4]
-        finish = [two[0] + two[1], two[2] + two[3], *end_of_step(self.structure, p, two), two[2], two[3]]
+        finish = [two[0] + two[1], *end_of_step(self.structure, p, two), two[2], two[3]]
         return function(start_of_step(self.structure, p, y), y), knee, function(finish, two)
 
     def _integrate(self, k: int, state: np.ndarray, parameters: np.ndarray, duration: Any) -> np.ndarray:
@@ -74,22 +73,6 @@ class _ExtendedStepMap:
         ta.propagate_until(duration)
         return ta.state.copy()
 
-    def _to_guard(
-        self, k: int, state: np.ndarray, parameters: np.ndarray, duration: Any, guard: Any
-    ) -> tuple[Any, np.ndarray]:
-        """Integrate to where a guard closes: the duration, and the values of the guard's function there."""
-        total = duration
-        state = self._integrate(k, state, parameters, duration)
-        values = self._call(guard, state, parameters)
-        for _ in range(4):
-            shift = -values[0] / values[1]
-            state = self._integrate(k, state, parameters, shift)
-            total = total + shift
-            values = self._call(guard, state, parameters)
-            if not abs(float(shift)) > self.last_shift:
-                break
-        return total, values
-
     def _call(self, function: Any, values: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         return function(np.concatenate([values, parameters]))
 
@@ -97,19 +80,24 @@ class _ExtendedStepMap:
         """State just after heelstrike at y."""
         return self._call(self._start, y, parameters)
 
-    def __call__(
-        self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Image of y (m,), the event times (k,), and the rates just before heelstrike (2,), all in this number."""
-        state = self.start(y, parameters)
-        kneestrike, strikes = self.number(0.0), []
+    def __call__(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residual of the joint equations at y and the event times, and the rates before heelstrike.
+
+        Returns
+        -------
+        residual : ndarray, shape (m + k,)
+            The image less y, and the guards of the strikes, all in this number.
+        impact : ndarray, shape (2,)
+            Rates just before heelstrike.
+        """
+        state, duration = self.start(y, parameters), times[-1]
+        guards = self._array([])
         if self.kneed:
-            kneestrike, values = self._to_guard(0, state, parameters, times[0], self._knee)
-            strikes.append(kneestrike)
-            state = values[2:]
-        duration, values = self._to_guard(-1, state, parameters, times[-1] - kneestrike, self._finish)
-        event_times = np.array([*strikes, kneestrike + duration], dtype=self.number)
-        return values[2 : 2 + self.m], event_times, values[2 + self.m :]
+            values = self._call(self._knee, self._integrate(0, state, parameters, times[0]), parameters)
+            guards, state, duration = values[:1], values[1:], times[1] - times[0]
+        values = self._call(self._finish, self._integrate(-1, state, parameters, duration), parameters)
+        section = values[1 : 1 + self.m]
+        return np.concatenate([section - y, guards, values[:1]]), values[1 + self.m :]
 
 
 @functools.lru_cache(maxsize=16)
@@ -184,17 +172,16 @@ def solved(
         np.array([number(v) for v in times], dtype=number),
     )
     inverse = stride.inverse[:, :, lane]
-    measure = sizes(y[:, None])[:, 0]
+    m, measure = len(y), joint_sizes(y[:, None], len(times))[:, 0]
     before = size = np.inf
     for _ in range(_MAX_STEPS):
-        image, wide_times, impact = exact(wide, wide_times, parameters)
-        step = inverse @ np.array([float(v) for v in image - wide])
-        shift = stride.times_by_y[:, :, lane] @ step
-        size = float(max(np.max(np.abs(step / measure)), np.max(np.abs(shift / times))))
+        residual, impact = exact(wide, wide_times, parameters)
+        step = inverse @ np.array([float(v) for v in residual])
+        size = float(np.max(np.abs(step / measure)))
         if not size <= 0.5 * before:
             break
-        wide = wide + np.array([number(v) for v in step], dtype=number)
-        wide_times = wide_times + np.array([number(v) for v in shift], dtype=number)
+        wide = wide + np.array([number(v) for v in step[:m]], dtype=number)
+        wide_times = wide_times + np.array([number(v) for v in step[m:]], dtype=number)
         before = size
         if size < EPS / 64:
             break

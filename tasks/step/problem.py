@@ -154,3 +154,33 @@ def sizes(y: np.ndarray) -> np.ndarray:
     """
     rates = y[1:]
     return np.vstack([np.abs(y[:1]), np.broadcast_to(np.abs(rates).max(axis=0), rates.shape)])
+
+
+def joint_sizes(y: np.ndarray, phases: int) -> np.ndarray:
+    """Scales of y, as `sizes` has them, and of the event times, which are of order one.
+
+    Parameters
+    ----------
+    y : ndarray, shape (m, n)
+    phases : int
+
+    Returns
+    -------
+    ndarray, shape (m + phases, n)
+    """
+    return np.vstack([sizes(y), np.ones((phases, y.shape[1]))])
+
+
+def residual_sizes(y: np.ndarray, phases: int) -> np.ndarray:
+    """Scales of the joint residual: those of y, and the stance angle for the guards of the strikes.
+
+    Parameters
+    ----------
+    y : ndarray, shape (m, n)
+    phases : int
+
+    Returns
+    -------
+    ndarray, shape (m + phases, n)
+    """
+    return np.vstack([sizes(y), np.broadcast_to(np.abs(y[:1]), (phases, y.shape[1]))])

@@ -19,7 +19,8 @@ from tasks.mechanics.equations import ZERO, Solver, Symbols, rows
 from tasks.mechanics.kernel import LANES, prepare_compiler
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Problem
-from tasks.step.step_map import Stride, end_of_step, lock_knee
+from tasks.step.step_map import Stride
+from tasks.step.symbols import end_of_step, lock_knee
 
 #: Outcomes of a step. All but STRUCK are falls.
 STRUCK, BACKWARD, FORWARD, NO_KNEESTRIKE, NO_HEELSTRIKE, LOST = range(6)

@@ -5,8 +5,9 @@ A gait is a zero of P(y) - y. The section's coordinates y are, just after heelst
 (stance angle, stance rate, swing rate) for straight legs, and, just before heelstrike,
 (stance angle, old stance rate, old swing rate) for kneed ones, whose locked legs need no fourth coordinate.
 Each phase is a flow over a given time; the value of its guard at the end is corrected to first order, which gives the
-saltation terms exactly and makes the event times converge quadratically. In shapes, n counts lanes, m section
-coordinates and k phases.
+saltation terms exactly and makes the event times converge quadratically. Newton's method has the durations of the
+phases among its unknowns: where a strike turns tangential its time is no smooth function of the state, but state and
+times together are regular. In shapes, n counts lanes, m section coordinates and k phases.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ import heyoka as hy
 import numpy as np
 
 from tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
-from tasks.mechanics.impacts import heelstrike, kneestrike
 from tasks.mechanics.kernel import LANES, flow, prepare_compiler, whole_groups
 from tasks.mechanics.lumped import Structure
+from tasks.step.symbols import derivatives_along, end_of_step, flat, inverse, lock_knee, matrix, start_of_step
 
 #: Intervals at whose ends the motion is sampled to verify a step.
 SAMPLES = 16
@@ -36,21 +37,29 @@ class Stride:
         Section coordinates at the start.
     image : ndarray, shape (m, n)
         P(y), the event times corrected.
-    jacobian, inverse : ndarray, shape (m, m, n)
-        dP/dy, and the inverse of I - dP/dy.
-    newton : ndarray, shape (m, n)
-        Newton step of P(y) = y.
+    jacobian : ndarray, shape (m, m, n)
+        dP/dy.
     times : ndarray, shape (k, n)
         Kneestrike, for knees, and heelstrike, corrected.
     times_by_y : ndarray, shape (k, m, n)
     by_slope, times_by_slope : ndarray, shape (m, n) and (k, n)
-        Derivatives of P(y) and of the times by the slope; empty where not asked for.
+        Derivatives of P(y) and of the times by the slope; zero where not asked for.
+    residual : ndarray, shape (m + k, n)
+        Of the joint equations: the image less y, at the given durations of the phases, and the guards of the strikes.
+    derivative : ndarray, shape (m + k, m + k + 1, n)
+        Of the residual by y, the durations and the slope.
+    times_by : ndarray, shape (k, m + k + 1, n)
+        Derivatives of the event times by the same.
+    inverse : ndarray, shape (m + k, m + k, n)
+        How far a residual moves the fixed point's y and its event times.
+    newton, newton_times : ndarray, shape (m, n) and (k, n)
+        Newton step of P(y) = y, and the event times after it.
     impact, impact_by_y : ndarray, shape (2, n) and (2, m, n)
         Rates just before heelstrike.
     start : ndarray, shape (angles, n)
         State just after heelstrike.
-    closing : ndarray, shape (n,)
-        Rate of the heelstrike guard.
+    closing : ndarray, shape (k, n)
+        Rates of the guards at the strikes.
     knee, knee_by_y : ndarray, shape (6, n) and (6, m, n)
         State at kneestrike; empty for straight legs.
     motion : list of ndarray, shape (samples + 1, angles, n)
@@ -60,12 +69,16 @@ class Stride:
     y: np.ndarray
     image: np.ndarray
     jacobian: np.ndarray
-    inverse: np.ndarray
-    newton: np.ndarray
     times: np.ndarray
     times_by_y: np.ndarray
     by_slope: np.ndarray
     times_by_slope: np.ndarray
+    residual: np.ndarray
+    derivative: np.ndarray
+    times_by: np.ndarray
+    inverse: np.ndarray
+    newton: np.ndarray
+    newton_times: np.ndarray
     impact: np.ndarray
     impact_by_y: np.ndarray
     start: np.ndarray
@@ -96,63 +109,6 @@ class Stride:
             new = getattr(other, name)
             for a, b in zip(values, new, strict=True) if isinstance(values, list) else [(values, new)]:
                 a[..., lanes] = b
-
-
-def start_of_step(structure: Structure, p: Symbols, y: list[Sym]) -> list[Sym]:
-    """State just after heelstrike at section coordinates y, as symbols."""
-    if structure.kneed:
-        return [y[0], -y[0], -y[0], *heelstrike(p, y[0], y[1], y[2], True)]
-    if structure.point_foot:
-        # The impulse has no moment about the hip of a leg whose mass is at the foot that leaves the ground.
-        return [y[0], -y[0], y[1], y[1] * hy.cos(2.0 * p.scale * y[0])]
-    return [y[0], -y[0], y[1], y[2]]
-
-
-def lock_knee(p: Symbols, x: list[Sym]) -> list[Sym]:
-    """State of two links after kneestrike from that of three before it, as symbols."""
-    return [x[0], x[1], *kneestrike(p, x[:3], x[3:])]
-
-
-def end_of_step(structure: Structure, p: Symbols, x: list[Sym]) -> list[Sym]:
-    """Section coordinates of two links' state x just before heelstrike, as symbols."""
-    if structure.kneed:
-        return [x[1], x[2], x[3]]
-    return [x[1], *heelstrike(p, x[1], x[2], x[3], False)[: structure.dimension - 1]]
-
-
-def _matrix(name: str, n: int, m: int) -> list[list[Sym]]:
-    """Variables of an n x m matrix."""
-    flat = hy.make_vars(*(f"{name}{i}_{j}" for i in range(n) for j in range(m)))
-    return [list(flat[i * m : (i + 1) * m]) for i in range(n)]
-
-
-def _flat(matrix: list[list[Sym]]) -> list[Sym]:
-    """Entries of a matrix, row by row."""
-    return [x for row in matrix for x in row]
-
-
-def _inverse(J: list[list[Sym]]) -> list[list[Sym]]:
-    """Inverse of a 2 x 2 or 3 x 3 matrix of symbols by its adjugate."""
-    n = len(J)
-    if n == 2:
-        det = J[0][0] * J[1][1] - J[0][1] * J[1][0]
-        return [[J[1][1] / det, -J[0][1] / det], [-J[1][0] / det, J[0][0] / det]]
-    minor = [
-        [
-            J[(i + 1) % 3][(j + 1) % 3] * J[(i + 2) % 3][(j + 2) % 3]
-            - J[(i + 1) % 3][(j + 2) % 3] * J[(i + 2) % 3][(j + 1) % 3]
-            for j in range(3)
-        ]
-        for i in range(3)
-    ]
-    det = J[0][0] * minor[0][0] + J[0][1] * minor[0][1] + J[0][2] * minor[0][2]
-    return [[minor[j][i] / det for j in range(3)] for i in range(3)]
-
-
-def _derivatives_along(values: list[Sym], x: list[Sym], D: list[list[Sym]]) -> list[list[Sym]]:
-    """Derivative of each value by x along the directions D."""
-    gradients = [[hy.diff(v, coordinate) for coordinate in x] for v in values]
-    return [[sum((g * D[i][d] for i, g in enumerate(row)), ZERO) for d in range(len(D[0]))] for row in gradients]
 
 
 def matvec(A: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -192,10 +148,10 @@ class StrideMap:
         p = Symbols(self.structure)
         y = list(hy.make_vars(*(f"y{i}" for i in range(self.m))))
         state = start_of_step(self.structure, p, y)
-        return self._function(state + _flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
+        return self._function(state + flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
 
     def _compile_knee(self) -> hy.cfunc:
-        """From the end of three links to the start of two, with directions (y, defect, slope).
+        """From the end of three links to the start of two, with directions (y, duration, slope).
 
         The flow of two links carries its own field and three unit vectors beside it, whatever the directions: a part
         along the field is only a shift of time, which the next event takes up. So each direction is given by its
@@ -204,73 +160,80 @@ class StrideMap:
         p = Symbols(self.structure)
         m = self.m + 1
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
-        D = _matrix("d", 6, m)
+        D = matrix("d", 6, m)
         q, rate = x[:3], x[3:]
         M, f = rows(p, q, rate, True)
         field = [*rate, *Solver(M)(f)]
-        closing = rate[1] - rate[2]
-        shift = -(q[1] - q[2]) / closing
-        shift_by = [-(D[1][d] - D[2][d]) / closing for d in range(m)]
-        moved = [[D[i][d] + field[i] * shift_by[d] for d in range(m)] for i in range(6)]
-        defect = [field[i] * shift for i in range(6)]
+        guard, closing = q[1] - q[2], rate[1] - rate[2]
+        guard_by = [D[1][d] - D[2][d] for d in range(m)]
         lock = lock_knee(p, x)
-        columns = [[*moved[i][: self.m], defect[i], *moved[i][self.m :]] for i in range(6)]
-        by_direction = _derivatives_along(lock, x, columns)
+        by_direction = derivatives_along(lock, x, [[*D[i][: self.m], field[i], *D[i][self.m :]] for i in range(6)])
         M, f = rows(p, lock[:2], lock[2:], False)
         after = [lock[2], lock[3], *Solver(M)(f)]
         along = [d / after[0] for d in by_direction[0]]
         parts = [along] + [[d - c * after[i] for d, c in zip(by_direction[i], along, strict=True)] for i in range(1, 4)]
-        strike = [x[i] + defect[i] for i in range(6)] + _flat([moved[i][: self.m] for i in range(6)])
-        return self._function(lock + _flat(parts) + [shift, *shift_by, *strike], [*x, *_flat(D), *p.variables])
+        strike = [x[i] - field[i] * guard / closing for i in range(6)]
+        strike += [D[i][d] - field[i] * guard_by[d] / closing for i in range(6) for d in range(self.m)]
+        guards = [guard, *guard_by[: self.m], closing, *guard_by[self.m :]]
+        return self._function(lock + flat(parts) + guards + strike, [*x, *flat(D), *p.variables])
 
     def _compile_finish(self) -> hy.cfunc:
-        """From the end of two links to the image on the section, its derivatives and the Newton step."""
+        """From the end of two links to the image on the section, its derivatives and the Newton step.
+
+        Directions are (y, the duration of the phase with a free knee, slope), the second only with knees.
+        """
         p = Symbols(self.structure)
-        m, defect = self.m, int(self.kneed)
+        m, k = self.m, 1 + self.kneed
         y = list(hy.make_vars(*(f"y{i}" for i in range(m))))
         x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-        carried = D = _matrix("d", 4, 4 if self.kneed else m + 1)
-        parts: list[list[Sym]] = _matrix("c", 4, m + 2) if self.kneed else []
+        carried = D = matrix("d", 4, 4 if self.kneed else m + 1)
+        parts: list[list[Sym]] = matrix("c", 4, m + 2) if self.kneed else []
+        knee: list[list[Sym]] = matrix("k", 1, m + 3) if self.kneed else []
         if self.kneed:
             D = [
                 [
-                    sum((parts[1 + k][d] * carried[i][k] for k in range(3)), carried[i][3] if d > m else ZERO)
+                    sum((parts[1 + j][d] * carried[i][j] for j in range(3)), carried[i][3] if d > m else ZERO)
                     for d in range(m + 2)
                 ]
                 for i in range(4)
             ]
         M, f = rows(p, x[:2], x[2:], False)
         field = [x[2], x[3], *Solver(M)(f)]
-        closing = x[2] + x[3]
-        base = [(defect and D[i][m]) or ZERO for i in range(4)]
-        shift = -(x[0] + x[1] + base[0] + base[1]) / closing
-        shift_by = [-(D[0][d] + D[1][d]) / closing for d in range(m + defect + 1)]
-        keep = [d for d in range(m + defect + 1) if not (defect and d == m)]
-        columns = [[D[i][d] + field[i] * shift_by[d] for d in keep] + [base[i] + field[i] * shift] for i in range(4)]
-        image = end_of_step(self.structure, p, x)
-        by_direction = _derivatives_along(image, x, columns)
-        jacobian = [row[:m] for row in by_direction]
-        moved = [image[i] + by_direction[i][-1] for i in range(m)]
-        inverse = _inverse([[float(i == j) - jacobian[i][j] for j in range(m)] for i in range(m)])
-        residual = [image[i] - y[i] + by_direction[i][-1] for i in range(m)]
-        newton = [sum((inverse[i][j] * residual[j] for j in range(m)), ZERO) for i in range(m)]
-        impact = [x[2] + base[2] + field[2] * shift, x[3] + base[3] + field[3] * shift]
-        if parts:
-            shift, shift_by = shift - parts[0][m], [a - b for a, b in zip(shift_by, parts[0], strict=True)]
+        # By y, durations, slope.
+        D = [[*D[i][:-1], field[i], D[i][-1]] for i in range(4)]
+        section = end_of_step(self.structure, p, x)
+        by = derivatives_along(section, x, D)
+        guards = [g[0] for g in knee] + [x[0] + x[1]]
+        guards_by = [[*g[1:-1], ZERO, g[-1]] for g in knee] + [[D[0][d] + D[1][d] for d in range(m + k + 1)]]
+        residual = [*(section[i] - y[i] for i in range(m)), *guards]
+        derivative = [[by[i][d] - float(i == d) for d in range(m + k + 1)] for i in range(m)] + guards_by
+        moves = inverse([[-derivative[i][j] for j in range(m + k)] for i in range(m + k)])
+        newton = [sum((moves[i][j] * residual[j] for j in range(m + k)), ZERO) for i in range(m + k)]
+        # The durations by the guards' values, y and the slope, one after another.
+        shifts: list[list[Sym]] = []
+        for j, (guard, row) in enumerate(zip(guards, guards_by, strict=True)):
+            values = [guard, *row[:m], row[-1]]
+            for i, earlier in enumerate(shifts):
+                values = [v + row[m + i] * e for v, e in zip(values, earlier, strict=True)]
+            shifts.append([-v / row[m + j] for v in values])
+
+        def struck(row: list[Sym], d: int, value: Sym) -> Sym:
+            """A value with the derivatives `row` where the guards close: itself (d = 0), or its derivative."""
+            return sum((row[m + j] * shifts[j][d] for j in range(k)), value)
+
         outputs = [
-            *moved,
-            *_flat(jacobian),
-            *_flat(inverse),
+            *(struck(by[i], 0, section[i]) for i in range(m)),
+            *(struck(by[i], 1 + d, by[i][d]) for i in range(m) for d in range(m)),
+            *(struck(by[i], 1 + m, by[i][-1]) for i in range(m)),
+            *flat(shifts),
+            *residual,
+            *flat(derivative),
+            *flat(moves),
             *newton,
-            shift,
-            *(shift_by[d] for d in keep),
-            *impact,
-            *columns[2][:m],
-            *columns[3][:m],
-            closing,
-            *(row[m] for row in by_direction),
+            *(struck(D[i], 0, x[i]) for i in (2, 3)),
+            *(struck(D[i], 1 + d, D[i][d]) for i in (2, 3) for d in range(m)),
         ]
-        return self._function(outputs, [*y, *x, *_flat(carried), *_flat(parts), *p.variables])
+        return self._function(outputs, [*y, *x, *flat(carried), *flat(parts), *flat(knee), *p.variables])
 
     def _apply(self, function: hy.cfunc, inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes padded to whole SIMD groups, so that every lane runs the same code."""
@@ -334,50 +297,62 @@ class StrideMap:
         D = by_y.reshape(size, m, n)
         if slope:
             D = np.concatenate([D, np.zeros((size, 1, n))], axis=1)
-        motion, strike, parts = [], np.empty((0, n)), np.empty((0, n))
+        k, motion, strike, parts, knee = len(times), [], *(np.empty((0, n)) for _ in range(3))
+        times_by = np.zeros((k, m + k + 1, n))
+        times_by[:, m + k - 1] = np.arange(k)[:, None] == k - 1
         if self.kneed:
             integrate = flow(self.structure, True, m + slope, slope, coarse)
             final, phase = integrate(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             motion.append(phase)
             out = self._apply(self._knee, np.vstack([final[:6], _unlanes(final[6:], 6, m + 1), parameters]))
-            start2, parts, knee_shift, strike = np.split(out, np.cumsum([4, 4 * (m + 2), 2 + m]))
+            start2, parts, knee, strike = np.split(out, np.cumsum([4, 4 * (m + 2), m + 3]))
             D = np.broadcast_to(np.eye(4, 3 + slope, -1)[:, :, None], (4, 3 + slope, n))
             duration = times[1] - times[0]
+            # Heelstrike is timed from the start of the step; a part along the field is a shift of time.
+            times_by[:, m] = 1.0
+            times_by[1, [*range(m + 1), m + 2]] -= parts[: m + 2]
         else:
             start2, duration = start, times[0]
         integrate = flow(self.structure, False, D.shape[1], slope, coarse)
         final, phase = integrate(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
         motion.append(phase)
         directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)
-        out = self._apply(self._finish, np.vstack([y, final[:4], directions, parts, parameters]))
-        image, jacobian, inverse, newton, shift, shift_by, impact, impact_by_y, closing, by_slope = np.split(
-            out, np.cumsum([m, m * m, m * m, m, 1, m + 1, 2, 2 * m, 1])
+        out = self._apply(self._finish, np.vstack([y, final[:4], directions, parts, knee, parameters]))
+        image, jacobian, by_slope, shifts, residual, derivative, moves, newton, impact, impact_by_y = np.split(
+            out, np.cumsum(finish_sizes(m, k))
         )
-        all_times, all_by = times[-1:] + shift, shift_by[None]
-        if self.kneed:
-            first = times[:1] + knee_shift[:1]
-            first_by = knee_shift[1:][None]
-            # Heelstrike is timed from the start of the step; its flow begins at kneestrike.
-            all_times = np.vstack([first, all_times + knee_shift[:1]])
-            all_by = np.concatenate([first_by, all_by + first_by])
+        derivative, moves = derivative.reshape(m + k, m + k + 1, n), moves.reshape(m + k, m + k, n)
+        shifts = shifts.reshape(k, m + 2, n)
+        new_times = times + matvec(times_by[:, : m + k], newton)
+        moves = np.stack([*moves[:m], *(matvec(moves.transpose(1, 0, 2), row[: m + k]) for row in times_by)])
+        by_durations = [matvec(times_by[:, m : m + k], shifts[:, d]) for d in range(m + 2)]
         return Stride(
             y,
             image,
             jacobian.reshape(m, m, n),
-            inverse.reshape(m, m, n),
-            newton,
-            all_times,
-            all_by[:, :m],
-            by_slope if slope else by_slope[:0],
-            all_by[:, m] if slope else all_by[:0, m],
+            times + by_durations[0],
+            times_by[:, :m] + np.stack(by_durations[1:-1], axis=1),
+            by_slope,
+            times_by[:, -1] + by_durations[-1],
+            residual,
+            derivative,
+            times_by,
+            moves,
+            newton[:m],
+            new_times,
             impact,
             impact_by_y.reshape(2, m, n),
             start,
-            closing[0],
+            np.stack([derivative[m + j, m + j] for j in range(k)]),
             strike[:6],
             strike[6:].reshape(len(strike[:6]), m, n),
             motion,
         )
+
+
+def finish_sizes(m: int, k: int) -> tuple[int, ...]:
+    """Lengths of all but the last of what the end of a step gives, for m coordinates and k phases."""
+    return m, m * m, m, k * (m + 2), m + k, (m + k) * (m + k + 1), (m + k) ** 2, m + k, 2
 
 
 def _lanes(D: np.ndarray) -> np.ndarray:

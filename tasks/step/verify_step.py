@@ -6,6 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+#: Shortest time to kneestrike [sqrt(leg/g)]: in less the knee flexes by no more than rounding. At time 0, where the
+#: knee is straight, its guard has a root that is no strike.
+_MIN_KNEESTRIKE = 1e-7
+
 
 @dataclass
 class StepCheck:
@@ -143,8 +147,8 @@ def verify(
     ----------
     motion : list of ndarray, shape (samples + 1, angles, n)
         Each phase's angles and rates at equal times; three links before two.
-    closing : ndarray, shape (n,)
-        Rate of the heelstrike guard at the solved time.
+    closing : ndarray, shape (k, n)
+        Rates of the guards at the solved times.
     times : ndarray, shape (k, n) [sqrt(leg/g)]
         The solved event times, which must follow each other.
     margin : float or ndarray, shape (n,)
@@ -169,7 +173,12 @@ def verify(
     falls = (guard[1:] <= 0) & (guard[:-1] > 0) & (a[1:] < 0)
     falls[-1] = False
     # A guard that falls to zero was positive just before.
-    step = (closing < 0) & ~falls.any(axis=0) & (a[-1] < 0) & (np.diff(times, axis=0, prepend=0) > 0).all(axis=0)
+    step = (
+        (closing < 0).all(axis=0)
+        & ~falls.any(axis=0)
+        & (a[-1] < 0)
+        & (np.diff(times, axis=0, prepend=0) > 0).all(axis=0)
+    )
     doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0)
     leg_passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
     for phase in motion:
@@ -184,7 +193,7 @@ def verify(
         inner = flexion[1:-1]
         bent = np.maximum.accumulate(inner > 0, axis=0)
         straight_again = (bent[:-1] & (inner[1:] <= 0)).any(axis=0)
-        step = step & bent.any(axis=0) & ~straight_again & (inner[-1] > 0)
+        step = step & bent.any(axis=0) & ~straight_again & (inner[-1] > 0) & (times[0] > _MIN_KNEESTRIKE)
         # The foot could strike before the knee.
         sum_, closing_in = three[:, 0] + three[:, 1], three[:, 3] + three[:, 4]
         step &= ~((sum_[1:] <= 0) & (sum_[:-1] > 0) & (three[1:, 0] < 0)).any(axis=0)
@@ -192,4 +201,4 @@ def verify(
         doubt |= (behind & _unclear(sum_, closing_in, margin)).any(axis=0)
         # The knee starts straight: the guard's first zero is no strike.
         doubt |= _unclear(flexion, rate, margin)[1:].any(axis=0)
-    return StepCheck(step, leg_passes, doubt & np.isfinite(closing), hyperextends)
+    return StepCheck(step, leg_passes, doubt & np.isfinite(closing).all(axis=0), hyperextends)

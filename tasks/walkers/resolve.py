@@ -198,7 +198,8 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     -------
     dict
         `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker before `set`), `parameters` (the
-        walker with `set`), and `varied` (for each key of the walker that `set` moves, the key of `set` that does).
+        walker with `set`), `varied` (for each key of the walker that `set` moves, the key of `set` that does), and
+        `widths` (for each key of `set` over which gaits may be interpolated, how far in one cell at most).
 
     Raises
     ------
@@ -217,7 +218,21 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
         "table": resolve(params["walker"]).table(),
         "parameters": walker.table(),
         "varied": varied,
+        "widths": {key: width for key in overrides if (width := _cell_width(walker, key)) is not None},
     }
+
+
+def _cell_width(walker: Walker, key: str) -> float | None:
+    """How far a key may reach in a cell over which gaits are interpolated; None where they are not."""
+    if key in _CELL_WIDTHS:
+        return _CELL_WIDTHS[key]
+    units = {"length": walker.leg, "mass": walker.total_mass, "angle": 1.0}
+    unit = units.get(KEYS.get(key, ""))
+    return None if unit is None else unit / 8
+
+
+#: Widths of cells in derived keys.
+_CELL_WIDTHS = {"foot_mass_ratio": 0.125, "detuning": 0.5}
 
 
 def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from lines import branches, gait
+from lines import branches, gait, solved
 from pipeline.bench.bounds import compared
 from pipeline.bench.stress import random_walker
-from tasks.continuation import atlas, ends
+from tasks.continuation import atlas
 from tasks.continuation.atlas import survey
 from tasks.continuation.branch import Branch
 from tasks.continuation.lockstep import run
@@ -21,6 +21,9 @@ from tasks.continuation.tracking import correct, follow
 from tasks.fixed_points.newton import LONGEST_PERIOD
 from tasks.fixed_points.polish import UNKNOWN, settle
 from tasks.fixed_points.search import search
+from tasks.mechanics.lumped import lump
+from tasks.registry import GAITS, STATUSES
+from tasks.step import extended_precision
 from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.walker import Walker
@@ -186,19 +189,36 @@ def test_a_bracketed_root_is_found_as_scipy_finds_it():
         bracketed_root(lambda x: x * x + 1, -1.0, 1.0)
 
 
-def test_a_tangential_end_agrees_with_other_spacings_within_its_bound(monkeypatch):
-    problem = Problem(CATALOGUE["physical-straight"])
+def tangential(problem, y, time, slope):
+    """Slope at which a straight-legged gait's heelstrike is tangential, by Newton in long double."""
+    exact = extended_precision._extended_step_map(problem.structure, 0)
+    constants = lump(problem.walker, np.longdouble)
+    fixed = [np.longdouble(1.0), *(constants[k] for k in problem.structure.constants)]
 
-    def end():
-        branch = next(b for b in survey(problem) if "end_tangential_heelstrike" in b.why)
-        return next(p for p in special_points(problem, branch) if p["kind"] == "end_tangential_heelstrike")
+    def equations(U):
+        residual, impact = exact(U[:-2], U[-2:-1], np.array([U[-1], *fixed], np.longdouble))
+        return np.append(residual, impact.sum())
 
-    first = end()
-    assert first["error_bound"] < 1e-12
-    real = ends.SPACING
-    for factor in (0.25, 2.5):
-        monkeypatch.setattr(ends, "SPACING", factor * real)
-        assert abs(end()["slope"] / first["slope"] - 1) < first["error_bound"]
+    U = np.array([*y, time, slope], np.longdouble)
+    h = np.longdouble(1e-7)
+    for _ in range(8):
+        columns = [(equations(U + h * e) - equations(U - h * e)) / (2 * h) for e in np.eye(len(U))]
+        step = np.linalg.solve(np.array(columns, float).T, -equations(U).astype(float))
+        U = U + step
+    assert np.abs(step).max() < 1e-18
+    return U[-1]
+
+
+@pytest.mark.parametrize(("name", "overrides"), [("physical-straight", {}), ("A", {"detuning": 0.95})])
+def test_a_tangential_end_agrees_with_long_double_within_its_bound(name, overrides):
+    problem, found = branches(name, **overrides)
+    branch = next(b for b in found if "end_tangential_heelstrike" in b.why)
+    end = next(p for p in special_points(problem, branch) if p["kind"] == "end_tangential_heelstrike")
+    node = branch.Z[branch.why.index("end_tangential_heelstrike") * -1]
+    w = np.delete(node, problem.m)
+    angle = np.exp(w[0])
+    exact = tangential(problem, [angle, *angle * w[1:-1]], w[-1], end["slope"])
+    assert abs(float(end["slope"] / exact - 1)) < end["error_bound"] < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -227,16 +247,32 @@ def unknown(index):
     return np.full(len(index), UNKNOWN)
 
 
-def test_bounds_hold_and_are_of_use_beside_a_tangential_end():
-    """At the end itself rounding cannot be measured; that must not spread to its neighbours."""
-    problem, found = branches("physical-straight")
-    ((branch, end),) = [(b, np.exp(b.q[0])) for b in found if b.why[0] == "end_tangential_heelstrike"]
-    slope = end * (1 + np.geomspace(1e-4, 1e-2, 20))
+@pytest.mark.parametrize(("name", "overrides"), [("physical-straight", {}), ("physical", {}), ("C", {"detuning": 0.1})])
+def test_bounds_hold_as_near_a_tangential_end_as_its_slope_is_known(name, overrides):
+    problem, found = branches(name, **overrides)
+    branch, side = next((b, b.why.index(why)) for b in found if (why := "end_tangential_heelstrike") in b.why)
+    q, inwards = branch.q[-side], np.sign(branch.q[1 - 3 * side] - branch.q[-side])
+    slope = np.exp(q) * (1 + inwards * np.geomspace(1e-12, 1e-2, 21))
     rows = []
     for index, Z, segment in branch.guesses(np.log(slope)):
-        rows += compared(problem, replace(branch.known_guesses(Z, segment, slope[index]), leg_passes=unknown(index)))
-    assert len(rows) == 20
-    assert all(error < bound < 1e-9 for _, bound, error, _, _ in rows)
+        near = np.abs(segment - side * len(branch.Z)) < 40
+        if not near.any():
+            continue
+        guesses = branch.known_guesses(Z[near], segment[near], slope[index][near])
+        rows += compared(problem, replace(guesses, leg_passes=unknown(guesses.slope)))
+    assert len(rows) == 21
+    assert all(error < bound < 1e-11 for _, bound, error, _, _ in rows)
+
+
+def test_an_earlier_strike_before_heelstrike_turns_tangential_is_the_end():
+    """At slope 0.0061 the foot grazes the ground shortly before the strike that turns tangential at 0.00609."""
+    _, found = branches("C", detuning=0.13642725891485585)
+    (branch,) = [b for b in found if "end_earlier_strike" in b.why]
+    end = np.exp(branch.q[0])
+    assert branch.why[0] == "end_earlier_strike" and end == pytest.approx(0.0061531, rel=1e-4)
+    out = solved("C", [0.0061, end * (1 - 1e-6), end * (1 + 1e-6), 0.0065], detuning=0.13642725891485585)
+    np.testing.assert_array_equal(out["status"][:, GAITS.index("short")] == 0, [False, False, True, True])
+    assert not np.isin(out["status"], [STATUSES["not_converged"]]).any()
 
 
 def test_a_singular_derivative_ends_no_survey():

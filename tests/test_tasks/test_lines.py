@@ -76,10 +76,13 @@ def test_both_roads_agree_within_their_bounds(name, value):
     bound = long_road["error_bound"] + short_road["error_bound"]
     solved = long_road["status"] == 0
     rates = np.max(np.abs([long_road[n][solved] for n in ("stance_rate", "thigh_rate", "shank_rate")]), axis=0)
+    farthest = 0.0
     for name in ("stance_angle", "period", "thigh_rate"):
         size = rates if name == "thigh_rate" else long_road[name][solved]
         apart = np.abs(long_road[name] - short_road[name])[solved] / size
-        assert (apart <= bound[solved]).all() and (apart > 0).any()
+        assert (apart <= bound[solved]).all()
+        farthest = max(farthest, float(apart.max()))
+    assert farthest > 0
 
 
 def test_a_block_of_lines_without_gaits():

@@ -41,6 +41,7 @@ _SHAPES = {
     "release_hyperextension": "^",
     "end_kneestrike_at_heelstrike": "X",
     "end_tangential_heelstrike": "v",
+    "end_tangential_kneestrike": "<",
     "end_zero_step": "d",
     "end_contact_lost": "p",
     "end_earlier_strike": "h",
