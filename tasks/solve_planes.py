@@ -184,7 +184,7 @@ def _solve_block(
     line = np.concatenate(indices) // s
     walkers = family.walkers(keys).some(line)
     problem = Lanes(walkers, cell.structure)
-    at = settle(problem, guesses)
+    at = settle(problem, guesses, sampled=True)
     fine = _are_predicted(at, guesses, np.repeat([p.error for p in cell.patches], [len(i) for i in indices]))
     fine &= _side(at) == np.repeat([p.side for p in cell.patches], [len(i) for i in indices])
     np.logical_and.at(accepted, line, fine)

@@ -13,7 +13,7 @@ from tasks.fixed_points.rounding import apply_newton_step, rounding, rounding_st
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step import extended_precision
 from tasks.step.problem import EPS, Problem, joint_sizes
-from tasks.step.step_map import Stride, matvec
+from tasks.step.step_map import SAMPLES, Stride, matvec
 
 #: Leg passes where the atlas has not shown that a point's step happens.
 UNKNOWN = -1
@@ -101,7 +101,7 @@ def unmeasured(problem: Problem, w: np.ndarray, slope: np.ndarray) -> Guesses:
     return Guesses(w, slope, np.full(n, np.nan), np.full((outputs, n), np.nan), np.full(n, UNKNOWN))
 
 
-def settle(problem: Problem, guesses: Guesses) -> Polished:
+def settle(problem: Problem, guesses: Guesses, sampled: bool = False) -> Polished:
     """Polish guesses and verify that they are steps.
 
     Parameters
@@ -109,9 +109,11 @@ def settle(problem: Problem, guesses: Guesses) -> Polished:
     problem : Problem
         Of one walker, or of a walker for each guess.
     guesses : Guesses
+    sampled : bool
+        Sample every motion that is integrated: cheaper where of no guess it is known that its step happens.
     """
     slope, leg_passes = guesses.slope, guesses.leg_passes
-    stride, scale, w = _polish(problem, guesses.w, slope, guesses.lipschitz)
+    stride, scale, w = _polish(problem, guesses.w, slope, guesses.lipschitz, SAMPLES if sampled else 0)
     eta = np.abs(newton_step(stride, w)).max(axis=0)
     lipschitz = _lipschitz_at_points(problem, w, slope, guesses.lipschitz, eta)
     std = _rounding_at_points(problem, w, slope, guesses.rounding_std)
@@ -137,7 +139,8 @@ def settle(problem: Problem, guesses: Guesses) -> Polished:
     step = np.asarray(((stride.closing < 0) & (np.diff(times, axis=0, prepend=0.0) > 0)).all(axis=0))
     lanes = np.nonzero(leg_passes == UNKNOWN)[0]
     if len(lanes):
-        _, check = verify_steps(problem.some(lanes), w[:, lanes], np.log(slope[lanes]))
+        known = stride.some(lanes) if sampled else None
+        _, check = verify_steps(problem.some(lanes), w[:, lanes], np.log(slope[lanes]), known)
         step[lanes], leg_passes = check.step, leg_passes.copy()
         leg_passes[lanes] = check.leg_passes
     return Polished(y, state, times, scale, stride, bound, doubles, converged, step, leg_passes)
@@ -170,7 +173,7 @@ def _rounding_at_points(problem: Problem, w: np.ndarray, slope: np.ndarray, std:
 
 
 def _polish(
-    problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray
+    problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, samples: int
 ) -> tuple[Stride, np.ndarray, np.ndarray]:
     """Steps near enough to the fixed points that one more Newton step is exact to rounding, their scales and w.
 
@@ -178,7 +181,7 @@ def _polish(
     """
     q = np.log(slope)
     w, before = w.copy(), np.full(len(q), np.inf)
-    stride, scale = problem.stride(w, q)
+    stride, scale = problem.stride(w, q, samples=samples)
     for _ in range(MAX_STEPS):
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)
@@ -190,6 +193,6 @@ def _polish(
         before = np.zeros(len(q))
         before[lanes] = eta[lanes]
         w[:, lanes] += step[:, lanes]
-        update, scale[lanes] = problem.some(lanes).stride(w[:, lanes], q[lanes])
+        update, scale[lanes] = problem.some(lanes).stride(w[:, lanes], q[lanes], samples=samples)
         stride.assign(lanes, update)
     return stride, scale, w

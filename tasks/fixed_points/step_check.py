@@ -9,7 +9,9 @@ from tasks.step.step_map import SAMPLES, Stride
 from tasks.step.verify_step import StepCheck, verify
 
 
-def verify_steps(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tuple[Stride, StepCheck]:
+def verify_steps(
+    problem: Problem, w: np.ndarray, log_slope: np.ndarray, sampled: Stride | None = None
+) -> tuple[Stride, StepCheck]:
     """Verify that fixed points are steps; lanes that samples leave in doubt are sampled 16 times as finely.
 
     Parameters
@@ -18,6 +20,8 @@ def verify_steps(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tupl
         Fixed points in similarity coordinates.
     log_slope : ndarray, shape (n,)
         ln of the slope in rad.
+    sampled : Stride, optional
+        The steps with samples of their motion, where they were integrated already.
 
     Returns
     -------
@@ -25,7 +29,7 @@ def verify_steps(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> tupl
         The sampled steps.
     check : StepCheck
     """
-    stride, _ = problem.stride(w, log_slope, samples=SAMPLES)
+    stride = sampled or problem.stride(w, log_slope, samples=SAMPLES)[0]
     check = verify(stride.motion, stride.closing, stride.times)
     lanes = np.nonzero(check.doubt)[0]
     if len(lanes):

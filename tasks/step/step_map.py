@@ -12,6 +12,7 @@ times together are regular. In shapes, n counts lanes, m section coordinates and
 
 from __future__ import annotations
 
+import copy
 import functools
 from dataclasses import dataclass
 
@@ -95,6 +96,19 @@ class Stride:
         list of ndarray, shape (samples + 1, angles, n)
         """
         return [phase / self.y[0] for phase in self.motion]
+
+    def some(self, lanes: np.ndarray) -> Stride:
+        """Return some lanes.
+
+        Parameters
+        ----------
+        lanes : ndarray of int, shape (k,)
+        """
+        some = copy.copy(self)
+        for name, values in vars(self).items():
+            kept = [x[..., lanes] for x in values] if isinstance(values, list) else values[..., lanes]
+            setattr(some, name, kept)
+        return some
 
     def assign(self, lanes: np.ndarray, other: Stride) -> None:
         """Replace some lanes by those of another stride.

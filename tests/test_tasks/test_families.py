@@ -1,0 +1,161 @@
+"""Patches over planes of keys predict; what is reported comes from the gaits' own steps, and is what lines give."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from tasks.families.box import Box, roots
+from tasks.families.cell import PANEL, Family, Refused, _Maker, make
+from tasks.families.patch import along, basis, coordinate, fit
+from tasks.mechanics.lumped import constants_of, structure_of
+from tasks.registry import ALWAYS, GAITS
+from tasks.solve_planes import lines, solve
+from tasks.solve_points import lines as lines_side_by_side
+from tasks.walkers.resolve import resolve, resolve_many
+
+WANT = ("stance_angle", "stance_rate", "thigh_rate", "period", "speed", "spectral_radius", *ALWAYS)
+#: Walker, keys with their ranges, and slopes; the last has ends of branches inside.
+PLANES = {
+    "B": ("B", {"m_s": (0.05, 0.15), "R": (0.0, 0.12)}, (0.004, 0.01)),
+    "E": ("E", {"foot_mass_ratio": (0.1, 0.2)}, (0.01,)),
+    "A": ("A", {"detuning": (0.7, 0.9), "m_h": (1.0, 1.5)}, (0.03,)),
+}
+
+
+def cell_of(name, slope):
+    walker, keys, _ = PLANES[name]
+    family = Family.of({"walker": walker, "set": {}}, tuple(keys))
+    box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)))
+    (cell,) = make(family, box, float(np.floor(np.log(slope) / PANEL) * PANEL), lambda part: 1000)
+    return family, cell
+
+
+def block(name, numbers):
+    """Parameters of a job over lines at random keys."""
+    walker, keys, slope = PLANES[name]
+    draw = np.random.default_rng(1)
+    values = {key: draw.uniform(low, high, numbers) for key, (low, high) in keys.items()}
+    low, high = ([side[i] for side in keys.values()] for i in (0, 1))
+    return {
+        "lines": [{"walker": walker, "set": {k: float(v[i]) for k, v in values.items()}} for i in range(numbers)],
+        "slope": np.array(slope),
+        "want": WANT,
+        "cell": {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*r, 30) for r in keys.values()]},
+    }
+
+
+def test_a_polynomial_of_the_nodes_degree_is_reproduced():
+    x, y = np.meshgrid(roots(4), roots(3), indexing="ij")
+    points = np.column_stack([x.ravel(), y.ravel()])
+
+    def value(p):
+        return (2 * p[:, 0] ** 3 - p[:, 0] * p[:, 1] ** 2 + 0.5)[:, None]
+
+    other = np.random.default_rng(0).uniform(-1, 1, (9, 2))
+    assert basis(other, (4, 3)) @ fit(value(points), (4, 3)) == pytest.approx(value(other), abs=1e-14)
+
+
+@pytest.mark.parametrize("folds", [(False, False), (True, False), (False, True), (True, True)])
+def test_the_coordinate_along_a_piece_is_the_inverse_of_its_share(folds):
+    x = np.linspace(0, 1, 11)
+    assert coordinate(along(x, folds), folds) == pytest.approx(x, abs=1e-7)
+    rate = np.diff(along(np.array([0.0, 1e-4, 1 - 1e-4, 1.0]), folds))[[0, 2]]
+    assert ((rate < 1e-6) == folds).all()
+
+
+@pytest.mark.parametrize(
+    ("walker", "keys"),
+    [
+        ("C", {"detuning": (-0.2, 1.5), "m_h": (0.0, 3.0)}),
+        ("B", {"m_s": (0.05, 0.15), "R": (0.0, 0.3)}),
+        ("E", {"foot_mass_ratio": (0.01, 0.4)}),
+        ("physical", {"eps_T": (-0.02, 0.2), "w_s": (-0.01, 0.01)}),
+    ],
+)
+def test_an_array_of_walkers_has_the_constants_of_each(walker, keys):
+    draw = np.random.default_rng(2)
+    values = {key: draw.uniform(low, high, 20) for key, (low, high) in keys.items()}
+    many = resolve_many(walker, values)
+    structure = structure_of(many)
+    for i in range(20):
+        one = resolve(walker, {key: float(v[i]) for key, v in values.items()})
+        assert many[i] == one
+        assert np.array_equal(constants_of(many, structure)[:, i], constants_of(one, structure))
+        assert many.some(np.array([i])).leg == pytest.approx(one.leg, rel=1e-15)
+
+
+@pytest.mark.parametrize("name", PLANES)
+def test_a_plane_gives_what_its_lines_give(name):
+    params = block(name, 24)
+    plane, alone = lines(params, []), lines_side_by_side(params, [])
+    by_patch = 0
+    for (_, one), (_, other) in zip(plane, alone, strict=True):
+        by_patch += "no branch found over" in str(one["reasons"][1])
+        assert np.array_equal(one["status"], other["status"])
+        gaits = other["status"] == 0
+        bound = one["error_bound"][gaits] + other["error_bound"][gaits]
+        for variable in ("stance_angle", "period"):
+            assert (np.abs(one[variable] / other[variable] - 1)[gaits] <= bound).all()
+        assert np.abs(one["speed"] / other["speed"] - 1)[gaits].max(initial=0) < 1e-11
+        assert np.array_equal(one["branch"], other["branch"])
+        assert np.array_equal(one["piece"], other["piece"])
+    assert by_patch >= 22
+
+
+def test_a_line_of_a_plane_does_not_depend_on_its_company():
+    params = block("B", 12)
+    whole = lines(params, [])
+    part = lines({**params, "lines": params["lines"][7:9]}, [])
+    for one, other in zip(whole[7:9], part, strict=True):
+        assert all(np.array_equal(one[1][k], other[1][k], equal_nan=True) for k in WANT)
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return cell_of("B", 0.01)
+
+
+def solved(family, cell):
+    keys = cell.box.at(np.random.default_rng(3).uniform(-1, 1, (30, 2)))
+    return solve(family, cell, keys, np.array([0.01]), WANT, set(GAITS))
+
+
+def test_wrong_patches_change_no_accepted_value(cell):
+    family, right = cell
+    out, accepted = solved(family, right)
+    assert accepted.all()
+    wrong = copy.deepcopy(right)
+    for patch in wrong.patches:
+        patch.gaits *= 1 + 1e-4
+    other, accepted = solved(family, wrong)
+    assert not accepted.all()  # farther from their predictions than any that was measured
+    for patch in wrong.patches:
+        patch.error = 1.0
+    other, accepted = solved(family, wrong)
+    assert accepted.all()
+    bound = out["error_bound"] + other["error_bound"]
+    gaits = out["status"] == 0
+    assert (np.abs(out["period"] / other["period"] - 1)[gaits] <= bound[gaits]).all()
+    a, b = wrong.patches
+    a.gaits, a.sizes, a.ends, b.gaits, b.sizes, b.ends = b.gaits, b.sizes, b.ends, a.gaits, a.sizes, a.ends
+    assert not solved(family, wrong)[1].any()
+
+
+def test_a_dropped_and_an_invented_branch_are_found(cell):
+    family, right = cell
+    maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL))
+    maker.check(right.patches)
+    with pytest.raises(Refused, match="further piece"):
+        maker.check(right.patches[:1])
+    moved = copy.deepcopy(right.patches)
+    moved[0].gaits[0] += 0.5
+    with pytest.raises(Refused, match="lacks a piece"):
+        maker.check(moved)
+
+
+def test_a_box_of_few_lines_is_left_to_lines():
+    walker, keys, _ = PLANES["B"]
+    family = Family.of({"walker": walker, "set": {}}, tuple(keys))
+    (cell,) = make(family, Box(tuple(keys), (0.1, 0.1), (0.11, 0.11)), -4.625, lambda part: 10)
+    assert cell.why == "few lines" and not cell.patches
