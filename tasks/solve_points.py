@@ -20,7 +20,7 @@ from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
 from tasks.measures.kinematics import step_length, travel
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from tasks.mechanics.lumped import Structure, structure_of
+from tasks.mechanics.lumped import Structure, structures_of
 from tasks.registry import ALWAYS, GAITS, PROVED, VARIABLES
 from tasks.step.problem import Lanes, Problem, residual_sizes
 from tasks.walkers.resolve import resolve
@@ -92,8 +92,8 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     """
     walkers = [_walker(line) for line in params["lines"]]
     alike: dict[Structure, list[int]] = {}
-    for i, walker in enumerate(walkers):
-        alike.setdefault(structure_of(walker), []).append(i)
+    for i, structure in enumerate(structures_of(walkers)):
+        alike.setdefault(structure, []).append(i)
     results: list[tuple[Arrays, Arrays]] = [({}, {})] * len(walkers)
     for structure, numbers in alike.items():
         problem = Lanes([walkers[i] for i in numbers], structure)
@@ -115,7 +115,7 @@ def _solve_lines(
     n, width = len(slope), 4 if problem.phases == 2 else 3
     proofs = [name for name in want if VARIABLES[name].group == "proofs"]
     solved = [name for name in VARIABLES if name in want or (proofs and name in PROVED_FROM) if name not in proofs]
-    problems = [Problem(problem.walker_of(i)) for i in range(len(lines))]
+    problems = [problem.alone(i) for i in range(len(lines))]
     results = []
     searched = f"searched from {atlases.searched(problem.walker)}"
     for branches in atlas:

@@ -72,6 +72,8 @@ def apply_newton_step(problem: Problem, stride: Stride, parameters: np.ndarray) 
 
 #: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
 _UNITS = (1.0, 0.75, 1.25, 0.9375)
+#: Distance of neighbouring states: enough to round anew, and where steps are long still near enough to the gait.
+_NEIGHBOUR = 1e-11
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
@@ -98,7 +100,7 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
     """
     m, slope, variances = problem.m, np.exp(log_slope), []
     for neighbour in range(near):
-        angle = np.exp(w[0] + 1e-8 * neighbour)
+        angle = np.exp(w[0] + _NEIGHBOUR * neighbour)
         scale = np.exp2(np.floor(np.log2(angle)))
         mantissa, exponent = np.frexp(np.vstack([angle, angle * w[1:m]]) / scale / 15)
         y = 15 * np.ldexp(np.rint(np.ldexp(mantissa, 45)), exponent - 45)

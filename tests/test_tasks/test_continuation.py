@@ -264,6 +264,20 @@ def test_bounds_hold_as_near_a_tangential_end_as_its_slope_is_known(name, overri
     assert all(error < bound < 1e-11 for _, bound, error, _, _ in rows)
 
 
+def test_points_converge_up_to_a_fall():
+    """The step before it amplifies its start 1e10 times: beside the end doubles alone resolve no gait."""
+    problem, found = branches("C", detuning=1.2694457027163444)
+    (branch,) = [b for b in found if "a fall" in b.why]
+    side = branch.why.index("a fall")
+    inwards = np.sign(branch.q[1 - 3 * side] - branch.q[-side])
+    slope = np.exp(branch.q[-side]) * (1 + inwards * np.geomspace(1e-12, 1e-3, 7))
+    lone = [(Z, segment, i) for i, Z, segment in branch.guesses(np.log(slope)) if segment.max() > len(branch.Z) - 9]
+    ((Z, segment, index),) = lone if side else lone[:1]
+    at = settle(problem, branch.known_guesses(Z, segment, slope[index]))
+    assert at.converged.all() and at.step.all() and (at.bound < 1e-9).all() and len(index) == 7
+    assert (at.times[-1] > 11.5).any() and at.doubles.max() > 1e-6
+
+
 def test_an_earlier_strike_before_heelstrike_turns_tangential_is_the_end():
     """At slope 0.0061 the foot grazes the ground shortly before the strike that turns tangential at 0.00609."""
     _, found = branches("C", detuning=0.13642725891485585)
