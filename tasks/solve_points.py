@@ -21,7 +21,7 @@ from tasks.follow_cycles import cycle_branches, from_arrays, to_arrays
 from tasks.measures import violations
 from tasks.measures.kinematics import step_length, travel
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from tasks.mechanics.lumped import Structure, structure_of
+from tasks.mechanics.lumped import Structure, structures_of
 from tasks.registry import ALWAYS, GAITS, PROVED, VARIABLES
 from tasks.solve_cycles import cycle_points
 from tasks.step.problem import Lanes, Problem, residual_sizes
@@ -103,8 +103,8 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     """
     walkers = [_walker(line) for line in params["lines"]]
     alike: dict[Structure, list[int]] = {}
-    for i, walker in enumerate(walkers):
-        alike.setdefault(structure_of(walker), []).append(i)
+    for i, structure in enumerate(structures_of(walkers)):
+        alike.setdefault(structure, []).append(i)
     results: list[tuple[Arrays, Arrays]] = [({}, {})] * len(walkers)
     for structure, numbers in alike.items():
         problem = Lanes([walkers[i] for i in numbers], structure)
@@ -126,7 +126,7 @@ def _solve_lines(
     n, width = len(slope), 4 if problem.phases == 2 else 3
     proofs = [name for name in want if VARIABLES[name].group == "proofs"]
     solved = [name for name in VARIABLES if name in want or (proofs and name in PROVED_FROM) if name not in proofs]
-    problems = [Problem(problem.walker_of(i)) for i in range(len(lines))]
+    problems = [problem.alone(i) for i in range(len(lines))]
     searched = f"searched from {atlases.searched(problem.walker)}"
     results = [
         {**nothing_solved((*solved, *proofs), n, width), "reasons": np.array(_reasons(branches, searched))}
@@ -158,7 +158,19 @@ def _solve_lines(
 
 
 def nothing_solved(names: Sequence[str], n: int, multipliers: int) -> Arrays:
-    """Return arrays of variables at n points without a gait, shape (n, len(GAITS)[, multipliers])."""
+    """Return arrays of variables at points without a gait.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of variables.
+    n, multipliers : int
+        Number of points, and of multipliers of a gait.
+
+    Returns
+    -------
+    dict of ndarray, shape (n, len(GAITS)[, multipliers])
+    """
     out: Arrays = {}
     for name in names:
         shape = (n, len(GAITS), multipliers) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))

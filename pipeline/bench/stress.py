@@ -15,7 +15,7 @@ from tasks.fixed_points.newton import newton
 from tasks.fixed_points.polish import settle, unmeasured
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.mechanics.kernel import flow
-from tasks.mechanics.lumped import structure_of
+from tasks.mechanics.lumped import structures_of
 from tasks.registry import COSTLY, GAITS, STATUSES, VARIABLES
 from tasks.step.problem import Lanes
 from tasks.walkers.catalogue import CATALOGUE
@@ -199,7 +199,7 @@ def lanes(count: int, seed: int = 1, say: Callable[[str], None] | None = None) -
         todo = round(share * count)
         for k in range(0, todo, BLOCK):
             walkers = _draw(family, min(BLOCK, todo - k), random, outcomes)
-            structures = [structure_of(walker) for walker in walkers]
+            structures = structures_of(walkers)
             for structure in dict.fromkeys(structures):
                 alike = [walker for walker, other in zip(walkers, structures, strict=True) if other == structure]
                 _lanes(family, Lanes(alike, structure), random, outcomes)

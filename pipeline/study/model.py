@@ -145,7 +145,12 @@ class Study:
         return {**cell, "values": [axis.values[(axis.values >= a) & (axis.values <= b)] for axis, a, b in sides]}
 
     def cells(self) -> Iterator[np.ndarray]:
-        """Yield the numbers of the lines of each cell of the plane, shape (n,)."""
+        """Yield the numbers of the lines of each cell of the plane.
+
+        Returns
+        -------
+        iterator of ndarray of int, shape (n,)
+        """
         assert self.plane
         numbers = np.arange(self.lines).reshape(self.line_shape)
         parts = dict(zip((axis.name for axis in self.plane.axes), self.plane.parts, strict=True))

@@ -110,7 +110,7 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     if len(branch.Z) < 3:
         return None
     # The node before an end may be that end: between them there is no polynomial.
-    twins = np.linalg.norm(np.diff(branch.Z[:, : branch.m + 1], axis=0), axis=1) < _TWIN
+    twins = np.linalg.norm(np.diff(branch.Z, axis=0), axis=1) < _TWIN
     kept = np.ones(len(branch.Z), bool)
     kept[[1, -2]] = ~twins[[0, -1]] | [0 not in ends, 1 not in ends]
     branch = branch.part(np.flatnonzero(kept))
@@ -162,7 +162,7 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
         branch, at = yield from narrow_segment(branch, int(segment), is_before)
         point, direction = yield from locate_root(branch, at, slope_rate)
         # A node may be the fold but for the last digits: between the two there is no polynomial.
-        if np.linalg.norm(branch.Z[at : at + 2, : m + 1] - point.X[:, 0], axis=1).min() > _TWIN:
+        if np.linalg.norm(branch.Z[at : at + 2] - row(point), axis=1).min() > _TWIN:
             branch = branch.insert(at + 1, row(point), row_tangent(point, direction))
     return branch
 

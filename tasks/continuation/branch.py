@@ -11,6 +11,8 @@ from tasks.fixed_points.polish import UNKNOWN, Guesses
 
 #: Nodes nearer than this are one: that of a fold may be its neighbour but for rounding.
 _COINCIDENT = 1e-8
+#: Worth of the event times as coordinates of segments, beside that of other coordinates.
+_WORTH_OF_TIMES = 0.02
 
 
 @dataclass
@@ -61,6 +63,11 @@ class Branch:
         """Values of ln slope at the nodes, shape (n,)."""
         return self.Z[:, self.m]
 
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit tangents of the branch at the nodes, shape (n, m + 1 + k)."""
+        return np.asarray(self.tangent / np.linalg.norm(self.tangent, axis=1, keepdims=True))
+
     def _interpolate(self) -> None:
         """Set the divided differences of every segment's polynomial, and the coordinate it runs in."""
         n = len(self.Z)
@@ -68,11 +75,13 @@ class Branch:
         left = np.clip(np.arange(n - 1) - 1, 0, n - count)
         window = self.window = left[:, None] + np.arange(count)
         Z, T = self.Z[window], self.tangent[window]
-        unit = np.abs(T) / np.linalg.norm(T[..., : self.m + 1], axis=-1, keepdims=True)
+        unit = np.abs(T) / np.linalg.norm(T, axis=-1, keepdims=True)
         monotone = (np.sign(T) == np.sign(T[:, :1])).all(axis=1)
-        worth = np.where(monotone, unit.min(axis=1), 0.0)[:, : self.m + 1]
+        worth = np.where(monotone, unit.min(axis=1), 0.0)
         # Prefer ln slope itself: locating a slope on the segment then needs no root finding.
         worth[:, self.m] *= 3
+        # Event times serve only where hardly anything else changes: beside tangential strikes and falls.
+        worth[:, self.m + 1 :] *= _WORTH_OF_TIMES
         self.axis = worth.argmax(axis=1)
         rows = np.arange(n - 1)[:, None]
         x = np.repeat(Z[rows, np.arange(count), self.axis[:, None]], 2, axis=1)
@@ -120,16 +129,15 @@ class Branch:
         Neighbours lie along a branch if the chord between them makes less than 60 degrees with the tangents at both;
         where rounding moves nodes by more than they are apart, they do not.
         """
-        X, T = self.Z[:, : self.m + 1], self.tangent[:, : self.m + 1]
-        T = T / np.linalg.norm(T, axis=1, keepdims=True)
+        Z, T = self.Z, self.direction
 
         def along(a: np.ndarray | int, b: np.ndarray | int) -> np.ndarray:
-            chord = X[b] - X[a]
+            chord = Z[b] - Z[a]
             length = np.linalg.norm(chord, axis=-1)
             least = np.minimum((chord * T[a]).sum(axis=-1), (chord * T[b]).sum(axis=-1))
             return np.asarray((least > 0.5 * length) | (length < _COINCIDENT))
 
-        n = len(X)
+        n = len(Z)
         if along(np.arange(n - 1), np.arange(1, n)).all():
             return self
         kept = [n // 2]
@@ -141,27 +149,23 @@ class Branch:
                 kept.insert(0, i)
         return self.part(np.array(kept))
 
-    def lies_between(self, segment: np.ndarray, X: np.ndarray, times: np.ndarray) -> np.ndarray:
+    def lies_between(self, segment: np.ndarray, Z: np.ndarray) -> np.ndarray:
         """Whether points lie between their segments' nodes, nearer the chord than half its length.
 
         Parameters
         ----------
         segment : ndarray of int, shape (n,)
-        X, times : ndarray, shape (m + 1, n) and (k, n)
-            Event times may besides leave their chord by as much as they change along it.
+        Z : ndarray, shape (m + 1 + k, n)
 
         Returns
         -------
         ndarray of bool, shape (n,)
         """
         a, b = self.Z[segment].T, self.Z[segment + 1].T
-        chord, times_chord = np.split(b - a, [self.m + 1])
+        chord = b - a
         length = np.linalg.norm(chord, axis=0)
-        along = ((X - a[: self.m + 1]) * chord).sum(axis=0) / length**2
-        off = np.linalg.norm(X - a[: self.m + 1] - along * chord, axis=0)
-        late = np.abs(times - a[self.m + 1 :] - along * times_chord)
-        near = (off < 0.5 * length) & (late < 0.5 * length + np.abs(times_chord)).all(axis=0)
-        return (along > 0) & (along < 1) & near
+        along = ((Z - a) * chord).sum(axis=0) / length**2
+        return (along > 0) & (along < 1) & (np.linalg.norm(Z - a - along * chord, axis=0) < 0.5 * length)
 
     def evaluate(self, segment: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Evaluate the segments' polynomials.

@@ -116,8 +116,8 @@ class Curve:
         """Section coordinates and parameters at points U (u, n), each with a walker of its own."""
         angle = np.exp(U[0])
         size = np.full(U.shape[1], np.exp2(np.floor(np.log2(angle[0]))))
-        constants = np.array([constants_of(self.walker(u), self.structure) for u in U.T]).T
-        parameters = np.vstack([np.exp(U[-2]), size, constants.reshape(-1, U.shape[1])])
+        constants = constants_of([self.walker(u) for u in U.T], self.structure)
+        parameters = np.vstack([np.exp(U[-2]), size, constants])
         return np.vstack([angle, angle * U[1 : self.m]]) / size, parameters
 
     def system(

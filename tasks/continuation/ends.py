@@ -13,8 +13,8 @@ from tasks.continuation.locate import (
     correct_at,
     is_step,
     locate_root,
-    oriented_tangent,
     row,
+    row_tangent,
     search_segment,
     strike_distances,
 )
@@ -115,7 +115,6 @@ def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Pr
         a, b = yield from bisect(a, b, 40)
         point, direction = yield from correct_at(branch, segment, a)
         error = 0.0
-    tangent = oriented_tangent(point, direction)
-    if axis <= branch.m:
-        error = abs(error * float(tangent[branch.m] / tangent[axis]))
+    tangent = row_tangent(point, direction)
+    error = abs(error * float(tangent[branch.m] / tangent[axis]))
     return BranchEnd("end_earlier_strike", point, direction, error)

@@ -33,7 +33,7 @@ def oriented_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
     ----------
     point : Point
         Of one lane.
-    direction : ndarray, shape (m + 1,)
+    direction : ndarray, shape (m + 1 + k,)
         Of the branch there.
 
     Returns
@@ -50,12 +50,12 @@ def correct_at(branch: Branch, segment: int, x: float) -> Procedure[tuple[Point,
     -------
     point : Point
         Of one lane.
-    direction : ndarray, shape (m + 1,)
+    direction : ndarray, shape (m + 1 + k,)
         Of the branch there.
     """
     m = branch.m
     Z = branch.evaluate(np.array([segment]), np.array([x]))
-    direction = branch.tangent[segment, : m + 1] + branch.tangent[segment + 1, : m + 1]
+    direction = branch.direction[segment] + branch.direction[segment + 1]
     direction = direction / np.linalg.norm(direction)
     point = yield Call(_correct_and_evaluate, (Z[:, : m + 1].T, Z[:, m + 1 :].T, direction[:, None]))
     return point, direction
@@ -91,7 +91,7 @@ def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[t
     -------
     point : Point
         Of one lane.
-    direction : ndarray, shape (m + 1,)
+    direction : ndarray, shape (m + 1 + k,)
         Of the branch there.
     """
     axis = branch.axis[segment]
@@ -114,7 +114,7 @@ def row(point: Point) -> np.ndarray:
     ndarray, shape (m + 1 + k,)
         A row of Z.
     """
-    return np.concatenate([point.X[:, 0], point.times[:, 0]])
+    return point.Z[:, 0]
 
 
 def row_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
@@ -124,7 +124,7 @@ def row_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
     ----------
     point : Point
         Of one lane.
-    direction : ndarray, shape (m + 1,)
+    direction : ndarray, shape (m + 1 + k,)
         Of the branch there.
 
     Returns
@@ -132,8 +132,8 @@ def row_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
     ndarray, shape (m + 1 + k,)
         Pointing along the branch.
     """
-    tangent = np.concatenate([point.tangent[:, 0], point.times_tangent[:, 0]])
-    return tangent if point.tangent[:, 0] @ direction >= 0 else -tangent
+    tangent = point.direction[:, 0]
+    return tangent if tangent @ direction >= 0 else -tangent
 
 
 def check_steps(problem: Problem, X: np.ndarray, times: np.ndarray) -> StepCheck:
@@ -176,11 +176,11 @@ def narrow_segment(
         # By all four nodes around; by its own two where the others mislead.
         for part, at, share in ((branch, segment, 0.5), (alone, 0, 0.5), (alone, 0, 0.25), (alone, 0, 0.75)):
             x = float(part.Z[at : at + 2, part.axis[at]] @ [1 - share, share])
-            guess = part.evaluate(np.array([at]), np.array([x]))[0, : branch.m + 1]
+            guess = part.evaluate(np.array([at]), np.array([x]))[0]
             point, direction = yield from correct_at(part, at, x)
-            chord = np.linalg.norm(np.diff(part.Z[at : at + 2, : branch.m + 1], axis=0))
-            near = bool(np.linalg.norm(point.X[:, 0] - guess) < _MAX_PREDICTION_ERROR * chord)
-            if point.ok[0] and part.lies_between(np.array([at]), point.X, point.times)[0]:
+            chord = np.linalg.norm(part.Z[at + 1] - part.Z[at])
+            near = bool(np.linalg.norm(point.Z[:, 0] - guess) < _MAX_PREDICTION_ERROR * chord)
+            if point.ok[0] and part.lies_between(np.array([at]), point.Z)[0]:
                 break
         else:
             return branch, segment

@@ -51,18 +51,17 @@ def _refine(
     a, b = branch.Z[segments], branch.Z[segments + 1]
     apart = np.abs(b - a).max(axis=1, keepdims=True)
     Z = np.clip(branch.evaluate(segments, x), np.minimum(a, b) - apart, np.maximum(a, b) + apart)
-    border = branch.tangent[segments][:, : m + 1] + branch.tangent[segments + 1][:, : m + 1]
+    border = branch.direction[segments] + branch.direction[segments + 1]
     border /= np.linalg.norm(border, axis=1, keepdims=True)
     point = yield Call(correct, (Z[:, : m + 1].T, Z[:, m + 1 :].T, border.T))
     # Newton may have jumped to another branch: a middle that is not between its neighbours is discarded.
-    ok = point.ok & branch.lies_between(segments, point.X, point.times)
+    ok = point.ok & branch.lies_between(segments, point.Z)
     moved = np.abs(point.X.T - Z[:, : m + 1]).max(axis=1)
     # Event times need only lead to their own roots of the guards.
     late = np.abs(point.times.T - Z[:, m + 1 :]).max(axis=1)
     moved = np.where(ok, np.where(late > COARSE, np.maximum(moved, late), moved), np.inf)
-    sign = np.sign((point.tangent.T * border).sum(axis=1))[:, None]
-    new_Z = np.vstack([point.X, point.times]).T
-    new_T = np.vstack([point.tangent, point.times_tangent]).T * sign
+    sign = np.sign((point.direction.T * border).sum(axis=1))[:, None]
+    new_Z, new_T = point.Z.T, point.direction.T * sign
     # Below the rounding of the fixed point no split helps, be it by estimate or because the last split did not.
     allowed = np.clip(_FOLD_SHARE * branch.distance_from_fold()[segments], FINE, tolerance)
     keep = ok & (moved > np.maximum(allowed, _ROUNDING_MARGIN * rounding(point.stride).max(axis=0)))
@@ -90,11 +89,10 @@ def densify(branch: Branch, tolerance: float) -> Procedure[Branch]:
 def without_jumps(branch: Branch) -> Procedure[Branch]:
     """Check the branch as a whole: where Newton jumped to another branch, only the part with most nodes is kept."""
     m = branch.m
-    X, times, tangent = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T, branch.tangent[:, : m + 1].T
-    border = tangent / np.linalg.norm(tangent, axis=0)
-    point = yield Call(correct, (X, times, border), (("max_iterations", 1),))
+    Z, border = branch.Z.T, branch.direction.T
+    point = yield Call(correct, (Z[: m + 1], Z[m + 1 :], border), (("max_iterations", 1),))
     side = np.sign(branch_point_determinant(point, border))
-    jumps = (side[1:] * side[:-1] < 0) & (np.linalg.norm(np.diff(X, axis=1), axis=0) > MAX_CROSSING_STEP)
+    jumps = (side[1:] * side[:-1] < 0) & (np.linalg.norm(np.diff(Z, axis=1), axis=0) > MAX_CROSSING_STEP)
     if not jumps.any():
         return branch
     return branch.part(max(np.split(np.arange(len(side)), np.flatnonzero(jumps) + 1), key=len))

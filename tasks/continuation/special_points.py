@@ -52,10 +52,8 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
     """
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
-    nodes = correct(
-        problem, X, times, branch.tangent[:, : m + 1].T / np.linalg.norm(branch.tangent[:, : m + 1], axis=1)
-    )
-    direction = branch.tangent[:, : m + 1].T
+    direction = branch.direction.T
+    nodes = correct(problem, X, times, direction)
     A = _jacobians(nodes)
     tests: dict[str, tuple[np.ndarray, TestFunction]] = {
         "fold": (branch.tangent[:, m], lambda p, w: float(oriented_tangent(p, w)[m])),

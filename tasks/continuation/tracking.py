@@ -1,10 +1,11 @@
 """Branches of gaits continued in slope, through folds, to their ends.
 
 A point is X = (w, q): similarity coordinates of the section (ln angle, rates/angle) and q = ln slope. The corrector
-solves for X and the event times together, so that nothing is singular where a strike turns tangential; lengths and
-angles are those of X. Pseudo-arclength continuation: bordered Newton with exact derivatives, tangents from the null
-vector, a second-order predictor, and step lengths by predictor error and turning angle. Any number of branches, of any
-number of walkers, advance side by side in SIMD lanes. In shapes, n counts lanes.
+solves for X and the event times together, Z = (X, times), in which a branch is smooth and nothing is singular where a
+strike turns tangential or the walker almost stops; lengths and angles are those of Z. Pseudo-arclength continuation:
+bordered Newton with exact derivatives, tangents from the null vector, a second-order predictor, and step lengths by
+predictor error and turning angle. Any number of branches, of any number of walkers, advance side by side in SIMD lanes.
+In shapes, n counts lanes.
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ class Point:
     Attributes
     ----------
     X, tangent : ndarray, shape (m + 1, n)
-        The points and the branches' unit tangents there.
+        The points and their derivatives along the branches.
     times, times_tangent : ndarray, shape (k, n) [sqrt(leg/g)]
-        Event times, and their derivatives along the branches.
+        Event times, and their derivatives along the branches; with `tangent` a unit vector.
     ok : ndarray of bool, shape (n,)
         Whether Newton converged.
     stride : Stride
@@ -58,6 +59,16 @@ class Point:
     ok: np.ndarray
     stride: Stride
     derivative: np.ndarray
+
+    @property
+    def Z(self) -> np.ndarray:
+        """The points with their event times, shape (m + 1 + k, n)."""
+        return np.vstack([self.X, self.times])
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit tangents of Z, shape (m + 1 + k, n)."""
+        return np.vstack([self.tangent, self.times_tangent])
 
 
 def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -109,7 +120,7 @@ def _by_X(by_y: np.ndarray, by_slope: np.ndarray, stride: Stride, X: np.ndarray)
 def correct(
     problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray | None, max_iterations: int = 8
 ) -> Point:
-    """Correct points by bordered Newton: the solutions in the plane through X normal to `border`.
+    """Correct points by bordered Newton: the solutions in the plane through them normal to `border`.
 
     Parameters
     ----------
@@ -117,8 +128,8 @@ def correct(
         Predicted points.
     times : ndarray, shape (k, n) [sqrt(leg/g)]
         Their event times.
-    border : ndarray, shape (m + 1, n), or None
-        None for solutions at fixed slope.
+    border : ndarray, shape (m + 1 + k, n) or (m + 1, n), or None
+        In Z, or in X whatever the times; None for solutions at fixed slope.
     max_iterations : int
         Newton steps.
 
@@ -130,7 +141,8 @@ def correct(
     if border is None:
         border = np.zeros((m + 1, n))
         border[m] = 1
-    start, X, times = X, X.copy(), times.copy()
+    border = np.pad(border, ((0, m + 1 + len(times) - len(border)), (0, 0)))
+    start, X, times = np.vstack([X, times]), X.copy(), times.copy()
     ok, last = np.zeros(n, bool), np.full(n, np.inf)
     active = np.arange(n)
     for iteration in range(max_iterations):
@@ -138,10 +150,11 @@ def correct(
         stride, _ = problem.some(active).stride(np.vstack([x[:m], times[:, active]]), x[m], slope=True)
         residual, derivative = _joint(stride, x)
         by_X = _joint_by_X(stride.times_by, stride, x)
-        # In the plane normal to the border, whatever the durations.
-        plane = np.pad(normal, ((0, len(times)), (0, 0))).T[:, None]
-        matrix = np.concatenate([derivative, plane], axis=1)
-        right = np.concatenate([-residual, (normal * (start[:, active] - x)).sum(axis=0)[:, None]], axis=1)
+        plane = matvec(by_X.transpose(1, 0, 2), normal[m + 1 :])
+        plane[: m + 1] += normal[: m + 1]
+        matrix = np.concatenate([derivative, plane.T[:, None]], axis=1)
+        off = (normal * (start[:, active] - np.vstack([x, times[:, active]]))).sum(axis=0)
+        right = np.concatenate([-residual, off[:, None]], axis=1)
         solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
         solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
         matrix[~solvable], right[~solvable] = np.eye(len(derivative[0]) + 1), 0.0
@@ -165,10 +178,10 @@ def correct(
             break
     _, _, V = np.linalg.svd(np.nan_to_num(derivatives))
     null = V[:, -1].T
-    length = np.sqrt((null[: m + 1] ** 2).sum(axis=0))
+    direction = np.vstack([null[: m + 1], matvec(np.nan_to_num(times_by_X), null)])
+    length = np.sqrt((direction**2).sum(axis=0))
     length[length == 0] = 1.0  # in lanes that are lost
-    null = null / length
-    tangent, times_tangent = null[: m + 1], matvec(np.nan_to_num(times_by_X), null)
+    tangent, times_tangent = np.split(direction / length, [m + 1])
     return Point(X, times, tangent, times_tangent, ok, steps, derivatives.transpose(1, 2, 0))
 
 
@@ -259,7 +272,7 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple
     """
     m, n = problem.m, w.shape[1]
     first = correct(problem, np.vstack([w[:m], log_slope]), w[m:], None)
-    upwards = np.zeros((m + 1, n))
+    upwards = np.zeros((len(first.Z), n))
     upwards[m] = 1.0
     # Tracks of n lanes: down, then up.
     lanes, sign = np.tile(np.arange(n), 2), np.repeat([-1.0, 1.0], n)
@@ -268,14 +281,14 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple
     tracks.side = sign * np.sign(branch_point_determinant(first, upwards))[lanes]
     tracks.stop[~first.ok[lanes]] = _STOP_REASONS.index("no start")
     while len(active := np.flatnonzero(tracks.stop == 0)):
-        guess, times, border = tracks.predict(active)
-        point = correct(problem.some(active), guess, times, border)
+        guess, border = tracks.predict(active)
+        point = correct(problem.some(active), guess[: m + 1], guess[m + 1 :], border)
         side = np.sign(branch_point_determinant(point, border))
-        error = np.linalg.norm(point.X - guess, axis=0)
-        turn = np.abs((point.tangent * border).sum(axis=0))
+        error = np.linalg.norm(point.Z - guess, axis=0)
+        turn = np.abs((point.direction * border).sum(axis=0))
         fair = point.ok & (error < _MAX_ERROR) & (turn > np.cos(_MAX_TURN))
         # Another root of a guard is another solution, even if the gait is nearly the same.
-        fair &= (np.abs(point.times - times) < _MAX_TIME_ERROR).all(axis=0)
+        fair &= (np.abs(point.times - guess[m + 1 :]) < _MAX_TIME_ERROR).all(axis=0)
         fair &= (tracks.side[active] * side >= 0) | (tracks.step[active] <= MAX_CROSSING_STEP)
         new = active[fair]
         tracks.append(point, np.flatnonzero(fair), new, border[:, fair])
@@ -296,8 +309,8 @@ class _Tracks:
     """Tracks on their way: the last points of n of them as arrays, and all of them in the order they were found."""
 
     def __init__(self, first: Point, lanes: np.ndarray, orientation: np.ndarray):
-        n, size = len(lanes), len(first.X) + len(first.times)
-        self.m, self.count = len(first.X) - 1, np.zeros(n, int)
+        n, size = len(lanes), len(first.Z)
+        self.count = np.zeros(n, int)
         self.Z, self.tangent, self.bend = np.zeros((size, n)), np.zeros((size, n)), np.zeros((size, n))
         self.step, self.side, self.stop = np.full(n, 0.05), np.zeros(n), np.zeros(n, int)
         self.recent = np.zeros((_CHECK_EVERY // 3, size, n))
@@ -305,24 +318,22 @@ class _Tracks:
         self.append(first, lanes, np.arange(n), orientation)
 
     def append(self, point: Point, lanes: np.ndarray, tracks: np.ndarray, orientation: np.ndarray) -> None:
-        """Add the points of lanes to tracks, their tangents turned to the side of `orientation`, shape (m + 1, k)."""
-        tangent = np.vstack([point.tangent, point.times_tangent])[:, lanes]
-        tangent = np.where((tangent[: self.m + 1] * orientation).sum(axis=0) >= 0, tangent, -tangent)
-        Z = np.vstack([point.X, point.times])[:, lanes]
-        back = np.linalg.norm((Z - self.Z[:, tracks])[: self.m + 1], axis=0)
-        # The tangent of X turns on as it did over the last step; that of the times hardly predicts the next.
-        self.bend[: self.m + 1, tracks] = (tangent - self.tangent[:, tracks])[: self.m + 1] / back
+        """Add the points of lanes to tracks, their tangents turned to the side of `orientation`, as long as Z."""
+        tangent = point.direction[:, lanes]
+        tangent = np.where((tangent * orientation).sum(axis=0) >= 0, tangent, -tangent)
+        Z = point.Z[:, lanes]
+        # The tangent turns on as it did over the last step.
+        self.bend[:, tracks] = (tangent - self.tangent[:, tracks]) / np.linalg.norm(Z - self.Z[:, tracks], axis=0)
         self.bend[:, tracks[self.count[tracks] == 0]] = 0.0
         self.Z[:, tracks], self.tangent[:, tracks] = Z, tangent
         self.recent[self.count[tracks] % len(self.recent), :, tracks] = Z.T
         self.count[tracks] += 1
         self.log.append((tracks, Z, tangent))
 
-    def predict(self, tracks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """X, times and tangents of the next points of tracks, bent as the tangent turned over the last step."""
+    def predict(self, tracks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Next points of tracks, bent as the tangent turned over the last step, and their last tangents."""
         h, tangent = self.step[tracks], self.tangent[:, tracks]
-        Z = self.Z[:, tracks] + h * tangent + 0.5 * h * h * self.bend[:, tracks]
-        return Z[: self.m + 1], Z[self.m + 1 :], tangent[: self.m + 1]
+        return self.Z[:, tracks] + h * tangent + 0.5 * h * h * self.bend[:, tracks], tangent
 
     def pairs(self) -> list[tuple[Track, Track]]:
         """Tracks down and up of each gait."""
@@ -344,7 +355,7 @@ def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
     ----------
     point : Point
         Of n branches.
-    direction : ndarray, shape (m + 1, n)
+    direction : ndarray, shape (m + 1 + k, n)
         The side on which the tangents are taken to point.
 
     Returns
@@ -352,7 +363,7 @@ def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
     ndarray, shape (n,)
         Its sign is the same all along a branch, and the opposite on one that almost touches it.
     """
-    tangent = point.tangent * np.sign((point.tangent * direction).sum(axis=0))
+    tangent = point.tangent * np.sign((point.direction * direction).sum(axis=0))
     row = np.pad(tangent, ((0, len(point.times)), (0, 0)))
     return np.linalg.det(np.concatenate([point.derivative, row[None]]).transpose(2, 0, 1))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 
 def roots(n: int) -> np.ndarray:
-    """Return the roots of the n-th Chebyshev polynomial, rising.
+    """Return the roots of the Chebyshev polynomial of degree n, rising.
 
     Returns
     -------
@@ -31,17 +31,45 @@ class Box:
     high: tuple[float, ...]
 
     def nodes(self, n: int | tuple[int, ...]) -> np.ndarray:
-        """Return n Chebyshev nodes along each key, shape (product of n, d), the last key fastest."""
+        """Return Chebyshev nodes, the last key fastest.
+
+        Parameters
+        ----------
+        n : int or tuple of int
+            Along each key.
+
+        Returns
+        -------
+        ndarray, shape (product of n, d) [the walker's units]
+        """
         sizes = (n,) * len(self.keys) if isinstance(n, int) else n
         return self.at(np.array(list(itertools.product(*map(roots, sizes)))))
 
     def at(self, unit: np.ndarray) -> np.ndarray:
-        """Return the points with coordinates `unit`, shape (n, d), that run from -1 to 1."""
+        """Return the values of keys at coordinates that run from -1 to 1.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+
+        Returns
+        -------
+        ndarray, shape (n, d) [the walker's units]
+        """
         low, high = np.array(self.low), np.array(self.high)
         return 0.5 * (low + high) + 0.5 * (high - low) * unit
 
     def unit(self, points: np.ndarray) -> np.ndarray:
-        """Return coordinates from -1 to 1 of points, shape (n, d)."""
+        """Return the coordinates from -1 to 1 of values of keys.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, d) [the walker's units]
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+        """
         low, high = np.array(self.low), np.array(self.high)
         return (2 * points - low - high) / (high - low)
 
@@ -55,7 +83,18 @@ class Box:
         )
 
     def draw(self, n: int, d: int, purpose: str) -> np.ndarray:
-        """Draw n points of the unit cube [-1, 1]^d by a hash of the box and a purpose, shape (n, d)."""
+        """Draw points of the cube from -1 to 1 by a hash of the box and a purpose.
+
+        Parameters
+        ----------
+        n, d : int
+            Number of points and of dimensions.
+        purpose : str
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+        """
         text = repr((self.keys, [x.hex() for x in (*self.low, *self.high)], purpose))
         seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
         return np.random.Generator(np.random.PCG64(seed)).uniform(-1, 1, (n, d))

@@ -18,7 +18,7 @@ from tasks.families.patch import Patch, along, fit, tails
 from tasks.families.pieces import Piece, match, pieces_of
 from tasks.fixed_points.newton import lipschitz, newton, newton_step
 from tasks.fixed_points.rounding import rounding_std
-from tasks.mechanics.lumped import Structure, structure_of
+from tasks.mechanics.lumped import Structure, common_structure
 from tasks.step.problem import Lanes
 from tasks.walkers.resolve import resolve_many
 from tasks.walkers.walker_array import WalkerArray
@@ -65,7 +65,12 @@ class Family:
         return cls(json.dumps([line["walker"], fixed], sort_keys=True), tuple(keys))
 
     def walkers(self, points: np.ndarray) -> WalkerArray:
-        """Return the walkers at values of the free keys, shape (n, d)."""
+        """Return the walkers at values of the free keys.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, d) [the walker's units]
+        """
         walker, fixed = json.loads(self.text)
         return resolve_many(walker, {**fixed, **dict(zip(self.keys, points.T.copy(), strict=True))})
 
@@ -123,7 +128,7 @@ class _Maker:
     def __init__(self, family: Family, box: Box, low: float):
         self.family, self.box, self.low, self.high = family, box, low, low + PANEL
         self.d = len(box.keys)
-        self.structure = structure_of(family.walkers(box.nodes(_FEW)))
+        self.structure = common_structure(family.walkers(box.nodes(_FEW)))
 
     def problem(self, points: np.ndarray) -> Lanes:
         return Lanes(self.family.walkers(points), self.structure)

@@ -18,6 +18,11 @@ def along(share: np.ndarray, folds: tuple[bool, bool]) -> np.ndarray:
     share : ndarray
     folds : (bool, bool)
         Whether the piece begins and ends at a fold, where gaits depend on the root of the distance in ln slope.
+
+    Returns
+    -------
+    ndarray
+        From 0 to 1.
     """
     low, high = folds
     if low and high:
@@ -26,7 +31,18 @@ def along(share: np.ndarray, folds: tuple[bool, bool]) -> np.ndarray:
 
 
 def coordinate(share: np.ndarray, folds: tuple[bool, bool]) -> np.ndarray:
-    """Return the coordinate at a share of the range of ln slope, the inverse of `along`."""
+    """Return the coordinate at a share of the range of ln slope, the inverse of `along`.
+
+    Parameters
+    ----------
+    share : ndarray
+    folds : (bool, bool)
+
+    Returns
+    -------
+    ndarray
+        From 0 to 1.
+    """
     share = np.clip(share, 0.0, 1.0)
     low, high = folds
     if low and high:
@@ -56,7 +72,19 @@ def fit(values: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
 
 
 def basis(points: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
-    """Products of Chebyshev polynomials at points, shape (n, d), of the cube from -1 to 1: (n, product of sizes)."""
+    """Products of Chebyshev polynomials.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+        Of the cube from -1 to 1.
+    sizes : tuple of int
+        Number of polynomials in each dimension.
+
+    Returns
+    -------
+    ndarray, shape (n, product of sizes)
+    """
     product = np.ones((len(points), 1))
     for x, n in zip(points.T, sizes, strict=True):
         product = (product[:, :, None] * chebvander(x, n - 1)[:, None, :]).reshape(len(points), -1)
@@ -64,7 +92,17 @@ def basis(points: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
 
 
 def tails(coefficients: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
-    """Sums of the sizes of the coefficients of highest degree in each dimension, the largest of all values: (d,)."""
+    """Sums of the sizes of the coefficients of highest degree in each dimension, the largest of all values.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (product of sizes, c)
+    sizes : tuple of int
+
+    Returns
+    -------
+    ndarray, shape (len(sizes),)
+    """
     c = np.abs(coefficients).reshape(*sizes, -1)
     return np.array([np.take(c, -1, axis=k).reshape(-1, c.shape[-1]).sum(axis=0).max() for k in range(len(sizes))])
 
@@ -113,11 +151,31 @@ class Patch:
     side: float
 
     def ends_at(self, unit: np.ndarray) -> np.ndarray:
-        """Return the ln slopes of both ends, shape (n, 2), at coordinates of keys, shape (n, d)."""
+        """Return the ln slopes of both ends.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        ndarray, shape (n, 2)
+        """
         return basis(unit, self.sizes[1:]) @ self.ends
 
     def numbers_at(self, unit: np.ndarray) -> np.ndarray:
-        """Return the numbers of branch and piece on the nearest surveyed line, shape (n, 2)."""
+        """Return the numbers of branch and piece on the nearest surveyed line.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        ndarray of int, shape (n, 2)
+        """
         return self.numbers[np.abs(unit[:, None] - self.lines).max(axis=2).argmin(axis=1)]
 
     def predict(self, unit: np.ndarray, q: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -31,7 +31,18 @@ class Piece:
     q: tuple[float, float]
 
     def at(self, q: np.ndarray) -> np.ndarray:
-        """Evaluate the branch's polynomials at ln slopes that the piece covers, shape (k, c); rows of Z."""
+        """Evaluate the branch's polynomials; beyond the piece, at its ends.
+
+        Parameters
+        ----------
+        q : ndarray, shape (k,)
+            Values of ln slope.
+
+        Returns
+        -------
+        ndarray, shape (k, c)
+            Rows of Z.
+        """
         return self.branch.on_piece(self.first, self.last, np.clip(q, *self.q))[0]
 
 

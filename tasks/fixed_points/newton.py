@@ -18,6 +18,10 @@ _MAX_ITERATIONS = 25
 #: The same for coarse integration: what is not near a gait by then hardly ever converges.
 _MAX_COARSE_ITERATIONS = 15
 
+#: Differences by which Lipschitz constants are estimated, in turn, until the derivative changes over one by no more
+#: than this, relative: steps that almost end in a fall are far more curved than others.
+_DIFFERENCES, _MAX_CHANGE = (1e-4, 1e-7, 1e-10), 0.5
+
 
 def _similarity(y: np.ndarray, dy: np.ndarray) -> np.ndarray:
     """Change of (ln angle, rates/angle) for a change dy of scaled coordinates y, to first order."""
@@ -125,17 +129,27 @@ def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
     -------
     ndarray, shape (n,)
     """
-    m = problem.m
-    w = np.vstack([X[:m], times])
-    base, _ = problem.stride(w, X[m])
-    worst = np.zeros(X.shape[1])
-    h = 1e-4
+    w, m = np.vstack([X[: problem.m], times]), problem.m
+    estimates, lanes = np.full(X.shape[1], np.nan), np.arange(X.shape[1])
+    for h in _DIFFERENCES:
+        estimates[lanes] = _lipschitz(problem.some(lanes), w[:, lanes], X[m, lanes], h)
+        # Where the derivative changes by much over the difference, it must be smaller.
+        lanes = lanes[~(estimates[lanes] * h < _MAX_CHANGE)]
+        if not len(lanes):
+            break
+    return estimates
+
+
+def _lipschitz(problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float) -> np.ndarray:
+    """Lipschitz estimates (n,) at w by differences h."""
+    base, _ = problem.stride(w, log_slope)
+    worst = np.zeros(w.shape[1])
     # In relative coordinates of the base point; another scale would multiply rows and divide columns by the same.
     size = joint_sizes(base.y, problem.phases)
     for i in range(len(w)):
         moved = w.copy()
         moved[i] += h
-        stride, _ = problem.stride(moved, X[m])
+        stride, _ = problem.stride(moved, log_slope)
         change = (stride.derivative - base.derivative) / h
         product = np.stack([matvec(base.inverse, change[:, j]) for j in range(len(w))], axis=1)
         weighted = product * size[None] / size[:, None]

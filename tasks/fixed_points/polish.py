@@ -22,7 +22,7 @@ MAX_STEPS = 8
 #: Error bound in standard deviations of the measured rounding. Half a rounding of the image is added for the constants,
 #: whose own rounding no change of units shows.
 SAFETY_FACTOR = 16.0
-#: Bound from which Newton's derivative in doubles cannot lead to more digits.
+#: Bound from which doubles alone show no gait.
 _MAX_BOUND = 1e-3
 #: Share of Newton's radius of convergence up to which the Lipschitz estimate of a segment's nodes serves its points.
 _MAX_CONTRACTION = 0.1
@@ -127,9 +127,10 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False) -> Polishe
     error = gait.sensitivity * (SAFETY_FACTOR * std + EPS / 2) + moves * 2 * lipschitz * eta**2
     bound = (error / gait.size).max(axis=0) + 2 * EPS
     doubles = bound.copy()
-    converged = (bound < _MAX_BOUND) & (2 * lipschitz * eta < 1) & (eta < 1e-4)
+    near = eta < 1e-4
+    converged = (bound < _MAX_BOUND) & (2 * lipschitz * eta < 1) & near
     amplification = (moves / gait.size).max(axis=0)
-    for lane in np.flatnonzero((bound > extended_precision.ESCALATE) & (bound < _MAX_BOUND)).tolist():
+    for lane in np.flatnonzero(~(bound <= extended_precision.ESCALATE) & near).tolist():
         wide = extended_precision.refine(
             problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane]
         )

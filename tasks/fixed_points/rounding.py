@@ -72,6 +72,8 @@ def apply_newton_step(problem: Problem, stride: Stride, parameters: np.ndarray) 
 
 #: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
 _UNITS = (1.0, 0.75, 1.25, 0.9375)
+#: Distance of neighbouring states: enough to round anew, and where steps are long still near enough to the gait.
+_NEIGHBOUR = 1e-11
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
@@ -98,7 +100,7 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
     """
     m, slope, variances = problem.m, np.exp(log_slope), []
     for neighbour in range(near):
-        angle = np.exp(w[0] + 1e-8 * neighbour)
+        angle = np.exp(w[0] + _NEIGHBOUR * neighbour)
         scale = np.exp2(np.floor(np.log2(angle)))
         mantissa, exponent = np.frexp(np.vstack([angle, angle * w[1:m]]) / scale / 15)
         y = 15 * np.ldexp(np.rint(np.ldexp(mantissa, 45)), exponent - 45)
@@ -134,12 +136,14 @@ def rounding(stride: Stride) -> np.ndarray:
     """
     size = sizes(stride.y)
     # Off balance, a short step has rates that far exceed its section's; their rounding accumulates on the way.
-    fastest = np.maximum(np.abs(stride.impact).max(axis=0), np.abs(stride.start).max(axis=0))
+    # Where a strike is tangential to the last digit neither the image nor the rates are corrected.
+    impact = np.where(np.isfinite(stride.impact), np.abs(stride.impact), 0.0)
+    fastest = np.maximum(impact.max(axis=0), np.abs(stride.start).max(axis=0))
     beyond = 48 * np.maximum(0, fastest - 2 * size.max(axis=0))
     # Angles and rates mix on the way, so the rounding of all is that of the largest. A point foot's motion has few
     # constants; that of others many, each of them rounded, and several times the operations.
     share = 0.5 if len(size) == 2 else 3.0
-    image = np.broadcast_to(share * (size + np.abs(stride.image)).max(axis=0), size.shape)
+    image = np.broadcast_to(share * (size + np.abs(stride.residual[: len(size)] + stride.y)).max(axis=0), size.shape)
     inverse = stride.inverse[: len(size), : len(size)]
     through = np.abs(inverse - np.eye(len(size))[:, :, None])
     return EPS * (matvec(np.abs(inverse), image + beyond) + matvec(through, size + beyond)) / size

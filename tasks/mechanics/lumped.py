@@ -9,6 +9,7 @@ along y), in units of the leg l + R and of the whole walker's mass,
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +25,7 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     Parameters
     ----------
     walker : Walker
-        Its table of masses and lengths, in any units; or an array of walkers, whose constants are arrays.
+        Its table of masses and lengths, in any units.
     number : type
         `float`, or a wider type for constants to more digits: numpy's long double or heyoka's real128.
 
@@ -35,26 +36,42 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
         also `S_c, C_cc, H`. Swing constants are divided by `eps`, the swing leg's inertia about the hip.
     """
     key = {k: number(getattr(walker, k)) for k in NUMBERS}
+    return _lump(key, walker.massless_leg, walker.eps_T != 0, walker.knees, number)
+
+
+def _lump_all(walkers: Sequence[Walker] | WalkerArray, number: type) -> dict[str, np.ndarray]:
+    """Lumped constants of several walkers, all with or all without knees, as `lump` has them, in arrays (n,)."""
+    key: dict[str, Any]
+    if isinstance(walkers, WalkerArray):
+        key = {k: np.broadcast_to(np.asarray(getattr(walkers, k), number), len(walkers)) for k in NUMBERS}
+        massless = np.full(len(walkers), walkers.massless_leg)
+    else:
+        key = {k: np.array([getattr(walker, k) for walker in walkers], number) for k in NUMBERS}
+        massless = np.array([walker.massless_leg for walker in walkers])
+    constants = _lump(key, massless, key["eps_T"] != 0, walkers[0].knees, number)
+    return {k: np.broadcast_to(v, len(walkers)) for k, v in constants.items()}
+
+
+def _lump(key: dict[str, Any], massless: Any, bent: Any, knees: bool, number: type) -> dict[str, Any]:
+    """Lumped constants by the walkers' keys: numbers, or arrays of them."""
     zero, one, two = number(0.0), number(1.0), number(2.0)
     sin_T, cos_T = _sine(key["eps_T"]), _cosine(key["eps_T"])
     d = key["l_s"] - key["R"]
     # sin eps_S = l_t sin eps_T / d closes the leg.
-    sin_S = key["l_t"] * sin_T / d if np.any(walker.eps_T) else zero
-    cos_S = (one - sin_S * sin_S) ** number(0.5)
+    sin_S = _choose(bent, key["l_t"] * sin_T / _choose(bent, d, one), zero)
+    cos_S = _power(one - sin_S * sin_S, number(0.5))
     l = key["l_t"] * cos_T + d * cos_S
     length, mass = l + key["R"], two * (key["m_t"] + key["m_s"]) + key["m_h"]
     R, l = key["R"] / length, l / length
     knee = _Vector(-key["l_t"] * sin_T, -key["l_t"] * cos_T) / length
     thigh = _Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
     shank = _Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
-    if walker.massless_leg:
-        # Only ratios of the swing leg's constants remain: a unit mass where the shank's was.
-        eps, m_t, m_s = zero, zero, one
-    else:
-        eps, m_t, m_s = one, key["m_t"] / mass, key["m_s"] / mass
+    # Of a massless leg only ratios of the swing leg's constants remain: a unit mass where the shank's was.
+    eps = _choose(massless, zero, one)
+    m_t, m_s = _choose(massless, zero, key["m_t"] / mass), _choose(massless, one, key["m_s"] / mass)
     S_b, S_c = thigh * m_t + knee * m_s, shank * m_s
-    C_bb = m_t * (thigh.dot(thigh) + (key["r_t"] / length) ** two) + m_s * knee.dot(knee)
-    C_cc = m_s * (shank.dot(shank) + (key["r_s"] / length) ** two)
+    C_bb = m_t * (thigh.dot(thigh) + _power(key["r_t"] / length, two)) + m_s * knee.dot(knee)
+    C_cc = m_s * (shank.dot(shank) + _power(key["r_s"] / length, two))
     # H = conj(knee) S_c.
     H = _Vector(knee.dot(S_c), knee.x * S_c.y - knee.y * S_c.x)
     inertia = C_bb + C_cc + two * H.x
@@ -62,7 +79,7 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     constants = {"R": R, "l": l, "eps": eps * inertia, **_pair("S_a", leg_S + _Vector(zero, l))}
     # Stance leg m|il + p|^2 + I, hip and swing leg (the rest of the unit mass) at |il|.
     constants["C_aa"] = R * R + l * l + two * l * leg_S.y + eps * inertia
-    if walker.knees:
+    if knees:
         constants |= {
             **_pair("S_b", S_b / inertia),
             "C_bb": C_bb / inertia,
@@ -73,6 +90,16 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     else:
         constants |= {**_pair("S_b", (S_b + S_c) / inertia), "C_bb": one}
     return constants
+
+
+def _choose(condition: Any, value: Any, other: Any) -> Any:
+    """One of two numbers, or of two in each place of arrays."""
+    return np.where(condition, value, other) if isinstance(condition, np.ndarray) else value if condition else other
+
+
+def _power(x: Any, exponent: Any) -> Any:
+    """Power in the argument's type of number; of arrays, with the bits of their numbers'."""
+    return np.power(x, np.full(x.shape, exponent)) if isinstance(x, np.ndarray) else x**exponent
 
 
 @dataclass(frozen=True)
@@ -100,24 +127,21 @@ def _sine(x: Any) -> Any:
     """Sine in the argument's type of number."""
     if isinstance(x, np.ndarray):
         return np.sin(x)
-    return math.sin(x) if isinstance(x, float) and type(x) is float else np.sin(np.array([x], dtype=type(x)))[0]
+    return math.sin(x) if type(x) is float else np.sin(np.array([x], dtype=type(x)))[0]
 
 
 def _cosine(x: Any) -> Any:
     """Cosine in the argument's type of number."""
     if isinstance(x, np.ndarray):
         return np.cos(x)
-    return math.cos(x) if isinstance(x, float) and type(x) is float else np.cos(np.array([x], dtype=type(x)))[0]
+    return math.cos(x) if type(x) is float else np.cos(np.array([x], dtype=type(x)))[0]
 
 
 def _pair(name: str, v: _Vector) -> dict[str, Any]:
     """A complex constant as `_re` and `_im`; a part that is zero but for rounding becomes zero."""
-    parts = {f"{name}_re": v.x, f"{name}_im": v.y}
-    if any(isinstance(x, np.ndarray) for x in parts.values()):
-        size = 4e-16 * np.maximum(np.abs(v.x), np.abs(v.y))
-        return {key: np.where(np.abs(x) > size, x, 0.0) for key, x in parts.items()}
-    size = 4e-16 * max(abs(float(v.x)), abs(float(v.y)))
-    return {key: x if abs(float(x)) > size else type(x)(0.0) for key, x in parts.items()}
+    x, y = (np.abs(c.astype(float)) if isinstance(c, np.ndarray) else abs(float(c)) for c in (v.x, v.y))
+    size = 4e-16 * np.maximum(x, y)
+    return {f"{name}_re": _choose(x > size, v.x, v.x - v.x), f"{name}_im": _choose(y > size, v.y, v.y - v.y)}
 
 
 @dataclass(frozen=True)
@@ -141,33 +165,56 @@ class Structure:
 
 
 def structure_of(walker: Walker) -> Structure:
-    """Return the structure of a walker, or of an array of walkers.
-
-    A straight leg's constants that are 0 or +-1, for all walkers of an array, become code, all others parameters.
-    """
-    constants = lump(walker, np.float64 if isinstance(walker, WalkerArray) else float)
-    # Three links compile slowly and gain little from a zero, so all kneed walkers share one structure.
-    plain = () if walker.knees else (0.0, 1.0, -1.0)
-    fixed = tuple((k, p) for k, v in constants.items() for p in plain if np.all(v == p))
-    free = tuple(k for k in constants if k not in dict(fixed))
-    return Structure(walker.knees, walker.point_foot, free, fixed)
+    """Return a walker's structure: a straight leg's constants that are 0 or +-1 become code, all others parameters."""
+    return structures_of([walker])[0]
 
 
-def constants_of(walker: Walker, structure: Structure) -> np.ndarray:
+def structures_of(walkers: Sequence[Walker]) -> list[Structure]:
+    """Return the structures of several walkers, as `structure_of` does."""
+    structures: dict[int, Structure] = {}
+    for knees in (False, True):
+        numbers = [i for i, walker in enumerate(walkers) if walker.knees == knees]
+        if not numbers:
+            continue
+        constants = _lump_all([walkers[i] for i in numbers], float)
+        # Three links compile slowly and gain little from a zero, so all kneed walkers share one structure.
+        plain = () if knees else (0.0, 1.0, -1.0)
+        values = np.array(list(constants.values())).T
+        known: dict[tuple[bool, bytes], Structure] = {}
+        for i, row, is_fixed in zip(numbers, values, np.isin(values, plain), strict=True):
+            pattern = walkers[i].point_foot, np.where(is_fixed, row, np.nan).tobytes()
+            if pattern not in known:
+                each = list(zip(constants, row.tolist(), is_fixed.tolist(), strict=True))
+                free = tuple(k for k, _, is_unit in each if not is_unit)
+                units = tuple((k, value) for k, value, is_unit in each if is_unit)
+                known[pattern] = Structure(knees, pattern[0], free, units)
+            structures[i] = known[pattern]
+    return [structures[i] for i in range(len(walkers))]
+
+
+def common_structure(walkers: WalkerArray) -> Structure:
+    """Return a structure for all of an array of walkers: only what is 0 or +-1 for each of them becomes code."""
+    constants = _lump_all(walkers, float)
+    plain = () if walkers.knees else (0.0, 1.0, -1.0)
+    units = tuple((k, value) for k, v in constants.items() for value in plain if (v == value).all())
+    free = tuple(k for k in constants if k not in dict(units))
+    return Structure(walkers.knees, walkers.point_foot, free, units)
+
+
+def constants_of(walkers: Sequence[Walker] | WalkerArray, structure: Structure) -> np.ndarray:
     """Values of the structure's runtime constants, each rounded only once.
 
     Parameters
     ----------
-    walker : Walker
-        Of that structure; or an array of n such walkers.
+    walkers : sequence of Walker, or WalkerArray
+        Of that structure.
     structure : Structure
         Names the constants and their order.
 
     Returns
     -------
-    ndarray, shape (len(structure.constants),) or (len(structure.constants), n)
-        In units of the walker's leg, its mass and g.
+    ndarray, shape (len(structure.constants), n)
+        In units of each walker's leg, its mass and g.
     """
-    lumped = lump(walker, np.longdouble)
-    shape = (len(walker),) if isinstance(walker, WalkerArray) else ()
-    return np.array([np.broadcast_to(np.asarray(lumped[k], float), shape) for k in structure.constants])
+    lumped = _lump_all(walkers, np.longdouble)
+    return np.array([lumped[k] for k in structure.constants], float).reshape(-1, len(walkers))

@@ -133,7 +133,7 @@ class Line:
 def _evaluate_nodes(problem: Problem, branch: Branch) -> Arrays:
     m, walker = branch.m, problem.walker
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
-    nodes = correct(problem, X, times, branch.tangent[:, : m + 1].T)
+    nodes = correct(problem, X, times, branch.direction.T)
     time_unit = np.sqrt(walker.leg / walker.g)
     slope, angle = np.exp(X[m]), np.exp(X[0])
     return {

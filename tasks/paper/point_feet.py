@@ -40,7 +40,7 @@ def _third_multiplier(walker: str) -> float:
     problem = Problem(line(walker).walker)
     problem.structure = replace(problem.structure, point_foot=False)
     problem.map = stride_map(problem.structure)
-    problem.constants = constants_of(problem.walker, problem.structure)
+    problem.constants = constants_of([problem.walker], problem.structure)[:, 0]
     problem.m = problem.map.m
     gaits = line(walker).at([0.01])
     unit = np.sqrt(problem.walker.leg / problem.walker.g)

@@ -24,7 +24,8 @@ from tasks.step.symbols import end_of_step, lock_knee, start_of_step
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
 #: Each tier's type of number and its rounding unit.
 TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1.93e-34))
-_MAX_STEPS = 6
+#: Newton steps with the derivative in doubles, each of at most half the size of the one before.
+_MAX_STEPS = 20
 
 
 class _ExtendedStepMap:
@@ -224,5 +225,5 @@ def refine(
         rounded(gait.impact),
         rounded(gait.state),
         gait.last_step,
-        bound * TIERS[tier][1] / EPS + 4 * EPS,
+        (bound if bound < 1 else 1.0) * TIERS[tier][1] / EPS + 4 * EPS,
     )

@@ -25,7 +25,7 @@ class Problem:
         self.walker = walker
         self.structure: Structure = structure_of(walker)
         self.map: StrideMap = stride_map(self.structure)
-        self.constants = constants_of(walker, self.structure)
+        self.constants = constants_of([walker], self.structure)[:, 0]
         self.m, self.phases = self.map.m, 2 if walker.knees else 1
 
     def parameters(self, slope: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -55,6 +55,10 @@ class Problem:
     def walker_of(self, lane: int) -> Walker:
         """Return the walker of a lane."""
         return self.walker
+
+    def alone(self, lane: int) -> Problem:
+        """Return the problem of one lane's walker."""
+        return self
 
     def stride(
         self, w: np.ndarray, log_slope: np.ndarray, slope: bool = False, samples: int = 0, coarse: bool = False
@@ -95,18 +99,14 @@ class Lanes(Problem):
     walkers : sequence of Walker, or WalkerArray
         Lane i has walker i.
     structure : Structure, optional
-        By default the first walker's, or that of the array.
+        By default the first walker's.
     """
 
     def __init__(self, walkers: Sequence[Walker] | WalkerArray, structure: Structure | None = None):
         self.walkers, self.walker = walkers, walkers[0]
-        if isinstance(walkers, WalkerArray):
-            self.structure = structure or structure_of(walkers)
-            self.constants = constants_of(walkers, self.structure)
-        else:
-            self.structure = structure or structure_of(walkers[0])
-            self.constants = np.array([constants_of(walker, self.structure) for walker in walkers]).T
+        self.structure = structure or structure_of(walkers[0])
         self.map = stride_map(self.structure)
+        self.constants = constants_of(walkers, self.structure)
         self.lanes = np.arange(len(walkers))
         self.m, self.phases = self.map.m, 2 if self.structure.kneed else 1
 
@@ -139,6 +139,13 @@ class Lanes(Problem):
     def walker_of(self, lane: int) -> Walker:
         """Return the walker of a lane."""
         return self.walkers[self.lanes[lane]]
+
+    def alone(self, lane: int) -> Problem:
+        """Return the problem of one lane's walker."""
+        alone = Problem.__new__(Problem)
+        alone.walker, alone.structure, alone.map = self.walker_of(lane), self.structure, self.map
+        alone.constants, alone.m, alone.phases = self.constants[:, self.lanes[lane]], self.m, self.phases
+        return alone
 
 
 def sizes(y: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from typing import Any
@@ -134,8 +135,7 @@ def owned(derived: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
     """Keys that a derived key sets: the masses, or those in which the tuned walker and the physical one differ."""
     if derived == "foot_mass_ratio":
         return tuple(key for key, kind in KEYS.items() if kind == "mass")
-    tuned, physical = _detuning_ends(walker)
-    return tuple(key for key in NUMBERS if getattr(tuned, key) != getattr(physical, key))
+    return _detuned_keys(walker if isinstance(walker, str) else str(walker.get("base")))
 
 
 def _with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
@@ -239,6 +239,13 @@ def _detuning_ends(walker: str | Mapping[str, Any]) -> tuple[Walker, Walker]:
     """The tuned walker of the catalogue and its physical partner, between which `detuning` interpolates."""
     name = walker if isinstance(walker, str) else str(walker.get("base"))
     return from_catalogue(name), from_catalogue(_PARTNERS[name])
+
+
+@functools.cache
+def _detuned_keys(name: str) -> tuple[str, ...]:
+    """Keys in which a tuned walker of the catalogue and its physical partner differ."""
+    tuned, physical = _detuning_ends(name)
+    return tuple(key for key in NUMBERS if getattr(tuned, key) != getattr(physical, key))
 
 
 def detuned(walker: str | Mapping[str, Any], amount: float) -> Walker:

@@ -247,10 +247,26 @@ def unknown(index):
     return np.full(len(index), UNKNOWN)
 
 
-@pytest.mark.parametrize(("name", "overrides"), [("physical-straight", {}), ("physical", {}), ("C", {"detuning": 0.1})])
-def test_bounds_hold_as_near_a_tangential_end_as_its_slope_is_known(name, overrides):
+#: A walker near C of which a kneestrike turns tangential.
+LATE_KNEE = {
+    **{"m_t": 2.224896846218005, "m_s": 0.8013614687927322, "r_t": 0.21641419552219643, "r_s": 0.08585627546332361},
+    **{"c_t": 0.0799433695653307, "c_s": 0.20938159715559101, "R": 0.1620871366377472, "eps_T": 0.11484503222140877},
+    **{"l_t": 0.3464294621359108, "l_s": 0.4085395947448572},
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "strike"),
+    [
+        ("physical-straight", {}, "heelstrike"),
+        ("physical", {}, "heelstrike"),
+        ("C", {"detuning": 0.1}, "heelstrike"),
+        ("C", LATE_KNEE, "kneestrike"),
+    ],
+)
+def test_bounds_hold_as_near_a_tangential_end_as_its_slope_is_known(name, overrides, strike):
     problem, found = branches(name, **overrides)
-    branch, side = next((b, b.why.index(why)) for b in found if (why := "end_tangential_heelstrike") in b.why)
+    branch, side = next((b, b.why.index(why)) for b in found if (why := f"end_tangential_{strike}") in b.why)
     q, inwards = branch.q[-side], np.sign(branch.q[1 - 3 * side] - branch.q[-side])
     slope = np.exp(q) * (1 + inwards * np.geomspace(1e-12, 1e-2, 21))
     rows = []
@@ -262,6 +278,20 @@ def test_bounds_hold_as_near_a_tangential_end_as_its_slope_is_known(name, overri
         rows += compared(problem, replace(guesses, leg_passes=unknown(guesses.slope)))
     assert len(rows) == 21
     assert all(error < bound < 1e-11 for _, bound, error, _, _ in rows)
+
+
+def test_points_converge_up_to_a_fall():
+    """The step before it amplifies its start 1e10 times: beside the end doubles alone resolve no gait."""
+    problem, found = branches("C", detuning=1.2694457027163444)
+    (branch,) = [b for b in found if "a fall" in b.why]
+    side = branch.why.index("a fall")
+    inwards = np.sign(branch.q[1 - 3 * side] - branch.q[-side])
+    slope = np.exp(branch.q[-side]) * (1 + inwards * np.geomspace(1e-12, 1e-3, 7))
+    lone = [(Z, segment, i) for i, Z, segment in branch.guesses(np.log(slope)) if segment.max() > len(branch.Z) - 9]
+    ((Z, segment, index),) = lone if side else lone[:1]
+    at = settle(problem, branch.known_guesses(Z, segment, slope[index]))
+    assert at.converged.all() and at.step.all() and (at.bound < 1e-9).all() and len(index) == 7
+    assert (at.times[-1] > 11.5).any() and at.doubles.max() > 1e-6
 
 
 def test_an_earlier_strike_before_heelstrike_turns_tangential_is_the_end():
@@ -318,7 +348,7 @@ def test_nodes_that_do_not_lie_along_a_branch_are_removed():
     assert branch.in_order() is branch
     Z = branch.Z.copy()
     k = len(Z) // 3
-    Z[k, : branch.m + 1] += 2 * (Z[k - 1] - Z[k])[: branch.m + 1]  # beyond its neighbour
+    Z[k] += 2 * (Z[k - 1] - Z[k])  # beyond its neighbour
     mended = replace(branch, Z=Z).in_order()
     assert len(mended.Z) == len(Z) - 1 and mended.in_order() is mended
 

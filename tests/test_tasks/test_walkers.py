@@ -6,7 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.bench.bounds import RANDOM
+from pipeline.bench.stress import random_walker
+from tasks.mechanics.lumped import constants_of, lump, structure_of, structures_of
 from tasks.solve_at_slope import solve_one
+from tasks.step.problem import Lanes, Problem
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.describe import describe, drawing
 from tasks.walkers.resolve import check, from_table, owned, resolve
@@ -229,3 +233,20 @@ def test_the_velocity_ratio_is_that_of_the_losses(walker, slope):
         assert gait["cost_of_transport"] == pytest.approx(np.sin(slope), rel=1e-3)
         legs, angle = resolve(walker), gait["stance_angle"]
         assert gait["step_length"] == pytest.approx(2 * (legs.l * np.sin(angle) + legs.R * angle), rel=1e-9)
+
+
+def test_constants_of_several_walkers_are_those_of_each():
+    """In arrays as by numbers, to the last bit; their structures too."""
+    drawn = [random_walker(family, seed) for family in RANDOM for seed in range(12)]
+    walkers = [*CATALOGUE.values(), *drawn, *(resolve("A", {"detuning": v}) for v in (0.0, 1e-9, 1.2))]
+    structures = structures_of(walkers)
+    assert structures == [structure_of(walker) for walker in walkers]
+    for structure in dict.fromkeys(structures):
+        alike = [walker for walker, other in zip(walkers, structures, strict=True) if other == structure]
+        each = [lump(walker, np.longdouble) for walker in alike]
+        expected = [[float(lumped[name]) for lumped in each] for name in structure.constants]
+        np.testing.assert_array_equal(constants_of(alike, structure), np.reshape(expected, (-1, len(alike))))
+        lanes = Lanes(alike, structure).some(np.arange(len(alike))[::-1])
+        one = np.ones(1)
+        for i, walker in enumerate(reversed(alike)):
+            np.testing.assert_array_equal(lanes.alone(i).parameters(one, one), Problem(walker).parameters(one, one))
