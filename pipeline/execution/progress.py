@@ -77,6 +77,7 @@ class Progress:
             n = details.get("points", 1)
             self.done[details["task"]] += n
             self.seconds[details["task"]] += details["seconds"]
+            self.done["atlas"] += details.get("lines", 0)
             self.counts.update(details.get("counts", {}))
             if details.get("lost"):
                 self.done["points"] += details["lost"]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.store.journal import TaskKey
+from pipeline.store.rows import TaskKey
 from pipeline.study.model import Study
 from tasks.registry import ALWAYS, READS, SHORT_LINE, TASKS, VARIABLES, Task
 
