@@ -81,9 +81,9 @@ class Grid:
         """
         spans = dict(zip(self.sizes, box, strict=True))
         starts = [spans[d].start for d in self.lines]
-        indices = tuple(np.indices([spans[d].stop - spans[d].start for d in self.lines]).reshape(len(starts), -1))
-        if not indices:
+        if not starts:
             return (), np.zeros(1, int)
+        indices = tuple(np.indices([spans[d].stop - spans[d].start for d in self.lines]).reshape(len(starts), -1))
         shape = self.study.line_shape if self.study.walker_axis else self.study.line_shape[1:]
         return indices, np.ravel_multi_index([i + start for i, start in zip(indices, starts, strict=True)], shape)
 
