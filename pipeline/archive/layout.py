@@ -70,13 +70,22 @@ class Grid:
         self.sizes = dict(walkers + [(a.name, len(a)) for a in study.axes if study.kind == "grid" or a.name != "slope"])
         self.lines = [d for d in self.sizes if d != "slope"]
 
-    def lines_in(self, box: Box) -> Iterator[tuple[tuple[int, ...], int]]:
-        """Lines that cross a box: index in the box without the slope, and number."""
+    def lines_in(self, box: Box) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+        """Lines that cross a box.
+
+        Returns
+        -------
+        indices : tuple of ndarray of int, shape (n,)
+            Their indices in the box, without the slope.
+        numbers : ndarray of int, shape (n,)
+        """
         spans = dict(zip(self.sizes, box, strict=True))
+        starts = [spans[d].start for d in self.lines]
+        if not starts:
+            return (), np.zeros(1, int)
+        indices = tuple(np.indices([spans[d].stop - spans[d].start for d in self.lines]).reshape(len(starts), -1))
         shape = self.study.line_shape if self.study.walker_axis else self.study.line_shape[1:]
-        for index in itertools.product(*(range(spans[d].start, spans[d].stop) for d in self.lines)):
-            number = int(np.ravel_multi_index(index, shape)) if index else 0
-            yield tuple(i - spans[d].start for i, d in zip(index, self.lines, strict=True)), number
+        return indices, np.ravel_multi_index([i + start for i, start in zip(indices, starts, strict=True)], shape)
 
     def slopes(self, box: Box) -> np.ndarray:
         """Slopes of a box.

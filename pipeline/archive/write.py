@@ -27,7 +27,7 @@ from pipeline.errors import ArchiveError, DiskFullError, is_disk_full
 from pipeline.plan.missing import Plan
 from pipeline.statuses import ALL_STATUSES, ANSWERS
 from pipeline.store import lines
-from pipeline.store.journal import Outcome, TaskKey
+from pipeline.store.rows import Outcome, TaskKey
 from pipeline.study import units
 from pipeline.study.model import Study
 from tasks.registry import GAITS, STATUSES, VARIABLES
@@ -181,39 +181,39 @@ class _PointWriter:
         solved = [code for name, code in STATUSES.items() if name != "no_gait"]
         sentences: set[str] = set()
         for box in layout.regions(self.grid.sizes):
-            for _, number, line in self._lines(box, ()):
-                status, reason = line["status"][:, self.columns], line["reason"][:, self.columns]
+            for _, numbers, data in self._lines(box, ()):
+                status, reason = (
+                    data[name][..., self.columns].reshape(-1, len(self.columns)) for name in ("status", "reason")
+                )
                 rows = lines.rows(status)
                 self.written.counts += lines.count(status)
                 is_solved |= np.isin(list(rows), solved).any(axis=0)
-                sentences.update(line["reasons"][np.flatnonzero(np.bincount(reason.ravel()))].tolist())
+                sentences.update(data["reasons"][np.flatnonzero(np.bincount(reason.ravel()))].tolist())
                 if not set(ANSWERS).issuperset(itertools.chain(*rows)):
-                    self._count_failures(number, line, status, reason)
+                    self._count_failures(numbers, data, status, reason)
         self.sentences = sorted(sentences)
         self.columns = self.columns[: max(np.flatnonzero(is_solved), default=0) + 1]
         self.dims = (*self.grid.sizes, "gait")
 
-    def _count_failures(self, number: int, line: dict[str, Any], status: np.ndarray, reason: np.ndarray) -> None:
-        failed = ~np.isin(status, ANSWERS)
+    def _count_failures(
+        self, numbers: np.ndarray, data: dict[str, Any], status: np.ndarray, reason: np.ndarray
+    ) -> None:
+        failed, slopes = ~np.isin(status, ANSWERS), data["slope"]
         rows = np.flatnonzero(failed.any(axis=1))
         reasons = reason[rows, failed[rows].argmax(axis=1)]
         for k in np.unique(reasons):
             failed_rows = rows[reasons == k]
-            self.written.add_failure(
-                str(line["reasons"][k]),
-                len(failed_rows),
-                f"{_line_description(self.study, number)} slope={float(line['slope'][failed_rows[0]])!r}",
-            )
+            line, slope = divmod(int(failed_rows[0]), len(slopes))
+            example = f"{_line_description(self.study, int(numbers[line]))} slope={float(slopes[slope])!r}"
+            self.written.add_failure(str(data["reasons"][k]), len(failed_rows), example)
 
-    def _lines(self, box: layout.Box, names: tuple[str, ...]) -> Iterator[tuple[tuple[int, ...], int, dict[str, Any]]]:
-        slopes = self.grid.slopes(box)
-        for index, number in self.grid.lines_in(box):
-            keys = self.plan.line_keys(number)
-            yield (
-                index,
-                number,
-                lines.line(self.plan.journal, keys, self.plan.want, self.study, names, slopes, max(self.columns) + 1),
-            )
+    def _lines(
+        self, box: layout.Box, names: tuple[str, ...]
+    ) -> Iterator[tuple[tuple[np.ndarray, ...], np.ndarray, dict[str, Any]]]:
+        """Points of the lines in a box, some lines at a time: their indices in the box, numbers and data."""
+        indices, numbers = self.grid.lines_in(box)
+        for part, data in self.plan.read(numbers, names, self.grid.slopes(box), max(self.columns) + 1):
+            yield tuple(index[part] for index in indices), numbers[part], data
 
     def define(self, file: Any) -> None:
         """Create every variable, without values."""
@@ -269,11 +269,11 @@ class _PointWriter:
         }
         views = {name: self.grid.slope_last(v) for name, v in values.items()}
         index = {sentence: i for i, sentence in enumerate(self.sentences)}
-        for position, _, line in self._lines(box, tuple(n for n in values if n not in ("status", "reason"))):
-            table = np.array([index.get(s, 0) for s in line["reasons"].tolist()])
-            line["reason"] = table[line["reason"]]
+        for position, _, data in self._lines(box, tuple(n for n in values if n not in ("status", "reason"))):
+            table = np.array([index.get(s, 0) for s in data["reasons"].tolist()])
+            data["reason"] = table[data["reason"]]
             for name, view in views.items():
-                view[position] = line[name]
+                view[position] = data[name] if position else data[name][0]
         if self.columns == list(range(len(self.columns))):
             return values
         return {name: v.take(self.columns, axis=len(box)) for name, v in values.items()}

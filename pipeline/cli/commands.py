@@ -7,7 +7,6 @@ import contextlib
 import dataclasses
 import json
 import math
-import os
 import sys
 import time
 import traceback
@@ -15,7 +14,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pipeline.errors import GaitsweepError, StudyError, unwritten
+from pipeline import terminal
+from pipeline.cli import kinds
+from pipeline.errors import DiskFullError, GaitsweepError, StudyError, is_disk_full, unwritten
 
 #: Exit codes of several studies, gravest first: the gravest is that of all.
 _EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
@@ -32,43 +33,6 @@ class _Version(argparse.Action):
 
         print(f"gaitsweep {version('gaitsweep')}")
         sys.exit(0)
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 10**9:
-        raise argparse.ArgumentTypeError(f"must be a whole number of at least 1; got {text}")
-    return int(text)
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a number; got {text}") from None
-
-
-def _tolerance(text: str) -> tuple[str, float]:
-    name, _, value = text.rpartition("=")
-    if not 0 <= (number := _number(value)) < 1:
-        raise argparse.ArgumentTypeError(f"must lie in [0, 1); got {value}")
-    return name, number
-
-
-def _setting(text: str) -> tuple[str, float | bool]:
-    key, _, value = text.partition("=")
-    if not key or not value:
-        raise argparse.ArgumentTypeError(f"must be KEY=VALUE; got {text}")
-    return key, {"true": True, "false": False}[value] if value in ("true", "false") else _number(value)
-
-
-def _decimal(text: str) -> str:
-    _number(text)
-    return text
-
-
-def _decimal_setting(text: str) -> tuple[str, str | bool]:
-    key, value = _setting(text)
-    return key, value if isinstance(value, bool) else text.partition("=")[2]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -90,15 +54,15 @@ def parser() -> argparse.ArgumentParser:
 
     c = add(_run, "run studies; the same command again resumes")
     c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
-    c.add_argument("--jobs", type=_count, default=2, metavar="N", help="worker processes (default 2)")
+    c.add_argument("--jobs", type=kinds.jobs, default=2, metavar="N", help="worker processes (default 2)")
     c.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT, or local:N")
-    c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
+    c.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
     c.add_argument("--fresh", action="store_true", help="discard the results of earlier runs")
     c.add_argument("--retry-failed", action="store_true", help="retry failed points and tasks")
-    c.add_argument("--chunk", type=_count, metavar="N", help="points in a chunk (default: about a second of work)")
+    c.add_argument("--chunk", type=kinds.count, metavar="N", help="points in a chunk (default: about a second of work)")
     c.add_argument(
         "--snapshot",
-        type=_number,
+        type=kinds.number,
         default=60.0,
         metavar="SECONDS",
         help="minimum interval at which a running study publishes its archive (default 60)",
@@ -108,11 +72,11 @@ def parser() -> argparse.ArgumentParser:
     c = add(_plan, "show what would run and why, without running it")
     c.epilog, c.formatter_class = options.listing(), argparse.RawDescriptionHelpFormatter
     c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
-    c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
+    c.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
     c.add_argument("--retry-failed", action="store_true", help="as `run` would")
     c = add(_status, "progress of the current or last run")
     c.add_argument("studies", nargs="*", metavar="STUDY.toml", type=Path)
-    c.add_argument("--archive", type=Path, metavar="FILE", help="instead of data/archive/NAME.nc")
+    c.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
     c.add_argument("--json", action="store_true", help="for machines")
     c = add(_report, "HTML report from archives")
     c.add_argument("archives", nargs="+", metavar="ARCHIVE.nc", type=Path)
@@ -128,23 +92,25 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--open", action="store_true", help="open the index in a browser")
     c = add(_solve, "all gaits at one point")
     c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
-    c.add_argument("--slope", required=True, type=_number, metavar="S", help="rad")
-    c.add_argument("--set", action="append", type=_setting, default=[], metavar="KEY=VALUE", help="a walker key")
+    c.add_argument("--slope", required=True, type=kinds.number, metavar="S", help="rad")
+    c.add_argument("--set", action="append", type=kinds.setting, default=[], metavar="KEY=VALUE", help="a walker key")
     c.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
-    c.add_argument("--steps", type=_count, default=1, metavar="N", help="gaits that repeat after N steps (default 1)")
+    c.add_argument(
+        "--steps", type=kinds.count, default=1, metavar="N", help="gaits that repeat after N steps (default 1)"
+    )
     c.add_argument("--degrees", action="store_true", help="slope and angles in degrees (--json: the slope only)")
     c.add_argument("--json", action="store_true", help="for machines")
     c = add(_prove, "proofs of a walker's gaits at one slope, or of an archive's")
     c.add_argument("archive", nargs="?", metavar="ARCHIVE.nc", type=Path)
     c.add_argument("--walker", metavar="NAME|FILE.toml")
-    c.add_argument("--slope", type=_decimal, metavar="S", help="rad")
+    c.add_argument("--slope", type=kinds.decimal, metavar="S", help="rad")
     c.add_argument(
-        "--set", action="append", type=_decimal_setting, default=[], metavar="KEY=VALUE", help="a walker key"
+        "--set", action="append", type=kinds.decimal_setting, default=[], metavar="KEY=VALUE", help="a walker key"
     )
     c.add_argument("--gait", metavar="G", help="only the gait of this label")
-    c.add_argument("--sample", type=_count, metavar="N", help="only so many gaits of the archive, a fixed draw")
-    c.add_argument("--accuracy", type=_number, default=1e-12, metavar="A", help="relative radius (default 1e-12)")
-    c.add_argument("--jobs", type=_count, default=2, metavar="N", help="processes for an archive (default 2)")
+    c.add_argument("--sample", type=kinds.count, metavar="N", help="only so many gaits of the archive, a fixed draw")
+    c.add_argument("--accuracy", type=kinds.number, default=1e-12, metavar="A", help="relative radius (default 1e-12)")
+    c.add_argument("--jobs", type=kinds.jobs, default=2, metavar="N", help="processes for an archive (default 2)")
     c.add_argument("--json", action="store_true", help="for machines")
     c = add(_walkers, "the catalogue of walkers, or one walker")
     c.add_argument("name", nargs="?", metavar="NAME")
@@ -164,7 +130,7 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("b", type=Path, metavar="B.nc")
     c.add_argument(
         "--rtol",
-        type=_tolerance,
+        type=kinds.tolerance,
         action="append",
         default=[],
         metavar="R|NAME=R",
@@ -180,6 +146,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
+    terminal.prepare()
     words, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
     with _report_errors(codes, "--debug" in words):
         options = parser().parse_args(words)
@@ -195,22 +162,24 @@ def _report_errors(codes: list[int], debug: bool) -> Iterator[None]:
     except GaitsweepError as error:
         if debug:
             traceback.print_exc()
-        print(f"gaitsweep: {error}", file=sys.stderr)
+        terminal.say(f"gaitsweep: {error}")
         codes.append(error.exit_code)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        terminal.silence(1)
         codes.append(1)
     except KeyboardInterrupt:
-        print("gaitsweep: Stopped.", file=sys.stderr)
+        terminal.say("gaitsweep: Stopped.")
         codes.append(130)
     except Exception as error:
         if debug:
             traceback.print_exc()
-        print(
-            f"gaitsweep: Internal error, {type(error).__name__}: {' '.join(str(error).split())[:300]}; "
-            "--debug shows where.",
-            file=sys.stderr,
-        )
+        if is_disk_full(error):  # of standard output
+            terminal.silence(1)
+            terminal.say("gaitsweep: The disk is full; not everything could be printed.")
+            codes.append(DiskFullError.exit_code)
+            return
+        message = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+        terminal.say(f"gaitsweep: Internal error, {message}; --debug shows where.")
         codes.append(2)
 
 
@@ -251,7 +220,7 @@ def _run(options: argparse.Namespace) -> int:
         finished = {study.path: path for (study, path), end in zip(studies, ends, strict=True) if end in (0, 1)}
         others = [str(path) for path in options.studies if path not in finished]
         for line in text.after(list(finished.values()), others, time.monotonic() - start):
-            print(line, file=sys.stderr)
+            terminal.say(line)
     return min(codes, key=_EXIT_CODES_BY_SEVERITY.index)
 
 
@@ -303,7 +272,7 @@ def _report(options: argparse.Namespace) -> int:
         import webbrowser
 
         if not webbrowser.open(index.resolve().as_uri()):
-            print("gaitsweep: No browser could be opened.", file=sys.stderr)
+            terminal.say("gaitsweep: No browser could be opened.")
     return 0
 
 
@@ -313,7 +282,7 @@ def _solve(options: argparse.Namespace) -> int:
     slope = math.radians(options.slope) if options.degrees else options.slope
     answer = solve(options.walker, slope, dict(options.set), options.all, options.steps)
     for line in answer.get("search", []):
-        print(line, file=sys.stderr)
+        terminal.say(line)
     if options.json:
         print(json.dumps(answer["gaits"]))
         return 0

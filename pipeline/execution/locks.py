@@ -16,6 +16,8 @@ from pipeline import paths
 from pipeline.errors import BusyError
 from pipeline.paths import sidecar_path
 
+_TRIES, _PAUSE = 5, 0.05  # how often a lock is tried, and the time between [s]
+
 
 @contextlib.contextmanager
 def lock_archive(path: Path) -> Iterator[None]:
@@ -28,7 +30,13 @@ def lock_archive(path: Path) -> Iterator[None]:
     """
     with open(sidecar_path(path, ".lock"), "a+", encoding="utf-8") as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            for _ in range(_TRIES):  # `status` holds it for a moment
+                with contextlib.suppress(BlockingIOError):
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                time.sleep(_PAUSE)
+            else:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             holder = _holder(file)
             name = "its process is not known yet."

@@ -13,14 +13,16 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
+from pipeline import terminal
 from pipeline.execution import worker_process
 from pipeline.plan.missing import Plan, Summary
 
 if TYPE_CHECKING:
     from pipeline.execution.study_jobs import StudyJobs
 
+_CLEAR = "\r\033[K"  # clears the line of a terminal
 _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
 _LOG, _SLOW, _FAST = 5.0, 60.0, 0.5  # intervals of states in the log, of lines without a terminal, and with one [s]
 
@@ -35,10 +37,8 @@ class Progress:
         log: Path,
         quiet: bool = False,
         verbose: bool = False,
-        stream: TextIO | None = None,
     ):
         self.plan, self.log, self.quiet, self.verbose = plan, log, quiet, verbose
-        self.stream = stream or sys.stderr
         self.start = time.time()
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
@@ -77,6 +77,7 @@ class Progress:
             n = details.get("points", 1)
             self.done[details["task"]] += n
             self.seconds[details["task"]] += details["seconds"]
+            self.done["atlas"] += details.get("lines", 0)
             self.counts.update(details.get("counts", {}))
             if details.get("lost"):
                 self.done["points"] += details["lost"]
@@ -89,8 +90,7 @@ class Progress:
     def say(self, text: str) -> None:
         """Print a line on stderr."""
         if not self.quiet:
-            self.stream.write(("\r\033[K" if self.stream.isatty() else "") + text + "\n")
-            self.stream.flush()
+            terminal.say((_CLEAR if sys.stderr.isatty() else "") + text)
 
     def state(self) -> dict[str, Any]:
         """State of the run: counts, rate [1/s], remaining time `eta` [s], memory [byte] and workers."""
@@ -142,8 +142,7 @@ class Display:
     """Shows the progress of all studies of a command on one line, or in a notebook, and logs their states."""
 
     def __init__(self, studies: list[Progress], quiet: bool):
-        self.studies, self.quiet, self.stream = studies, quiet, sys.stderr
-        self.is_terminal = self.stream.isatty()
+        self.studies, self.quiet, self.is_terminal = studies, quiet, sys.stderr.isatty()
         self.bar = None if quiet else notebook_bar()
         self.stopped = threading.Event()
         self.thread = threading.Thread(target=self._tick, daemon=True)
@@ -158,7 +157,7 @@ class Display:
         if self.bar:
             self.bar(total([study.state() for study in self.studies]))
         if self.is_terminal and not self.quiet:
-            self.stream.write("\r\033[K")
+            terminal.say(_CLEAR, end="")
 
     def _tick(self) -> None:
         last_log = last_shown = time.time()
@@ -175,8 +174,9 @@ class Display:
                     self.bar(state)
                     continue
                 text = sentence(state)
-                self.stream.write(f"\r\033[K{text[:118]}" if self.is_terminal else text + "\n")
-                self.stream.flush()
+                terminal.say(
+                    f"{_CLEAR}{text[:118]}" if self.is_terminal else text, end="" if self.is_terminal else "\n"
+                )
 
 
 def total(states: list[dict[str, Any]]) -> dict[str, Any]:

@@ -6,14 +6,13 @@ import contextlib
 import json
 import os
 import platform
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline import paths
+from pipeline import paths, terminal
 from pipeline.archive import read, write
 from pipeline.archive.provenance import code_digest, cpu_features, version
 from pipeline.errors import ArchiveError, StoppedError, StudyError, unwritten
@@ -234,9 +233,7 @@ class StudyRun:
             self.end(failure)
         else:
             if not self.options.quiet:
-                print(
-                    f"{error.path} was damaged; it is repaired, and lost results are computed again.", file=sys.stderr
-                )
+                terminal.say(f"{error.path} was damaged; it is repaired, and lost results are computed again.")
 
     def end(self, error: Exception | None, quietly: bool = False) -> None:
         """Write the record of the run and unlock the archive."""
@@ -248,8 +245,11 @@ class StudyRun:
             self._record["error"] = str(error)
         if self.is_open:
             self._record |= {"exit_code": self.code, "seconds": round(time.monotonic() - self._clock, 3)}
-            with contextlib.suppress(OSError):
-                _write_record(sidecar_path(self.path, ".run.json"), self._record)
+            record = sidecar_path(self.path, ".run.json")
+            try:
+                _write_record(record, self._record)
+            except OSError as failure:
+                terminal.say(f"gaitsweep: {unwritten(record, failure)}")
         self.is_open = False
         self._resources.close()
         if error and not quietly:

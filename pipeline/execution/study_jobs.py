@@ -19,10 +19,11 @@ from pipeline.execution.estimates import Costs
 from pipeline.execution.executors import Engine
 from pipeline.execution.worker_process import Request
 from pipeline.plan import graph
-from pipeline.plan.missing import LineWork, Plan, golden_ratio_order
+from pipeline.plan.inputs import study_inputs
+from pipeline.plan.missing import BlockWork, LineWork, Plan, golden_ratio_order
 from pipeline.store import lines
-from pipeline.store.journal import Result, TaskKey
-from tasks.registry import GAITS, READS, SECONDS_PER_PROOF, VARIABLES
+from pipeline.store.rows import Result, TaskKey
+from tasks.registry import GAITS, SECONDS_PER_PROOF
 
 _TARGET_SECONDS = 1.0  # work in a chunk [s]
 _MAX_CHUNK = 32768  # points in a chunk: this bounds the memory of a worker
@@ -33,8 +34,7 @@ _MAX_OPEN_LINES, _MAX_OPEN_POINTS = 32, 1_000_000  # limits on lines at work and
 _PROBED_SECONDS = 10.0  # lines that take longer are probed [s]
 _WHOLE_TASK_FACTOR = 60  # a task over a line or study may take this many times the limit of a point
 _IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
-_MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
-_MIN_LINES, _MAX_LINES = 16, 64  # short lines in a block: enough to fill registers, few enough to show progress
+_MIN_LINES = 16  # short lines in a job: enough to fill registers
 Listener = Callable[[str, dict[str, Any]], None]
 
 
@@ -42,7 +42,7 @@ Listener = Callable[[str, dict[str, Any]], None]
 class Job:
     """A task over one line, over a chunk of its points (`indices` of slopes), or, without `work`, over the study.
 
-    With `block` it is the atlas and all points of several short lines. `seconds` is the estimated time.
+    With `block` it is the atlas and all points of some of its lines. `seconds` is the estimated time.
     """
 
     study: StudyJobs = field(repr=False)
@@ -50,7 +50,7 @@ class Job:
     keys: TaskKey
     params: Mapping[str, Any]
     work: LineWork | None = None
-    block: tuple[LineWork, ...] = ()
+    block: BlockWork | None = None
     inputs: tuple[bytes, ...] = ()
     indices: np.ndarray | None = None
     probe: bool = False
@@ -102,14 +102,9 @@ class StudyJobs:
         if {"proved", "proved_radius"} & set(plan.variables):
             self.cost = max(self.cost, SECONDS_PER_PROOF)
         self.points_measured = 0
-        self.over_plane = "points" in plan.layers and graph.over_plane(self.study)
-        #: Lines that are opened together; more than one where short lines are computed side by side.
-        self.lines_at_once = 1
-        if "points" in plan.layers and graph.is_short(self.study):
-            share = math.ceil(self.study.lines / (engine.jobs * _CHUNKS_PER_WORKER))
-            self.lines_at_once = min(_MAX_LINES, max(share, _MIN_LINES))
-        # Atlases of short lines are kept only for those that read them.
-        self.keeps_atlas = any("atlas" in layer.needs for name, layer in plan.layers.items() if name != "points")
+        self.over_plane = graph.over_plane(self.study)
+        #: Lines of a block in one job: fewer than it has where workers would otherwise be idle.
+        self.lines_at_once = max(_MIN_LINES, math.ceil(self.study.lines / (engine.jobs * _CHUNKS_PER_WORKER)))
         self.costs = Costs(len(self.study.slope), points, self.cost)
         self._seconds_after = graph.seconds_after(plan.layers)
         self.next: Job | None = None
@@ -119,7 +114,8 @@ class StudyJobs:
         self._wave: Iterator[Job] = iter(())
         self._returned: deque[Job] = deque()
         self._ran = False
-        self._alone: list[LineWork] = []  # lines of blocks that failed
+        self._failed: list[int] = []  # numbers of lines that failed in their blocks
+        self._alone: set[int] = set()  # numbers of lines of blocks that are computed by themselves
         self._open: deque[int] = deque()  # numbers of lines whose jobs beside the atlas are due
         self._chunks: deque[Job] = deque()  # chunks of open lines
         self._to_probe: deque[LineWork] = deque()
@@ -175,9 +171,9 @@ class StudyJobs:
     def _all_waves(self) -> Iterator[Iterator[Job]]:
         """Waves in order; each is laid out when those before it are recorded."""
         yield self._first_jobs()
-        while self._alone:
-            alone, self._alone = self._alone, []
-            yield (self._line_job("atlas", work) for work in alone)
+        while self._failed:
+            failed, self._failed = self._failed, []
+            yield (self._line_job("atlas", self.plan.line(number)) for number in failed)
         depths, over_study = graph.depths(self.plan.layers), self.plan.over_study(self._ran)
         for depth in range(1, 1 + max(1, *depths.values())):
             study_jobs = (
@@ -187,32 +183,48 @@ class StudyJobs:
             yield heapq.merge(study_jobs, dependent, key=lambda job: -job.seconds)
 
     def _first_jobs(self) -> Iterator[Job]:
-        """Blocks of short lines of which nothing is solved, and atlases of the others."""
-        for works in self.plan.blocks(self.lines_at_once):
+        """Blocks of short lines, and atlases of lines that are computed by themselves."""
+        for work in self.plan.works():
             self._ran = True
-            block: list[LineWork] = []
-            for work in works:
-                if "atlas" not in work.why:
-                    self._open.append(work.number)
-                elif self.lines_at_once > 1 and len(work.missing) == len(self.study.slope):
-                    self.costs.open_line(work.number, work.missing)
-                    block.append(work)
-                else:
-                    yield self._line_job("atlas", work)
-            if block:
-                task = self.plan.layers["atlas"].task
-                params: dict[str, Any] = {"lines": [work.line for work in block], **self.study.options}
-                if self.over_plane:
-                    params["cell"] = self.study.cell_of(block[0].number)
-                seconds_each = task.seconds_over_plane if self.over_plane else task.seconds_side_by_side
-                seconds = len(block) * (seconds_each + len(self.study.slope) * self.cost)
-                yield Job(self, task.name, block[0].keys["atlas"], params, block=tuple(block), seconds=seconds)
+            if isinstance(work, BlockWork):
+                # To divide the lines of a cell would be to make its patches twice.
+                most = len(work.lines) if self.over_plane else self.lines_at_once
+                parts = np.array_split(work.lines, math.ceil(len(work.lines) / most))
+                yield from (self._block_job(dataclasses.replace(work, lines=part)) for part in parts)
+                continue
+            if self.plan.blocks and len(work.missing):
+                self._alone.add(work.number)
+            if "atlas" in work.why:
+                yield self._line_job("atlas", work)
+            else:
+                self._open.append(work.number)
+
+    def _block_job(self, work: BlockWork) -> Job:
+        assert self.plan.blocks
+        self.costs.open_line(int(work.lines[0]), self._indices(work))
+        task = self.plan.layers["atlas"].task
+        params: dict[str, Any] = {
+            "lines": [self.study.line(number) for number in work.lines.tolist()],
+            "digests": self.plan.blocks.digests(work.lines),
+            "atlases": "atlas" in self.plan.line_tasks,
+            **self.study.options,
+        }
+        if self.over_plane:
+            assert self.study.plane
+            params["cell"] = self.study.plane.cell(params["lines"][0]["set"])
+        seconds_each = task.seconds_over_plane if self.over_plane else task.seconds_side_by_side
+        seconds = len(work.lines) * (seconds_each + len(self.study.slope) * self.cost)
+        return Job(self, task.name, work.key, params, block=work, seconds=seconds)
+
+    def _indices(self, work: BlockWork) -> np.ndarray:
+        return np.tile(np.arange(len(self.study.slope)), len(work.lines))
 
     def _dependent_jobs(self) -> Iterator[Job]:
         """Jobs of open lines; lines are opened before those at work are done, to measure costs early."""
         while self._open or self._chunks:
             while self._open and (not self._chunks or self._opens_line()):
-                work = self.plan.line(self._open.popleft())
+                number = self._open.popleft()
+                work = self.plan.line(number, with_points=not self.plan.blocks or number in self._alone)
                 atlas = self.journal.result(work.keys["atlas"].key) if "atlas" in work.keys else None
                 inputs = (atlas.data,) if atlas else ()
                 yield from (self._line_job(name, work, inputs) for name in work.why if name not in ("atlas", "points"))
@@ -292,7 +304,7 @@ class StudyJobs:
         function = together if job.block else layer.task.function
         seconds = limits.seconds * (1 if divided == "slope" else _WHOLE_TASK_FACTOR)
         idle = None if self.engine.address is None else _IDLE_TIMEOUT
-        inputs = job.inputs if job.work or job.block else self._study_inputs(job)
+        inputs = job.inputs if job.work or job.block else study_inputs(self.plan, job.name)
         return Request(function, params, list(inputs), divided, seconds, limits.memory, idle)
 
     def record(self, job: Job, result: dict[str, Any]) -> None:
@@ -302,10 +314,9 @@ class StudyJobs:
             if self.error:
                 return
             if job.block:
-                self._record_lines(job, result)
+                self._record_block(job, job.block, result)
             elif job.work and job.indices is not None:
-                counts = self._record_points(job, job.work, job.indices, result)
-                self.listen("chunk", {**_event(job, result), "points": len(job.indices), "counts": dict(counts)})
+                self._record_points(job, job.work, job.indices, result)
             else:
                 self._record_task(job, result)
         except StoppedError:
@@ -315,7 +326,7 @@ class StudyJobs:
 
     def _record_task(self, job: Job, result: dict[str, Any]) -> None:
         outcome, reason = result["outcome"], result["reason"]
-        seen = self.plan.last_block() if job.work is None else 0
+        seen = self.journal.last_block() if job.work is None else 0
         with self.hold:
             self.journal.add_result(*job.keys, Result(outcome, reason, seen, result["data"]), result["seconds"])
         lost = 0
@@ -326,66 +337,57 @@ class StudyJobs:
                 self.costs.points -= (lost := len(job.work.missing))
         self.listen("task", {**_event(job, result), "outcome": outcome, "reason": reason, "lost": lost})
 
-    def _record_lines(self, job: Job, result: dict[str, Any]) -> None:
-        """Store the atlases and points of a block of lines; a line that failed is tried again, step by step."""
-        seconds = result["seconds"] / len(job.block)
-        for work, parts in zip(job.block, result["lines"], strict=True):
-            if parts is None:
-                self.costs.reopen(work.number, work.missing)
-                self._alone.append(work)
-                continue
-            shared = {key: result.get(key) for key in ("pid", "worker")} | {"line": work.number, "seconds": seconds}
-            if self.keeps_atlas:
-                with self.hold:
-                    self.journal.add_result(*work.keys["atlas"], Result("ok", "", 0, parts[0]), 0.0)
-            self.listen("task", {**shared, "task": "atlas", "seconds": 0.0, "outcome": "ok", "reason": "", "lost": 0})
-            points = self._line_job("points", work)
-            row = (self.study.slope[work.missing].tobytes(), *parts[1:])
-            counts = self._record_points(points, work, work.missing, {"rows": [row], "seconds": seconds})
-            self.listen("chunk", {**shared, "task": "points", "points": len(work.missing), "counts": dict(counts)})
-            if any(name not in ("atlas", "points") for name in work.why):
-                self._open.append(work.number)
-
-    def _record_points(self, job: Job, work: LineWork, indices: np.ndarray, result: dict[str, Any]) -> Counter[str]:
-        """Store a chunk of points, update the costs and return the points by outcome."""
-        n, cost = len(indices), result["seconds"] / len(indices)
-        counts: Counter[str] = Counter()
+    def _record_block(self, job: Job, block: BlockWork, result: dict[str, Any]) -> None:
+        """Store the points and atlases of lines of a block; a line that failed is tried again, step by step."""
+        failed = np.isin(np.arange(len(block.lines)), result["failed"])
+        indices, n = self._indices(block), len(self.study.slope)
+        solved = len(block.lines) - int(failed.sum())
         with self.hold:
-            for row in result["rows"]:
-                self.journal.add_points(*job.keys, self.tokens, row, cost * (len(row[0]) // 8))
-                counts += lines.count(serialize.load(row[1])["status"][:, self.columns])
+            for k, atlas in result["atlases"]:
+                keys = self.plan.line_keys(int(block.lines[k]))["atlas"]
+                self.journal.add_result(*keys, Result("ok", "", 0, atlas), 0.0)
+            counts = self._store_rows(job, result["rows"], result["seconds"] / len(indices))
+        if solved:
+            self._measure(int(block.lines[0]), indices[: solved * n], result["seconds"])
+        if failed.any():
+            self.costs.reopen(int(block.lines[0]), indices[solved * n :])
+            self._failed += block.lines[failed].tolist()
+            self._alone.update(self._failed)
+        if set(self.plan.line_tasks) - {"atlas"}:
+            self._open.extend(block.lines[~failed].tolist())
+        shared = {key: result.get(key) for key in ("seconds", "pid", "worker")}
+        line, points = int(block.lines[0]), solved * n
+        event = {"task": "points", "line": line, "lines": solved, "points": points, "counts": dict(counts)}
+        self.listen("chunk", {**shared, **event})
+
+    def _store_rows(self, job: Job, rows: list[tuple[bytes, bytes, bytes]], cost: float) -> Counter[str]:
+        """Store points; returns how many there are of each outcome."""
+        counts: Counter[str] = Counter()
+        for row in rows:
+            self.journal.add_points(*job.keys, self.tokens, row, cost * (len(row[0]) // 8))
+            counts += lines.count(serialize.load(row[1])["status"][:, self.columns])
+        del counts["not_attempted"]  # lines that are yet to be computed by themselves
+        return counts
+
+    def _measure(self, line: int, indices: np.ndarray, seconds: float, probe: bool = False) -> None:
+        n, cost = len(indices), seconds / len(indices)
         weight = n / (n + min(self.points_measured, 20 * n))
         self.cost += weight * (cost - self.cost)
         self.points_measured += n
-        self.costs.add(work.number, indices, result["seconds"], job.probe)
+        self.costs.add(line, indices, seconds, probe)
+
+    def _record_points(self, job: Job, work: LineWork, indices: np.ndarray, result: dict[str, Any]) -> None:
+        """Store a chunk of points and update the costs."""
+        with self.hold:
+            counts = self._store_rows(job, result["rows"], result["seconds"] / len(indices))
+        self._measure(work.number, indices, result["seconds"], job.probe)
         if work.number not in self.costs.probed and self.costs.seconds_left(work.number) > _PROBED_SECONDS:
             self._to_probe.append(work)
-        return counts
+        self.listen("chunk", {**_event(job, result), "points": len(indices), "counts": dict(counts)})
 
     def _study_job(self, name: str, keys: TaskKey) -> Job:
         params, seconds = graph.study_params(self.study, name), self.plan.layers[name].task.seconds
         return Job(self, name, keys, params, seconds=seconds)
-
-    def _study_inputs(self, job: Job) -> Iterator[bytes]:
-        """Inputs of a job over the study: a dict of arrays for each line, then tables."""
-        layer = self.plan.layers[job.name]
-        reads = READS.get(job.name, self.plan.variables)
-        names = [v for v in reads if v in VARIABLES and v not in ("status", "reason")]
-        slopes = self.study.slope[:: math.ceil(len(self.study.slope) / _MAX_SLOPES)]
-        for i in range(self.study.lines):
-            keys = self.plan.line_keys(i)
-            columns: dict[str, Any] = {}
-            if "points" in layer.needs:
-                columns = lines.line(self.journal, keys, self.plan.want, self.study, names, slopes)
-            for need in layer.needs:
-                if need != "points" and self.plan.layers[need].per_line:
-                    stored = self.journal.result(keys[need].key)
-                    columns |= serialize.load(stored.data) if stored and stored.outcome == "ok" else {}
-            yield serialize.dump(columns)
-        for need in layer.needs:
-            if not self.plan.layers[need].per_line:
-                stored = self.journal.result(self.plan.study_keys()[need].key)
-                yield stored.data if stored and stored.outcome == "ok" else serialize.dump({})
 
 
 def _event(job: Job, result: dict[str, Any]) -> dict[str, Any]:

@@ -68,7 +68,8 @@ def serve(parent: int) -> None:
         if outcome == b"ok":
             try:
                 if divided == "lines":
-                    parts = [part for atlas, row in result for part in (serialize.dump(atlas), *_rows(params, row))]
+                    atlases = [serialize.dump(atlas) for atlas, _ in result] if params["atlases"] else []
+                    parts = [*_rows(params, _join([row for _, row in result])), *atlases]
                 else:
                     parts = _rows(params, result) if divided else [serialize.dump(result)]
             except Exception as error:
@@ -124,7 +125,8 @@ def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
 
     from pipeline import serialize
 
-    n, status = len(params["slope"]), np.asarray(result["status"], np.int8)
+    digests = {"lines": np.asarray(params["digests"])} if "digests" in params else {}
+    n, status = len(params["slope"]) * len(params.get("lines", "1")), np.asarray(result["status"], np.int8)
     n_gaits = status.shape[1]
     columns = {name: np.asarray(result[name]) for name in params["want"] if name not in ("status", "reason")}
     for name, a in columns.items():
@@ -144,8 +146,27 @@ def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
         "status": status,
         "reason": np.asarray(result["reason"], np.int16),
         "reasons": reasons if reasons.size else np.zeros(0, "U1"),
+        **digests,
     }
     return [serialize.dump(states), serialize.dump({name: a[:, :n_gaits] for name, a in columns.items()})]
+
+
+def _join(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Join the points of lines, with one table of sentences; multipliers are as many as the widest has."""
+    import numpy as np
+
+    sentences: dict[str, int] = {}
+    tables = [np.array([sentences.setdefault(str(s), len(sentences)) for s in row["reasons"]] or [0]) for row in rows]
+    reason = [table[row["reason"]] for table, row in zip(tables, rows, strict=True)]
+    joined = {"reasons": list(sentences), "reason": np.concatenate(reason)}
+    for name in set(rows[0]) - set(joined):
+        parts = [np.asarray(row[name]) for row in rows]
+        width = max(part.shape[2:] for part in parts)
+        wide = [np.full((*part.shape[:2], *width), VARIABLES[name].absent, part.dtype) for part in parts]
+        for whole, part in zip(wide, parts, strict=True):
+            whole[tuple(map(slice, part.shape))] = part
+        joined[name] = np.concatenate(wide)
+    return joined
 
 
 if __name__ == "__main__":

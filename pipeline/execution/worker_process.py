@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import io
-import math
 import os
 import platform
 import resource
@@ -210,9 +209,10 @@ def run(request: Request) -> dict[str, Any]:
     Returns
     -------
     dict
-        `seconds` [s] taken; `rows` of a block of points, each (slopes, packed states, packed variables); `lines` of a
-        block of lines, for each its packed atlas, states and variables, or None where its worker failed; or `outcome`
-        and `data` (packed result) or `reason` of another task; `worker`, the process that ran it.
+        `seconds` [s] taken; `rows` of a block of points or lines, each (slopes, packed states, packed variables); of
+        a block of lines also `atlases`, each with its position, and the positions of the `failed` lines, whose status
+        is `not_attempted`; or `outcome` and `data` (packed result) or `reason` of another task; `worker`, the process
+        that ran it.
 
     Raises
     ------
@@ -226,7 +226,7 @@ def run(request: Request) -> dict[str, Any]:
     if request.divided == "slope":
         answer = {"rows": _run_block(request, np.asarray(request.params["slope"]))}
     elif request.divided == "lines":
-        answer = {"lines": _run_lines(request, list(request.params["lines"]))}
+        answer = dict(_run_lines(request, 0, len(request.params["lines"])))
     else:
         outcome, parts = _ask(request, request.params)
         if outcome == "worker_died":  # it may have been killed from outside; a second death has another cause
@@ -257,14 +257,23 @@ def _run_block(request: Request, slopes: np.ndarray) -> list[tuple[bytes, bytes,
     return [(slopes.tobytes(), serialize.dump(_failed_states(1, outcome, parts)), serialize.dump({}))]
 
 
-def _run_lines(request: Request, lines: list[Any]) -> list[tuple[bytes, bytes, bytes] | None]:
-    outcome, parts = _ask(request, {**request.params, "lines": lines})
+def _run_lines(request: Request, first: int, n: int) -> dict[str, list[Any]]:
+    """Run `n` lines of a block, from the `first` on."""
+    lines, digests = request.params["lines"][first : first + n], request.params["digests"][first : first + n]
+    outcome, parts = _ask(request, {**request.params, "lines": lines, "digests": digests})
+    slopes = np.tile(request.params["slope"], n)
     if outcome == "ok":
-        return [(parts[i], parts[i + 1], parts[i + 2]) for i in range(1, len(parts), 3)]
-    if len(lines) == 1:
-        return [None]
-    size = math.ceil(len(lines) / _PIECES)
-    return [line for k in range(0, len(lines), size) for line in _run_lines(request, lines[k : k + size])]
+        row, atlases = (slopes.tobytes(), parts[1], parts[2]), list(enumerate(parts[3:], first))
+        return {"rows": [row], "atlases": atlases, "failed": []}
+    if n == 1:
+        states = {**_failed_states(len(slopes), "not_attempted", ""), "lines": digests}
+        row = slopes.tobytes(), serialize.dump(states), serialize.dump({})
+        return {"rows": [row], "atlases": [], "failed": [first]}
+    answer: dict[str, list[Any]] = {"rows": [], "atlases": [], "failed": []}
+    for piece in np.array_split(np.arange(first, first + n), min(_PIECES, n)):
+        for name, values in _run_lines(request, int(piece[0]), len(piece)).items():
+            answer[name] += values
+    return answer
 
 
 def _failed_states(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.store.journal import TaskKey
+from pipeline.store.rows import TaskKey
 from pipeline.study.model import Study
 from tasks.registry import ALWAYS, READS, SHORT_LINE, TASKS, VARIABLES, Task
 
@@ -104,8 +104,7 @@ def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, A
     if name == "atlas":
         return {"line": line, "coarse": is_short(study), **({"steps": study.steps} if study.steps > 1 else {})}
     if name == "points":
-        cell = {"cell": study.plane.cell(line["set"])} if over_plane(study) and study.plane else {}
-        return {"line": line, **study.options, **cell}
+        return {"line": line, **study.options}
     if name == "branch":
         slopes = study.slope
         window = {"slope_from": float(slopes.min()), "slope_to": float(slopes.max()), "n": len(slopes)}

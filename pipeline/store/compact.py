@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from pipeline import serialize
-from pipeline.store.journal import Block, Journal
+from pipeline.store.journal import Journal
+from pipeline.store.rows import Block
 from tasks.registry import VARIABLES
 
 _MAX = 32768  # points in a block

@@ -16,9 +16,8 @@ import time
 import zlib
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 from urllib.parse import quote
 
 import numpy as np
@@ -26,6 +25,7 @@ import numpy as np
 from pipeline import paths, serialize
 from pipeline.errors import ArchiveError, DiskFullError, is_disk_full
 from pipeline.store import rows, salvage
+from pipeline.store.rows import Block, Outcome, Result
 
 _APPLICATION_ID = 0x67735732  # in the header of a journal of this format
 _SYNC_INTERVAL = 0.5  # finished work that a power failure may cost [s]
@@ -45,51 +45,6 @@ class CorruptJournalError(ArchiveError):
     def __init__(self, path: Path):
         self.path = path
         super().__init__(f"{path} is damaged; the next run repairs it.")
-
-
-class TaskKey(NamedTuple):
-    """Keys of a task with its parameters and inputs; `unversioned` is the same for all versions of the task."""
-
-    key: str
-    unversioned: str
-
-
-class Outcome(NamedTuple):
-    """How a task over a line or a study ended; `seen` is the last block of points it read."""
-
-    status: str
-    reason: str
-    seen: int
-
-
-@dataclass(frozen=True)
-class Block:
-    """Some points of one line as the journal holds them, without their variables.
-
-    Attributes
-    ----------
-    id : int
-    variables : frozenset of str
-        Names of the variables, and of the gaits as `@long`.
-    slopes : ndarray, shape (n,) [rad]
-    states : dict
-        `status` and `reason`, shape (n, gait), and the sentences `reasons`.
-    """
-
-    id: int
-    variables: frozenset[str]
-    slopes: np.ndarray
-    states: dict[str, np.ndarray]
-
-
-@dataclass(frozen=True)
-class Result:
-    """Result of a task over a line or a study; `seen` is the last block of points it read."""
-
-    outcome: str
-    reason: str
-    seen: int
-    data: bytes
 
 
 class Journal:
@@ -207,11 +162,20 @@ class Journal:
         """Blocks of the line with that key and slopes in [low, high] [rad], earliest first."""
         query = "SELECT id FROM points WHERE line = ? AND high >= ? AND low <= ? ORDER BY id"
         for (number,) in self._read(query, line, low, high):
-            block_rows = self._rows("points", "id = ? AND line = ?", number, line)
-            if not block_rows:
-                raise CorruptJournalError(self.path)
-            _, _, _, variables, *_, slopes, states = block_rows[0]
-            yield Block(number, _split_words(variables), np.frombuffer(slopes), serialize.load(states))
+            yield self.block(number, line)
+
+    def block(self, number: int, line: str | None = None) -> Block:
+        """The block of that number, and key."""
+        rows_found = self._rows("points", "id = ? AND line = ifnull(?, line)", number, line)
+        if not rows_found:
+            raise CorruptJournalError(self.path)
+        _, _, _, variables, *_, slopes, states = rows_found[0]
+        return Block(number, _split_words(variables), np.frombuffer(slopes), serialize.load(states))
+
+    def block_keys(self) -> list[str]:
+        """Keys of blocks of lines."""
+        query = "SELECT DISTINCT line FROM points WHERE line >= ? AND line < ?"
+        return [key for (key,) in self._read(query, f"{rows.BLOCK}-", f"{rows.BLOCK}.")]
 
     def variables(self, block: int) -> dict[str, np.ndarray]:
         """Read the variables of one block; the last two blocks are cached.
@@ -228,9 +192,10 @@ class Journal:
             self._recent.popitem(last=False)
         return self._recent[block]
 
-    def last_block(self, line: str) -> int:
-        """Number of the latest block of a line; 0 where there is none."""
-        return self._read("SELECT max(id) FROM points WHERE line = ?", line)[0][0] or 0
+    def last_block(self, line: str | None = None) -> int:
+        """Number of the latest block, of a line or of all; 0 where there is none."""
+        condition, values = ("WHERE line = ?", [line]) if line else ("", [])
+        return self._read(f"SELECT max(id) FROM points {condition}", *values)[0][0] or 0
 
     def knows(self, unversioned_key: str) -> bool:
         """Whether any version of the task has a result for these parameters."""
@@ -251,7 +216,8 @@ class Journal:
     def small_lines(self) -> list[str]:
         """Keys of lines stored in many blocks of few points."""
         many_small = f"count(*) > {_MIN_SMALL_BLOCKS} AND avg(n) < {_SMALL_BLOCK}"
-        return [key for (key,) in self._read(f"SELECT line FROM points GROUP BY line HAVING {many_small}")]
+        query = f"SELECT line FROM points WHERE line NOT LIKE '{rows.BLOCK}-%' GROUP BY line HAVING {many_small}"
+        return [key for (key,) in self._read(query)]
 
     def replace_points(
         self, numbers: Iterable[int], line: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes]

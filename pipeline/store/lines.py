@@ -8,7 +8,8 @@ from collections.abc import Collection, Iterable
 import numpy as np
 
 from pipeline.statuses import ALL_STATUSES, ANSWERS
-from pipeline.store.journal import Block, Journal, TaskKey
+from pipeline.store.journal import Journal
+from pipeline.store.rows import Block, TaskKey
 from pipeline.study.model import Study
 from tasks.registry import GAITS, VARIABLES
 
@@ -22,26 +23,44 @@ Indices = np.ndarray | slice
 Source = tuple[int, Indices, Indices]
 
 
-class Order:
-    """Slopes, shape (n,) [rad], sorted once to look up the points of blocks."""
+class Places:
+    """Points of a line, or of several lines, looked up in blocks of the journal.
 
-    def __init__(self, slopes: np.ndarray):
-        self.slopes = slopes
+    Parameters
+    ----------
+    slopes : ndarray, shape (n,) [rad]
+        The same on all lines.
+    lines : ndarray of uint64, shape (m, 2), optional
+        Digests of several lines.
+    """
+
+    def __init__(self, slopes: np.ndarray, lines: np.ndarray | None = None):
+        self.slopes, self.lines = slopes, lines
         self.order = np.argsort(slopes, kind="stable")
         self.sorted = slopes[self.order]
+        self.size = len(slopes) * (1 if lines is None else len(lines))
 
-    def find(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Look up the slopes of a block.
+    def find(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
+        """Look up the points of a block.
 
         Parameters
         ----------
-        slopes : ndarray, shape (m,) [rad]
+        block : Block
 
         Returns
         -------
         inside, indices : ndarray, shape (k,)
-            Indices into the block of the slopes that match, and into the slopes of this object.
+            Indices into the block of the points that match, and into the points of this object, line by line.
         """
+        if self.lines is None:
+            return self._find_slopes(block.slopes)
+        lines = block.states["lines"]
+        n = len(block.slopes) // max(1, len(lines))
+        inside, indices = self._find_slopes(block.slopes[:n])
+        rows, numbers = np.nonzero((lines[:, None] == self.lines).all(axis=-1))
+        return (rows[:, None] * n + inside).ravel(), (numbers[:, None] * len(self.slopes) + indices).ravel()
+
+    def _find_slopes(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         position = np.searchsorted(self.sorted, slopes)
         position[position == len(self.sorted)] = 0
         inside = np.flatnonzero(self.sorted[position] == slopes)
@@ -97,10 +116,24 @@ def missing(
     ndarray of int, shape (m,)
         Indices into `slopes`.
     """
-    order, present = Order(slopes), np.zeros(len(slopes), bool)
-    for block in journal.blocks(line):  # all blocks: the slope range of a damaged row is not reliable
+    # All blocks: the slope range of a damaged row is not reliable.
+    return unsolved(journal.blocks(line), want, Places(slopes), gaits, retry)
+
+
+def unsolved(
+    blocks: Iterable[Block], want: frozenset[str], places: Places, gaits: Collection[str] = (), retry: bool = False
+) -> np.ndarray:
+    """Find the points that no block holds, as `missing` does.
+
+    Returns
+    -------
+    ndarray of int, shape (m,)
+        Indices of points.
+    """
+    present = np.zeros(places.size, bool)
+    for block in blocks:
         if want <= block.variables:
-            inside, positions = order.find(block.slopes)
+            inside, positions = places.find(block)
             present[positions] = ~has_failed(block.states, gaits)[inside] if retry else True
     return np.flatnonzero(~present)
 
@@ -108,7 +141,7 @@ def missing(
 def states(
     journal: Journal, line: str, want: frozenset[str], slopes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, list[str], list[Source]]:
-    """Read the states of the points of a line.
+    """Read the states of the points of one line, as `read_states` does.
 
     Parameters
     ----------
@@ -118,6 +151,23 @@ def states(
     want : frozenset of str
         Contents a block must hold to count.
     slopes : ndarray, shape (n,) [rad]
+    """
+    return read_states(journal.blocks(line, slopes.min(), slopes.max()), want, Places(slopes))
+
+
+def read_states(
+    blocks: Iterable[Block], want: frozenset[str], places: Places
+) -> tuple[np.ndarray, np.ndarray, list[str], list[Source]]:
+    """Read the states of points.
+
+    Parameters
+    ----------
+    blocks : iterable of Block
+        Earliest first.
+    want : frozenset of str
+        Contents a block must hold to count.
+    places : Places
+        The points, n in all.
 
     Returns
     -------
@@ -127,15 +177,14 @@ def states(
     sources : list of Source
         Locations of the variables; later ones overwrite earlier ones.
     """
-    order = Order(slopes)
-    status = np.full((len(slopes), len(GAITS)), ALL_STATUSES["not_attempted"], np.int8)
+    status = np.full((places.size, len(GAITS)), ALL_STATUSES["not_attempted"], np.int8)
     reason = np.zeros(status.shape, np.int32)
     sentences: dict[str, int] = {NOT_ATTEMPTED: 0}
     sources: list[Source] = []
-    for block in journal.blocks(line, order.sorted[0], order.sorted[-1]):
+    for block in blocks:
         if not want <= block.variables:
             continue
-        inside, positions = order.find(block.slopes)
+        inside, positions = places.find(block)
         if len(inside):
             source, target = _as_slice(inside), _as_slice(positions)
             status[target] = block.states["status"][source]

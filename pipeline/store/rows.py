@@ -1,4 +1,4 @@
-"""Rows of the journal: columns and checksums."""
+"""Rows of the journal: what they hold, columns and checksums."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import functools
 import re
 import zlib
 from collections.abc import Iterable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
 
 SCHEMA = (
     "CREATE TABLE points (id INTEGER PRIMARY KEY, line TEXT, kin TEXT, variables TEXT, low REAL, high REAL,"
@@ -24,7 +27,55 @@ COLUMNS = {
     table: tuple(re.findall(r"(\w+) (?:TEXT|REAL|INTEGER|BLOB)", statement)[1:])
     for table, statement in zip(("points", "results"), SCHEMA, strict=False)
 }
+#: First word of the keys of blocks of lines; other keys of points are of one line.
+BLOCK = "block"
 _REAL = ("low", "high", "seconds")
+
+
+class TaskKey(NamedTuple):
+    """Keys of a task with its parameters and inputs; `unversioned` is the same for all versions of the task."""
+
+    key: str
+    unversioned: str
+
+
+class Outcome(NamedTuple):
+    """How a task over a line or a study ended; `seen` is the last block of points it read."""
+
+    status: str
+    reason: str
+    seen: int
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some points of one line as the journal holds them, without their variables.
+
+    Attributes
+    ----------
+    id : int
+    variables : frozenset of str
+        Names of the variables, and of the gaits as `@long`.
+    slopes : ndarray, shape (n,) [rad]
+    states : dict
+        `status` and `reason`, shape (n, gait), and the sentences `reasons`; of several lines, whose points follow each
+        other, their digests `lines`, shape (m, 2).
+    """
+
+    id: int
+    variables: frozenset[str]
+    slopes: np.ndarray
+    states: dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Result:
+    """Result of a task over a line or a study; `seen` is the last block of points it read."""
+
+    outcome: str
+    reason: str
+    seen: int
+    data: bytes
 
 
 def insert(table: str, conflict: str = "") -> str:

@@ -41,24 +41,34 @@ class Plane:
     axes: tuple[Axis, ...]
     parts: tuple[int, ...]
 
+    def sides(self, axis: Axis, values: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Bounds of the cells in which values of an axis lie; none if it is not an axis of the plane.
+
+        Parameters
+        ----------
+        axis : Axis
+        values : ndarray, shape (n,)
+
+        Returns
+        -------
+        tuple of ndarray, shape (n,)
+        """
+        for own, parts in zip(self.axes, self.parts, strict=True):
+            if own.name == axis.name:
+                edges = np.linspace(own.values.min(), own.values.max(), parts + 1)
+                part = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, parts - 1)
+                return edges[part], edges[part + 1]
+        return ()
+
     def cell(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Return the keys of the cell that holds some values of them, and its bounds `low` and `high`."""
-        keys, low, high = [], [], []
-        for axis, parts in zip(self.axes, self.parts, strict=True):
-            edges = _edges(axis, parts)
-            k = int(_part(axis, parts, np.array([values[axis.name]]))[0])
-            keys.append(axis.name)
-            low.append(float(edges[k]))
-            high.append(float(edges[k + 1]))
-        return {"keys": keys, "low": low, "high": high}
-
-
-def _edges(axis: Axis, parts: int) -> np.ndarray:
-    return np.linspace(axis.values.min(), axis.values.max(), parts + 1)
-
-
-def _part(axis: Axis, parts: int, values: np.ndarray) -> np.ndarray:
-    return np.clip(np.searchsorted(_edges(axis, parts), values, side="right") - 1, 0, parts - 1)
+        """Return the keys of the cell that holds some values of them, its bounds `low` and `high`, and its `values`."""
+        sides = [self.sides(axis, np.array([values[axis.name]])) for axis in self.axes]
+        low, high = ([float(side[i][0]) for side in sides] for i in (0, 1))
+        inside = [
+            axis.values[(axis.values >= a) & (axis.values <= b)]
+            for axis, a, b in zip(self.axes, low, high, strict=True)
+        ]
+        return {"keys": [axis.name for axis in self.axes], "low": low, "high": high, "values": inside}
 
 
 @dataclass(frozen=True)
@@ -137,13 +147,6 @@ class Study:
         spans = [float(np.ptp(axis.values)) for axis in axes]
         return Plane(tuple(axes), tuple(max(1, math.ceil(s / w)) for s, w in zip(spans, widths, strict=True)))
 
-    def cell_of(self, number: int) -> dict[str, Any]:
-        """Return the cell of a line, with the study's `values` of each key in it."""
-        assert self.plane
-        cell = self.plane.cell(self.line(number)["set"])
-        sides = zip(self.plane.axes, cell["low"], cell["high"], strict=True)
-        return {**cell, "values": [axis.values[(axis.values >= a) & (axis.values <= b)] for axis, a, b in sides]}
-
     def cells(self) -> Iterator[np.ndarray]:
         """Yield the numbers of the lines of each cell of the plane.
 
@@ -153,17 +156,12 @@ class Study:
         """
         assert self.plane
         numbers = np.arange(self.lines).reshape(self.line_shape)
-        parts = dict(zip((axis.name for axis in self.plane.axes), self.plane.parts, strict=True))
         places: list[list[np.ndarray]] = [[np.array([i]) for i in range(len(self.walkers))]]
         for axis in self.line_axes:
-            if axis.name in parts:
-                k = _part(axis, parts[axis.name], axis.values)
-                places.append([np.flatnonzero(k == i) for i in range(parts[axis.name])])
-            else:
-                places.append([np.array([i]) for i in range(len(axis))])
+            low, *_ = self.plane.sides(axis, axis.values) or (np.arange(len(axis)),)
+            places.append([np.flatnonzero(low == side) for side in np.unique(low)])
         for place in itertools.product(*places):
-            if all(map(len, place)):
-                yield numbers[np.ix_(*place)].ravel()
+            yield numbers[np.ix_(*place)].ravel()
 
     def name_of(self, number: int) -> str:
         """Label of the walker of a line."""

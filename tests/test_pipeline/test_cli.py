@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import tomllib
 from pathlib import Path
 from unittest.mock import Mock
@@ -16,10 +17,12 @@ from unittest.mock import Mock
 import netCDF4
 import pytest
 
-from conftest import ROOT, STUDY
+from conftest import ROOT, STUDY, TOYS
 from pipeline.archive import write
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError
+from pipeline.execution import locks
+from processes import sidecar_path
 
 
 def gaitsweep(*arguments, cwd=None):
@@ -118,6 +121,16 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
             ["run", "s.toml", "t.toml", "--archive", "x.nc"],
             "`--archive` names one file, but there are several studies.",
         ),
+        (["run", "s.toml", "--archive", ""], "Argument --archive: must name a file; got '' (gaitsweep run --help)."),
+        (["run", "s.toml", "--archive", "/"], "Argument --archive: must name a file; got '/' (gaitsweep run --help)."),
+        (
+            ["run", "s.toml", "--archive", "a\udcff"],
+            "Argument --archive: must name a file; got 'a\\udcff' (gaitsweep run --help).",
+        ),
+        (
+            ["run", "s.toml", "--jobs", "1001"],
+            "Argument --jobs: must be at most 1,000; got 1001 (gaitsweep run --help).",
+        ),
         (["run", "s.toml", "--archive", "s.toml/x.nc"], "s.toml cannot be written: File exists."),
         (["run", "s.toml", "--cluster", "nowhere"], "`--cluster` must be tcp://HOST:PORT or local:N; got nowhere."),
         (["plan", "s.toml", "s.toml"], "Two studies are called toy."),
@@ -172,6 +185,45 @@ def test_quiet_is_quiet_and_the_summary_counts(toy):
     assert done.stderr.splitlines()[-1] == "To see it: gaitsweep report data/archive/toy.nc  (makes reports/index.html)"
     record = json.loads((toy.folder / "data" / "archive" / "toy.run.json").read_text())
     assert record["exit_code"] == 0 and record["counts"] == {"converged": 400} and record["seconds"] > 0
+
+
+@pytest.mark.parametrize("redirection", ["2>&-", "2>/dev/full", "<&- >&- 2>&-"])
+def test_a_run_needs_no_standard_error(toy, redirection):
+    toy("run", "toy.toml", "--quiet")
+    whole = toy.bytes()
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(TOYS)])}
+    command = f"{sys.executable} {TOYS / 'gaitsweep_toy.py'} run toy.toml --fresh {redirection}"
+    assert subprocess.run(["bash", "-c", command], cwd=toy.folder, env=environment).returncode == 0
+    assert toy.bytes() == whole
+
+
+def test_output_that_finds_no_room_is_said(toy):
+    toy("run", "toy.toml", "--quiet")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(TOYS)])}
+    command = f"{sys.executable} {TOYS / 'gaitsweep_toy.py'} status >/dev/full"
+    done = subprocess.run(["bash", "-c", command], cwd=toy.folder, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (4, "gaitsweep: The disk is full; not everything could be printed.\n")
+
+
+def test_a_run_is_not_refused_by_a_look_at_its_state(toy):
+    """`status` holds the lock for a moment, and it still names the last run."""
+    toy("run", "toy.toml", "--quiet")
+    path = toy.folder / "data" / "archive" / "toy.nc"
+    with sidecar_path(toy, ".lock").open() as file:
+        fcntl.flock(file, fcntl.LOCK_SH)
+        timer = threading.Timer(0.1, fcntl.flock, (file, fcntl.LOCK_UN))
+        timer.start()
+        with locks.lock_archive(path):
+            pass
+        timer.join()
+
+
+def test_a_record_that_finds_no_room_is_missed(toy, monkeypatch, capsys):
+    monkeypatch.chdir(toy.folder)
+    monkeypatch.setattr("pipeline.execution.runner._write_record", Mock(side_effect=OSError(errno.ENOSPC, "No room")))
+    toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
+    assert commands.main(["run", "toy.toml", "--jobs", "1", "--quiet"]) == 0
+    assert "toy.run.json cannot be written: No room." in capsys.readouterr().err
 
 
 def test_several_studies_end_with_one_account_of_them_all(toy):

@@ -1,0 +1,65 @@
+"""Kinds of arguments of the command line; each says in one line what is wrong."""
+
+from __future__ import annotations
+
+from argparse import ArgumentTypeError
+from pathlib import Path
+
+_MAX_JOBS = 1000
+
+
+def count(text: str) -> int:
+    """A whole number from 1."""
+    if not text.isdecimal() or not 1 <= int(text) <= 10**9:
+        raise ArgumentTypeError(f"must be a whole number of at least 1; got {text}")
+    return int(text)
+
+
+def jobs(text: str) -> int:
+    """A number of processes on one computer."""
+    if count(text) > _MAX_JOBS:
+        raise ArgumentTypeError(f"must be at most {_MAX_JOBS:,}; got {text}")
+    return int(text)
+
+
+def archive(text: str) -> Path:
+    """Path of an archive."""
+    if not Path(text).name or not text.isprintable():
+        raise ArgumentTypeError(f"must name a file; got {text!a}")
+    return Path(text)
+
+
+def number(text: str) -> float:
+    """A number."""
+    try:
+        return float(text)
+    except ValueError:
+        raise ArgumentTypeError(f"must be a number; got {text}") from None
+
+
+def tolerance(text: str) -> tuple[str, float]:
+    """A relative tolerance, of all variables or of one."""
+    name, _, value = text.rpartition("=")
+    if not 0 <= (rtol := number(value)) < 1:
+        raise ArgumentTypeError(f"must lie in [0, 1); got {value}")
+    return name, rtol
+
+
+def setting(text: str) -> tuple[str, float | bool]:
+    """A walker key and its value."""
+    key, _, value = text.partition("=")
+    if not key or not value:
+        raise ArgumentTypeError(f"must be KEY=VALUE; got {text}")
+    return key, {"true": True, "false": False}[value] if value in ("true", "false") else number(value)
+
+
+def decimal(text: str) -> str:
+    """A number as it is written, with all its digits."""
+    number(text)
+    return text
+
+
+def decimal_setting(text: str) -> tuple[str, str | bool]:
+    """A walker key and its value, with all its digits."""
+    key, value = setting(text)
+    return key, value if isinstance(value, bool) else text.partition("=")[2]

@@ -1,0 +1,31 @@
+"""Standard output and standard error, either of which may be closed or full."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def prepare() -> None:
+    """Open standard streams that are closed on nothing, so that no other file takes their place."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+    for name, stream in (("stdout", 1), ("stderr", 2)):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(stream, "w", closefd=False))
+
+
+def say(text: str, end: str = "\n") -> None:
+    """Write to standard error; on a full disk the text is lost, and nothing else."""
+    try:
+        print(text, end=end, file=sys.stderr, flush=True)
+    except OSError:
+        silence(2)
+
+
+def silence(stream: int) -> None:
+    """Send what is written to a standard stream from now on nowhere, what is still in its buffer included."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, stream)
+    os.close(nowhere)
