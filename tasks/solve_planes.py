@@ -45,7 +45,8 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     Returns
     -------
     list of (dict, dict)
-        For each line an empty atlas, and what `points` returns. It depends on the line and the cell alone.
+        One pair for all lines: no atlas, and what `points` returns, line by line. What it has of a line depends on the
+        line and the cell alone.
     """
     all_lines, slope = params["lines"], np.asarray(params["slope"], float)
     cell = params["cell"]
@@ -56,7 +57,12 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     wanted = set(params.get("gaits") or GAITS)
     friction_limit = params.get("friction_limit", violations.FRICTION_LIMIT)
     keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
-    accepted, out = np.ones(len(keys), bool), {}
+    accepted = np.ones(len(keys), bool)
+    width = 4 if family.walkers(keys[:1]).knees else 3
+    out = {
+        name: value.reshape(len(keys), len(slope), *value.shape[1:])
+        for name, value in nothing_solved(want, len(keys) * len(slope), width).items()
+    }
     panels = np.floor(np.log(slope) / PANEL) * PANEL
     for low in np.unique(panels).tolist():
         at_panel = np.flatnonzero(panels == low)
@@ -66,19 +72,18 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
                 continue
             solved, accepted[inside] = solve(family, part, keys[inside], slope[at_panel], want, wanted, friction_limit)
             for name, value in solved.items():
-                if name not in out:
-                    out[name] = np.zeros((len(keys), len(slope), *value.shape[2:]), value.dtype)
                 out[name][np.ix_(inside, at_panel)] = value
-    reasons = np.array(_reasons(family, box))
-    results: list[tuple[Arrays, Arrays]] = [
-        ({}, {name: value[i] for name, value in out.items()} | {"reasons": reasons}) for i in range(len(keys))
-    ]
+    reasons = _reasons(family, box)
     others = np.flatnonzero(~accepted).tolist()
     if others:
         surveyed = lines_side_by_side({**params, "lines": [all_lines[i] for i in others]}, [])
         for i, (_, points) in zip(others, surveyed, strict=True):
-            results[i] = {}, points
-    return results
+            for name in out:
+                out[name][i] = points[name]
+            out["reason"][i] += len(reasons)
+            reasons += points["reasons"].tolist()
+    joined = {name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}
+    return [({}, joined | {"reasons": np.array(reasons)})]
 
 
 @functools.lru_cache(256)
@@ -233,8 +238,8 @@ def _side(at: Polished) -> np.ndarray:
 def _describe(
     problem: Lanes, walkers: WalkerArray, at: Polished, slope: np.ndarray, want: list[str], friction_limit: float
 ) -> Arrays:
-    """Measure the gaits: all at once, or walker by walker where losses or violations are wanted."""
-    if not any(VARIABLES[name].group in ("energy", "violations") for name in want):
+    """Measure the gaits: all at once, or walker by walker where violations are wanted."""
+    if not any(VARIABLES[name].group == "violations" for name in want):
         return describe(problem, walkers, at, slope, want, friction_limit)
     each = []
     for i in range(len(slope)):

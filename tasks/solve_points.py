@@ -332,7 +332,7 @@ def describe(
     problem : Problem
         Of one walker, or of one for each gait.
     walker : Walker
-        That walker, or an array of them, for which losses and violations cannot be measured.
+        That walker, or an array of them, for which violations cannot be measured.
     at : Polished
         The gaits.
     slope : ndarray, shape (n,) [rad]

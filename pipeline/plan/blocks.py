@@ -16,9 +16,9 @@ import numpy as np
 from pipeline.plan import graph
 from pipeline.store.journal import Journal
 from pipeline.store.rows import BLOCK, Block, TaskKey
-from pipeline.study.model import Study
+from pipeline.study.model import Axis, Study
 
-_SIZE = 64  # lines in a block: enough to fill registers, few enough to show progress
+SIZE = 64  # lines in a block: enough to fill registers, few enough to show progress
 _MOST_POINTS = 8192  # in a block of a plane, whose lines lie in one cell
 #: Constants of the finalizer of splitmix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195).
 _INCREMENT, _FIRST, _SECOND = (np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
@@ -34,7 +34,7 @@ class Blocks:
     @property
     def count(self) -> int:
         """Number of blocks."""
-        return len(self._plane[1]) - 1 if self._plane else -(-self.study.lines // _SIZE)
+        return len(self._plane[1]) - 1 if self._plane else -(-self.study.lines // SIZE)
 
     def numbers(self, block: int) -> np.ndarray:
         """Numbers of the lines of a block.
@@ -46,7 +46,7 @@ class Blocks:
         if self._plane:
             order, bounds, _ = self._plane
             return order[bounds[block] : bounds[block + 1]]
-        return np.arange(block * _SIZE, min((block + 1) * _SIZE, self.study.lines))
+        return np.arange(block * SIZE, min((block + 1) * SIZE, self.study.lines))
 
     def of(self, numbers: np.ndarray) -> np.ndarray:
         """Blocks of lines.
@@ -62,7 +62,7 @@ class Blocks:
         if self._plane:
             _, bounds, places = self._plane
             return np.searchsorted(bounds, places[numbers], side="right") - 1
-        return numbers // _SIZE
+        return numbers // SIZE
 
     @functools.cached_property
     def _plane(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -95,7 +95,9 @@ class Blocks:
         values = [axis.values.astype(float)[index] for axis, index in axes]
         if self._plane and self.study.plane:
             # What a line of a plane gives depends on its cell.
-            values += [side for axis, index in axes for side in self.study.plane.sides(axis, axis.values[index])]
+            for axis, index in axes:
+                sides = self.study.plane.sides(axis, axis.values)
+                values += [side[index] for side in (*sides, *self._neighbours(axis, sides))]
         for value in values:
             z = (digest ^ value.view(np.uint64)[:, None]) + _INCREMENT
             z = (z ^ z >> np.uint64(30)) * _FIRST
@@ -107,6 +109,15 @@ class Blocks:
         """Key of a block."""
         numbers = self.numbers(block)
         return TaskKey(*(f"{BLOCK}-{_hash(self.digests(numbers, versioned))}" for versioned in (True, False)))
+
+    def _neighbours(self, axis: Axis, sides: tuple[np.ndarray, ...]) -> list[np.ndarray]:
+        """For each value of an axis a number that tells all its values in the same cell: they decide how it is split."""
+        marks = np.zeros(len(axis) if sides else 0, np.uint64)
+        for low in np.unique(sides[0]) if sides else ():
+            inside = sides[0] == low
+            digest = hashlib.sha256(axis.values[inside].astype(float).tobytes()).digest()
+            marks[inside] = np.frombuffer(digest[:8], np.uint64)
+        return [marks.view(float)] if sides else []
 
     @functools.cached_property
     def _walkers(self) -> dict[bool, np.ndarray]:

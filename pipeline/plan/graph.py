@@ -96,7 +96,8 @@ def over_plane(study: Study) -> bool:
     reads_atlas = any("atlas" in TASKS[name].needs for name in readers if name in TASKS)
     reads_atlas |= any(read in TASKS and read != "points" for name in readers for read in READS.get(name, ()))
     has_proofs = any(VARIABLES[name].group == "proofs" for name in study.variables)
-    return is_short(study) and not (reads_atlas or has_proofs) and study.plane is not None
+    can = is_short(study) and bool(TASKS["atlas"].over_plane)
+    return can and not (reads_atlas or has_proofs) and study.plane is not None
 
 
 def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:

@@ -139,7 +139,9 @@ class Study:
     @functools.cached_property
     def plane(self) -> Plane | None:
         """The longest one or two axes of keys, if they hold so many lines that gaits are interpolated over them."""
-        axes = [a for a in self.line_axes if len(a) > 1 and all(a.name in check["widths"] for check in self.checks)]
+        axes = [
+            a for a in self.line_axes if len(a) > 1 and all(a.name in check.get("widths", ()) for check in self.checks)
+        ]
         axes = sorted(sorted(axes, key=len)[-2:], key=lambda axis: axis.name)
         if not axes or math.prod(map(len, axes)) < LEAST_PLANE:
             return None

@@ -42,7 +42,8 @@ class Chain:
     """A walker whose stance knee is open, in units of its leg, its mass and g.
 
     Arrays have the link first where they have one, then any shape, here (4, ...): stance shank, stance thigh, swing
-    thigh, swing shank. A complex number x + iy is a vector along the slope and the ground's normal.
+    thigh, swing shank. A complex number x + iy is a vector along the slope and the ground's normal. Of an array of
+    walkers the constants are arrays too, shape (n,), as are the motions.
     """
 
     def __init__(self, walker: Walker):
@@ -53,23 +54,25 @@ class Chain:
         #: Foot centre from the knee, in the frame of the extended leg.
         self.foot = -1j * self.l - knee
         m_t, m_s = walker.m_t / mass, walker.m_s / mass
-        arms = np.array(
-            [
-                [shank - self.foot, 0, 0, 0],
-                [-self.foot, thigh - knee, 0, 0],
-                [-self.foot, -knee, 0, 0],
-                [-self.foot, -knee, thigh, 0],
-                [-self.foot, -knee, knee, shank],
-            ]
-        )
-        masses = np.array([m_s, m_t, walker.m_h / mass, m_t, m_s])
+        rows = [
+            [shank - self.foot, 0, 0, 0],
+            [-self.foot, thigh - knee, 0, 0],
+            [-self.foot, -knee, 0, 0],
+            [-self.foot, -knee, thigh, 0],
+            [-self.foot, -knee, knee, shank],
+        ]
+        shape = np.shape(leg + mass + 0 * (knee + thigh + shank))
+        arms = np.array([[np.broadcast_to(arm, shape) for arm in row] for row in rows])
+        masses = np.array([np.broadcast_to(m, shape) for m in (m_s, m_t, walker.m_h / mass, m_t, m_s)])
         I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
         #: First moments and products of the arms; a massless leg's own rows are those of a shank of unit mass.
-        self.S = masses @ arms
-        self.K = arms.conj().T @ (masses[:, None] * arms) + np.diag([I_s, I_t, I_t, I_s])
+        self.S = np.einsum("k...,ki...->i...", masses, arms)
+        self.K = np.einsum("ki...,k...,kj...->ij...", arms.conj(), masses, arms)
+        for i, inertia in enumerate((I_s, I_t, I_t, I_s)):
+            self.K[i, i] += inertia
         self.S_rows = self.S.copy()
         if self.massless:
-            self.K[2:] = np.outer(arms[4].conj(), arms[4])[2:]
+            self.K[2:] = np.einsum("i...,j...->ij...", arms[4].conj(), arms[4])[2:]
             self.K[3, 3] += (walker.r_s / leg) ** 2
             self.S_rows[2:] = arms[4, 2:]
 

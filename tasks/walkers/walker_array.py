@@ -49,6 +49,21 @@ class WalkerArray(Walker):
         return self.l_t * np.cos(self.eps_T) + (self.l_s - self.R) * np.cos(self.eps_S)
 
     @property
+    def knee(self) -> Any:
+        """Position of the knee from the hip, in the frame of the extended leg: x forward, y up."""
+        return -self.l_t * (np.sin(self.eps_T) + 1j * np.cos(self.eps_T))
+
+    @property
+    def thigh_centre(self) -> Any:
+        """Position of the thigh's centre of mass from the hip, in the frame of the extended leg."""
+        return -np.exp(-1j * self.eps_T) * (self.w_t + 1j * self.c_t)
+
+    @property
+    def shank_centre(self) -> Any:
+        """Position of the shank's centre of mass from the knee, in the frame of the extended leg."""
+        return -np.exp(1j * self.eps_S) * (self.w_s + 1j * self.c_s)
+
+    @property
     def massless_leg(self) -> bool:
         """Whether no swing leg has inertia about the hip."""
         return not (np.any(self.m_s) or np.any(self.m_t * (self.r_t**2 + self.c_t**2 + self.w_t**2)))

@@ -1,0 +1,95 @@
+"""Studies over a plane of keys: divided into cells, each computed as a whole, whatever runs them."""
+
+import numpy as np
+import pytest
+
+import pipeline
+from pipeline.plan.missing import Plan
+from pipeline.store.journal import Journal
+from pipeline.study.parse import read
+
+STUDY = """
+name = "plane"
+walker = "{walker}"
+[axes]
+slope = [0.008, 0.01]
+{axes}
+[want]
+variables = ["stance_angle", "period", "loss_normal"]
+"""
+BOTH = ["long", "short"]
+AXES = "R = { from = 0.0, to = 0.2, n = 12 }\nm_s = { from = 0.08, to = 0.12, n = 6 }"
+
+
+def written(folder, text):
+    folder.mkdir(exist_ok=True)
+    path = folder / "plane.toml"
+    path.write_text(text)
+    return path
+
+
+def run(folder, text, **options):
+    archive = folder / "plane.nc"
+    pipeline.run(written(folder, text), archive=archive, quiet=True, **options)
+    return archive
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    return run(tmp_path_factory.mktemp("one"), STUDY.format(walker="B", axes=AXES), jobs=1)
+
+
+def test_a_plane_is_divided_into_cells(tmp_path):
+    study = read(written(tmp_path, STUDY.format(walker="B", axes=AXES)))
+    assert study.plane.parts == (2, 1)
+    blocks = Plan(study, Journal(tmp_path / "journal")).blocks
+    numbers = [blocks.numbers(k) for k in range(blocks.count)]
+    assert sorted(np.concatenate(numbers)) == list(range(72))
+    for k, each in enumerate(numbers):
+        assert (blocks.of(each) == k).all()
+        cells = [study.plane.cell(study.line(number)["set"]) for number in each]
+        assert all(cell["low"] == cells[0]["low"] and cell["high"] == cells[0]["high"] for cell in cells)
+        for number, cell in zip(each, cells, strict=True):
+            values = study.line(number)["set"]
+            assert all(a <= values[key] <= b for key, a, b in zip(cell["keys"], cell["low"], cell["high"], strict=True))
+
+
+def test_the_digest_of_a_line_tells_its_cell(tmp_path):
+    other_cells, other_lines = AXES.replace("to = 0.2", "to = 0.22"), AXES.replace("n = 12", "n = 13")
+    digests = []
+    for name, axes in (("one", AXES), ("two", other_cells), ("three", other_lines)):
+        study = read(written(tmp_path / name, STUDY.format(walker="B", axes=axes)))
+        blocks = Plan(study, Journal(tmp_path / name / "journal")).blocks
+        first = [i for i in range(study.lines) if study.line(i)["set"] == {"R": 0.0, "m_s": 0.08}]
+        digests.append(blocks.digests(np.array(first)).tolist())
+    assert digests[0] not in digests[1:]
+
+
+@pytest.mark.parametrize("axes", ["R = { from = 0.0, to = 0.2, n = 7 }\nm_s = { from = 0.08, to = 0.12, n = 9 }"])
+def test_few_lines_are_no_plane(tmp_path, axes):
+    assert read(written(tmp_path, STUDY.format(walker="B", axes=axes))).plane is None
+
+
+def test_two_workers_write_the_same_bytes(archive, tmp_path):
+    other = run(tmp_path, STUDY.format(walker="B", axes=AXES), jobs=2)
+    assert other.read_bytes() == archive.read_bytes()
+
+
+def test_a_plane_holds_what_its_lines_hold(archive):
+    plane = pipeline.load(archive)
+    for i, k in ((0, 0), (5, 3), (6, 0), (11, 5)):
+        one = pipeline.gaits("B", plane.slope.values, R=float(plane.R[i]), m_s=float(plane.m_s[k])).sel(gait=BOTH)
+        other = plane.isel(R=i, m_s=k).sel(gait=BOTH)
+        for name in ("stance_angle", "period"):
+            bound = other.error_bound.values + one.error_bound.values
+            assert (np.abs(other[name].values / one[name].values - 1) <= bound).all()
+        assert other.loss_normal.values == pytest.approx(one.loss_normal.values, rel=1e-11)
+    assert (plane.status.sel(gait=BOTH) == "converged").all()
+
+
+def test_violations_are_measured_walker_by_walker(tmp_path):
+    text = STUDY.format(walker="B", axes=AXES.replace("n = 12", "n = 11")).replace("loss_normal", "scuff_depth")
+    plane = pipeline.load(run(tmp_path, text, jobs=1))
+    one = pipeline.gaits("B", plane.slope.values, R=0.2, m_s=0.12, variables=["scuff_depth"])
+    depth = plane.scuff_depth.isel(R=-1, m_s=-1).sel(gait=BOTH)
+    assert depth.values == pytest.approx(one.scuff_depth.sel(gait=BOTH).values, rel=1e-9)
