@@ -66,10 +66,22 @@ class Blocks:
             digest = z ^ z >> np.uint64(31)
         return digest
 
-    def key(self, block: int) -> TaskKey:
+    def key(self, block: int) -> str:
         """Key of a block."""
-        numbers = self.numbers(block)
-        return TaskKey(*(f"{BLOCK}-{_hash(self.digests(numbers, versioned))}" for versioned in (True, False)))
+        last = self._last[-1]
+        if last[0] != block:
+            last = block, _hash(self.digests(self.numbers(block)))
+            self._last[-1] = last  # at once: other threads read it too
+        return last[1]
+
+    def keys(self, block: int) -> TaskKey:
+        """Key of a block, and that which it has in all versions of the tasks."""
+        return TaskKey(self.key(block), _hash(self.digests(self.numbers(block), versioned=False)))
+
+    @functools.cached_property
+    def _last(self) -> list[tuple[int, str]]:
+        """The last block and its key, which is mostly asked for several times in a row."""
+        return [(-1, "")]
 
     @functools.cached_property
     def _walkers(self) -> dict[bool, np.ndarray]:
@@ -88,7 +100,7 @@ class Blocks:
 
 
 def _hash(digests: np.ndarray) -> str:
-    return hashlib.sha256(digests.tobytes()).hexdigest()
+    return f"{BLOCK}-{hashlib.sha256(digests.tobytes()).hexdigest()}"
 
 
 class StoredLines:
@@ -102,7 +114,7 @@ class StoredLines:
     """
 
     def __init__(self, journal: Journal, blocks: Blocks):
-        own = {blocks.key(block).key for block in range(blocks.count)}
+        own = {blocks.key(block) for block in range(blocks.count)}
         stored = [
             (block.id, block.states["lines"])
             for key in journal.block_keys()

@@ -57,7 +57,10 @@ class Places:
         lines = block.states["lines"]
         n = len(block.slopes) // max(1, len(lines))
         inside, indices = self._find_slopes(block.slopes[:n])
-        rows, numbers = np.nonzero((lines[:, None] == self.lines).all(axis=-1))
+        if np.array_equal(lines, self.lines):  # as nearly always
+            rows = numbers = np.arange(len(lines))
+        else:
+            rows, numbers = np.nonzero((lines[:, None] == self.lines).all(axis=-1))
         return (rows[:, None] * n + inside).ravel(), (numbers[:, None] * len(self.slopes) + indices).ravel()
 
     def _find_slopes(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
