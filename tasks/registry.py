@@ -389,3 +389,6 @@ CALLS = {
     "tune": "tasks.walkers.tuning:tune",
     "check_walker": "tasks.walkers.resolve:check",
 }
+
+#: Function that says how long a process has integrated, once its module is loaded.
+CLOCK = "tasks.mechanics.kernel:integrating_seconds"

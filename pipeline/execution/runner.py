@@ -17,6 +17,7 @@ from pipeline.archive import read, write
 from pipeline.archive.provenance import code_digest, cpu_features, version
 from pipeline.errors import ArchiveError, StoppedError, StudyError, unwritten
 from pipeline.execution import worker_process
+from pipeline.execution.account import Account
 from pipeline.execution.executors import Engine
 from pipeline.execution.locks import lock_archive
 from pipeline.execution.progress import Display, Progress, duration
@@ -104,7 +105,8 @@ def _attempt(studies: list[StudyRun], options: Options, signals: Signals) -> Non
                 by_jobs[jobs] = study
                 stack.callback(study.pause)
         with Display([study.progress for study in by_jobs.values() if study.progress], options.quiet):
-            Scheduler(list(by_jobs), engine, lambda jobs: by_jobs[jobs].finish(jobs)).run()
+            scheduler = Scheduler(list(by_jobs), engine, lambda jobs: by_jobs[jobs].finish(jobs, scheduler.account))
+            scheduler.run()
 
 
 class StudyRun:
@@ -179,7 +181,7 @@ class StudyRun:
             self._fail(error)
             return None
 
-    def finish(self, jobs: StudyJobs) -> None:
+    def finish(self, jobs: StudyJobs, command: Account) -> None:
         """Write the archive of a study whose jobs are done, or report what ended it."""
         try:
             if jobs.error:
@@ -191,6 +193,7 @@ class StudyRun:
             compact(jobs.journal)
             failed = _failed_tasks(jobs.plan)
             self._record |= {
+                "account": jobs.account.record(command, jobs.engine.jobs),
                 "points": sum(written.counts.values()),
                 "counts": dict(written.counts),
                 "failed": sum(written.failures.values()),

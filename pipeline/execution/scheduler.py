@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from pipeline.errors import GaitsweepError, WorkerError
+from pipeline.execution.account import Account
 from pipeline.execution.executors import Engine
 from pipeline.execution.study_jobs import Job, StudyJobs
 from pipeline.execution.worker_process import Request
@@ -38,6 +39,7 @@ class Scheduler:
         self, studies: Sequence[StudyJobs], engine: Engine, finish: Callable[[StudyJobs], None] = lambda study: None
     ):
         self.studies, self.engine, self.finish = list(studies), engine, finish
+        self.account = Account()
         self.running: dict[int, Job] = {}
         self._numbers = itertools.count()
         self._atlases: dict[str, dict[str, Any] | None] = {}  # results by key, None while one is computed
@@ -112,6 +114,7 @@ class Scheduler:
         return False
 
     def _record(self, job: Job, result: dict[str, Any]) -> None:
+        self.account.add(result)
         job.study.record(job, result)
         if job.keys.key in self._atlases and not job.block:
             if result["outcome"] == "ok":
@@ -127,7 +130,7 @@ class Scheduler:
             if job.keys.key not in self._atlases:
                 job.study.put_back(job)
             elif result := self._atlases[job.keys.key]:
-                job.study.record(job, {**result, "seconds": 0.0})
+                job.study.record(job, {**result, "seconds": 0.0, "cpu": 0.0, "integrating": 0.0})
             else:
                 self._copies.append(job)
 

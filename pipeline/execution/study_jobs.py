@@ -15,6 +15,7 @@ import numpy as np
 
 from pipeline import serialize
 from pipeline.errors import StoppedError
+from pipeline.execution.account import Account
 from pipeline.execution.estimates import Costs
 from pipeline.execution.executors import Engine
 from pipeline.execution.worker_process import Request
@@ -107,6 +108,7 @@ class StudyJobs:
         self.lines_at_once = max(_MIN_LINES, math.ceil(self.study.lines / (engine.jobs * _CHUNKS_PER_WORKER)))
         self.costs = Costs(len(self.study.slope), points, self.cost)
         self._seconds_after = graph.seconds_after(plan.layers)
+        self.account = Account()
         self.next: Job | None = None
         self.taken = self.recorded = 0
         self.error: Exception | None = None
@@ -310,6 +312,7 @@ class StudyJobs:
     def record(self, job: Job, result: dict[str, Any]) -> None:
         """Store the result of a job."""
         self.recorded += 1
+        self.account.add(result)
         try:
             if self.error:
                 return

@@ -18,7 +18,7 @@ from typing import Any
 
 from pipeline.dispatch import resolve
 from pipeline.execution.wire import receive, send
-from tasks.registry import STATUSES, VARIABLES
+from tasks.registry import CLOCK, STATUSES, VARIABLES
 
 _PR_SET_PDEATHSIG = 1
 _SLACK = 256 << 20  # growth above the limit that the kernel allows [byte]
@@ -38,7 +38,7 @@ def serve(parent: int) -> None:
     from pipeline import serialize
 
     warm: set[bytes] = set()
-    modules, threads = 0, 1
+    modules, threads, used = 0, 1, (0.0, 0.0)
     while True:
         try:
             head, *inputs = receive(requests)
@@ -63,7 +63,6 @@ def serve(parent: int) -> None:
             _try(function, {**params, "slope": params["slope"][:0]}, trees)
             warm.add(line)
         send(answers, b"started", struct.pack("<QQ", _pages(1), threads))
-        began = time.perf_counter()
         outcome, result = _try(function, params, trees)
         if outcome == b"ok":
             try:
@@ -76,7 +75,15 @@ def serve(parent: int) -> None:
                 outcome, parts = b"raised", [_sentence(error).encode()]
         else:
             parts = [result.encode()]
-        send(answers, outcome, struct.pack("<d", time.perf_counter() - began), *parts)
+        before, used = used, (time.process_time(), _integrating())
+        send(
+            answers, outcome, struct.pack("<2d", *(now - then for now, then in zip(used, before, strict=True))), *parts
+        )
+
+
+def _integrating() -> float:
+    """Time that this process has spent in compiled integrators [s]."""
+    return float(resolve(CLOCK)()) if CLOCK.partition(":")[0] in sys.modules else 0.0
 
 
 def _limit_memory(growth: int) -> None:

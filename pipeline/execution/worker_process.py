@@ -78,7 +78,7 @@ class WorkerProcess:
         for pipe in self.pipes:
             with contextlib.suppress(OSError):
                 fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)
-        self.threads = 1
+        self.threads, self.used = 1, (0.0, 0.0)  # processor time of the last request, and that in integrators [s]
         self.lock = threading.Lock()  # held during a request
         _workers.add(self)
 
@@ -101,6 +101,7 @@ class WorkerProcess:
                 raise WorkerError(f"A worker cannot load its task: {parts[0].decode()}.")
             resident, self.threads = struct.unpack("<QQ", parts[0])
             outcome, *parts = self._answer(seconds, resident + memory)
+            self.used = struct.unpack("<2d", parts[0])
         except TimeoutError:
             self.close()
             return "timed_out", f"It took longer than {seconds:g} s."
@@ -196,7 +197,10 @@ def _ask(request: Request, params: dict[str, Any]) -> tuple[str, Any]:
             worker = _local.worker = WorkerProcess()
         with worker.lock:
             if worker in _workers:  # it may have ended meanwhile
-                return worker.ask(message, request.inputs, request.seconds, request.memory)
+                worker.used = 0.0, 0.0
+                answer = worker.ask(message, request.inputs, request.seconds, request.memory)
+                _local.used = [a + b for a, b in zip(_local.used, worker.used, strict=True)]
+                return answer
 
 
 def run(request: Request) -> dict[str, Any]:
@@ -209,10 +213,10 @@ def run(request: Request) -> dict[str, Any]:
     Returns
     -------
     dict
-        `seconds` [s] taken; `rows` of a block of points or lines, each (slopes, packed states, packed variables); of
-        a block of lines also `atlases`, each with its position, and the positions of the `failed` lines, whose status
-        is `not_attempted`; or `outcome` and `data` (packed result) or `reason` of another task; `worker`, the process
-        that ran it.
+        `seconds` [s] taken, of them `cpu` of processor time and `integrating` in compiled integrators; `rows` of a
+        block of points or lines, each (slopes, packed states, packed variables); of a block of lines also `atlases`,
+        each with its position, and the positions of the `failed` lines, whose status is `not_attempted`; or `outcome`
+        and `data` (packed result) or `reason` of another task; `worker`, the process that ran it.
 
     Raises
     ------
@@ -223,6 +227,7 @@ def run(request: Request) -> dict[str, Any]:
     if timer := getattr(_local, "timer", None):
         timer.cancel()
     answer: dict[str, Any]
+    _local.used = [0.0, 0.0]
     if request.divided == "slope":
         answer = {"rows": _run_block(request, np.asarray(request.params["slope"]))}
     elif request.divided == "lines":
@@ -240,7 +245,8 @@ def run(request: Request) -> dict[str, Any]:
         timer = _local.timer = threading.Timer(request.idle, worker.leave)
         timer.daemon = True
         timer.start()
-    return {**answer, "seconds": time.perf_counter() - start, "pid": os.getpid()}
+    used = dict(zip(("cpu", "integrating"), _local.used, strict=True))
+    return {**answer, **used, "seconds": time.perf_counter() - start, "pid": os.getpid()}
 
 
 def _run_block(request: Request, slopes: np.ndarray) -> list[tuple[bytes, bytes, bytes]]:

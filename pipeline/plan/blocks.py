@@ -105,13 +105,25 @@ class Blocks:
             digest = z ^ z >> np.uint64(31)
         return digest
 
-    def key(self, block: int) -> TaskKey:
+    def key(self, block: int) -> str:
         """Key of a block."""
-        numbers = self.numbers(block)
-        return TaskKey(*(f"{BLOCK}-{_hash(self.digests(numbers, versioned))}" for versioned in (True, False)))
+        last = self._last[-1]
+        if last[0] != block:
+            last = block, _hash(self.digests(self.numbers(block)))
+            self._last[-1] = last  # at once: other threads read it too
+        return last[1]
+
+    def keys(self, block: int) -> TaskKey:
+        """Key of a block, and that which it has in all versions of the tasks."""
+        return TaskKey(self.key(block), _hash(self.digests(self.numbers(block), versioned=False)))
+
+    @functools.cached_property
+    def _last(self) -> list[tuple[int, str]]:
+        """The last block and its key, which is mostly asked for several times in a row."""
+        return [(-1, "")]
 
     def _neighbours(self, axis: Axis, sides: tuple[np.ndarray, ...]) -> list[np.ndarray]:
-        """For each value of an axis a number that tells all its values in the same cell: they decide how it is split."""
+        """For each value of an axis a number of all its values in the same cell, which decide how it is split."""
         marks = np.zeros(len(axis) if sides else 0, np.uint64)
         for low in np.unique(sides[0]) if sides else ():
             inside = sides[0] == low
@@ -136,7 +148,7 @@ class Blocks:
 
 
 def _hash(digests: np.ndarray) -> str:
-    return hashlib.sha256(digests.tobytes()).hexdigest()
+    return f"{BLOCK}-{hashlib.sha256(digests.tobytes()).hexdigest()}"
 
 
 class StoredLines:
@@ -150,7 +162,7 @@ class StoredLines:
     """
 
     def __init__(self, journal: Journal, blocks: Blocks):
-        own = {blocks.key(block).key for block in range(blocks.count)}
+        own = {blocks.key(block) for block in range(blocks.count)}
         stored = [
             (block.id, block.states["lines"])
             for key in journal.block_keys()

@@ -142,9 +142,9 @@ class Plan:
             yield from self._block_works(self.blocks, block, fresh)
 
     def _block_works(self, blocks: Blocks, block: int, fresh: bool) -> Iterator[LineWork | BlockWork]:
-        numbers, key = blocks.numbers(block), blocks.key(block)
+        numbers = blocks.numbers(block)
         if fresh:
-            yield BlockWork(block, key, numbers, "new")
+            yield BlockWork(block, blocks.keys(block), numbers, "new")
             return
         stored, places = list(self._stored_blocks(numbers)), lines.Places(self.study.slope, blocks.digests(numbers))
         status, _, _, sources = lines.read_states(stored, self.want, places)
@@ -154,11 +154,11 @@ class Plan:
             unsolved = new | (lines.has_failed({"status": status}, self.study.gaits).reshape(len(numbers), -1).any(1))
             unsolved &= ~alone
         if unsolved.any():
-            why = "retried"
+            keys, why = blocks.keys(block), "retried"
             if new.any():
                 has_all = stored and not len(lines.unsolved(stored, frozenset(), places))
-                why = "changed" if has_all else "new" if stored else self._why(key.unversioned)
-            yield BlockWork(block, key, numbers[unsolved], why)
+                why = "changed" if has_all else "new" if stored else self._why(keys.unversioned)
+            yield BlockWork(block, keys, numbers[unsolved], why)
         for k in np.flatnonzero(~unsolved if self.line_tasks else alone).tolist():
             work = self.line(int(numbers[k]), with_points=bool(alone[k]))
             if work.why:
@@ -167,7 +167,7 @@ class Plan:
     def _stored_blocks(self, numbers: np.ndarray) -> Iterator[Block]:
         """Blocks of the journal that hold lines of one block of the study, by their numbers."""
         assert self.blocks
-        key = self.blocks.key(int(self.blocks.of(numbers[:1])[0])).key
+        key = self.blocks.key(int(self.blocks.of(numbers[:1])[0]))
         return stored_blocks(self.journal, key, self._stored_lines, self.blocks.digests(numbers))
 
     @functools.cached_property
@@ -198,7 +198,7 @@ class Plan:
     def study_keys(self) -> dict[str, TaskKey]:
         """Keys of every task over the whole study."""
         if self.blocks:
-            parts = (self.blocks.key(block).key for block in range(self.blocks.count))
+            parts = (self.blocks.key(block) for block in range(self.blocks.count))
         else:
             parts = ("".join(key for key, _ in self.line_keys(i).values()) for i in range(self.study.lines))
         return graph.study_keys(self.study, self.layers, parts)

@@ -32,7 +32,7 @@ _TEMPLATES = Path(__file__).parent / "templates"
 _RESERVED = ("index", "ledger")
 
 #: Entries of the run's record that a page shows; the record also names the computer, which a page does not.
-_RUN = ("began", "seconds", "jobs", "cluster", "version", "points", "failed", "exit_code")
+_RUN = ("began", "seconds", "jobs", "cluster", "version", "points", "failed", "exit_code", "account")
 
 #: Points without a gait that the CSV file lists; the archive has all of them.
 _MAX_ABSENT = 20_000

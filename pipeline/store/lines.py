@@ -57,8 +57,11 @@ class Places:
         lines = block.states["lines"]
         n = len(block.slopes) // max(1, len(lines))
         inside, indices = self._find_slopes(block.slopes[:n])
-        own, others = (np.ascontiguousarray(each).view("V16").ravel() for each in (self.lines, lines))
-        _, rows, numbers = np.intersect1d(others, own, return_indices=True)
+        if np.array_equal(lines, self.lines):  # as nearly always
+            rows = numbers = np.arange(len(lines))
+        else:
+            own, others = (np.ascontiguousarray(each).view("V16").ravel() for each in (self.lines, lines))
+            _, rows, numbers = np.intersect1d(others, own, return_indices=True)
         return (rows[:, None] * n + inside).ravel(), (numbers[:, None] * len(self.slopes) + indices).ravel()
 
     def _find_slopes(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -69,9 +70,9 @@ def whole_groups(values: np.ndarray, lanes: int) -> np.ndarray:
 class Flow:
     """A flow over given times, with its variations, for any number of lanes.
 
-    Work is counted in `evaluations` (lanes integrated) and `idle` (lanes that fill up a group). Every lane runs the
-    same code with Taylor steps of its own, so its bits do not depend on its neighbours; a group with a lane that is
-    lost or turns over is integrated again lane by lane to keep that true.
+    Work is counted in `evaluations` (lanes integrated), `idle` (lanes that fill up a group) and `seconds`. Every lane
+    runs the same code with Taylor steps of its own, so its bits do not depend on its neighbours; a group with a lane
+    that is lost or turns over is integrated again lane by lane to keep that true.
     """
 
     def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool, coarse: bool):
@@ -80,6 +81,7 @@ class Flow:
         # Without a foot mass the links do not couple: with so few terms a group of two registers is faster.
         self.lanes = 2 * LANES if ("eps", 0.0) in structure.units else LANES
         self.evaluations = self.idle = 0
+        self.seconds = 0.0
         self._ta = hy.taylor_adaptive_batch(
             motion.equations, state=np.zeros((self.size, self.lanes)), tol=_COARSE if coarse else _FINE
         )
@@ -110,7 +112,7 @@ class Flow:
         motion : ndarray, shape (samples + 1, angles, n)
             Angles and rates; of no samples where none are asked for.
         """
-        n, scale = state.shape[1], parameters[1]
+        n, scale, began = state.shape[1], parameters[1], time.perf_counter()
         state, duration = whole_groups(state, self.lanes), whole_groups(duration, self.lanes)
         parameters = self._parameters(whole_groups(parameters, self.lanes))
         width = len(duration)
@@ -142,6 +144,7 @@ class Flow:
                     final[:, lane] = motion[:, :, lane] = np.nan
         self.evaluations += n
         self.idle += width - n
+        self.seconds += time.perf_counter() - began
         return final[:, :n], motion[:, :, :n]
 
     def _advance(self, duration: np.ndarray, fractions: np.ndarray) -> np.ndarray:
@@ -179,3 +182,8 @@ def flow(structure: Structure, free_knee: bool, directions: int, with_slope: boo
         prepare_compiler()
         FLOWS[key] = Flow(*key)
     return FLOWS[key]
+
+
+def integrating_seconds() -> float:
+    """Time that this process has spent in compiled flows [s]."""
+    return sum(flow.seconds for flow in FLOWS.values())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from conftest import STUDY, Toy
-from pipeline.plan.blocks import SIZE, Blocks
+from pipeline.plan.blocks import Blocks
 from pipeline.plan.missing import Plan, summary
 from pipeline.store.journal import Journal
 from pipeline.study import parse
@@ -155,5 +155,5 @@ def test_a_plane_of_ten_million_lines_is_planned_at_once(tmp_path):
     assert summary(plan).todo["points"] == {"new": 10**7}
     first = next(plan.works())
     # For each g the values of R are one cell of a plane.
-    assert len(first.lines) == 5000 and Blocks(study, plan.layers).count == 1000
+    assert len(first.lines) == 5000 and Blocks(study, plan.layers).count == 2000
     plan.journal.close()

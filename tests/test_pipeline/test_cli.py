@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import time
 import tomllib
 from pathlib import Path
 from unittest.mock import Mock
@@ -224,6 +225,22 @@ def test_a_record_that_finds_no_room_is_missed(toy, monkeypatch, capsys):
     toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
     assert commands.main(["run", "toy.toml", "--jobs", "1", "--quiet"]) == 0
     assert "toy.run.json cannot be written: No room." in capsys.readouterr().err
+
+
+def test_the_record_accounts_for_time_and_memory(tmp_path, capsys):
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.005, 0.01, 0.015]\n')
+    path = tmp_path / "s.nc"
+    clock = time.monotonic()
+    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "2", "--quiet"]) == 0
+    elapsed, account = time.monotonic() - clock, json.loads((tmp_path / "s.run.json").read_text())["account"]
+    assert 0 < account["integrators"] < account["workers_cpu"] < 2 * elapsed
+    assert account["python"] == pytest.approx(account["workers_cpu"] - account["integrators"], abs=2e-3)
+    # One block of lines keeps one of the two workers idle.
+    assert 0.5 <= account["workers_idle"] <= 1 and account["parent_cpu"] > 0
+    assert all(1 << 24 < account[f"{name}_memory"] < 1 << 31 for name in ("parent", "worker"))
+    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--quiet"]) == 0
+    again = json.loads((tmp_path / "s.run.json").read_text())["account"]
+    assert again["workers_cpu"] == 0 and again["workers_idle"] == 1
 
 
 def test_several_studies_end_with_one_account_of_them_all(toy):

@@ -1,0 +1,64 @@
+"""What the processes of a run did with their time and memory, for its record."""
+
+from __future__ import annotations
+
+import resource
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass
+class Account:
+    """Use of workers by one study, or by all studies of a command.
+
+    Attributes
+    ----------
+    start : float [s]
+        Monotonic time.
+    occupied, cpu, integrating : float [s]
+        Time of jobs; of it processor time of the workers, and that in compiled integrators.
+    memory : int [byte]
+        Largest resident memory of a worker after a job.
+    """
+
+    start: float = field(default_factory=time.monotonic)
+    occupied: float = 0.0
+    cpu: float = 0.0
+    integrating: float = 0.0
+    memory: int = 0
+
+    def add(self, result: dict[str, Any]) -> None:
+        """Add the result of a job."""
+        self.occupied += result["seconds"]
+        self.cpu += result.get("cpu", 0.0)
+        self.integrating += result.get("integrating", 0.0)
+        self.memory = max(self.memory, (result.get("worker") or {}).get("memory", 0))
+
+    def record(self, command: Account, jobs: int) -> dict[str, float]:
+        """Account of a study, and of the command until now.
+
+        Parameters
+        ----------
+        command : Account
+            Of all studies of the command.
+        jobs : int
+            Number of workers.
+
+        Returns
+        -------
+        dict
+            `workers_cpu`, `integrators`, `python`: processor time of the workers for this study, in compiled
+            integrators and outside [s]; `parent_cpu` [s], `workers_idle` (share of their time) and peaks of memory
+            [byte], of all studies of the command until this one was finished.
+        """
+        elapsed = time.monotonic() - command.start
+        return {
+            "workers_cpu": round(self.cpu, 3),
+            "integrators": round(self.integrating, 3),
+            "python": round(max(0.0, self.cpu - self.integrating), 3),
+            "parent_cpu": round(time.process_time(), 3),
+            "workers_idle": round(max(0.0, 1 - command.occupied / max(jobs * elapsed, 1e-9)), 4),
+            "parent_memory": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+            "worker_memory": command.memory,
+        }
