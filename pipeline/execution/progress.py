@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from pipeline.execution import worker_process
+from pipeline.plan import costs
 from pipeline.plan.missing import Plan, Summary
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ class Progress:
         at_once, stages = self.scheduler.engine.jobs if self.scheduler else 1, {}
         for name, count in self.todo.items():
             done = self.done[name]
-            mean_seconds = self.seconds[name] / done if done else self.plan.layers[name].task.seconds
+            mean_seconds = self.seconds[name] / done if done else costs.seconds(self.plan.study, name)
             seconds_left = mean_seconds * max(0, count - done)
             if name == "points":
                 seconds_left = self.scheduler.costs.seconds_left() if self.scheduler else 0.0

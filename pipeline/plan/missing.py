@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.plan import graph
+from pipeline.plan import costs, graph
 from pipeline.store import lines
 from pipeline.store.journal import Journal, TaskKey
 from pipeline.study.model import Study
@@ -181,14 +181,15 @@ def summary(plan: Plan) -> Summary:
     }
     result = Summary(todo, {name: totals[name] - sum(todo[name].values()) for name in plan.layers})
     measured = plan.journal.seconds_per_point()
-    for name, layer in plan.layers.items():
-        seconds_each = layer.task.seconds
-        if name == "points":
-            seconds_each = measured or layer.task.seconds_per_point
-        elif name == "atlas" and graph.is_short(study):
-            # What is measured for a point of a short line includes its share of the atlas.
-            seconds_each = 0.0 if measured else layer.task.seconds_side_by_side
+    for name in plan.layers:
+        seconds_each = costs.seconds(study, name)
+        if measured and name == "points":
+            seconds_each = measured
+        elif measured and name == "atlas" and graph.is_short(study):
+            seconds_each = 0.0  # what is measured for a point of a short line includes its share of the atlas
         result.seconds += seconds_each * sum(todo[name].values())
+    if result.seconds:
+        result.seconds += costs.starting(study)
     return result
 
 
