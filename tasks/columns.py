@@ -130,6 +130,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
         "derivative of its stance angle with respect to the parameter, rad per unit of the parameter",
     ),
     "point": ("number", "number of the point in the paper's figure 6"),
+    "stable_manifold/point": ("number", "number of the point, in no order"),
     **{
         f"{table}/{column}": ("angle", meaning)
         for table in ("landmarks", "crises")

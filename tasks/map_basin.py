@@ -10,6 +10,7 @@ import numpy as np
 from tasks import registry
 from tasks.continuation import atlas as atlases
 from tasks.dynamics.initial_states import gaits_at
+from tasks.dynamics.stable_manifold import saddle_at, stable_manifold
 from tasks.step.problem import Problem
 from tasks.step.simulate import CAUSES, STRUCK, stride
 from tasks.walkers.resolve import resolve
@@ -17,6 +18,8 @@ from tasks.walkers.resolve import resolve
 Arrays = dict[str, np.ndarray]
 #: Default ranges, as multiples of the long gait's angle and rate.
 _AROUND = (0.4, 2.0)
+#: Columns of points of the section.
+_POINTS = ("slope", "gait", "stance_angle", "stance_rate", "swing_rate")
 #: Lanes advanced together; those whose outcome is known leave the batch.
 LANES = 16384
 #: Distance from a stable gait, in its eigenvector coordinates and over its norm, inside which it captures an orbit.
@@ -41,7 +44,8 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         Tables `basin` (slope, stance_angle, stance_rate[, swing_rate], outcome, steps), a row per initial condition;
         `fixed_points` (slope, gait, stance_angle, stance_rate, swing_rate, NaN for point feet), the gaits in the same
-        coordinates, and `areas` (slope, outcome, area, standard_error, share, starts), in the walker's units.
+        coordinates, `stable_manifold` (likewise, and point, a number), points of those of saddles, and `areas`
+        (slope, outcome, area, standard_error, share, starts), in the walker's units.
 
     Notes
     -----
@@ -57,7 +61,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     time_unit = np.sqrt(walker.leg / walker.g)
     tables: list[Arrays] = []
     areas: dict[str, list[Any]] = {k: [] for k in ("slope", "outcome", "area", "standard_error", "share", "starts")}
-    gaits: dict[str, list[Any]] = {k: [] for k in ("slope", "gait", "stance_angle", "stance_rate", "swing_rate")}
+    gaits, manifolds = ({name: list[Any]() for name in _POINTS} for _ in range(2))
     branches = atlases.from_arrays(inputs[0])
     for slope in np.asarray(params["slope"], float):
         targets = {}
@@ -67,11 +71,15 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 targets[label] = y[:, 0]
         if "long" not in targets:
             continue
-        for label, y in targets.items():
-            rates = [*(y[1:] / time_unit), np.nan][:2]
-            for column, value in zip(gaits.values(), (slope, label, y[0], *rates), strict=True):
-                column.append(value)
         starts, cell = _starts(problem, targets["long"], options, time_unit)
+        grid = starts.reshape(problem.m, int(options["size"]), -1)
+        for label, y in targets.items():
+            _append(gaits, float(slope), label, y[:, None], time_unit)
+            saddle = saddle_at(problem, y, float(slope))
+            if saddle:
+                edge = stable_manifold(problem, saddle, float(slope), grid)
+                # To seven digits, as the steps simulated there are accurate; an archive packs these well.
+                _append(manifolds, float(slope), label, edge.astype(np.float32).astype(float), time_unit)
         outcome, steps = _classify(problem, starts, float(slope), targets, int(options["steps"]))
         table = {
             "slope": np.full(starts.shape[1], slope),
@@ -87,7 +95,20 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                 column.append(value)
     basins = {f"basin/{k}": np.concatenate([t[k] for t in tables]) for k in (tables[0] if tables else {})}
     fixed = {f"fixed_points/{k}": np.array(v) for k, v in gaits.items()}
-    return basins | fixed | {f"areas/{k}": np.array(v) for k, v in areas.items()}
+    edges = {f"stable_manifold/{k}": np.array(v) for k, v in manifolds.items() if problem.m == 3 or k != "swing_rate"}
+    # Points of a slope are counted, whatever the saddle.
+    _, first = np.unique(manifolds["slope"], return_index=True)
+    edges["stable_manifold/point"] = np.arange(len(manifolds["slope"])) - np.repeat(
+        first, np.diff([*first, len(manifolds["slope"])])
+    )
+    return basins | fixed | edges | {f"areas/{k}": np.array(v) for k, v in areas.items()}
+
+
+def _append(table: dict[str, list[Any]], slope: float, label: str, y: np.ndarray, time_unit: float) -> None:
+    """Append points of the section, shape (m, n), to a table of `_POINTS`."""
+    rates = [*(y[1:] / time_unit), np.full(y.shape[1], np.nan)][:2]
+    for name, values in zip(_POINTS, ([slope] * y.shape[1], [label] * y.shape[1], y[0], *rates), strict=True):
+        table[name] += list(values)
 
 
 def _starts(

@@ -189,19 +189,17 @@ class Task:
     """One kind of work: `function` is "module:name", called as function(params, inputs).
 
     `side_by_side` computes this task and `points`, which needs it, for several short lines in one call, `over_plane`
-    for those in one cell of a plane of keys; then a line takes `seconds_side_by_side` or `seconds_over_plane`.
+    for those in one cell of a plane of keys. `seconds_per_point` is the scheduler's first guess; what whole studies
+    take is in `tasks.costs`.
     """
 
     name: str
     function: str
     version: int
     needs: tuple[str, ...] = ()
-    seconds: float = 0.01
     seconds_per_point: float = 0.0
     side_by_side: str = ""
-    seconds_side_by_side: float = 0.0
     over_plane: str = ""
-    seconds_over_plane: float = 0.0
 
 
 TASKS = {
@@ -211,26 +209,23 @@ TASKS = {
             "atlas",
             "tasks.solve_points:atlas",
             13,
-            seconds=0.5,
             side_by_side="tasks.solve_points:lines",
-            seconds_side_by_side=0.1,
             over_plane="tasks.solve_planes:lines",
-            seconds_over_plane=0.002,
         ),
-        Task("points", "tasks.solve_points:points", 10, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
-        Task("trace", "tasks.trace_motion:trace", 3, needs=("atlas",), seconds=0.2),
-        Task("branch", "tasks.follow_branches:branch", 5, needs=("atlas",), seconds=0.3),
-        Task("orbit", "tasks.iterate_orbits:orbit", 5, needs=("atlas",), seconds=30.0),
-        Task("cascade", "tasks.locate_cascade:cascade", 6, needs=("atlas",), seconds=3.0),
-        Task("basin", "tasks.map_basin:basin", 4, needs=("atlas",), seconds=5.0),
-        Task("curve", "tasks.follow_curves:curve", 5, needs=("atlas",), seconds=5.0),
-        Task("design", "tasks.map_designs:design", 2, needs=("atlas",), seconds=0.1),
-        Task("census", "tasks.count_gaits:census", 4, seconds=10.0),
+        Task("points", "tasks.solve_points:points", 10, needs=("atlas",), seconds_per_point=3e-5),
+        Task("trace", "tasks.trace_motion:trace", 3, needs=("atlas",)),
+        Task("branch", "tasks.follow_branches:branch", 5, needs=("atlas",)),
+        Task("orbit", "tasks.iterate_orbits:orbit", 5, needs=("atlas",)),
+        Task("cascade", "tasks.locate_cascade:cascade", 6, needs=("atlas",)),
+        Task("basin", "tasks.map_basin:basin", 5, needs=("atlas",)),
+        Task("curve", "tasks.follow_curves:curve", 5, needs=("atlas",)),
+        Task("design", "tasks.map_designs:design", 2, needs=("atlas",)),
+        Task("census", "tasks.count_gaits:census", 4),
         Task("scaling", "tasks.fit_laws:scaling", 2, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 3, needs=("points",)),
-        Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",), seconds=2.0),
-        Task("crises", "tasks.locate_landmarks:crises", 2, needs=("atlas",), seconds=8.0),
-        Task("claims", "tasks.check_claims:claims", 9, needs=("points", "atlas"), seconds=30.0),
+        Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",)),
+        Task("crises", "tasks.locate_landmarks:crises", 2, needs=("atlas",)),
+        Task("claims", "tasks.check_claims:claims", 9, needs=("points", "atlas")),
     )
 }
 

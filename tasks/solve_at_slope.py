@@ -97,7 +97,9 @@ def _solve_cycles(line: dict[str, Any], slope: float, steps: int) -> dict[str, A
     walker, params = resolve(line["walker"], line["set"]), {"line": line, "steps": steps}
     point = points({**params, "slope": np.array([slope]), "want": _WANT}, [atlas(params, [])])
     labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
-    records = [_record(label, slope, gait, walker) for label, gait in zip(labels, _converged(point), strict=True)]
+    records = [
+        _record(label, slope, gait, walker, steps) for label, gait in zip(labels, _converged(point), strict=True)
+    ]
     log = [] if records else [str(point["reasons"][1])]
     return _answer(records, walker.si, log)
 
@@ -135,7 +137,7 @@ def _search_slope(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -
     return others, nearest
 
 
-def _record(label: str, slope: float, value: dict[str, Any], walker: Walker) -> dict[str, Any]:
+def _record(label: str, slope: float, value: dict[str, Any], walker: Walker, steps: int = 1) -> dict[str, Any]:
     """One gait as a plain dict; an absent quantity is None."""
     plain = {k: _plain(v) for k, v in value.items() if np.ndim(v) == 0}
     pairs = np.stack([value["multiplier_real"], value["multiplier_imag"]], axis=-1)
@@ -146,7 +148,7 @@ def _record(label: str, slope: float, value: dict[str, Any], walker: Walker) -> 
         "slope": slope,
         "multipliers": pairs.tolist(),
         "stable": bool(plain["spectral_radius"] < 1),
-        "step_length": plain["speed"] * plain["period"],
+        "step_length": plain["speed"] * plain["period"] / steps,
         "violations": _flags(value.get("violations")),
         "status": "converged",
         "velocity_ratio": _plain(velocity_ratio(walker, angle, rate_ratio)[0]),

@@ -1,4 +1,4 @@
-"""Tables that are arrays over the grid: orbits and basins, with flags in the place of words."""
+"""Tables that are arrays over the grid: orbits, basins and their edges, with flags in the place of words."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from pipeline.plan.missing import Plan
 
 Columns = Mapping[str, np.ndarray]
 #: Dimensions of each array after those of the lines, by the columns that hold their coordinates.
-LAYOUTS = {"basin": ("slope", "stance_angle", "stance_rate"), "orbits": ("slope", "start", "stride")}
+LAYOUTS = {
+    "basin": ("slope", "stance_angle", "stance_rate"),
+    "stable_manifold": ("slope", "point"),
+    "orbits": ("slope", "start", "stride"),
+}
 #: Names of dimensions that differ from the columns'.
 _RENAMED = {"stride": "step"}
 #: Dimensions along which a column is constant.

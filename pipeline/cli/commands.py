@@ -74,6 +74,7 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
     c.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
     c.add_argument("--retry-failed", action="store_true", help="as `run` would")
+    c.add_argument("--json", action="store_true", help="for machines")
     c = add(_status, "progress of the current or last run")
     c.add_argument("studies", nargs="*", metavar="STUDY.toml", type=Path)
     c.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
@@ -230,10 +231,13 @@ def _plan(options: argparse.Namespace) -> int:
     from pipeline.plan import missing
     from pipeline.store.journal import Journal
 
+    records = []
     for study, path in _archives(options):
         journal = Journal(paths.sidecar_path(path, ".journal"), write=False)
         planned = missing.Plan(study, journal, options.retry_failed)
-        print("\n".join(text.plan(planned, missing.summary(planned), path)))
+        told = text.plan_record if options.json else text.plan
+        records.append(told(planned, missing.summary(planned), path))
+    print(json.dumps(records) if options.json else "\n".join(line for record in records for line in record))
     return 0
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from pipeline.execution.progress import duration, last_state, sentence
 from pipeline.paths import sidecar_path
 from pipeline.plan.missing import Plan, Summary
-from tasks.registry import VARIABLES
+from tasks.registry import FITS, VARIABLES
 
 
 def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
@@ -28,9 +28,54 @@ def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
         parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
         yield f"  {name:<12} version {layer.task.version}  per {what}: {', '.join(parts) or 'none'}"
-    tasks, variables = planned.omissions()
-    yield f"  not wanted: {', '.join(tasks + variables) or 'nothing'}"
+    yield f"  not wanted: {', '.join(_omitted(planned)) or 'nothing'}"
     yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
+
+
+def plan_record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
+    """A plan for machines.
+
+    Parameters
+    ----------
+    planned : Plan
+    counts : Summary
+    path : Path
+        The archive.
+
+    Returns
+    -------
+    dict
+        `study`, `archive`, `points` of the grid; of these (of the lines, in studies of other kinds) how many are
+        `new`, `changed` (failures that are tried again included) and `cached`; `not_wanted`, names of variables and
+        tasks; `flown`, points at which steps are evaluated; `seconds` of work for one core; and `tasks`, the counts
+        of each.
+    """
+    study = planned.study
+    main = "points" if study.kind == "grid" else study.kind
+    new, every = counts.todo[main]["new"], sum(counts.todo[main].values())
+    tasks = {name: {**dict(todo), "cached": counts.cached[name]} for name, todo in counts.todo.items()}
+    return {
+        "study": study.name,
+        "archive": str(path),
+        "points": study.points,
+        "new": new,
+        "changed": every - new,
+        "cached": counts.cached[main],
+        "not_wanted": _omitted(planned),
+        "flown": every if main == "points" else 0,
+        "seconds": counts.seconds,
+        "tasks": tasks,
+    }
+
+
+def _omitted(planned: Plan) -> list[str]:
+    """What the study could have wanted and does not: groups of which it wants nothing, other variables, and tasks."""
+    tasks, variables = planned.omissions()
+    names = [name for name in tasks if name in (*FITS, "trace", "claims")]
+    if planned.study.kind != "grid":
+        return names
+    groups = {v.group for v in VARIABLES.values()} - {VARIABLES[v].group for v in planned.variables}
+    return list(dict.fromkeys(VARIABLES[v].group if VARIABLES[v].group in groups else v for v in variables)) + names
 
 
 def after(archives: list[Path], unfinished: list[str], seconds: float) -> Iterator[str]:

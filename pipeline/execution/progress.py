@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline import terminal
 from pipeline.execution import worker_process
+from pipeline.plan import costs
 from pipeline.plan.missing import Plan, Summary
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ class Progress:
         at_once, stages = self.jobs.engine.jobs if self.jobs else 1, {}
         for name, count in self.todo.items():
             done = self.done[name]
-            mean_seconds = self.seconds[name] / done if done else self.plan.layers[name].task.seconds
+            mean_seconds = self.seconds[name] / done if done else costs.seconds(self.plan.study, name)
             seconds_left = mean_seconds * max(0, count - done)
             if name == "points":
                 seconds_left = self.jobs.costs.seconds_left() if self.jobs else 0.0

@@ -20,6 +20,8 @@ from pipeline.execution.estimates import Costs
 from pipeline.execution.executors import Engine
 from pipeline.execution.worker_process import Request
 from pipeline.plan import graph
+from pipeline.plan.costs import seconds as seconds_of
+from pipeline.plan.costs import seconds_after
 from pipeline.plan.inputs import study_inputs
 from pipeline.plan.missing import BlockWork, LineWork, Plan, golden_ratio_order
 from pipeline.store import lines
@@ -107,7 +109,7 @@ class StudyJobs:
         #: Lines of a block in one job: fewer than it has where workers would otherwise be idle.
         self.lines_at_once = max(_MIN_LINES, math.ceil(self.study.lines / (engine.jobs * _CHUNKS_PER_WORKER)))
         self.costs = Costs(len(self.study.slope), points, self.cost)
-        self._seconds_after = graph.seconds_after(plan.layers)
+        self._seconds_after = seconds_after(self.study, plan.layers)
         self.account = Account()
         self.next: Job | None = None
         self.taken = self.recorded = 0
@@ -214,8 +216,7 @@ class StudyJobs:
         if self.over_plane:
             assert self.study.plane
             params["cell"] = self.study.plane.cell(params["lines"][0]["set"])
-        seconds_each = task.seconds_over_plane if self.over_plane else task.seconds_side_by_side
-        seconds = len(work.lines) * (seconds_each + len(self.study.slope) * self.cost)
+        seconds = len(work.lines) * (seconds_of(self.study, "atlas") + len(self.study.slope) * self.cost)
         return Job(self, task.name, work.key, params, block=work, seconds=seconds)
 
     def _indices(self, work: BlockWork) -> np.ndarray:
@@ -278,7 +279,7 @@ class StudyJobs:
             self._chunks.extendleft(dataclasses.replace(chunks[0], indices=p, probe=True) for p in probes)
 
     def _line_job(self, name: str, work: LineWork, inputs: tuple[bytes, ...] = ()) -> Job:
-        params, seconds = graph.line_params(self.study, name, work.line), self.plan.layers[name].task.seconds
+        params, seconds = graph.line_params(self.study, name, work.line), seconds_of(self.study, name)
         return Job(self, name, work.keys[name], params, work, inputs=inputs, seconds=seconds)
 
     def chunk_size(self, job: Job | None = None) -> int:
@@ -389,7 +390,7 @@ class StudyJobs:
         self.listen("chunk", {**_event(job, result), "points": len(indices), "counts": dict(counts)})
 
     def _study_job(self, name: str, keys: TaskKey) -> Job:
-        params, seconds = graph.study_params(self.study, name), self.plan.layers[name].task.seconds
+        params, seconds = graph.study_params(self.study, name), seconds_of(self.study, name)
         return Job(self, name, keys, params, seconds=seconds)
 
 

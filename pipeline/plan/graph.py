@@ -63,15 +63,6 @@ def depths(graph: dict[str, Layer]) -> dict[str, int]:
     return depth
 
 
-def seconds_after(graph: dict[str, Layer]) -> dict[str, float]:
-    """Estimated time of the longest chain of tasks that depend on a task of each layer [s]."""
-    seconds = dict.fromkeys(graph, 0.0)
-    for name, layer in reversed(graph.items()):
-        for need in layer.needs:
-            seconds[need] = max(seconds[need], layer.task.seconds + seconds[name])
-    return seconds
-
-
 def _over_lines(name: str) -> bool:
     return not any(need == "points" or not _over_lines(need) for need in TASKS[name].needs) or name == "points"
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.plan import graph
+from pipeline.plan import costs, graph
 from pipeline.plan.blocks import Blocks, StoredLines, stored_blocks
 from pipeline.statuses import ALL_STATUSES
 from pipeline.store import lines
@@ -321,17 +321,22 @@ def summary(plan: Plan) -> Summary:
         for name, layer in plan.layers.items()
     }
     result = Summary(todo, {name: totals[name] - sum(todo[name].values()) for name in plan.layers})
-    measured = plan.journal.seconds_per_point()
-    for name, layer in plan.layers.items():
-        seconds_each = layer.task.seconds
-        if name == "points":
-            seconds_each = measured or layer.task.seconds_per_point
-        elif name == "atlas" and graph.is_short(study):
-            # What is measured for a point of a short line includes its share of the atlas.
-            each = layer.task.seconds_over_plane if graph.over_plane(study) else layer.task.seconds_side_by_side
-            seconds_each = 0.0 if measured else each
-        result.seconds += seconds_each * sum(todo[name].values())
+    result.seconds = _seconds(plan, {name: sum(counts.values()) for name, counts in todo.items()})
     return result
+
+
+def _seconds(plan: Plan, todo: dict[str, int]) -> float:
+    """Estimated processor time of so many tasks of each layer [s]."""
+    measured = plan.journal.seconds_per_point()
+    seconds = 0.0
+    for name, count in todo.items():
+        each = costs.seconds(plan.study, name)
+        if measured and name == "points":
+            each = measured
+        elif measured and name == "atlas" and graph.is_short(plan.study):
+            each = 0.0  # what is measured for a point of a short line includes its share of the atlas
+        seconds += each * count
+    return seconds + costs.starting(plan.study) if seconds else 0.0
 
 
 def _over_study(plan: Plan, ran: bool) -> dict[str, tuple[Any, str]]:

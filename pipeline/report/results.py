@@ -34,6 +34,7 @@ _ELSEWHERE = (
     "crises",
     "figure10_cells",
     "fixed_points",
+    "stable_manifold",
     "overlay",
     "branches",
     "special_points",

@@ -22,7 +22,8 @@ class Location:
     def error(self, sentence: str) -> StudyError:
         """Error of one sentence with the location."""
         position = ", ".join(filter(None, (self.file, ".".join(self.keys) if self.file else "")))
-        return StudyError(f"{sentence.rstrip('.')} ({position})." if position else f"{sentence.rstrip('.')}.")
+        sentence = f"{sentence.rstrip('.')} ({position})" if position else sentence.rstrip(".")
+        return StudyError(sentence if sentence.endswith("?") else f"{sentence}.")
 
     def wrong(self, bound: str, value: object) -> StudyError:
         """Error for a value that violates a bound."""

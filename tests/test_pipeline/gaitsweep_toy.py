@@ -14,7 +14,6 @@ TOYS = {
             "atlas",
             "toy:atlas",
             int(VERSIONS.get("atlas", 1)),
-            seconds=0.01,
             side_by_side=os.environ.get("TOY_SIDE_BY_SIDE", ""),
         ),
         registry.Task("points", "toy:points", int(VERSIONS.get("points", 1)), needs=("atlas",), seconds_per_point=1e-5),

@@ -376,6 +376,8 @@ def test_solve_speaks_of_degrees_on_request(capsys):
 def test_solve_finds_gaits_of_several_steps(capsys):
     gait = printed(capsys, "--walker", "D", "--slope", "0.016", "--steps", "2")
     assert float(gait["period"]) == pytest.approx(2 * 3.88, abs=0.1) and gait["violations"] == "scuff"
+    # The mean of both steps, each twice the sine of its angle.
+    assert float(gait["step_length"]) == pytest.approx(2 * 0.239, abs=0.005)
     assert commands.main(["solve", "--walker", "D", "--slope", "0.014", "--steps", "2", "--json"]) == 0
     told = capsys.readouterr()
     assert told.out == "[]\n" and "No gait of period 2 at this slope" in told.err

@@ -195,6 +195,11 @@ def test_what_is_remembered_changes_time_only(monkeypatch):
     assert same(one.period.values, first.period.values[0])
 
 
+def test_a_question_ends_a_sentence():
+    with pytest.raises(StudyError, match=r"^Unknown name `perod`, did you mean `period`\?$"):
+        pipeline.gaits("E", 0.01, variables=["perod"])
+
+
 def test_what_was_used_last_is_kept():
     memory = in_memory.Memory(2 * (8 + 1))
     for key in (b"a", b"b", b"a", b"c"):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.plan import graph
+from pipeline.plan import costs, graph
 from pipeline.study import parse
 from tasks import registry
 
@@ -31,10 +31,11 @@ def test_nothing_that_is_not_wanted_is_in_the_graph(make):
 
 
 def test_what_depends_on_a_task_is_in_its_depth_and_urgency(make):
-    layers = graph.layers(make(want={"variables": ["period"], "fits": ["scaling", "landmarks"], "claims": ["E2"]}))
+    study = make(want={"variables": ["period"], "fits": ["scaling", "landmarks"], "claims": ["E2"]})
+    layers = graph.layers(study)
     assert graph.depths(layers) == {"atlas": 0, "points": 1, "scaling": 2, "landmarks": 1, "claims": 2}
-    after = graph.seconds_after(layers)
-    seconds = {name: layer.task.seconds for name, layer in layers.items()}
+    after = costs.seconds_after(study, layers)
+    seconds = {name: costs.seconds(study, name) for name in layers}
     assert after["points"] == max(seconds["scaling"], seconds["claims"]) and after["claims"] == 0
     assert after["atlas"] == max(seconds["points"] + after["points"], seconds["landmarks"])
 

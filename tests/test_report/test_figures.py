@@ -3,11 +3,13 @@ import shlex
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from pipeline.report import cells
 from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.cycle import animation, traced_steps
+from pipeline.report.figures.degrees import add_degrees
 from pipeline.report.figures.style import GAIT_COLOURS, MUTED, plain
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
@@ -237,3 +239,24 @@ def test_the_ends_of_an_interval_are_told_apart():
     low, high = (cells.column_cells(name, frame)[0].text for name in ("low", "high"))
     assert low != high and "(" not in low
     assert cells.column_cells("slope", frame)[0].text == "0.0182933980(3)"
+
+
+def test_what_is_drawn_in_radians_has_second_axes_in_degrees():
+    figure = Figure()
+    panels = figure.subplots(2, 2, sharex=True)
+    for axes in panels.ravel():
+        axes.plot([0.0, 0.1], [0.1, 0.3])
+        axes.set_title("stance angle (rad)", loc="left")
+    panels[1][0].set_xlabel("slope (rad)")
+    panels[0][1].set_yscale("log")
+    panels[1][1].set_title("speed", loc="left")
+    add_degrees(figure)
+    figure.draw_without_rendering()
+    # Those on top share the slope below; of the heights one is logarithmic and one a speed.
+    seconds = [[axes.child_axes for axes in row] for row in panels]
+    assert [[len(axes) for axes in row] for row in seconds] == [[2, 1], [1, 0]]
+    top, right = seconds[0][0]
+    assert top.get_xlim() == pytest.approx(np.degrees(panels[0][0].get_xlim()))
+    assert right.get_ylim() == pytest.approx(np.degrees(panels[0][0].get_ylim()))
+    labels = [label.get_text() for label in right.get_yticklabels()]
+    assert labels == [f"{tick:g}°" for tick in right.get_yticks()] and 3 <= len(labels) <= 6

@@ -5,6 +5,7 @@ import pytest
 
 from lines import _atlas
 from tasks.count_gaits import census, deflated, starts
+from tasks.dynamics.stable_manifold import saddle_at
 from tasks.fixed_points.newton import newton
 from tasks.map_basin import basin
 from tasks.step.problem import Problem
@@ -37,6 +38,66 @@ def test_the_area_of_the_long_gaits_basin():
 def test_stable_period_one_and_three_live_side_by_side():
     outcomes = set(mapped(0.0126, 60, stance_angle=[0.18, 0.3], stance_rate=[-0.3, -0.18])["areas/outcome"])
     assert {"long", "period 3", "fell forward"} <= outcomes
+
+
+def test_the_stable_manifold_of_the_short_gait_bounds_the_long_gaits_basin():
+    """A. L. Schwab and M. Wisse (2001) draw the basin of the simplest walker; its edge is the saddle's manifold."""
+    found = mapped(0.009, 60, **RANGE)
+    points = np.array([found[f"stable_manifold/{k}"] for k in ("stance_angle", "stance_rate")])
+    assert points.shape[1] > 100 and set(found["stable_manifold/gait"]) == {"short"}
+    assert found["stable_manifold/point"].tolist() == list(range(points.shape[1]))
+    problem = Problem(resolve("D", None))
+    saddle = np.array([found[f"fixed_points/{k}"][1] for k in ("stance_angle", "stance_rate")])
+    # Orbits from there pass the saddle, though the points are rounded to seven digits.
+    y, nearest = points, np.full(points.shape[1], np.inf)
+    for _ in range(10):
+        y = stride(problem, y, np.full(y.shape[1], 0.009)).image
+        nearest = np.fmin(nearest, np.linalg.norm(y - saddle[:, None], axis=0))
+    assert np.median(nearest) < 1e-3 and np.mean(nearest < 6e-3) > 0.95
+    # Two starts on either side of it, a millionth apart, leave the saddle in opposite directions.
+    left, right = (leaving(problem, points + sign * np.array([[1e-6], [0.0]]), saddle) for sign in (-1, 1))
+    assert np.mean(left * right < 0) > 0.95
+    # It bounds the basin: beside most of it, and for the rest in layers too thin for a ten-thousandth, one start walks.
+    walks = [outlast(problem, points + sign * np.array([[1e-4], [0.0]])) for sign in (-1, 1)]
+    assert np.mean(walks[0] != walks[1]) > 0.75
+
+
+def leaving(problem, y, saddle):
+    """Deviation along the unstable direction one step after orbits are nearest to the saddle."""
+    jacobian = stride(problem, saddle[:, None], np.array([0.009])).jacobian[:, :, 0]
+    values, left = np.linalg.eig(jacobian.T)
+    left = left[:, values.argmax()]
+    deviations = []
+    for _ in range(14):
+        y = stride(problem, y, np.full(y.shape[1], 0.009)).image
+        deviations.append(y - saddle[:, None])
+    nearest = np.nanargmin(np.linalg.norm(deviations, axis=1), axis=0)
+    return np.array([left @ deviations[k + 1][:, i] for i, k in enumerate(nearest.tolist())])
+
+
+def outlast(problem, y):
+    """Whether starts walk for 30 steps."""
+    lanes = np.arange(n := y.shape[1])
+    for _ in range(30):
+        step = stride(problem, y, np.full(y.shape[1], 0.009), exact=False)
+        y, lanes = step.image[:, step.outcome == STRUCK], lanes[step.outcome == STRUCK]
+    return np.isin(np.arange(n), lanes)
+
+
+def test_a_stable_gait_has_no_manifold_that_parts_its_basin():
+    problem = Problem(resolve("D", None))
+    found = mapped(0.009, 8, **RANGE)
+    long, short = (np.array([found[f"fixed_points/{k}"][i] for k in ("stance_angle", "stance_rate")]) for i in (0, 1))
+    assert saddle_at(problem, long, 0.009) is None
+    saddle = saddle_at(problem, short, 0.009)
+    assert saddle.multiplier == pytest.approx(4.00386, abs=1e-4)  # of the step map
+    # Along the left eigenvector a deviation grows by the multiplier, the other direction does not contribute.
+    jacobian = stride(problem, short[:, None], np.array([0.009])).jacobian[:, :, 0]
+    np.testing.assert_allclose(saddle.along @ jacobian, saddle.multiplier * saddle.along, rtol=1e-6)
+    # Beyond the flip the long gait's one multiplier outside is negative: its manifold parts nothing.
+    late = mapped(0.016, 8)
+    y = np.array([late[f"fixed_points/{k}"][0] for k in ("stance_angle", "stance_rate")])
+    assert saddle_at(problem, y, 0.016) is None and set(late["stable_manifold/gait"]) <= {"short"}
 
 
 def test_nothing_walks_where_walking_is_lost():

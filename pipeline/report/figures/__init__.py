@@ -21,6 +21,7 @@ from pipeline.report.figures import (
     scaling,
     searches,
 )
+from pipeline.report.figures.degrees import add_degrees
 from pipeline.report.figures.style import style
 from pipeline.report.figures.svg import Drawing, Sketch, render
 from pipeline.report.source import Source
@@ -65,6 +66,7 @@ def draw(source: Source, name: str, salt: str) -> Drawing | None:
         sketch = function(source)
         if sketch is None:
             return None
+        add_degrees(sketch.figure)
         if source.steps > 1:
             caption = f"{sketch.caption} The gaits repeat after {source.steps} steps, not sooner."
             sketch = replace(sketch, caption=caption)

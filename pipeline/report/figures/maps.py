@@ -187,8 +187,8 @@ def basin(source: Source) -> Sketch | None:
     window = _window(walking, plane) if 0 < len(walking) < 0.3 * len(shown) else []
     figure = canvas(330 if window else 380)
     panels = np.atleast_1d(figure.subplots(1, 1 + bool(window)))
-    gaits = _fixed_points(source, first, plane)
-    for axes in panels:
+    gaits, manifold = (_points(source, name, first, plane) for name in ("fixed_points", "stable_manifold"))
+    for axes, width in zip(panels, (0.8, 1.6) if window else (1.6,), strict=True):
         _draw_outcomes(axes, shown, plane, outcomes, inks)
         for row in gaits.itertuples():
             stable = row.gait in outcomes
@@ -196,6 +196,7 @@ def basin(source: Source) -> Sketch | None:
                 *(getattr(row, c) for c in plane), "o" if stable else "X", color=INK, mfc=INK if stable else "#ffffff",
                 ms=6, mew=1, zorder=5,
             )  # fmt: skip
+        _draw_dots(axes, manifold[plane[0]].to_numpy(), manifold[plane[1]].to_numpy(), width)
         axes.grid(False)
         axes.set_xlabel(_column(table, plane[0]))
     set_heading(panels[0], _column(table, plane[1]))
@@ -214,17 +215,23 @@ def basin(source: Source) -> Sketch | None:
     ]
     for label, marker, fill in (("stable gait", "o", INK), ("unstable gait", "X", "#ffffff")) if len(gaits) else ():
         handles.append(Line2D([], [], ls="", marker=marker, color=INK, mfc=fill, label=label))
+    if len(manifold):
+        handles.append(Line2D([], [], ls=":", lw=2, color=INK, label="stable manifold"))
     figure.legend(handles=handles, loc="outside upper left", ncols=4)
     marked = thin(shown, 300)
     x, y = (marked[name].to_numpy() for name in plane)
     values = {plane[0]: x, plane[1]: y, "outcome": marked["outcome"].to_numpy()}
     share = 100 * len(walking) / len(shown)
     only = f" Drawn: {axis_values(first)}; the archive has the others." if first else ""
+    saddles = " and ".join(sorted(set(manifold["gait"].astype(str))))
+    edge = (
+        f" Dots: initial conditions that tend to the unstable {saddles} gait, its stable manifold." if saddles else ""
+    )
     return Sketch(
         figure,
         "Basin of attraction",
         f"Initial conditions coloured by outcome; {share:.2g} % of them lead to walking, the others, in muted colours, "
-        f"fall.{only}",
+        f"fall.{edge}{only}",
         f"{len(shown)} initial conditions over {' and '.join(plane)}, coloured by outcome: {', '.join(outcomes)}.",
         table,
         [Marks(panels[0], x, y, "initial condition", values)],
@@ -255,9 +262,17 @@ def _window(walking: pd.DataFrame, plane: list[str]) -> list[tuple[float, float]
     return ranges
 
 
-def _fixed_points(source: Source, first: dict[str, Any], plane: list[str]) -> pd.DataFrame:
-    """Gaits of the line and slope drawn, in the coordinates of the map."""
-    table = source.tables.get("fixed_points")
+def _draw_dots(axes: Axes, x: np.ndarray, y: np.ndarray, width: float) -> None:
+    """Draw points as dots of one path, which takes a fifth of the room of as many markers."""
+    lines = np.full((2, 3 * len(x)), np.nan)
+    lines[:, ::3] = lines[:, 1::3] = x, y
+    (dots,) = axes.plot(*lines, "-", color=INK, lw=width, solid_capstyle="round", zorder=4, scalex=False, scaley=False)
+    dots.get_path().should_simplify = False
+
+
+def _points(source: Source, name: str, first: dict[str, Any], plane: list[str]) -> pd.DataFrame:
+    """Points of a table on the line and at the slope drawn, in the coordinates of the map."""
+    table = source.tables.get(name)
     if table is None or not {"gait", *plane} <= set(table.columns):
         return pd.DataFrame(columns=["gait", *plane])
     for column, value in first.items():

@@ -1,0 +1,71 @@
+"""How long the tasks of a study take, before any of them is measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from pipeline.plan import graph
+from pipeline.study.model import Study
+from tasks import registry
+from tasks.costs import COSTS, OTHERS, POINTS, STARTING, Cost
+from tasks.registry import OPTIONS, VARIABLES
+
+
+def starting(study: Study) -> float:
+    """Processor time of a run that has anything to do, beside its tasks [s]."""
+    return _total(study, STARTING)
+
+
+def seconds(study: Study, name: str) -> float:
+    """Processor time of a task over one line, or over the study, of a mean walker of the study; of `points`, of one.
+
+    Parameters
+    ----------
+    study : Study
+    name : str
+        Task.
+
+    Returns
+    -------
+    float [s]
+    """
+    if name == "points":
+        return _total(study, _of_point(study))
+    if name == "atlas" and study.plane and graph.over_plane(study):
+        lines_a_cell = math.prod(len(a) / n for a, n in zip(study.plane.axes, study.plane.parts, strict=True))
+        return _total(study, COSTS["cell"]) / lines_a_cell
+    is_block = name == "atlas" and graph.is_short(study) and study.lines > 1
+    return _total(study, COSTS.get("atlas side by side" if is_block else name, OTHERS))
+
+
+def seconds_after(study: Study, layers: dict[str, graph.Layer]) -> dict[str, float]:
+    """Estimated time of the longest chain of tasks that depend on a task of each layer [s]."""
+    after = dict.fromkeys(layers, 0.0)
+    for name, layer in reversed(layers.items()):
+        for need in layer.needs:
+            after[need] = max(after[need], seconds(study, name) + after[name])
+    return after
+
+
+def _of_point(study: Study) -> list[Cost]:
+    """Costs of a point of a study."""
+    wanted = {VARIABLES[name].group for name in graph.variables(study)}
+    kind = "cycles" if study.steps > 1 else "short" if graph.is_short(study) else "long"
+    kind = "plane" if graph.over_plane(study) else kind
+    return [POINTS[group] for group in (kind, *sorted(wanted & {"violations", "proofs"}))]
+
+
+def _total(study: Study, costs: Iterable[Cost]) -> float:
+    """Sum of costs over the mean of the study's walkers, for one point, and one line or study."""
+    options = registry.options(study.kind, study.options) if study.kind in OPTIONS else {}
+    sizes = {name: len(v) if isinstance(v, list | tuple) else v for name, v in options.items()}
+    # Gaits of 2 steps begin at flips; every further doubling, and an odd period, is searched for as well.
+    searches = sum(study.steps % 2**k == 0 for k in range(6) if study.steps // 2**k > 2) + 0.2 * (study.steps > 1)
+    sizes |= {"slopes": len(study.slope), "points": 1, "gait_steps": study.steps, "searches": searches}
+    kneed = sum(check["multipliers"] > 3 for check in study.checks) / max(1, len(study.checks))
+
+    def product(cost: Cost) -> float:
+        return math.prod(sum(sizes[part] for part in factor.split("+")) for factor in cost.of)
+
+    return sum((cost.straight * (1 - kneed) + cost.kneed * kneed) * product(cost) for cost in costs)

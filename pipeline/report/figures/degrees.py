@@ -1,0 +1,54 @@
+"""Second axes in degrees, at the top and at the right of what is drawn in radians.
+
+Logarithmic axes have none: their decades are read, not their values.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from pipeline.report.figures.style import MUTED, plain
+
+_UNIT = "(rad)"
+_MAX_INTERVALS = 5
+
+
+def add_degrees(figure: Figure) -> None:
+    """Add axes in degrees to the top and right panels of a figure whose titles say radians."""
+    panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None and axes.axison]
+    for axes in panels:
+        place: Any = axes.get_subplotspec()
+        if place.is_first_row() and _is_in_radians(axes, panels, "x"):
+            _add(axes, "x")
+        # Panels that do not share their scale have each its own.
+        alone = len(axes.get_shared_y_axes().get_siblings(axes)) == 1
+        if (place.is_last_col() or alone) and _is_in_radians(axes, panels, "y"):
+            _add(axes, "y")
+
+
+def _is_in_radians(axes: Axes, panels: list[Axes], which: str) -> bool:
+    """Whether an axis of a panel is in radians, by its title or by that of the panels that share it."""
+    figure: Any = axes.figure
+    grouper = getattr(axes, f"get_shared_{which}_axes")()
+    shared = [other for other in panels if other is axes or grouper.joined(axes, other)]
+    titles = [getattr(other, f"get_{which}label")() for other in shared]
+    titles += [other.get_title(loc="left") for other in shared if which == "y"]
+    return any(_UNIT in title for title in (*titles, getattr(figure, f"get_sup{which}label")()))
+
+
+def _add(axes: Axes, which: str) -> None:
+    if getattr(axes, f"get_{which}scale")() == "log":
+        return
+    low, high = np.degrees(sorted(getattr(axes, f"get_{which}lim")()))
+    ticks = [float(tick) for tick in MaxNLocator(_MAX_INTERVALS).tick_values(low, high) if low <= tick <= high]
+    second = getattr(axes, f"secondary_{which}axis")(
+        "top" if which == "x" else "right", functions=(np.degrees, np.radians)
+    )
+    getattr(second, f"set_{which}ticks")(ticks, [f"{plain(tick, 3)}°" for tick in ticks])
+    second.tick_params(colors=MUTED, labelsize=8, length=2)
+    second.spines[:].set_visible(False)

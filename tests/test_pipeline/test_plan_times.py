@@ -1,0 +1,103 @@
+"""Plans: the work that is told beforehand against the processor time of the run, and the record for machines."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from conftest import ROOT, STUDY
+from pipeline.cli import commands
+from pipeline.plan import costs
+from pipeline.study.parse import read
+
+LINE = 'name = "s"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.02, n = 20 }\n'
+#: Studies of every sort that a plan's time is promised for.
+STUDIES = {
+    "a line": LINE,
+    "a hundred lines": LINE.replace('"D"', '"E"') + "R = { from = 0.0, to = 0.3, n = 100 }\n",
+    "1e5 points": LINE.replace("n = 20", "n = 100000"),
+    "a kneed line": LINE.replace('"D"', '"C"'),
+    "cascade": 'name = "s"\nkind = "cascade"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n',
+    "basin": 'name = "s"\nkind = "basin"\nwalker = "D"\n[axes]\nslope = [0.009]\n',
+    "orbits": 'name = "s"\nkind = "orbit"\nwalker = "D"\n[axes]\nslope = { from = 0.014, to = 0.0189, n = 20 }\n',
+    "gaits of two steps": LINE.replace("0.001", "0.0155") + "[options]\nsteps = 2\n",
+}
+
+
+def processor_time(folder, *arguments):
+    """Processor time of a command and all its processes [s]."""
+    command = [sys.executable, "-m", "pipeline.cli.commands", *arguments]
+    process = subprocess.Popen(command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0
+    return used.ru_utime + used.ru_stime
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_time_of_a_plan_is_that_of_its_run(name, tmp_path, monkeypatch, capsys):
+    """Within a factor of 1.5 on a quiet machine; twice that is allowed here, for time itself varies on shared ones."""
+    (tmp_path / "s.toml").write_text(STUDIES[name])
+    monkeypatch.chdir(tmp_path)
+    assert commands.main(["plan", "s.toml", "--json"]) == 0
+    (plan,) = json.loads(capsys.readouterr().out)
+    taken = processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1")
+    assert 1 / 3 < plan["seconds"] / taken < 3, f"{plan['seconds']:.2f} s planned, {taken:.2f} s taken"
+
+
+def test_costs_grow_with_what_is_asked(tmp_path):
+    def seconds(text, name):
+        (tmp_path / "s.toml").write_text(text)
+        return costs.seconds(read(tmp_path / "s.toml"), name)
+
+    orbits = STUDIES["orbits"]
+    one, twice = (seconds(orbits + f"[options]\ntransient = {n}\nsteps = {n}\n", "orbit") for n in (1000, 2000))
+    assert twice == pytest.approx(2 * one)
+    basin = STUDIES["basin"]
+    many = seconds(basin.replace("[0.009]", "[0.009, 0.01]"), "basin")
+    assert many == pytest.approx(2 * seconds(basin, "basin"))
+    # A list counts by its length; a study of a straight and a kneed walker is their mean.
+    assert seconds(STUDIES["cascade"] + "[options]\nfamilies = [1, 3]\n", "cascade") == pytest.approx(
+        2 * seconds(STUDIES["cascade"], "cascade")
+    )
+    straight, kneed, both = (seconds(LINE.replace('"D"', w), "points") for w in ('"D"', '"C"', '["D", "C"]'))
+    assert both == pytest.approx((straight + kneed) / 2) and kneed > straight
+    # Violations and proofs cost more than the gaits; longer gaits are searched for.
+    dear = [seconds(LINE + f'[want]\nvariables = ["{v}"]\n', "points") for v in ("period", "violations")]
+    assert dear[0] == pytest.approx(straight) and dear[1] > dear[0]
+    atlas = [seconds(LINE + f"[options]\nsteps = {n}\n", "atlas") for n in (1, 2, 3, 4, 8)]
+    assert sorted(set(atlas)) != atlas[:1] and atlas[1] < atlas[2] == atlas[3] < atlas[4]
+
+
+def test_a_plan_for_machines(tmp_path, monkeypatch, capsys):
+    (tmp_path / "s.toml").write_text(STUDY)
+    (tmp_path / "o.toml").write_text(STUDIES["orbits"].replace('"s"', '"o"') + "[options]\nstarts = 1\ntransient = 5\n")
+    monkeypatch.chdir(tmp_path)
+
+    def plan(*arguments):
+        assert commands.main(["plan", *arguments, "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    study, orbits = plan("s.toml", "o.toml")
+    points = read(tmp_path / "s.toml").points
+    keys = ["study", "archive", "points", "new", "changed", "cached", "not_wanted", "flown", "seconds", "tasks"]
+    assert list(study) == list(orbits) == keys
+    assert (study["points"], study["new"], study["changed"], study["cached"]) == (points, points, 0, 0)
+    assert study["archive"].endswith("data/archive/toy.nc") or study["archive"].endswith(f"{study['study']}.nc")
+    assert study["flown"] == points and orbits["flown"] == 0 and orbits["new"] == 1
+    assert {"violations", "proofs", "claims"} <= set(study["not_wanted"]) and "violations" not in orbits["not_wanted"]
+    assert commands.main(["run", "s.toml", "--quiet", "--jobs", "1"]) == 0
+    (done,) = plan("s.toml")
+    assert (done["new"], done["cached"], done["flown"], done["seconds"]) == (0, points, 0, 0.0)
+
+
+def test_what_is_not_wanted_is_one_short_line(tmp_path, monkeypatch, capsys):
+    (tmp_path / "s.toml").write_text(LINE + '[want]\nvariables = ["period", "violations"]\nfits = ["scaling"]\n')
+    monkeypatch.chdir(tmp_path)
+    assert commands.main(["plan", "s.toml"]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "not wanted" in line]
+    names = line.removeprefix("  not wanted: ").split(", ")
+    assert names[-5:] == ["trace", "transition", "landmarks", "crises", "claims"] and len(line) < 200
+    assert {"multipliers", "energy", "proofs"} < set(names) and not {"violations", "scaling", "orbit"} & set(names)
