@@ -215,12 +215,12 @@ TASKS = {
         ),
         Task("points", "tasks.solve_points:points", 9, needs=("atlas",), seconds=0.02, seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 2, needs=("atlas",), seconds=0.2),
-        Task("branch", "tasks.follow_branches:branch", 4, needs=("atlas",), seconds=0.3),
+        Task("branch", "tasks.follow_branches:branch", 5, needs=("atlas",), seconds=0.3),
         Task("orbit", "tasks.iterate_orbits:orbit", 4, needs=("atlas",), seconds=30.0),
         Task("cascade", "tasks.locate_cascade:cascade", 5, needs=("atlas",), seconds=3.0),
         Task("basin", "tasks.map_basin:basin", 3, needs=("atlas",), seconds=5.0),
         Task("curve", "tasks.follow_curves:curve", 4, needs=("atlas",), seconds=5.0),
-        Task("design", "tasks.map_designs:design", 1, needs=("atlas",), seconds=0.1),
+        Task("design", "tasks.map_designs:design", 2, needs=("atlas",), seconds=0.1),
         Task("census", "tasks.count_gaits:census", 3, seconds=10.0),
         Task("scaling", "tasks.fit_laws:scaling", 2, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 3, needs=("points",)),
@@ -233,19 +233,22 @@ TASKS = {
 #: A line of no more slopes is short: its atlas is coarse, and what its gaits' error bounds need is measured at each.
 SHORT_LINE = 256
 
+#: Rates that complete the start of a step: a click on a gait's mark in a figure makes it walk.
+_START = ("stance_rate", "thigh_rate", "shank_rate")
+
 #: Every figure and fit, and the point variables and tasks it reads; the plan adds them to what a study wants.
 READS = {
     "scaling": ("stance_angle", "period", "speed", "power", "branch", "piece"),
     "transition": ("stance_angle", "branch", "piece"),
-    "loglog": ("stance_angle", "spectral_radius"),
-    "linear": ("stance_angle", "spectral_radius"),
+    "loglog": ("stance_angle", "spectral_radius", *_START),
+    "linear": ("stance_angle", "spectral_radius", *_START),
     "transition_ladder": ("stance_angle",),
     "angles": ("trace",),
-    "multipliers": ("spectral_radius",),
-    "losses": ("loss_normal", "loss_tangential", "loss_kneestrike", "spectral_radius"),
-    "heelstrike": ("heelstrike_rate_ratio", "spectral_radius"),
-    "power": ("power", "speed", "spectral_radius"),
-    "heatmap": ("speed", "stance_angle", "period", "spectral_radius"),
+    "multipliers": ("spectral_radius", "stance_angle", *_START),
+    "losses": ("loss_normal", "loss_tangential", "loss_kneestrike", "spectral_radius", "stance_angle", *_START),
+    "heelstrike": ("heelstrike_rate_ratio", "spectral_radius", "stance_angle", *_START),
+    "power": ("power", "speed", "spectral_radius", "stance_angle", *_START),
+    "heatmap": ("speed", "stance_angle", "period", "spectral_radius", *_START),
     **dict.fromkeys(
         (
             "walker",

@@ -229,23 +229,26 @@ function strikeHeel(walker, angle, rates) {
 }
 
 /**
- * Fly one step from the state just after heelstrike.
+ * Fly a step to its end from the state just after heelstrike, or from one within it at a time since it began.
  * { phases, period, kneestrike, before, end } - `before` the rates of both legs before heelstrike, `end` the state after
  * it - or { phases, fall } where it does not end in one.
  */
-function flyStep(walker, start, slope) {
-  const phases = [];
-  let x = start, begin = 0, kneestrike = null;
-  if (!(x[0] > 0)) return { phases: [flyPhase(walker.locked, Float64Array.from(x.length === 6 ? [x[0], x[1], x[3], x[4]] : x), 0, slope)], fall: "backward" };
-  if (walker.kneed) {
-    phases.push(flyPhase(walker.free, x, 0, slope));
-    if (phases[0].fall) return { phases, fall: phases[0].fall };
-    kneestrike = begin = phases[0].time;
+function flyStep(walker, start, slope, begin = 0) {
+  const phases = [], fell = fall => ({ phases, kneestrike, fall });
+  let x = start, now = begin, kneestrike = null;
+  if (!begin && !(x[0] > 0)) {
+    phases.push(flyPhase(walker.locked, Float64Array.from(x.length === 6 ? [x[0], x[1], x[3], x[4]] : x), 0, slope));
+    return fell("backward");
+  }
+  if (x.length === 6) {
+    phases.push(flyPhase(walker.free, x, now, slope));
+    if (phases[0].fall) return fell(phases[0].fall);
+    kneestrike = now = phases[0].time;
     x = lockKnee(walker, phases[0].end);
   }
-  const last = flyPhase(walker.locked, x, begin, slope);
+  const last = flyPhase(walker.locked, x, now, slope);
   phases.push(last);
-  if (last.fall) return { phases, fall: last.fall };
+  if (last.fall) return fell(last.fall);
   const before = [last.end[2], last.end[3]], angle = (last.end[1] - last.end[0]) / 2;
   return { phases, period: last.time, kneestrike, before, end: strikeHeel(walker, angle, before) };
 }

@@ -59,26 +59,30 @@ function solveRows(A, b) {
  * the start at a right angle to it: so a fold is passed as any other point of a branch.
  */
 function findGait(walker, start, slope0, along = null) {
-  let y = [...start], slope = slope0;
-  for (let k = 0; k < 14; k++) {
-    const image = stepMap(walker, y, slope), J = image && mapJacobian(walker, y, slope);
+  let y = [...start], slope = slope0, J = null, last = Infinity;
+  for (let k = 0; k < 30; k++) {
+    const image = stepMap(walker, y, slope);
+    // The derivative is kept while Newton's method gains a digit with it.
+    J = image && (J ?? mapJacobian(walker, y, slope));
     if (!J) return null;
-    const scale = [y[0], ...Array(2).fill(Math.max(Math.abs(y[1]), Math.abs(y[2])))];
-    const residual = image.map((v, i) => v - y[i]), error = Math.max(...residual.map((r, i) => Math.abs(r / scale[i])));
-    const step = flyStep(walker, stateAt(walker, y), slope);
+    const rate = Math.max(Math.abs(y[1]), Math.abs(y[2])), scale = [y[0], rate, rate], residual = image.map((v, i) => v - y[i]);
     const A = [0, 1, 2].map(i => [0, 1, 2].map(j => (i === j ? 1 : 0) - J[i][j]));
     let change;
     if (along) {
-      const plane = [along[0] / y[0], 0, 0, along[1]];
       const off = along[0] * Math.log(y[0] / start[0]) + along[1] * Math.log(slope / slope0);
-      change = solveRows([...A.map((row, i) => [...row, -J[i][3]]), plane], [...residual, -off]);
+      change = solveRows([...A.map((row, i) => [...row, -J[i][3]]), [along[0] / y[0], 0, 0, along[1]]], [...residual, -off]);
     } else change = [...solveRows(A, residual), 0];
     const size = Math.max(...change.slice(0, 3).map((c, i) => Math.abs(c / scale[i])), Math.abs(change[3]));
     if (!Number.isFinite(size)) return null;
-    if (size < 1e-9 || (k > 8 && error < 1e-10)) return { y, slope, jacobian: J.map(row => row.slice(0, 3)), step, start: stateAt(walker, y) };
     const damp = Math.min(1, 0.3 / size);
     y = y.map((v, i) => v + damp * change[i]);
     slope *= Math.exp(damp * change[3]);
+    if (size < 1e-9 || (size < 1e-7 && size >= last / 2)) {
+      const state = stateAt(walker, y), step = flyStep(walker, state, slope), jacobian = !step.fall && mapJacobian(walker, y, slope);
+      return jacobian && { y, slope, step, start: state, jacobian: jacobian.map(row => row.slice(0, 3)) };
+    }
+    if (size > 0.1 * last || size > 0.01) J = null;
+    last = size;
   }
   return null;
 }
