@@ -295,10 +295,16 @@ def _script() -> str:
     """The one script of a page, its modules in their order, without comments and needless spaces."""
     text = "\n".join((_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES)
     text = re.sub(r"^\s*(//[^\n]*|/\*\*.*?\*/)\n", "", text, flags=re.M | re.S)
-    # A line without words in quotes needs no spaces beside its signs.
-    lines = (line.strip() for line in text.splitlines())
-    text = "\n".join(s if re.search("[\"'`]", s) else re.sub(r" ?([=<>?:,;{}()&|*/]) ?", r"\1", s) for s in lines)
+    text = "\n".join(_tightened(line.strip()) for line in text.splitlines())
     return f'"use strict";\n(() => {{\n{text.strip()}\n}})();'
+
+
+def _tightened(line: str) -> str:
+    """A line of script without the spaces beside its signs, except within quotes; templates are left as they are."""
+    if re.search("[`']", line):
+        return line
+    parts = re.split(r'("(?:[^"\\]|\\.)*")', line)
+    return "".join(p if p[:1] == '"' else re.sub(r" ?([=<>?:,;{}()&|*/]) ?", r"\1", p) for p in parts)
 
 
 def _csv(frame: pd.DataFrame) -> str:

@@ -42,7 +42,11 @@ def wait(browser, script, seconds=6.0):
 
 def data(browser, figure, name):
     """Marks or maps of a figure."""
-    return json.loads(ask(browser, f"document.querySelector('#{figure} script.{name}').textContent"))
+    found = json.loads(ask(browser, f"document.querySelector('#{figure} script.{name}').textContent"))
+    for part in found if name == "panels" else ():
+        for side in "xy":
+            part[side].setdefault("values", found[0][side].get("values"))
+    return found
 
 
 def click(browser, chains, figure, point):

@@ -20,7 +20,7 @@ from test_report import synthetic
 from test_report.reading import Page, numbers_in
 from test_report.shape import KNEED, POINT, write
 
-INDEX_BYTES, PAGE_BYTES = 300_000, 2_000_000
+INDEX_BYTES, PAGE_BYTES = 300_000, 500_000
 
 
 def test_there_is_a_page_for_each_study_an_index_and_a_ledger(report):

@@ -177,7 +177,8 @@ def cells(
     shape = next(iter(columns.values())).shape
     side = int(LATTICE / np.sqrt(maps))
     down, across = spread_evenly(shape[0], side), spread_evenly(shape[1], side)
-    chosen = [columns[name] for name in START if name in columns and name not in names]
+    known = START if keys.get("knees") else START[:4]
+    chosen = [columns[name] for name in known if name in columns and name not in names]
     values = np.stack(chosen, axis=-1)[np.ix_(down, across)]
     starts = [[rounded(v, 4) if np.isfinite(v[:3]).all() else None for v in row] for row in values]
     places = {"columns": across.tolist(), "rows": down.tolist()}

@@ -19,7 +19,7 @@ from pipeline.report.figures.starts import START, rounded
 from pipeline.report.figures.style import VARIABLES, plain, spread_evenly
 
 #: Points of a figure that show their values under the pointer.
-TARGETS = 320
+TARGETS = 280
 
 #: Size of a figure that the index shows as it is [character]; it shows larger ones more coarsely.
 _MAX_THUMBNAIL = 11_000
@@ -177,11 +177,11 @@ def _adapt(svg: str, decimals: int) -> str:
 def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
     """Marks in the SVG's coordinates, at most `TARGETS` per figure."""
     targets = []
+    share = _share([len(np.atleast_1d(mark.x)) for mark in marks])
     for mark in marks:
         x, y = np.asarray(mark.x, float), np.asarray(mark.y, float)
         (left, right), (low, high) = sorted(mark.axes.get_xlim()), sorted(mark.axes.get_ylim())
         inside = np.flatnonzero((x >= left) & (x <= right) & (y >= low) & (y <= high))
-        share = max(1, TARGETS // len(marks))
         if not len(inside):
             continue
         inside = inside[spread_evenly(len(inside), share)]
@@ -201,6 +201,17 @@ def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
     return targets[:TARGETS]
 
 
+def _share(sizes: list[int]) -> int:
+    """Largest number of points that each curve may show; what short curves leave is shared by the others."""
+    share, rest = TARGETS, TARGETS
+    for k, size in enumerate(sorted(sizes)):
+        share = max(1, rest // (len(sizes) - k))
+        if size > share:
+            break
+        rest -= size
+    return share
+
+
 def _starts(mark: Marks, inside: np.ndarray) -> dict[str, Any]:
     """What the page's script needs to start the gaits of a curve's points."""
     if mark.gaits is None or "stance_angle" not in mark.gaits:
@@ -214,7 +225,7 @@ def _starts(mark: Marks, inside: np.ndarray) -> dict[str, Any]:
 def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
     """A map in the SVG's coordinates: corners, and for each axis its name, ends, scale and values.
 
-    A map with the cells of an earlier one refers to it, `as` its place.
+    A map with the cells of an earlier one refers to it, `as` its place; values that the first map has are left out.
     """
     panel = panels[k]
     box = panel.axes.get_window_extent()
@@ -222,7 +233,9 @@ def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
     for side, name, values in zip("xy", panel.names, (panel.x, panel.y), strict=True):
         limits = getattr(panel.axes, f"get_{side}lim")()
         is_log = getattr(panel.axes, f"get_{side}scale")() == "log"
-        sides[side] = {"name": name, "limits": rounded(limits), "log": is_log, "values": rounded(values, 12)}
+        sides[side] = {"name": name, "limits": rounded(limits), "log": is_log}
+        if not k or not np.array_equal(values, getattr(panels[0], side)):
+            sides[side]["values"] = rounded(values, 12)
     corners = [round(float(v), 2) for v in (box.x0, height - box.y1, box.x1, height - box.y0)]
     first = next(i for i, other in enumerate(panels) if other.cells is panel.cells)
     return {"box": corners, **sides, **(panel.cells if first == k else {"as": first})}

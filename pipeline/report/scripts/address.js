@@ -67,10 +67,10 @@ function gaitAt(line, branch, at, target = null) {
   const [slope0, angle] = target ?? [slope, start[0]], factor = angle / start[0];
   const y = sectionOf(walker, stateOf(walker, [angle, ...start.slice(1).map(rate => rate * factor)]));
   let found = along && findGait(walker, y, slope0, along);
-  // At a given slope the gait has that very slope, unless a fold is so near that Newton's method would leave it.
+  // At a given slope the gait has that very slope, unless a fold is so near that Newton's method would leave the branch.
   if (target || !found) {
-    const exact = findGait(walker, found ? found.y : y, slope0);
-    if (exact && Math.abs(Math.log(exact.y[0] / angle)) < 0.02) found = exact;
+    const exact = findGait(walker, found ? found.y : y, slope0), way = found ? Math.abs(along[0] / along[1] * Math.log(found.slope / slope0)) : 0.2;
+    if (exact && Math.abs(Math.log(exact.y[0] / (found ? found.y[0] : angle))) < 2 * way + 1e-4) found = exact;
   }
   if (!found || Math.abs(Math.log(found.y[0] / angle)) > 0.2) return null;
   return describe(found, walker, { at: line.at, line, branch, place: at, command: `${line.command} --slope ${slope0 === found.slope ? slope0 : Number(found.slope.toPrecision(12))}` });

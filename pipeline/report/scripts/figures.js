@@ -6,6 +6,7 @@ for (const plot of document.querySelectorAll(".plot")) {
   const series = parse("marks"), panels = parse("panels"), svg = plot.querySelector("svg");
   const width = Number(plot.dataset.width), height = Number(plot.dataset.height), view = { x: 0, y: 0, w: width };
   const dot = plot.appendChild(make("span", "dot")), ring = plot.appendChild(make("span", "ring")), tip = plot.appendChild(make("div", "tip"));
+  for (const map of panels) for (const side of ["x", "y"]) map[side].values ??= panels[0][side].values;
   for (const map of panels) if (map.as !== undefined) Object.assign(map, { ...panels[map.as], box: map.box, x: map.x, y: map.y });
   tip.setAttribute("role", "status");
   let at = null, pinned = false, chosen = null;
@@ -94,6 +95,12 @@ for (const plot of document.querySelectorAll(".plot")) {
   }
   const shareOf = (side, value) => side.log ? Math.log(value / side.limits[0]) / Math.log(side.limits[1] / side.limits[0]) : (value - side.limits[0]) / (side.limits[1] - side.limits[0]);
 
+  /** The linear or logarithmic scale that gives these pixels of these values; null where they are of another axis. */
+  function scaleOf(values, pixels) {
+    const low = values.indexOf(Math.min(...values)), high = values.indexOf(Math.max(...values));
+    return [value => value, Math.log].map(f => value => pixels[low] + (pixels[high] - pixels[low]) * (f(value) - f(values[low])) / (f(values[high]) - f(values[low])))
+      .find(scale => values[high] > values[low] && values.every((value, i) => Math.abs(scale(value) - pixels[i]) < 0.3)) ?? null;
+  }
   /** Where a gait lies in this figure: between the two nearest points of its line, or in its cell of a map. */
   function locate(gait) {
     const own = panels.includes(gait.panel) ? [gait.panel] : panels;
@@ -104,14 +111,21 @@ for (const plot of document.querySelectorAll(".plot")) {
       const [sx, sy] = [shareOf(found.x, values[found.x.name]), shareOf(found.y, values[found.y.name])], { box } = found;
       if (sx >= 0 && sx <= 1 && sy >= 0 && sy <= 1) return [box[0] + sx * (box[2] - box[0]), box[3] - sy * (box[3] - box[1])];
     }
-    const place = (curve, r) => [Math.log(curve.rows[r][2]), Math.log((curve.angles ?? curve.starts.map(start => start[0]))[r])];
+    const angles = curve => curve.angles ?? curve.starts?.map(start => start[0]);
+    const isOf = curve => angles(curve) && (curve.command === gait.line?.command || lineOf(curve) && sameLine(lineOf(curve).at, gait.at));
+    // Where slope and angle are the figure's own axes, the place follows from their scales.
+    for (const curve of series.filter(isOf)) {
+      const x = scaleOf(curve.rows.map(row => row[2]), curve.rows.map(row => row[0])), y = scaleOf(angles(curve), curve.rows.map(row => row[1]));
+      if (x && y) return [x(gait.slope), y(gait.start[0])];
+    }
+    const place = (curve, r) => [Math.log(curve.rows[r][2]), Math.log(angles(curve)[r])];
     const target = [Math.log(gait.slope), Math.log(gait.start[0])];
     let best = null, least = 0.08;
     for (const curve of series) {
-      if (!(curve.angles || curve.starts) || curve.command !== gait.line?.command && !(gait.at && lineOf(curve) && sameLine(lineOf(curve).at, gait.at))) continue;
+      if (!isOf(curve)) continue;
       curve.rows.forEach((row, r) => {
         const a = place(curve, r), b = curve.angles && r + 1 < curve.rows.length ? place(curve, r + 1) : a, d = minus(b, a), size = d[0] ** 2 + d[1] ** 2;
-        const share = size && size < 0.5 ? Math.min(1, Math.max(0, ((target[0] - a[0]) * d[0] + (target[1] - a[1]) * d[1]) / size)) : 0;
+        const share = size && size < 1 ? Math.min(1, Math.max(0, ((target[0] - a[0]) * d[0] + (target[1] - a[1]) * d[1]) / size)) : 0;
         const apart = Math.hypot(target[0] - a[0] - share * d[0], target[1] - a[1] - share * d[1]), next = curve.rows[r + (share > 0)];
         if (apart < least) { least = apart; best = [row[0] + share * (next[0] - row[0]), row[1] + share * (next[1] - row[1])]; }
       });
@@ -123,7 +137,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     if (point) put(ring, point); else ring.hidden = true;
   }
   document.addEventListener("gait", ({ detail }) => { chosen = detail; mark(); });
-  addEventListener("resize", mark);
+  addEventListener("resize", () => { mark(); if (at && !tip.hidden) show(at); });
   // What was chosen stays in sight above the panel.
   document.addEventListener("docked", ({ detail }) => {
     const hidden = plot.contains(document.activeElement) && !ring.hidden ? ring.getBoundingClientRect().bottom + 24 - detail : 0;

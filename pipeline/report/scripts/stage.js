@@ -100,7 +100,7 @@ function makeStage(svg) {
   const world = draw("g", svg, {}), ground = draw("path", world, { stroke: "var(--muted)", "stroke-width": 1.2, fill: "none" });
   const trail = draw("path", world, { fill: "none", stroke: "var(--muted)", "stroke-width": 1, "stroke-dasharray": "1 4", "stroke-linecap": "round" });
   const said = draw("text", svg, { x: STAGE.width / 2, y: 26, "text-anchor": "middle", "font-size": 15, fill: "var(--muted)" });
-  const incline = draw("text", svg, { x: STAGE.width - 8, y: 26, "text-anchor": "end", "font-size": 15, fill: "var(--muted)" });
+  const incline = draw("text", svg, { class: "incline", x: STAGE.width - 8, y: 26, "text-anchor": "end", "font-size": 15, fill: "var(--muted)" });
   const actors = [0, 1].map(second => {
     const group = draw("g", world, second ? { opacity: 0.55 } : {}), dashes = second ? "7 4" : "none";
     const leg = (ink, width) => draw("path", group, { fill: "none", stroke: ink, "stroke-width": width, "stroke-linecap": "round", "stroke-linejoin": "round", "stroke-dasharray": dashes });

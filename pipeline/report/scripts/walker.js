@@ -62,7 +62,9 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     docked = on;
     panel.classList.toggle("docked", on);
     button("close").hidden = !on;
-    document.body.style.paddingBottom = on ? `${panel.offsetHeight}px` : "";
+    document.body.classList.toggle("beside", on);
+    document.body.style.setProperty("--panel", `${panel.offsetHeight}px`);
+    dispatchEvent(new Event("resize"));
   }
 
   const row = (name, value, unit) => { const dd = make("dd", "", value); if (unit) dd.append(" ", make("span", "unit", unit)); return [make("dt", "", name), dd]; };
@@ -199,7 +201,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     say(found ? "" : wish.slope || wish.panel ? "There is no gait here that this page could start." : "The address names no gait of this page.");
     if (found) show(found, options);
     if (options.dock) dock(true);
-    if (found && options.dock) document.dispatchEvent(new CustomEvent("docked", { detail: panel.getBoundingClientRect().top }));
+    if (found && options.dock) document.dispatchEvent(new CustomEvent("docked", { detail: panel.getBoundingClientRect().top || innerHeight }));
     if (found && options.dock && !STILL.matches) play(true);
     return found;
   };
