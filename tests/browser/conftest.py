@@ -17,10 +17,15 @@ STUDIES = {
     '[want]\nfigures = ["locus"]\n',
     "map": 'walker = "B"\n[axes]\nR = { from = 0.1, to = 0.4, n = 31 }\nslope = { from = 0.005, to = 0.05, n = 30 }\n'
     '[want]\nvariables = ["stance_angle", "speed", "multipliers"]\nfigures = ["heatmap"]\n',
+    "ratios": 'walker = "E"\n[axes]\nfoot_mass_ratio = [0.02, 0.05, 0.08, 0.11, 0.14]\n'
+    "slope = { from = 0.004, to = 0.06, n = 29 }\n"
+    '[want]\nvariables = ["stance_angle", "speed", "multipliers"]\nfigures = ["heatmap"]\n',
     "design": 'kind = "design"\nwalker = "A"\n[axes]\nR = [0.15, 0.2, 0.3]\nc_t = [0.07, 0.084, 0.12]\n'
     'slope = [1e-5, 0.2]\n[want]\nfigures = ["design"]\n',
     "basin": 'kind = "basin"\nwalker = "D"\n[axes]\nslope = [0.0126]\n[want]\nfigures = ["basin"]\n'
     "[options]\nsize = 60\nstance_angle = [0.1, 0.35]\nstance_rate = [-0.35, -0.1]\n",
+    "kneed-basin": 'kind = "basin"\nwalker = "C"\n[axes]\nslope = [0.06]\n[want]\nfigures = ["basin"]\n'
+    "[options]\nsize = 40\n",
     "orbits": 'kind = "orbit"\nwalker = "C"\n[axes]\nslope = { from = 0.07, to = 0.09, n = 21 }\n'
     '[want]\nfigures = ["bifurcation"]\n[options]\nstarts = 1\ntransient = 60\nsteps = 40\nshown = 8\n',
 }

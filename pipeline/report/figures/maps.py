@@ -181,7 +181,8 @@ def basin(source: Source) -> Sketch | None:
     if table is None or "outcome" not in table or table.empty:
         return None
     others = {*source.line_columns(table), "outcome", "slope", "steps", "swing_rate"}
-    plane = [c for c in table.columns if c not in others and table[c].dtype.kind == "f" and table[c].nunique() > 1][:2]
+    known = [c for c in table.columns if c not in others and table[c].dtype.kind == "f" and table[c].nunique() > 1]
+    plane = sorted(known, key=lambda name: name != "stance_angle")[:2]
     if len(plane) < 2:
         return None
     table = table.astype({"outcome": str})

@@ -188,7 +188,8 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     // The first step from which on every one is within a hundredth of the gait's.
     let back = after;
     while (aim && back > 0 && Math.abs(angles[back - 1] / aim - 1) < 0.01) back--;
-    text.textContent = last.fall ? (after ? `It ${last.fall === "knee" || last.fall === "foot" ? "falls: " + FALLS[last.fall] : FALLS[last.fall]} after ${word(after)}.` : `It falls at once: it ${FALLS[last.fall].replace(/^the /, "has the ")}.`)
+    const cause = FALLS[last.fall] ?? "", fell = cause.startsWith("the") ? cause : `it ${cause}`;
+    text.textContent = last.fall ? `${after ? `After ${word(after)}` : "In its first step"} ${fell}.`
       : aim && after - back > 4 ? `It recovers: within 1 % of the gait after ${word(back)}.` : `It still walks after ${word(after)}, but not as before.`;
   }
 
