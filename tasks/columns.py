@@ -172,6 +172,10 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "fastest_stable_speed": ("speed", "largest mean speed of a stable gait"),
     "fastest_froude_speed": ("number", "largest mean speed of a stable gait over sqrt(g (l + R))"),
     "fastest_slope": ("angle", "slope of the fastest stable gait"),
+    "design/stance_angle": ("angle", "stance angle of the fastest stable gait"),
+    "design/stance_rate": ("rate", "stance leg rate of the fastest stable gait just after heelstrike"),
+    "design/thigh_rate": ("rate", "swing thigh rate of the fastest stable gait just after heelstrike"),
+    "design/shank_rate": ("rate", "swing shank rate of the fastest stable gait just after heelstrike"),
     "lost/low": ("angle", "largest slope at which all orbits persist"),
     "lost/high": ("angle", "smallest slope at which walking is lost"),
 }

@@ -24,6 +24,12 @@ from tasks.walkers.resolve import resolve
 #: Largest number of points between two nodes; a window that needs more is too narrow.
 _MAX_PARTS = 65536
 
+#: Columns of the table `branches`.
+_COLUMNS = (
+    *("branch", "slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate"),
+    *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
+)
+
 
 def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Sample a line's branches, continued through folds to their ends.
@@ -39,7 +45,8 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     Returns
     -------
     dict
-        Tables `branches` (branch, slope, stance_angle, period, kneestrike_time, spectral_radius, stable, gait) and
+        Tables `branches` (branch, slope, stance_angle, stance_rate, thigh_rate, shank_rate, period, kneestrike_time,
+        spectral_radius, stable, gait) and
         `special_points` (branch, kind, slope, stance_angle, period, error_bound), in the walker's units.
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
@@ -49,17 +56,15 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     time_unit = np.sqrt(walker.leg / walker.g)
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
-    rows: dict[str, list[np.ndarray]] = {
-        k: []
-        for k in ("branch", "slope", "stance_angle", "period", "kneestrike_time", "spectral_radius", "stable", "gait")
-    }
+    rows: dict[str, list[np.ndarray]] = {k: [] for k in _COLUMNS}
     points: list[dict[str, Any]] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
         Z = chosen(problem, curve, low, high, tolerance) if tolerance else _dense(curve, low, high, least)
         if not len(Z):
             continue
         m = curve.m
-        stride, _ = problem.stride(np.delete(Z, m, axis=1).T, Z[:, m])
+        stride, scale = problem.stride(np.delete(Z, m, axis=1).T, Z[:, m])
+        rates = problem.start(stride.y * scale, np.exp(Z[:, m]))[1:] / time_unit
         radius = np.abs(multipliers(stride.jacobian, m)).max(axis=1)
         times = Z[:, m + 1 :] * time_unit
         knee = times[:, 0] if problem.phases == 2 else np.full(len(Z), np.nan)
@@ -67,6 +72,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
             ("branch", np.full(len(Z), number)),
             ("slope", np.exp(Z[:, m])),
             ("stance_angle", np.exp(Z[:, 0])),
+            *zip(("stance_rate", "thigh_rate", "shank_rate"), rates, strict=True),
             ("period", times[:, -1]),
             ("kneestrike_time", knee),
             ("spectral_radius", radius),

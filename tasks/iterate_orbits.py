@@ -180,11 +180,9 @@ def _step(problem: Problem, y: np.ndarray, image: np.ndarray, times: np.ndarray,
     times the factor that a gait's bound takes of its standard deviation.
     """
     scale = np.exp2(np.floor(np.log2(y[0])))
-    size = problem.map.start_size
-    begin = problem.map.start(y / scale, problem.parameters(slope, scale))[:size] * scale
     unit = 0.75 * scale
     again = problem.map(y / unit, times, problem.parameters(slope, unit))
     change = np.abs(again.image * unit - image)
     largest = np.abs(image[1:]).max(axis=0)
     error = np.max([change[0] / image[0], *(change[1:] / largest), np.abs(again.times[-1] / times[-1] - 1)], axis=0)
-    return np.vstack([begin[[0, size // 2, size // 2 + 1, size - 1]], times[-1], SAFETY_FACTOR * (error + EPS)])
+    return np.vstack([problem.start(y, slope), times[-1], SAFETY_FACTOR * (error + EPS)])

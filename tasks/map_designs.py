@@ -23,6 +23,8 @@ Arrays = dict[str, np.ndarray]
 _INTERVALS = 16
 #: Entries in place of a reason where there is no number.
 _NO_GAIT, _NEVER_STABLE = "no gait", "never stable"
+#: Columns of the fastest stable gait: its slope, and its state just after heelstrike.
+_START = ("fastest_slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate")
 
 
 def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -54,30 +56,34 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     window = (np.log(slope.min()), np.log(slope.max()))
     least: list[tuple[float, str]] = []
     most: list[tuple[float, str]] = []
-    speeds: list[tuple[float, float]] = []
+    speeds: list[tuple[float, ...]] = []
+    m, time_unit = problem.m, np.sqrt(walker.leg / walker.g)
     for branch in atlases.from_arrays(inputs[0]):
         least += _lowest(branch, window)
         Z, ends = _stable_part(problem, branch)
-        q = Z[:, branch.m]
+        q = Z[:, m]
         inside = (q >= window[0]) & (q <= window[1])
         if not inside.any():
             continue
         most += [(s, why) for s, why in ends if window[0] <= s <= window[1]]
         most += [(window[1], "window")] if (q > window[1]).any() else []
         slopes, angle = np.exp(q[inside]), np.exp(Z[inside, 0])
-        period = Z[inside, -1] * np.sqrt(walker.leg / walker.g)
+        period = Z[inside, -1] * time_unit
         speed = travel(walker, slopes, angle, period)["speed"]
-        speeds.append((float(speed.max()), float(slopes[speed.argmax()])))
+        fastest = np.array([speed.argmax()])
+        y = np.vstack([angle, angle * Z[inside, 1:m].T])[:, fastest]
+        state = problem.start(y, slopes[fastest])[:, 0] / [1.0, time_unit, time_unit, time_unit]
+        speeds.append((float(speed.max()), float(slopes[fastest[0]]), *map(float, state)))
     (first, event), (last, loss) = min(least, default=(np.nan, _NO_GAIT)), max(most, default=(np.nan, _NEVER_STABLE))
-    fastest, fastest_slope = max(speeds, default=(np.nan, np.nan))
+    best, *start = max(speeds, default=(np.nan,) * 6)
     values = {
         "smallest_slope": 0.0 if first < np.log(10 * MIN_SLOPE) else float(np.exp(first)),
         "smallest_at": event,
         "largest_stable_slope": float(np.exp(last)),
         "stability_lost_by": loss if least else _NO_GAIT,
-        "fastest_stable_speed": fastest,
-        "fastest_froude_speed": fastest / np.sqrt(walker.g * walker.leg),
-        "fastest_slope": fastest_slope,
+        "fastest_stable_speed": best,
+        "fastest_froude_speed": best / np.sqrt(walker.g * walker.leg),
+        **dict(zip(_START, start, strict=True)),
     }
     return {f"design/{k}": np.array([v]) for k, v in values.items()}
 

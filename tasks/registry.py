@@ -212,14 +212,14 @@ TASKS = {
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),
-        Task("points", "tasks.solve_points:points", 10, needs=("atlas",), seconds_per_point=3e-5),
+        Task("points", "tasks.solve_points:points", 11, needs=("atlas",), seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 3, needs=("atlas",)),
-        Task("branch", "tasks.follow_branches:branch", 5, needs=("atlas",)),
+        Task("branch", "tasks.follow_branches:branch", 6, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 5, needs=("atlas",)),
         Task("cascade", "tasks.locate_cascade:cascade", 6, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 5, needs=("atlas",)),
         Task("curve", "tasks.follow_curves:curve", 5, needs=("atlas",)),
-        Task("design", "tasks.map_designs:design", 2, needs=("atlas",)),
+        Task("design", "tasks.map_designs:design", 3, needs=("atlas",)),
         Task("census", "tasks.count_gaits:census", 4),
         Task("scaling", "tasks.fit_laws:scaling", 2, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 3, needs=("points",)),
@@ -235,19 +235,22 @@ SHORT_LINE = 256
 #: So many lines over one or two keys are divided into cells, whose gaits polynomials predict.
 LEAST_PLANE = 64
 
+#: Rates that complete the start of a step: a click on a gait's mark in a figure makes it walk.
+_START = ("stance_rate", "thigh_rate", "shank_rate")
+
 #: Every figure and fit, and the point variables and tasks it reads; the plan adds them to what a study wants.
 READS = {
     "scaling": ("stance_angle", "period", "speed", "power", "branch", "piece"),
     "transition": ("stance_angle", "branch", "piece"),
-    "loglog": ("stance_angle", "spectral_radius"),
-    "linear": ("stance_angle", "spectral_radius"),
+    "loglog": ("stance_angle", "spectral_radius", *_START),
+    "linear": ("stance_angle", "spectral_radius", *_START),
     "transition_ladder": ("stance_angle",),
     "angles": ("trace",),
-    "multipliers": ("spectral_radius",),
-    "losses": ("loss_normal", "loss_tangential", "loss_kneestrike", "spectral_radius"),
-    "heelstrike": ("heelstrike_rate_ratio", "spectral_radius"),
-    "power": ("power", "speed", "spectral_radius"),
-    "heatmap": ("speed", "stance_angle", "period", "spectral_radius"),
+    "multipliers": ("spectral_radius", "stance_angle", *_START),
+    "losses": ("loss_normal", "loss_tangential", "loss_kneestrike", "spectral_radius", "stance_angle", *_START),
+    "heelstrike": ("heelstrike_rate_ratio", "spectral_radius", "stance_angle", *_START),
+    "power": ("power", "speed", "spectral_radius", "stance_angle", *_START),
+    "heatmap": ("speed", "stance_angle", "period", "spectral_radius", *_START),
     **dict.fromkeys(
         (
             "walker",

@@ -15,7 +15,7 @@ class Entry:
 
     `slug` names the page, `study` is the slug of its study; `statuses` are (name, count, share); `figures` are anchors
     on the page; `thumbnail` is its first figure, small; `claims` are rows of the ledger; `files` are the data files
-    written with the page.
+    written with the page; `lines` are gaits that the index can show walking.
     """
 
     slug: str
@@ -29,7 +29,7 @@ class Entry:
     claims: list[dict[str, Any]]
     files: list[str]
     thumbnail: str = ""
-    moves: list[dict[str, Any]] = field(default_factory=list)
+    lines: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def order(self) -> tuple[bool, bool, list[tuple[int, str]], str]:
@@ -40,16 +40,15 @@ class Entry:
 
 
 def read(page: str) -> Entry | None:
-    """Read the entry in a page's text, with the page's first picture and animation; None if there is no entry."""
+    """Read the entry in a page's text, with the page's first picture; None if there is no entry."""
     record = re.search(r'<script type="application/json" id="entry">(.*?)</script>', page, re.S)
     if not record:
         return None
     picture = re.search(r'<div class="picture"[^>]*>(.*?)</div>', page, re.S)
-    motion = re.search(r'<div class="motion">.*?<script type="application/json">(.*?)</script>', page, re.S)
     try:
         fields = json.loads(record[1])
         fields["thumbnail"] = fields["thumbnail"] or (picture[1] if picture else "")
-        return Entry(**fields, moves=json.loads(motion[1])[:2] if motion else [])
+        return Entry(**fields)
     except (ValueError, TypeError, KeyError):
         return None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import pandas as pd
 
 from pipeline.report.cells import Cell, cell, column_cells
 from pipeline.report.figures import measured
+from pipeline.report.figures.starts import addresses
 from pipeline.report.figures.style import plain
 from pipeline.report.source import ANSWERS, Source, print_units
 
@@ -83,7 +84,7 @@ _LAWS = {"stance_angle": "θ* of γ", "speed": "v of γ", "power_speed": "P of v
 class Table:
     """A caption, column headings and rows of cells; `meanings` are the long names of the columns.
 
-    `frame` holds all rows, for the CSV file that is called after `name`.
+    `frame` holds all rows, for the CSV file that is called after `name`; `gaits` are the addresses of the rows' gaits.
     """
 
     caption: str
@@ -93,6 +94,7 @@ class Table:
     meanings: list[str] = field(default_factory=list)
     name: str = ""
     frame: pd.DataFrame | None = None
+    gaits: list[str] = field(default_factory=list)
 
     @property
     def folded(self) -> bool:
@@ -158,7 +160,8 @@ def landmarks(source: Source) -> Table | None:
     heads += ["printed γ (rad)", "computed γ (rad)", "from γ (rad)", "to γ (rad)", "θ* (rad)"]
     rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
     note = "From, to: the slopes that the rounding of the printed parameters allows."
-    return Table("The paper's numbers beside the computed ones", heads, rows, note)
+    gaits = addresses(source, frame)
+    return Table("The paper's numbers beside the computed ones", heads, rows, note, gaits=gaits)
 
 
 def residuals(source: Source) -> Table | None:
@@ -178,7 +181,7 @@ def special_points(source: Source) -> Table | None:
         return None
     shown = table.head(2 * MAX_ROWS)
     note = f"{len(table) - len(shown)} more are in the archive." if len(shown) < len(table) else ""
-    return from_frame("Special points", shown, note, "special_points", table)
+    return replace(from_frame("Special points", shown, note, "special_points", table), gaits=addresses(source, shown))
 
 
 def points(source: Source) -> pd.DataFrame:

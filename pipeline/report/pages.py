@@ -7,6 +7,7 @@ import contextlib
 import fcntl
 import hashlib
 import os
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,13 +21,15 @@ from pipeline.archive.citation import PAPER
 from pipeline.archive.read import damage
 from pipeline.errors import ArchiveError
 from pipeline.report import entry, html_tables, ledger, results
-from pipeline.report.figures import FIGURES, draw
-from pipeline.report.figures.cycle import animation
+from pipeline.report.figures import FIGURES, draw, starts
 from pipeline.report.figures.style import plain
 from pipeline.report.figures.svg import Drawing
 from pipeline.report.source import Source, read
 
-_TEMPLATES = Path(__file__).parent / "templates"
+_TEMPLATES, _SCRIPTS = Path(__file__).parent / "templates", Path(__file__).parent / "scripts"
+
+#: Modules of the script, each of which may call those before it.
+_MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables")
 
 #: Names of pages that belong to no study.
 _RESERVED = ("index", "ledger")
@@ -45,15 +48,15 @@ _MAX_THUMBNAIL_BYTES = 235_000
 class Page:
     """One study as its page shows it.
 
-    `undrawn` names the figures that the archive holds no data for; `absent` lists the points without a converged gait;
-    `tables` are those of results, by their place on the page.
+    `undrawn` names the figures that the archive holds no data for; `lines` are those whose gaits its script can start;
+    `absent` lists the points without a converged gait; `tables` are those of results, by their place on the page.
     """
 
     slug: str
     source: Source
     drawings: list[Drawing]
     undrawn: list[str]
-    moves: list[dict[str, Any]]
+    lines: list[dict[str, Any]]
     statuses: list[tuple[str, int, float]]
     absent: pd.DataFrame
     tables: dict[str, Any]
@@ -83,6 +86,7 @@ class Page:
             "claims": html_tables.claims(source),
             "files": list(self.files),
             "thumbnail": first.small if first and first.small != first.svg else "",
+            "lines": starts.brief(self.lines),
         }
 
 
@@ -168,9 +172,9 @@ def _combine(environment: jinja2.Environment, out: Path, pages: list[Page], text
     else:
         (out / "ledger.csv").unlink(missing_ok=True)
     _publish(out / "ledger.html", environment.get_template("ledger.html").render(**common))
-    moves = next((record.moves for record in entries if record.moves), [])
+    lines = next((record.lines for record in entries if record.lines), [])
     index = environment.get_template("index.html")
-    _publish(out / "index.html", index.render(**common, thumbnails=_thumbnails(entries), moves=moves))
+    _publish(out / "index.html", index.render(**common, thumbnails=_thumbnails(entries), lines=lines))
 
 
 def _study(environment: jinja2.Environment, page: Page) -> str:
@@ -212,7 +216,7 @@ def _page(source: Source, slug: str) -> Page:
         source,
         drawings,
         undrawn,
-        animation(source),
+        starts.lines(source),
         html_tables.statuses(source),
         html_tables.points(source),
         tables,
@@ -273,7 +277,8 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    script = (_TEMPLATES / "report.js").read_text(encoding="utf-8").strip()
+    environment.policies["json.dumps_kwargs"] = {"ensure_ascii": False, "sort_keys": True, "separators": (",", ":")}
+    script = _script()
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment.globals.update(
         style=(_TEMPLATES / "report.css").read_text(encoding="utf-8"),
@@ -284,6 +289,22 @@ def _environment() -> jinja2.Environment:
     )
     environment.filters.update(plain=plain, grouped=lambda n: f"{n:,}".replace(",", "\u202f"))
     return environment
+
+
+def _script() -> str:
+    """The one script of a page, its modules in their order, without comments and needless spaces."""
+    text = "\n".join((_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES)
+    text = re.sub(r"^\s*(//[^\n]*|/\*\*.*?\*/)\n", "", text, flags=re.M | re.S)
+    text = "\n".join(_tightened(line.strip()) for line in text.splitlines())
+    return f'"use strict";\n(() => {{\n{text.strip()}\n}})();'
+
+
+def _tightened(line: str) -> str:
+    """A line of script without the spaces beside its signs, except within quotes; templates are left as they are."""
+    if re.search("[`']", line):
+        return line
+    parts = re.split(r'("(?:[^"\\]|\\.)*")', line)
+    return "".join(p if p[:1] == '"' else re.sub(r" ?([=<>?:,;{}()&|*/]) ?", r"\1", p) for p in parts)
 
 
 def _csv(frame: pd.DataFrame) -> str:

@@ -177,8 +177,16 @@ class Source:
         return next(iter(self.walkers), "")
 
     def parameters(self, walker: str, settings: dict[str, Any]) -> dict[str, Any]:
-        """Parameters of a line's walker, as far as the archive holds them."""
-        return {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **settings}
+        """Parameters of a line's walker, as far as the archive holds them, with those that its axes change."""
+        table = {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **settings}
+        for key, axis in self.varied.items():
+            column = self.grid.get(key)
+            if key != axis and column is not None and axis in settings and axis in column.coords:
+                near = column.sel({axis: settings[axis]}, method="nearest")
+                if "walker" in near.dims:
+                    near = near.isel(walker=list(self.walkers).index(walker))
+                table[key] = float(near) if near.ndim == 0 else table.get(key)
+        return table
 
     @property
     def axes(self) -> list[str]:

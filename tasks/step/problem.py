@@ -90,6 +90,23 @@ class Problem:
         stride = self.map(y, w[self.m :], self.parameters(np.exp(log_slope), scale), slope, samples, coarse)
         return stride, scale
 
+    def start(self, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """State just after heelstrike of section states.
+
+        Parameters
+        ----------
+        y : ndarray, shape (m, n) [rad, rad/sqrt(leg/g)]
+        slope : ndarray, shape (n,) [rad]
+
+        Returns
+        -------
+        ndarray, shape (4, n) [rad, rad/sqrt(leg/g)]
+            Stance angle and the rates of stance leg, thigh and shank.
+        """
+        scale, size = np.exp2(np.floor(np.log2(y[0]))), self.map.start_size
+        state = self.map.start(y / scale, self.parameters(slope, scale))[:size] * scale
+        return state[[0, size // 2, size // 2 + 1, size - 1]]
+
 
 class Lanes(Problem):
     """The step map with a walker of its own in every lane; all are of one structure.

@@ -4,8 +4,31 @@ from pathlib import Path
 
 import pytest
 
+from pipeline import run
 from pipeline.report import pages
 from test_report import synthetic
+
+#: Studies whose pages have gaits that walk: curves, branches through folds, maps, orbits and a basin.
+STUDIES = {
+    "curves": 'walker = "E"\n[axes]\nfoot_mass_ratio = [0.1, 0.05, 0.02]\n'
+    'slope = { from = 1e-3, to = 0.1, n = 40, spacing = "log" }\n'
+    '[want]\nvariables = ["stance_angle", "period", "multipliers"]\nfigures = ["loglog", "multipliers"]\n',
+    "branches": 'kind = "branch"\nwalker = "C"\n[axes]\ndetuning = [0.1]\nslope = { from = 1e-3, to = 0.1, n = 60 }\n'
+    '[want]\nfigures = ["locus"]\n',
+    "map": 'walker = "B"\n[axes]\nR = { from = 0.1, to = 0.4, n = 31 }\nslope = { from = 0.005, to = 0.05, n = 30 }\n'
+    '[want]\nvariables = ["stance_angle", "speed", "multipliers"]\nfigures = ["heatmap"]\n',
+    "ratios": 'walker = "E"\n[axes]\nfoot_mass_ratio = [0.02, 0.05, 0.08, 0.11, 0.14]\n'
+    "slope = { from = 0.004, to = 0.06, n = 29 }\n"
+    '[want]\nvariables = ["stance_angle", "speed", "multipliers"]\nfigures = ["heatmap"]\n',
+    "design": 'kind = "design"\nwalker = "A"\n[axes]\nR = [0.15, 0.2, 0.3]\nc_t = [0.07, 0.084, 0.12]\n'
+    'slope = [1e-5, 0.2]\n[want]\nfigures = ["design"]\n',
+    "basin": 'kind = "basin"\nwalker = "D"\n[axes]\nslope = [0.0126]\n[want]\nfigures = ["basin"]\n'
+    "[options]\nsize = 60\nstance_angle = [0.1, 0.35]\nstance_rate = [-0.35, -0.1]\n",
+    "kneed-basin": 'kind = "basin"\nwalker = "C"\n[axes]\nslope = [0.06]\n[want]\nfigures = ["basin"]\n'
+    "[options]\nsize = 40\n",
+    "orbits": 'kind = "orbit"\nwalker = "C"\n[axes]\nslope = { from = 0.07, to = 0.09, n = 21 }\n'
+    '[want]\nfigures = ["bifurcation"]\n[options]\nstarts = 1\ntransient = 60\nsteps = 40\nshown = 8\n',
+}
 
 
 @pytest.fixture(scope="session")
@@ -13,6 +36,15 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a report of one archive of each kind."""
     archives = synthetic.everything(tmp_path_factory.mktemp("archive"))
     return pages.write(archives, tmp_path_factory.mktemp("reports")).parent
+
+
+@pytest.fixture(scope="session")
+def walking(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a report of computed archives, whose gaits walk."""
+    folder = tmp_path_factory.mktemp("walking")
+    for name, text in STUDIES.items():
+        run(f'name = "{name}"\n{text}', archive=folder / f"{name}.nc", quiet=True)
+    return pages.write([folder / f"{name}.nc" for name in STUDIES], folder / "reports").parent
 
 
 @pytest.fixture(scope="session")
@@ -35,16 +67,29 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[object]:
 
 
 @pytest.fixture
-def visit(browser, report):
-    """Open a page at a width and in a colour scheme."""
+def opened(browser):
+    """Open a file at a width, in a colour scheme, with or without motion."""
 
-    def go(name: str, width: int = 1280, scheme: str = "light", anchor: str = ""):
-        media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+    def go(path: Path, width: int = 1280, scheme: str = "light", anchor: str = "", still: bool = False):
+        media = {"prefers-color-scheme": scheme, "prefers-reduced-motion": "reduce" if still else "no-preference"}
+        features = [{"name": name, "value": value} for name, value in media.items()]
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
         browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         browser.get("about:blank")
-        browser.get((report / f"{name}.html").as_uri() + anchor)
+        browser.get(path.as_uri() + anchor)
         return browser
 
     return go
+
+
+@pytest.fixture
+def visit(opened, report):
+    """Open a page of the report of one archive of each kind."""
+    return lambda name, *where, **how: opened(report / f"{name}.html", *where, **how)
+
+
+@pytest.fixture
+def walk(opened, walking):
+    """Open a page whose gaits walk."""
+    return lambda name, *where, **how: opened(walking / f"{name}.html", *where, **how)

@@ -59,39 +59,6 @@ def _lightness(colour: str) -> float:
     return sum(map(int, re.findall(r"\d+", colour)[:3])) / 3
 
 
-@pytest.mark.parametrize("name", ["index", "transition", "detuning"])
-def test_the_walker_walks_pauses_slows_and_steps(visit, name):
-    browser = visit(name)
-    play, slow, step = (one(browser, f"[data-do={what}]") for what in ("play", "slow", "step"))
-    path = "document.querySelector('.walk path:nth-of-type(4)').getAttribute('d')"
-    still = ask(browser, path)
-    step.click()
-    stepped = ask(browser, path)
-    assert stepped != still
-    time.sleep(0.2)
-    assert ask(browser, path) == stepped
-    play.click()
-    time.sleep(0.3)
-    assert ask(browser, path) != stepped
-    assert play.text == "Pause"
-    slow.click()
-    assert slow.get_attribute("aria-pressed") == "true"
-    play.click()
-    paused = ask(browser, path)
-    time.sleep(0.2)
-    assert ask(browser, path) == paused
-
-
-def test_another_gait_can_be_chosen(visit):
-    browser = visit("transition")
-    colour = "document.querySelector('.walk path:nth-of-type(4)').getAttribute('stroke')"
-    assert ask(browser, colour) == "var(--long)"
-    one(browser, ".motion select").send_keys("s")
-    one(browser, ".motion option:nth-child(2)").click()
-    assert ask(browser, colour) == "var(--short)"
-    assert "--slope 0.009" in one(browser, ".motion .command").text
-
-
 @pytest.mark.parametrize(
     ("name", "figure"),
     [("transition", "loglog"), ("transition", "angles"), ("detuning", "locus"), ("cascade", "bifurcation"),
@@ -206,12 +173,20 @@ def test_a_table_is_sorted_by_a_click_on_its_heading(visit):
     assert ask(browser, column) == sorted(before, reverse=True)
 
 
-def test_a_line_is_highlighted_from_the_legend(visit):
+def test_a_line_is_highlighted_and_hidden_from_the_legend(visit, chains):
     browser = visit("tuned-walkers")
     lit = "[...document.querySelectorAll('#loglog svg .on')].map(part => part.dataset.line)"
+    shown = "[...document.querySelectorAll('#loglog svg [data-line]')].filter(part => part.style.display !== 'none')"
+    every = set(ask(browser, f"{shown}.map(part => part.dataset.line)"))
     button = one(browser, "#loglog .legend button:nth-child(2)")
-    button.click()
+    browser.execute_script("arguments[0].scrollIntoView({ block: 'center' })", button)
+    chains(browser).move_to_element(button).perform()
     assert set(ask(browser, lit)) == {"1"}
     assert one(browser, "#loglog .plot").get_attribute("class") == "plot lit"
     button.click()
+    assert button.get_attribute("aria-pressed") == "false"
+    assert set(ask(browser, f"{shown}.map(part => part.dataset.line)")) == every - {"1"}
+    button.click()
+    assert set(ask(browser, f"{shown}.map(part => part.dataset.line)")) == every
+    chains(browser).move_to_element(one(browser, "h1")).perform()
     assert one(browser, "#loglog .plot").get_attribute("class") == "plot"

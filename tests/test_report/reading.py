@@ -17,7 +17,7 @@ class Page(HTMLParser):
         self.elements: list[tuple[str, dict[str, str | None]]] = []
         self.numbers: list[float] = []
         self.words: list[str] = []
-        self._inside = 0
+        self._inside, self._hidden = 0, False
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
@@ -28,12 +28,16 @@ class Page(HTMLParser):
         if tag == "data" and self._inside and about.get("class") != "count":
             self.numbers.append(float(about["value"] or "nan"))
 
+        self._hidden = tag in ("script", "style")
+
     def handle_endtag(self, tag: str) -> None:
+        self._hidden = False
         if tag == "table" and self._inside:
             self._inside -= 1
 
     def handle_data(self, data: str) -> None:
-        self.words.append(data)
+        if not self._hidden:
+            self.words.append(data)
 
     @property
     def text(self) -> str:

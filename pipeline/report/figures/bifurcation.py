@@ -94,4 +94,6 @@ def _marks(source: Source, axes: Axes, rows: pd.DataFrame, name: str) -> Marks:
         values,
         line_command(source, shown),
         slopes,
+        gaits=shown,
+        free=True,
     )

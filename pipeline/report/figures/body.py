@@ -62,10 +62,6 @@ class Body:
         """Centre of the foot's arc as x + iy, from the position of the knee and the shank's angle [rad]."""
         return knee - 1j * self.shank * np.exp(1j * (shank + self.eps_S))
 
-    def step(self, stance: float) -> float:
-        """Length of a step that starts at a stance angle [rad]."""
-        return float(2 * (self.length * np.sin(stance) + self.radius * stance))
-
 
 def draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, **line: Any) -> None:
     """Draw one leg: hip, knee, bottom of the foot, and the arc of the foot."""

@@ -182,7 +182,7 @@ def _branch_marks(axes: Axes, frame: pd.DataFrame, name: str, command: str) -> l
         values["period"] = frame["period"].to_numpy()
     if "stable" in frame:
         values["stable"] = np.where(frame["stable"] == 1, "yes", "no")
-    return [Marks(axes, slopes, angles, name or "branch", values, command, slopes)]
+    return [Marks(axes, slopes, angles, name or "branch", values, command, slopes, gaits=frame)]
 
 
 def _draw_special(axes: Axes, points: pd.DataFrame, command: str) -> list[Marks]:
@@ -193,7 +193,7 @@ def _draw_special(axes: Axes, points: pd.DataFrame, command: str) -> list[Marks]
     slopes, angles = points["slope"].to_numpy(), points["stance_angle"].to_numpy()
     kinds = [str(kind).replace("_", " ") for kind in points["kind"]]
     values = {"kind": kinds, "γ (rad)": slopes, "θ* (rad)": angles}
-    return [Marks(axes, slopes, angles, "special point", values, command, slopes)]
+    return [Marks(axes, slopes, angles, "special point", values, command, slopes, gaits=points)]
 
 
 def _draw_points(axes: Axes, numbered: pd.DataFrame) -> bool:

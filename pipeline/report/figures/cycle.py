@@ -1,10 +1,9 @@
-"""A gait in motion: joint angles over two steps with a cartoon (figure 3), and the steps that the page animates."""
+"""A walking cycle: joint angles over two steps with a cartoon (the paper's figure 3)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,7 +11,6 @@ from matplotlib.axes import Axes
 
 from pipeline.report.figures.body import Body, draw_leg
 from pipeline.report.figures.style import (
-    GAIT_COLOURS,
     INK,
     MUTED,
     canvas,
@@ -21,13 +19,12 @@ from pipeline.report.figures.style import (
     set_heading,
     shorten,
     spread_evenly,
-    thin,
 )
 from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
-#: Gaits that a page animates, and samples of each step.
-MAX_STEPS, MAX_SAMPLES = 12, 90
+#: Steps of the archive that are read, evenly spread.
+_MAX_STEPS = 12
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,7 @@ class TracedStep:
 
 
 def traced_steps(source: Source) -> Iterator[TracedStep]:
-    """Yield the steps in the archive's table `trace`, at most `MAX_STEPS` of them."""
+    """Yield the steps in the archive's table `trace`, at most `_MAX_STEPS` of them."""
     table = source.tables.get("trace")
     if table is None or not {"gait", "slope", "time", "theta_st", "theta_th"} <= set(table.columns):
         return
@@ -62,7 +59,7 @@ def traced_steps(source: Source) -> Iterator[TracedStep]:
     steps = list(
         table.dropna(subset=["time", "theta_st", "theta_th"]).groupby([*coordinates, "gait", "slope"], sort=False)
     )
-    for i in spread_evenly(len(steps), MAX_STEPS) if steps else ():
+    for i in spread_evenly(len(steps), _MAX_STEPS) if steps else ():
         key, frame = steps[i]
         at = dict(zip(coordinates, key, strict=False))
         gait, slope = str(key[-2]), float(key[-1])
@@ -180,37 +177,3 @@ def _draw_strobe(axes: Axes, step: TracedStep, moments: int = 4) -> None:
     axes.set_ylim(-0.06 * height, 1.08 * height)
     axes.set_aspect("equal")
     axes.axis("off")
-
-
-def animation(source: Source) -> list[dict[str, Any]]:
-    """Data with which the page's script animates each gait: numbers rounded to what can be seen."""
-    moves = []
-    for step in traced_steps(source):
-        frame, body = thin(step.frame, MAX_SAMPLES), step.body
-        time = frame["time"].to_numpy()
-        moves.append(
-            {
-                "label": f"{step.label} · {step.gait} step · γ = {plain(step.slope)}",
-                "gait": step.gait if step.gait in GAIT_COLOURS else "long",
-                "slope": step.slope,
-                "command": f"{step.command} --slope {step.slope!r}",
-                "body": [
-                    round(v, 6) for v in (body.thigh, body.shank, body.radius, body.eps_T, body.eps_S, body.length)
-                ],
-                "step": round(body.step(float(frame["theta_st"].iloc[0])), 6),
-                "time": _rounded(time),
-                "angles": [_rounded(frame[c]) for c in ("theta_st", "theta_th", "theta_sh")],
-                "rates": [_rounded(_rate(time, frame[c].to_numpy())) for c in ("theta_st", "theta_th", "theta_sh")],
-            }
-        )
-    return moves
-
-
-def _rate(time: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Rate of change of an angle, whose samples may share a time at an impact."""
-    keep = np.concatenate([[True], np.diff(time) > 0])
-    return np.interp(time, time[keep], np.gradient(angle[keep], time[keep])) if keep.sum() > 2 else np.zeros_like(angle)
-
-
-def _rounded(values: Any) -> list[float]:
-    return [round(float(v), 5) for v in values]

@@ -9,8 +9,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pipeline.report.figures.starts import START, cells
 from pipeline.report.figures.style import axis_values, canvas, plain, rows_caption, shorten, spread_evenly
-from pipeline.report.figures.svg import Marks, Sketch
+from pipeline.report.figures.svg import Marks, Panel, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
 #: Quantities mapped, from left to right, and their titles.
@@ -41,16 +42,17 @@ def design(source: Source) -> Sketch | None:
     rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]
     figure = canvas(60 + 150 * len(rows))
     panels = figure.subplots(len(rows), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
-    marks = []
+    marks, maps = [], []
     several = [{k: v for k, v in at.items() if table[k].nunique() > 1} for at in rows]
     for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
-        cells = table[np.logical_and.reduce([table[c] == v for c, v in at.items()], initial=True)] if at else table
+        part = table[np.logical_and.reduce([table[c] == v for c, v in at.items()], initial=True)] if at else table
         for axes, (column, words) in zip(row, _SHOWN.items(), strict=True):
             scale = table[list(_COMPARED)] if column in _COMPARED else table[column]
-            _draw_map(axes, cells.pivot(index=down, columns=along, values=column), scale, figure)
+            _draw_map(axes, part.pivot(index=down, columns=along, values=column), scale, figure)
             _mark_walker(axes, source.walkers.get(str(at.get("walker", source.walker)), {}), down, along)
             axes.set_title(words if k == 0 else "", pad=5)
-            marks.append(_marks(axes, source, cells, at, (down, along), column))
+            marks.append(_marks(axes, source, part, at, (down, along), column))
+        maps += _panels(list(row), source, part, at, keys, len(rows))
         name = axis_values(several[k])
         row[0].set_ylabel(f"{shorten(name, 22)}: {_symbol(source, down)}" if name else _symbol(source, down))
     for axes in panels[-1]:
@@ -67,6 +69,7 @@ def design(source: Source) -> Sketch | None:
         + ".",
         table,
         marks,
+        panels=maps,
     )
 
 
@@ -95,6 +98,24 @@ def _mark_walker(axes: Axes, parameters: dict[str, Any], down: str, along: str) 
     if left <= x <= right and low <= y <= high:
         axes.plot([x], [y], "o", color="#ffffff", mfc="none", ms=9, mew=2)
         axes.plot([x], [y], "o", color="#000000", mfc="none", ms=9, mew=0.8)
+
+
+def _panels(
+    row: list[Axes], source: Source, table: pd.DataFrame, at: dict[str, Any], keys: list[str], rows: int
+) -> list[Panel]:
+    """The maps of one row, each cell of which starts the fastest stable gait of its walker."""
+    if not set(START[1:4]) <= set(table.columns):
+        return []
+    down, along = keys
+    names = {"fastest_slope": "slope"} | {name: name for name in START[1:] if name in table}
+    grids = {to: table.pivot(index=down, columns=along, values=name) for name, to in names.items()}
+    slope = grids["slope"]
+    settings = {k: v for k, v in at.items() if k != "walker"}
+    columns = {name: grid.to_numpy(float) for name, grid in grids.items()}
+    start = cells(source, str(at.get("walker", source.walker)), settings, (along, down), columns, rows)
+    return [
+        Panel(axes, (along, down), slope.columns.to_numpy(float), slope.index.to_numpy(float), start) for axes in row
+    ]
 
 
 def _symbol(source: Source, key: str) -> str:

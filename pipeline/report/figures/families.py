@@ -112,7 +112,7 @@ def _marks(axes: Axes, frame: pd.DataFrame, label: str, command: str, group: int
         values["period"] = frame["period"].to_numpy()
     if "spectral_radius" in frame:
         values["max |λ|"] = frame["spectral_radius"].to_numpy()
-    return Marks(axes, slopes, angles, label, values, command, slopes, group=group)
+    return Marks(axes, slopes, angles, label, values, command, slopes, group=group, gaits=frame)
 
 
 def _letter(source: Source, scale: str) -> str:
@@ -264,7 +264,7 @@ def residuals(source: Source) -> Sketch | None:
                 label = f"{gait} step · {line.label} · {regime} slopes"
                 slopes, percent = used["slope"].to_numpy(), 100 * used["residual"].to_numpy()
                 values = {"γ (rad)": slopes, "residual (%)": percent}
-                marks.append(Marks(axes, slopes, percent, label, values, line.command, slopes))
+                marks.append(Marks(axes, slopes, percent, label, values, line.command, slopes, gaits=used))
                 pieces.append(used.assign(line=line.label, regime=regime))
     if not pieces:
         return None

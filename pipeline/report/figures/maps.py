@@ -13,6 +13,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+from pipeline.report.figures.starts import START, cells, parameters
 from pipeline.report.figures.style import (
     INK,
     RASTER,
@@ -27,7 +28,7 @@ from pipeline.report.figures.style import (
     spread_evenly,
     thin,
 )
-from pipeline.report.figures.svg import Marks, Sketch
+from pipeline.report.figures.svg import Marks, Panel, Sketch
 from pipeline.report.source import SYMBOLS, Source, print_units
 
 #: Quantities that a map may show: the first that the archive holds.
@@ -62,7 +63,7 @@ def heatmap(source: Source) -> Sketch | None:
     panels = figure.subplots(len(rows), len(gaits), sharex=True, sharey=True, squeeze=False)
     values = np.array([part[variable].values for gait in gaits for part in slices[gait]])
     low, high = np.nanmin(values), np.nanmax(values)
-    pieces, marks = [], []
+    pieces, marks, maps = [], [], []
     for k, (at, words) in enumerate(zip(rows, several, strict=True)):
         fixed = dict(at)
         walker = str(fixed.pop("walker", source.walker))
@@ -80,6 +81,12 @@ def heatmap(source: Source) -> Sketch | None:
             pieces.append(frame.assign(gait=gait, **words))
             finite = frame.dropna(subset=[variable])
             marks += _cell_marks(axes, source, finite, gait, walker, (down, along, variable), fixed)
+            if {"stance_angle", "stance_rate", "thigh_rate"} <= set(part):
+                slope = np.broadcast_to(part["slope"].broadcast_like(part["stance_angle"]).values, z.shape)
+                starts = {"slope": slope, **{name: part[name].values for name in START[1:] if name in part}}
+                maps.append(
+                    Panel(axes, (along, down), x, y, cells(source, walker, fixed, (along, down), starts, panels.size))
+                )
         symbol = SYMBOLS.get(down, down.replace("_", " "))
         panels[k][0].set_ylabel(_axis_title(source, down) if len(rows) == 1 else symbol)
     quantity, x_title, y_title = (_axis_title(source, name) for name in (variable, along, down))
@@ -99,6 +106,7 @@ def heatmap(source: Source) -> Sketch | None:
         f"Heat map of {variable} over {along} and {down}, from {plain(low)} to {plain(high)}.{shown}",
         data,
         marks,
+        panels=maps,
     )
 
 
@@ -172,8 +180,9 @@ def basin(source: Source) -> Sketch | None:
     table = source.tables.get("basin")
     if table is None or "outcome" not in table or table.empty:
         return None
-    others = {*source.line_columns(table), "outcome", "slope", "steps"}
-    plane = [c for c in table.columns if c not in others and table[c].dtype.kind == "f" and table[c].nunique() > 1][:2]
+    others = {*source.line_columns(table), "outcome", "slope", "steps", "swing_rate"}
+    known = [c for c in table.columns if c not in others and table[c].dtype.kind == "f" and table[c].nunique() > 1]
+    plane = sorted(known, key=lambda name: name != "stance_angle")[:2]
     if len(plane) < 2:
         return None
     table = table.astype({"outcome": str})
@@ -220,6 +229,7 @@ def basin(source: Source) -> Sketch | None:
     figure.legend(handles=handles, loc="outside upper left", ncols=4)
     marked = thin(shown, 300)
     x, y = (marked[name].to_numpy() for name in plane)
+    across, down = (np.unique(shown[name]) for name in plane)
     values = {plane[0]: x, plane[1]: y, "outcome": marked["outcome"].to_numpy()}
     share = 100 * len(walking) / len(shown)
     only = f" Drawn: {axis_values(first)}; the archive has the others." if first else ""
@@ -235,7 +245,23 @@ def basin(source: Source) -> Sketch | None:
         f"{len(shown)} initial conditions over {' and '.join(plane)}, coloured by outcome: {', '.join(outcomes)}.",
         table,
         [Marks(panels[0], x, y, "initial condition", values)],
+        panels=[Panel(axes, (plane[0], plane[1]), across, down, at) for axes in panels]
+        if (at := _motion(source, shown))
+        else [],
     )
+
+
+def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
+    """What the script needs to start any initial condition: the line, its slope and the ratio of the rates."""
+    row = table.iloc[0]
+    walker = str(row.get("walker", source.walker))
+    settings = {c: float(row[c]) for c in source.line_columns(table) if c != "walker"}
+    if not (keys := parameters(source, walker, settings)) or "slope" not in row:
+        return {}
+    start = {"free": True, "slope": float(row["slope"])}
+    if "swing_rate" in row:
+        start["ratio"] = float(row["swing_rate"] / row["stance_rate"])
+    return {"at": {"walker": walker, **settings}, "keys": keys, "command": source.command(walker, settings), **start}
 
 
 def _draw_outcomes(axes: Axes, table: pd.DataFrame, plane: list[str], outcomes: list[str], inks: list[str]) -> None:

@@ -169,4 +169,4 @@ def _marks(axes: Axes, part: pd.DataFrame, quantity: _Quantity, label: str, line
     names = dict.fromkeys(("slope", quantity.abscissa, *quantity.reads))
     values = {name.replace("_", " "): part[name].to_numpy() for name in names if name in part}
     x, y = part[quantity.abscissa].to_numpy(), part["value"].to_numpy()
-    return Marks(axes, x, y, label, values, line.command, part["slope"].to_numpy(), group=group)
+    return Marks(axes, x, y, label, values, line.command, part["slope"].to_numpy(), group=group, gaits=part)

@@ -15,10 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from pipeline.report.figures.starts import START, rounded
 from pipeline.report.figures.style import VARIABLES, plain, spread_evenly
 
 #: Points of a figure that show their values under the pointer.
-TARGETS = 400
+TARGETS = 280
 
 #: Size of a figure that the index shows as it is [character]; it shows larger ones more coarsely.
 _MAX_THUMBNAIL = 11_000
@@ -28,7 +29,8 @@ _MAX_THUMBNAIL = 11_000
 class Marks:
     """Points of one curve that show their values and the command that reproduces them under the pointer.
 
-    The command is `command` with a slope of `slopes`, or one of `commands`.
+    The command is `command` with a slope of `slopes`, or one of `commands`. `gaits` has the stance angles of the
+    points, by which the page's script finds them on their line; with `free`, their rates too: steps of no gait.
     """
 
     axes: Axes
@@ -40,6 +42,22 @@ class Marks:
     slopes: np.ndarray | None = None
     commands: Sequence[str] | None = None
     group: int | None = None
+    gaits: pd.DataFrame | None = None
+    free: bool = False
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A map whose every cell starts a gait or a motion.
+
+    `x` and `y` are the values along its axes, called `names`; `cells` is what the script needs to start one.
+    """
+
+    axes: Axes
+    names: tuple[str, str]
+    x: np.ndarray
+    y: np.ndarray
+    cells: Mapping[str, Any]
 
 
 @dataclass
@@ -56,6 +74,7 @@ class Sketch:
     data: pd.DataFrame
     marks: list[Marks] = field(default_factory=list)
     lines: list[str] = field(default_factory=list)
+    panels: list[Panel] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -73,6 +92,7 @@ class Drawing:
     small: str
     targets: list[dict[str, Any]]
     lines: list[str]
+    panels: list[dict[str, Any]]
 
 
 def render(sketch: Sketch, name: str, salt: str) -> Drawing:
@@ -100,6 +120,7 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
         small,
         _targets(sketch.marks, height),
         sketch.lines,
+        [_panel(k, sketch.panels, height) for k in range(len(sketch.panels))],
     )
 
 
@@ -156,11 +177,11 @@ def _adapt(svg: str, decimals: int) -> str:
 def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
     """Marks in the SVG's coordinates, at most `TARGETS` per figure."""
     targets = []
+    share = _share([len(np.atleast_1d(mark.x)) for mark in marks])
     for mark in marks:
         x, y = np.asarray(mark.x, float), np.asarray(mark.y, float)
         (left, right), (low, high) = sorted(mark.axes.get_xlim()), sorted(mark.axes.get_ylim())
         inside = np.flatnonzero((x >= left) & (x <= right) & (y >= low) & (y <= high))
-        share = max(1, TARGETS // len(marks))
         if not len(inside):
             continue
         inside = inside[spread_evenly(len(inside), share)]
@@ -175,8 +196,49 @@ def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
             for i, (a, b) in zip(inside.tolist(), pixels, strict=True)
         ]
         target = {"label": mark.label, "names": list(mark.values), "command": mark.command, "rows": rows}
+        target |= _starts(mark, inside)
         targets.append(target if mark.group is None else {**target, "line": mark.group})
     return targets[:TARGETS]
+
+
+def _share(sizes: list[int]) -> int:
+    """Largest number of points that each curve may show; what short curves leave is shared by the others."""
+    share, rest = TARGETS, TARGETS
+    for k, size in enumerate(sorted(sizes)):
+        share = max(1, rest // (len(sizes) - k))
+        if size > share:
+            break
+        rest -= size
+    return share
+
+
+def _starts(mark: Marks, inside: np.ndarray) -> dict[str, Any]:
+    """What the page's script needs to start the gaits of a curve's points."""
+    if mark.gaits is None or "stance_angle" not in mark.gaits:
+        return {}
+    names = [name for name in START[1:] if name in mark.gaits] if mark.free else ["stance_angle"]
+    values = mark.gaits[names].to_numpy(float)[inside]
+    starts = [rounded(row, 7 if mark.free else 5) for row in values]
+    return {"starts": starts, "free": True} if mark.free else {"angles": [row[0] for row in starts]}
+
+
+def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
+    """A map in the SVG's coordinates: corners, and for each axis its name, ends, scale and values.
+
+    A map with the cells of an earlier one refers to it, `as` its place; values that the first map has are left out.
+    """
+    panel = panels[k]
+    box = panel.axes.get_window_extent()
+    sides = {}
+    for side, name, values in zip("xy", panel.names, (panel.x, panel.y), strict=True):
+        limits = getattr(panel.axes, f"get_{side}lim")()
+        is_log = getattr(panel.axes, f"get_{side}scale")() == "log"
+        sides[side] = {"name": name, "limits": rounded(limits), "log": is_log}
+        if not k or not np.array_equal(values, getattr(panels[0], side)):
+            sides[side]["values"] = rounded(values, 12)
+    corners = [round(float(v), 2) for v in (box.x0, height - box.y1, box.x1, height - box.y0)]
+    first = next(i for i, other in enumerate(panels) if other.cells is panel.cells)
+    return {"box": corners, **sides, **(panel.cells if first == k else {"as": first})}
 
 
 def _command(mark: Marks, i: int) -> float | str | None:

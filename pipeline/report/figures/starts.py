@@ -1,0 +1,201 @@
+"""The starts of gaits that a page holds, from which its script makes them walk: lines, branches and single gaits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+from urllib.parse import parse_qsl, urlencode
+
+import numpy as np
+import pandas as pd
+
+from pipeline.report.figures.style import axis_values, spread_evenly
+from pipeline.report.source import Source
+
+#: A gait's start just after heelstrike, as columns of tables and variables of grids.
+START = ("slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate")
+
+#: Gaits of all branches of a page, and the largest number of lines whose branches it holds.
+_MAX_GAITS, _MAX_LINES = 700, 40
+
+#: Nodes of a map's lattice of starts along each axis.
+LATTICE = 25
+
+#: Tables with rows that start a step.
+_TABLES = ("branches", "orbits", "basin")
+
+
+def rounded(values: Iterable[float], digits: int = 7) -> list[float | None]:
+    """Numbers to some digits, for JSON; None where there is none."""
+    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in map(float, values)]
+
+
+def parameters(source: Source, walker: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters of a line's walker that its script flies; empty if the archive lacks one."""
+    table = source.parameters(walker, dict(settings))
+    kept = {k: v for k, v in table.items() if isinstance(v, (bool, int, float))}
+    needed = {"l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "R", "eps_T", "m_h", "g", "knees"}
+    return {**kept, "units": str(table.get("units", "1"))} if needed <= set(kept) else {}
+
+
+def address(walker: str, settings: Mapping[str, Any], **start: float) -> str:
+    """Address of a gait on its page: the line, then the slope and the stance angle."""
+    near = {k: float(f"{v:.8g}") for k, v in start.items()}
+    return urlencode([("walker", walker), *settings.items(), *near.items()])
+
+
+def addresses(source: Source, table: pd.DataFrame) -> list[str]:
+    """Address of the gait of each row of a table, by its line, slope and stance angle; empty where there is none."""
+    if not {"slope", "stance_angle"} <= set(table.columns):
+        return [""] * len(table)
+    columns = [c for c in source.line_columns(table) if c != "walker"]
+    found = []
+    for row in table.to_dict("records"):
+        start = {name: float(row[name]) for name in ("slope", "stance_angle")}
+        settings = {c: float(row[c]) for c in columns}
+        known = all(np.isfinite(list(start.values())))
+        found.append(address(str(row.get("walker", source.walker)), settings, **start) if known else "")
+    return found
+
+
+def lines(source: Source) -> list[dict[str, Any]]:
+    """Lines whose gaits a page can start: name, values of the axes, walker, command and branches.
+
+    A branch is a list of starts [slope, angle, rates of stance leg, thigh[, shank]] in the walker's units, in its order
+    through folds. Lines of tables of initial conditions have none: their figures hold the starts.
+    """
+    found = _of_grid(source) if set(START[1:]) <= set(source.grid.data_vars) else {}
+    for name in _TABLES:
+        table = source.tables.get(name)
+        if table is not None and {"slope", "stance_angle"} <= set(table.columns):
+            columns = source.line_columns(table)
+            for key, rows in table.groupby(columns, sort=False) if columns else [((), table)]:
+                at = dict(zip(columns, key, strict=True))
+                walker = str(at.pop("walker", source.walker))
+                known = name == "branches" and set(START[:4]) <= set(rows.columns)
+                branches = [part for _, part in rows.groupby("branch", sort=False)] if known else []
+                found.setdefault((walker, *map(float, at.values())), (walker, at, branches))
+    chosen = list(found.values())[:_MAX_LINES]
+    total = sum(len(branch) for _, _, branches in chosen for branch in branches)
+    records: list[dict[str, Any]] = []
+    for walker, at, branches in chosen:
+        settings = {key: float(value) for key, value in at.items()}
+        if keys := parameters(source, walker, settings):
+            records.append(
+                {
+                    "name": axis_values({"walker": walker, **settings}),
+                    "at": {"walker": walker, **settings},
+                    "keys": keys,
+                    "command": source.command(walker, settings),
+                    "first": _first(walker, settings, branches),
+                    "branches": [_nodes(branch, total, keys["knees"]) for branch in branches if len(branch)],
+                }
+            )
+    return records
+
+
+def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[str, dict[str, Any], list[pd.DataFrame]]]:
+    """Lines of a grid with their branches: the pieces of each joined at its folds."""
+    found = {}
+    for line in source.lines[:_MAX_LINES]:
+        branches: dict[int, list[pd.DataFrame]] = {}
+        for piece in line.curves(*START[1:]):
+            piece = piece.dropna(subset=list(START[:4]))
+            # Pieces are counted from the branch's end at the lower slope: every other one is run through backwards.
+            branches.setdefault(int(piece["branch"].max()) if len(piece) else -1, []).append(
+                piece.iloc[::-1] if len(piece) and piece["piece"].iloc[0] % 2 else piece
+            )
+        joined = [pd.concat(pieces) for number, pieces in branches.items() if number >= 0]
+        found[(line.walker, *line.set.values())] = (line.walker, line.set, joined)
+    return found
+
+
+def _nodes(branch: pd.DataFrame, total: int, kneed: bool) -> list[list[float | None]]:
+    """Gaits of a branch, evenly spaced along it; a page holds `_MAX_GAITS` of `total`."""
+    most = max(8, len(branch) * _MAX_GAITS // max(total, 1))
+    columns = [c for c in START[: 5 if kneed else 4] if c in branch]
+    rows = branch[columns].to_numpy(float)[spread_evenly(len(branch), most)]
+    return [rounded(row) for row in rows[np.isfinite(rows).all(axis=1)]] if len(columns) > 2 else []
+
+
+def _first(walker: str, settings: Mapping[str, Any], branches: list[pd.DataFrame]) -> str:
+    """Address of the gait that a line shows at first: a stable one where there is one; empty without gaits."""
+    every = pd.concat(branches).dropna(subset=list(START[:3])) if branches else pd.DataFrame()
+    if every.empty:
+        return ""
+    stable = every[every["stable"] == 1] if "stable" in every else every.iloc[:0]
+    rows = (stable if len(stable) else every).sort_values("slope")
+    row = rows.iloc[2 * len(rows) // 3]
+    return address(walker, settings, slope=float(row["slope"]), stance_angle=float(row["stance_angle"]))
+
+
+def brief(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The first gaits of the first lines alone, for the index."""
+    found = []
+    for record in [record for record in records if record["first"]][:2]:
+        start = dict(parse_qsl(record["first"]))
+        gaits = [gait for branch in record["branches"] for gait in branch]
+        near = min(
+            gaits, key=lambda gait: abs(gait[0] - float(start["slope"])) + abs(gait[1] - float(start["stance_angle"]))
+        )
+        found.append({**record, "branches": [[near]]})
+    return found
+
+
+def cells(
+    source: Source,
+    walker: str,
+    settings: Mapping[str, Any],
+    names: Sequence[str],
+    columns: Mapping[str, np.ndarray],
+    maps: int,
+) -> dict[str, Any]:
+    """What the script needs to start the gait of any cell of a map.
+
+    Parameters
+    ----------
+    source : Source
+    walker : str
+    settings : mapping
+        Values of the axes that the map does not vary.
+    names : sequence of str
+        Keys along the map, across and down.
+    columns : mapping
+        Arrays of shape (m, n), down and across: columns of the gaits' starts.
+    maps : int
+        Number of maps of the figure, which share its lattice's size.
+
+    Returns
+    -------
+    dict
+        `at`, `keys` and `command` of the line that the map varies; `moved`, for each key of the walker that a derived
+        key moves, its values along that axis; `columns` and `rows`, the cells of a lattice; `starts`, on it
+        [slope (unless it is along the map), angle, rates] or None, from which Newton's method reaches any other cell.
+    """
+    fixed = {key: float(value) for key, value in settings.items()}
+    keys = parameters(source, walker, fixed)
+    shape = next(iter(columns.values())).shape
+    side = int(LATTICE / np.sqrt(maps))
+    down, across = spread_evenly(shape[0], side), spread_evenly(shape[1], side)
+    known = START if keys.get("knees") else START[:4]
+    chosen = [columns[name] for name in known if name in columns and name not in names]
+    values = np.stack(chosen, axis=-1)[np.ix_(down, across)]
+    starts = [[rounded(v, 4) if np.isfinite(v[:3]).all() else None for v in row] for row in values]
+    places = {"columns": across.tolist(), "rows": down.tolist()}
+    moved = {
+        key: [
+            axis,
+            rounded(source.parameters(walker, {**fixed, axis: value})[key] for value in source.grid[axis].values),
+        ]
+        for key, axis in source.varied.items()
+        if axis in names and key != axis and key in source.grid
+    }
+    command = source.command(walker, {k: v for k, v in fixed.items() if k != "slope"})
+    return {
+        "at": {"walker": walker, **fixed},
+        "keys": keys,
+        "command": command,
+        "moved": moved,
+        **places,
+        "starts": starts,
+    }

@@ -1,0 +1,255 @@
+// Figures: values of the nearest point under the pointer, with the command that reproduces it; a click makes its gait
+// walk. Zoom, legends, pictures to save. Text only, no markup.
+
+for (const plot of document.querySelectorAll(".plot")) {
+  const parse = name => JSON.parse(plot.querySelector(`script.${name}`)?.textContent ?? "[]");
+  const series = parse("marks"), panels = parse("panels"), svg = plot.querySelector("svg");
+  const width = Number(plot.dataset.width), height = Number(plot.dataset.height), view = { x: 0, y: 0, w: width };
+  const dot = plot.appendChild(make("span", "dot")), ring = plot.appendChild(make("span", "ring")), tip = plot.appendChild(make("div", "tip"));
+  for (const map of panels) for (const side of ["x", "y"]) map[side].values ??= panels[0][side].values;
+  for (const map of panels) if (map.as !== undefined) Object.assign(map, { ...panels[map.as], box: map.box, x: map.x, y: map.y });
+  tip.setAttribute("role", "status");
+  let at = null, pinned = false, chosen = null;
+
+  // From the picture's coordinates to pixels of the plot and back.
+  const scale = () => plot.clientWidth / view.w;
+  const toPixels = ([x, y]) => [(x - view.x) * scale(), (y - view.y) * scale()];
+  const isSeen = ([x, y]) => x >= view.x && x <= view.x + view.w && y >= view.y && y <= view.y + view.w * height / width;
+  function pointer(event) {
+    const box = plot.getBoundingClientRect();
+    return [view.x + (event.clientX - box.left) / scale(), view.y + (event.clientY - box.top) / scale()];
+  }
+  function put(node, point) {
+    const [x, y] = toPixels(point);
+    node.hidden = !isSeen(point);
+    node.style.left = `${x}px`;
+    node.style.top = `${y}px`;
+  }
+
+  // Legend: pointing at a line makes it stand out, pressing hides it and shows it again.
+  const buttons = [...plot.querySelectorAll(".legend button")], parts = [...plot.querySelectorAll("svg [data-line]")], away = new Set();
+  function highlight(line) {
+    if (!buttons.length) return;
+    plot.classList.toggle("lit", line !== null && !away.has(line));
+    for (const part of parts) part.classList.toggle("on", Number(part.dataset.line) === line);
+  }
+  for (const button of buttons) {
+    const line = Number(button.dataset.line);
+    for (const event of ["pointerenter", "focus"]) button.addEventListener(event, () => highlight(line));
+    for (const event of ["pointerleave", "blur"]) button.addEventListener(event, () => highlight(null));
+    button.addEventListener("click", () => {
+      if (!away.delete(line)) away.add(line);
+      button.setAttribute("aria-pressed", !away.has(line));
+      for (const part of parts) if (Number(part.dataset.line) === line) part.style.display = away.has(line) ? "none" : "";
+      highlight(line);
+    });
+  }
+
+  function hide() { highlight(null); dot.hidden = tip.hidden = true; at = null; pinned = false; tip.classList.remove("pinned"); }
+  hide();
+  ring.hidden = true;
+  function nearest(event) {
+    const [px, py] = toPixels(pointer(event));
+    let best = null, least = 24;
+    series.forEach((curve, s) => away.has(curve.line) || curve.rows.forEach((row, r) => {
+      const [x, y] = toPixels(row), distance = Math.hypot(x - px, y - py);
+      if (distance < least && isSeen(row)) { least = distance; best = [s, r]; }
+    }));
+    return best;
+  }
+  function show([s, r]) {
+    const curve = series[s], [x, y, more, ...values] = curve.rows[r];
+    at = [s, r];
+    highlight(curve.line ?? null);
+    const list = make("dl");
+    curve.names.forEach((name, i) => list.append(make("dt", "", name), make("dd", "", values[i])));
+    tip.replaceChildren(make("b", "", curve.label), list);
+    if (typeof more === "string") tip.append(make("code", "", more));
+    else if (more !== null && curve.command) tip.append(make("code", "", `${curve.command} --slope ${more}`));
+    put(dot, [x, y]);
+    tip.hidden = false;
+    const [px, py] = toPixels([x, y]), wide = tip.offsetWidth, tall = tip.offsetHeight;
+    tip.style.left = `${Math.max(0, Math.min(px + 14, plot.clientWidth - wide))}px`;
+    tip.style.top = `${py > tall + 14 ? py - tall - 14 : py + 16}px`;
+  }
+
+  // What a point of a curve, or a place on a map, makes walk.
+  const lineOf = curve => LINES.find(line => line.command === curve.command);
+  function wishOf([s, r]) {
+    const curve = series[s], line = lineOf(curve), slope = curve.rows[r][2];
+    if (!line || typeof slope !== "number") return null;
+    if (curve.angles) return curve.angles[r] ? { at: line.at, slope, angle: curve.angles[r] } : null;
+    return curve.starts ? { at: line.at, slope, angle: curve.starts[r][0], rates: curve.starts[r].slice(1), free: true } : null;
+  }
+  function placeIn(side, share) {
+    const [a, b] = side.limits, value = side.log ? a * (b / a) ** share : a + share * (b - a);
+    return side.values.reduce((best, v, i) => Math.abs(v - value) < Math.abs(side.values[best] - value) ? i : best, 0);
+  }
+  function cellAt([x, y]) {
+    const found = panels.findLast(({ box }) => x >= box[0] && x <= box[2] && y >= box[1] && y <= box[3]);
+    if (!found) return null;
+    const { box } = found, column = placeIn(found.x, (x - box[0]) / (box[2] - box[0])), row = placeIn(found.y, (box[3] - y) / (box[3] - box[1]));
+    if (!found.free) return { panel: found, cell: [column, row] };
+    const angle = found.x.values[column], rate = found.y.values[row];
+    return { at: found.at, given: found, slope: found.slope, angle, rates: [rate, found.ratio === undefined ? NaN : rate * found.ratio], before: true, free: true };
+  }
+  const shareOf = (side, value) => side.log ? Math.log(value / side.limits[0]) / Math.log(side.limits[1] / side.limits[0]) : (value - side.limits[0]) / (side.limits[1] - side.limits[0]);
+
+  /** The linear or logarithmic scale that gives these pixels of these values; null where they are of another axis. */
+  function scaleOf(values, pixels) {
+    const low = values.indexOf(Math.min(...values)), high = values.indexOf(Math.max(...values));
+    return [value => value, Math.log].map(f => value => pixels[low] + (pixels[high] - pixels[low]) * (f(value) - f(values[low])) / (f(values[high]) - f(values[low])))
+      .find(scale => values[high] > values[low] && values.every((value, i) => Math.abs(scale(value) - pixels[i]) < 0.3)) ?? null;
+  }
+  /** Where a gait lies in this figure: between the two nearest points of its line, or in its cell of a map. */
+  function locate(gait) {
+    const own = panels.includes(gait.panel) ? [gait.panel] : panels;
+    for (const found of own) {
+      const values = found.free ? { [found.x.name]: gait.start[0], [found.y.name]: gait.start[gait.start.length / 2] / gait.walker.time } : { ...gait.at, slope: gait.slope };
+      if (found.free ? !gait.free || !sameLine(found.at, gait.at) : gait.panel && gait.panel !== found && !sameLine(found.at, gait.panel.at)) continue;
+      if (!(found.x.name in values && found.y.name in values) || (!found.free && !gait.panel)) continue;
+      const [sx, sy] = [shareOf(found.x, values[found.x.name]), shareOf(found.y, values[found.y.name])], { box } = found;
+      if (sx >= 0 && sx <= 1 && sy >= 0 && sy <= 1) return [box[0] + sx * (box[2] - box[0]), box[3] - sy * (box[3] - box[1])];
+    }
+    const angles = curve => curve.angles ?? curve.starts?.map(start => start[0]);
+    const isOf = curve => angles(curve) && (curve.command === gait.line?.command || lineOf(curve) && sameLine(lineOf(curve).at, gait.at));
+    // Where slope and angle are the figure's own axes, the place follows from their scales.
+    for (const curve of series.filter(isOf)) {
+      const x = scaleOf(curve.rows.map(row => row[2]), curve.rows.map(row => row[0])), y = scaleOf(angles(curve), curve.rows.map(row => row[1]));
+      if (x && y) return [x(gait.slope), y(gait.start[0])];
+    }
+    const place = (curve, r) => [Math.log(curve.rows[r][2]), Math.log(angles(curve)[r])];
+    const target = [Math.log(gait.slope), Math.log(gait.start[0])];
+    let best = null, least = 0.08;
+    for (const curve of series) {
+      if (!isOf(curve)) continue;
+      curve.rows.forEach((row, r) => {
+        const a = place(curve, r), b = curve.angles && r + 1 < curve.rows.length ? place(curve, r + 1) : a, d = minus(b, a), size = d[0] ** 2 + d[1] ** 2;
+        const share = size && size < 1 ? Math.min(1, Math.max(0, ((target[0] - a[0]) * d[0] + (target[1] - a[1]) * d[1]) / size)) : 0;
+        const apart = Math.hypot(target[0] - a[0] - share * d[0], target[1] - a[1] - share * d[1]), next = curve.rows[r + (share > 0)];
+        if (apart < least) { least = apart; best = [row[0] + share * (next[0] - row[0]), row[1] + share * (next[1] - row[1])]; }
+      });
+    }
+    return best;
+  }
+  function mark() {
+    const point = chosen && locate(chosen);
+    if (point) put(ring, point); else ring.hidden = true;
+  }
+  document.addEventListener("gait", ({ detail }) => { chosen = detail; mark(); });
+  addEventListener("resize", () => { mark(); if (at && !tip.hidden) show(at); });
+  // What was chosen stays in sight above the panel.
+  document.addEventListener("docked", ({ detail }) => {
+    const hidden = plot.contains(document.activeElement) && !ring.hidden ? ring.getBoundingClientRect().bottom + 24 - detail : 0;
+    if (hidden > 0) scrollBy({ top: hidden });
+  });
+
+  // Zoom and pan of the picture.
+  function look(w, [x, y] = [view.x + view.w / 2, view.y + view.w * height / width / 2]) {
+    const next = Math.min(width, Math.max(width / 16, w)), share = next / view.w;
+    view.x = Math.min(width - next, Math.max(0, x - (x - view.x) * share));
+    view.y = Math.min(height - next * height / width, Math.max(0, y - (y - view.y) * share));
+    view.w = next;
+    svg.setAttribute("viewBox", `${view.x} ${view.y} ${next} ${next * height / width}`);
+    plot.classList.toggle("zoomed", next < width);
+    if (at && !tip.hidden) show(at);
+    mark();
+  }
+  if (series.length || panels.length) {
+    const tools = plot.appendChild(make("div", "tools"));
+    for (const [sign, words, act] of [["+", "Zoom in", () => look(view.w / 1.6)], ["−", "Zoom out", () => look(view.w * 1.6)], ["⤢", "Whole figure", () => look(width)]]) {
+      const button = tools.appendChild(make("button", "", sign));
+      button.type = "button";
+      button.title = words;
+      button.setAttribute("aria-label", words);
+      button.addEventListener("click", act);
+    }
+  }
+  svg.addEventListener("wheel", event => {
+    if (!event.ctrlKey && view.w === width) return;
+    event.preventDefault();
+    look(view.w * Math.exp(event.deltaY * (event.ctrlKey ? 0.01 : 0.002)), pointer(event));
+  }, { passive: false });
+  const fingers = new Map();
+  let moved = false;
+  svg.addEventListener("pointerdown", event => { fingers.set(event.pointerId, event); moved = false; });
+  addEventListener("pointermove", event => {
+    const last = fingers.get(event.pointerId);
+    if (!last) return;
+    const [dx, dy] = [event.clientX - last.clientX, event.clientY - last.clientY], rest = [...fingers.values()].filter(one => one.pointerId !== event.pointerId);
+    if (!moved && Math.hypot(dx, dy) < 5) return;
+    if (rest.length === 1) {
+      const gap = one => Math.hypot(one.clientX - rest[0].clientX, one.clientY - rest[0].clientY);
+      look(view.w * gap(last) / gap(event), pointer({ clientX: (event.clientX + rest[0].clientX) / 2, clientY: (event.clientY + rest[0].clientY) / 2 }));
+    } else if (view.w < width) {
+      view.x -= dx / scale();
+      view.y -= dy / scale();
+      look(view.w);
+    } else return;
+    moved = true;
+    fingers.set(event.pointerId, event);
+  });
+  for (const end of ["pointerup", "pointercancel"]) addEventListener(end, event => fingers.delete(event.pointerId));
+
+  plot.addEventListener("pointermove", event => {
+    if (pinned || fingers.size || event.target.closest(".tools, .legend")) return;
+    const point = nearest(event);
+    if (point) show(point); else if (event.pointerType === "mouse") hide();
+    const walks = point ? wishOf(point) : null;
+    plot.style.cursor = walks || cellAt(pointer(event)) ? "pointer" : "";
+  });
+  plot.addEventListener("pointerleave", () => { if (!pinned) hide(); });
+  plot.addEventListener("click", event => {
+    if (moved || tip.contains(event.target) || event.target.closest(".legend, .tools")) return;
+    const point = nearest(event), wish = cellAt(pointer(event)) ?? (point && wishOf(point));
+    if (point) { show(point); pinned = true; tip.classList.add("pinned"); } else hide();
+    if (wish) { select(wish, { dock: true }); if (matchMedia("(max-width: 40rem)").matches) hide(); }
+  });
+  plot.addEventListener("blur", hide);
+  plot.addEventListener("keydown", event => {
+    const move = { ArrowRight: [0, 1], ArrowLeft: [0, -1], ArrowDown: [1, 0], ArrowUp: [-1, 0] }[event.key];
+    if (event.target !== plot) return;
+    if (event.key === "Escape") return hide();
+    if (event.key === "+" || event.key === "-") return look(view.w * (event.key === "+" ? 0.625 : 1.6), at ? series[at[0]].rows[at[1]] : undefined);
+    if (event.key === "0") return look(width);
+    if (event.key === "Enter" && at) { const wish = wishOf(at); if (wish) select(wish, { dock: true }); return; }
+    if (!move || !series.length) return;
+    event.preventDefault();
+    if (!at) return show([0, 0]);
+    const s = (at[0] + move[0] + series.length) % series.length, last = series[s].rows.length - 1;
+    show([s, Math.max(0, Math.min(last, at[1] + move[1]))]);
+  });
+
+  // The picture as a file, in the colours of the page as it is seen.
+  function picture() {
+    const copy = svg.cloneNode(true), style = getComputedStyle(document.documentElement), ground = style.getPropertyValue("--paper");
+    copy.setAttribute("width", 2 * width);
+    copy.setAttribute("height", 2 * height);
+    copy.prepend(draw("rect", copy, { x: -9, y: -9, width: width + 18, height: height + 18, fill: ground }));
+    copy.setAttribute("font-family", "sans-serif");
+    return new XMLSerializer().serializeToString(copy).replace(/var\((--[\w-]+)\)/g, (_, name) => style.getPropertyValue(name).trim());
+  }
+  function save(address, ending) {
+    const link = make("a");
+    link.href = address;
+    link.download = `${location.pathname.split("/").pop().replace(/\.html$/, "")}-${plot.closest("section")?.id ?? "figure"}.${ending}`;
+    link.click();
+  }
+  const asData = text => `data:image/svg+xml;charset=utf-8,${encodeURIComponent(text)}`;
+  const file = plot.closest("figure")?.querySelector(".file");
+  for (const [name, act] of file ? [["SVG", () => save(asData(picture()), "svg")], ["PNG", () => {
+    const image = new Image();
+    image.onload = () => {
+      const canvas = make("canvas");
+      [canvas.width, canvas.height] = [4 * width, 4 * height];
+      canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
+      save(canvas.toDataURL("image/png"), "png");
+    };
+    image.src = asData(picture());
+  }]] : []) {
+    const button = make("button", "save", name);
+    button.type = "button";
+    button.addEventListener("click", act);
+    file.append(" ", button);
+  }
+}

@@ -1,0 +1,254 @@
+// The flight of a walker: equations of motion, impacts and measures of one step, for two links and for three.
+//
+// Frame and angles are those of docs/physics.md. Units are the leg l + R, the walker's mass and g. Every point of the
+// walker is  x + iy = -R q0 + iR + sum of arms A_j e^{i q_j}  over stance shank, stance thigh, swing thigh, swing shank;
+// a complex number is a pair [re, im]. A state is the list of angles, then of their rates, of the links that move by
+// themselves: stance leg and swing leg, or stance leg, swing thigh and swing shank while the knee is free.
+
+const MAX_ANGLE = 1.2, MAX_TIME = 12, TIME_STEP = 1 / 32;
+const FALLS = { backward: "fell backward", forward: "fell forward", knee: "the knee never struck", foot: "the foot never struck", lost: "the motion was lost" };
+const VIOLATIONS = ["scuff", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls"];
+
+const plus = (a, b) => [a[0] + b[0], a[1] + b[1]];
+const minus = (a, b) => [a[0] - b[0], a[1] - b[1]];
+const multiply = (a, b) => [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]];
+const conjugate = a => [a[0], -a[1]];
+const turned = (a, angle) => multiply(a, [Math.cos(angle), Math.sin(angle)]);
+const sum = values => values.reduce((total, value) => total + value, 0);
+
+// Links that move as one, by their places in the chain.
+const GROUPS = { open: [[0], [1], [2], [3]], free: [[0, 1], [2], [3]], locked: [[0, 1], [2, 3]] };
+
+/** A walker from its table of keys: geometry, and the constants of its chain of links, each group moving as one. */
+function makeWalker(keys) {
+  const shank = keys.l_s - keys.R, sine = keys.eps_T ? keys.l_t * Math.sin(keys.eps_T) / shank : 0;
+  const epsS = Math.asin(sine), l = keys.l_t * Math.cos(keys.eps_T) + shank * Math.cos(epsS), leg = l + keys.R;
+  const mass = 2 * (keys.m_t + keys.m_s) + keys.m_h, inLegs = v => [v[0] / leg, v[1] / leg];
+  const knee = inLegs([-keys.l_t * Math.sin(keys.eps_T), -keys.l_t * Math.cos(keys.eps_T)]);
+  const thighCentre = inLegs(turned([-keys.w_t, -keys.c_t], -keys.eps_T));
+  const shankCentre = inLegs(turned([-keys.w_s, -keys.c_s], epsS));
+  const foot = minus([0, -l / leg], knee), none = [0, 0], back = v => [-v[0], -v[1]];
+  const arms = [
+    [minus(shankCentre, foot), none, none, none],
+    [back(foot), minus(thighCentre, knee), none, none],
+    [back(foot), back(knee), none, none],
+    [back(foot), back(knee), thighCentre, none],
+    [back(foot), back(knee), knee, shankCentre],
+  ];
+  const mt = keys.m_t / mass, ms = keys.m_s / mass, masses = [ms, mt, keys.m_h / mass, mt, ms];
+  const size = v => v[0] * v[0] + v[1] * v[1];
+  const massless = keys.m_s === 0 && keys.m_t * (keys.r_t ** 2 + size(thighCentre)) === 0;
+  const pointFoot = !keys.R && !keys.eps_T && !keys.knees && keys.c_s === keys.l_s && !keys.w_s && !keys.r_s
+    && (keys.m_t === 0 || !(keys.c_t || keys.w_t || keys.r_t));
+  const inertia = [ms * (keys.r_s / leg) ** 2, mt * (keys.r_t / leg) ** 2];
+  const rotation = [inertia[0], inertia[1], inertia[1], inertia[0]];
+  const moment = j => arms.reduce((total, row, k) => plus(total, [masses[k] * row[j][0], masses[k] * row[j][1]]), none);
+  const S = [0, 1, 2, 3].map(moment), rows = S.map((s, j) => massless && j > 1 ? arms[4][j] : s);
+  // Rows of a massless swing leg are divided by its mass: those of a shank of unit mass.
+  const K = S.map((_, i) => S.map((_, j) => {
+    if (massless && i > 1) return plus(multiply(conjugate(arms[4][i]), arms[4][j]), [i === 3 && j === 3 ? (keys.r_s / leg) ** 2 : 0, 0]);
+    return arms.reduce((total, row, k) => {
+      const product = multiply(conjugate(row[i]), row[j]);
+      return plus(total, [masses[k] * product[0], masses[k] * product[1]]);
+    }, [i === j ? rotation[i] : 0, 0]);
+  }));
+  const gathered = groups => {
+    const add = list => list.reduce(plus, none);
+    const flat = (values, part) => Float64Array.from(values.flat(), v => v[part]);
+    const k = groups.map(g => groups.map(h => [add(g.flatMap(i => h.map(j => K[i][j])))])).flat();
+    const s = groups.map(g => add(g.map(i => S[i]))), r = groups.map(g => add(g.map(i => rows[i])));
+    return { n: groups.length, R: keys.R / leg, kr: flat(k, 0), ki: flat(k, 1),
+      sr: flat([s], 0), si: flat([s], 1), rr: flat([r], 0), ri: flat([r], 1) };
+  };
+  const chains = Object.fromEntries(Object.entries(GROUPS).map(([name, groups]) => [name, gathered(groups)]));
+  return { keys, kneed: Boolean(keys.knees), pointFoot, massless, ...chains, R: keys.R / leg, l: l / leg, foot, knee, leg, mass,
+    time: Math.sqrt(leg / keys.g), speed: Math.sqrt(leg * keys.g), energy: mass * keys.g * leg };
+}
+
+/** Mass matrix of a chain at angles q, row by row. */
+function massMatrix(chain, q, M = new Float64Array(chain.n ** 2)) {
+  const { n, R } = chain;
+  for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) {
+    const c = Math.cos(q[j] - q[i]), s = Math.sin(q[j] - q[i]), at = i * n + j;
+    M[at] = chain.kr[at] * c - chain.ki[at] * s;
+  }
+  for (let j = 0; j < n; j++) {
+    const c = Math.cos(q[j]), s = Math.sin(q[j]);
+    M[j] += R * (chain.sr[j] * s + chain.si[j] * c);
+    M[j * n] += R * (chain.rr[j] * s + chain.ri[j] * c);
+  }
+  M[0] += R * R;
+  return M;
+}
+
+/** Generalised forces of gravity and of the rates, f of M q'' = f. */
+function forces(chain, q, rate, slope, f = new Float64Array(chain.n)) {
+  const { n, R } = chain, down = Math.sin(slope), normal = -Math.cos(slope);
+  let pull = down;
+  for (let i = 0; i < n; i++) {
+    const c = Math.cos(q[i]), s = Math.sin(q[i]);
+    f[i] = -(chain.rr[i] * s + chain.ri[i] * c) * down + (chain.rr[i] * c - chain.ri[i] * s) * normal;
+    for (let j = 0; j < n; j++) {
+      const at = i * n + j, w = rate[j] * rate[j], between = q[j] - q[i];
+      f[i] += w * (chain.kr[at] * Math.sin(between) + chain.ki[at] * Math.cos(between));
+    }
+    pull += rate[i] * rate[i] * (chain.sr[i] * c - chain.si[i] * s);
+  }
+  f[0] -= R * pull;
+  return f;
+}
+
+/** Solve A x = b in place; row 0 is eliminated last, for its coupling to a massless leg is zero. */
+function solveLast(A, b) {
+  const n = b.length;
+  for (let k = n - 1; k > 0; k--) for (let i = 0; i < k; i++) {
+    const factor = A[i * n + k] / A[k * n + k];
+    b[i] -= factor * b[k];
+    for (let j = 0; j < k; j++) A[i * n + j] -= factor * A[k * n + j];
+  }
+  for (let i = 0; i < n; i++) {
+    for (let j = 0; j < i; j++) b[i] -= A[i * n + j] * b[j];
+    b[i] /= A[i * n + i];
+  }
+  return b;
+}
+
+/** Derivative of a state by time. */
+function derivative(chain, x, slope) {
+  const { n } = chain, q = x.subarray(0, n), rate = x.subarray(n), out = new Float64Array(2 * n);
+  out.set(rate);
+  out.set(solveLast(massMatrix(chain, q), forces(chain, q, rate, slope)), n);
+  return out;
+}
+
+// Dormand and Prince (J. Comput. Appl. Math. 6 (1980) 19-26), fifth order in six stages.
+const STAGES = [[1 / 5], [3 / 40, 9 / 40], [44 / 45, -56 / 15, 32 / 9], [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729],
+  [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656], [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84]];
+
+/** State after a time step h; `first` is the derivative at its beginning. */
+function advance(chain, x, first, slope, h) {
+  const slopes = [first];
+  let stage;
+  for (const weights of STAGES) {
+    stage = Float64Array.from(x);
+    weights.forEach((weight, k) => { for (let i = 0; i < stage.length; i++) stage[i] += h * weight * slopes[k][i]; });
+    if (slopes.length < STAGES.length) slopes.push(derivative(chain, stage, slope));
+  }
+  return stage;
+}
+
+// The guard of the next strike and its rate: flexion of the knee, or the sum of the legs' angles.
+const guard = x => x.length === 6 ? [x[1] - x[2], x[4] - x[5]] : [x[0] + x[1], x[2] + x[3]];
+
+/** Share of a time step at which the guard, once positive, falls through zero; -1 where it does not. */
+function crossing(x, next, h) {
+  const [a, da] = guard(x), [b, db] = guard(next);
+  if (x.length === 4 && !(next[0] < 0)) return -1;
+  if (a > 0 && b <= 0) return a / (a - b);
+  // Within the time step the guard is its cubic Hermite polynomial: a dip below zero and back, or a rise above and back.
+  const dips = a > 0 && da < 0 && db > 0, rises = a <= 0 && b <= 0 && da > 0 && db < 0;
+  if (!dips && !rises) return -1;
+  const cubic = t => ((2 * t - 3) * t * t + 1) * a + ((t - 2) * t + 1) * t * h * da + (3 - 2 * t) * t * t * b + (t - 1) * t * t * h * db;
+  const change = t => 6 * t * (t - 1) * (a - b) + (3 * t * t - 4 * t + 1) * h * da + (3 * t * t - 2 * t) * h * db;
+  const turn = bisect(t => dips ? change(t) > 0 : change(t) < 0);
+  if (dips) return cubic(turn) < 0 ? bisect(t => t > turn || cubic(t) < 0) : -1;
+  return cubic(turn) > 0 ? bisect(t => t > turn && cubic(t) < 0) : -1;
+}
+
+/** Least t from 0 to 1 from which on a condition holds. */
+function bisect(holds) {
+  let low = 0, high = 1;
+  for (let k = 0; k < 40; k++) {
+    const middle = (low + high) / 2;
+    if (holds(middle)) high = middle; else low = middle;
+  }
+  return high;
+}
+
+/** Fly one phase to its strike: { samples: [time, state, derivative], end, time } or { samples, fall }. */
+function flyPhase(chain, start, begin, slope) {
+  const samples = [], h = TIME_STEP, free = start.length === 6;
+  let x = start;
+  for (let k = 0; ; k++) {
+    const now = begin + k * h, first = derivative(chain, x, slope);
+    samples.push([now, x, first]);
+    const next = advance(chain, x, first, slope, h), share = crossing(x, next, h);
+    if (share >= 0) {
+      let at = share * h, end = next;
+      for (let i = 0; i < 6; i++) {
+        end = advance(chain, x, first, slope, at);
+        const [g, rate] = guard(end), step = g / rate;
+        at = Math.min(h, Math.max(0, at - step));
+        if (Math.abs(step) < 1e-15) break;
+      }
+      end = advance(chain, x, first, slope, at);
+      samples.push([now + at, end, derivative(chain, end, slope)]);
+      return { samples, end, time: now + at };
+    }
+    x = next;
+    const fall = !x.every(Number.isFinite) ? "lost" : x[0] > MAX_ANGLE ? "backward" : x[0] < -MAX_ANGLE ? "forward"
+      : now + h > MAX_TIME ? (free ? "knee" : "foot") : "";
+    if (fall) {
+      if (fall !== "lost") samples.push([now + h, x, derivative(chain, x, slope)]);
+      return { samples, fall };
+    }
+  }
+}
+
+const product = (chain, q, rate) => {
+  const M = massMatrix(chain, q), { n } = chain;
+  return Float64Array.from({ length: n }, (_, i) => sum(Array.from(rate, (r, j) => M[i * n + j] * r)));
+};
+
+/** Locked state after kneestrike: the momenta of the stance leg and of the whole swing leg are conserved. */
+function lockKnee(walker, x) {
+  const p = product(walker.free, x.subarray(0, 3), x.subarray(3)), q = [x[0], x[1]];
+  return Float64Array.from([...q, ...solveLast(massMatrix(walker.locked, q), Float64Array.of(p[0], p[1] + p[2]))]);
+}
+
+/** Velocity of the foot that lands, with the stance angle after heelstrike and the rates of both legs before it. */
+const landing = (walker, angle, [stance, swing]) =>
+  [-(walker.R + walker.l * Math.cos(angle)) * (stance - swing), walker.l * Math.sin(angle) * (stance + swing)];
+
+/** Linear momentum that a unit rate of link j gives, as the rows of the chain have it. */
+const lever = (chain, q, j) => {
+  const [re, im] = turned([chain.rr[j], chain.ri[j]], q[j]);
+  return [-im - (j === 0 ? chain.R : 0), re];
+};
+
+/** State just after heelstrike at a stance angle, from the rates of the old stance and swing leg before it. */
+function strikeHeel(walker, angle, rates) {
+  const chain = walker.kneed ? walker.free : walker.locked, { n } = chain;
+  const q = [angle, -angle, -angle].slice(0, n), before = [rates[1], rates[0], rates[0]].slice(0, n);
+  const momentum = product(chain, q, before), velocity = landing(walker, angle, rates);
+  for (let i = 0; i < n; i++) {
+    const [x, y] = lever(chain, q, i);
+    momentum[i] += x * velocity[0] + y * velocity[1];
+  }
+  return Float64Array.from([...q, ...solveLast(massMatrix(chain, q), momentum)]);
+}
+
+/**
+ * Fly a step to its end from the state just after heelstrike, or from one within it at a time since it began.
+ * { phases, period, kneestrike, before, end } - `before` the rates of both legs before heelstrike, `end` the state after
+ * it - or { phases, fall } where it does not end in one.
+ */
+function flyStep(walker, start, slope, begin = 0) {
+  const phases = [], fell = fall => ({ phases, kneestrike, fall });
+  let x = start, now = begin, kneestrike = null;
+  if (!begin && !(x[0] > 0)) {
+    phases.push(flyPhase(walker.locked, Float64Array.from(x.length === 6 ? [x[0], x[1], x[3], x[4]] : x), 0, slope));
+    return fell("backward");
+  }
+  if (x.length === 6) {
+    phases.push(flyPhase(walker.free, x, now, slope));
+    if (phases[0].fall) return fell(phases[0].fall);
+    kneestrike = now = phases[0].time;
+    x = lockKnee(walker, phases[0].end);
+  }
+  const last = flyPhase(walker.locked, x, now, slope);
+  phases.push(last);
+  if (last.fall) return fell(last.fall);
+  const before = [last.end[2], last.end[3]], angle = (last.end[1] - last.end[0]) / 2;
+  return { phases, period: last.time, kneestrike, before, end: strikeHeel(walker, angle, before) };
+}

@@ -1,0 +1,59 @@
+// Tables: a click on a heading sorts the rows; a row that is a gait makes it walk. Ledger: a filter by words and verdict.
+
+// Tables: a click on a heading sorts the rows.
+for (const table of document.querySelectorAll("table.archive")) {
+  const body = table.tBodies[0];
+  if (!body || body.rows.length < 3) continue;
+  const exact = cell => { const data = cell.querySelector("data"); return data ? Number(data.value) : NaN; };
+  [...table.tHead.rows[0].cells].forEach((head, k) => {
+    if (!head.textContent.trim()) return;
+    const button = document.createElement("button");
+    button.type = "button"; button.className = "sort";
+    button.append(...head.childNodes);
+    head.append(button);
+    button.addEventListener("click", () => {
+      const down = head.getAttribute("aria-sort") === "ascending";
+      for (const other of table.tHead.rows[0].cells) other.removeAttribute("aria-sort");
+      head.setAttribute("aria-sort", down ? "descending" : "ascending");
+      const rows = [...body.rows].map(row => [exact(row.cells[k]), row.cells[k].textContent, row]);
+      rows.sort((a, b) => isNaN(a[0]) || isNaN(b[0]) ? a[1].localeCompare(b[1]) || 0 : a[0] - b[0]);
+      if (down) rows.reverse();
+      body.append(...rows.map(row => row[2]));
+    });
+  });
+}
+
+// Rows of gaits that this page can start: a button in the first cell.
+for (const row of document.querySelectorAll("tr[data-gait]")) {
+  const wish = readAddress(row.dataset.gait), line = wish && lineAt(wish.at), place = line?.branches.length ? placeOn(line, wish.slope, wish.angle) : null;
+  if (!place || place.apart > NEAR) continue;
+  const button = make("button", "walk-it", "▸");
+  button.type = "button";
+  button.title = "Show this gait walking";
+  button.setAttribute("aria-label", `Show the gait at slope ${wish.slope} walking`);
+  row.cells[0].prepend(button, " ");
+  row.addEventListener("click", event => { if (event.target === button || !event.target.closest("a, button")) select(wish, { dock: true }); });
+  document.addEventListener("gait", ({ detail }) => row.classList.toggle("chosen",
+    !detail.free && sameLine(detail.at, wish.at) && Math.hypot(Math.log(detail.slope / wish.slope), Math.log(detail.start[0] / wish.angle)) < 1e-3));
+}
+
+// Ledger: filter by words and verdict.
+for (const form of document.querySelectorAll(".filter")) {
+  form.hidden = false;
+  const claims = [...document.querySelectorAll(".claim")], said = form.querySelector("[role=status]");
+  const apply = () => {
+    const words = form.elements.words.value.toLowerCase().split(/\s+/).filter(Boolean), verdict = form.elements.verdict.value;
+    let count = 0;
+    for (const claim of claims) {
+      const text = claim.textContent.toLowerCase();
+      claim.hidden = !(words.every(word => text.includes(word)) && (!verdict || claim.dataset.verdict === verdict));
+      count += !claim.hidden;
+    }
+    for (const family of document.querySelectorAll(".family")) family.hidden = !family.querySelector(".claim:not([hidden])");
+    said.textContent = words.length || verdict ? `${count} of ${claims.length} claims` : "";
+  };
+  for (const event of ["input", "change"]) form.addEventListener(event, apply);
+  form.addEventListener("submit", event => event.preventDefault());
+}
+
+addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(details => { details.open = true; }));

@@ -1,0 +1,248 @@
+// The walking panel of a page: the gait selected, in motion beside its multipliers, losses, violations and command; a
+// slider along its branch, pushes, a second gait at the same slope. Its selection is the page's, and stands in the address.
+
+const EARTH = Math.sqrt(1 / 9.81), STILL = matchMedia("(prefers-reduced-motion: reduce)");
+const INKS = { long: "var(--long)", short: "var(--short)" };
+const panel = document.querySelector(".motion");
+
+/** Select what an address, a mark, a cell or a row names; the page's figures and tables hear of it by the event `gait`. */
+let select = () => {};
+
+function tellPage(gait) { document.dispatchEvent(new CustomEvent("gait", { detail: gait })); }
+
+if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
+  panel.hidden = false;
+  const find = name => panel.querySelector(`[data-part=${name}]`), button = name => panel.querySelector(`[data-do=${name}]`);
+  const stage = makeStage(find("walk"));
+  let gait = null, motion = null, other = null, second = null, spot = () => {}, time = 0, playing = false, before = 0, drawn = 0, docked = false;
+
+  const realTime = () => gait.walker.keys.units === "SI" ? gait.walker.time : EARTH;
+  const inkOf = item => INKS[item.label] ?? "var(--other1)";
+  const say = text => { find("said").textContent = text; };
+  const units = () => find("units").value === "own" && gait.walker.keys.units === "SI"
+    ? { time: gait.walker.time, s: "s", speed: gait.walker.speed, v: "m/s", energy: gait.walker.energy, E: "J", length: gait.walker.leg, l: "m" }
+    : { time: 1, s: "√(leg/g)", speed: 1, v: "√(g leg)", energy: 1, E: "m g leg", length: 1, l: "leg" };
+
+  function frame() {
+    const end = motion.end;
+    if (time > end) { time = end; if (playing) play(false); }
+    const now = motion.at(time), both = [{ motion, ink: inkOf(gait) }];
+    if (second) both.push({ motion: second, ink: inkOf(other) });
+    stage.show(both, time);
+    const current = pose(motion.walker, now), odd = (now.k + (motion.number ?? 0)) % 2;
+    spot([current.angles[odd], current.rates[odd]]);
+    const { time: unit, s } = units(), scrub = find("scrub"), whole = durationOf(now.step);
+    scrub.value = whole ? now.t / whole : 0;
+    const number = (motion.number ?? 0) + now.k + 1;
+    scrub.setAttribute("aria-valuetext", `${brief(now.t * unit, 3)} ${s} of step ${number}`);
+    find("clock").textContent = `step ${number}, ${minusSign((now.t * unit).toFixed(2))} of ${(whole * unit).toFixed(2)} ${s}`;
+    const knee = now.step.kneestrike;
+    find("strike").hidden = !knee;
+    if (knee) find("strike").style.left = `${100 * knee / whole}%`;
+  }
+  function tick(stamp) {
+    if (!playing) return;
+    const passed = Math.min(0.1, (stamp - (before || stamp)) / 1000);
+    before = stamp;
+    drawn++;
+    panel.dataset.frames = drawn;
+    time += passed / realTime() / Number(find("pace").value);
+    frame();
+    requestAnimationFrame(tick);
+  }
+  function play(on) {
+    if (on && !playing) requestAnimationFrame(tick);
+    if (on && time >= motion.end) time = motion.begins[0];
+    playing = on;
+    before = 0;
+    button("play").textContent = on ? "Pause" : "Play";
+    button("play").setAttribute("aria-pressed", on);
+  }
+  function dock(on) {
+    docked = on;
+    panel.classList.toggle("docked", on);
+    button("close").hidden = !on;
+    document.body.classList.toggle("beside", on);
+    document.body.style.setProperty("--panel", `${panel.offsetHeight}px`);
+    dispatchEvent(new Event("resize"));
+  }
+
+  const row = (name, value, unit) => { const dd = make("dd", "", value); if (unit) dd.append(" ", make("span", "unit", unit)); return [make("dt", "", name), dd]; };
+  function facts() {
+    const u = units(), list = make("dl"), { walker, step } = gait, angle = gait.start[0];
+    list.append(...row("slope γ", brief(gait.slope, 6), `rad = ${brief(gait.slope * 180 / Math.PI, 4)}°`), ...row("stance angle θ*", brief(angle, 6), `rad = ${brief(angle * 180 / Math.PI, 4)}°`));
+    if (!step.fall) {
+      const length = motion.stride(step);
+      list.append(...row("period T", brief(step.period * u.time, 6), u.s), ...row("step length", brief(length * u.length, 4), u.l), ...row("mean speed", brief(length / step.period * u.speed, 4), u.v));
+    }
+    if (gait.radius !== undefined) list.append(...row(gait.free ? "gait nearby, max |λ|" : "max |λ|", brief(gait.radius, 5), gait.radius < 1 ? "stable" : "unstable"));
+    find("facts").replaceChildren(list);
+    const shares = find("losses");
+    shares.replaceChildren();
+    if (gait.losses) {
+      const { normal, tangential, kneestrike } = gait.losses, total = normal + tangential + kneestrike;
+      shares.append(make("b", "", `Lost in a step: ${brief(total * u.energy, 4)} ${u.E}`));
+      for (const [name, loss] of [["heelstrike, normal", normal], ["heelstrike, tangential", tangential], ...(walker.kneed ? [["kneestrike", kneestrike]] : [])]) {
+        const line = make("p", "share"), bar = make("i");
+        bar.style.width = `${100 * loss / total}%`;
+        line.append(make("span", "", name), bar, make("span", "unit", `${(100 * loss / total).toFixed(1)} %`));
+        shares.append(line);
+      }
+    }
+    const broken = find("violations");
+    broken.replaceChildren();
+    if (gait.violations) broken.append(make("b", "", gait.violations.length ? "Violates: " : "Violates no assumption"), gait.violations.join(", "));
+    find("command").textContent = gait.command ?? "";
+  }
+
+  /** Show a gait found, or a motion from any state. */
+  function show(next, { write = true, keep = false } = {}) {
+    const share = keep && motion && gait ? motion.at(time).t / durationOf(motion.at(time).step) : 0;
+    panel.hidden = false;
+    gait = next;
+    motion = new Motion(gait);
+    const first = motion.steps[0];
+    time = share * durationOf(first);
+    other = second = null;
+    facts();
+    find("title").textContent = gait.free ? `A motion of walker ${nameOf(gait)}` : `${gait.label[0].toUpperCase()}${gait.label.slice(1)} step of walker ${nameOf(gait)}`;
+    spot = drawPortrait(find("phase"), motion, inkOf(gait));
+    circle();
+    slider();
+    outcome();
+    companions();
+    frame();
+    if (write) history.replaceState(null, "", writeAddress(gait));
+    tellPage(gait);
+  }
+  const nameOf = ({ at }) => [at.walker, ...Object.entries(at).filter(([key]) => key !== "walker" && key !== "slope").map(([key, value]) => `${key === "foot_mass_ratio" ? "ρ" : key} = ${brief(value, 5)}`)].join(", ");
+  const circle = () => drawCircle(find("circle"), [...(other ? [{ gait: other, ink: inkOf(other), second: true }] : []), { gait, ink: inkOf(gait) }]);
+
+  // Along the branch: every place between two nodes is a gait, found anew.
+  function slider() {
+    const nodes = gait.line?.branches?.[gait.branch] ?? [], range = find("slide");
+    find("along").hidden = nodes.length < 2;
+    if (nodes.length < 2) return;
+    range.max = nodes.length - 1;
+    range.step = (nodes.length - 1) / 1000;
+    if (document.activeElement !== range || Math.abs(range.value - gait.place) > 1) range.value = gait.place;
+    range.setAttribute("aria-valuetext", `slope ${brief(gait.slope, 5)}, stance angle ${brief(gait.start[0], 5)}, ${gait.radius < 1 ? "stable" : "unstable"}`);
+  }
+  let wanted = null;
+  function slideTo(place) {
+    if (wanted === null) requestAnimationFrame(() => {
+      const nodes = gait.line.branches[gait.branch], found = gaitAt(gait.line, gait.branch, Math.min(nodes.length - 1, Math.max(0, wanted)));
+      wanted = null;
+      if (found) { say(""); show(found, { keep: true }); } else say("No gait was found at this place of the branch.");
+    });
+    wanted = place;
+  }
+
+  // A second gait of the line at the same slope, beside the first.
+  function companions() {
+    const chooser = find("second");
+    chooser.replaceChildren(new Option("none", ""));
+    find("beside").hidden = true;
+    if (!gait.line?.branches?.length || gait.free) return;
+    const place = gait;
+    setTimeout(() => {
+      if (gait !== place) return;
+      const found = gaitsAt(gait.line, gait.slope).filter(item => Math.abs(item.start[0] / gait.start[0] - 1) > 1e-5);
+      found.forEach((item, k) => chooser.append(new Option(`${item.label}, θ* = ${brief(item.start[0], 4)}${item.radius < 1 ? ", stable" : ""}`, k)));
+      chooser.onchange = () => {
+        other = found[chooser.value] ?? null;
+        second = other && new Motion(other);
+        circle();
+        frame();
+      };
+      find("beside").hidden = !found.length;
+    }, 60);
+  }
+
+  // A push changes the rates of both legs by a share of the stance rate; then the walker is simulated freely.
+  function push(sign) {
+    const n = gait.start.length / 2, size = sign * Number(find("strength").value) * Math.abs(gait.start[n]);
+    motion = motion.pushed(time, [-size, -size]);
+    second = null;
+    outcome();
+    spot = drawPortrait(find("phase"), motion, inkOf(gait));
+    if (!playing && !STILL.matches) play(true);
+    frame();
+  }
+  /** What becomes of a free motion: the stance angles of its steps, and in words. */
+  function outcome() {
+    const chart = find("chart"), text = find("outcome");
+    chart.replaceChildren();
+    text.textContent = "";
+    button("reset").hidden = motion.repeats || gait.free;
+    chart.style.display = motion.repeats ? "none" : "";
+    if (motion.repeats) return;
+    motion.advance(60);
+    const walked = motion.steps.filter(step => !step.fall), last = motion.steps.at(-1), angles = walked.map(step => step.end[0]), aim = gait.free ? gait.near : gait.start[0];
+    const low = Math.min(...angles, aim ?? Infinity, gait.start[0]), high = Math.max(...angles, aim ?? 0, gait.start[0]), y = value => 52 - 44 * (value - low) / (high - low || 1);
+    const x = k => 6 + 228 * k / Math.max(12, angles.length);
+    if (aim) draw("path", chart, { d: `M4 ${y(aim)}H236`, stroke: "var(--muted)", "stroke-dasharray": "3 3", "stroke-width": 1 });
+    angles.forEach((angle, k) => draw("circle", chart, { cx: x(k + 1), cy: y(angle), r: 2.4, fill: inkOf(gait) }));
+    if (last.fall) draw("text", chart, { x: x(angles.length + 1), y: 56, "font-size": 15, fill: "var(--bad)" }, "✕");
+    const after = angles.length, word = n => `${n} step${n === 1 ? "" : "s"}`;
+    // The first step from which on every one is within a hundredth of the gait's.
+    let back = after;
+    while (aim && back > 0 && Math.abs(angles[back - 1] / aim - 1) < 0.01) back--;
+    const cause = FALLS[last.fall] ?? "", fell = cause.startsWith("the") ? cause : `it ${cause}`;
+    text.textContent = last.fall ? `${after ? `After ${word(after)}` : "In its first step"} ${fell}.`
+      : aim && after - back > 4 ? `It recovers: within 1 % of the gait after ${word(back)}.` : `It still walks after ${word(after)}, but not as before.`;
+  }
+
+  select = (wish, options = {}) => {
+    const line = wish.at && lineAt(wish.at);
+    let found = wish.found ?? null;
+    if (!found && wish.free && (wish.given || line)) found = freeMotion(wish.given ?? line, wish);
+    else if (!found && wish.panel) found = gaitOfCell(wish.panel, ...wish.cell);
+    else if (!found && line) found = gaitNear(line, wish.slope, wish.angle);
+    say(found ? "" : wish.slope || wish.panel ? "There is no gait here that this page could start." : "The address names no gait of this page.");
+    if (found) show(found, options);
+    if (options.dock) dock(true);
+    if (found && options.dock) document.dispatchEvent(new CustomEvent("docked", { detail: panel.getBoundingClientRect().top || innerHeight }));
+    if (found && options.dock && !STILL.matches) play(true);
+    return found;
+  };
+
+  button("play").addEventListener("click", () => play(!playing));
+  button("close").addEventListener("click", () => dock(false));
+  button("push").addEventListener("click", () => push(1));
+  button("pull").addEventListener("click", () => push(-1));
+  button("reset").addEventListener("click", () => show(gait));
+  find("units").addEventListener("change", () => { facts(); frame(); });
+  find("slide").addEventListener("input", event => slideTo(Number(event.target.value)));
+  find("scrub").addEventListener("input", event => {
+    play(false);
+    const now = motion.at(time);
+    time += Number(event.target.value) * durationOf(now.step) - now.t;
+    frame();
+  });
+  const skip = share => { play(false); time = Math.max(motion.begins[0], time + share * durationOf(motion.at(time).step)); frame(); };
+  const along = by => { if (!find("along").hidden) slideTo((wanted ?? gait.place) + by); };
+  button("step").addEventListener("click", () => skip(1 / 24));
+  panel.addEventListener("keydown", event => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const typed = event.target.matches("input, select"), act = { " ": () => play(!playing), ".": () => skip(1 / 24), ",": () => skip(-1 / 24), ArrowRight: () => along(1), ArrowLeft: () => along(-1),
+      p: () => push(1), P: () => push(-1), r: () => show(gait), Escape: () => dock(false) }[event.key];
+    if (!act || (typed && !["p", "P", "r", "Escape"].includes(event.key)) || (event.key === " " && event.target.matches("button"))) return;
+    event.preventDefault();
+    act();
+  });
+
+  const followAddress = () => {
+    const wish = location.hash.length > 1 && readAddress(location.hash);
+    return wish && { wish, found: select(wish, { dock: panel.closest("section") !== null, write: false }) };
+  };
+  addEventListener("hashchange", followAddress);
+  // Once the figures and tables below have been made ready, they hear of the first gait.
+  addEventListener("DOMContentLoaded", () => {
+    const given = followAddress();
+    if (given?.found) return;
+    const first = LINES.map(line => readAddress(line.first)).find(Boolean);
+    if (first) { const words = find("said").textContent; if (select(first, { write: false })) { if (given) say(words); return; } }
+    if (!gait) panel.hidden = docked ? false : true;
+  });
+}

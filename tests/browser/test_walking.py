@@ -1,0 +1,390 @@
+"""The live page: a click makes a gait walk, and one selection is shared by figures, tables, walker and address."""
+
+import json
+import re
+import time
+from pathlib import Path
+
+import pytest
+
+from pipeline import gaits
+
+EVERY = ("curves", "branches", "map", "ratios", "design", "basin", "kneed-basin", "orbits", "index")
+
+
+@pytest.fixture
+def keys():
+    return pytest.importorskip("selenium.webdriver.common.keys", reason="the browser tests need selenium").Keys
+
+
+@pytest.fixture
+def chains():
+    return pytest.importorskip("selenium.webdriver", reason="the browser tests need selenium").ActionChains
+
+
+def one(browser, selector):
+    return browser.find_element("css selector", selector)
+
+
+def part(browser, name):
+    return one(browser, f"[data-part={name}]")
+
+
+def ask(browser, script, *given):
+    return browser.execute_script(f"return {script}", *given)
+
+
+def wait(browser, script, seconds=6.0):
+    """Value of a script once it is true."""
+    end = time.monotonic() + seconds
+    while not (value := ask(browser, script)) and time.monotonic() < end:
+        time.sleep(0.05)
+    return value
+
+
+def data(browser, figure, name):
+    """Marks or maps of a figure."""
+    found = json.loads(ask(browser, f"document.querySelector('#{figure} script.{name}').textContent"))
+    for part in found if name == "panels" else ():
+        for side in "xy":
+            part[side].setdefault("values", found[0][side].get("values"))
+    return found
+
+
+def click(browser, chains, figure, point):
+    """Click a figure at a point of its picture."""
+    plot = one(browser, f"#{figure} .plot")
+    browser.execute_script("arguments[0].scrollIntoView({ block: 'start' })", plot)
+    box, width = plot.rect, float(plot.get_attribute("data-width"))
+    x, y = (round(v * box["width"] / width) for v in point)
+    place = round(x - box["width"] / 2), round(y - box["height"] / 2)
+    chains(browser).move_to_element_with_offset(plot, *place).click().perform()
+
+
+def selected(browser):
+    """Selection in the address: its keys and values, numbers as numbers."""
+    pairs = ask(browser, "[...new URLSearchParams(location.hash.slice(1))]")
+    return {key: value if key == "walker" else float(value) for key, value in pairs}
+
+
+HASH = "location.hash.includes('stance_angle')"
+LEG = "document.querySelector('[data-part=walk] g g path:nth-of-type(2)').getAttribute('d')"
+
+
+@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_a_page_whose_gaits_walk_opens_without_a_word_and_fits_its_width(walk, name, width, scheme):
+    browser = walk(name, width, scheme)
+    assert ask(browser, "document.documentElement.scrollWidth") <= width
+    assert [entry["message"] for entry in browser.get_log("browser")] == []
+
+
+@pytest.mark.parametrize("name", ["index", "curves", "branches"])
+def test_the_walker_walks_pauses_slows_and_steps(walk, name):
+    browser = walk(name)
+    play, step = (one(browser, f"[data-do={what}]") for what in ("play", "step"))
+    still = ask(browser, LEG)
+    step.click()
+    stepped = ask(browser, LEG)
+    assert stepped != still
+    time.sleep(0.2)
+    assert ask(browser, LEG) == stepped
+    clock = "document.querySelector('[data-part=clock]').textContent"
+    rates = []
+    for pace in ("1", "10"):
+        browser.execute_script("arguments[0].value = arguments[1]", part(browser, "pace"), pace)
+        play.click()
+        assert play.text == "Pause" and play.get_attribute("aria-pressed") == "true"
+        first = _seconds(ask(browser, clock))
+        time.sleep(0.8)
+        play.click()
+        rates.append(_seconds(ask(browser, clock)) - first)
+    assert rates[0] > 4 * rates[1] > 0
+    paused = ask(browser, LEG)
+    time.sleep(0.2)
+    assert ask(browser, LEG) == paused
+
+
+def _seconds(clock):
+    """Time since the first step from `step 2, 0.31 of 0.76 s`, in units of that text."""
+    step, now, whole = (float(v) for v in re.findall(r"[\d.]+", clock)[:3])
+    return (step - 1) * whole + now
+
+
+def test_the_units_of_a_walker_can_be_left_for_those_of_its_leg(walk):
+    browser = walk("branches")
+    metres = float(part(browser, "facts").text.split("step length")[1].split()[0])
+    browser.execute_script("arguments[0].value = 'leg'; arguments[0].dispatchEvent(new Event('change'))",
+                           part(browser, "units"))  # fmt: skip
+    text = part(browser, "facts").text
+    assert float(text.split("step length")[1].split()[0]) == pytest.approx(metres / 0.806136, rel=1e-3)
+    assert "√(leg/g)" in text
+
+
+def test_a_click_on_a_curve_makes_that_gait_walk_and_marks_it_everywhere(walk, chains):
+    browser = walk("curves")
+    curve = data(browser, "loglog", "marks")[1]
+    row, angle = curve["rows"][20], curve["angles"][20]
+    click(browser, chains, "loglog", row[:2])
+    assert wait(browser, HASH)
+    found = selected(browser)
+    assert found["walker"] == "E" and found["slope"] == pytest.approx(row[2], rel=1e-7)
+    assert found["stance_angle"] == pytest.approx(angle, rel=1e-4)
+    assert str(row[2]) in part(browser, "command").text
+    assert f"foot_mass_ratio={found['foot_mass_ratio']}" in part(browser, "command").text
+    assert ask(browser, "document.querySelectorAll('.ring:not([hidden])').length") == 2
+    assert len(browser.find_elements("css selector", "[data-part=circle] [data-multiplier]")) == 3
+    assert "Lost in a step" in part(browser, "losses").text and "scuff" in part(browser, "violations").text
+    # The radius beside it is that of the figure of multipliers at the same slope.
+    shown = float(part(browser, "facts").text.split("max |λ|")[1].split()[0])
+    others = [r for c in data(browser, "multipliers", "marks") if c["label"].startswith(curve["label"].split(" · ")[0])
+              for r in c["rows"] if r[2] == row[2]]  # fmt: skip
+    assert any(float(r[4].replace("−", "-")) == pytest.approx(shown, rel=1e-4) for r in others)
+    first = ask(browser, LEG)
+    time.sleep(0.3)
+    assert ask(browser, LEG) != first
+
+
+def test_a_selection_can_be_sent(walk, chains):
+    browser = walk("branches")
+    row = data(browser, "locus", "marks")[0]["rows"][30]
+    click(browser, chains, "locus", row[:2])
+    assert wait(browser, HASH)
+    address, title = ask(browser, "location.hash"), part(browser, "facts").text
+    assert walk("branches", anchor=address) is browser
+    assert wait(browser, "document.querySelector('.motion.docked') !== null")
+    assert part(browser, "facts").text == title
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["#walker=C&detuning=0.1&slope=0.02&stance_angle=0.9", "#walker=Z&slope=0.02&stance_angle=0.2",
+     "#walker=C&detuning=0.1&slope=-1&stance_angle=0.2", "#walker=C&detuning=0.1&slope=x&stance_angle=y",
+     "#slope=1e999&stance_angle=0"],
+)  # fmt: skip
+def test_an_address_that_names_no_gait_says_so_and_shows_another(walk, address):
+    browser = walk("branches", anchor=address)
+    assert "no gait" in wait(browser, "document.querySelector('[data-part=said]').textContent")
+    assert "step of walker C" in part(browser, "title").text
+    assert [entry["message"] for entry in browser.get_log("browser")] == []
+
+
+def test_a_row_of_a_table_walks(walk):
+    browser = walk("branches")
+    button = browser.find_elements("css selector", "tr[data-gait] .walk-it")[-1]
+    browser.execute_script("arguments[0].scrollIntoView({ block: 'center' }); arguments[0].click()", button)
+    assert wait(browser, HASH)
+    row = one(browser, "tr.chosen")
+    given = dict(pair.split("=") for pair in row.get_attribute("data-gait").split("&"))
+    assert selected(browser)["slope"] == pytest.approx(float(given["slope"]), rel=1e-4)
+    assert selected(browser)["stance_angle"] == pytest.approx(float(given["stance_angle"]), rel=1e-3)
+
+
+def test_a_branch_is_slid_along_through_its_folds(walk, keys):
+    browser = walk("branches", anchor="#motion")
+    slide = part(browser, "slide")
+    last = int(slide.get_attribute("max"))
+    labels, slopes = set(), []
+    for place in range(1, last, 4):
+        browser.execute_script("arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))",
+                               slide, place)  # fmt: skip
+        time.sleep(0.12)
+        labels.add(part(browser, "title").text.split()[0])
+        slopes.append(float(part(browser, "facts").text.split("slope γ")[1].split()[0]))
+    turns = sum((b - a) * (c - b) < 0 for a, b, c in zip(slopes, slopes[1:], slopes[2:], strict=False))
+    assert labels == {"Long", "Short"}
+    assert turns >= 1
+    assert part(browser, "said").text == ""
+    one(browser, ".motion").send_keys(keys.ARROW_LEFT)
+    time.sleep(0.4)
+    assert float(part(browser, "facts").text.split("slope γ")[1].split()[0]) != slopes[-1]
+
+
+def test_a_stable_gait_recovers_from_a_push_and_a_hard_one_makes_it_fall(walk):
+    browser = walk("branches", anchor="#motion")
+    assert "unstable" not in part(browser, "facts").text
+    one(browser, "[data-do=push]").click()
+    assert "recovers" in part(browser, "outcome").text
+    one(browser, "[data-do=reset]").click()
+    assert part(browser, "outcome").text == ""
+    browser.execute_script("arguments[0].value = '0.3'", part(browser, "strength"))
+    one(browser, "[data-do=pull]").click()
+    assert "fall" in part(browser, "outcome").text or "fell" in part(browser, "outcome").text
+
+
+def test_two_gaits_at_one_slope_are_laid_over_each_other(walk):
+    browser = walk("curves", anchor="#motion")
+    assert wait(browser, "document.querySelectorAll('[data-part=second] option').length > 1")
+    circles = "document.querySelectorAll('[data-part=circle] [data-multiplier]').length"
+    before = ask(browser, circles)
+    browser.find_elements("css selector", "[data-part=second] option")[1].click()
+    assert ask(browser, circles) == 2 * before
+    drawn = "[...document.querySelectorAll('[data-part=walk] g > g')].filter(g => g.style.display !== 'none').length"
+    assert ask(browser, drawn) == 2
+
+
+@pytest.mark.parametrize(("name", "walker", "key"), [("map", "B", "R"), ("ratios", "E", "foot_mass_ratio")])
+def test_a_cell_of_a_map_walks_as_the_solver_has_it(walk, chains, name, walker, key):
+    browser = walk(name)
+    maps = data(browser, "heatmap", "panels")
+    assert len(json.dumps(maps)) < 25_000
+    for panel, label, share in zip(maps, ("Long", "Short"), (0.62, 0.31), strict=True):
+        left, top, right, bottom = panel["box"]
+        click(browser, chains, "heatmap", (left + share * (right - left), top + 0.41 * (bottom - top)))
+        assert wait(browser, f"document.querySelector('[data-part=title]').textContent.startsWith('{label}')")
+        found = selected(browser)
+        column = round(share * (len(panel["x"]["values"]) - 1))
+        assert any(found["slope"] == pytest.approx(v, rel=1e-7) for v in panel["x"]["values"][column - 1 : column + 2])
+        row = min(panel["y"]["values"], key=lambda value: abs(value - found[key]))
+        assert found[key] == pytest.approx(row, rel=1e-9)
+        gait = gaits(walker, found["slope"], variables=["stance_angle"], **{key: row}).sel(gait=label.lower())
+        assert found["stance_angle"] == pytest.approx(float(gait.stance_angle), rel=1e-6)
+        assert f"--set {key}={row}" in part(browser, "command").text
+
+
+def test_a_cell_of_a_design_map_walks_as_the_fastest_stable_gait(walk, chains):
+    browser = walk("design")
+    left, top, right, bottom = data(browser, "design", "panels")[2]["box"]
+    click(browser, chains, "design", (left + 0.5 * (right - left), top + 0.5 * (bottom - top)))
+    assert wait(browser, HASH)
+    assert {"walker", "R", "c_t", "slope", "stance_angle"} <= set(selected(browser))
+    assert float(part(browser, "facts").text.split("max |λ|")[1].split()[0]) < 1.001
+
+
+@pytest.mark.parametrize("name", ["basin", "kneed-basin"])
+def test_a_pixel_of_a_basin_walks_on_or_falls_as_the_archive_says(walk, chains, name):
+    browser = walk(name)
+    panel = data(browser, "basin", "panels")[0]
+    (left, top, right, bottom), (low, high), (least, most) = panel["box"], panel["x"]["limits"], panel["y"]["limits"]
+    marks, said = data(browser, "basin", "marks")[0]["rows"], []
+    walking = [row for row in marks if not row[-1].startswith(("fell", "foot", "knee"))]
+    for row in [*marks[:: len(marks) // 12], *walking[:4]]:
+        angle, rate = (float(v.replace("−", "-")) for v in row[3:5])
+        x = left + (angle - low) / (high - low) * (right - left)
+        click(browser, chains, "basin", (x, bottom - (rate - least) / (most - least) * (bottom - top)))
+        time.sleep(0.15)
+        text, falls = part(browser, "outcome").text, row[-1].startswith(("fell", "foot", "knee"))
+        said.append(falls)
+        assert row[-1] in text.replace("the ", "") if falls else "walks" in text or "recovers" in text, (row, text)
+        one(browser, "[data-do=close]").click()
+    assert set(said) == {True, False}
+
+
+def test_a_dot_of_an_orbit_goes_on_as_it_was(walk, chains):
+    browser = walk("orbits")
+    rows = data(browser, "bifurcation", "marks")[0]["rows"]
+    click(browser, chains, "bifurcation", rows[-3][:2])
+    assert wait(browser, HASH)
+    assert selected(browser)["free"] == 1
+    assert "still walks" in part(browser, "outcome").text or "recovers" in part(browser, "outcome").text
+
+
+def test_a_motion_that_falls_at_once_says_so(walk):
+    address = "#walker=D&slope=0.0126&stance_angle=0.3&stance_rate=-0.01&free=1"
+    browser = walk("basin", anchor=address)
+    assert "In its first step it fell backward." in wait(
+        browser, "document.querySelector('[data-part=outcome]').textContent"
+    )
+    one(browser, "[data-do=play]").click()
+    time.sleep(0.3)
+    assert [entry["message"] for entry in browser.get_log("browser")] == []
+
+
+def test_reduced_motion_is_honoured_and_keys_play_it(walk, chains, keys):
+    browser = walk("curves", still=True)
+    row = data(browser, "loglog", "marks")[0]["rows"][20]
+    click(browser, chains, "loglog", row[:2])
+    assert wait(browser, HASH)
+    still = ask(browser, LEG)
+    time.sleep(0.3)
+    assert ask(browser, LEG) == still
+    one(browser, ".motion").send_keys(" ")
+    time.sleep(0.3)
+    assert ask(browser, LEG) != still
+    one(browser, ".motion").send_keys(keys.ESCAPE)
+    assert ask(browser, "document.querySelector('.docked')") is None
+
+
+def test_the_walker_is_drawn_thirty_times_a_second(walk):
+    browser = walk("branches", anchor="#motion")
+    one(browser, "[data-do=play]").click()
+    frames = "Number(document.querySelector('.motion').dataset.frames ?? 0)"
+    wait(browser, frames)
+    begin, first = time.monotonic(), ask(browser, frames)
+    time.sleep(2)
+    assert (ask(browser, frames) - first) / (time.monotonic() - begin) >= 30
+
+
+def test_a_phones_touch_selects(walk):
+    browser = walk("curves", 390)
+    plot = one(browser, "#loglog .plot")
+    browser.execute_script("arguments[0].scrollIntoView({ block: 'start' })", plot)
+    row = data(browser, "loglog", "marks")[0]["rows"][5]
+    scale = plot.rect["width"] / float(plot.get_attribute("data-width"))
+    corner = ask(browser, "[arguments[0].getBoundingClientRect().left, arguments[0].getBoundingClientRect().top]", plot)
+    point = {"x": corner[0] + row[0] * scale, "y": corner[1] + row[1] * scale}
+    browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [point]})
+    browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+    assert wait(browser, HASH)
+    assert selected(browser)["slope"] == pytest.approx(row[2], rel=1e-7)
+
+
+def test_a_figure_is_zoomed_moved_and_seen_whole_again(walk, keys, chains):
+    browser = walk("curves")
+    plot, view = one(browser, "#loglog .plot"), "document.querySelector('#loglog svg').getAttribute('viewBox')"
+    whole = ask(browser, view)
+    browser.execute_script("arguments[0].scrollIntoView({ block: 'start' })", plot)
+    plot.send_keys("+")
+    zoomed = ask(browser, view)
+    assert float(zoomed.split()[2]) == pytest.approx(float(whole.split()[2]) / 1.6)
+    chains(browser).move_to_element(plot).click_and_hold().move_by_offset(60, 20).release().perform()
+    moved = ask(browser, view)
+    assert moved.split()[2] == zoomed.split()[2] and float(moved.split()[0]) < float(zoomed.split()[0])
+    assert not ask(browser, HASH)  # a drag is no click
+    plot.send_keys("0")
+    assert [float(v) for v in ask(browser, view).split()] == [float(v) for v in whole.split()]
+
+
+@pytest.mark.parametrize("ending", ["SVG", "PNG"])
+def test_a_figure_is_saved_as_a_picture(walk, ending):
+    browser = walk("curves", scheme="dark")
+    browser.execute_script("""window.saved = null;
+        HTMLAnchorElement.prototype.click = function () { window.saved = [this.download, this.href]; };""")
+    button = f"[...document.querySelectorAll('#loglog .save')].find(b => b.textContent === '{ending}')"
+    browser.execute_script(f"{button}.click()")
+    name, address = wait(browser, "window.saved")
+    assert name == f"curves-loglog.{ending.lower()}"
+    if ending == "PNG":
+        assert address.startswith("data:image/png;base64,") and len(address) > 20_000
+    else:
+        text = ask(browser, "decodeURIComponent(window.saved[1])")
+        assert "var(--" not in text and "#6fb6f0" in text
+
+
+def test_a_page_without_script_is_complete(opened, walking, browser):
+    browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": True})
+    try:
+        opened(walking / "branches.html")
+        assert one(browser, "#locus svg").is_displayed() and one(browser, "table.archive").is_displayed()
+        assert not one(browser, ".motion").is_displayed()
+    finally:
+        browser.execute_cdp_cmd("Emulation.setScriptExecutionDisabled", {"value": False})
+
+
+def test_the_script_and_the_pages_are_small(walking):
+    for path in walking.glob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        script = text[text.rindex("<script>") : text.rindex("</script>")]
+        assert len(script.encode()) <= 60_000
+        assert len(text.encode()) <= (300_000 if path.name == "index.html" else 500_000)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_serious_accessibility_finding_while_a_gait_walks(walk, scheme):
+    axe = pytest.importorskip("axe_core_python", reason="accessibility is checked with axe-core")
+    browser = walk("branches", scheme=scheme, anchor="#walker=C&detuning=0.1&slope=0.02&stance_angle=0.27", still=True)
+    browser.execute_script((Path(axe.__file__).parent / "axe.min.js").read_text(encoding="utf-8"))
+    found = browser.execute_async_script("axe.run().then(arguments[0])")
+    serious = [f"{v['id']}: {v['nodes'][0]['html'][:120]}" for v in found["violations"]
+               if v["impact"] in ("serious", "critical")]  # fmt: skip
+    assert serious == []

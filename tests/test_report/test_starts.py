@@ -1,0 +1,122 @@
+"""The starts that a page holds for its script: lines with their walkers and branches, lattices of maps, addresses."""
+
+import json
+import re
+from urllib.parse import parse_qs
+
+import numpy as np
+import pytest
+
+from pipeline.report import pages
+from pipeline.report.figures import draw, starts
+from pipeline.report.source import read
+from test_report.shape import KNEED, POINT, write
+
+RATES = ("stance_rate", "thigh_rate", "shank_rate")
+
+
+def _grid(folder, varied=None, columns=None):
+    """Two lines of a folded curve: a lower piece that rises in slope to 0.08, and an upper one that returns."""
+    slope = np.linspace(0.01, 0.1, 46)
+    below, above = 2 * slope, np.where(slope > 0.02, 0.4 - slope, np.nan)
+    below = np.where(slope < 0.08, below, np.nan)
+    angle = np.stack([np.stack([above, below], -1)] * 2)
+    dims = ("foot_mass_ratio", "slope", "gait")
+    piece = np.broadcast_to([1, 0], angle.shape).astype("i2")
+    grid = {
+        "stance_angle": (dims, angle),
+        **{name: (dims, -(k + 1) * angle) for k, name in enumerate(RATES)},
+        "spectral_radius": (dims, 0.5 + 10 * angle),
+        "branch": (dims, np.where(np.isnan(angle), -1, 0).astype("i2")),
+        "piece": (dims, piece),
+        **{key: (("foot_mass_ratio",), np.array(values)) for key, values in (columns or {}).items()},
+    }
+    coords = {"foot_mass_ratio": [0.1, 0.05], "slope": slope, "gait": np.array(["long", "short"], object)}
+    text = (
+        'name = "s"\nwalker = "E"\n[axes]\nfoot_mass_ratio = [0.1, 0.05]\nslope = [0.01]\n[want]\nfigures = ["linear"]'
+    )
+    return read(write(folder / "s.nc", text, grid, coords, {"E": POINT}, varied=varied))
+
+
+def test_a_line_is_run_through_its_fold_in_order(tmp_path):
+    lines = starts.lines(_grid(tmp_path))
+    assert [line["at"] for line in lines] == [{"walker": "E", "foot_mass_ratio": ratio} for ratio in (0.1, 0.05)]
+    (branch,) = lines[0]["branches"]
+    slopes, angles = np.array(branch)[:, 0], np.array(branch)[:, 1]
+    # Up the lower piece, and back down the upper one: the angle rises all the way, and the slope turns once.
+    assert (np.diff(angles) > 0).all()
+    assert (np.diff(np.sign(np.diff(slopes))) != 0).sum() == 1
+    np.testing.assert_allclose(np.array(branch)[:, 2:], -angles[:, None] * [1, 2], rtol=1e-6)
+    assert lines[0]["command"] == "gaitsweep solve --walker E --set foot_mass_ratio=0.1"
+
+
+def test_a_line_begins_with_a_stable_gait_where_there_is_one(tmp_path):
+    first = parse_qs(starts.lines(_grid(tmp_path))[0]["first"])
+    assert first["walker"] == ["E"] and float(first["stance_angle"][0]) < 0.05  # radius below 1
+
+
+def test_keys_that_a_derived_axis_moves_are_those_of_the_line(tmp_path):
+    source = _grid(tmp_path, {"m_s": "foot_mass_ratio", "m_t": "foot_mass_ratio"},
+                   {"m_s": [0.1, 0.05], "m_t": [0.4, 0.45]})  # fmt: skip
+    keys = [line["keys"] for line in starts.lines(source)]
+    assert [(k["m_s"], k["m_t"]) for k in keys] == [(0.1, 0.4), (0.05, 0.45)]
+
+
+def test_a_walker_of_which_the_archive_lacks_a_key_does_not_walk(tmp_path):
+    source = _grid(tmp_path)
+    del source.walkers["E"]["c_t"]
+    assert starts.lines(source) == []
+
+
+def test_a_branch_without_rates_has_no_starts(tmp_path):
+    rows = {"branch": [0, 0], "slope": [0.01, 0.02], "stance_angle": [0.1, 0.2]}
+    text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.02]'
+    (line,) = starts.lines(read(write(tmp_path / "b.nc", text, {}, {}, {"C": KNEED}, {"branches": rows})))
+    assert line["branches"] == [] and line["first"] == "" and starts.brief([line]) == []
+
+
+def test_rows_of_a_table_have_the_addresses_of_their_gaits(tmp_path):
+    text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.02]\ndetuning = [0.1]'
+    rows = {"walker": ["C"] * 2, "detuning": [0.1] * 2, "slope": [0.01, 0.02], "stance_angle": [0.1, np.nan]}
+    source = read(write(tmp_path / "b.nc", text, {}, {}, {"C": KNEED}, {"special_points": rows}))
+    found = starts.addresses(source, source.tables["special_points"])
+    assert found == ["walker=C&detuning=0.1&slope=0.01&stance_angle=0.1", ""]
+    assert starts.addresses(source, source.tables["special_points"].drop(columns="stance_angle")) == ["", ""]
+
+
+@pytest.mark.parametrize("side", [12, 200])
+def test_a_map_carries_a_lattice_of_at_most_25_kilobytes(tmp_path, side):
+    slope, radius = np.linspace(0.01, 0.05, side), np.linspace(0.1, 0.4, side)
+    angle = 0.1 + radius[:, None, None] * slope[:, None] * np.array([1.0, np.pi])
+    angle[radius > 0.3, : side // 4] = np.nan
+    dims = ("R", "slope", "gait")
+    grid = {"stance_angle": (dims, angle), **{name: (dims, -np.sqrt(2) * angle) for name in RATES}}
+    text = 'name = "m"\nwalker = "B"\n[axes]\nR = [0.1]\nslope = [0.01]\n[want]\nfigures = ["heatmap"]'
+    coords = {"R": radius, "slope": slope, "gait": np.array(["long", "short"], object)}
+    made = write(tmp_path / "m.nc", text, grid, coords, {"B": POINT | {"R": 0.2}}, varied={"R": "R"})
+    drawing = draw(read(made), "heatmap", "test")
+    assert len(json.dumps(drawing.panels, separators=(",", ":"))) < 25_000
+    for k, panel in enumerate(drawing.panels):
+        assert [panel["x"]["name"], panel["y"]["name"]] == ["slope", "R"] and panel["at"] == {"walker": "B"}
+        for a, row in enumerate(panel["rows"]):
+            for b, column in enumerate(panel["columns"]):
+                start, wanted = panel["starts"][a][b], angle[row, column, k]
+                assert (start is None) == np.isnan(wanted)
+                assert start is None or start[0] == pytest.approx(wanted, rel=1e-3)
+
+
+def test_a_page_holds_its_lines_and_the_index_two_of_them(tmp_path):
+    source = _grid(tmp_path)
+    out = pages.write([source.path], tmp_path / "out").parent
+    held = {name: json.loads(re.search(r'id="lines">(.*?)</script>', (out / name).read_text(), re.S)[1])
+            for name in ("s.html", "index.html")}  # fmt: skip
+    assert held["s.html"] == starts.lines(source)
+    assert [len(line["branches"][0]) for line in held["index.html"]] == [1, 1]
+    first = parse_qs(held["index.html"][0]["first"])
+    assert held["index.html"][0]["branches"][0][0][0] == pytest.approx(float(first["slope"][0]), rel=1e-6)
+
+
+def test_the_script_is_small_and_holds_no_comment():
+    script = pages._script()
+    assert len(script.encode()) <= 60_000
+    assert not re.search(r"^\s*(//|/\*)", script, re.M)
