@@ -46,6 +46,10 @@ for scipy is {% if numba %}compiled by numba{% else %}not compiled, for numba is
 <p>Processor time of a line of 20 slopes, searched from nothing, with all its gaits, multipliers, error bounds and its
 part of the archive; lines of one key run side by side. A peer solves the long gait alone, from its neighbour's.</p>
 {{ table(lines) }}
+<h2>Gaits missed</h2>
+<p>Lines of random walkers near those of the catalogue, each searched besides at one random slope from twelve times as
+many initial guesses as the lattice has: gaits of that search, and those of them that the line's survey lacks.</p>
+{{ table(missed) }}
 <h2>Work against wanted variables</h2>
 <p>The same line for studies that want fewer and fewer variables. Each step includes its Jacobian; an event check
 samples the guards of a step that the atlas does not already guarantee; bytes are those of the wanted variables.</p>
@@ -103,6 +107,7 @@ def write(measurements: Measurements, path: Path) -> None:
         outcomes=measurements.outcomes,
         bounds=measurements.bounds,
         lines=measurements.lines,
+        missed=measurements.missed,
         flows=[{"walker": k, **v} for k, of in measurements.flows.items() for v in of],
     )
     path.write_text(text, encoding="utf-8")

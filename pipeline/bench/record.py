@@ -49,6 +49,7 @@ def write(measurements: Measurements, path: Path) -> None:
         ("outcomes", measurements.outcomes),
         ("bounds", measurements.bounds),
         ("lines", measurements.lines),
+        ("missed", measurements.missed),
     ):
         columns = {
             re.sub(r"\W+", "_", k.replace("/", " per ")).strip("_"): (

@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.bench import FAMILIES, bounds, counted, lines, machine, problems, stress
+from pipeline.bench import FAMILIES, bounds, counted, lines, machine, missed, problems, stress
 from pipeline.bench.harness import Case, time_in_turns
 from tasks.walkers.resolve import resolve
 
 #: Random lanes, and random slopes per walker, of a full and of a quick run; `make soak` takes a million and more.
 RANDOM_LANES, RANDOM_SLOPES = {False: 20_000, True: 200}, {False: 300, True: 20}
+#: Random lines searched densely; `make soak` takes a thousand.
+RANDOM_LINES = {False: 100, True: 5}
 
 
 @dataclass
@@ -28,6 +30,7 @@ class Measurements:
     outcomes: list[dict[str, float | str]] = field(default_factory=list)
     bounds: list[dict[str, float | str]] = field(default_factory=list)
     lines: list[dict[str, float | str]] = field(default_factory=list)
+    missed: list[dict[str, float | str]] = field(default_factory=list)
     kind: str = ""
     quick: bool = False
 
@@ -77,6 +80,7 @@ def measure(quick: bool, families: Sequence[str], grid: int | None, say: Callabl
     measurements.lines = lines.table(quick, [case for case in measurements.cases if case.problem == "grid"])
     say("random walkers and bounds")
     measurements.outcomes = stress.lanes(RANDOM_LANES[quick]).rows()
+    measurements.missed = missed.missed(RANDOM_LINES[quick]).rows()
     each = RANDOM_SLOPES[quick]
     measurements.bounds = bounds.bounds(each, walkers=[(name, resolve(name, {})) for name in families]).rows()
     return measurements

@@ -48,8 +48,8 @@ ANCHORS = (
 _SHARES = 3
 #: Gaits of one slope nearer than this are one; where a branch turns a coarse polynomial is no more accurate.
 _SAME = 1e-4
-#: Nodes nearer than this are the same but for the last digits.
-_TWIN = 1e-14
+#: Nodes nearer than this are the same but for rounding, which at a fold moves them along the branch.
+_TWIN = 1e-10
 
 
 def _join(m: int, down: Track, up: Track) -> tuple[Branch, int]:
@@ -202,7 +202,7 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
             continue
         w = np.hstack(gaits)
         _, check = verify_steps(problem.some(lines), w, np.full(len(lines), q))
-        new = [i for i in np.nonzero(check.anthropomorphic)[0] if not _is_known(branches[lines[i]], m, w[:, i], q)]
+        new = [i for i in np.nonzero(check.anthropomorphic)[0] if not is_known(branches[lines[i]], m, w[:, i], q)]
         if not new:
             continue
         w, lines = w[:, new], lines[new]
@@ -210,12 +210,12 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
         # One gait of every line at a time: the next may lie on its branch.
         turn = np.arange(len(lines)) - np.searchsorted(lines, lines)
         for k in range(turn.max() + 1):
-            chosen = [i for i in np.flatnonzero(turn == k) if not _is_known(branches[lines[i]], m, w[:, i], q)]
+            chosen = [i for i in np.flatnonzero(turn == k) if not is_known(branches[lines[i]], m, w[:, i], q)]
             parts = side_by_side(problem, lines[chosen], [_from_tracks(m, *pairs[i], tolerance) for i in chosen])
             for line, part in zip(lines[chosen], parts, strict=True):
                 for branch in part:
                     middle = branch.Z[len(branch.Z) // 2]
-                    if not _is_known(branches[line], m, np.delete(middle, m), middle[m]):
+                    if not is_known(branches[line], m, np.delete(middle, m), middle[m]):
                         branches[line].append(branch)
     return [_rank(each) for each in branches]
 
@@ -235,8 +235,19 @@ def _rank(branches: list[Branch]) -> list[Branch]:
     return sorted(branches, key=place)
 
 
-def _is_known(branches: list[Branch], m: int, w: np.ndarray, q: float) -> bool:
-    """True where a gait lies on a branch already followed."""
+def is_known(branches: list[Branch], m: int, w: np.ndarray, q: float) -> bool:
+    """True where a gait lies on a branch already followed.
+
+    Parameters
+    ----------
+    branches : list of Branch
+    m : int
+        Number of section coordinates.
+    w : ndarray, shape (m + phases,)
+        The gait in similarity coordinates.
+    q : float
+        ln of its slope in rad.
+    """
     for branch in branches:
         for _, Z, _ in branch.guesses(np.array([q])):
             if np.abs(np.delete(Z[0], m) - w).max() < _SAME:

@@ -130,7 +130,8 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False) -> Polishe
     near = eta < 1e-4
     converged = (bound < _MAX_BOUND) & (2 * lipschitz * eta < 1) & near
     amplification = (moves / gait.size).max(axis=0)
-    for lane in np.flatnonzero(~(bound <= extended_precision.ESCALATE) & near).tolist():
+    # Where doubles do not show that Newton converges, the shrinking of its steps in more digits does.
+    for lane in np.flatnonzero(~(converged & (bound <= extended_precision.ESCALATE)) & near).tolist():
         wide = extended_precision.refine(
             problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane]
         )

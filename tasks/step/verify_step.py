@@ -9,6 +9,8 @@ import numpy as np
 #: Shortest time to kneestrike [sqrt(leg/g)]: in less the knee flexes by no more than rounding. At time 0, where the
 #: knee is straight, its guard has a root that is no strike.
 _MIN_KNEESTRIKE = 1e-7
+#: Value of the heelstrike guard, angles being of order one, that may be rounding just before the strike itself.
+_TOUCH = 1e-12
 
 
 @dataclass
@@ -170,7 +172,7 @@ def verify(
     guard = a + b
     # Between samples i and i + 1: a strike needs the guard at or below zero with the stance angle negative.
     behind = np.minimum(a[:-1], a[1:]) - margin < 0
-    falls = (guard[1:] <= 0) & (guard[:-1] > 0) & (a[1:] < 0)
+    falls = (guard[1:] < -_TOUCH) & (guard[:-1] >= -_TOUCH) & (a[1:] < 0)
     falls[-1] = False
     # A guard that falls to zero was positive just before.
     step = (

@@ -8,11 +8,14 @@ import pytest
 from lines import branches, solved
 from oracle import Oracle, StepFailed
 from pipeline.bench.bounds import compared
+from pipeline.bench.missed import missed, neighbour
+from tasks.continuation.atlas import from_arrays
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.polish import UNKNOWN, unmeasured
 from tasks.fixed_points.step_check import verify_steps
 from tasks.registry import GAITS, STATUSES
+from tasks.solve_points import atlas, points
 from tasks.step.verify_step import strike_distance
 from tasks.walkers.resolve import resolve
 
@@ -284,3 +287,43 @@ def test_a_kept_point_is_a_step_by_its_own_motion():
     for branch in found:
         inner = np.delete(branch.Z[1:-1], branch.m, axis=1).T
         assert verify_steps(problem, inner, branch.q[1:-1])[1].step.all()
+
+
+@pytest.mark.parametrize(("count", "rate"), [(6, 0.0), pytest.param(1000, 0.01, marks=pytest.mark.soak)])
+def test_a_survey_misses_few_gaits_that_a_dense_search_finds(count, rate):
+    outcome = missed(count)
+    assert outcome.gaits.total() > count / 2
+    assert outcome.lacking.total() <= rate * outcome.gaits.total(), outcome.each
+
+
+def test_a_gait_missing_from_a_survey_is_counted(monkeypatch):
+    monkeypatch.setattr("tasks.continuation.atlas.survey_lines", lambda problem, tolerance: [[] for _ in problem.lanes])
+    outcome = missed(4)
+    assert outcome.lacking == outcome.gaits and len(outcome.each) == outcome.gaits.total() > 0
+    assert outcome.rows()[-1]["missed"] == outcome.gaits.total()
+
+
+def beside_special_points(branches, random):
+    """Slopes at relative distances from 1e-12 to 1e-2 from folds and ends of a line's branches, on their side."""
+    places = [(b, f, b.q[f - 1]) for b in branches for f, _ in b.pieces()[1:]]
+    places += [(b, e, b.q[inner]) for b in branches for e, inner in ((0, 1), (-1, -2))]
+    for branch, at, inner in [places[i] for i in random.integers(len(places), size=26)] if places else []:
+        distance = np.sign(inner - branch.q[at]) * 10 ** random.uniform(-12, -2)
+        if np.log(1e-6) < branch.q[at] < np.log(0.69):
+            yield float(np.exp(branch.q[at]) * (1 + distance))
+
+
+@pytest.mark.parametrize("count", [5, pytest.param(2000, marks=pytest.mark.soak)])
+def test_no_point_beside_a_fold_or_an_end_of_a_random_line_fails(count):
+    """Walkers off by up to 30 %, or detuned from -0.5 to 2; 40 slopes each."""
+    failed = []
+    for k in range(count):
+        walker, overrides, _ = neighbour(k)
+        random, line = np.random.default_rng(k), {"walker": walker, "set": overrides}
+        surveyed = atlas({"line": line, "coarse": True}, [])
+        slope = [*np.exp(random.uniform(np.log(1e-3), np.log(0.15), 14))]
+        slope += beside_special_points(from_arrays(surveyed), random)
+        out = points({"line": line, "slope": np.array(slope), "want": ("stance_angle", "status", "reason")}, [surveyed])
+        for i, g in np.argwhere(np.isin(out["status"], FAILURES)):
+            failed.append((walker, overrides, slope[i], out["reasons"][out["reason"][i, g]]))
+    assert len(failed) <= 0.005 * count, failed
