@@ -46,6 +46,10 @@ for scipy is {% if numba %}compiled by numba{% else %}not compiled, for numba is
 <p>Processor time of a line of 20 slopes, searched from nothing, with all its gaits, multipliers, error bounds and its
 part of the archive; lines of one key run side by side. A peer solves the long gait alone, from its neighbour's.</p>
 {{ table(lines) }}
+<h2>Planes</h2>
+<p>Processor time of walkers that differ in two keys, at one slope: of each gait that is added to a plane, with its
+multipliers, error bound and part of the archive, and of making a cell, over which the gaits are predicted.</p>
+{{ table(planes) }}
 <h2>Gaits missed</h2>
 <p>Lines of random walkers near those of the catalogue, each searched besides at one random slope from twelve times as
 many initial guesses as the lattice has: gaits of that search, and those of them that the line's survey lacks.</p>
@@ -107,6 +111,7 @@ def write(measurements: Measurements, path: Path) -> None:
         outcomes=measurements.outcomes,
         bounds=measurements.bounds,
         lines=measurements.lines,
+        planes=measurements.planes,
         missed=measurements.missed,
         flows=[{"walker": k, **v} for k, of in measurements.flows.items() for v in of],
     )

@@ -16,8 +16,9 @@ from pipeline.bench.harness import Case
 KEYS = {"E": ("foot_mass_ratio", 0.03, 0.4), "A": ("detuning", 0.05, 1.2), "C": ("detuning", 0.05, 0.6)}
 #: Slopes of a line.
 SLOPES = np.geomspace(1e-3, 0.15, 20)
-#: Lines of the larger and of the smaller study of a full and of a quick run; their difference is measured.
-LINES = {False: (80, 16), True: (12, 4)}
+#: Lines of the larger and of the smaller study of a full and of a quick run, too few for a plane; their difference is
+#: measured.
+LINES = {False: (60, 16), True: (12, 4)}
 
 
 def table(quick: bool, peers: list[Case]) -> list[dict[str, float | str]]:

@@ -49,6 +49,7 @@ def write(measurements: Measurements, path: Path) -> None:
         ("outcomes", measurements.outcomes),
         ("bounds", measurements.bounds),
         ("lines", measurements.lines),
+        ("planes", measurements.planes),
         ("missed", measurements.missed),
     ):
         columns = {

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.bench import FAMILIES, bounds, counted, lines, machine, missed, problems, stress
+from pipeline.bench import FAMILIES, bounds, counted, lines, machine, missed, planes, problems, stress
 from pipeline.bench.harness import Case, time_in_turns
 from tasks.walkers.resolve import resolve
 
@@ -30,6 +30,7 @@ class Measurements:
     outcomes: list[dict[str, float | str]] = field(default_factory=list)
     bounds: list[dict[str, float | str]] = field(default_factory=list)
     lines: list[dict[str, float | str]] = field(default_factory=list)
+    planes: list[dict[str, float | str]] = field(default_factory=list)
     missed: list[dict[str, float | str]] = field(default_factory=list)
     kind: str = ""
     quick: bool = False
@@ -78,6 +79,8 @@ def measure(quick: bool, families: Sequence[str], grid: int | None, say: Callabl
         measurements.less[name] = counted.less_and_less(f, n)
     say("lines")
     measurements.lines = lines.table(quick, [case for case in measurements.cases if case.problem == "grid"])
+    say("planes")
+    measurements.planes = planes.table(quick)
     say("random walkers and bounds")
     measurements.outcomes = stress.lanes(RANDOM_LANES[quick]).rows()
     measurements.missed = missed.missed(RANDOM_LINES[quick]).rows()

@@ -1,0 +1,92 @@
+"""Processor time of planes of keys: what a cell takes to make, and what every further walker adds."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.api import run
+from pipeline.study.parse import parse
+from tasks.registry import ALWAYS
+from tasks.solve_planes import lines
+
+#: Walkers, a slope, and the two keys with their ranges.
+_PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {
+    "B": (0.01, {"m_s": (0.05, 0.15), "R": (0.0, 0.25)}),
+    "C": (0.04, {"detuning": (0.0, 1.0), "m_h": (0.0, 1.5)}),
+}
+#: Walkers along each key in the larger and in the smaller study of a full and of a quick run.
+_ACROSS = {False: (120, 40), True: (48, 32)}
+
+
+def table(quick: bool) -> list[dict[str, float | str]]:
+    """Measure planes of walkers at one slope.
+
+    Parameters
+    ----------
+    quick : bool
+        Fewer walkers.
+
+    Returns
+    -------
+    list of dict
+        Rows of the table, times in s.
+
+    Notes
+    -----
+    Two studies have the same cells and differ in their number of walkers; the difference is what further gaits take,
+    with multipliers, error bounds, journal and archive. What is left of the smaller study is that of its cells, and of
+    a start.
+    """
+    rows: list[dict[str, float | str]] = []
+    for name, (slope, keys) in _PLANES.items():
+        (more, gaits), (fewer, known) = (_solve(name, slope, keys, n) for n in _ACROSS[quick])
+        each = (more - fewer) / (gaits - known)
+        cells, surveyed = _surveyed(name, slope, keys, _ACROSS[quick][1])
+        rows.append(
+            {
+                "walker": name,
+                "keys": " × ".join(keys),
+                "gaits": float(gaits),
+                "s a further gait": each,
+                "s a cell": (fewer - known * each) / cells,
+                "cells": float(cells),
+                "share of walkers surveyed one by one": surveyed,
+            }
+        )
+    return rows
+
+
+def _axes(keys: dict[str, tuple[float, float]], n: int) -> dict[str, np.ndarray]:
+    return {key: np.linspace(low, high, n) for key, (low, high) in keys.items()}
+
+
+def _solve(walker: str, slope: float, keys: dict[str, tuple[float, float]], n: int) -> tuple[float, int]:
+    """Processor time of a study by one worker and of its archive [s], and the number of its gaits."""
+    axes = {"slope": [slope], **{key: values.tolist() for key, values in _axes(keys, n).items()}}
+    study: dict[str, Any] = {"name": "plane", "walker": walker, "axes": axes}
+    with tempfile.TemporaryDirectory() as folder:
+        begin = os.times()
+        archive = run(study, jobs=1, archive=Path(folder, "plane.nc"), quiet=True)
+        end = os.times()
+    return sum(end[:4]) - sum(begin[:4]), int((archive.status == "converged").sum())
+
+
+def _surveyed(walker: str, slope: float, keys: dict[str, tuple[float, float]], n: int) -> tuple[int, float]:
+    """Number of cells of a plane, and the share of its walkers whose lines are surveyed one by one."""
+    axes = {key: values.tolist() for key, values in _axes(keys, n).items()}
+    study = parse({"name": "plane", "walker": walker, "axes": {"slope": [slope], **axes}}, "", Path("plane.toml"))
+    assert study.plane
+    cells, surveyed = 0, 0
+    for numbers in study.cells():
+        block = [study.line(number) for number in numbers.tolist()]
+        params = {"lines": block, "slope": study.slope, "want": ALWAYS, "cell": study.plane.cell(block[0]["set"])}
+        ((_, points),) = lines(params, [])
+        cells += 1
+        # Sentences of the cell come first; every line that was surveyed has its own.
+        surveyed += int((points["reason"].max(axis=1) > 5).sum())
+    return cells, surveyed / study.lines
