@@ -24,6 +24,8 @@ from tasks.walkers.walker_array import WalkerArray
 
 #: A gait may lie this many times farther from its prediction than any that was measured.
 _SAFETY = 8.0
+#: Errors of the ends of pieces are taken to be no smaller, in ln slope.
+_LEAST_END_ERROR = 1e-9
 #: Lipschitz estimates of the nodes around, times this, serve a point.
 _LIPSCHITZ_SAFETY = 4.0
 #: Gaits of two pieces nearer than this could be one.
@@ -177,7 +179,7 @@ def _solve_block(
         off = (ends[:, :1] - q, q - ends[:, 1:])
         for end in (0, 1):
             if patch.events[end]:
-                accepted &= (np.abs(off[end]) > _SAFETY * patch.end_errors[end]).all(axis=1)
+                accepted &= (np.abs(off[end]) > _SAFETY * max(patch.end_errors[end], _LEAST_END_ERROR)).all(axis=1)
         index = index[(off[0] <= 0) & (off[1] <= 0)]
         line = index // s
         w, node = patch.predict(unit[line], q[index % s], ends[line])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from tasks.continuation.atlas import survey_lines
 from tasks.continuation.branch import Branch
 from tasks.continuation.refine import COARSE
 from tasks.families.box import Box, roots
-from tasks.families.patch import Patch, along, fit, tails
+from tasks.families.patch import Patch, along, basis, fit, tails
 from tasks.families.pieces import Piece, match, pieces_of
 from tasks.fixed_points.newton import lipschitz, newton, newton_step
 from tasks.fixed_points.rounding import rounding_std
@@ -39,6 +40,8 @@ _ALONG, _COARSE_TAIL = (8, 16, 32, 48), 1e-5
 _MEASURED = (6, 3)
 #: A piece that goes on farther than this beyond the panel, in ln slope, is cut, at most twice as far.
 _CLEAR = 0.03
+#: Ends farther than this from the panel are as good as there, in ln slope.
+_FAR = 1.0
 #: How often a box is halved, and from how many lines on its patches are worth their making.
 _MOST_SPLITS, _LEAST_LINES = 6, 24
 
@@ -148,7 +151,8 @@ class _Maker:
         groups: list[list[Piece]] = []
         for group in match(lines, _neighbours(n, self.d), self.low - _CLEAR, self.high + _CLEAR):
             known = [piece for piece in group if piece is not None]
-            if not any(piece.q[1] > self.low - _CLEAR and piece.q[0] < self.high + _CLEAR for piece in known):
+            ends = self.reach(known, n)
+            if ends[1, 1] < self.low - _CLEAR or ends[0, 0] > self.high + _CLEAR:
                 continue
             if len(known) < len(group):
                 present = np.array([piece is not None for piece in group]).reshape((n,) * self.d)
@@ -157,10 +161,23 @@ class _Maker:
             groups.append(known)
         return groups
 
+    def reach(self, known: list[Piece], n: int) -> np.ndarray:
+        """Least and largest ln slope of the lower and of the upper end of a piece in the box: (2, 2), ends first.
+
+        By their values on node lines; if the piece is on all n^d, by their polynomial too, up to the edges of the box.
+        """
+        q = np.clip([piece.q for piece in known], self.low - _FAR, self.high + _FAR)
+        extremes = np.array([q.min(axis=0), q.max(axis=0)])
+        if len(known) == n**self.d:
+            edges = np.array(list(itertools.product(np.linspace(-1, 1, 5), repeat=self.d)))
+            q = basis(edges, (n,) * self.d) @ fit(q, (n,) * self.d)
+            extremes = np.array([np.minimum(extremes[0], q.min(axis=0)), np.maximum(extremes[1], q.max(axis=0))])
+        return np.asarray(extremes.T)
+
     def cuts(self, group: list[Piece]) -> np.ndarray:
-        """Ln slopes at which a piece is cut, shape (2,); NaN where it ends near the panel on some line."""
-        q = np.array([piece.q for piece in group])
-        beyond = np.array([self.low - q[:, 0].max(), q[:, 1].min() - self.high])
+        """Ln slopes at which a piece is cut, shape (2,); NaN where it ends near the panel somewhere in the box."""
+        ends = self.reach(group, round(len(group) ** (1 / self.d)))
+        beyond = np.array([self.low - ends[0, 1], ends[1, 0] - self.high])
         off = np.where(beyond > _CLEAR, np.minimum(2 * _CLEAR, 0.5 * beyond), np.nan)
         return np.array([self.low - off[0], self.high + off[1]])
 

@@ -8,6 +8,7 @@ import pytest
 from tasks.families.box import Box, roots
 from tasks.families.cell import PANEL, Family, Refused, _Maker, make
 from tasks.families.patch import along, basis, coordinate, fit
+from tasks.families.pieces import Piece
 from tasks.mechanics.lumped import common_structure, constants_of
 from tasks.registry import ALWAYS, GAITS
 from tasks.solve_planes import lines, solve
@@ -156,6 +157,17 @@ def test_a_dropped_and_an_invented_branch_are_found(cell):
     moved[0].gaits[0] += 0.5
     with pytest.raises(Refused, match="lacks a piece"):
         maker.check(moved)
+
+
+def test_ends_are_looked_for_up_to_the_edges_of_a_box(cell):
+    family, right = cell
+    maker = _Maker(family, right.box, -4.625)
+    unit = right.box.unit(right.box.nodes(3))
+    pieces = [Piece(None, 0, 0, 0, 1, ("fold", "fold"), (-9.0, -4.625 - 0.05 + 0.055 * x)) for x in unit[:, 0]]
+    assert max(piece.q[1] for piece in pieces) < -4.625
+    assert maker.reach(pieces, 3)[1] == pytest.approx([-4.625 - 0.105, -4.625 + 0.005], abs=1e-12)
+    assert maker.reach(pieces, 3)[0] == pytest.approx([-5.625, -5.625])  # as good as there
+    assert maker.reach(pieces[:5], 3)[1, 1] == max(piece.q[1] for piece in pieces[:5])
 
 
 def test_a_box_of_few_lines_is_left_to_lines():
