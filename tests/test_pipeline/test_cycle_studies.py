@@ -145,6 +145,13 @@ def test_pages_say_how_many_steps_and_their_commands_work(archives, capsys):
     assert set(scaling.columns) > {"quantity", "exponent"}
 
 
+def test_an_archive_of_longer_gaits_is_not_proved(archives, capsys):
+    pytest.importorskip("flint")
+    path = archives["grid"] / "s.nc"
+    assert commands.main(["prove", str(path)]) == 2
+    assert capsys.readouterr().err == (f"gaitsweep: {path} holds gaits of 2 steps; proofs are of gaits of one step.\n")
+
+
 WRONG = [
     ("steps = 0", "`steps` must be a whole number from 1 to 64; got 0 (s.toml, options.steps)."),
     ("steps = 65", "`steps` must be a whole number from 1 to 64; got 65 (s.toml, options.steps)."),
