@@ -130,6 +130,8 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
         missing = [name for name in ("status", *_NEEDED) if name not in file.variables]
         if missing or "gait" not in file.dimensions:
             raise ArchiveError(f"{path} holds no gaits to prove: it has no {missing[0] if missing else 'gait'}.")
+        if "steps" in file.ncattrs():
+            raise ArchiveError(f"{path} holds gaits of {int(file.steps)} steps; proofs are of gaits of one step.")
         try:
             tables = json.loads(file.provenance)["walkers"]
         except (ValueError, KeyError, TypeError) as error:

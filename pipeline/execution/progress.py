@@ -122,10 +122,11 @@ class Progress:
         at_once, stages = self.jobs.engine.jobs if self.jobs else 1, {}
         for name, count in self.todo.items():
             done = self.done[name]
-            mean_seconds = self.seconds[name] / done if done else costs.seconds(self.plan.study, name)
-            seconds_left = mean_seconds * max(0, count - done)
             if name == "points":
                 seconds_left = self.jobs.costs.seconds_left() if self.jobs else 0.0
+            else:
+                mean_seconds = self.seconds[name] / done if done else costs.seconds(self.plan.study, name)
+                seconds_left = mean_seconds * max(0, count - done)
             if count:
                 stages[name] = {"done": done, "todo": count, "eta": round(seconds_left / at_once, 1)}
         return stages

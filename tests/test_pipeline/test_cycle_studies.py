@@ -124,13 +124,21 @@ def test_a_branch_is_followed_through_its_fold_and_flips_as_the_cascade_has_them
         assert file["branches/period"].long_name == "duration of 3 steps" and file.steps == 3
 
 
-def test_a_branch_that_a_flip_begins_starts_there(tmp_path):
-    text = BRANCH.replace("steps = 3", "steps = 2").replace("0.016", "0.0160")
-    assert run(tmp_path, text) == 0
+@pytest.mark.parametrize(
+    ("walker", "low", "high", "flip"), [("D", 0.012, 0.016, 0.0150884), ("C", 0.07, 0.08, 0.0768534)]
+)
+def test_a_branch_that_a_flip_begins_starts_there(tmp_path, walker, low, high, flip):
+    """The paper, sections 3 and 7: period doubling of the simplest walker at 0.0151; of the kneed one see claim K1."""
+    text = BRANCH.replace("steps = 3", "steps = 2").replace('"D"', f'"{walker}"').replace("0.012", f"{low}")
+    assert run(tmp_path, text.replace("0.016", f"{high}")) == 0
     points, branch = (load(tmp_path / "s.nc", name) for name in ("special_points", "branches"))
     assert points["kind"].tolist() == ["branch_point"] and branch["slope"][0] == points["slope"][0]
-    # The paper, section 3: period doubling at 0.0151.
-    assert points["slope"][0] == pytest.approx(0.0150884, abs=1e-7)
+    assert points["slope"][0] == pytest.approx(flip, abs=1e-7) and points["error_bound"][0] < 1e-12
+    one, two = (pipeline.gaits(walker, [flip, high], steps=n).isel(gait=0) for n in (1, 2))
+    assert points["period"][0] == pytest.approx(2 * one.period[0].item(), rel=1e-6)
+    for name in ("stance_angle", "period", "kneestrike_time", "spectral_radius"):
+        assert branch[name].iloc[-1] == pytest.approx(two[name][1].item(), rel=1e-9, nan_ok=True), name
+    assert branch["gait"].iloc[-1] == "long" and branch["stable"].iloc[-1] == 1
 
 
 def test_pages_say_how_many_steps_and_their_commands_work(archives, capsys):
@@ -143,6 +151,13 @@ def test_pages_say_how_many_steps_and_their_commands_work(archives, capsys):
         assert f"gaitsweep solve --walker D --steps {steps}" in text
     scaling = load(archives["grid"] / "s.nc", "fits/scaling")
     assert set(scaling.columns) > {"quantity", "exponent"}
+
+
+def test_an_archive_of_longer_gaits_is_not_proved(archives, capsys):
+    pytest.importorskip("flint")
+    path = archives["grid"] / "s.nc"
+    assert commands.main(["prove", str(path)]) == 2
+    assert capsys.readouterr().err == (f"gaitsweep: {path} holds gaits of 2 steps; proofs are of gaits of one step.\n")
 
 
 WRONG = [

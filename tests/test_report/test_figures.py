@@ -10,7 +10,7 @@ from pipeline.report.figures import FIGURES, draw
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.cycle import traced_steps
 from pipeline.report.figures.degrees import add_degrees
-from pipeline.report.figures.style import GAIT_COLOURS, MUTED, plain
+from pipeline.report.figures.style import GAIT_COLOURS, MUTED, log_axis, plain
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
 from test_report import synthetic
@@ -257,3 +257,13 @@ def test_what_is_drawn_in_radians_has_second_axes_in_degrees():
     assert right.get_ylim() == pytest.approx(np.degrees(panels[0][0].get_ylim()))
     labels = [label.get_text() for label in right.get_yticklabels()]
     assert labels == [f"{tick:g}°" for tick in right.get_yticks()] and 3 <= len(labels) <= 6
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0155, 0.0185), (0.01, 0.05), (1e-3, 0.1), (1e-6, 0.1)])
+def test_ticks_of_a_logarithmic_axis_differ(low, high):
+    axes = Figure().subplots()
+    log_axis(axes, "x")
+    axes.set_xlim(low, high)
+    axes.figure.draw_without_rendering()
+    labels = [label.get_text() for label in axes.get_xticklabels() if label.get_text()]
+    assert len(labels) == len(set(labels)) > 1

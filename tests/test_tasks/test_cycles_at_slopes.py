@@ -1,5 +1,7 @@
 """Gaits that repeat after n steps: against simulation, the product of single steps, orbits, and other units."""
 
+from dataclasses import replace
+
 import mpmath as mp
 import numpy as np
 import pytest
@@ -7,8 +9,8 @@ import pytest
 import pipeline
 from extended import Walker, _derivative
 from lines import branches as atlas_of
-from tasks.continuation.cycles import at_slope
-from tasks.follow_cycles import CycleBranch, cycle_branches, from_arrays, to_arrays
+from tasks.continuation.cycles import Cycle, at_slope
+from tasks.follow_cycles import CycleBranch, _at_flip, _end, cubic, cycle_branches, from_arrays, to_arrays
 from tasks.solve_cycles import _beside_flip, _keeps_apart, _worst, cycle_points, solve_cycle
 from tasks.status import NOT_CONVERGED
 
@@ -236,3 +238,43 @@ def test_a_gait_beside_its_flip_moves_by_the_cubic_not_by_its_linearisation():
         farthest = max(1 - min(reach), max(reach) - 1)
         assert _beside_flip(Y, moved) * x == pytest.approx(farthest, rel=1e-3, abs=2e-5 * (1 + np.sqrt(x)))
     assert _beside_flip(np.array([[0.3, 0.2, 0.1]]), np.array([[1.0, 0.0, 0.0]])) == 1.0
+
+
+def cycle(angles, knees=(), q=-4.0):
+    """A gait of which only angles, strikes and slope matter."""
+    Y = np.array([angles, np.zeros(len(angles))])
+    times = np.array([*([knees] if len(knees) else []), np.ones(len(angles))])
+    return Cycle(Y, times, q, np.zeros((2, 2, len(angles))), np.zeros(2 * len(angles) + 1), True, 0.0)
+
+
+def test_what_ends_a_branch():
+    one, other = cycle([0.2, 0.3]), cycle([0.21, 0.29])
+    assert _end(one, cycle([0.2, 0.3], q=np.log(0.6))) == "window"
+    assert _end(one, cycle([0.3, 0.2])) == "lost"  # its halves changed sides
+    assert _end(one, other) == "end_earlier_strike"
+    assert _end(cycle([0.2, 0.3], [0.5, 0.9999999]), other) == "end_kneestrike_at_heelstrike"
+    assert _end(cycle([0.2, 0.3], [0.5, 0.9]), other) == "end_earlier_strike"
+
+
+def test_a_flip_as_a_gait_of_twice_its_period_begins_where_its_neighbour_does():
+    flip, beside = cycle([0.2, 0.3]), cycle([0.31, 0.19, 0.29, 0.21])
+    for sign in (1.0, -1.0):
+        end = _at_flip(flip, beside, sign)
+        assert end.Y[0].tolist() == [0.3, 0.2, 0.3, 0.2] and end.q == flip.q
+        # The neighbour lies along the tangent that leaves the flip, against the one that arrives there.
+        assert np.sign(end.tangent @ (beside.Z - end.Z)) == sign and np.linalg.norm(end.tangent) == pytest.approx(1.0)
+        assert end.tangent[-1] == 0.0
+
+
+def test_the_cubic_beside_a_flip_keeps_the_square_of_the_distance():
+    """On q = c a^2 with unit speed in arclength, the slope of every point is that of its distance from the flip."""
+    c, a = 40.0, 0.02
+    curve = lambda s: np.array([s, -s, c * s * s])  # noqa: E731
+    flip, point = cycle([0.0, 0.0]), cycle([0.0, 0.0])
+    for which, s in ((flip, 0.0), (point, a)):
+        which.Y, which.q = curve(s)[None, :2] * np.sqrt(2), curve(s)[2]
+        which.tangent = np.array([1.0, -1.0, 2 * c * s]) / np.linalg.norm([1.0, -1.0, 2 * c * s])
+    for h in (0.1, 0.5, 0.9):
+        np.testing.assert_allclose(cubic(flip, point)(h), curve(h * a), atol=1e-15)
+        point_first = cubic(replace(point, tangent=-point.tangent), replace(flip, tangent=-flip.tangent))
+        np.testing.assert_allclose(point_first(1 - h), curve(h * a), atol=1e-15)

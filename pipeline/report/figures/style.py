@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
@@ -117,6 +118,12 @@ def _is_narrow(low: float, high: float) -> bool:
     return high < 200 * low
 
 
+def _digits(axis: Axis) -> int:
+    """Digits that tell the ticks of a narrow logarithmic axis apart."""
+    low, high = axis.get_view_interval()
+    return 2 if high > 2 * low else 4
+
+
 class _Decades(LogLocator):
     """Ticks at powers of ten, and on narrow axes at twice and five times them."""
 
@@ -133,7 +140,9 @@ def log_axis(axes: Axes, which: str) -> None:
     axis = getattr(axes, f"{which}axis")
     axis.set_major_locator(_Decades())
     axis.set_major_formatter(
-        FuncFormatter(lambda value, _: plain(value, 2) if _is_narrow(*axis.get_view_interval()) else _decade(value))
+        FuncFormatter(
+            lambda value, _: plain(value, _digits(axis)) if _is_narrow(*axis.get_view_interval()) else _decade(value)
+        )
     )
     axis.set_minor_locator(NullLocator())
 
