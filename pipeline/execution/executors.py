@@ -34,8 +34,13 @@ class Engine:
             from pipeline.execution import cluster
 
             with cluster.connect(self.address) as client:
+
+                def run(jobs: _Jobs) -> _Results:
+                    self.jobs = cluster.workers(client)
+                    return cluster.results(client, _run_job, jobs)
+
                 self.jobs = cluster.workers(client)
-                yield lambda jobs: cluster.results(client, _run_job, jobs)
+                yield run
 
 
 def _run_job(number: int, request: Request) -> tuple[int, dict[str, Any]]:

@@ -21,7 +21,7 @@ from pipeline.execution.worker_process import Request
 
 _JOBS_PER_WORKER = 16  # jobs submitted or not yet read, for each worker
 _MAX_RETRIES = 3  # consecutive restarts of a broken engine
-_MAX_SHARED = 1000  # atlases kept for other studies, some kilobytes each
+_MAX_SHARED = 300  # atlases kept for other studies, some 100 kB each
 
 
 class Scheduler:
@@ -96,11 +96,11 @@ class Scheduler:
             ready = [study for study in self.studies if study.next]
             if not ready:
                 return
-            job = max(ready, key=lambda study: study.urgency).take()
-            if not self._is_shared(job):
+            taken = max(ready, key=lambda study: study.urgency).take()
+            if taken and not self._is_shared(taken[0]):
                 number = next(self._numbers)
-                self.running[number] = job
-                yield number, job.study.request(job)
+                self.running[number] = taken[0]
+                yield number, taken[1]
 
     def _is_shared(self, job: Job) -> bool:
         """Whether another study has or gets the same atlas, which is then copied."""

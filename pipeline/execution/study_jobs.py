@@ -147,16 +147,21 @@ class StudyJobs:
         except Exception as error:
             self.fail(error)
 
-    def take(self) -> Job:
-        """Take the next job."""
+    def take(self) -> tuple[Job, Request] | None:
+        """Take the next job and its request; None if that fails, which ends the study."""
         job = self.next
         assert job is not None
-        self.taken += 1
         try:
-            self.next = self._returned.popleft() if self._returned else next(self._wave, None)
+            request = self.request(job)
+            following = self._returned.popleft() if self._returned else next(self._wave, None)
+        except StoppedError:
+            raise
         except Exception as error:
             self.fail(error)
-        return job
+            return None
+        self.taken += 1
+        self.next = following
+        return job, request
 
     def put_back(self, job: Job) -> None:
         """Return a job that was taken and lost."""

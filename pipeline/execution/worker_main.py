@@ -148,11 +148,11 @@ def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
 
     while n_gaits and empty(n_gaits - 1):
         n_gaits -= 1
-    reasons = np.asarray(result["reasons"])
+    used, reason = np.unique(result["reason"], return_inverse=True)
     states = {
         "status": status,
-        "reason": np.asarray(result["reason"], np.int16),
-        "reasons": reasons if reasons.size else np.zeros(0, "U1"),
+        "reason": reason.reshape(status.shape).astype(np.int16),
+        "reasons": np.array([str(result["reasons"][k]) for k in used] if len(result["reasons"]) else [], "U"),
         **digests,
     }
     return [serialize.dump(states), serialize.dump({name: a[:, :n_gaits] for name, a in columns.items()})]

@@ -267,8 +267,10 @@ def _connect(path: Path | None, write: bool = True, page: int = 0) -> sqlite3.Co
     """Open a journal, or create one with pages of `page` byte; without a path, in memory."""
     options: dict[str, Any] = {"timeout": 10, "isolation_level": None, "check_same_thread": False}
     if path and not write and not os.access(path.parent, os.W_OK):
-        # SQLite creates a shared lock file even to read; in a read-only folder nobody else writes.
-        db = sqlite3.connect(f"file:{quote(str(path))}?immutable=1", uri=True, **options)
+        # SQLite creates a shared lock file even to read; in a read-only folder only the files of a writer can be used.
+        is_written = path.with_name(path.name + "-wal").exists()
+        how = "mode=ro" if is_written else "immutable=1"
+        db = sqlite3.connect(f"file:{quote(str(path))}?{how}", uri=True, **options)
     else:
         db = sqlite3.connect(path or ":memory:", **options)
     try:

@@ -22,7 +22,7 @@ from conftest import ROOT, STUDY, TOYS
 from pipeline.archive import write
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError
-from pipeline.execution import locks
+from pipeline.execution import locks, study_jobs
 from processes import sidecar_path
 
 
@@ -330,6 +330,26 @@ def test_one_study_that_fails_on_the_way_does_not_end_the_others(toy, monkeypatc
     records = {path.name[0]: json.loads(path.read_text()) for path in folder.glob("*.run.json")}
     assert {name: record["exit_code"] for name, record in records.items()} == {"a": 0, "b": 4, "c": 0}
     assert records["b"]["error"] == "The disk is full."
+
+
+def test_one_study_whose_results_cannot_be_read_does_not_end_the_others(toy, monkeypatch, capsys):
+    """Not even while joblib asks for its next job."""
+    monkeypatch.chdir(toy.folder)
+    for name in ("a", "b"):
+        fitted = '\n[want]\nvariables = ["period"]\nfits = ["scaling"]\n'
+        toy.write(f'name = "{name}"\nwalker = "D"\n[axes]\nslope = [0.001, 0.002, 0.005, 0.01]{fitted}', f"{name}.toml")
+    read = study_jobs.study_inputs
+
+    def fail(plan, name):
+        if plan.study.name == "a":
+            raise ArchiveError("It cannot be read.")
+        return read(plan, name)
+
+    monkeypatch.setattr(study_jobs, "study_inputs", fail)
+    assert commands.main(["run", "a.toml", "b.toml", "--jobs", "2"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("It cannot be read.") == 1 and "1 of 2 studies in" in said
+    assert [path.stem for path in Path("data", "archive").glob("*.nc")] == ["b"]
 
 
 def test_verbose_tells_of_every_chunk_in_words(toy):

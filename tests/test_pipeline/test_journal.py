@@ -335,6 +335,30 @@ def test_a_file_of_somebody_else_is_told_and_not_touched(tmp_path):
     assert (tmp_path / "j").read_bytes() == before and [f.name for f in tmp_path.iterdir()] == ["j"]
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
+def test_somebody_else_reads_a_journal_while_it_is_written(tmp_path):
+    """Of a folder where they may not write: what is in the log counts, and nothing is called damaged."""
+    slopes, folder = np.linspace(0.1, 0.4, 400), tmp_path / "archive"
+    folder.mkdir()
+    for parent in (folder, *folder.parents):
+        if parent.stat().st_uid == os.geteuid() and tmp_path.parents[1] in (parent, *parent.parents):
+            parent.chmod(0o755)
+    with contextlib.closing(Journal(folder / "j")) as journal:
+        for k in range(40):
+            journal.add_points("L", "k", WANT, row(slopes[10 * k : 10 * k + 10], float(k)), 0.1)
+            if k % 10:
+                continue
+            if not (child := os.fork()):
+                try:
+                    os.setuid(65534)
+                    with contextlib.closing(Journal(folder / "j", write=False)) as other:
+                        known = 400 - len(lines.missing(other, "L", WANT, slopes))
+                    os._exit(0 if known == 10 * k + 10 else 1)
+                except BaseException:
+                    os._exit(2)
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
 def test_reading_a_journal_that_is_not_there_makes_none(tmp_path):
     journal = Journal(tmp_path / "j", write=False)
     assert journal.empty()

@@ -1,0 +1,77 @@
+"""How many workers one parent can feed: results of 64 workers, recorded once, replayed as fast as it takes them."""
+
+import contextlib
+import os
+import time
+
+import pytest
+
+from pipeline.archive import write
+from pipeline.execution import worker_process
+from pipeline.execution.executors import Engine
+from pipeline.execution.scheduler import Scheduler
+from pipeline.execution.study_jobs import StudyJobs
+from pipeline.plan.missing import Plan
+from pipeline.store.journal import Journal
+from pipeline.study import parse
+
+#: Axes, points of a chunk, and the least number of workers.
+STUDIES = {
+    "a long line": ("slope = { from = 1e-3, to = 0.02, n = 100000 }", 5000, 8),
+    "lines of a point": ("slope = [0.01]\nR = { from = 0.0, to = 0.2, n = 512 }", None, 150),
+    "lines of 20 points": (
+        "slope = { from = 1e-3, to = 0.02, n = 20 }\nR = { from = 0.0, to = 0.2, n = 256 }",
+        None,
+        150,
+    ),
+}
+
+
+class Recording(Engine):
+    """64 workers, one after the other in one process; keeps their results."""
+
+    results = None
+
+    @contextlib.contextmanager
+    def parallel(self):
+        self.results = {} if self.results is None else self.results
+
+        def parallel(jobs):
+            for number, request in jobs:
+                place = request.params.get("digests", request.params.get("slope"))
+                key = request.function, b"" if place is None else place.tobytes()
+                if key not in self.results:
+                    self.results[key] = worker_process.run(request)
+                yield number, self.results[key]
+
+        yield parallel
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", STUDIES)
+def test_one_parent_feeds_many_workers(tmp_path, tell, monkeypatch, name):
+    axes, chunk, least = STUDIES[name]
+    monkeypatch.setenv("PYTHONPATH", os.getcwd())
+    (tmp_path / "s.toml").write_text(
+        f'name = "s"\nwalker = "E"\ngaits = ["long"]\n[axes]\n{axes}\n[want]\nvariables = ["stance_angle", "period"]\n'
+    )
+    study, engine, spent = parse.read(tmp_path / "s.toml"), Recording(64), {}
+    for run in ("recorded", "replayed"):
+        with contextlib.closing(Journal(tmp_path / run, points=study.points)) as journal:
+            jobs = StudyJobs(Plan(study, journal), engine, lambda *_: None, study.points, chunk)
+            clock = time.process_time()
+            Scheduler([jobs], engine).run()
+            spent["journal"] = time.process_time() - clock
+            write.write(jobs.plan, tmp_path / f"{run}.nc")
+            spent["archive"] = time.process_time() - clock - spent["journal"]
+        bytes_a_point = (tmp_path / run).stat().st_size / study.points
+    worker_process.close_all()
+    assert (tmp_path / "recorded.nc").read_bytes() == (tmp_path / "replayed.nc").read_bytes()
+    worker = sum(result["cpu"] for result in engine.results.values()) / study.points
+    parent = sum(spent.values()) / study.points
+    tell(
+        f"{name}: {1e6 * spent['journal'] / study.points:.2f} µs a point for the journal,"
+        f" {1e6 * spent['archive'] / study.points:.2f} for the archive, {1e6 * worker:.0f} in a worker:"
+        f" one parent feeds {worker / parent:.0f} workers; {bytes_a_point:.0f} byte a point in the journal"
+    )
+    assert worker / parent > least
