@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tasks.continuation.tracking import MAX_SLOPE, MIN_SLOPE
 from tasks.fixed_points.polish import UNKNOWN, Guesses
 
 #: Nodes nearer than this are one: that of a fold may be its neighbour but for rounding.
@@ -251,11 +252,14 @@ class Branch:
         Returns
         -------
         ndarray of int, shape (n,)
-            Counted from the branch's end at the lower slope.
+            Counted from the branch's end at the lower slope, or, where both leave the window, at the smaller angle.
         """
         firsts = [first for first, _ in self.pieces()]
         number = np.searchsorted(firsts, segment, side="right") - 1
-        return number if self.q[0] <= self.q[-1] else len(firsts) - 1 - number
+        # How far beyond the window a branch was followed is arbitrary.
+        first, last = (np.clip(self.q[i], np.log(MIN_SLOPE), np.log(MAX_SLOPE)) for i in (0, -1))
+        rises = first < last or (first == last and self.Z[0, 0] <= self.Z[-1, 0])
+        return number if rises else len(firsts) - 1 - number
 
     def known_guesses(self, Z: np.ndarray, segment: np.ndarray, slope: np.ndarray) -> Guesses:
         """Guesses with what the branch's nodes tell of their segments.
