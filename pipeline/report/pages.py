@@ -300,11 +300,13 @@ def _script() -> str:
 
 
 def _tightened(line: str) -> str:
-    """A line of script without the spaces beside its signs, except within quotes; templates are left as they are."""
-    if re.search("[`']", line):
+    """A line of script without the spaces beside its signs, except within quotes; nested templates are left."""
+    if "'" in line or line.count("`") not in (0, 2):
         return line
-    parts = re.split(r'("(?:[^"\\]|\\.)*")', line)
-    return "".join(p if p[:1] == '"' else re.sub(r" ?([=<>?:,;{}()&|*/]) ?", r"\1", p) for p in parts)
+    parts = re.split(r'("(?:[^"\\]|\\.)*"|`[^`]*`)', line)
+    return "".join(
+        p if p[:1] in ('"', "`") else re.sub(r" ?([=<>?:,;{}()&|*/]) ?| ([+-]) (?![+-])", r"\1\2", p) for p in parts
+    )
 
 
 def _csv(frame: pd.DataFrame) -> str:

@@ -15,6 +15,8 @@ STUDIES = {
     '[want]\nvariables = ["stance_angle", "period", "multipliers"]\nfigures = ["loglog", "multipliers"]\n',
     "branches": 'kind = "branch"\nwalker = "C"\n[axes]\ndetuning = [0.1]\nslope = { from = 1e-3, to = 0.1, n = 60 }\n'
     '[want]\nfigures = ["locus"]\n',
+    "ends": 'kind = "branch"\nwalker = "physical"\n[axes]\nslope = { from = 0.015, to = 0.06, n = 60 }\n'
+    '[want]\nfigures = ["locus"]\n',
     "map": 'walker = "B"\n[axes]\nR = { from = 0.1, to = 0.4, n = 31 }\nslope = { from = 0.005, to = 0.05, n = 30 }\n'
     '[want]\nvariables = ["stance_angle", "speed", "multipliers"]\nfigures = ["heatmap"]\n',
     "ratios": 'walker = "E"\n[axes]\nfoot_mass_ratio = [0.02, 0.05, 0.08, 0.11, 0.14]\n'

@@ -180,6 +180,16 @@ def test_a_row_of_a_table_walks(walk):
     assert selected(browser)["stance_angle"] == pytest.approx(float(given["stance_angle"]), rel=1e-3)
 
 
+def test_at_the_end_of_a_branch_its_nearest_gait_walks_and_says_so(walk):
+    browser = walk("ends")
+    rows = browser.find_elements("css selector", "tr[data-gait]")
+    row = next(row for row in rows if "kneestrike at heelstrike" in row.text)
+    browser.execute_script("arguments[0].querySelector('.walk-it').click()", row)
+    assert "nearest of its gaits" in wait(browser, "document.querySelector('[data-part=said]').textContent")
+    end = dict(pair.split("=") for pair in row.get_attribute("data-gait").split("&"))
+    assert selected(browser)["slope"] == pytest.approx(float(end["slope"]), rel=0.1)
+
+
 def test_a_branch_is_slid_along_through_its_folds(walk, keys):
     browser = walk("branches", anchor="#motion")
     slide = part(browser, "slide")
@@ -337,6 +347,15 @@ def test_a_figure_is_zoomed_moved_and_seen_whole_again(walk, keys, chains):
     plot.send_keys("+")
     zoomed = ask(browser, view)
     assert float(zoomed.split()[2]) == pytest.approx(float(whole.split()[2]) / 1.6)
+    # Numbers stand along its edges, for its axes may be out of sight: they rise to the right, and upwards.
+    for side, edge in (("x", "left"), ("y", "top")):
+        shown = ask(
+            browser,
+            f"""[...document.querySelectorAll('#loglog .numbers-on-edges .{side}')].map(
+            node => [parseFloat(node.style.{edge}), Number(node.textContent.replace('−', '-'))])""",
+        )
+        values = [value for _, value in sorted(shown)]
+        assert len(values) > 2 and values == sorted(values, reverse=side == "y")
     chains(browser).move_to_element(plot).click_and_hold().move_by_offset(60, 20).release().perform()
     moved = ask(browser, view)
     assert moved.split()[2] == zoomed.split()[2] and float(moved.split()[0]) < float(zoomed.split()[0])

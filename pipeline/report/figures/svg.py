@@ -93,6 +93,7 @@ class Drawing:
     targets: list[dict[str, Any]]
     lines: list[str]
     panels: list[dict[str, Any]]
+    axes: list[dict[str, Any]]
 
 
 def render(sketch: Sketch, name: str, salt: str) -> Drawing:
@@ -121,6 +122,7 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
         _targets(sketch.marks, height),
         sketch.lines,
         [_panel(k, sketch.panels, height) for k in range(len(sketch.panels))],
+        [_frame(axes, height) for axes in figure.axes if axes.axison and axes.get_label() != "<colorbar>"],
     )
 
 
@@ -223,22 +225,27 @@ def _starts(mark: Marks, inside: np.ndarray) -> dict[str, Any]:
 
 
 def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
-    """A map in the SVG's coordinates: corners, and for each axis its name, ends, scale and values.
+    """A map in the SVG's coordinates: its axes, with the name and the values of each.
 
     A map with the cells of an earlier one refers to it, `as` its place; values that the first map has are left out.
     """
     panel = panels[k]
-    box = panel.axes.get_window_extent()
-    sides = {}
+    frame = _frame(panel.axes, height)
     for side, name, values in zip("xy", panel.names, (panel.x, panel.y), strict=True):
-        limits = getattr(panel.axes, f"get_{side}lim")()
-        is_log = getattr(panel.axes, f"get_{side}scale")() == "log"
-        sides[side] = {"name": name, "limits": rounded(limits), "log": is_log}
+        frame[side]["name"] = name
         if not k or not np.array_equal(values, getattr(panels[0], side)):
-            sides[side]["values"] = rounded(values, 12)
-    corners = [round(float(v), 2) for v in (box.x0, height - box.y1, box.x1, height - box.y0)]
+            frame[side]["values"] = rounded(values, 12)
     first = next(i for i, other in enumerate(panels) if other.cells is panel.cells)
-    return {"box": corners, **sides, **(panel.cells if first == k else {"as": first})}
+    return {**frame, **(panel.cells if first == k else {"as": first})}
+
+
+def _frame(axes: Axes, height: float) -> dict[str, Any]:
+    """Axes in the SVG's coordinates: corners, and for each axis its ends and its scale."""
+    box, sides = axes.get_window_extent(), {}
+    for side in "xy":
+        is_log = getattr(axes, f"get_{side}scale")() == "log"
+        sides[side] = {"limits": rounded(getattr(axes, f"get_{side}lim")()), "log": is_log}
+    return {"box": [round(float(v), 2) for v in (box.x0, height - box.y1, box.x1, height - box.y0)], **sides}
 
 
 def _command(mark: Marks, i: int) -> float | str | None:

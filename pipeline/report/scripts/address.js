@@ -79,7 +79,14 @@ function gaitAt(line, branch, at, target = null) {
 /** Gait of a line nearest to a slope and a stance angle; null where there is none. */
 function gaitNear(line, slope, angle) {
   const place = line && slope > 0 && angle > 0 ? placeOn(line, slope, angle) : null;
-  return place && place.apart < NEAR ? gaitAt(line, place.branch, place.at, [slope, angle]) : null;
+  if (!place || place.apart >= NEAR) return null;
+  const exact = gaitAt(line, place.branch, place.at, [slope, angle]), last = line.branches[place.branch].length - 1;
+  // Where walking ends, or a strike is all but tangential, the nearest gait of the branch that is a step.
+  for (const far of exact ? [] : [0.1, 0.5, 1, 2]) for (const at of [place.at - far, place.at + far]) {
+    const near = at >= 0 && at <= last && gaitAt(line, place.branch, at);
+    if (near) return { ...near, nearby: true };
+  }
+  return exact;
 }
 
 /** Gaits of a line at a slope, one for each passage of its branches. */

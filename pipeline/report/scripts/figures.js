@@ -3,7 +3,7 @@
 
 for (const plot of document.querySelectorAll(".plot")) {
   const parse = name => JSON.parse(plot.querySelector(`script.${name}`)?.textContent ?? "[]");
-  const series = parse("marks"), panels = parse("panels"), svg = plot.querySelector("svg");
+  const series = parse("marks"), panels = parse("panels"), frames = parse("axes"), svg = plot.querySelector("svg");
   const width = Number(plot.dataset.width), height = Number(plot.dataset.height), view = { x: 0, y: 0, w: width };
   const dot = plot.appendChild(make("span", "dot")), ring = plot.appendChild(make("span", "ring")), tip = plot.appendChild(make("div", "tip"));
   for (const map of panels) for (const side of ["x", "y"]) map[side].values ??= panels[0][side].values;
@@ -95,12 +95,7 @@ for (const plot of document.querySelectorAll(".plot")) {
   }
   const shareOf = (side, value) => side.log ? Math.log(value / side.limits[0]) / Math.log(side.limits[1] / side.limits[0]) : (value - side.limits[0]) / (side.limits[1] - side.limits[0]);
 
-  /** The linear or logarithmic scale that gives these pixels of these values; null where they are of another axis. */
-  function scaleOf(values, pixels) {
-    const low = values.indexOf(Math.min(...values)), high = values.indexOf(Math.max(...values));
-    return [value => value, Math.log].map(f => value => pixels[low] + (pixels[high] - pixels[low]) * (f(value) - f(values[low])) / (f(values[high]) - f(values[low])))
-      .find(scale => values[high] > values[low] && values.every((value, i) => Math.abs(scale(value) - pixels[i]) < 0.3)) ?? null;
-  }
+  const putOn = ({ box, x, y }, at) => [box[0] + shareOf(x, at[0]) * (box[2] - box[0]), box[3] - shareOf(y, at[1]) * (box[3] - box[1])];
   /** Where a gait lies in this figure: between the two nearest points of its line, or in its cell of a map. */
   function locate(gait) {
     const own = panels.includes(gait.panel) ? [gait.panel] : panels;
@@ -108,15 +103,15 @@ for (const plot of document.querySelectorAll(".plot")) {
       const values = found.free ? { [found.x.name]: gait.start[0], [found.y.name]: gait.start[gait.start.length / 2] / gait.walker.time } : { ...gait.at, slope: gait.slope };
       if (found.free ? !gait.free || !sameLine(found.at, gait.at) : gait.panel && gait.panel !== found && !sameLine(found.at, gait.panel.at)) continue;
       if (!(found.x.name in values && found.y.name in values) || (!found.free && !gait.panel)) continue;
-      const [sx, sy] = [shareOf(found.x, values[found.x.name]), shareOf(found.y, values[found.y.name])], { box } = found;
-      if (sx >= 0 && sx <= 1 && sy >= 0 && sy <= 1) return [box[0] + sx * (box[2] - box[0]), box[3] - sy * (box[3] - box[1])];
+      const point = putOn(found, [values[found.x.name], values[found.y.name]]), { box } = found;
+      if (point[0] >= box[0] && point[0] <= box[2] && point[1] >= box[1] && point[1] <= box[3]) return point;
     }
     const angles = curve => curve.angles ?? curve.starts?.map(start => start[0]);
     const isOf = curve => angles(curve) && (curve.command === gait.line?.command || lineOf(curve) && sameLine(lineOf(curve).at, gait.at));
     // Where slope and angle are the figure's own axes, the place follows from their scales.
-    for (const curve of series.filter(isOf)) {
-      const x = scaleOf(curve.rows.map(row => row[2]), curve.rows.map(row => row[0])), y = scaleOf(angles(curve), curve.rows.map(row => row[1]));
-      if (x && y) return [x(gait.slope), y(gait.start[0])];
+    for (const curve of series.filter(isOf)) for (const one of frames) {
+      const off = ([x, y], r) => Math.hypot(...minus(putOn(one, [curve.rows[r][2], angles(curve)[r]]), [x, y]));
+      if (curve.rows.every((row, r) => off(row, r) < 0.3)) return putOn(one, [gait.slope, gait.start[0]]);
     }
     const place = (curve, r) => [Math.log(curve.rows[r][2]), Math.log(angles(curve)[r])];
     const target = [Math.log(gait.slope), Math.log(gait.start[0])];
@@ -137,12 +132,37 @@ for (const plot of document.querySelectorAll(".plot")) {
     if (point) put(ring, point); else ring.hidden = true;
   }
   document.addEventListener("gait", ({ detail }) => { chosen = detail; mark(); });
-  addEventListener("resize", () => { mark(); if (at && !tip.hidden) show(at); });
+  addEventListener("resize", () => { mark(); label(); if (at && !tip.hidden) show(at); });
   // What was chosen stays in sight above the panel.
   document.addEventListener("docked", ({ detail }) => {
     const hidden = plot.contains(document.activeElement) && !ring.hidden ? ring.getBoundingClientRect().bottom + 24 - detail : 0;
     if (hidden > 0) scrollBy({ top: hidden });
   });
+
+  // Numbers along the edges of a zoomed picture, for those of its axes are out of sight.
+  const numbers = plot.appendChild(make("div", "numbers-on-edges"));
+  numbers.setAttribute("aria-hidden", "true");
+  function label() {
+    numbers.replaceChildren();
+    if (view.w === width) return;
+    const tall = view.w * height / width, middle = [view.x + view.w / 2, view.y + tall / 2];
+    const one = frames.find(({ box }) => middle[0] > box[0] && middle[0] < box[2] && middle[1] > box[1] && middle[1] < box[3]);
+    if (!one) return;
+    const { box } = one, seen = [[view.x, view.x + view.w], [view.y + tall, view.y]];
+    ["x", "y"].forEach((side, k) => {
+      const { limits, log } = one[side], from = k ? box[3] : box[0], to = k ? box[1] : box[2];
+      const value = pixel => { const t = Math.min(1, Math.max(0, (pixel - from) / (to - from))); return log ? limits[0] * (limits[1] / limits[0]) ** t : limits[0] + t * (limits[1] - limits[0]); };
+      const [low, high] = seen[k].map(value), rough = (high - low) / 5, ten = 10 ** Math.floor(Math.log10(rough)), step = ten * [1, 2, 5, 10].find(n => n * ten >= rough), ticks = [];
+      if (log && high > 8 * low) for (let n = Math.floor(Math.log10(low)); n <= Math.log10(high); n++) ticks.push(10 ** n, ...(high < 200 * low ? [2 * 10 ** n, 5 * 10 ** n] : []));
+      else for (let n = Math.ceil(low / step); n * step <= high; n++) ticks.push(n * step);
+      for (const tick of ticks) {
+        const at = toPixels(putOn(one, k ? [one.x.limits[0], tick] : [tick, one.y.limits[0]]))[k];
+        if (at < 0 || at > (k ? tall * scale() - 16 : plot.clientWidth)) continue;
+        numbers.appendChild(make("span", side, brief(tick, 4))).style[k ? "top" : "left"] = `${at}px`;
+      }
+    });
+    numbers.style.height = `${tall * scale()}px`;
+  }
 
   // Zoom and pan of the picture.
   function look(w, [x, y] = [view.x + view.w / 2, view.y + view.w * height / width / 2]) {
@@ -152,6 +172,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     view.w = next;
     svg.setAttribute("viewBox", `${view.x} ${view.y} ${next} ${next * height / width}`);
     plot.classList.toggle("zoomed", next < width);
+    label();
     if (at && !tip.hidden) show(at);
     mark();
   }

@@ -14,7 +14,7 @@ function make(tag, name, text) {
   return node;
 }
 const minusSign = text => text.replace(/-/g, "−");
-const brief = (value, digits = 4) => !Number.isFinite(value) ? "–" : minusSign(Math.abs(value) >= 1e-4 && Math.abs(value) < 1e5 || !value ? String(Number(value.toPrecision(digits))) : value.toExponential(digits - 1));
+const brief = (value, digits = 4) => !Number.isFinite(value) ? "–" : minusSign(Math.abs(value) >= 1e-4 && Math.abs(value) < 1e5 || !value ? String(Number(value.toPrecision(digits))) : Number(value.toPrecision(digits)).toExponential());
 
 /** State of a phase at a time: its cubic Hermite polynomial between two samples. */
 function sampleAt({ samples }, t) {
