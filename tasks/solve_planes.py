@@ -16,8 +16,8 @@ from tasks.families.cell import PANEL, Cell, Family, make
 from tasks.families.patch import Patch
 from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished, join, settle
 from tasks.measures import violations
+from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store
 from tasks.registry import ALWAYS, GAITS, VARIABLES
-from tasks.solve_points import Arrays, Part, describe, nothing_solved, store
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.step.problem import Lanes
 from tasks.walkers.walker_array import WalkerArray

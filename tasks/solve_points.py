@@ -13,22 +13,17 @@ from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
 from tasks.continuation.lockstep import lanes_of
 from tasks.continuation.refine import COARSE, FINE
-from tasks.fixed_points.labels import places
-from tasks.fixed_points.multipliers import multipliers
-from tasks.fixed_points.polish import Guesses, Polished, join, settle
-from tasks.fixed_points.step_check import gait_ratio
+from tasks.fixed_points.polish import Guesses, join, settle
 from tasks.follow_cycles import cycle_branches, from_arrays, to_arrays
 from tasks.measures import violations
-from tasks.measures.kinematics import step_length, travel
-from tasks.measures.losses import heelstrike_losses, kneestrike_loss
+from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store
 from tasks.mechanics.lumped import Structure, structures_of
 from tasks.registry import ALWAYS, GAITS, PROVED, VARIABLES
 from tasks.solve_cycles import cycle_points
-from tasks.step.problem import Lanes, Problem, residual_sizes
+from tasks.step.problem import Lanes, Problem
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker
 
-Arrays = dict[str, np.ndarray]
 #: Lanes solved at a time: enough to amortize the calls, few enough for the cache.
 _BLOCK = 4096
 #: What a proof of a gait is held against, and the largest relative radius of its box.
@@ -157,28 +152,6 @@ def _solve_lines(
     return [{name: out[name] for name in (*want, "reasons")} for out in results]
 
 
-def nothing_solved(names: Sequence[str], n: int, multipliers: int) -> Arrays:
-    """Return arrays of variables at points without a gait.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Of variables.
-    n, multipliers : int
-        Number of points, and of multipliers of a gait.
-
-    Returns
-    -------
-    dict of ndarray, shape (n, len(GAITS)[, multipliers])
-    """
-    out: Arrays = {}
-    for name in names:
-        shape = (n, len(GAITS), multipliers) if "multiplier" in VARIABLES[name].dims else (n, len(GAITS))
-        out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
-    out["reason"][:] = [1, 5, 2, 2]
-    return out
-
-
 def _reasons(branches: list[Branch], searched: str) -> list[str]:
     """Sentences that `reason` indexes."""
     long, short = (
@@ -225,19 +198,6 @@ def _pieces(branches: list[Branch], slope: np.ndarray, wanted: set[str]) -> list
     return pieces
 
 
-@dataclass(frozen=True)
-class Part:
-    """Gaits of one piece of a branch: their points, what labels them, and what was solved.
-
-    `angle` and `ratio` are those by which labels are given; `angle` is NaN where a gait has none.
-    """
-
-    index: np.ndarray
-    angle: np.ndarray
-    ratio: np.ndarray
-    solved: Arrays
-
-
 def _parts(pieces: list[_Piece], gaits: Arrays) -> list[Part]:
     """Parts of the pieces, whose `gaits` follow one another."""
     parts = []
@@ -252,31 +212,6 @@ def _parts(pieces: list[_Piece], gaits: Arrays) -> list[Part]:
         ratio = np.where(solved["status"] == status.CONVERGED, solved["heelstrike_rate_ratio"], nodes)
         parts.append(Part(piece.index, angle, ratio, solved))
     return parts
-
-
-def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
-    """Store gaits by label.
-
-    Parameters
-    ----------
-    out : dict of ndarray, shape (n, len(GAITS)[, multipliers])
-        Changed in place.
-    parts : sequence of Part
-        With indices into the n points.
-    wanted : set of str
-        Labels to store.
-    """
-    n = len(out["status"])
-    angle, ratio = np.full((2, len(parts), n), np.nan)
-    for k, part in enumerate(parts):
-        angle[k, part.index], ratio[k, part.index] = part.angle, part.ratio
-    is_wanted = np.array([gait in wanted for gait in GAITS] + [False])  # there may be more gaits than labels
-    for part, place in zip(parts, places(angle, ratio), strict=True):
-        slot = np.minimum(place[part.index], len(GAITS))
-        keep = np.flatnonzero((slot >= 0) & is_wanted[slot])
-        row, slot = part.index[keep], slot[keep]
-        for name, values in out.items():
-            values[row, slot] = part.solved[name][keep]
 
 
 def _spans(branch: Branch, label: str) -> Iterator[tuple[float, float]]:
@@ -315,95 +250,3 @@ def solve(
 ) -> Arrays:
     """Polish guesses of one walker, verify that they are steps and measure the wanted variables, as `describe` does."""
     return describe(problem, problem.walker, settle(problem, guesses), guesses.slope, want, friction_limit)
-
-
-def describe(
-    problem: Problem,
-    walker: Walker,
-    at: Polished,
-    slope: np.ndarray,
-    want: Sequence[str],
-    friction_limit: float = violations.FRICTION_LIMIT,
-) -> Arrays:
-    """Measure the wanted variables of gaits.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of one walker, or of one for each gait.
-    walker : Walker
-        That walker, or an array of them, for which violations cannot be measured.
-    at : Polished
-        The gaits.
-    slope : ndarray, shape (n,) [rad]
-    want : sequence of str
-        Names of variables.
-    friction_limit : float
-
-    Returns
-    -------
-    dict of ndarray, shape (n[, multipliers])
-        In the walker's units; NaN where the guess is not converged to a step.
-    """
-    code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
-    solved = {
-        "status": code,
-        "reason": np.where(at.converged, np.where(at.step, 0, 4), 3),
-        "residual": np.abs(at.stride.residual / residual_sizes(at.stride.y, problem.phases)).max(axis=0),
-        "error_bound": at.bound,
-        "anthropomorphic": ~at.step | (at.leg_passes == 1),
-        "passes": at.leg_passes,
-    }
-    solved |= _measure(problem, walker, at, slope, want, friction_limit)
-    for name, value in solved.items():
-        if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
-            value[code != status.CONVERGED] = np.nan
-    return solved
-
-
-def _measure(
-    problem: Problem, walker: Walker, at: Polished, slope: np.ndarray, want: Sequence[str], friction_limit: float
-) -> Arrays:
-    """Variables of the groups wanted, in the walker's units."""
-    stride, scale = at.stride, at.scale
-    y, state, times = at.y * scale, at.state * scale, at.times
-    time_unit = np.sqrt(walker.leg / walker.g)
-    half = problem.map.start_size // 2
-    angle, period = y[0], times[-1] * time_unit
-    rates = state[half:] / time_unit
-    measured = {
-        "stance_angle": angle,
-        "stance_rate": rates[0],
-        "thigh_rate": rates[1],
-        "shank_rate": rates[-1],
-        "period": period,
-        "heelstrike_rate_ratio": gait_ratio(stride),
-        "kneestrike_time": times[0] * time_unit if walker.knees else np.full(len(slope), np.nan),
-    }
-    if {"multiplier_real", "multiplier_imag", "spectral_radius"} & set(want):
-        values = multipliers(stride.jacobian, 4 if walker.knees else 3)
-        measured |= {
-            "multiplier_real": values.real.copy(),
-            "multiplier_imag": values.imag.copy(),
-            "spectral_radius": np.abs(values).max(axis=1),
-        }
-    measured |= travel(walker, slope, angle, period)
-    if {"loss_normal", "loss_tangential", "loss_kneestrike", "energy_imbalance"} & set(want):
-        unit = walker.total_mass * walker.g * walker.leg
-        normal, tangential = heelstrike_losses(walker, angle, stride.impact * scale)
-        measured["loss_normal"], measured["loss_tangential"] = normal * unit, tangential * unit
-        knee = np.zeros(len(slope))
-        if walker.knees:
-            assert stride.knee is not None
-            knee = kneestrike_loss(walker, stride.knee * scale)
-        measured["loss_kneestrike"] = knee * unit if walker.knees else np.full(len(slope), np.nan)
-        drop = step_length(walker, angle) / walker.leg * np.sin(slope)
-        measured["energy_imbalance"] = (normal + tangential + knee - drop) / drop
-    if any(VARIABLES[name].group == "violations" for name in want):
-        # Extremes need closer samples than the verification of a step: it is integrated again with those.
-        fine = problem.map(y / scale, times, problem.parameters(slope, scale), samples=violations.SAMPLES)
-        assert fine.motion is not None
-        measured |= violations.measure(
-            walker, [m * scale for m in fine.motion], fine.impact * scale, times, slope, friction_limit
-        )
-    return {k: np.array(v) for k, v in measured.items()}
