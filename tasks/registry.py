@@ -232,8 +232,6 @@ TASKS = {
 #: A line of no more slopes is short: its atlas is coarse, and what its gaits' error bounds need is measured at each.
 SHORT_LINE = 256
 
-#: So many lines over one or two keys are divided into cells, whose gaits polynomials predict.
-LEAST_PLANE = 64
 
 #: Rates that complete the start of a step: a click on a gait's mark in a figure makes it walk.
 _START = ("stance_rate", "thigh_rate", "shank_rate")

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from tasks.registry import LEAST_PLANE
+#: So many lines over one or two keys are divided into cells, whose gaits polynomials predict.
+_LEAST_PLANE = 64
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ class Study:
             a for a in self.line_axes if len(a) > 1 and all(a.name in check.get("widths", ()) for check in self.checks)
         ]
         axes = sorted(sorted(axes, key=len)[-2:], key=lambda axis: axis.name)
-        if not axes or math.prod(map(len, axes)) < LEAST_PLANE:
+        if not axes or math.prod(map(len, axes)) < _LEAST_PLANE:
             return None
         widths = [min(check["widths"][axis.name] for check in self.checks) for axis in axes]
         spans = [float(np.ptp(axis.values)) for axis in axes]
