@@ -278,3 +278,11 @@ def test_the_cubic_beside_a_flip_keeps_the_square_of_the_distance():
         np.testing.assert_allclose(cubic(flip, point)(h), curve(h * a), atol=1e-15)
         point_first = cubic(replace(point, tangent=-point.tangent), replace(flip, tangent=-flip.tangent))
         np.testing.assert_allclose(point_first(1 - h), curve(h * a), atol=1e-15)
+
+
+def test_a_gait_whose_halves_came_together_is_not_the_one_guessed():
+    """Beside a flip Newton's method may fall onto the gait of half the period, of which rounding leaves two copies."""
+    guess, merged, moved = (np.array([[0.2 + a, 0.2 - a], [-0.2, -0.2]]) for a in (1e-5, 1e-8, 0.9e-5))
+    assert _keeps_apart(moved, guess) and not _keeps_apart(merged, guess)
+    # Gaits of an odd period repeat sooner only where all steps agree.
+    assert _keeps_apart(np.array([[0.2, 0.2, 0.21]]), np.array([[0.2, 0.2, 0.21]]))
