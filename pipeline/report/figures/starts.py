@@ -180,7 +180,11 @@ def cells(
     known = START if keys.get("knees") else START[:4]
     chosen = [columns[name] for name in known if name in columns and name not in names]
     values = np.stack(chosen, axis=-1)[np.ix_(down, across)]
-    starts = [[rounded(v, 4) if np.isfinite(v[:3]).all() else None for v in row] for row in values]
+    # Newton's method finds angle and rates to all digits; a slope that is not along the map is given.
+    own = int("slope" in columns and "slope" not in names)
+    starts = [
+        [rounded(v[:own], 9) + rounded(v[own:], 4) if np.isfinite(v[:3]).all() else None for v in row] for row in values
+    ]
     places = {"columns": across.tolist(), "rows": down.tolist()}
     moved = {
         key: [

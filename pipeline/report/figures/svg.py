@@ -19,7 +19,7 @@ from pipeline.report.figures.starts import START, rounded
 from pipeline.report.figures.style import VARIABLES, plain, spread_evenly
 
 #: Points of a figure that show their values under the pointer.
-TARGETS = 280
+TARGETS = 260
 
 #: Size of a figure that the index shows as it is [character]; it shows larger ones more coarsely.
 _MAX_THUMBNAIL = 11_000
