@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import platform
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from typing import Any
 from pipeline import paths, terminal
 from pipeline.archive import read, write
 from pipeline.archive.provenance import code_digest, cpu_features, version
-from pipeline.errors import ArchiveError, StoppedError, StudyError, unwritten
+from pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, unwritten
 from pipeline.execution import worker_process
 from pipeline.execution.account import Account
 from pipeline.execution.executors import Engine
@@ -25,6 +26,7 @@ from pipeline.execution.scheduler import Scheduler
 from pipeline.execution.signals import Signals
 from pipeline.execution.study_jobs import StudyJobs
 from pipeline.paths import sidecar_path
+from pipeline.plan import graph
 from pipeline.plan.missing import Plan, summary
 from pipeline.store.compact import compact
 from pipeline.store.journal import CorruptJournalError, Journal, forget, repair
@@ -32,6 +34,7 @@ from pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
 _MAX_REPAIRS = 3  # damages of a journal in one run, after which it is given up
+_LEAST_BYTES = 2  # of a packed number in an archive: 57 bytes hold a point of 27 variables at best
 _MAX_REASONS = 10  # reasons listed at the end of a run
 _SNAPSHOT_PAUSE = 20  # minimum interval, in multiples of the time of writing one
 
@@ -109,6 +112,15 @@ def _attempt(studies: list[StudyRun], options: Options, signals: Signals) -> Non
             scheduler.run()
 
 
+def _check_room(study: Study, path: Path) -> None:
+    """Refuse a study whose archive the disk cannot hold, however well it is packed."""
+    needed, free = _LEAST_BYTES * study.points * len(graph.variables(study)), shutil.disk_usage(path.parent).free
+    if needed > free:
+        raise DiskFullError(
+            f"{study.points:,} points need {needed / 1e9:,.0f} GB at least; {free / 1e9:,.0f} are free."
+        )
+
+
 class StudyRun:
     """One study of a command, from its lock to its archive and the record of the run.
 
@@ -151,6 +163,7 @@ class StudyRun:
         """Lock the archive, and with `fresh` forget earlier results."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
+            _check_room(self.study, self.path)
             self._resources.enter_context(lock_archive(self.path))
             if self.path.exists():
                 read.check_replaceable(self.path)

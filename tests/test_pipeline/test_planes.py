@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import pipeline
+from pipeline.errors import DiskFullError
 from pipeline.plan.missing import Plan
 from pipeline.store.journal import Journal
 from pipeline.study.parse import read
@@ -68,6 +69,12 @@ def test_the_digest_of_a_line_tells_its_cell(tmp_path):
 @pytest.mark.parametrize("axes", ["R = { from = 0.0, to = 0.2, n = 7 }\nm_s = { from = 0.08, to = 0.12, n = 9 }"])
 def test_few_lines_are_no_plane(tmp_path, axes):
     assert read(written(tmp_path, STUDY.format(walker="B", axes=axes))).plane is None
+
+
+def test_a_plane_that_no_disk_holds_is_refused(tmp_path):
+    text = STUDY.format(walker="B", axes=AXES.replace("n = 12", "n = 1000000").replace("n = 6", "n = 1000000"))
+    with pytest.raises(DiskFullError, match=r"2,000,000,000,000 points need [\d,]+ GB at least; [\d,]+ are free"):
+        run(tmp_path, text)
 
 
 def test_two_workers_write_the_same_bytes(archive, tmp_path):
