@@ -82,7 +82,7 @@ def serve(parent: int) -> None:
 
 
 def _integrating() -> float:
-    """Time that this process has spent in compiled integrators [s]."""
+    """Processor time that this process has spent in compiled integrators [s]."""
     return float(resolve(CLOCK)()) if CLOCK.partition(":")[0] in sys.modules else 0.0
 
 

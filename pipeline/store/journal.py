@@ -184,13 +184,14 @@ class Journal:
         -------
         dict of ndarray, shape (n, gait, ...)
         """
-        if block in self._recent:
-            self._recent.move_to_end(block)
+        with self._lock:
+            if block in self._recent:
+                self._recent.move_to_end(block)
+            else:
+                self._recent[block] = serialize.load(self._data("points", block))
+                while len(self._recent) > 2:
+                    self._recent.popitem(last=False)
             return self._recent[block]
-        self._recent[block] = serialize.load(self._data("points", block))
-        while len(self._recent) > 2:
-            self._recent.popitem(last=False)
-        return self._recent[block]
 
     def last_block(self, line: str | None = None) -> int:
         """Number of the latest block, of a line or of all; 0 where there is none."""

@@ -112,7 +112,7 @@ class Flow:
         motion : ndarray, shape (samples + 1, angles, n)
             Angles and rates; of no samples where none are asked for.
         """
-        n, scale, began = state.shape[1], parameters[1], time.perf_counter()
+        n, scale, began = state.shape[1], parameters[1], time.process_time()
         state, duration = whole_groups(state, self.lanes), whole_groups(duration, self.lanes)
         parameters = self._parameters(whole_groups(parameters, self.lanes))
         width = len(duration)
@@ -144,7 +144,7 @@ class Flow:
                     final[:, lane] = motion[:, :, lane] = np.nan
         self.evaluations += n
         self.idle += width - n
-        self.seconds += time.perf_counter() - began
+        self.seconds += time.process_time() - began
         return final[:, :n], motion[:, :, :n]
 
     def _advance(self, duration: np.ndarray, fractions: np.ndarray) -> np.ndarray:
@@ -185,5 +185,5 @@ def flow(structure: Structure, free_knee: bool, directions: int, with_slope: boo
 
 
 def integrating_seconds() -> float:
-    """Time that this process has spent in compiled flows [s]."""
+    """Processor time that this process has spent in compiled flows [s]."""
     return sum(flow.seconds for flow in FLOWS.values())
