@@ -105,7 +105,7 @@ class StudyJobs:
         if {"proved", "proved_radius"} & set(plan.variables):
             self.cost = max(self.cost, SECONDS_PER_PROOF)
         self.points_measured = 0
-        self.over_plane = graph.over_plane(self.study)
+        self.plane = self.study.plane if graph.over_plane(self.study) else None
         #: Lines of a block in one job: fewer than it has where workers would otherwise be idle.
         self.lines_at_once = max(_MIN_LINES, math.ceil(self.study.lines / (engine.jobs * _CHUNKS_PER_WORKER)))
         self.costs = Costs(len(self.study.slope), points, self.cost)
@@ -186,7 +186,9 @@ class StudyJobs:
         depths, over_study = graph.depths(self.plan.layers), self.plan.over_study(self._ran)
         for depth in range(1, 1 + max(1, *depths.values())):
             study_jobs = (
-                self._study_job(name, keys) for name, (keys, _) in over_study.items() if max(1, depths[name]) == depth
+                Job(self, name, keys, graph.study_params(self.study, name), seconds=seconds_of(self.study, name))
+                for name, (keys, _) in over_study.items()
+                if max(1, depths[name]) == depth
             )
             dependent = self._dependent_jobs() if depth == 1 else iter(())
             yield heapq.merge(study_jobs, dependent, key=lambda job: -job.seconds)
@@ -197,8 +199,7 @@ class StudyJobs:
             self._ran = True
             if isinstance(work, BlockWork):
                 # To divide the lines of a cell would be to make its patches twice.
-                most = len(work.lines) if self.over_plane else self.lines_at_once
-                parts = np.array_split(work.lines, math.ceil(len(work.lines) / most))
+                parts = np.array_split(work.lines, 1 if self.plane else math.ceil(len(work.lines) / self.lines_at_once))
                 yield from (self._block_job(dataclasses.replace(work, lines=part)) for part in parts)
                 continue
             if self.plan.blocks and len(work.missing):
@@ -218,9 +219,8 @@ class StudyJobs:
             "atlases": "atlas" in self.plan.line_tasks,
             **self.study.options,
         }
-        if self.over_plane:
-            assert self.study.plane
-            params["cell"] = self.study.plane.cell(params["lines"][0]["set"])
+        if self.plane:
+            params["cell"] = self.plane.cell(params["lines"][0]["set"])
         seconds = len(work.lines) * (seconds_of(self.study, "atlas") + len(self.study.slope) * self.cost)
         return Job(self, task.name, work.key, params, block=work, seconds=seconds)
 
@@ -308,7 +308,7 @@ class StudyJobs:
         if divided:
             slopes = self.study.slope if job.indices is None else self.study.slope[job.indices]
             params |= {"slope": slopes, "want": self.plan.variables, "gaits": self.study.gaits}
-        together = layer.task.over_plane if self.over_plane else layer.task.side_by_side
+        together = layer.task.over_plane if self.plane else layer.task.side_by_side
         function = together if job.block else layer.task.function
         seconds = limits.seconds * (1 if divided == "slope" else _WHOLE_TASK_FACTOR)
         idle = None if self.engine.address is None else _IDLE_TIMEOUT
@@ -394,16 +394,7 @@ class StudyJobs:
             self._to_probe.append(work)
         self.listen("chunk", {**_event(job, result), "points": len(indices), "counts": dict(counts)})
 
-    def _study_job(self, name: str, keys: TaskKey) -> Job:
-        params, seconds = graph.study_params(self.study, name), seconds_of(self.study, name)
-        return Job(self, name, keys, params, seconds=seconds)
-
 
 def _event(job: Job, result: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "task": job.name,
-        "line": job.work.number if job.work else None,
-        "seconds": result["seconds"],
-        "pid": result["pid"],
-        "worker": result.get("worker"),
-    }
+    line = job.work.number if job.work else None
+    return {"task": job.name, "line": line, **{key: result.get(key) for key in ("seconds", "pid", "worker")}}
