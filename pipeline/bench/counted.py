@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.bench import problems
 from tasks import solve_points
 from tasks.fixed_points import polish
+from tasks.measures import gaits as measured
 from tasks.measures import violations
 from tasks.mechanics.kernel import FLOWS, Flow
 from tasks.registry import ALWAYS, GAITS, VARIABLES
@@ -108,8 +109,8 @@ def work(
     for flow in FLOWS.values():
         flow.evaluations = flow.idle = 0
     with Calls(
-        (polish, "verify_steps", lambda problem, w, q: w.shape[1]),
-        (solve_points, "multipliers", lambda jacobian, width: jacobian.shape[2]),
+        (polish, "verify_steps", lambda problem, w, *others: w.shape[1]),
+        (measured, "multipliers", lambda jacobian, width: jacobian.shape[2]),
         (violations, "measure", lambda walker, motion, impact, times, slope, limit: len(slope)),
         (extended_precision, "refine", lambda *args: 1),
     ) as calls:

@@ -341,7 +341,7 @@ def test_somebody_else_reads_a_journal_while_it_is_written(tmp_path):
     slopes, folder = np.linspace(0.1, 0.4, 400), tmp_path / "archive"
     folder.mkdir()
     for parent in (folder, *folder.parents):
-        if parent.stat().st_uid == os.geteuid() and tmp_path.parents[1] in (parent, *parent.parents):
+        if parent.stat().st_uid == os.geteuid() and "pytest-of-" in str(parent):
             parent.chmod(0o755)
     with contextlib.closing(Journal(folder / "j")) as journal:
         for k in range(40):
