@@ -225,8 +225,7 @@ def test_the_error_bound_holds_beside_a_flip(beyond, worst):
     # The branch's own polynomial loses far less than the bound allows.
     (guess,) = branch.guesses(np.log(slope))
     merged = solve_cycle(problem, guess, slope).Y[0]
-    half = float(np.ptp(merged)) / 2
-    assert abs(float(merged.max() - angle)) < (3e-5 + 1e-13 / beyond) * half
+    assert abs(float(merged.max() / angle - 1)) < 0.01 * gait.error_bound
 
 
 def test_a_gait_beside_its_flip_moves_by_the_cubic_not_by_its_linearisation():
