@@ -13,7 +13,7 @@ from tasks import status
 from tasks.continuation.lockstep import lanes_of
 from tasks.families.box import Box
 from tasks.families.cell import PANEL, Cell, Family, make
-from tasks.families.patch import Patch
+from tasks.families.patch import Patch, side_of_fold
 from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished, join, settle
 from tasks.measures import violations
 from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store
@@ -110,8 +110,7 @@ def _reasons(family: Family, box: Box) -> list[str]:
     """Sentences that `reason` indexes."""
     sides = zip(family.keys, box.low, box.high, strict=True)
     where = ", ".join(f"{key} from {low:.6g} to {high:.6g}" for key, low, high in sides)
-    long, short = (status.absent(label, where) for label in GAITS[:2])
-    return [status.SETTLED, long, status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP, short]
+    return status.reasons(*(status.absent(label, where) for label in GAITS[:2]))
 
 
 def solve(
@@ -193,7 +192,7 @@ def _solve_block(
     problem = Lanes(walkers, cell.structure)
     at = settle(problem, guesses, sampled=True)
     fine = _are_predicted(at, guesses, np.repeat([p.error for p in cell.patches], [len(i) for i in indices]))
-    fine &= _side(at) == np.repeat([p.side for p in cell.patches], [len(i) for i in indices])
+    fine &= side_of_fold(at.stride) == np.repeat([p.side for p in cell.patches], [len(i) for i in indices])
     np.logical_and.at(accepted, line, fine)
     gaits = _describe(problem, walkers, at, guesses.slope, solved, friction_limit)
     parts, ends_of = [], np.cumsum([len(i) for i in indices]).tolist()
@@ -229,12 +228,6 @@ def _are_predicted(at: Polished, guesses: Guesses, error: np.ndarray) -> np.ndar
     with np.errstate(invalid="ignore"):
         moved = np.abs(_similarity(at) - guesses.w).max(axis=0)
     return at.converged & at.step & (moved < _SAFETY * error)
-
-
-def _side(at: Polished) -> np.ndarray:
-    """Sign of det(I - DP), shape (n,)."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.sign(np.linalg.det(np.nan_to_num(at.stride.inverse).transpose(2, 0, 1))))
 
 
 def _describe(

@@ -157,7 +157,7 @@ def _reasons(branches: list[Branch], searched: str) -> list[str]:
     long, short = (
         status.outside(label, [s for b in branches for s in _spans(b, label)], searched) for label in GAITS[:2]
     )
-    return [status.SETTLED, long, status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP, short]
+    return status.reasons(long, short)
 
 
 def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:

@@ -39,3 +39,8 @@ def absent(label: str, where: str) -> str:
         The cell of keys over which its branches were interpolated, in words.
     """
     return f"No {label} gait at this slope: no branch found over {where} has one here."
+
+
+def reasons(long: str, short: str) -> list[str]:
+    """Sentences in the order in which `reason` indexes them, with those of points without a long or a short gait."""
+    return [SETTLED, long, NO_FURTHER, NEWTON_LOST, NOT_A_STEP, short]

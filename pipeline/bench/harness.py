@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from pipeline.api import run
 from pipeline.bench.extended_reference import convert
 
 
@@ -51,6 +56,15 @@ def time_in_turns(cases: Sequence[Case], rounds: int, least: float) -> None:
             for _ in range(count):
                 case.run()
             case.seconds.append((time.perf_counter() - start) / (count * case.units))
+
+
+def solve_study(study: dict[str, Any]) -> tuple[float, int]:
+    """Processor time of a study by one worker and of its archive [s], and the number of its gaits."""
+    with tempfile.TemporaryDirectory() as folder:
+        begin = os.times()
+        archive = run(study, jobs=1, archive=Path(folder, "study.nc"), quiet=True)
+        end = os.times()
+    return sum(end[:4]) - sum(begin[:4]), int((archive.status == "converged").sum())
 
 
 def largest_error(result: np.ndarray, exact: np.ndarray) -> float:

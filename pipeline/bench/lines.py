@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 
-from pipeline.api import run
-from pipeline.bench.harness import Case
+from pipeline.bench.harness import Case, solve_study
 
 #: Walkers, and the key and its range along which their lines are drawn.
 KEYS = {"E": ("foot_mass_ratio", 0.03, 0.4), "A": ("detuning", 0.05, 1.2), "C": ("detuning", 0.05, 0.6)}
@@ -59,14 +53,6 @@ def _row(walker: str, method: str, seconds: float, gaits: float) -> dict[str, fl
 
 
 def _solve(walker: str, key: str, values: np.ndarray) -> tuple[float, int]:
-    """Processor time of a study by one worker and of its archive [s], and the number of its gaits."""
-    study: dict[str, Any] = {
-        "name": "lines",
-        "walker": walker,
-        "axes": {"slope": SLOPES.tolist(), key: values.tolist()},
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        begin = os.times()
-        archive = run(study, jobs=1, archive=Path(folder, "lines.nc"), quiet=True)
-        end = os.times()
-    return sum(end[:4]) - sum(begin[:4]), int((archive.status == "converged").sum())
+    """Processor time of lines [s], and the number of their gaits."""
+    axes = {"slope": SLOPES.tolist(), key: values.tolist()}
+    return solve_study({"name": "lines", "walker": walker, "axes": axes})

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.api import run
+from pipeline.bench.harness import solve_study
 from pipeline.study.parse import parse
 from tasks.registry import ALWAYS
 from tasks.solve_planes import lines
@@ -44,9 +42,9 @@ def table(quick: bool) -> list[dict[str, float | str]]:
     """
     rows: list[dict[str, float | str]] = []
     for name, (slope, keys) in _PLANES.items():
-        (more, gaits), (fewer, known) = (_solve(name, slope, keys, n) for n in _ACROSS[quick])
+        (more, gaits), (fewer, known) = (solve_study(_study(name, slope, keys, n)) for n in _ACROSS[quick])
         each = (more - fewer) / (gaits - known)
-        cells, surveyed = _surveyed(name, slope, keys, _ACROSS[quick][1])
+        cells, surveyed = _surveyed(_study(name, slope, keys, _ACROSS[quick][1]))
         rows.append(
             {
                 "walker": name,
@@ -61,25 +59,14 @@ def table(quick: bool) -> list[dict[str, float | str]]:
     return rows
 
 
-def _axes(keys: dict[str, tuple[float, float]], n: int) -> dict[str, np.ndarray]:
-    return {key: np.linspace(low, high, n) for key, (low, high) in keys.items()}
+def _study(walker: str, slope: float, keys: dict[str, tuple[float, float]], n: int) -> dict[str, Any]:
+    axes = {key: np.linspace(low, high, n).tolist() for key, (low, high) in keys.items()}
+    return {"name": "plane", "walker": walker, "axes": {"slope": [slope], **axes}}
 
 
-def _solve(walker: str, slope: float, keys: dict[str, tuple[float, float]], n: int) -> tuple[float, int]:
-    """Processor time of a study by one worker and of its archive [s], and the number of its gaits."""
-    axes = {"slope": [slope], **{key: values.tolist() for key, values in _axes(keys, n).items()}}
-    study: dict[str, Any] = {"name": "plane", "walker": walker, "axes": axes}
-    with tempfile.TemporaryDirectory() as folder:
-        begin = os.times()
-        archive = run(study, jobs=1, archive=Path(folder, "plane.nc"), quiet=True)
-        end = os.times()
-    return sum(end[:4]) - sum(begin[:4]), int((archive.status == "converged").sum())
-
-
-def _surveyed(walker: str, slope: float, keys: dict[str, tuple[float, float]], n: int) -> tuple[int, float]:
+def _surveyed(table: dict[str, Any]) -> tuple[int, float]:
     """Number of cells of a plane, and the share of its walkers whose lines are surveyed one by one."""
-    axes = {key: values.tolist() for key, values in _axes(keys, n).items()}
-    study = parse({"name": "plane", "walker": walker, "axes": {"slope": [slope], **axes}}, "", Path("plane.toml"))
+    study = parse(table, "", Path("plane.toml"))
     assert study.plane
     cells, surveyed = 0, 0
     for numbers in study.cells():

@@ -15,7 +15,7 @@ from tasks.continuation.atlas import survey_lines
 from tasks.continuation.branch import Branch
 from tasks.continuation.refine import COARSE
 from tasks.families.box import Box, roots
-from tasks.families.patch import Patch, along, basis, fit, tails
+from tasks.families.patch import Patch, along, basis, fit, side_of_fold, tails
 from tasks.families.pieces import Piece, match, pieces_of
 from tasks.fixed_points.newton import lipschitz, newton, newton_step
 from tasks.fixed_points.rounding import rounding_std
@@ -193,9 +193,9 @@ class _Maker:
             if larger == sizes:
                 break
             sizes = larger
-            keys, q = self.grid(sizes, np.broadcast_to(cut, (int(np.prod(sizes[1:])), 2)))
-            guess, _ = patch.predict(self.box.unit(keys), q, np.broadcast_to(cut, (len(q), 2)))
             ends = np.broadcast_to(cut, (int(np.prod(sizes[1:])), 2))
+            keys, q = self.grid(sizes, ends)
+            guess, _ = patch.predict(self.box.unit(keys), q, np.broadcast_to(cut, (len(q), 2)))
             patch = self.patch(group, (False, False), (False, False), sizes, ends, self.solve(keys, q, guess))
         return self.measured(patch)
 
@@ -293,7 +293,7 @@ class _Maker:
         w, _ = patch.predict(unit, q, ends)
         stride, _ = self.problem(self.box.at(unit)).stride(w, q)
         patch.error = float(np.nan_to_num(np.abs(newton_step(stride, w)), nan=np.inf).max())
-        sides = np.sign(np.linalg.det(np.nan_to_num(stride.inverse).transpose(2, 0, 1)))
+        sides = side_of_fold(stride)
         patch.side = float(sides[0]) if (sides == sides[0]).all() else np.nan
         return patch.error
 

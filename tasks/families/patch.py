@@ -8,6 +8,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
 from tasks.families.box import roots
+from tasks.step.step_map import Stride
 
 
 def along(share: np.ndarray, folds: tuple[bool, bool]) -> np.ndarray:
@@ -107,6 +108,23 @@ def tails(coefficients: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
     return np.array([np.take(c, -1, axis=k).reshape(-1, c.shape[-1]).sum(axis=0).max() for k in range(len(sizes))])
 
 
+def side_of_fold(stride: Stride) -> np.ndarray:
+    """Return a sign that changes where gaits pass a fold: that of the determinant of the equations' derivative.
+
+    Parameters
+    ----------
+    stride : Stride
+        Of n lanes.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        0 where the derivative is singular or not finite.
+    """
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sign(np.linalg.det(np.nan_to_num(stride.inverse).transpose(2, 0, 1))))
+
+
 @dataclass
 class Patch:
     """The gaits on one piece of a family's branches, in a box of keys and a range of slopes.
@@ -134,7 +152,7 @@ class Patch:
     rounding_std : ndarray, shape (p, o)
         Standard deviations of rounding there, as `Branch` has them.
     side : float
-        Sign of det(I - DP), the same on the whole piece.
+        Of `side_of_fold`, the same on the whole piece.
     """
 
     lines: np.ndarray
