@@ -5,7 +5,8 @@ A version is bumped by hand when a task's results change; it is the only thing (
 parameters) that makes a stored result stale.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,9 @@ from typing import Any
 GAITS = ("long", "short", "other1", "other2")
 
 #: What can become of a solve (CF flag values). How a run ended for a worker is added by the pipeline.
-STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3}
+STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3, "less_accurate": 9}
+#: Statuses of gaits that have values.
+SOLVED = ("converged", "less_accurate")
 
 #: SI units of each kind of quantity; every one is "1" for a walker in consistent units.
 SI_UNITS = {
@@ -66,6 +69,9 @@ VARIABLES = {
         Variable("multiplier_real", _M, "number", "real part of the step map's eigenvalues", "multipliers"),
         Variable("multiplier_imag", _M, "number", "imaginary part of the step map's eigenvalues", "multipliers"),
         Variable("spectral_radius", _G, "number", "largest magnitude of the step map's eigenvalues", "multipliers"),
+        Variable(
+            "multiplier_error_bound", _G, "number", "bound on the absolute errors of the multipliers", "multipliers"
+        ),
         Variable("speed", _G, "speed", "mean speed along the slope"),
         Variable("froude_speed", _G, "number", "mean speed over sqrt(g (l + R))"),
         Variable("cost_of_transport", _G, "number", "energy lost over weight and distance"),
@@ -183,6 +189,34 @@ COSTLY = ("violations", "proofs")
 #: Always archived, whatever a study wants.
 ALWAYS = ("residual", "error_bound", "branch", "piece", "status", "reason")
 
+#: What is known only of steps that are integrated: a study of an accuracy names them if it wants them.
+OF_INTEGRATION = ("residual", "energy_imbalance")
+
+
+def always(accuracy: float) -> tuple[str, ...]:
+    """Variables that are archived whatever a study wants: with an accuracy none that would have to be integrated."""
+    return tuple(name for name in ALWAYS if not (accuracy and name in OF_INTEGRATION))
+
+
+#: Accuracies that may be asked for; most accurate bound that polynomials reach, with some margin.
+ACCURACIES, INTERPOLATED_FROM = (1e-15, 1e-2), 1e-11
+
+
+#: Bits of a double after the first.
+MANTISSA = 52
+
+
+def significant_bits(accuracy: float) -> int:
+    """Bits after the first that numbers of an accuracy keep: rounding to them is at most a sixteenth of it."""
+    return min(MANTISSA, 3 + math.ceil(-math.log2(accuracy))) if accuracy else MANTISSA
+
+
+def is_interpolated(want: Iterable[str], accuracy: float) -> bool:
+    """Whether polynomials may give points of long lines: wanted variables are smooth, and the accuracy in reach."""
+    want = set(want)
+    flown = {VARIABLES[name].group for name in want} & set(COSTLY) or want & set(OF_INTEGRATION)
+    return accuracy >= INTERPOLATED_FROM and not flown
+
 
 @dataclass(frozen=True)
 class Task:
@@ -208,7 +242,7 @@ TASKS = {
         Task(
             "atlas",
             "tasks.solve_points:atlas",
-            13,
+            14,
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),

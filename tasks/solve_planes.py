@@ -16,8 +16,8 @@ from tasks.families.cell import PANEL, Cell, Family, make
 from tasks.families.patch import Patch, side_of_fold
 from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished, join, settle
 from tasks.measures import violations
-from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store
-from tasks.registry import ALWAYS, GAITS, VARIABLES
+from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
+from tasks.registry import GAITS, VARIABLES, always
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.step.problem import Lanes
 from tasks.walkers.walker_array import WalkerArray
@@ -55,7 +55,8 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     family = Family.of(all_lines[0], cell["keys"])
     box = Box(family.keys, tuple(cell["low"]), tuple(cell["high"]))
     values = tuple(tuple(map(float, each)) for each in cell["values"])
-    want = [v for v in VARIABLES if v in params["want"] or v in ALWAYS]
+    accuracy = params.get("accuracy", 0.0)
+    want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
     wanted = set(params.get("gaits") or GAITS)
     friction_limit = params.get("friction_limit", violations.FRICTION_LIMIT)
     keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
@@ -72,9 +73,12 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
             inside = np.flatnonzero(_inside(part.box, keys, box) & accepted)
             if not len(inside):
                 continue
-            solved, accepted[inside] = solve(family, part, keys[inside], slope[at_panel], want, wanted, friction_limit)
+            solved, accepted[inside] = solve(
+                family, part, keys[inside], slope[at_panel], want, wanted, friction_limit, accuracy
+            )
             for name, value in solved.items():
                 out[name][np.ix_(inside, at_panel)] = value
+    to_accuracy(out, accuracy)
     reasons = _reasons(family, box)
     others = np.flatnonzero(~accepted).tolist()
     if others:
@@ -121,6 +125,7 @@ def solve(
     want: Sequence[str],
     wanted: set[str],
     friction_limit: float = violations.FRICTION_LIMIT,
+    accuracy: float = 0.0,
 ) -> tuple[Arrays, np.ndarray]:
     """Solve the gaits at the slopes of lines in a cell.
 
@@ -137,6 +142,8 @@ def solve(
     wanted : set of str
         Labels.
     friction_limit : float
+    accuracy : float
+        Largest error bound wanted, 0 for any.
 
     Returns
     -------
@@ -153,7 +160,7 @@ def solve(
     for k in range(0, n if not cell.why else 0, lines):
         some = slice(k, k + lines)
         part = {name: value[k * s : (k + lines) * s] for name, value in out.items()}
-        accepted[some] = _solve_block(family, cell, keys[some], slope, solved, wanted, part, friction_limit)
+        accepted[some] = _solve_block(family, cell, keys[some], slope, solved, wanted, part, friction_limit, accuracy)
     return {name: value.reshape(n, s, *value.shape[1:]) for name, value in out.items()}, accepted
 
 
@@ -166,6 +173,7 @@ def _solve_block(
     wanted: set[str],
     out: Arrays,
     friction_limit: float,
+    accuracy: float,
 ) -> np.ndarray:
     """Store the gaits of a few lines in `out`, shape (n s, ...), and return which lines are accepted."""
     n, s = len(keys), len(slope)
@@ -190,7 +198,7 @@ def _solve_block(
     line = np.concatenate(indices) // s
     walkers = family.walkers(keys).some(line)
     problem = Lanes(walkers, cell.structure)
-    at = settle(problem, guesses, sampled=True)
+    at = settle(problem, guesses, sampled=True, accuracy=accuracy)
     fine = _are_predicted(at, guesses, np.repeat([p.error for p in cell.patches], [len(i) for i in indices]))
     fine &= side_of_fold(at.stride) == np.repeat([p.side for p in cell.patches], [len(i) for i in indices])
     np.logical_and.at(accepted, line, fine)

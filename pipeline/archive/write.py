@@ -30,7 +30,7 @@ from pipeline.store import lines
 from pipeline.store.rows import Outcome, TaskKey
 from pipeline.study import units
 from pipeline.study.model import Study
-from tasks.registry import GAITS, STATUSES, VARIABLES
+from tasks.registry import GAITS, MANTISSA, STATUSES, VARIABLES, Variable, significant_bits
 
 _FILTERS = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 #: Reason of a line on which a curve has no starting point.
@@ -124,6 +124,7 @@ def _write_header(file: Any, plan: Plan, writer: _PointWriter | _LineWriter) -> 
             "not_attempted": np.int64(writer.written.counts["not_attempted"]),
             "figures": " ".join(study.figures),
             "provenance": provenance(plan),
+            **({"accuracy": study.accuracy} if study.accuracy else {}),
             **attributes.of_steps(study.steps),
         }
     )
@@ -237,6 +238,7 @@ class _PointWriter:
                 "i4" if is_wide else description.dtype,
                 (*self.grid.sizes, *description.dims),
                 **_FILTERS,
+                **_quantization(description, self.study.accuracy),
                 chunksizes=(*chunk, *gait_and_multiplier),
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
@@ -277,6 +279,14 @@ class _PointWriter:
         if self.columns == list(range(len(self.columns))):
             return values
         return {name: v.take(self.columns, axis=len(box)) for name, v in values.items()}
+
+
+def _quantization(variable: Variable, accuracy: float) -> dict[str, Any]:
+    """How netCDF is told that values have only the bits that an accuracy leaves them; bounds have fewer."""
+    bits = significant_bits(accuracy)
+    if bits == MANTISSA or variable.dtype != "f8" or variable.name.endswith("error_bound"):
+        return {}
+    return {"significant_digits": bits, "quantize_mode": "BitRound"}
 
 
 class _LineWriter:

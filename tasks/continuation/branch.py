@@ -291,11 +291,15 @@ class Branch:
         """
         guesses = []
         for first, last in self.pieces():
-            ends = self.q[[first, last]]
-            inside = np.nonzero((q >= ends.min()) & (q <= ends.max()))[0]
+            inside = self.covered(first, last, q)
             if len(inside):
                 guesses.append((inside, *self.on_piece(first, last, q[inside])))
         return guesses
+
+    def covered(self, first: int, last: int, q: np.ndarray) -> np.ndarray:
+        """Indices of ln slopes, shape (n,), that the piece between two nodes covers."""
+        ends = self.q[[first, last]]
+        return np.flatnonzero((q >= ends.min()) & (q <= ends.max()))
 
     def on_piece(self, first: int, last: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the piece between two nodes at slopes that it covers.

@@ -44,7 +44,9 @@ NEARLY_TUNED = {
 
 def test_solver_and_proof_agree_on_what_is_tuned():
     line, slope = {"walker": NEARLY_TUNED, "set": {}}, 2.1268508600261344e-07
-    out = solve_points.points({"line": line, "slope": [slope], "want": _NAMES}, [solve_points.atlas({"line": line}, [])])
+    out = solve_points.points(
+        {"line": line, "slope": [slope], "want": _NAMES}, [solve_points.atlas({"line": line}, [])]
+    )
     values = {name: float(out[name][0, 1]) for name in _NAMES}
     asked = {"walker": NEARLY_TUNED, "slope": slope, "gait": "short", "accuracy": 1e-12, "values": values}
     reason, _, ratio = _compared(asked)
