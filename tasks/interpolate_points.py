@@ -13,18 +13,18 @@ from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.fixed_points.newton import lipschitz
 from tasks.fixed_points.polish import Guesses, join, settle
 from tasks.fixed_points.rounding import rounding_std
-from tasks.measures.gaits import Arrays, Part, describe, measured_multipliers
-from tasks.measures.smooth import MULTIPLIERS, Smooth
+from tasks.measures.gaits import Arrays, Part, describe
+from tasks.measures.smooth import Smooth
 from tasks.step.problem import Problem
 
 #: Nodes of a panel: so many, and so many more for each digit wanted.
 _NODES, _NODES_PER_DIGIT = 4, 1
 #: Share of the accuracy that polynomials may use; numbers are rounded besides.
-_SHARE = 0.9
+SHARE = 0.9
 #: Gaits nearer an end of their branch in ln slope are integrated, and so are those whose errors reach it.
 _NEAR_END, _END_SAFETY = 1e-9, 8.0
 #: Gaits of one label whose angles differ by fewer accuracies are integrated, and those with ratios as near 1/2.
-_TIE = 4.0
+TIE = 4.0
 #: Samples of a panel at which rounding and Lipschitz constants are measured, where the atlas has none, and how often
 #: the largest Lipschitz constant is counted.
 _MEASURED = 3
@@ -105,7 +105,7 @@ class Interpolation:
             low, high = panel.bounds
             return bool(np.searchsorted(q, high, side="right") > np.searchsorted(q, low))
 
-        fitted = fit_panels(roots, nodes_for(accuracy), _SHARE * accuracy, self._solve, is_needed)
+        fitted = fit_panels(roots, nodes_for(accuracy), SHARE * accuracy, self._solve, is_needed)
         self.panels = [[panel for panel in fitted if panel.piece == k] for k in range(len(self.pieces))]
 
     def _solve(self, panels: list[Panel], slopes: list[np.ndarray]) -> list[Sampled]:
@@ -192,7 +192,7 @@ class Interpolation:
         names = self.smooth.names
         ratio = names.index("heelstrike_rate_ratio")
         low, high = panel.range_of(ratio)
-        margin = _TIE * panel.error
+        margin = TIE * panel.error
         columns = {"stance_angle": panel.evaluate(x, names.index("stance_angle"))}
         if low > 0.5 + margin or high < 0.5 - margin:
             ratios = np.full(len(x), 0.5 * (low + high))
@@ -202,10 +202,7 @@ class Interpolation:
         if self.smooth.entries:
             for name in self.smooth.entries:
                 columns[name] = panel.evaluate(x, names.index(name))
-            m = self.problem.m
-            jacobian = np.stack([columns[name] for name in self.smooth.entries]).reshape(m, m, -1)
-            size = np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
-            columns |= measured_multipliers(jacobian, m * panel.error * size, self.problem.walker.knees)
+            columns |= self.smooth.multipliers(columns, panel.error)
             # Whether a gait is stable does not depend on the accuracy.
             largest = columns["spectral_radius"]
             near |= np.abs(largest - 1) <= columns["multiplier_error_bound"]
@@ -221,28 +218,20 @@ class Interpolation:
             crowded = np.flatnonzero(np.isfinite(angles).sum(axis=0) > 1)
             if len(crowded):
                 gaps = np.diff(np.sort(angles[:, crowded], axis=0), axis=0)
-                tied[crowded] |= (gaps <= _TIE * self.accuracy).any(axis=0)
+                tied[crowded] |= (gaps <= TIE * self.accuracy).any(axis=0)
         return tied
 
     def _part(self, one: _Found, slope: np.ndarray, keep: np.ndarray) -> Part:
         """Variables of gaits of a panel."""
         index, x = (one.index, one.x) if keep.all() else (one.index[keep], one.x[keep])
         columns = {name: value if keep.all() else value[keep] for name, value in one.columns.items()}
-        names, n, panel = self.smooth.names, len(index), one.panel
+        names, panel = self.smooth.names, one.panel
         for k in self.smooth.needed(self.want):
             if names[k] not in columns:
                 columns[names[k]] = panel.evaluate(x, k)
         piece = self.pieces[one.piece]
-        multiplied = [name for name in self.want if name in MULTIPLIERS]
-        solved = self.smooth.variables(slope[index], columns, [n for n in self.want if n not in multiplied])
-        solved |= {name: columns[name] for name in multiplied}
-        solved |= {
-            "status": np.full(n, status.CONVERGED),
-            "reason": np.zeros(n, int),
-            "error_bound": np.full(n, panel.error),
-            "branch": np.full(n, piece.number),
-            "piece": piece.branch.piece(np.full(n, piece.first)),
-        }
+        place = int(piece.branch.piece(np.array([piece.first]))[0])
+        solved = self.smooth.gaits(slope[index], columns, self.want, panel.error, piece.number, place)
         return Part(index, columns["stance_angle"], one.ratio if keep.all() else one.ratio[keep], solved)
 
 

@@ -20,7 +20,7 @@ _WIDTH = 1.0
 #: Narrowest part of such a range, in its coordinate from 0 to 1.
 _NARROWEST = 2.0**-12
 #: How often the largest error at the points drawn is counted in the bound.
-_SAFETY = 8.0
+SAFETY = 8.0
 #: Nearer a fold than this share of the distance of the first point drawn nothing was measured.
 _UNMEASURED = 0.25
 
@@ -222,5 +222,5 @@ def _fit(panel: Panel, x: np.ndarray, sampled: Sampled, nodes: int) -> Panel:
     predicted = chebvander(x[nodes:], nodes - 1) @ coefficients
     off = (np.abs(predicted - sampled.values[nodes:]) / sampled.size[nodes:]).max()
     tail = (np.abs(coefficients[-2:]).sum(axis=0) / sampled.size.min(axis=0)).max()
-    error = float(_SAFETY * off + tail + sampled.bound)
+    error = float(SAFETY * off + tail + sampled.bound)
     return replace(panel, coefficients=coefficients, error=error, kind=sampled.kind)

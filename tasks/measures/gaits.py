@@ -110,8 +110,10 @@ def to_accuracy(out: Arrays, accuracy: float) -> Arrays:
         if name == "error_bound":
             values[:] = np.where(coarse, _round_up(bound), np.minimum(_round_up(bound), accuracy))
         elif name == "multiplier_error_bound":
-            largest = [np.abs(out[k]).max(axis=-1) for k in ("multiplier_real", "multiplier_imag") if k in out]
-            values[:] = _round_up(values + 2 * unit * sum(largest, np.zeros(values.shape)))
+            names = ("multiplier_real", "multiplier_imag", "spectral_radius")
+            sizes = [np.abs(out[k]).reshape(*values.shape, -1).max(axis=-1) for k in names if k in out]
+            largest = sum(sizes, np.zeros(values.shape))
+            values[:] = _round_up(values + 2 * unit * largest)
         elif values.dtype == float:
             rounded = round_bits(values, bits)
             if name == "spectral_radius":

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from tasks import status
+from tasks.measures.gaits import Arrays, measured_multipliers
 from tasks.measures.kinematics import step_length, travel
 from tasks.walkers.walker import Walker
+from tasks.walkers.walker_array import WalkerArray
 
 #: Rates at the start of a step, and energies lost in it.
 _RATES = ("stance_rate", "thigh_rate", "shank_rate")
@@ -21,23 +26,23 @@ _RATIO = "heelstrike_rate_ratio"
 
 @dataclass(frozen=True)
 class Smooth:
-    """The smooth quantities of gaits of one walker from which wanted variables follow.
+    """The smooth quantities of gaits of a walker, or of one for each gait, from which wanted variables follow.
 
     `names` are those that are interpolated: `stance_angle` and `period` by their logarithms, rates over the angle,
     the time of kneestrike over the period, losses over the energy that a step draws from gravity, and the entries of
     the step map's derivative by their numbers.
     """
 
-    walker: Walker
+    walker: Walker | WalkerArray
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, walker: Walker, want: Sequence[str], m: int) -> Smooth:
+    def of(cls, walker: Walker | WalkerArray, want: Sequence[str], m: int) -> Smooth:
         """Choose the quantities for some variables.
 
         Parameters
         ----------
-        walker : Walker
+        walker : Walker or WalkerArray
         want : sequence of str
         m : int
             Number of section coordinates.
@@ -105,6 +110,54 @@ class Smooth:
             names.add("shank_rate" if self.walker.knees else "thigh_rate")
         return [k for k, name in enumerate(self.names) if name in names]
 
+    def multipliers(self, columns: Mapping[str, np.ndarray], error: float) -> Arrays:
+        """Variables of the group `multipliers`.
+
+        Parameters
+        ----------
+        columns : mapping
+            The entries of the step map's derivative, shape (n,).
+        error : float
+            Bound of the errors of quantities, each over its size.
+        """
+        m = math.isqrt(len(self.entries))
+        jacobian = np.stack([columns[name] for name in self.entries]).reshape(m, m, -1)
+        size = np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
+        return measured_multipliers(jacobian, m * error * size, self.walker.knees)
+
+    def gaits(
+        self,
+        slope: np.ndarray,
+        columns: Mapping[str, np.ndarray],
+        want: Sequence[str],
+        error: float,
+        branch: np.ndarray | int,
+        piece: np.ndarray | int,
+    ) -> Arrays:
+        """Variables of gaits that were not integrated.
+
+        Parameters
+        ----------
+        slope : ndarray, shape (n,) [rad]
+        columns : mapping
+            By name the quantities that `needed` names, and `multipliers` where they are wanted, shape (n,).
+        want : sequence of str
+        error : float
+            Their error bound.
+        branch, piece : ndarray of int, shape (n,), or int
+            Their numbers.
+
+        Returns
+        -------
+        dict of ndarray, shape (n[, multipliers])
+            In the walker's units.
+        """
+        n = len(slope)
+        told = {"status": status.CONVERGED, "reason": 0, "error_bound": error, "branch": branch, "piece": piece}
+        solved = {name: np.broadcast_to(value, n) for name, value in told.items()}
+        solved |= {name: columns[name] for name in want if name in MULTIPLIERS}
+        return self.variables(slope, columns, [name for name in want if name not in solved]) | solved
+
     def variables(
         self, slope: np.ndarray, columns: Mapping[str, np.ndarray], want: Sequence[str]
     ) -> dict[str, np.ndarray]:
@@ -137,8 +190,8 @@ class Smooth:
         return {name: known[name] if name in known else np.full(len(slope), np.nan) for name in want}
 
     @property
-    def _unit(self) -> float:
-        return float(np.sqrt(self.walker.leg / self.walker.g))
+    def _unit(self) -> Any:
+        return np.sqrt(self.walker.leg / self.walker.g)
 
     def _drop(self, slope: np.ndarray, angle: np.ndarray) -> np.ndarray:
         """Energy that a step draws from gravity, in the walker's units."""
