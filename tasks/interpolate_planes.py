@@ -45,7 +45,17 @@ def patch_guesses(patch: Patch, w: np.ndarray, node: np.ndarray, slope: np.ndarr
 
 
 def similarity(at: Polished) -> np.ndarray:
-    """Similarity coordinates of gaits, shape (m + k, n)."""
+    """Similarity coordinates of gaits.
+
+    Parameters
+    ----------
+    at : Polished
+        Of n lanes.
+
+    Returns
+    -------
+    ndarray, shape (m + k, n)
+    """
     return np.vstack([np.log(at.y[:1] * at.scale), at.y[1:] / at.y[0], at.times])
 
 
@@ -131,7 +141,7 @@ def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accura
     sizes, d = patch.sizes, len(family.keys)
     drawn = cell.box.draw(_DRAWN, 1 + d, f"sheet {patch.numbers[0]}")
     while True:
-        nodes = basis_nodes(sizes)
+        nodes = _nodes(sizes)
         sampled = _sampled(family, cell, patch, np.vstack([nodes, drawn]), want, accuracy)
         if sampled is None:
             return None
@@ -151,7 +161,7 @@ def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accura
         sizes = larger
 
 
-def basis_nodes(sizes: tuple[int, ...]) -> np.ndarray:
+def _nodes(sizes: tuple[int, ...]) -> np.ndarray:
     """Nodes of tensor polynomials in the cube from -1 to 1, the last dimension fastest, shape (product of sizes, d)."""
     grids = np.meshgrid(*map(roots, sizes), indexing="ij")
     return np.stack([grid.ravel() for grid in grids], axis=1)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tasks import status
+from tasks.accuracy import always
 from tasks.continuation.cycles import Cycle, at_slope, really_walks, system
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.step_check import gait_ratio
@@ -16,7 +17,7 @@ from tasks.measures import violations
 from tasks.measures.gaits import to_accuracy
 from tasks.measures.kinematics import step_length
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from tasks.registry import GAITS, VARIABLES, always
+from tasks.registry import GAITS, VARIABLES
 from tasks.step.problem import EPS, Problem, sizes
 from tasks.step.step_map import Stride
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tasks import status
+from tasks.accuracy import always, is_interpolated
 from tasks.continuation.lockstep import lanes_of
 from tasks.families.box import Box
 from tasks.families.cell import PANEL, Cell, Family, make
@@ -25,7 +26,7 @@ from tasks.interpolate_planes import (
 )
 from tasks.measures import violations
 from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
-from tasks.registry import GAITS, VARIABLES, always, is_interpolated
+from tasks.registry import GAITS, VARIABLES
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.step.problem import Lanes
 from tasks.walkers.walker_array import WalkerArray

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tasks import status
+from tasks.accuracy import always
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
 from tasks.continuation.lockstep import lanes_of
@@ -19,7 +20,7 @@ from tasks.interpolate_points import Interpolation
 from tasks.measures import violations
 from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from tasks.mechanics.lumped import Structure, structures_of
-from tasks.registry import GAITS, PROVED, VARIABLES, always
+from tasks.registry import GAITS, PROVED, VARIABLES
 from tasks.solve_cycles import cycle_points
 from tasks.step.problem import Lanes, Problem
 from tasks.walkers.resolve import resolve

@@ -18,7 +18,8 @@ from pipeline.archive.citation import PAPER
 from pipeline.errors import StudyError
 from pipeline.statuses import ALL_STATUSES
 from pipeline.study.broadcast import broadcast
-from tasks.registry import GAITS, SHORT_LINE, TASKS, VARIABLES, always, is_interpolated
+from tasks.accuracy import always, is_interpolated
+from tasks.registry import GAITS, SHORT_LINE, TASKS, VARIABLES
 
 _MAX_REMEMBERED = 256 << 20  # atlases kept for later calls, and as much of short lines' points [byte]
 _BLOCK = 64  # short lines surveyed side by side

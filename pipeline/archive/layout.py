@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from pipeline.study.model import Study
+from tasks.registry import SHORT_LINE
 
 CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box assembled in memory
 Box = tuple[slice, ...]
@@ -34,17 +35,72 @@ def chunk_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
     return tuple(extent[d] for d in sizes)
 
 
-def regions(sizes: Mapping[str, int]) -> Iterator[Box]:
-    """Boxes of at most `REGION` points, each of complete chunks, that cover the grid."""
-    chunk = dict(zip(sizes, chunk_shape(sizes, CHUNK), strict=True))
-    chunks = chunk_shape({d: -(-sizes[d] // c) for d, c in chunk.items()}, REGION // math.prod(chunk.values()))
+def grid_chunk(sizes: Mapping[str, int]) -> tuple[int, ...]:
+    """Shape of a chunk of the grid: many short lines, or a part of a long one, which a worker can finish by itself."""
+    slopes = sizes["slope"]
+    if slopes <= SHORT_LINE:
+        return chunk_shape(sizes, CHUNK)
+    extent = math.ceil(slopes / math.ceil(slopes / CHUNK))
+    return tuple(extent if d == "slope" else 1 for d in sizes)
+
+
+def line_extent(sizes: Mapping[str, int]) -> int:
+    """Points in a chunk of the grid if it is a part of one line; else 0."""
+    shape = grid_chunk(sizes)
+    slopes = shape[list(sizes).index("slope")]
+    return slopes if math.prod(shape) == slopes else 0
+
+
+def regions(sizes: Mapping[str, int], shape: tuple[int, ...], points: int = 0) -> Iterator[Box]:
+    """Boxes that cover the grid, each of complete chunks of that shape, and of at most `points` or `REGION` points."""
+    chunk = dict(zip(sizes, shape, strict=True))
+    chunks = chunk_shape(
+        {d: -(-sizes[d] // c) for d, c in chunk.items()}, (points or REGION) // math.prod(chunk.values())
+    )
     extent = tuple(c * n for c, n in zip(chunk.values(), chunks, strict=True))
     for corner in itertools.product(*(range(0, n, c) for n, c in zip(sizes.values(), extent, strict=True))):
         yield tuple(slice(i, min(i + c, n)) for i, c, n in zip(corner, extent, sizes.values(), strict=True))
 
 
+def split(values: np.ndarray, box: Box, extent: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
+    """Split a box that starts at the corner of a chunk into chunks.
+
+    Parameters
+    ----------
+    values : ndarray
+        Values of the box; dimensions beyond those of the box are complete.
+    box : Box
+    extent : tuple of int
+        Shape of a chunk.
+
+    Yields
+    ------
+    corner : tuple of int
+        Start of the chunk in the variable.
+    part : ndarray
+        Its values; at the end of the variable they are fewer than `extent`.
+    """
+    start = (*(s.start for s in box), *(0,) * (values.ndim - len(box)))
+    for corner in itertools.product(*(range(0, n, c) for n, c in zip(values.shape, extent, strict=True))):
+        part = values[tuple(slice(i, i + c) for i, c in zip(corner, extent, strict=True))]
+        yield tuple(a + b for a, b in zip(start, corner, strict=True)), part
+
+
+def chunk_checksum(checksum: int, corner: tuple[int, ...]) -> int:
+    """Checksum of a chunk from that of its values; that of the variable is the sum over its chunks modulo 2^32.
+
+    Parameters
+    ----------
+    checksum : int
+        CRC-32 of the values, without what lies beyond the end of the variable.
+    corner : tuple of int
+        Start of the chunk in the variable.
+    """
+    return zlib.crc32(checksum.to_bytes(4, "little"), zlib.crc32(",".join(map(str, corner)).encode()))
+
+
 def checksum(values: np.ndarray, box: Box = ()) -> int:
-    """Checksum of a variable in a box; that of the variable is the sum over its boxes modulo 2^32.
+    """Checksum of a small variable, or of archives of schema 1 in a box, whose sum modulo 2^32 is the variable's.
 
     Parameters
     ----------
@@ -94,7 +150,12 @@ class Grid:
         -------
         ndarray, shape (n,) [rad]
         """
-        return self.study.slope[dict(zip(self.sizes, box, strict=True))["slope"]]
+        return self.study.slope[slice(*self.slope_span(box))]
+
+    def slope_span(self, box: Box) -> tuple[int, int]:
+        """First slope of a box, and that after its last."""
+        span = dict(zip(self.sizes, box, strict=True))["slope"]
+        return span.start, span.stop
 
     def slope_last(self, values: np.ndarray) -> np.ndarray:
         """View the values of a box with the slope after the axes of the lines.

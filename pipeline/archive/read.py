@@ -6,6 +6,7 @@ import contextlib
 import json
 import subprocess
 import sys
+import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ import numpy as np
 from pipeline.archive import layout
 from pipeline.errors import ArchiveError, GaitsweepError
 
-SCHEMA = 1
+SCHEMA = 2
+_READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
 _TIMEOUT, _MIN_SPEED = 30.0, 5e6  # time [s] and speed [byte/s] allowed to read an archive
 _MAX_VALUES = 1 << 20  # values read at a time
 
@@ -39,7 +41,7 @@ def open_archive(path: Path) -> Iterator[Any]:
         raise ArchiveError(f"{path} is no netCDF file that can be read.") from error
     try:
         schema = getattr(file, "gaitsweep_schema", None)
-        if not isinstance(schema, np.integer) or schema != SCHEMA:
+        if not isinstance(schema, np.integer) or schema not in _READABLE:
             raise ArchiveError(f"{path} is not an archive of gaitsweep (schema {SCHEMA}).")
         try:
             yield file
@@ -87,11 +89,51 @@ def damage(path: Path) -> str:
 
 
 def _checksum(variable: Any) -> int:
-    """Checksum of a variable: the sum over its boxes."""
+    """Checksum of a variable."""
+    if not is_over_grid(variable):
+        return layout.checksum(np.ma.getdata(variable[...])) % 2**32
+    return sum(box_checksum(variable, np.ma.getdata(variable[box]), box) for box in boxes(variable)) % 2**32
+
+
+def is_over_grid(variable: Any) -> bool:
+    """Whether a variable is one of points, by gait."""
+    return "gait" in variable.dimensions and len(variable.dimensions) > 1
+
+
+def boxes(variable: Any) -> Iterator[layout.Box]:
+    """Boxes in which a variable of points is read: whole chunks."""
+    points = _points(variable)
+    return layout.regions(points, _chunk(variable)[: len(points)])
+
+
+def _points(variable: Any) -> dict[str, int]:
     sizes = dict(zip(variable.dimensions, variable.shape, strict=True))
-    large = "gait" in sizes and len(sizes) > 1
-    boxes = layout.regions({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
-    return sum(layout.checksum(np.ma.getdata(variable[box] if large else variable[...]), box) for box in boxes) % 2**32
+    return {d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}
+
+
+def _chunk(variable: Any) -> tuple[int, ...]:
+    """Shape of the chunks in which a variable of points was written, whoever has stored it otherwise since."""
+    points = _points(variable)
+    inner = variable.shape[len(points) :]
+    if variable.group().gaitsweep_schema == 1:
+        return (*layout.chunk_shape(points, layout.CHUNK), *inner)
+    return (*np.atleast_1d(variable.group().checksum_chunk).tolist(), 1, *inner[1:])
+
+
+def box_checksum(variable: Any, values: np.ndarray, box: layout.Box) -> int:
+    """Share of a box in the checksum of a variable of points.
+
+    Parameters
+    ----------
+    variable : netCDF4.Variable
+    values : ndarray
+        In the box.
+    box : Box
+    """
+    if variable.group().gaitsweep_schema == 1:
+        return layout.checksum(values, box)
+    parts = layout.split(values, box, _chunk(variable))
+    return sum(layout.chunk_checksum(zlib.crc32(part.tobytes()), corner) for corner, part in parts)
 
 
 def tables(parent: Any, path: str = "") -> Iterator[str]:

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.archive import layout
+from pipeline.archive import layout, read
 from pipeline.archive.read import columns, open_archive
 from pipeline.statuses import ALL_STATUSES
-from tasks.registry import GAITS, VARIABLES, always
+from tasks.accuracy import always
+from tasks.registry import GAITS, VARIABLES
 
 _CF_ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references")
 _ATTRIBUTES = (*_CF_ATTRIBUTES, "provenance", "study", "kind", "checksums")
@@ -88,13 +89,10 @@ def _values(file: Any) -> Iterator[str]:
         if layout.checksum(np.ma.getdata(file[name][...])) % 2**32 != sums.get(name) and name in sums:
             yield f"`{name}` is not as it was written."
     for name, variable in file.variables.items():
-        description, sizes = VARIABLES.get(name), dict(zip(variable.dimensions, variable.shape, strict=True))
-        misplaced = total = 0
-        large = "gait" in sizes and name != "gait"
-        boxes = layout.regions({d: n for d, n in sizes.items() if d not in ("gait", "multiplier")}) if large else [()]
-        for box in boxes:
+        description, misplaced, total = VARIABLES.get(name), 0, 0
+        for box in read.boxes(variable) if (large := read.is_over_grid(variable)) else [()]:
             values = np.ma.getdata(variable[box] if large else variable[...])
-            total += layout.checksum(values, box)
+            total += read.box_checksum(variable, values, box) if large else layout.checksum(values)
             if large and description and description.dtype == "f8":
                 other = np.asarray(file.variables["status"][box]) != ALL_STATUSES["converged"]
                 misplaced += int(np.count_nonzero(~np.isnan(values[other])))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 _REGIONS = 64
-_PROBE = 50  # a probe is one part in this many of its region
+_PROBE, _MAX_PROBE = 50, 256  # a probe is one part in so many of its region, and at most so many points
 
 
 class Costs:
@@ -44,6 +44,22 @@ class Costs:
         ndarray of int, shape (n,)
         """
         return indices * _REGIONS // self.slopes
+
+    def by_region(self, indices: np.ndarray, parts: int = 1) -> list[np.ndarray]:
+        """Divide slopes by region, or by equal parts of it.
+
+        Parameters
+        ----------
+        indices : ndarray of int, shape (n,)
+            Indices of slopes in ascending order.
+        parts : int
+            Into how many each region is divided.
+
+        Returns
+        -------
+        list of ndarray of int
+        """
+        return np.split(indices, np.flatnonzero(np.diff(self.region(parts * indices))) + 1)
 
     def _counts_by_region(self, indices: np.ndarray) -> np.ndarray:
         return np.bincount(self.region(indices), minlength=_REGIONS)
@@ -91,7 +107,8 @@ class Costs:
             Whether they were a probe.
         """
         counts = self._counts_by_region(indices)
-        counts_and_seconds = np.stack([counts, seconds * counts / len(indices)])
+        shares = counts * (self.cost_per_point(line) if np.count_nonzero(counts) > 1 else 1.0)
+        counts_and_seconds = np.stack([counts, seconds * shares / shares.sum()])
         self.totals += counts_and_seconds
         self.mean = self.totals[1].sum() / self.totals[0].sum()
         if line in self.lines:
@@ -149,8 +166,8 @@ class Costs:
         """
         self.probed.add(line)
         probes, remainder = [], []
-        for piece in np.split(indices, np.flatnonzero(np.diff(self.region(indices))) + 1):
-            middle, n = len(piece) // 2, 1 + self.slopes // (_REGIONS * _PROBE)
+        for piece in self.by_region(indices):
+            middle, n = len(piece) // 2, min(_MAX_PROBE, 1 + self.slopes // (_REGIONS * _PROBE))
             probes.append(piece[middle : middle + n])
             remainder += [part for part in (piece[:middle], piece[middle + n :]) if len(part)]
         return probes, remainder

@@ -29,7 +29,8 @@ from pipeline.paths import sidecar_path
 from pipeline.plan import graph
 from pipeline.plan.missing import Plan, summary
 from pipeline.store.compact import compact
-from pipeline.store.journal import CorruptJournalError, Journal, forget, repair
+from pipeline.store.journal import Journal
+from pipeline.store.journal_file import CorruptJournalError, forget, repair
 from pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # minimum interval of published snapshots [s]

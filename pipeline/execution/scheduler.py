@@ -16,7 +16,8 @@ from typing import Any
 from pipeline.errors import GaitsweepError, WorkerError
 from pipeline.execution.account import Account
 from pipeline.execution.executors import Engine
-from pipeline.execution.study_jobs import Job, StudyJobs
+from pipeline.execution.job import Job
+from pipeline.execution.study_jobs import StudyJobs
 from pipeline.execution.worker_process import Request
 
 _JOBS_PER_WORKER = 16  # jobs submitted or not yet read, for each worker

@@ -7,31 +7,31 @@ import dataclasses
 import heapq
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
-from pipeline import serialize
+from pipeline.archive import layout
 from pipeline.errors import StoppedError
 from pipeline.execution.account import Account
+from pipeline.execution.archive_chunks import CHUNKS_PER_WORKER, TARGET_SECONDS, ArchiveChunks, seconds_of_chunk
 from pipeline.execution.estimates import Costs
 from pipeline.execution.executors import Engine
+from pipeline.execution.job import Job
+from pipeline.execution.point_queue import PointQueue
+from pipeline.execution.recording import store_points
 from pipeline.execution.worker_process import Request
 from pipeline.plan import graph
 from pipeline.plan.costs import seconds as seconds_of
 from pipeline.plan.costs import seconds_after
 from pipeline.plan.inputs import study_inputs
-from pipeline.plan.missing import BlockWork, LineWork, Plan, golden_ratio_order
+from pipeline.plan.missing import BlockWork, LineWork, Plan
 from pipeline.store import lines
-from pipeline.store.rows import Result, TaskKey
+from pipeline.store.rows import Result
 from tasks.registry import GAITS, SECONDS_PER_PROOF
 
-_TARGET_SECONDS = 1.0  # work in a chunk [s]
 _MAX_CHUNK = 32768  # points in a chunk: this bounds the memory of a worker
-_CHUNKS_PER_WORKER = 4  # chunks for each worker at least, where there is enough work
-_MIN_SECONDS = 0.25  # less work than this is not divided [s]
 _FIRST_CHUNK = 256  # points in a chunk until costs are measured
 _MAX_OPEN_LINES, _MAX_OPEN_POINTS = 32, 1_000_000  # limits on lines at work and their points
 _PROBED_SECONDS = 10.0  # lines that take longer are probed [s]
@@ -39,25 +39,6 @@ _WHOLE_TASK_FACTOR = 60  # a task over a line or study may take this many times 
 _IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
 _MIN_LINES = 16  # short lines in a job: enough to fill registers
 Listener = Callable[[str, dict[str, Any]], None]
-
-
-@dataclass
-class Job:
-    """A task over one line, over a chunk of its points (`indices` of slopes), or, without `work`, over the study.
-
-    With `block` it is the atlas and all points of some of its lines. `seconds` is the estimated time.
-    """
-
-    study: StudyJobs = field(repr=False)
-    name: str
-    keys: TaskKey
-    params: Mapping[str, Any]
-    work: LineWork | None = None
-    block: BlockWork | None = None
-    inputs: tuple[bytes, ...] = ()
-    indices: np.ndarray | None = None
-    probe: bool = False
-    seconds: float = 0.0
 
 
 class StudyJobs:
@@ -105,9 +86,12 @@ class StudyJobs:
         if {"proved", "proved_radius"} & set(plan.variables):
             self.cost = max(self.cost, SECONDS_PER_PROOF)
         self.points_measured = 0
+        can_finish = layer and not plan.blocks
+        extent = layout.line_extent(layout.Grid(self.study).sizes) if can_finish else 0
+        self.chunks = ArchiveChunks(len(self.study.slope), extent)
         self.plane = self.study.plane if graph.over_plane(self.study) else None
         #: Lines of a block in one job: fewer than it has where workers would otherwise be idle.
-        self.lines_at_once = max(_MIN_LINES, math.ceil(self.study.lines / (engine.jobs * _CHUNKS_PER_WORKER)))
+        self.lines_at_once = max(_MIN_LINES, math.ceil(self.study.lines / (engine.jobs * CHUNKS_PER_WORKER)))
         self.costs = Costs(len(self.study.slope), points, self.cost)
         self._seconds_after = seconds_after(self.study, plan.layers)
         self.account = Account()
@@ -121,7 +105,7 @@ class StudyJobs:
         self._failed: list[int] = []  # numbers of lines that failed in their blocks
         self._alone: set[int] = set()  # numbers of lines of blocks that are computed by themselves
         self._open: deque[int] = deque()  # numbers of lines whose jobs beside the atlas are due
-        self._chunks: deque[Job] = deque()  # chunks of open lines
+        self._queue = PointQueue(self.costs, self.chunks, self.chunk_size)  # points of open lines
         self._to_probe: deque[LineWork] = deque()
 
     @property
@@ -229,8 +213,8 @@ class StudyJobs:
 
     def _dependent_jobs(self) -> Iterator[Job]:
         """Jobs of open lines; lines are opened before those at work are done, to measure costs early."""
-        while self._open or self._chunks:
-            while self._open and (not self._chunks or self._opens_line()):
+        while self._open or self._queue.jobs:
+            while self._open and (not self._queue.jobs or self._opens_line()):
                 number = self._open.popleft()
                 work = self.plan.line(number, with_points=not self.plan.blocks or number in self._alone)
                 atlas = self.journal.result(work.keys["atlas"].key) if "atlas" in work.keys else None
@@ -239,49 +223,23 @@ class StudyJobs:
                 if len(work.missing):
                     self._open_line(work, inputs)
             while self._to_probe:
-                self._probe(self._to_probe.popleft())
-            if self._chunks:
-                yield self._next_chunk()
+                self._queue.probe(self._to_probe.popleft())
+            if self._queue.jobs:
+                job, n = self._queue.take()
+                yield dataclasses.replace(job, seconds=n * self.cost)
 
     def _opens_line(self) -> bool:
         costs = self.costs
         return (
-            len(self._chunks) < _MAX_OPEN_LINES
+            len(self._queue.jobs) < _MAX_OPEN_LINES
             and len(costs.lines) < _MAX_OPEN_LINES
             and costs.open_points() < _MAX_OPEN_POINTS
         )
 
     def _open_line(self, work: LineWork, inputs: tuple[bytes, ...]) -> None:
-        """Divide the points of a line into chunks, in an order that samples the line; only the first goes in front."""
         self.costs.open_line(work.number, work.missing)
-        parts = np.array_split(work.missing, math.ceil(len(work.missing) / self.chunk_size()))
-        pieces = [parts[k] for k in golden_ratio_order(len(parts))]
-        if len(work.missing) * self.cost > _TARGET_SECONDS:  # a probe of the line before the next ones are opened
-            pieces[:1] = filter(len, (pieces[0][:_FIRST_CHUNK], pieces[0][_FIRST_CHUNK:]))
-        points = self._line_job("points", work, inputs)
-        self._chunks.appendleft(dataclasses.replace(points, indices=pieces[0]))
-        self._chunks.extend(dataclasses.replace(points, indices=piece) for piece in pieces[1:])
-
-    def _next_chunk(self) -> Job:
-        job = self._chunks.popleft()
-        assert job.indices is not None
-        size = self.chunk_size(job)
-        if len(job.indices) > size:
-            self._chunks.appendleft(dataclasses.replace(job, indices=job.indices[size:]))
-        indices = job.indices[:size]
-        return dataclasses.replace(job, indices=indices, seconds=len(indices) * self.cost)
-
-    def _probe(self, work: LineWork) -> None:
-        """Solve a few points of every region of a line first, so that its remaining cost can be estimated."""
-        chunks = [job for job in self._chunks if job.work is work]
-        if chunks:
-            indices = np.sort(np.concatenate([job.indices for job in chunks if job.indices is not None]))
-            probes, remainder = self.costs.probes(work.number, indices)
-            self._chunks = deque(job for job in self._chunks if job.work is not work)
-            self._chunks.extend(
-                dataclasses.replace(chunks[0], indices=remainder[k]) for k in golden_ratio_order(len(remainder))
-            )
-            self._chunks.extendleft(dataclasses.replace(chunks[0], indices=p, probe=True) for p in probes)
+        is_long = len(work.missing) * self.cost > TARGET_SECONDS
+        self._queue.open(self._line_job("points", work, inputs), work.missing, _FIRST_CHUNK if is_long else 0)
 
     def _line_job(self, name: str, work: LineWork, inputs: tuple[bytes, ...] = ()) -> Job:
         params, seconds = graph.line_params(self.study, name, work.line), seconds_of(self.study, name)
@@ -291,29 +249,33 @@ class StudyJobs:
         """Points in the next chunk: about a second of work, less where workers would otherwise be idle."""
         if self.chunk:
             return self.chunk
-        cost = self.cost
-        if job and job.work and job.indices is not None and job.work.number in self.costs.probed:
-            cost = self.costs.cost_per_point(job.work.number)[self.costs.region(job.indices[0])] or cost
         if job and not self.points_measured:
             return _FIRST_CHUNK
-        share = self.points * self.cost / (self.engine.jobs * _CHUNKS_PER_WORKER)
-        seconds = min(_TARGET_SECONDS, max(_MIN_SECONDS, share), self.study.limits.seconds / 4)
-        return max(1, min(_MAX_CHUNK, int(seconds / cost)))
+        seconds = seconds_of_chunk(self.points * self.cost / self.engine.jobs, self.study.limits.seconds)
+        size = seconds / self.cost
+        if job and job.work and job.indices is not None and job.work.number in self.costs.probed:
+            regions = self.costs.region(job.indices[: self.chunks.extent or 1])
+            size = seconds / (self.costs.cost_per_point(job.work.number)[regions].mean() or self.cost)
+        return max(1, min(_MAX_CHUNK, int(size)))
 
     def request(self, job: Job) -> Request:
         """Request to a worker process for a job."""
         layer, limits = self.plan.layers[job.name], self.study.limits
         params = dict(job.params)
         divided = "lines" if job.block else "slope" if job.indices is not None else ""
+        whole = None if job.indices is None else self.chunks.whole(job.indices)
         if divided:
-            slopes = self.study.slope if job.indices is None else self.study.slope[job.indices]
+            indices = job.indices if whole is None else whole
+            slopes = self.study.slope if indices is None else self.study.slope[indices]
             params |= {"slope": slopes, "want": self.plan.variables, "gaits": self.study.gaits}
         together = layer.task.over_plane if self.plane else layer.task.side_by_side
         function = together if job.block else layer.task.function
         seconds = limits.seconds * (1 if divided == "slope" else _WHOLE_TASK_FACTOR)
         idle = None if self.engine.address is None else _IDLE_TIMEOUT
         inputs = job.inputs if job.work or job.block else study_inputs(self.plan, job.name)
-        return Request(function, params, list(inputs), divided, seconds, limits.memory, idle)
+        multipliers = max(check["multipliers"] for check in self.study.checks)
+        chunk = None if whole is None else (self.chunks.extent, multipliers)
+        return Request(function, params, list(inputs), divided, seconds, limits.memory, idle, chunk)
 
     def record(self, job: Job, result: dict[str, Any]) -> None:
         """Store the result of a job."""
@@ -355,7 +317,7 @@ class StudyJobs:
             for k, atlas in result["atlases"]:
                 keys = self.plan.line_keys(int(block.lines[k]))["atlas"]
                 self.journal.add_result(*keys, Result("ok", "", 0, atlas), 0.0)
-            counts = self._store_rows(job, result["rows"], result["seconds"] / len(indices))
+            counts = self._store(job, result, len(indices))
         if solved:
             self._measure(int(block.lines[0]), indices[: solved * n], result["seconds"])
         if failed.any():
@@ -369,14 +331,9 @@ class StudyJobs:
         event = {"task": "points", "line": line, "lines": solved, "points": points, "counts": dict(counts)}
         self.listen("chunk", {**shared, **event})
 
-    def _store_rows(self, job: Job, rows: list[tuple[bytes, bytes, bytes]], cost: float) -> Counter[str]:
-        """Store points; returns how many there are of each outcome."""
-        counts: Counter[str] = Counter()
-        for row in rows:
-            self.journal.add_points(*job.keys, self.tokens, row, cost * (len(row[0]) // 8))
-            counts += lines.count(serialize.load(row[1])["status"][:, self.columns])
-        del counts["not_attempted"]  # lines that are yet to be computed by themselves
-        return counts
+    def _store(self, job: Job, result: dict[str, Any], n: int) -> Counter[str]:
+        cost = result["seconds"] / n
+        return store_points(self.journal, job.keys, self.tokens, self.columns, result, cost)
 
     def _measure(self, line: int, indices: np.ndarray, seconds: float, probe: bool = False) -> None:
         n, cost = len(indices), seconds / len(indices)
@@ -388,7 +345,7 @@ class StudyJobs:
     def _record_points(self, job: Job, work: LineWork, indices: np.ndarray, result: dict[str, Any]) -> None:
         """Store a chunk of points and update the costs."""
         with self.hold:
-            counts = self._store_rows(job, result["rows"], result["seconds"] / len(indices))
+            counts = self._store(job, result, len(indices))
         self._measure(work.number, indices, result["seconds"], job.probe)
         if work.number not in self.costs.probed and self.costs.seconds_left(work.number) > _PROBED_SECONDS:
             self._to_probe.append(work)

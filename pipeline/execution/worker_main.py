@@ -57,8 +57,8 @@ def serve(parent: int) -> None:
         for key in ("want", "gaits"):
             if key in params:
                 params[key] = tuple(params[key])
-        line, divided = serialize.dump(params.get("line")), request["divided"]
-        if divided == "slope" and line not in warm:
+        line = serialize.dump(params.get("line"))
+        if request["divided"] == "slope" and line not in warm:
             # The time to load compiled code does not count for the first point.
             _try(function, {**params, "slope": params["slope"][:0]}, trees)
             warm.add(line)
@@ -66,11 +66,7 @@ def serve(parent: int) -> None:
         outcome, result = _try(function, params, trees)
         if outcome == b"ok":
             try:
-                if divided == "lines":
-                    atlases = [serialize.dump(atlas) for atlas, _ in result] if params["atlases"] else []
-                    parts = [*_rows(params, _join([row for _, row in result])), *atlases]
-                else:
-                    parts = _rows(params, result) if divided else [serialize.dump(result)]
+                parts = _parts(request, result)
             except Exception as error:
                 outcome, parts = b"raised", [_sentence(error).encode()]
         else:
@@ -126,6 +122,19 @@ def _sentence(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
+def _parts(request: dict[str, Any], result: Any) -> list[bytes]:
+    """Pack the result of a request."""
+    from pipeline import serialize
+
+    params = request["params"]
+    if request["divided"] == "lines":
+        atlases = [serialize.dump(atlas) for atlas, _ in result] if params["atlases"] else []
+        return [*_rows(params, _join([row for _, row in result])), *atlases]
+    if request["chunk"]:
+        return _chunks(params, result, *request["chunk"])
+    return _rows(params, result) if request["divided"] else [serialize.dump(result)]
+
+
 def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
     """Pack a block of points for the journal: states, then variables, without trailing gaits that do not exist."""
     import numpy as np
@@ -133,29 +142,65 @@ def _rows(params: dict[str, Any], result: dict[str, Any]) -> list[bytes]:
     from pipeline import serialize
 
     digests = {"lines": np.asarray(params["digests"])} if "digests" in params else {}
-    n, status = len(params["slope"]) * len(params.get("lines", "1")), np.asarray(result["status"], np.int8)
-    n_gaits = status.shape[1]
-    columns = {name: np.asarray(result[name]) for name in params["want"] if name not in ("status", "reason")}
-    for name, a in columns.items():
-        if a.shape[:2] != status.shape or len(status) != n:
-            raise ValueError(f"`{name}` has shape {a.shape} for {n} points")
+    columns = _columns(params, result, len(params["slope"]) * len(params.get("lines", "1")))
+    reason, sentences = _sentences(result["reason"], result["reasons"])
+    status = columns.pop("status")
+    states = {"status": status, "reason": reason, "reasons": np.array(sentences, "U"), **digests}
+    return [serialize.dump(states), serialize.dump(_without_empty(status, columns))]
 
-    def empty(g: int) -> bool:
+
+def _chunks(params: dict[str, Any], result: dict[str, Any], extent: int, multipliers: int) -> list[bytes]:
+    """Finish chunks of points: head and payload of each."""
+    import numpy as np
+
+    from pipeline.store.finished import finish
+
+    slopes, parts = np.asarray(params["slope"]), list[bytes]()
+    columns = _columns(params, result, len(slopes))
+    for k in range(0, len(slopes), extent):
+        chunk = {name: a[k : k + extent] for name, a in columns.items()}
+        status = chunk.pop("status")
+        reason, sentences = _sentences(result["reason"][k : k + extent], result["reasons"])
+        values = {"status": status, "reason": reason, **_without_empty(status, chunk)}
+        parts += finish(slopes[k : k + extent], values, sentences, extent, multipliers)
+    return parts
+
+
+def _columns(params: dict[str, Any], result: dict[str, Any], n: int) -> dict[str, Any]:
+    """Variables of `n` points but the reason, each of its own type."""
+    import numpy as np
+
+    names = [name for name in params["want"] if name not in ("status", "reason")]
+    columns = {name: np.asarray(result[name], VARIABLES[name].dtype) for name in ("status", *names)}
+    for name, a in columns.items():
+        if a.shape[:2] != columns["status"].shape or len(a) != n:
+            raise ValueError(f"`{name}` has shape {a.shape} for {n} points")
+    return columns
+
+
+def _sentences(reason: Any, sentences: Any) -> tuple[Any, list[str]]:
+    """Reasons renumbered over the sentences that occur, and these."""
+    import numpy as np
+
+    used, numbers = np.unique(reason, return_inverse=True)
+    texts = [str(sentences[k]) for k in used] if len(sentences) else []
+    return numbers.reshape(np.shape(reason)).astype(np.int16), texts
+
+
+def _without_empty(status: Any, columns: dict[str, Any]) -> dict[str, Any]:
+    """Variables without trailing gaits that do not exist."""
+    import numpy as np
+
+    def is_empty(g: int) -> bool:
         return bool(np.all(status[:, g] == STATUSES["no_gait"])) and all(
             np.array_equal(a[:, g], np.full_like(a[:, g], VARIABLES[name].absent), equal_nan=a.dtype.kind == "f")
             for name, a in columns.items()
         )
 
-    while n_gaits and empty(n_gaits - 1):
+    n_gaits = status.shape[1]
+    while n_gaits and is_empty(n_gaits - 1):
         n_gaits -= 1
-    used, reason = np.unique(result["reason"], return_inverse=True)
-    states = {
-        "status": status,
-        "reason": reason.reshape(status.shape).astype(np.int16),
-        "reasons": np.array([str(result["reasons"][k]) for k in used] if len(result["reasons"]) else [], "U"),
-        **digests,
-    }
-    return [serialize.dump(states), serialize.dump({name: a[:, :n_gaits] for name, a in columns.items()})]
+    return {name: a[:, :n_gaits] for name, a in columns.items()}
 
 
 def _join(rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -44,7 +44,8 @@ class Request:
 
     `divided` names the parameter by which a block may be divided: "slope" of points, shape (n,) [rad], or "lines".
     `seconds` and `memory` [byte] limit one point, or the whole task if it is no block of points. The process ends
-    after waiting `idle` seconds for another request.
+    after waiting `idle` seconds for another request. `chunk` holds the number of points in a chunk of the archive and
+    of multipliers, if the points are whole chunks, which the worker then finishes.
     """
 
     function: str
@@ -54,6 +55,7 @@ class Request:
     seconds: float
     memory: int
     idle: float | None = None
+    chunk: tuple[int, int] | None = None
 
 
 class WorkerProcess:
@@ -188,8 +190,9 @@ def _member(worker: WorkerProcess) -> dict[str, Any]:
     return {"host": platform.node(), "pid": worker.process.pid, "memory": worker.resident(), "threads": worker.threads}
 
 
-def _ask(request: Request, params: dict[str, Any]) -> tuple[str, Any]:
+def _ask(request: Request, params: dict[str, Any], chunk: tuple[int, int] | None = None) -> tuple[str, Any]:
     head = {"function": request.function, "divided": request.divided, "memory": request.memory, "params": params}
+    head["chunk"] = chunk
     message = serialize.dump(head)
     while True:
         worker = getattr(_local, "worker", None)
@@ -214,7 +217,8 @@ def run(request: Request) -> dict[str, Any]:
     -------
     dict
         `seconds` [s] taken, of them `cpu` of processor time and `integrating` in compiled integrators; `rows` of a
-        block of points or lines, each (slopes, packed states, packed variables); of a block of lines also `atlases`,
+        block of points or lines, each (slopes, packed states, packed variables), and `chunks` of points, each (head,
+        payload) of a finished chunk; of a block of lines also `atlases`,
         each with its position, and the positions of the `failed` lines, whose status is `not_attempted`; or `outcome`
         and `data` (packed result) or `reason` of another task; `worker`, the process that ran it.
 
@@ -229,7 +233,7 @@ def run(request: Request) -> dict[str, Any]:
     answer: dict[str, Any]
     _local.used = [0.0, 0.0]
     if request.divided == "slope":
-        answer = {"rows": _run_block(request, np.asarray(request.params["slope"]))}
+        answer = _run_points(request)
     elif request.divided == "lines":
         answer = dict(_run_lines(request, 0, len(request.params["lines"])))
     else:
@@ -249,8 +253,20 @@ def run(request: Request) -> dict[str, Any]:
     return {**answer, **used, "seconds": time.perf_counter() - start, "pid": os.getpid()}
 
 
+def _run_points(request: Request) -> dict[str, Any]:
+    """Run a block of points: finished chunks, if it is whole chunks and nothing fails; else rows."""
+    outcome, parts = _ask(request, request.params, request.chunk)
+    if request.chunk and outcome == "ok":
+        return {"rows": [], "chunks": list(zip(parts[1::2], parts[2::2], strict=True))}
+    return {"rows": _divide(request, np.asarray(request.params["slope"]), outcome, parts)}
+
+
 def _run_block(request: Request, slopes: np.ndarray) -> list[tuple[bytes, bytes, bytes]]:
-    outcome, parts = _ask(request, {**request.params, "slope": slopes})
+    return _divide(request, slopes, *_ask(request, {**request.params, "slope": slopes}))
+
+
+def _divide(request: Request, slopes: np.ndarray, outcome: str, parts: Any) -> list[tuple[bytes, bytes, bytes]]:
+    """Rows of a block of points, which is divided and run again if it has failed."""
     if outcome == "ok":
         return [(slopes.tobytes(), parts[1], parts[2])]
     if len(slopes) > 1:

@@ -16,8 +16,8 @@ import numpy as np
 
 from pipeline.store.rows import TaskKey
 from pipeline.study.model import Study
-from tasks import registry
-from tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES, Task, always
+from tasks import accuracy
+from tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES, Task
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def _over_lines(name: str) -> bool:
 
 def variables(study: Study) -> tuple[str, ...]:
     """Point variables to compute: those requested, and those that requested fits, figures and claims read."""
-    names = {*study.variables, *always(study.accuracy)}
+    names = {*study.variables, *accuracy.always(study.accuracy)}
     readers = (*study.fits, *study.figures, *study.claims, *(("claims",) if study.claims else ()))
     names.update(read for reader in readers for read in READS.get(reader, ()))
     return tuple(name for name in VARIABLES if name in names)
@@ -95,7 +95,7 @@ def over_plane(study: Study) -> bool:
 def is_interpolated(study: Study) -> bool:
     """Whether the gaits of long lines come from polynomials where these are accurate enough."""
     is_grid = study.kind == "grid" and study.steps == 1
-    return is_grid and not is_short(study) and registry.is_interpolated(variables(study), study.accuracy)
+    return is_grid and not is_short(study) and accuracy.is_interpolated(variables(study), study.accuracy)
 
 
 def point_params(study: Study) -> dict[str, Any]:

@@ -24,15 +24,18 @@ def compact(journal: Journal) -> None:
 
 
 def _groups(journal: Journal, line: str) -> Iterator[list[Block]]:
-    """Runs of blocks with the same variables and at most `_MAX` points altogether."""
+    """Runs of blocks with the same variables and at most `_MAX` points altogether; none is a finished chunk."""
     group: list[Block] = []
     for block in journal.blocks(line):
         if group and (
-            block.variables != group[0].variables or sum(len(b.slopes) for b in group) + len(block.slopes) > _MAX
+            block.finished
+            or block.variables != group[0].variables
+            or sum(len(b.slopes) for b in group) + len(block.slopes) > _MAX
         ):
             yield group
             group = []
-        group.append(block)
+        if not block.finished:
+            group.append(block)
     if group:
         yield group
 

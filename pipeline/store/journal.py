@@ -9,42 +9,27 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import os
 import sqlite3
 import threading
 import time
 import zlib
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NoReturn
-from urllib.parse import quote
+from typing import Any
 
 import numpy as np
 
-from pipeline import paths, serialize
-from pipeline.errors import ArchiveError, DiskFullError, is_disk_full
-from pipeline.store import rows, salvage
+from pipeline import serialize
+from pipeline.store import journal_file, rows
+from pipeline.store.finished import FinishedChunk, Head
+from pipeline.store.journal_file import CorruptJournalError
 from pipeline.store.rows import Block, Outcome, Result
+from pipeline.store.segment import Segment
 
-_APPLICATION_ID = 0x67735732  # in the header of a journal of this format
 _SYNC_INTERVAL = 0.5  # finished work that a power failure may cost [s]
 _MIN_SMALL_BLOCKS, _SMALL_BLOCK = 64, 1000  # a line in more blocks than this, of fewer points, is compacted
-#: Page sizes [byte]; from `_LARGE_JOURNAL` points on, blocks take megabytes and larger pages are faster.
-_PAGE, _LARGE_PAGE, _LARGE_JOURNAL = 4096, 32768, 100_000
-#: SQLite errors of a full disk, and errors that do not mean a damaged file; any other does.
-_FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
-_HARMLESS = ("PERM", "BUSY", "LOCKED", "NOMEM", "READONLY", "PROTOCOL", "CANTOPEN", "AUTH")
-_NOT_THE_FILE = tuple(getattr(sqlite3, f"SQLITE_{name}") for name in _HARMLESS)
-_READ_ERRORS = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
-
-
-class CorruptJournalError(ArchiveError):
-    """The journal does not hold what was written; `repair` it and plan again."""
-
-    def __init__(self, path: Path):
-        self.path = path
-        super().__init__(f"{path} is damaged; the next run repairs it.")
+_LARGE_JOURNAL = 100_000  # points from which on blocks take megabytes and larger pages are faster
 
 
 class Journal:
@@ -65,28 +50,44 @@ class Journal:
 
     def __init__(self, path: Path, write: bool = True, points: int = 0):
         self.path, self._lock, self._synced = path, threading.RLock(), 0.0
-        self._recent: OrderedDict[int, dict[str, np.ndarray]] = OrderedDict()
+        self._recent: OrderedDict[int, Mapping[str, np.ndarray]] = OrderedDict()
         self._last: dict[str, int] = {}
+        self._segment = Segment(path, write)
         try:
-            exists = _is_ours(path)
-            page = 0 if exists else _LARGE_PAGE if points >= _LARGE_JOURNAL else _PAGE
-            self._db = _connect(path if exists or write else None, write, page)
+            exists = journal_file.is_ours(path)
+            page = 0 if exists else journal_file.LARGE_PAGE if points >= _LARGE_JOURNAL else journal_file.PAGE
+            self._db = journal_file.connect(path if exists or write else None, write, page)
+            if exists or write:
+                self._open_segment(write)
         except (sqlite3.Error, OSError) as error:
-            _raise_for(error, path)
+            journal_file.raise_for(error, path)
+
+    def _open_segment(self, write: bool) -> None:
+        try:
+            end = self._read("SELECT ifnull(max(start + length), 0) FROM points WHERE length > 0")[0][0]
+            last = self._read("SELECT start, length, data_sum FROM points WHERE length > 0 ORDER BY id DESC LIMIT 1")
+            journal_file.check_segment(self.path, self._segment, end, last[0] if last else None)
+            if write:
+                self._segment.resume(end)
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Fold the write-ahead log into the file and close it."""
         with self._lock:
-            with contextlib.suppress(sqlite3.Error):
+            with contextlib.suppress(sqlite3.Error, OSError):
+                self._segment.sync()
                 self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             self._db.close()
+            self._segment.close()
 
     def _read(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:
         try:
             with self._lock:
                 return self._db.execute(sql, values).fetchall()
         except (sqlite3.Error, OverflowError) as error:
-            _raise_for(error, self.path)
+            journal_file.raise_for(error, self.path)
 
     def _rows(self, table: str, condition: str, *values: Any) -> list[tuple[Any, ...]]:
         """Rows from the id on, without their data, after checking their checksums."""
@@ -102,18 +103,23 @@ class Journal:
                 return data
         raise CorruptJournalError(self.path)
 
-    def _add(self, table: str, *row: Any) -> None:
+    def _add(self, table: str, *row: Any, data_sum: int | None = None) -> None:
         with self._lock:
             if table not in self._last:
                 self._last[table] = self._read(f"SELECT ifnull(max(id), 0) FROM {table}")[0][0]
             self._last[table] += 1
-            self._write(rows.insert(table), *rows.with_checksums(table, self._last[table], *row))
+            self._write(rows.insert(table), *rows.with_checksums(table, self._last[table], *row, data_sum=data_sum))
 
     def _write(self, sql: str, *values: Any) -> None:
         """Execute one statement, durable at once if the run crashes, within `_SYNC_INTERVAL` if the power fails."""
         clock = time.monotonic()
         synchronous = clock - self._synced > _SYNC_INTERVAL
         self._read(f"PRAGMA synchronous={'FULL' if synchronous else 'NORMAL'}")
+        if synchronous:
+            try:
+                self._segment.sync()
+            except OSError as error:
+                journal_file.raise_for(error, self.path)
         self._read(sql, *values)
         if synchronous:
             self._synced = clock
@@ -134,6 +140,44 @@ class Journal:
             Time they took.
         """
         self._add("points", line, *_points_row(unversioned_key, variables, row, seconds))
+
+    def add_chunk(
+        self, line: str, unversioned_key: str, variables: Iterable[str], chunk: tuple[bytes, bytes], cost: float
+    ) -> Head:
+        """Store a finished chunk of points of one line.
+
+        Parameters
+        ----------
+        line, unversioned_key : str
+        variables : iterable of str
+            As for `add_points`.
+        chunk : tuple of bytes
+            Head and payload.
+        cost : float [s]
+            Time that each point took.
+
+        Returns
+        -------
+        Head
+        """
+        data, payload = chunk
+        head = Head(data)
+        with self._lock:
+            try:
+                start = self._segment.append(payload)
+            except OSError as error:
+                journal_file.raise_for(error, self._segment.path)
+            values = (
+                unversioned_key,
+                _join_words(variables),
+                head.low,
+                head.high,
+                head.points,
+                float(cost * head.points),
+            )
+            place = start, len(payload)
+            self._add("points", line, *values, *place, head.digest, data, b"", data_sum=zlib.crc32(payload))
+        return head
 
     def add_result(self, key: str, unversioned_key: str, result: Result, seconds: float) -> None:
         """Store the result of a task over a line or a study."""
@@ -164,31 +208,57 @@ class Journal:
         for (number,) in self._read(query, line, low, high):
             yield self.block(number, line)
 
+    def ranges(self, line: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers of the blocks of a line, earliest first, and the least and largest slope of each.
+
+        Returns
+        -------
+        numbers : ndarray of int, shape (n,)
+        low, high : ndarray, shape (n,) [rad]
+        """
+        found = self._read("SELECT id, low, high FROM points WHERE line = ? ORDER BY id", line)
+        numbers, low, high = zip(*found, strict=True) if found else ((), (), ())
+        return np.array(numbers, int), np.array(low, float), np.array(high, float)
+
     def block(self, number: int, line: str | None = None) -> Block:
         """The block of that number, and key."""
         rows_found = self._rows("points", "id = ? AND line = ifnull(?, line)", number, line)
         if not rows_found:
             raise CorruptJournalError(self.path)
-        _, _, _, variables, *_, slopes, states = rows_found[0]
-        return Block(number, _split_words(variables), np.frombuffer(slopes), serialize.load(states))
+        row = rows_found[0]
+        _, _, _, variables, low, high, *_, slopes, states = row
+        shared = number, _split_words(variables), low, high
+        place = rows.place("points", row)
+        if place[1]:
+            chunk = FinishedChunk(Head(states), lambda: self._payload(*place))
+            return Block(*shared, chunk, chunk.contents)
+        contents = np.frombuffer(slopes), serialize.load(states)
+        return Block(*shared, None, lambda: contents)
+
+    def _payload(self, start: int, length: int, checksum: int) -> bytes:
+        payload = self._segment.read(start, length)
+        if zlib.crc32(payload) != checksum:
+            raise CorruptJournalError(self.path)
+        return payload
 
     def block_keys(self) -> list[str]:
         """Keys of blocks of lines."""
         query = "SELECT DISTINCT line FROM points WHERE line >= ? AND line < ?"
         return [key for (key,) in self._read(query, f"{rows.BLOCK}-", f"{rows.BLOCK}.")]
 
-    def variables(self, block: int) -> dict[str, np.ndarray]:
+    def variables(self, block: int) -> Mapping[str, np.ndarray]:
         """Read the variables of one block; the last two blocks are cached.
 
         Returns
         -------
-        dict of ndarray, shape (n, gait, ...)
+        mapping of ndarray, shape (n, gait, ...)
         """
         with self._lock:
             if block in self._recent:
                 self._recent.move_to_end(block)
             else:
-                self._recent[block] = serialize.load(self._data("points", block))
+                chunk = self.block(block).finished
+                self._recent[block] = serialize.load(self._data("points", block)) if chunk is None else chunk
                 while len(self._recent) > 2:
                     self._recent.popitem(last=False)
             return self._recent[block]
@@ -255,115 +325,14 @@ def _split_words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
+def _join_words(words: Iterable[str]) -> str:
+    return " ".join(sorted(words))
+
+
 def _points_row(
     unversioned_key: str, variables: Iterable[str], row: tuple[bytes, bytes, bytes], seconds: float
 ) -> tuple[Any, ...]:
     """Columns of a block of points after its line, without checksums."""
     slopes = np.frombuffer(row[0])
     limits = float(slopes.min()), float(slopes.max())
-    return unversioned_key, " ".join(sorted(variables)), *limits, len(slopes), float(seconds), *row
-
-
-def _connect(path: Path | None, write: bool = True, page: int = 0) -> sqlite3.Connection:
-    """Open a journal, or create one with pages of `page` byte; without a path, in memory."""
-    options: dict[str, Any] = {"timeout": 10, "isolation_level": None, "check_same_thread": False}
-    if path and not write and not os.access(path.parent, os.W_OK):
-        # SQLite creates a shared lock file even to read; in a read-only folder only the files of a writer can be used.
-        is_written = path.with_name(path.name + "-wal").exists()
-        how = "mode=ro" if is_written else "immutable=1"
-        db = sqlite3.connect(f"file:{quote(str(path))}?{how}", uri=True, **options)
-    else:
-        db = sqlite3.connect(path or ":memory:", **options)
-    try:
-        if page:
-            db.execute(f"PRAGMA page_size={page}")
-            db.execute(f"PRAGMA application_id={_APPLICATION_ID}")
-        if write:
-            db.execute("PRAGMA journal_mode=WAL")
-        for pragma in ("trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192"):
-            db.execute(f"PRAGMA {pragma}")
-        if page:
-            db.execute("BEGIN IMMEDIATE")
-            for statement in rows.SCHEMA:
-                db.execute(statement)
-            db.execute("COMMIT")
-        schema = {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
-        # An incomplete index would hide rows; reading the whole journal is cheap beside computing them.
-        if schema != set(rows.SCHEMA) or (write and db.execute("PRAGMA integrity_check(1)").fetchone() != ("ok",)):
-            raise sqlite3.DatabaseError("malformed")
-    except BaseException:
-        db.close()
-        raise
-    return db
-
-
-def _is_ours(path: Path) -> bool:
-    """Whether there is a journal of this format at `path`: it has the application id or an intact row.
-
-    Raises
-    ------
-    ArchiveError
-        If there is another file.
-    """
-    if not path.exists() or not path.stat().st_size:
-        return False
-    with open(path, "rb") as file:
-        file.seek(68)
-        mark = file.read(4)
-    if mark != _APPLICATION_ID.to_bytes(4, "big") and not any(True for _ in _intact_rows(path)):
-        raise ArchiveError(f"{path} is not a journal of this version of gaitsweep; move it away.")
-    return True
-
-
-def _intact_rows(path: Path) -> Iterator[tuple[str, tuple[Any, ...]]]:
-    """Intact rows of a journal, each with its table, however damaged the rest is."""
-    for size in (_PAGE, _LARGE_PAGE):
-        yield from salvage.rows(path, size, rows.parse)
-
-
-def forget(path: Path) -> None:
-    """Remove a journal; a file that is none is left alone.
-
-    Raises
-    ------
-    ArchiveError
-        If there is another file at `path`.
-    """
-    if _is_ours(path):
-        _remove(path)
-
-
-def _remove(path: Path, *suffixes: str) -> None:
-    for suffix in suffixes or ("", "-wal", "-shm"):
-        path.with_name(path.name + suffix).unlink(missing_ok=True)
-
-
-def repair(path: Path) -> None:
-    """Rewrite the journal with its intact rows."""
-    draft = paths.of(path)
-    paths.discard(path)
-    try:
-        page = _LARGE_PAGE if path.stat().st_size > 1 << 24 else _PAGE
-        with contextlib.closing(_connect(draft, page=page)) as journal:
-            for table, row in _intact_rows(path):
-                if table == "points":  # a compacted block has the number of its last part, and more points
-                    journal.execute("DELETE FROM points WHERE id = ? AND n < ?", (row[0], row[6]))
-                journal.execute(rows.insert(table, "OR IGNORE"), row)
-            journal.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-        _remove(path, "-wal", "-shm")
-        os.replace(draft, path)
-    except (sqlite3.Error, OSError) as error:
-        _raise_for(error, path)
-    finally:
-        paths.discard(path)
-
-
-def _raise_for(error: Exception, path: Path) -> NoReturn:
-    if isinstance(error, sqlite3.ProgrammingError):
-        raise error
-    code = getattr(error, "sqlite_errorcode", 0)
-    if (code & 0xFF in _FULL and code not in _READ_ERRORS) or is_disk_full(error):
-        raise DiskFullError(f"The disk is full: {path} cannot grow; finished results are kept.") from error
-    if code & 0xFF in _NOT_THE_FILE or isinstance(error, OSError):
-        raise ArchiveError(f"{path} cannot be used: {error}.") from error
-    raise CorruptJournalError(path) from error
+    return unversioned_key, _join_words(variables), *limits, len(slopes), float(seconds), 0, 0, *row

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 
@@ -318,20 +318,24 @@ def rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
     return {tuple((c // powers % _BASE).tolist()): int(occurrences[c]) for c in np.flatnonzero(occurrences)}
 
 
-def count(status: np.ndarray) -> Counter[str]:
+def count(status_rows: Mapping[tuple[int, ...], int], columns: Iterable[int] | None = None) -> Counter[str]:
     """Count points by outcome: a failure of any gait, else the best answer of any gait.
 
     Parameters
     ----------
-    status : ndarray, shape (n, gait)
+    status_rows : mapping
+        Points by their row of `status`, as `rows` returns them.
+    columns : iterable of int, optional
+        Gaits that count; by default all.
 
     Returns
     -------
     Counter
         Points by the name of their status.
     """
-    counts: Counter[str] = Counter()
-    for row, n in rows(status).items():
+    counts, chosen = Counter[str](), None if columns is None else list(columns)
+    for row, n in status_rows.items():
+        row = row if chosen is None else tuple(row[c] for c in chosen)
         failed = [code for code in row if code not in ANSWERS]
         best = next((code for code in _BEST if code in row), row[0])
         counts[_NAMES[max(failed, default=best)]] += n

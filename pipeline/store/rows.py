@@ -5,15 +5,18 @@ from __future__ import annotations
 import functools
 import re
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from pipeline.store.finished import FinishedChunk
+
 SCHEMA = (
     "CREATE TABLE points (id INTEGER PRIMARY KEY, line TEXT, kin TEXT, variables TEXT, low REAL, high REAL,"
-    " n INTEGER, seconds REAL, data_sum INTEGER, sum INTEGER, slopes BLOB, states BLOB, data BLOB)",
+    " n INTEGER, seconds REAL, start INTEGER, length INTEGER, data_sum INTEGER, sum INTEGER, slopes BLOB, states BLOB,"
+    " data BLOB)",
     "CREATE TABLE results (id INTEGER PRIMARY KEY, key TEXT, kin TEXT, outcome TEXT, reason TEXT, seen INTEGER,"
     " seconds REAL, data_sum INTEGER, sum INTEGER, data BLOB)",
     "CREATE TABLE notes (key TEXT PRIMARY KEY, value TEXT)",
@@ -22,7 +25,9 @@ SCHEMA = (
     "CREATE INDEX results_key ON results (key)",
     "CREATE INDEX results_kin ON results (kin)",
 )
-#: Columns of each table after its id. `sum` is the checksum of all others except `data`, which has its own.
+#: Columns of each table after its id. `sum` is the checksum of all others except `data`, which has its own. Of a
+#: finished chunk, whose `length` is not 0, the data are in the segment from `start` on, `states` is its head, and
+#: `slopes` the digest of its slopes.
 COLUMNS = {
     table: tuple(re.findall(r"(\w+) (?:TEXT|REAL|INTEGER|BLOB)", statement)[1:])
     for table, statement in zip(("points", "results"), SCHEMA, strict=False)
@@ -56,6 +61,10 @@ class Block:
     id : int
     variables : frozenset of str
         Names of the variables, and of the gaits as `@long`.
+    low, high : float [rad]
+        Least and largest slope.
+    finished : FinishedChunk or None
+        The finished chunk that it is, if it is one.
     slopes : ndarray, shape (n,) [rad]
     states : dict
         `status` and `reason`, shape (n, gait), and the sentences `reasons`; of several lines, whose points follow each
@@ -64,8 +73,24 @@ class Block:
 
     id: int
     variables: frozenset[str]
-    slopes: np.ndarray
-    states: dict[str, np.ndarray]
+    low: float
+    high: float
+    finished: FinishedChunk | None
+    _read: Callable[[], tuple[np.ndarray, dict[str, np.ndarray]]]
+
+    @functools.cached_property
+    def _contents(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        return self._read()
+
+    @property
+    def slopes(self) -> np.ndarray:
+        """Slopes of the points."""
+        return self._contents[0]
+
+    @property
+    def states(self) -> dict[str, np.ndarray]:
+        """How the points ended."""
+        return self._contents[1]
 
 
 @dataclass(frozen=True)
@@ -84,10 +109,10 @@ def insert(table: str, conflict: str = "") -> str:
     return f"INSERT {conflict} INTO {table} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
 
 
-def with_checksums(table: str, number: int, *row: Any) -> tuple[Any, ...]:
-    """Add the number and checksums to the values of a row."""
+def with_checksums(table: str, number: int, *row: Any, data_sum: int | None = None) -> tuple[Any, ...]:
+    """Add the number and checksums to the values of a row; `data_sum` is that of data in the segment."""
     k = COLUMNS[table].index("data_sum")
-    head = (number, *row[:k], zlib.crc32(row[-1]))
+    head = (number, *row[:k], zlib.crc32(row[-1]) if data_sum is None else data_sum)
     return (*head, _sum(head, row[k:-1]), *row[k:])
 
 
@@ -109,6 +134,15 @@ def parse(number: int, values: list[Any]) -> tuple[str, tuple[Any, ...]] | None:
             pairs = zip(columns, values[1:], strict=True)
             row = (number, *(float(v) if name in _REAL and isinstance(v, int) else v for name, v in pairs))
             data, checksum = row[-1], row[1 + columns.index("data_sum")]
-            if is_intact(table, row[:-1]) and isinstance(data, bytes) and zlib.crc32(data) == checksum:
+            is_elsewhere = bool(place(table, row)[1])
+            if is_intact(table, row[:-1]) and isinstance(data, bytes) and is_elsewhere | (zlib.crc32(data) == checksum):
                 return table, row
     return None
+
+
+def place(table: str, row: tuple[Any, ...]) -> tuple[int, int, int]:
+    """Offset, length and checksum of the data of a row in the segment; the length is 0 if the row holds them."""
+    if table != "points":
+        return 0, 0, 0
+    k = 1 + COLUMNS[table].index("start")
+    return row[k], row[k + 1], row[k + 2]

@@ -22,6 +22,7 @@ from pipeline.study import options, overlay, units
 from pipeline.study.files import read_toml, walker
 from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
+from tasks import accuracy as accuracies
 from tasks import registry
 from tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
@@ -284,7 +285,7 @@ def accuracy(value: object, location: Location) -> float:
         If it is not a number from 1e-15 to 1e-2.
     """
     number = location.number(value)
-    least, most = registry.ACCURACIES
+    least, most = accuracies.ACCURACIES
     if not least <= number <= most:
         raise location.wrong(f"must lie in [{least:g}, {most:g}]", number)
     candidates = [float(f"{digit}e{power}") for power in range(-16, -1) for digit in (1, 3)]
@@ -309,10 +310,10 @@ def variables(value: object, location: Location, asked: float = 0.0) -> tuple[st
     """
     if value is None:
         left = {*COSTLY, "multipliers"} if asked else set(COSTLY)
-        without = registry.OF_INTEGRATION if asked else ()
+        without = accuracies.OF_INTEGRATION if asked else ()
         return tuple(v.name for v in VARIABLES.values() if v.group not in left and v.name not in without)
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
-    requested = {*_names(value, (*VARIABLES, *groups), location), *registry.always(asked)}
+    requested = {*_names(value, (*VARIABLES, *groups), location), *accuracies.always(asked)}
     wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
     if any(VARIABLES[name].group == "proofs" for name in wanted):
         need_proofs(location)

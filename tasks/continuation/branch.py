@@ -297,7 +297,20 @@ class Branch:
         return guesses
 
     def covered(self, first: int, last: int, q: np.ndarray) -> np.ndarray:
-        """Indices of ln slopes, shape (n,), that the piece between two nodes covers."""
+        """Ln slopes that the piece between two nodes covers.
+
+        Parameters
+        ----------
+        first, last : int
+            Of `pieces`.
+        q : ndarray, shape (n,)
+            Values of ln slope.
+
+        Returns
+        -------
+        ndarray of int, shape (k,)
+            Indices into q.
+        """
         ends = self.q[[first, last]]
         return np.flatnonzero((q >= ends.min()) & (q <= ends.max()))
 

@@ -57,12 +57,32 @@ class Panel:
     kind: int = 0
 
     def log_slope(self, x: np.ndarray) -> np.ndarray:
-        """Ln slopes of points from -1 to 1."""
+        """Ln slopes of points.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            From -1 to 1.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
         start, stop = self.part
         return self.low + (self.high - self.low) * along(start + (stop - start) * (x + 1) / 2, self.folds)
 
     def point(self, log_slope: np.ndarray) -> np.ndarray:
-        """Points from -1 to 1 of ln slopes, the inverse of `log_slope`."""
+        """Points of ln slopes, the inverse of `log_slope`.
+
+        Parameters
+        ----------
+        log_slope : ndarray, shape (n,)
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            From -1 to 1.
+        """
         start, stop = self.part
         share = coordinate((log_slope - self.low) / (self.high - self.low), self.folds)
         return np.clip(2 * (share - start) / (stop - start) - 1, -1, 1)
@@ -97,7 +117,18 @@ class Panel:
             yield replace(self, part=(middle, stop))
 
     def evaluate(self, x: np.ndarray, column: int) -> np.ndarray:
-        """Evaluate a polynomial at points from -1 to 1, shape (n,)."""
+        """Evaluate a polynomial.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            Points from -1 to 1.
+        column : int
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
         return np.asarray(chebval(x, self.coefficients[:, column]))
 
     def is_measured(self, x: np.ndarray) -> np.ndarray:

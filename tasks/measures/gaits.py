@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks import status
+from tasks.accuracy import MANTISSA, significant_bits
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
 from tasks.fixed_points.polish import Polished
@@ -15,7 +16,7 @@ from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
 from tasks.measures.kinematics import step_length, travel
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from tasks.registry import GAITS, MANTISSA, VARIABLES, significant_bits
+from tasks.registry import GAITS, VARIABLES
 from tasks.step.problem import Problem, residual_sizes
 from tasks.walkers.walker import Walker
 

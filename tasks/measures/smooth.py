@@ -119,6 +119,10 @@ class Smooth:
             The entries of the step map's derivative, shape (n,).
         error : float
             Bound of the errors of quantities, each over its size.
+
+        Returns
+        -------
+        dict of ndarray, shape (n[, multipliers])
         """
         m = math.isqrt(len(self.entries))
         jacobian = np.stack([columns[name] for name in self.entries]).reshape(m, m, -1)

@@ -9,6 +9,7 @@ import random
 import resource
 import shutil
 import signal
+import zlib
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
@@ -119,11 +120,14 @@ def test_verify_finds_nothing_wrong_with_a_whole_one(made):
 
 def test_a_variable_is_checked_box_by_box(copy, monkeypatch):
     """The sum over its boxes passes 2^32; small boxes stand in for a variable of more than 65536 points."""
-    monkeypatch.setattr(layout, "CHUNK", 16)
     monkeypatch.setattr(layout, "REGION", 32)
     with netCDF4.Dataset(copy, "a") as file:
-        boxes = list(layout.regions({"slope": 200, "w_t": 2}))
-        sums = [layout.checksum(np.ma.getdata(file["stance_angle"][box]), box) for box in boxes]
+        file.checksum_chunk = [16, 1]
+        boxes = list(layout.regions({"slope": 200, "w_t": 2}, (16, 1)))
+        sums = []
+        for i, j, k in np.ndindex(13, 2, 2):
+            part = np.ma.getdata(file["stance_angle"][16 * i : 16 * i + 16, j, k])
+            sums.append(layout.chunk_checksum(zlib.crc32(part.tobytes()), (16 * i, j, k)))
         assert len(boxes) > 10 and sum(sums) > 1 << 33
         checksums = {name: read._checksum(file[name]) for name in json.loads(file.checksums)}
         assert checksums["stance_angle"] == sum(sums) % (1 << 32)

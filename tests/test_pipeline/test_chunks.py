@@ -1,10 +1,13 @@
 """Chunks packed here are what HDF5's own filters read, and no larger than what they would write."""
 
+import zlib
+
 import netCDF4
 import numpy as np
 import pytest
 
 from pipeline.archive import chunks, layout
+from pipeline.store import packing
 
 SMOOTH = np.cbrt(np.linspace(1e-4, 0.1, 3 * 9000)).reshape(3, 9000)
 PACKED = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
@@ -36,14 +39,19 @@ def _file(path, values, extent):
 )
 def test_netcdf_reads_back_what_was_packed(tmp_path, values):
     sizes = {"line": values.shape[0], "slope": values.shape[1]}
-    extent = (*layout.chunk_shape(sizes, layout.CHUNK), values.shape[2])
+    shape = layout.grid_chunk(sizes)
+    extent = (*shape, values.shape[2])
     ours, theirs = (_file(tmp_path / name, values, extent) for name in ("ours.nc", "theirs.nc"))
     with netCDF4.Dataset(theirs, "a") as file:
         file["v"][:] = values
     with chunks.Chunks(ours) as out:
-        for box in layout.regions(sizes):
-            for corner, part in chunks.split(values[box], box, extent):
-                out.write("v", corner, chunks.pack(part))
+        for box in layout.regions(sizes, shape):
+            for corner, part in layout.split(values[box], box, extent):
+                packed = packing.pack_values(part, extent)
+                out.write("v", corner, packed.data)
+                unpacked = packing.unpack(packed.data, values.dtype.str, extent)[tuple(map(slice, part.shape))]
+                np.testing.assert_array_equal(unpacked, part)
+                assert packed.checksum == zlib.crc32(part.tobytes())
     with netCDF4.Dataset(ours) as file:
         np.testing.assert_array_equal(np.ma.getdata(file["v"][:]), values)
     assert ours.stat().st_size < 1.05 * theirs.stat().st_size + 1000
@@ -51,7 +59,7 @@ def test_netcdf_reads_back_what_was_packed(tmp_path, values):
 
 def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
     path = _file(tmp_path / "v.nc", SMOOTH, (1, 9000))
-    data = bytearray(chunks.pack(SMOOTH[:1].copy()))
+    data = bytearray(packing.pack(SMOOTH[:1].copy()))
     data[len(data) // 2] ^= 1
     with chunks.Chunks(path) as out:
         out.write("v", (0, 0), bytes(data))
@@ -70,8 +78,8 @@ def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
     ],
 )
 def test_regions_are_whole_chunks_and_cover_the_grid_once(sizes):
-    seen, chunk = np.zeros(tuple(sizes.values()), int), layout.chunk_shape(sizes, layout.CHUNK)
-    for box in layout.regions(sizes):
+    seen, chunk = np.zeros(tuple(sizes.values()), int), layout.grid_chunk(sizes)
+    for box in layout.regions(sizes, chunk):
         seen[box] += 1
         assert seen[box].size <= layout.REGION and all(s.start % c == 0 for s, c in zip(box, chunk, strict=True))
         assert all(s.stop % c == 0 or s.stop == n for s, c, n in zip(box, chunk, seen.shape, strict=True))

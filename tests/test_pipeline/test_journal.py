@@ -14,7 +14,9 @@ from pipeline import serialize
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.store import lines
 from pipeline.store.compact import compact
-from pipeline.store.journal import CorruptJournalError, Journal, Result, repair
+from pipeline.store.journal import Journal
+from pipeline.store.journal_file import CorruptJournalError, repair
+from pipeline.store.rows import Result
 from processes import damaged
 
 WANT = lines.needed(["stance_angle"], ["long"])

@@ -8,11 +8,12 @@ import pytest
 
 from lines import WANT, branches, solved
 from tasks import interpolate_points, status
+from tasks.accuracy import OF_INTEGRATION, significant_bits
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
 from tasks.interpolate_points import Interpolation
 from tasks.measures.gaits import round_bits, to_accuracy
-from tasks.registry import GAITS, OF_INTEGRATION, significant_bits
+from tasks.registry import GAITS
 from tasks.solve_points import atlas, points
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve

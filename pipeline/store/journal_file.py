@@ -1,0 +1,207 @@
+"""The files of a journal: opened, recognised, repaired and removed.
+
+They are the SQLite file with its log, and beside it the segment of finished chunks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+from urllib.parse import quote
+
+from pipeline import paths
+from pipeline.errors import ArchiveError, DiskFullError, is_disk_full
+from pipeline.store import rows, salvage
+from pipeline.store.segment import SUFFIX, Segment
+
+_APPLICATION_ID = 0x67735733  # in the header of a journal of this format
+_EARLIER_IDS = (0x67735732,)
+PAGE, LARGE_PAGE = 4096, 32768  # page sizes [byte]
+#: SQLite errors of a full disk, and errors that do not mean a damaged file; any other does.
+_FULL = (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR)
+_HARMLESS = ("PERM", "BUSY", "LOCKED", "NOMEM", "READONLY", "PROTOCOL", "CANTOPEN", "AUTH")
+_NOT_THE_FILE = tuple(getattr(sqlite3, f"SQLITE_{name}") for name in _HARMLESS)
+_READ_ERRORS = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
+
+
+class CorruptJournalError(ArchiveError):
+    """The journal does not hold what was written; `repair` it and plan again."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        super().__init__(f"{path} is damaged; the next run repairs it.")
+
+
+def connect(path: Path | None, write: bool = True, page: int = 0, check: bool = True) -> sqlite3.Connection:
+    """Open a journal, or create one with pages of `page` byte; without a path, in memory. Its schema is checked."""
+    options: dict[str, Any] = {"timeout": 10, "isolation_level": None, "check_same_thread": False}
+    if path and not write and not os.access(path.parent, os.W_OK):
+        # SQLite creates a shared lock file even to read; in a read-only folder only the files of a writer can be used.
+        is_written = path.with_name(path.name + "-wal").exists()
+        how = "mode=ro" if is_written else "immutable=1"
+        db = sqlite3.connect(f"file:{quote(str(path))}?{how}", uri=True, **options)
+    else:
+        db = sqlite3.connect(path or ":memory:", **options)
+    try:
+        if page:
+            db.execute(f"PRAGMA page_size={page}")
+            db.execute(f"PRAGMA application_id={_APPLICATION_ID}")
+        if write:
+            db.execute("PRAGMA journal_mode=WAL")
+        for pragma in ("trusted_schema=OFF", "synchronous=NORMAL", "cache_size=-8192"):
+            db.execute(f"PRAGMA {pragma}")
+        if page:
+            db.execute("BEGIN IMMEDIATE")
+            for statement in rows.SCHEMA:
+                db.execute(statement)
+            db.execute("COMMIT")
+        schema = {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
+        # An incomplete index would hide rows; reading the whole journal is cheap beside computing them.
+        if check and schema != set(rows.SCHEMA):
+            raise sqlite3.DatabaseError("malformed")
+        if write and db.execute("PRAGMA integrity_check(1)").fetchone() != ("ok",):
+            raise sqlite3.DatabaseError("malformed")
+    except BaseException:
+        db.close()
+        raise
+    return db
+
+
+def is_ours(path: Path) -> bool:
+    """Whether there is a journal of this format at `path`: it has the application id or an intact row.
+
+    Raises
+    ------
+    ArchiveError
+        If there is another file, or a journal of an earlier version.
+    """
+    if not path.exists() or not path.stat().st_size:
+        return False
+    mark = _mark(path)
+    if mark in _EARLIER_IDS:
+        cost = _cost(path)
+        raise ArchiveError(f"{path} is a journal of an earlier version; `run --fresh` replaces it{cost}.")
+    if mark != _APPLICATION_ID and not any(True for _ in _intact_rows(path)):
+        raise ArchiveError(f"{path} is not a journal of this version of gaitsweep; move it away.")
+    return True
+
+
+def _mark(path: Path) -> int:
+    """Application id in the header of a file."""
+    with open(path, "rb") as file:
+        file.seek(68)
+        return int.from_bytes(file.read(4), "big")
+
+
+def _cost(path: Path) -> str:
+    """What the results of an earlier version's journal cost, as the end of a sentence."""
+    with contextlib.suppress(sqlite3.Error), contextlib.closing(connect(path, write=False, check=False)) as db:
+        n, seconds = db.execute("SELECT sum(n), sum(seconds) FROM points").fetchone()
+        if n:
+            return f" and computes its {n:,} points again, which took {seconds:,.0f} s of processor time"
+    return ""
+
+
+def check_segment(path: Path, segment: Segment, end: int, last: tuple[int, int, int] | None) -> None:
+    """Check that a segment is the one of the journal at `path`, and as long as its rows say.
+
+    Parameters
+    ----------
+    path : Path
+    segment : Segment
+    end : int
+        Where the last payload ends; 0 if there is none.
+    last : tuple of int, optional
+        Offset, length and checksum of the latest payload.
+
+    Raises
+    ------
+    CorruptJournalError
+        If payloads are lost.
+    ArchiveError
+        If there is another file in its place.
+    """
+    if not segment.is_ours() and not last:
+        raise ArchiveError(f"{segment.path} is not a file of gaitsweep; move it away.")
+    if last and (segment.size < end or not segment.is_ours() or not _is_whole(segment, *last)):
+        raise CorruptJournalError(path)
+
+
+def _is_whole(segment: Segment, start: int, length: int, checksum: int) -> bool:
+    return zlib.crc32(segment.read(start, length)) == checksum
+
+
+def _intact_rows(path: Path) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Intact rows of a journal, each with its table, however damaged the rest is."""
+    for size in (PAGE, LARGE_PAGE):
+        yield from salvage.rows(path, size, rows.parse)
+
+
+def forget(path: Path) -> None:
+    """Remove a journal, of an earlier version too; files that are none are left alone.
+
+    Raises
+    ------
+    ArchiveError
+        If there is another file in the place of one of its files.
+    """
+    is_earlier = path.exists() and _mark(path) in _EARLIER_IDS
+    if is_earlier or is_ours(path):
+        check_segment(path, Segment(path, write=False), 0, None)
+        _remove(path)
+
+
+def _remove(path: Path, *suffixes: str) -> None:
+    for suffix in suffixes or ("", "-wal", "-shm", SUFFIX):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
+def repair(path: Path) -> None:
+    """Rewrite the journal with its intact rows, those of finished chunks if their payloads are intact too."""
+    draft = paths.of(path)
+    paths.discard(path)
+    segment, is_named = Segment(path), False
+    try:
+        page = LARGE_PAGE if path.stat().st_size > 1 << 24 else PAGE
+        with contextlib.closing(connect(draft, page=page)) as journal:
+            for table, row in _intact_rows(path):
+                place = rows.place(table, row)
+                is_named |= bool(place[1])
+                if place[1] and not _is_whole(segment, *place):
+                    continue
+                if table == "points":  # a compacted block has the number of its last part, and more points
+                    journal.execute("DELETE FROM points WHERE id = ? AND n < ?", (row[0], row[6]))
+                journal.execute(rows.insert(table, "OR IGNORE"), row)
+            journal.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        if is_named and segment.size:
+            segment.restore_magic()
+        _remove(path, "-wal", "-shm")
+        os.replace(draft, path)
+    except (sqlite3.Error, OSError) as error:
+        raise_for(error, path)
+    finally:
+        segment.close()
+        paths.discard(path)
+
+
+def raise_for(error: Exception, path: Path) -> NoReturn:
+    """Raise the error that says what an error of SQLite or of the system means for the journal.
+
+    Raises
+    ------
+    ArchiveError, DiskFullError
+        If the file cannot be used or cannot grow; CorruptJournalError if it is damaged.
+    """
+    if isinstance(error, sqlite3.ProgrammingError):
+        raise error
+    code = getattr(error, "sqlite_errorcode", 0)
+    if (code & 0xFF in _FULL and code not in _READ_ERRORS) or is_disk_full(error):
+        raise DiskFullError(f"The disk is full: {path} cannot grow; finished results are kept.") from error
+    if code & 0xFF in _NOT_THE_FILE or isinstance(error, OSError):
+        raise ArchiveError(f"{path} cannot be used: {error}.") from error
+    raise CorruptJournalError(path) from error
