@@ -113,7 +113,10 @@ def checksum(values: np.ndarray, box: Box = ()) -> int:
     int
     """
     corner = ",".join(str(s.start) for s in box)
-    data = "\0".join(values.ravel()).encode() if values.dtype.kind == "O" else np.ascontiguousarray(values).tobytes()
+    is_text = values.dtype.kind == "O"
+    data = (
+        "\0".join(values.ravel()).encode() if is_text else np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
+    )
     return zlib.crc32(data, zlib.crc32(corner.encode()))
 
 

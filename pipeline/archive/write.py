@@ -134,6 +134,7 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
 def _write_checksums(file: Any, writer: PointWriter | _LineWriter) -> None:
     """Write the checksum of every variable, and the shape of the chunks whose sums are those of large variables."""
     sums = writer.sums
+    file.set_auto_mask(False)  # a mask is as long as a line
     small = [name for name in (*file.variables, *read.columns(file)) if name not in sums]
     checksums = {name: layout.checksum(np.ma.getdata(file[name][...])) for name in small}
     if isinstance(writer, PointWriter):

@@ -83,10 +83,13 @@ class ArchiveChunks:
         return max((n for n in bounds if n <= size), default=bounds[0] if bounds[0] <= MAX_EXCESS * size else size)
 
     def _bounds(self, indices: np.ndarray, chunks: int) -> np.ndarray:
-        """Positions at which, every so many chunks, another begins."""
-        return np.flatnonzero(np.diff(indices // (chunks * self.extent))) + 1
+        """Positions at which, every so many chunks, another begins; without temporaries as long as the line."""
+        step = chunks * self.extent
+        first, last = indices[[0, -1]].tolist()
+        starts = np.arange((first // step + 1) * step, last + 1, step, dtype=indices.dtype)
+        return np.unique(np.searchsorted(indices, starts))
 
-    def whole(self, indices: np.ndarray) -> np.ndarray | None:
+    def whole(self, indices: np.ndarray) -> slice | None:
         """All slopes of the chunks that hold the given ones; None if more than a few of them are solved already.
 
         Parameters
@@ -96,13 +99,11 @@ class ArchiveChunks:
 
         Returns
         -------
-        ndarray of int, shape (m,) or None
+        slice or None
             A point depends on its line alone, so to solve some again changes nothing.
         """
         if not self.extent:
             return None
-        numbers = np.unique(indices // self.extent).tolist()
-        spans = [(k * self.extent, min((k + 1) * self.extent, self.slopes)) for k in numbers]
-        if len(indices) < _WHOLE * sum(end - start for start, end in spans):
-            return None
-        return np.concatenate([np.arange(*span) for span in spans])
+        first, last = (indices[[0, -1]] // self.extent).tolist()
+        start, stop = first * self.extent, min((last + 1) * self.extent, self.slopes)
+        return slice(start, stop) if len(indices) >= _WHOLE * (stop - start) else None

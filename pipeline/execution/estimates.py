@@ -43,7 +43,7 @@ class Costs:
         -------
         ndarray of int, shape (n,)
         """
-        return indices * _REGIONS // self.slopes
+        return np.asarray(indices, np.int64) * _REGIONS // self.slopes
 
     def by_region(self, indices: np.ndarray, parts: int = 1) -> list[np.ndarray]:
         """Divide slopes by region, or by equal parts of it.
@@ -59,10 +59,18 @@ class Costs:
         -------
         list of ndarray of int
         """
-        return np.split(indices, np.flatnonzero(np.diff(self.region(parts * indices))) + 1)
+        return [part for part in np.split(indices, self._positions(indices, parts)[1:-1]) if len(part)]
+
+    def _positions(self, indices: np.ndarray, parts: int = 1) -> np.ndarray:
+        """Where in ascending indices each region, or part of one, begins; without temporaries as long as a line."""
+        n = parts * _REGIONS
+        starts = -(-np.arange(n + 1) * self.slopes // n)
+        return np.searchsorted(indices, starts.astype(indices.dtype))
 
     def _counts_by_region(self, indices: np.ndarray) -> np.ndarray:
-        return np.bincount(self.region(indices), minlength=_REGIONS)
+        if len(indices) > self.slopes:  # of several short lines
+            return np.bincount(self.region(indices), minlength=_REGIONS)
+        return np.diff(self._positions(indices))
 
     def open_line(self, line: int, indices: np.ndarray) -> None:
         """Open a line.
@@ -108,6 +116,7 @@ class Costs:
         """
         counts = self._counts_by_region(indices)
         shares = counts * (self.cost_per_point(line) if np.count_nonzero(counts) > 1 else 1.0)
+        shares = shares if shares.any() else counts  # points so cheap that nothing of them was measured
         counts_and_seconds = np.stack([counts, seconds * shares / shares.sum()])
         self.totals += counts_and_seconds
         self.mean = self.totals[1].sum() / self.totals[0].sum()
@@ -168,7 +177,7 @@ class Costs:
         probes, remainder = [], []
         for piece in self.by_region(indices):
             middle, n = len(piece) // 2, min(_MAX_PROBE, 1 + self.slopes // (_REGIONS * _PROBE))
-            probes.append(piece[middle : middle + n])
+            probes.append(piece[middle : middle + n].copy())  # not a view, which would keep all of the line
             remainder += [part for part in (piece[:middle], piece[middle + n :]) if len(part)]
         return probes, remainder
 

@@ -96,4 +96,5 @@ class PointQueue:
 
 def _joined(jobs: list[Job]) -> np.ndarray:
     """Indices of all points of jobs of one line, in ascending order."""
-    return np.sort(np.concatenate([job.indices for job in jobs if job.indices is not None]))
+    parts = sorted((job.indices for job in jobs if job.indices is not None), key=lambda indices: int(indices[0]))
+    return np.concatenate(parts)

@@ -239,7 +239,8 @@ class StudyJobs:
     def _open_line(self, work: LineWork, inputs: tuple[bytes, ...]) -> None:
         self.costs.open_line(work.number, work.missing)
         is_long = len(work.missing) * self.cost > TARGET_SECONDS
-        self._queue.open(self._line_job("points", work, inputs), work.missing, _FIRST_CHUNK if is_long else 0)
+        points = self._line_job("points", dataclasses.replace(work, missing=work.missing[:0].copy()), inputs)
+        self._queue.open(points, work.missing, _FIRST_CHUNK if is_long else 0)
 
     def _line_job(self, name: str, work: LineWork, inputs: tuple[bytes, ...] = ()) -> Job:
         params, seconds = graph.line_params(self.study, name, work.line), seconds_of(self.study, name)
@@ -265,8 +266,8 @@ class StudyJobs:
         divided = "lines" if job.block else "slope" if job.indices is not None else ""
         whole = None if job.indices is None else self.chunks.whole(job.indices)
         if divided:
-            indices = job.indices if whole is None else whole
-            slopes = self.study.slope if indices is None else self.study.slope[indices]
+            part = job.indices if whole is None else whole
+            slopes = self.study.slope if part is None else self.study.slope[part]
             params |= {"slope": slopes, "want": self.plan.variables, "gaits": self.study.gaits}
         together = layer.task.over_plane if self.plane else layer.task.side_by_side
         function = together if job.block else layer.task.function

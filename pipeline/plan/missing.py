@@ -104,7 +104,7 @@ class Plan:
     def _missing_points(self, key: str, fresh: bool, failed: bool) -> np.ndarray:
         slopes = self.study.slope
         if fresh:
-            return np.arange(len(slopes))
+            return np.arange(len(slopes), dtype=np.int32)
         if failed:
             return np.arange(0)
         return lines.missing(self.journal, key, self.want, slopes, self.study.gaits, self.retry)

@@ -10,6 +10,7 @@ import pytest
 
 from conftest import STUDY
 from pipeline import serialize
+from pipeline.execution.estimates import Costs
 from pipeline.execution.executors import Engine
 from pipeline.execution.scheduler import Scheduler
 from pipeline.execution.study_jobs import StudyJobs
@@ -107,3 +108,15 @@ def test_the_time_to_go_of_a_real_run(toy, tell):
         f"time to go of a run of {took:.0f} s, a tenth of it twenty times as dear: from {min(wrong):+.0%} to"
         f" {max(wrong):+.0%} between 20 and 70 % of the time"
     )
+
+
+def test_points_too_cheap_to_be_measured_cost_what_their_job_took():
+    """All of a probe's time was overhead; the time of a job over several regions is then divided by points."""
+    costs = Costs(6400, 6400, 1e-3)
+    costs.open_line(0, np.arange(6400))
+    costs.add(0, np.arange(100), 0.01, False)
+    for probe in costs.probes(0, np.arange(100, 6400))[0]:
+        costs.add(0, probe, 0.001, True)
+    costs.overhead = 1.0
+    costs.add(0, np.arange(200, 400), 0.5, False)
+    assert costs.cost_per_point(0)[[2, 3]] == pytest.approx(0.5 / 200) and np.isfinite(costs.seconds_left())

@@ -13,16 +13,17 @@ from pipeline.execution.scheduler import Scheduler
 from pipeline.execution.study_jobs import StudyJobs
 from pipeline.plan.missing import Plan
 from pipeline.store.journal import Journal
+from pipeline.store.segment import SUFFIX
 from pipeline.study import parse
 
-#: Axes, points of a chunk, and the least number of workers.
+#: Walker, axes and the least number of workers.
 STUDIES = {
-    "a long line": ("slope = { from = 1e-3, to = 0.02, n = 100000 }", 5000, 8),
-    "lines of a point": ("slope = [0.01]\nR = { from = 0.0, to = 0.2, n = 512 }", None, 150),
+    "a long line": ("D", "slope = { from = 1e-4, to = 0.02, n = 1000000 }", 16),
+    "lines of a point": ("E", "slope = [0.01]\nR = { from = 0.0, to = 0.2, n = 4096 }", 25),
     "lines of 20 points": (
-        "slope = { from = 1e-3, to = 0.02, n = 20 }\nR = { from = 0.0, to = 0.2, n = 256 }",
-        None,
-        150,
+        "E",
+        "slope = { from = 1e-3, to = 0.02, n = 20 }\nR = { from = 0.0, to = 0.2, n = 1024 }",
+        25,
     ),
 }
 
@@ -50,21 +51,22 @@ class Recording(Engine):
 @pytest.mark.soak
 @pytest.mark.parametrize("name", STUDIES)
 def test_one_parent_feeds_many_workers(tmp_path, tell, monkeypatch, name):
-    axes, chunk, least = STUDIES[name]
+    walker, axes, least = STUDIES[name]
     monkeypatch.setenv("PYTHONPATH", os.getcwd())
     (tmp_path / "s.toml").write_text(
-        f'name = "s"\nwalker = "E"\ngaits = ["long"]\n[axes]\n{axes}\n[want]\nvariables = ["stance_angle", "period"]\n'
+        f'name = "s"\nwalker = "{walker}"\n[axes]\n{axes}\n[want]\nvariables = ["stance_angle", "period"]\n'
     )
     study, engine, spent = parse.read(tmp_path / "s.toml"), Recording(64), {}
     for run in ("recorded", "replayed"):
         with contextlib.closing(Journal(tmp_path / run, points=study.points)) as journal:
-            jobs = StudyJobs(Plan(study, journal), engine, lambda *_: None, study.points, chunk)
+            jobs = StudyJobs(Plan(study, journal), engine, lambda *_: None, study.points)
             clock = time.process_time()
             Scheduler([jobs], engine).run()
             spent["journal"] = time.process_time() - clock
             write.write(jobs.plan, tmp_path / f"{run}.nc")
             spent["archive"] = time.process_time() - clock - spent["journal"]
-        bytes_a_point = (tmp_path / run).stat().st_size / study.points
+        files = [file for file in (tmp_path / run, tmp_path / f"{run}{SUFFIX}") if file.exists()]
+        bytes_a_point = sum(file.stat().st_size for file in files) / study.points
     worker_process.close_all()
     assert (tmp_path / "recorded.nc").read_bytes() == (tmp_path / "replayed.nc").read_bytes()
     worker = sum(result["cpu"] for result in engine.results.values()) / study.points
