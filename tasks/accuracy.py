@@ -22,6 +22,15 @@ ACCURACIES, INTERPOLATED_FROM = (1e-15, 1e-2), 1e-11
 MANTISSA = 52
 
 
+#: Nodes of a panel, a range of ln slope over which a polynomial gives gaits: so many, and one for each digit wanted.
+_NODES = 4
+
+
+def nodes_for(accuracy: float) -> int:
+    """Nodes of a panel for an accuracy; besides, as many gaits and one are integrated to check it."""
+    return _NODES + round(-math.log10(accuracy))
+
+
 def significant_bits(accuracy: float) -> int:
     """Bits after the first that numbers of an accuracy keep: rounding to them is at most a sixteenth of it."""
     return min(MANTISSA, 3 + math.ceil(-math.log2(accuracy))) if accuracy else MANTISSA

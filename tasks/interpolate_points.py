@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tasks import status
+from tasks.accuracy import nodes_for
 from tasks.continuation.branch import Branch
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.fixed_points.newton import lipschitz
@@ -17,8 +18,6 @@ from tasks.measures.gaits import Arrays, Part, describe
 from tasks.measures.smooth import Smooth
 from tasks.step.problem import Problem
 
-#: Nodes of a panel: so many, and so many more for each digit wanted.
-_NODES, _NODES_PER_DIGIT = 4, 1
 #: Share of the accuracy that polynomials may use; numbers are rounded besides.
 SHARE = 0.9
 #: Gaits nearer an end of their branch in ln slope are integrated, and so are those whose errors reach it.
@@ -29,11 +28,6 @@ TIE = 4.0
 #: the largest Lipschitz constant is counted.
 _MEASURED = 3
 _LIPSCHITZ_SAFETY = 2.0
-
-
-def nodes_for(accuracy: float) -> int:
-    """Nodes of a panel for an accuracy."""
-    return _NODES + _NODES_PER_DIGIT * round(-np.log10(accuracy))
 
 
 @dataclass(frozen=True)

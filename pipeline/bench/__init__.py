@@ -8,7 +8,7 @@ from pathlib import Path
 from pipeline.errors import unwritten
 
 #: Slope of each walker's timed gait [rad]; the grid runs from 1e-3 to three times it.
-FAMILIES = {"D": 0.005, "E": 0.005, "B": 0.01, "C": 0.01}
+FAMILIES = {"D": 0.005, "E": 0.005, "B": 0.01, "A": 0.01, "C": 0.01}
 QUICK = ("D", "B")
 
 

@@ -10,6 +10,7 @@ import jinja2
 import matplotlib
 import numpy as np
 
+from pipeline.bench import accuracies
 from pipeline.bench.harness import Case
 from pipeline.bench.run import Measurements
 
@@ -46,6 +47,11 @@ for scipy is {% if numba %}compiled by numba{% else %}not compiled, for numba is
 <p>Processor time of a line of 20 slopes, searched from nothing, with all its gaits, multipliers, error bounds and its
 part of the archive; lines of one key run side by side. A peer solves the long gait alone, from its neighbour's.</p>
 {{ table(lines) }}
+<h2>Accuracies</h2>
+<p>Processor time of a gait of a long line, and of a plane of two keys, its part of the archive included, by the
+accuracy that a study asks for; "best" is as good as doubles give. Where polynomials reach the accuracy no step is
+integrated. Below, the curve of each walker stands beside those of the peers.</p>
+{{ table(accuracies) }}
 <h2>Planes</h2>
 <p>Processor time of walkers that differ in two keys, at one slope: of each gait that is added to a plane, with its
 multipliers, error bound and part of the archive, and of making a cell, over which the gaits are predicted.</p>
@@ -89,6 +95,10 @@ def write(measurements: Measurements, path: Path) -> None:
             part["rows"] = [_row(case) for case in part["cases"]]
             title = f"Walker {name}: one {_words(problem).replace('j', 'J')}"
             part["plot"] = _plot(title, part["cases"]) if problem in _PLOTTED else ""
+        for problem in {"line", "plane"} & set(parts):
+            # Beside the peers, each gait of which is solved from its neighbour's.
+            peers = [case for case in parts["grid"]["cases"] if not case.method.startswith("ours")]
+            parts[problem]["plot"] = _plot(f"Walker {name}: one gait of a {problem}", parts[problem]["cases"] + peers)
     environment = jinja2.Environment(autoescape=jinja2.select_autoescape(default=True, default_for_string=True))
     from markupsafe import Markup
 
@@ -112,6 +122,7 @@ def write(measurements: Measurements, path: Path) -> None:
         bounds=measurements.bounds,
         lines=measurements.lines,
         planes=measurements.planes,
+        accuracies=accuracies.table([case for case in measurements.cases if case.problem in ("line", "plane")]),
         missed=measurements.missed,
         flows=[{"walker": k, **v} for k, of in measurements.flows.items() for v in of],
     )

@@ -321,21 +321,21 @@ def _peers_along(f: Family, problem: str, slopes: np.ndarray) -> list[Case]:
     for name, integrate in _peer_integrators(f).items():
         if name not in SOLVERS:
             continue
-        tolerance = THEIRS[name][0]
+        for tolerance in _tolerances(name, quick=False, newton=True) if problem == "grid" else THEIRS[name][:1]:
 
-        def run(integrate: Any = integrate, tolerance: float = tolerance) -> np.ndarray:
-            y, solutions = first * np.exp(1e-3), []
-            for slope in slopes:
-                # A gait scales roughly as the cube root of the slope, a good enough guess for Newton's method.
-                solution = peers.Peer(f.algebra, float(slope), integrate, tolerance).fixed_point(y)[:m]
-                solutions.append(solution)
-                y = solution * (slopes[1] / slopes[0]) ** (1 / 3)
-            return solutions[0]
+            def run(integrate: Any = integrate, tolerance: float = tolerance) -> np.ndarray:
+                y, solutions = first * np.exp(1e-3), []
+                for slope in slopes:
+                    # A gait scales roughly as the cube root of the slope, a good enough guess for Newton's method.
+                    solution = peers.Peer(f.algebra, float(slope), integrate, tolerance).fixed_point(y)[:m]
+                    solutions.append(solution)
+                    y = solution * (slopes[1] / slopes[0]) ** (1 / 3)
+                return solutions[0]
 
-        case = Case(f.name, problem, f"{name}, differences", tolerance, run, len(slopes))
-        case.error = largest_error(run(), f.exact_y * f.precise.kind(f.scale[0]))
-        case.work = 1.0
-        cases.append(case)
+            case = Case(f.name, problem, f"{name}, differences", tolerance, run, len(slopes))
+            case.error = largest_error(run(), f.exact_y * f.precise.kind(f.scale[0]))
+            case.work = 1.0
+            cases.append(case)
     return cases
 
 

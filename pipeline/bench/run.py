@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.bench import FAMILIES, bounds, counted, lines, machine, missed, planes, problems, stress
+from pipeline.bench import FAMILIES, accuracies, bounds, counted, lines, machine, missed, planes, problems, stress
 from pipeline.bench.harness import Case, time_in_turns
 from tasks.walkers.resolve import resolve
 
@@ -79,6 +79,8 @@ def measure(quick: bool, families: Sequence[str], grid: int | None, say: Callabl
         measurements.less[name] = counted.less_and_less(f, n)
     say("lines")
     measurements.lines = lines.table(quick, [case for case in measurements.cases if case.problem == "grid"])
+    say("accuracies")
+    measurements.cases += accuracies.cases(quick, tuple(families))
     say("planes")
     measurements.planes = planes.table(quick)
     say("random walkers and bounds")

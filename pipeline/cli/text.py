@@ -13,6 +13,7 @@ from typing import Any
 
 from pipeline.execution.progress import duration, last_state, sentence
 from pipeline.paths import sidecar_path
+from pipeline.plan import costs
 from pipeline.plan.missing import Plan, Summary
 from tasks.registry import FITS, VARIABLES
 
@@ -28,6 +29,9 @@ def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
         parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
         yield f"  {name:<12} version {layer.task.version}  per {what}: {', '.join(parts) or 'none'}"
+    every = sum(counts.todo["points"].values()) if "points" in counts.todo else 0
+    if (integrated := costs.integrated(planned.study, every)) < every:
+        yield f"  integrated: about {integrated:,} points to an accuracy of {planned.study.accuracy:g}, all others not"
     yield f"  not wanted: {', '.join(_omitted(planned)) or 'nothing'}"
     yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
 
@@ -47,7 +51,7 @@ def plan_record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
     dict
         `study`, `archive`, `points` of the grid; of these (of the lines, in studies of other kinds) how many are
         `new`, `changed` (failures that are tried again included) and `cached`; `not_wanted`, names of variables and
-        tasks; `flown`, points at which steps are evaluated; `seconds` of work for one core; and `tasks`, the counts
+        tasks; `flown`, about how many points are integrated; `seconds` of work for one core; and `tasks`, the counts
         of each.
     """
     study = planned.study
@@ -62,7 +66,7 @@ def plan_record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
         "changed": every - new,
         "cached": counts.cached[main],
         "not_wanted": _omitted(planned),
-        "flown": every if main == "points" else 0,
+        "flown": costs.integrated(study, every) if main == "points" else 0,
         "seconds": counts.seconds,
         "tasks": tasks,
     }

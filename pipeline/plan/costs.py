@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+import numpy as np
+
 from pipeline.plan import graph
 from pipeline.study.model import Study
 from tasks import registry
+from tasks.accuracy import nodes_for
 from tasks.costs import COSTS, OTHERS, POINTS, STARTING, Cost
 from tasks.registry import OPTIONS, VARIABLES
 
@@ -35,7 +38,7 @@ def seconds(study: Study, name: str) -> float:
     if name == "atlas" and study.plane and graph.over_plane(study):
         lines_a_cell = math.prod(len(a) / n for a, n in zip(study.plane.axes, study.plane.parts, strict=True))
         return _total(study, COSTS["cell"]) / lines_a_cell
-    is_block = name == "atlas" and graph.is_short(study) and study.lines > 1
+    is_block = name == "atlas" and (graph.is_interpolated(study) or (graph.is_short(study) and study.lines > 1))
     return _total(study, COSTS.get("atlas side by side" if is_block else name, OTHERS))
 
 
@@ -48,11 +51,19 @@ def seconds_after(study: Study, layers: dict[str, graph.Layer]) -> dict[str, flo
     return after
 
 
+def integrated(study: Study, points: int) -> int:
+    """About how many of some points of a grid are integrated; the others come from polynomials over slopes."""
+    if not graph.is_interpolated(study):
+        return points
+    panels = math.ceil(float(np.log(study.slope.max() / study.slope.min()))) + 1
+    return min(points, study.lines * panels * (2 * nodes_for(study.accuracy) + 1))
+
+
 def _of_point(study: Study) -> list[Cost]:
     """Costs of a point of a study."""
     wanted = {VARIABLES[name].group for name in graph.variables(study)}
     kind = "cycles" if study.steps > 1 else "short" if graph.is_short(study) else "long"
-    kind = "plane" if graph.over_plane(study) else kind
+    kind = "plane" if graph.over_plane(study) else "interpolated" if graph.is_interpolated(study) else kind
     return [POINTS[group] for group in (kind, *sorted(wanted & {"violations", "proofs"}))]
 
 

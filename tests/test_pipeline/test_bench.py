@@ -66,7 +66,7 @@ def test_one_run_writes_an_archive_and_a_page(tmp_path, monkeypatch, capsys):
     assert bench.main(True, tmp_path / "out", ("D",), 40) == 0
     assert capsys.readouterr().out.strip().endswith("bench.html")
     with xr.open_dataset(tmp_path / "out" / "bench.nc") as found:
-        assert set(found.problem.values) == {"stride", "jacobian", "fixed point", "grid", "branch"}
+        assert set(found.problem.values) == {"stride", "jacobian", "fixed point", "grid", "branch", "line"}
         assert (found.seconds_least <= found.seconds).all()
         assert (found.seconds <= found.seconds_most).all()
     with xr.open_dataset(tmp_path / "out" / "bench.nc", group="counts") as counts:
@@ -76,7 +76,8 @@ def test_one_run_writes_an_archive_and_a_page(tmp_path, monkeypatch, capsys):
     with xr.open_dataset(tmp_path / "out" / "bench.nc", group="missed") as found:
         assert list(found.walker.values)[-1] == "all" and float(found.gaits[-1]) > float(found.missed[-1])
     page = (tmp_path / "out" / "bench.html").read_text(encoding="utf-8")
-    assert page.count("<svg") == 3
+    assert page.count("<svg") == 4
+    assert "two variables" in page and "with multipliers" in page
     assert "Walker D" in page
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lines import WANT, branches, solved
-from tasks import interpolate_points, status
-from tasks.accuracy import OF_INTEGRATION, significant_bits
+from tasks import status
+from tasks.accuracy import OF_INTEGRATION, nodes_for, significant_bits
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
 from tasks.interpolate_points import Interpolation
@@ -283,4 +283,30 @@ def _similarity(problem, out, g):
 
 
 def test_the_number_of_nodes_rises_with_the_digits():
-    assert interpolate_points.nodes_for(1e-2) < interpolate_points.nodes_for(1e-6) < interpolate_points.nodes_for(1e-11)
+    assert nodes_for(1e-2) < nodes_for(1e-6) < nodes_for(1e-11)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("walker", ["D", "E", "B", "A", "C", "physical"])
+def test_bounds_hold_at_every_accuracy_against_more_digits(walker, tell):
+    """10,000 gaits, a third of them beside folds and ends, against long double and 113 bits."""
+    draw = np.random.default_rng(11)
+    _, found = branches(walker)
+    slope = np.concatenate([slopes(walker), np.exp(draw.uniform(np.log(1e-6), np.log(0.4), 8000))])
+    covered = np.zeros(len(slope), int)
+    for branch in found:
+        for first, last in branch.pieces():
+            covered[branch.covered(first, last, np.log(slope))] += 1
+    slope = np.unique(slope[np.cumsum(covered) <= 10_000])
+    exact = coarse(walker, slope, 1e-15)
+    there = np.isin(exact["status"], status.SOLVED)
+    fastest = np.max([np.abs(exact[name]) for name in RATES], axis=0)
+    for accuracy in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-13):
+        out = coarse(walker, slope, accuracy)
+        np.testing.assert_array_equal(np.isin(out["status"], status.SOLVED), there)
+        off = [np.abs(out[name] / exact[name] - 1) for name in ("stance_angle", "period")]
+        off += [np.abs(out[name] - exact[name]) / fastest for name in RATES]
+        ratio = (np.max(off, axis=0) / (out["error_bound"] + exact["error_bound"]))[there]
+        tell(f"{walker} {accuracy:g}: {there.sum()} gaits, largest error over bound {ratio.max():.2f}")
+        assert (ratio <= 1).all()

@@ -1,0 +1,117 @@
+"""Processor time of gaits against their error: studies of each accuracy, beside the peers at each tolerance."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline import api
+from pipeline.bench.harness import Case, solve_study
+
+#: Walkers and the slopes of their lines; two axes of keys at one slope are a plane.
+LINES = {"D": (1e-4, 0.015), "E": (1e-3, 0.1), "B": (1e-3, 0.1), "A": (1e-3, 0.05), "C": (1e-3, 0.05)}
+PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {
+    "B": (0.01, {"m_s": (0.05, 0.15), "R": (0.0, 0.3)}),
+    "C": (0.03, {"detuning": (0.0, 0.4), "m_h": (0.0, 3.0)}),
+}
+#: Accuracies measured; 0 is as good as doubles give.
+ACCURACIES = {False: (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 0.0, 1e-15), True: (1e-3, 1e-6, 0.0)}
+#: What is wanted, besides status, labels and error bounds.
+WANTED = {"two variables": ["stance_angle", "period"], "with multipliers": ["stance_angle", "period", "multipliers"]}
+#: Slopes of a line, and lines along each key of a plane: where polynomials give the gaits, where steps are integrated,
+#: and where more digits than those of doubles are.
+_SLOPES, _ACROSS = (1_000_000, 30_000, 300), (300, 100, 16)
+#: Share of a smaller study, whose time is taken off, and of a quick run.
+_FEWER, _QUICK = 0.1, 0.3
+#: Slopes of a line, and lines along each key of a plane, at which errors are measured.
+_COMPARED = {"line": 600, "plane": 10}
+
+
+def cases(quick: bool, walkers: tuple[str, ...]) -> list[Case]:
+    """Time studies of each accuracy.
+
+    Parameters
+    ----------
+    quick : bool
+        Fewer accuracies and smaller studies.
+    walkers : tuple of str
+        Names of walkers.
+
+    Returns
+    -------
+    list of Case
+        One for each walker, study and accuracy, of the problem "line" or "plane": `seconds` of processor time of a
+        gait, archive included, measured by the difference of two studies in which loading, compiling, branches and
+        cells cancel; the error is the largest of the stance angles over those that are as good as doubles give, of
+        which the error is their bound.
+    """
+    measured = []
+    for name in walkers:
+        for accuracy in ACCURACIES[quick]:
+            for words, want in WANTED.items():
+                if name in LINES:
+                    measured.append(_case(name, "line", words, accuracy, want, quick))
+        if name in PLANES and not quick:
+            measured += [
+                _case(name, "plane", "two variables", a, WANTED["two variables"], quick) for a in (1e-4, 1e-6, 0.0)
+            ]
+    return measured
+
+
+def _case(name: str, problem: str, words: str, accuracy: float, want: list[str], quick: bool) -> Case:
+    tier = 2 if 0 < accuracy < 1e-12 else 1 if accuracy < 1e-11 else 0
+    size = (_SLOPES if problem == "line" else _ACROSS)[tier]
+    size = int(size * (_QUICK if quick and problem == "line" else 1))
+
+    def study(n: int) -> dict[str, Any]:
+        axes = _axes(name, problem, n)
+        return {"name": "accuracy", "walker": name, "axes": axes, "want": {"variables": want}} | (
+            {"accuracy": accuracy} if accuracy else {}
+        )
+
+    fewer = int(size * (_FEWER if problem == "line" else np.sqrt(_FEWER)))
+    (seconds, gaits), (first, known) = solve_study(study(size)), solve_study(study(fewer))
+    case = Case(name, problem, f"gaitsweep, {words}", accuracy or float(np.finfo(float).eps), lambda: np.zeros(0))
+    case.seconds = [max(seconds - first, 0.0) / (gaits - known)]
+    case.error = _error(name, problem, accuracy)
+    case.work = float(gaits)
+    return case
+
+
+def _axes(name: str, problem: str, n: int) -> dict[str, Any]:
+    if problem == "line":
+        low, high = LINES[name]
+        return {"slope": {"from": low, "to": high, "n": n, "spacing": "log"}}
+    slope, keys = PLANES[name]
+    return {"slope": [slope], **{key: {"from": low, "to": high, "n": n} for key, (low, high) in keys.items()}}
+
+
+def _error(name: str, problem: str, accuracy: float) -> float:
+    """Largest relative error of stance angles at some of the points."""
+    table = {"name": "error", "walker": name, "axes": _axes(name, problem, _COMPARED[problem])}
+    table["want"] = {"variables": ["stance_angle"]}
+    with tempfile.TemporaryDirectory() as folder:
+        archive = Path(folder, "error.nc")
+        best = api.run(table, jobs=1, archive=archive, quiet=True)
+        if not accuracy:
+            return float(best.error_bound.max())
+        own = api.run(table, jobs=1, archive=archive, accuracy=accuracy, quiet=True)
+    return max(float(np.abs(own.stance_angle / best.stance_angle - 1).max()), float(np.finfo(float).eps) / 2)
+
+
+def table(measured: list[Case]) -> list[dict[str, float | str]]:
+    """Rows of the page: seconds a gait at each accuracy."""
+    return [
+        {
+            "walker": case.family,
+            "study": case.problem,
+            "wanted": case.method.removeprefix("gaitsweep, "),
+            "accuracy": "best" if case.setting < 1e-15 else f"{case.setting:.0e}",
+            "s a gait": float(case.seconds[0]),
+            "largest error": case.error,
+        }
+        for case in measured
+    ]
