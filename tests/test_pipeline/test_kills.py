@@ -71,7 +71,7 @@ def test_two_hundred_random_kills(toy, wholes, tell, way):
     toy("run", "toy.toml", **WAYS[way])
     assert toy.bytes() == wholes[way]
     tell(
-        f"{way}: {dict(sorted(killed.items()))}; exit codes {dict(sorted(ends.items()))}: {ends[0] + 1} whole archives, "
+        f"{way}: {dict(sorted(killed.items()))}; exit codes {dict(sorted(ends.items()))}: {ends[0] + 1} archives, "
         "all of equal bytes; no process left after 3 s"
     )
 
@@ -149,6 +149,4 @@ def test_a_power_cut_costs_what_was_not_on_the_disk_yet(toy, wholes, tell, cuts,
         db.close()
         kept += sidecar_path(toy, ".events.jsonl").read_text().count('"chunk"') < 40
         _clear(toy)
-    tell(
-        f"{way}: {cuts} power cuts ({dict(lost)} lost): equal bytes after each, {kept} with earlier work kept"
-    )
+    tell(f"{way}: {cuts} power cuts ({dict(lost)} lost): equal bytes after each, {kept} with earlier work kept")
