@@ -7,6 +7,6 @@ from tasks.registry import STATUSES
 #: Points whose worker did not finish; outcomes of a solve are in `tasks.registry`.
 ENDINGS = {"worker_died": 4, "timed_out": 5, "out_of_memory": 6, "not_attempted": 7, "raised": 8}
 #: Every value of `status`.
-ALL_STATUSES = {**STATUSES, **ENDINGS}
+ALL_STATUSES = dict(sorted({**STATUSES, **ENDINGS}.items(), key=lambda item: item[1]))
 #: Statuses that are answers; all others are failures.
 ANSWERS = tuple(STATUSES[name] for name in ("converged", "no_gait", "fell"))

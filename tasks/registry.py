@@ -13,7 +13,9 @@ from typing import Any
 GAITS = ("long", "short", "other1", "other2")
 
 #: What can become of a solve (CF flag values). How a run ended for a worker is added by the pipeline.
-STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3}
+STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3, "less_accurate": 9}
+#: Statuses of gaits that have values.
+SOLVED = ("converged", "less_accurate")
 
 #: SI units of each kind of quantity; every one is "1" for a walker in consistent units.
 SI_UNITS = {
@@ -66,6 +68,9 @@ VARIABLES = {
         Variable("multiplier_real", _M, "number", "real part of the step map's eigenvalues", "multipliers"),
         Variable("multiplier_imag", _M, "number", "imaginary part of the step map's eigenvalues", "multipliers"),
         Variable("spectral_radius", _G, "number", "largest magnitude of the step map's eigenvalues", "multipliers"),
+        Variable(
+            "multiplier_error_bound", _G, "number", "bound on the absolute errors of the multipliers", "multipliers"
+        ),
         Variable("speed", _G, "speed", "mean speed along the slope"),
         Variable("froude_speed", _G, "number", "mean speed over sqrt(g (l + R))"),
         Variable("cost_of_transport", _G, "number", "energy lost over weight and distance"),
@@ -208,7 +213,7 @@ TASKS = {
         Task(
             "atlas",
             "tasks.solve_points:atlas",
-            13,
+            14,
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),

@@ -39,7 +39,8 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     ----------
     params : mapping
         `walker` (name or table), `slope` [rad], `set` (keys to change), `all` (also gaits whose legs pass more
-        than once), `steps` after which the gaits repeat (1 if omitted).
+        than once), `steps` after which the gaits repeat (1 if omitted), `accuracy`, the largest error bound wanted
+        (0 for any).
 
     Returns
     -------
@@ -57,15 +58,16 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     problem = Problem(resolve(line["walker"], line["set"]))
     steps = int(params.get("steps", 1))
     if steps > 1:
-        return _solve_cycles(line, slope, steps)
+        return _solve_cycles(line, slope, steps, params.get("accuracy", 0.0))
     branches = atlases.survey(problem, COARSE)
-    point = points({"line": line, "slope": np.array([slope]), "want": _WANT}, [atlases.to_arrays(branches)])
+    asked = {"slope": np.array([slope]), "want": _WANT, "accuracy": params.get("accuracy", 0.0)}
+    point = points({"line": line, **asked}, [atlases.to_arrays(branches)])
     gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
     log = [atlases.searched(problem.walker)]
     log.append(f"{len(branches)} branches continued over {sum(len(b.Z) for b in branches)} points")
     if params.get("all") or not gaits:
-        others, nearest = _search_slope(problem, slope, gaits)
+        others, nearest = _search_slope(problem, slope, gaits, asked["accuracy"])
         log.append(_describe_starts(problem, slope))
         gaits += [other for other in others if other["passes"] == 1]
         non_anthropomorphic = [other for other in others if other["passes"] != 1 and params.get("all")]
@@ -83,7 +85,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
 
 def _converged(point: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Variables of each gait that converged at the only slope."""
-    return [{k: point[k][0, g] for k in _WANT} for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
+    return [{k: point[k][0, g] for k in _WANT} for g in range(len(GAITS)) if point["status"][0, g] in status.SOLVED]
 
 
 def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str]) -> dict[str, Any]:
@@ -92,11 +94,11 @@ def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str]) -> dict[
     return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log}
 
 
-def _solve_cycles(line: dict[str, Any], slope: float, steps: int) -> dict[str, Any]:
+def _solve_cycles(line: dict[str, Any], slope: float, steps: int, accuracy: float) -> dict[str, Any]:
     """Gaits that repeat after some steps, of which the branches alone are searched."""
-    walker, params = resolve(line["walker"], line["set"]), {"line": line, "steps": steps}
+    walker, params = resolve(line["walker"], line["set"]), {"line": line, "steps": steps, "accuracy": accuracy}
     point = points({**params, "slope": np.array([slope]), "want": _WANT}, [atlas(params, [])])
-    labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] == status.CONVERGED]
+    labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] in status.SOLVED]
     records = [
         _record(label, slope, gait, walker, steps) for label, gait in zip(labels, _converged(point), strict=True)
     ]
@@ -113,12 +115,14 @@ def _name(place: int) -> str:
     return GAITS[place] if place < 2 else f"other{place - 1}"
 
 
-def _search_slope(problem: Problem, slope: float, gaits: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], str]:
+def _search_slope(
+    problem: Problem, slope: float, gaits: list[dict[str, Any]], accuracy: float
+) -> tuple[list[dict[str, Any]], str]:
     """Gaits that a search at the slope finds besides the known ones, and its nearest miss in words."""
     w, _, verdict = search(problem, slope)
     if verdict is None:
         return [], "Nearest miss: no initial guess led to a solution of the step's equations."
-    solved = solve(problem, unmeasured(problem, w, np.full(w.shape[1], slope)), _WANT)
+    solved = solve(problem, unmeasured(problem, w, np.full(w.shape[1], slope)), _WANT, accuracy)
     others = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]
@@ -150,7 +154,7 @@ def _record(label: str, slope: float, value: dict[str, Any], walker: Walker, ste
         "stable": bool(plain["spectral_radius"] < 1),
         "step_length": plain["speed"] * plain["period"] / steps,
         "violations": _flags(value.get("violations")),
-        "status": "converged",
+        "status": "less_accurate" if value["status"] == status.LESS_ACCURATE else "converged",
         "velocity_ratio": _plain(velocity_ratio(walker, angle, rate_ratio)[0]),
         "contact_mass_matrix": (walker.total_mass * contact_mass(walker, angle)[0]).tolist(),
     }

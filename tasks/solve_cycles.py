@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 
 from tasks import status
+from tasks.accuracy import always
 from tasks.continuation.cycles import Cycle, at_slope, really_walks, system
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.follow_cycles import MAX_MULTIPLIER, CycleBranch, Guess, is_same
 from tasks.measures import violations
+from tasks.measures.gaits import to_accuracy
 from tasks.measures.kinematics import step_length
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from tasks.registry import ALWAYS, GAITS, VARIABLES
+from tasks.registry import GAITS, VARIABLES
 from tasks.step.problem import EPS, Problem, sizes
 from tasks.step.step_map import Stride
 
@@ -28,6 +30,10 @@ _MAX_BOUND = 1e-3
 _LEAST_APART = 1e-10
 #: Iterations across a branch, and the largest last step of a corrected gait.
 _MAX_ACROSS, _MAX_STEP = 6, 1e-11
+
+
+#: How often the largest change of the multipliers is counted in their bound.
+_MULTIPLIER_SAFETY = 16.0
 
 
 def cycle_points(problem: Problem, branches: list[CycleBranch], params: Mapping[str, Any]) -> Arrays:
@@ -51,7 +57,8 @@ def cycle_points(problem: Problem, branches: list[CycleBranch], params: Mapping[
     """
     n, friction_limit = int(params["steps"]), float(params.get("friction_limit", violations.FRICTION_LIMIT))
     slope = np.asarray(params["slope"], float)
-    want = [v for v in VARIABLES if v in params["want"] or v in ALWAYS]
+    accuracy = params.get("accuracy", 0.0)
+    want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
     width = 4 if problem.walker.knees else 3
     out: Arrays = {}
     for name in want:
@@ -60,8 +67,9 @@ def cycle_points(problem: Problem, branches: list[CycleBranch], params: Mapping[
     out["reason"][:] = [1, 1, 2, 2]
     for k, value in enumerate(slope.tolist()):
         _fill({name: values[k] for name, values in out.items()}, problem, branches, value, want, friction_limit)
-    reasons = [status.SETTLED, _outside(branches, n), status.NO_FURTHER, status.NEWTON_LOST, status.NOT_A_STEP]
-    return {**out, "reasons": np.array(reasons)}
+    long = _outside(branches, n)
+    reasons = status.reasons(long, long)
+    return {**to_accuracy(out, accuracy), "reasons": np.array(reasons)}
 
 
 def _outside(branches: list[CycleBranch], n: int) -> str:
@@ -177,6 +185,7 @@ def _measure(problem: Problem, cycle: Cycle, slope: float, want: list[str], fric
     drop, speed = length / walker.leg * np.sin(slope), length / period
     losses = [float(x.sum()) for x in (normal, tangential, knee)]
     bound, residual = _error(problem, cycle, slopes, scale)
+    multiplied = any(VARIABLES[name].group == "multipliers" for name in want)
     values = np.zeros(4 if walker.knees else 3, complex)
     values[: problem.m] = cycle.multipliers()
     ratio = gait_ratio(step)
@@ -192,6 +201,7 @@ def _measure(problem: Problem, cycle: Cycle, slope: float, want: list[str], fric
         "multiplier_real": values.real,
         "multiplier_imag": values.imag,
         "spectral_radius": np.abs(values).max(),
+        "multiplier_error_bound": _multiplier_error(problem, cycle, slopes, scale, bound) if multiplied else np.nan,
         "speed": speed,
         "froude_speed": speed / np.sqrt(walker.g * walker.leg),
         "cost_of_transport": np.sin(slope),
@@ -211,6 +221,19 @@ def _measure(problem: Problem, cycle: Cycle, slope: float, want: list[str], fric
         amounts = violations.measure(walker, motion, step.impact * scale, cycle.times, slopes, friction_limit)
         measured |= _worst(amounts)
     return measured
+
+
+def _multiplier_error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray, bound: float) -> float:
+    """Bound of the error of every multiplier: how they change in other units, and where states are off by `bound`."""
+    values = cycle.multipliers()
+    worst = 0.0
+    for unit, off in ((1.0, 0.0), *((unit, 0.0) for unit in _UNITS), (1.0, bound), (1.0, -bound)):
+        s = scale * unit
+        step = problem.map(cycle.Y * (1 + off) / s, cycle.times, problem.parameters(slope, s))
+        others = Cycle(cycle.Y, cycle.times, cycle.q, step.jacobian, cycle.tangent, True, 0.0).multipliers()
+        apart = np.abs(values[:, None] - others)
+        worst = max(worst, float(np.maximum(apart.min(axis=0), apart.min(axis=1)).max()))
+    return _MULTIPLIER_SAFETY * worst + EPS * float(np.abs(values).max())
 
 
 def _worst(amounts: Arrays) -> dict[str, Any]:

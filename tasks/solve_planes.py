@@ -10,27 +10,33 @@ from typing import Any
 import numpy as np
 
 from tasks import status
+from tasks.accuracy import always, is_interpolated
 from tasks.continuation.lockstep import lanes_of
 from tasks.families.box import Box
 from tasks.families.cell import PANEL, Cell, Family, make
-from tasks.families.patch import Patch, side_of_fold
-from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished, join, settle
+from tasks.fixed_points.polish import Polished, join, settle
+from tasks.interpolate_planes import (
+    PREDICTED_WITHIN,
+    Sheet,
+    are_predicted,
+    interpolate,
+    patch_guesses,
+    sheets,
+    similarity,
+)
 from tasks.measures import violations
-from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store
-from tasks.registry import ALWAYS, GAITS, VARIABLES
+from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
+from tasks.registry import GAITS, VARIABLES
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.step.problem import Lanes
 from tasks.walkers.walker_array import WalkerArray
 
-#: A gait may lie this many times farther from its prediction than any that was measured.
-_SAFETY = 8.0
 #: Errors of the ends of pieces are taken to be no smaller, in ln slope.
 _LEAST_END_ERROR = 1e-9
-#: Lipschitz estimates of the nodes around, times this, serve a point.
-_LIPSCHITZ_SAFETY = 4.0
 #: Gaits of two pieces nearer than this could be one.
 _APART = 1e-7
-_BLOCK = 4096
+#: Points solved at a time, and where most are given by polynomials.
+_BLOCK, _INTERPOLATED_BLOCK = 4096, 1 << 14
 
 
 def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays, Arrays]]:
@@ -55,7 +61,8 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     family = Family.of(all_lines[0], cell["keys"])
     box = Box(family.keys, tuple(cell["low"]), tuple(cell["high"]))
     values = tuple(tuple(map(float, each)) for each in cell["values"])
-    want = [v for v in VARIABLES if v in params["want"] or v in ALWAYS]
+    accuracy = params.get("accuracy", 0.0)
+    want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
     wanted = set(params.get("gaits") or GAITS)
     friction_limit = params.get("friction_limit", violations.FRICTION_LIMIT)
     keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
@@ -68,13 +75,17 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     panels = np.floor(np.log(slope) / PANEL) * PANEL
     for low in np.unique(panels).tolist():
         at_panel = np.flatnonzero(panels == low)
-        for part in _cells(family, box, low, values):
+        for number, part in enumerate(_cells(family, box, low, values)):
             inside = np.flatnonzero(_inside(part.box, keys, box) & accepted)
             if not len(inside):
                 continue
-            solved, accepted[inside] = solve(family, part, keys[inside], slope[at_panel], want, wanted, friction_limit)
+            interpolated = is_interpolated(want, accuracy) and not part.why
+            made = _sheets(family, box, low, values, number, tuple(want), accuracy) if interpolated else []
+            asked = part, keys[inside], slope[at_panel], want, wanted, friction_limit
+            solved, accepted[inside] = solve(family, *asked, made, accuracy)
             for name, value in solved.items():
                 out[name][np.ix_(inside, at_panel)] = value
+    to_accuracy(out, accuracy)
     reasons = _reasons(family, box)
     others = np.flatnonzero(~accepted).tolist()
     if others:
@@ -100,6 +111,20 @@ def _cells(family: Family, box: Box, low: float, values: tuple[tuple[float, ...]
     return make(family, box, low, count)
 
 
+@functools.lru_cache(256)
+def _sheets(
+    family: Family,
+    box: Box,
+    low: float,
+    values: tuple[tuple[float, ...], ...],
+    number: int,
+    want: tuple[str, ...],
+    accuracy: float,
+) -> list[Sheet]:
+    """Polynomials of one of the cells of a box; none where they do not reach the accuracy."""
+    return sheets(family, _cells(family, box, low, values)[number], want, accuracy)
+
+
 def _inside(part: Box, keys: np.ndarray, whole: Box) -> np.ndarray:
     """Whether lines, shape (n, d), lie in a part of a box; what two parts share belongs to the upper one."""
     top = np.array([b == end for b, end in zip(part.high, whole.high, strict=True)])
@@ -121,6 +146,8 @@ def solve(
     want: Sequence[str],
     wanted: set[str],
     friction_limit: float = violations.FRICTION_LIMIT,
+    made: Sequence[Sheet] = (),
+    accuracy: float = 0.0,
 ) -> tuple[Arrays, np.ndarray]:
     """Solve the gaits at the slopes of lines in a cell.
 
@@ -137,6 +164,10 @@ def solve(
     wanted : set of str
         Labels.
     friction_limit : float
+    made : sequence of Sheet
+        Polynomials that give the gaits to an accuracy; where there are none the gaits are integrated.
+    accuracy : float
+        Largest error bound wanted, 0 for any.
 
     Returns
     -------
@@ -149,12 +180,50 @@ def solve(
     solved = [name for name in VARIABLES if name in want]
     out = nothing_solved(solved, n * s, 4 if cell.structure.kneed else 3)
     accepted = np.full(n, bool(not cell.why))
-    lines = max(1, _BLOCK // s)
+    lines = max(1, (_INTERPOLATED_BLOCK if made else _BLOCK) // s)
     for k in range(0, n if not cell.why else 0, lines):
         some = slice(k, k + lines)
         part = {name: value[k * s : (k + lines) * s] for name, value in out.items()}
-        accepted[some] = _solve_block(family, cell, keys[some], slope, solved, wanted, part, friction_limit)
+        accepted[some] = _away_from_events(cell, keys[some], slope)
+        asked = family, cell, keys[some], slope, solved, wanted, part
+        integrated = ~_interpolate_block(*asked, made, accuracy) if made else np.ones(len(keys[some]), bool)
+        accepted[some] &= _solve_block(*asked, friction_limit, accuracy, np.flatnonzero(integrated & accepted[some]))
     return {name: value.reshape(n, s, *value.shape[1:]) for name, value in out.items()}, accepted
+
+
+def _away_from_events(cell: Cell, keys: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Whether all slopes of lines are farther from the ends of pieces than their errors, shape (n,)."""
+    unit, q = cell.box.unit(keys), np.log(slope)
+    away = np.ones(len(keys), bool)
+    for patch in cell.patches:
+        ends = patch.ends_at(unit)
+        for end in (0, 1):
+            if patch.events[end]:
+                off = np.abs(ends[:, [end]] - q)
+                away &= (off > PREDICTED_WITHIN * max(patch.end_errors[end], _LEAST_END_ERROR)).all(axis=1)
+    return away
+
+
+def _interpolate_block(
+    family: Family,
+    cell: Cell,
+    keys: np.ndarray,
+    slope: np.ndarray,
+    solved: list[str],
+    wanted: set[str],
+    out: Arrays,
+    made: Sequence[Sheet],
+    accuracy: float,
+) -> np.ndarray:
+    """Store the gaits of those lines in `out`, shape (n s, ...), that polynomials give, and return which these are."""
+    parts, sure = interpolate(family, cell, made, keys, slope, solved, accuracy)
+    kept = []
+    for part in parts:
+        keep = np.flatnonzero(sure[part.index // len(slope)])
+        solved_part = {name: value[keep] for name, value in part.solved.items()}
+        kept.append(Part(part.index[keep], part.angle[keep], part.ratio[keep], solved_part))
+    store(out, kept, wanted)
+    return sure
 
 
 def _solve_block(
@@ -166,33 +235,34 @@ def _solve_block(
     wanted: set[str],
     out: Arrays,
     friction_limit: float,
+    accuracy: float,
+    lines: np.ndarray,
 ) -> np.ndarray:
-    """Store the gaits of a few lines in `out`, shape (n s, ...), and return which lines are accepted."""
+    """Store the gaits of a few `lines` in `out`, shape (n s, ...), and return which of all n are accepted."""
     n, s = len(keys), len(slope)
-    unit, q = cell.box.unit(keys), np.log(slope)
     accepted = np.ones(n, bool)
+    if not len(lines):
+        return accepted
+    unit, q = cell.box.unit(keys), np.log(slope)
     indices, predictions = [], []
     for patch in cell.patches:
-        ends = patch.ends_at(unit)
-        index = np.arange(n * s).reshape(n, s)
-        off = (ends[:, :1] - q, q - ends[:, 1:])
-        for end in (0, 1):
-            if patch.events[end]:
-                accepted &= (np.abs(off[end]) > _SAFETY * max(patch.end_errors[end], _LEAST_END_ERROR)).all(axis=1)
-        index = index[(off[0] <= 0) & (off[1] <= 0)]
+        ends = patch.ends_at(unit[lines])
+        index = lines[:, None] * s + np.arange(s)
+        index = index[(ends[:, :1] <= q) & (q <= ends[:, 1:])]
         line = index // s
-        w, node = patch.predict(unit[line], q[index % s], ends[line])
+        w, node = patch.predict(unit[line], q[index % s], patch.ends_at(unit[line]))
         indices.append(index)
-        predictions.append(_guesses(patch, w, node, slope[index % s]))
+        predictions.append(patch_guesses(patch, w, node, slope[index % s]))
     if not sum(map(len, indices)):
         return accepted
     guesses = join(predictions)
     line = np.concatenate(indices) // s
     walkers = family.walkers(keys).some(line)
     problem = Lanes(walkers, cell.structure)
-    at = settle(problem, guesses, sampled=True)
-    fine = _are_predicted(at, guesses, np.repeat([p.error for p in cell.patches], [len(i) for i in indices]))
-    fine &= side_of_fold(at.stride) == np.repeat([p.side for p in cell.patches], [len(i) for i in indices])
+    at = settle(problem, guesses, sampled=True, accuracy=accuracy)
+    counts = [len(index) for index in indices]
+    error, side = (np.repeat([getattr(patch, name) for patch in cell.patches], counts) for name in ("error", "side"))
+    fine = are_predicted(at, guesses, error, side)
     np.logical_and.at(accepted, line, fine)
     gaits = _describe(problem, walkers, at, guesses.slope, solved, friction_limit)
     parts, ends_of = [], np.cumsum([len(i) for i in indices]).tolist()
@@ -202,32 +272,13 @@ def _solve_block(
         angle = np.where(own["anthropomorphic"], guesses.w[0, end - len(index) : end], np.nan)
         parts.append(Part(index, angle, own["heelstrike_rate_ratio"], own))
     store(out, parts, wanted)
-    w = _similarity(at)
+    w = similarity(at)
     for i, j in combinations(range(len(parts)), 2):
         _, a, b = np.intersect1d(indices[i], indices[j], assume_unique=True, return_indices=True)
         a, b = a + ends_of[i] - len(indices[i]), b + ends_of[j] - len(indices[j])
         alike = np.abs(w[:, a] - w[:, b]).max(axis=0, initial=0.0) < _APART
         accepted[line[a[alike]]] = False
     return accepted
-
-
-def _guesses(patch: Patch, w: np.ndarray, node: np.ndarray, slope: np.ndarray) -> Guesses:
-    last = len(patch.lipschitz) - 1
-    around = [np.clip(node + i, 0, last) for i in (-1, 0, 1)]
-    lipschitz = _LIPSCHITZ_SAFETY * np.max([patch.lipschitz[k] for k in around], axis=0)
-    std = np.max([patch.rounding_std[k] for k in around], axis=0).T
-    return Guesses(w, slope, lipschitz, std, np.full(len(slope), UNKNOWN))
-
-
-def _similarity(at: Polished) -> np.ndarray:
-    return np.vstack([np.log(at.y[:1] * at.scale), at.y[1:] / at.y[0], at.times])
-
-
-def _are_predicted(at: Polished, guesses: Guesses, error: np.ndarray) -> np.ndarray:
-    """Whether gaits are converged steps as near their predictions as they should be, shape (n,)."""
-    with np.errstate(invalid="ignore"):
-        moved = np.abs(_similarity(at) - guesses.w).max(axis=0)
-    return at.converged & at.step & (moved < _SAFETY * error)
 
 
 def _describe(

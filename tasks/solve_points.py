@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 
 from tasks import status
+from tasks.accuracy import always
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
 from tasks.continuation.lockstep import lanes_of
 from tasks.continuation.refine import COARSE, FINE
 from tasks.fixed_points.polish import Guesses, join, settle
 from tasks.follow_cycles import cycle_branches, from_arrays, to_arrays
+from tasks.interpolate_points import Interpolation
 from tasks.measures import violations
-from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store
+from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from tasks.mechanics.lumped import Structure, structures_of
-from tasks.registry import ALWAYS, GAITS, PROVED, VARIABLES
+from tasks.registry import GAITS, PROVED, VARIABLES
 from tasks.solve_cycles import cycle_points
 from tasks.step.problem import Lanes, Problem
 from tasks.walkers.resolve import resolve
@@ -26,6 +28,8 @@ from tasks.walkers.walker import Walker
 
 #: Lanes solved at a time: enough to amortize the calls, few enough for the cache.
 _BLOCK = 4096
+#: The same where most lanes are those of polynomials.
+_INTERPOLATED_BLOCK = 1 << 14
 #: What a proof of a gait is held against, and the largest relative radius of its box.
 PROVED_FROM = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time", "error_bound")
 PROOF_ACCURACY = 1e-12
@@ -64,7 +68,9 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     ----------
     params : mapping
         `line`; `slope`, ndarray, shape (n,) [rad]; `want`, names of variables; `gaits`, labels wanted;
-        `friction_limit`, the coefficient above which a gait is flagged; `steps` after which the gaits repeat.
+        `friction_limit`, the coefficient above which a gait is flagged; `steps` after which the gaits repeat;
+        `accuracy`, the largest error bound wanted, 0 for as good a one as doubles give; `interpolated`,
+        whether polynomials give the points where they reach it.
     inputs : list
         The line's atlas, of the same `steps`.
 
@@ -77,7 +83,11 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     problem = Problem(_walker(params["line"]))
     if int(params.get("steps", 1)) > 1:
         return cycle_points(problem, from_arrays(inputs[0]), params)
-    (solved,) = _solve_lines(problem, [params["line"]], [atlases.from_arrays(inputs[0])], params)
+    branches = atlases.from_arrays(inputs[0])
+    accuracy, want, slope = params.get("accuracy", 0.0), params["want"], np.asarray(params["slope"], float)
+    is_interpolated = params.get("interpolated", False)
+    polynomials = Interpolation(problem, branches, want, accuracy, slope) if is_interpolated else None
+    (solved,) = _solve_lines(problem, [params["line"]], [branches], params, polynomials)
     return solved
 
 
@@ -111,11 +121,18 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
 
 
 def _solve_lines(
-    problem: Problem, lines: Sequence[Mapping[str, Any]], atlas: Sequence[list[Branch]], params: Mapping[str, Any]
+    problem: Problem,
+    lines: Sequence[Mapping[str, Any]],
+    atlas: Sequence[list[Branch]],
+    params: Mapping[str, Any],
+    polynomials: Interpolation | None = None,
 ) -> list[Arrays]:
-    """Solve the gaits at the slopes of several lines of one structure; `problem` has a lane for each."""
-    slope = np.asarray(params["slope"], float)
-    want = [v for v in VARIABLES if v in params["want"] or v in ALWAYS]
+    """Solve the gaits at the slopes of several lines of one structure; `problem` has a lane for each.
+
+    With `polynomials`, of a single line, only gaits that these do not give are integrated.
+    """
+    slope, accuracy = np.asarray(params["slope"], float), params.get("accuracy", 0.0)
+    want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
     wanted = set(params.get("gaits") or GAITS)
     friction_limit = params.get("friction_limit", violations.FRICTION_LIMIT)
     n, width = len(slope), 4 if problem.phases == 2 else 3
@@ -127,15 +144,17 @@ def _solve_lines(
         {**nothing_solved((*solved, *proofs), n, width), "reasons": np.array(_reasons(branches, searched))}
         for branches in atlas
     ]
-    for k in range(0, n, _BLOCK):
-        part = slice(k, k + _BLOCK)
-        pieces = [_pieces(branches, slope[part], wanted) for branches in atlas]
+    block = _INTERPOLATED_BLOCK if polynomials else _BLOCK
+    for k in range(0, n, block):
+        part = slice(k, k + block)
+        interpolated, integrated = polynomials.parts(slope[part]) if polynomials else ([], None)
+        pieces = [_pieces(branches, slope[part], wanted, integrated) for branches in atlas]
+        parts = [interpolated for _ in lines]
         here = [i for i, each in enumerate(pieces) if each]
-        if not here:
-            continue
         guesses = [join([piece.guesses for piece in pieces[i]]) for i in here]
         counts = [len(each.slope) for each in guesses]
-        at = settle(problem.some(np.repeat(here, counts)), join(guesses))
+        if here:
+            at = settle(problem.some(np.repeat(here, counts)), join(guesses), accuracy=accuracy)
         for i, each, count, end in zip(here, guesses, counts, np.cumsum(counts).tolist(), strict=True):
             gaits = describe(
                 problems[i],
@@ -145,11 +164,13 @@ def _solve_lines(
                 tuple(solved),
                 friction_limit,
             )
-            store({name: results[i][name][part] for name in solved}, _parts(pieces[i], gaits), wanted)
+            parts[i] = [*interpolated, *_parts(pieces[i], gaits)]
+        for out, gaits_of_line in zip(results, parts, strict=True):
+            store({name: out[name][part] for name in solved}, gaits_of_line, wanted)
     if proofs:
         for line, out in zip(lines, results, strict=True):
             _prove(out, line, slope)
-    return [{name: out[name] for name in (*want, "reasons")} for out in results]
+    return [{**to_accuracy({v: out[v] for v in want}, accuracy), "reasons": out["reasons"]} for out in results]
 
 
 def _reasons(branches: list[Branch], searched: str) -> list[str]:
@@ -164,7 +185,7 @@ def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:
     """Prove every converged gait of `out`, rows (n, len(GAITS)); each takes a second or so."""
     from tasks.proofs.records import prove_stored  # needs the extra `proof`
 
-    for i, g in np.argwhere(out["status"] == status.CONVERGED).tolist():
+    for i, g in np.argwhere(np.isin(out["status"], status.SOLVED)).tolist():
         asked = {"walker": line["walker"], "set": line.get("set"), "slope": float(slope[i]), "gait": GAITS[g]}
         values = {name: float(out[name][i, g]) for name in PROVED_FROM}
         proof = prove_stored({**asked, "accuracy": PROOF_ACCURACY, "values": values})
@@ -185,11 +206,21 @@ class _Piece:
     number: int
 
 
-def _pieces(branches: list[Branch], slope: np.ndarray, wanted: set[str]) -> list[_Piece]:
-    """Guesses of the gaits at some slopes that may have a wanted label."""
+def _pieces(
+    branches: list[Branch],
+    slope: np.ndarray,
+    wanted: set[str],
+    integrated: Mapping[tuple[int, int], np.ndarray] | None = None,
+) -> list[_Piece]:
+    """Guesses of the gaits at some slopes that may have a wanted label, or of those that are to be integrated."""
     pieces = []
+    q = np.log(slope)
     for number, branch in enumerate(branches):
-        for index, Z, segment in branch.guesses(np.log(slope)):
+        for first, last in branch.pieces():
+            index = branch.covered(first, last, q) if integrated is None else integrated[number, first]
+            if not len(index):
+                continue
+            Z, segment = branch.on_piece(first, last, q[index])
             may_hold = _may_hold(branch, segment, wanted)
             if may_hold.any():
                 index, Z, segment = index[may_hold], Z[may_hold], segment[may_hold]
@@ -206,10 +237,11 @@ def _parts(pieces: list[_Piece], gaits: Arrays) -> list[Part]:
         count, branch = len(piece.index), piece.branch
         solved = {name: value[end - count : end] for name, value in gaits.items()}
         solved |= {"branch": np.full(count, piece.number), "piece": branch.piece(piece.segment)}
-        angle = np.where(solved["anthropomorphic"], piece.guesses.w[0], np.nan)
+        converged = np.isin(solved["status"], status.SOLVED)
         # A lane that has not converged still counts as its branch's gait.
+        angle = np.where(solved["anthropomorphic"], piece.guesses.w[0], np.nan)
         nodes = 0.5 * (branch.ratio[piece.segment] + branch.ratio[piece.segment + 1])
-        ratio = np.where(solved["status"] == status.CONVERGED, solved["heelstrike_rate_ratio"], nodes)
+        ratio = np.where(converged, solved["heelstrike_rate_ratio"], nodes)
         parts.append(Part(piece.index, angle, ratio, solved))
     return parts
 
@@ -242,11 +274,7 @@ def _may_hold(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarr
     return (~(low > 0.6) & ("long" in wanted)) | (~(high < 0.4) & ("short" in wanted))
 
 
-def solve(
-    problem: Problem,
-    guesses: Guesses,
-    want: Sequence[str],
-    friction_limit: float = violations.FRICTION_LIMIT,
-) -> Arrays:
+def solve(problem: Problem, guesses: Guesses, want: Sequence[str], accuracy: float = 0.0) -> Arrays:
     """Polish guesses of one walker, verify that they are steps and measure the wanted variables, as `describe` does."""
-    return describe(problem, problem.walker, settle(problem, guesses), guesses.slope, want, friction_limit)
+    at = settle(problem, guesses, accuracy=accuracy)
+    return describe(problem, problem.walker, at, guesses.slope, want)

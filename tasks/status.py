@@ -2,11 +2,16 @@
 
 from tasks.registry import STATUSES
 
-CONVERGED, NO_GAIT, NOT_CONVERGED, FELL = (STATUSES[k] for k in ("converged", "no_gait", "not_converged", "fell"))
+CONVERGED, NO_GAIT, NOT_CONVERGED, FELL, LESS_ACCURATE = (
+    STATUSES[k] for k in ("converged", "no_gait", "not_converged", "fell", "less_accurate")
+)
+#: Gaits with values.
+SOLVED = (CONVERGED, LESS_ACCURATE)
 
 SETTLED = "Converged, and verified to be a step."
 NO_FURTHER = "No further gait was found at this slope."
 NEWTON_LOST = "Newton's method did not converge from the atlas's guess."
+COARSE = "Converged to a step, but its error bound exceeds the accuracy wanted."
 NOT_A_STEP = "The solution is not a step: a guard is crossed before the event solved for."
 
 
@@ -41,6 +46,10 @@ def absent(label: str, where: str) -> str:
     return f"No {label} gait at this slope: no branch found over {where} has one here."
 
 
+#: Index of `COARSE` in `reasons`.
+COARSE_REASON = 6
+
+
 def reasons(long: str, short: str) -> list[str]:
     """Sentences in the order in which `reason` indexes them, with those of points without a long or a short gait."""
-    return [SETTLED, long, NO_FURTHER, NEWTON_LOST, NOT_A_STEP, short]
+    return [SETTLED, long, NO_FURTHER, NEWTON_LOST, NOT_A_STEP, short, COARSE]

@@ -51,7 +51,7 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
             is_drawn = (
                 (known["branch"][index] == number)
                 & (known["piece"][index] == branch.piece(segment)[:, None])
-                & (known["status"][index] == status.CONVERGED)
+                & np.isin(known["status"][index], status.SOLVED)
             )
             w, q = np.delete(Z, problem.m, axis=1).T, np.log(slope[index])
             for _ in range(2):

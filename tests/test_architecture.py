@@ -54,7 +54,7 @@ def test_the_registry_imports_nothing_and_the_plan_no_solver():
         "print(*(m for m in sys.modules if m.startswith('tasks')))"
     )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=True)
-    assert sorted(found.stdout.split()) == ["tasks", "tasks.costs", "tasks.registry"]
+    assert sorted(found.stdout.split()) == ["tasks", "tasks.accuracy", "tasks.costs", "tasks.registry"]
 
 
 def test_importing_any_module_only_defines(tmp_path):

@@ -18,7 +18,8 @@ from pipeline.archive.citation import PAPER
 from pipeline.errors import StudyError
 from pipeline.statuses import ALL_STATUSES
 from pipeline.study.broadcast import broadcast
-from tasks.registry import ALWAYS, GAITS, SHORT_LINE, TASKS, VARIABLES
+from tasks.accuracy import always, is_interpolated
+from tasks.registry import GAITS, SHORT_LINE, TASKS, VARIABLES
 
 _MAX_REMEMBERED = 256 << 20  # atlases kept for later calls, and as much of short lines' points [byte]
 _BLOCK = 64  # short lines surveyed side by side
@@ -81,7 +82,7 @@ class _Points:
     @classmethod
     def empty(cls, n: int, wanted: tuple[str, ...], multipliers: int) -> _Points:
         values = {}
-        for name in (*wanted, *(v for v in ALWAYS if v not in wanted)):
+        for name in wanted:
             variable = VARIABLES[name]
             shape = (n, len(GAITS), *([multipliers] if "multiplier" in variable.dims else []))
             values[name] = np.full(shape, variable.absent, variable.dtype)
@@ -108,7 +109,11 @@ class _Points:
 
 
 def gaits(
-    walker: str | dict[str, Any], wanted: tuple[str, ...], arguments: Mapping[str, Any], steps: int
+    walker: str | dict[str, Any],
+    wanted: tuple[str, ...],
+    arguments: Mapping[str, Any],
+    steps: int,
+    accuracy: float = 0.0,
 ) -> xr.Dataset:
     """Solve the gaits of a walker at every point of a grid.
 
@@ -122,6 +127,8 @@ def gaits(
         `slope` [rad] and keys: numbers, arrays and DataArrays.
     steps : int
         Number of steps after which the gaits repeat.
+    accuracy : float
+        Largest error bound wanted; 0 for as good as doubles give.
 
     Returns
     -------
@@ -133,6 +140,7 @@ def gaits(
     StudyError
         If the arguments do not broadcast, or no point has a slope and a walker that can be.
     """
+    wanted = (*wanted, *(name for name in always(accuracy) if name not in wanted))
     arrays, grid = broadcast(arguments)
     flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
     lines = list(_lines(walker, flat, [name for name, a in arrays.items() if name != "slope" and a.ndim]))
@@ -154,13 +162,13 @@ def gaits(
         if isinstance(check, StudyError):
             points.fail(at, str(check))
         elif len(at):
-            solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True)))
+            solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True), steps, accuracy))
     for k in range(0, len(solvable), _BLOCK):
         if steps == 1:
             short = [line for line in solvable[k : k + _BLOCK] if line.is_short]
-            _survey([line for line in short if not _POINTS.has(line.points_key(wanted, 1))])
+            _survey([line for line in short if not _POINTS.has(line.points_key(wanted))])
         for one in solvable[k : k + _BLOCK]:
-            _solve(one, wanted, steps, points)
+            _solve(one, wanted, points)
     is_si = bool(answers) and answers[0]["si"]
     dataset = _dataset(points, grid[0], is_si, steps)
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
@@ -210,25 +218,32 @@ def _check(line: dict[str, Any]) -> dict[str, Any] | StudyError:
 
 @dataclass
 class _Line:
-    """A line of the grid, its points, their distinct slopes, and the slope of each point among these."""
+    """A line of the grid, its points, their distinct slopes, the slope of each among these, and what is wanted."""
 
     line: dict[str, Any]
     at: np.ndarray
     slopes: np.ndarray
     row: np.ndarray
+    steps: int
+    accuracy: float
 
     @property
     def is_short(self) -> bool:
-        """Whether its atlas is coarse, as that of a study with so few slopes."""
+        """Whether it is a short line, as that of a study with so few slopes."""
         return len(self.slopes) <= SHORT_LINE
 
-    def points_params(self, wanted: tuple[str, ...], steps: int) -> dict[str, Any]:
+    def points_params(self, wanted: tuple[str, ...]) -> dict[str, Any]:
         """Parameters of its points."""
-        return {"line": self.line, "slope": self.slopes, "want": wanted, "steps": steps}
+        params = {"line": self.line, "slope": self.slopes, "want": wanted, "steps": self.steps}
+        return {**params, "accuracy": self.accuracy, "interpolated": self.is_interpolated(wanted)}
 
-    def points_key(self, wanted: tuple[str, ...], steps: int) -> bytes:
+    def is_interpolated(self, wanted: tuple[str, ...]) -> bool:
+        """Whether polynomials give its points, as they give those of a study with so many slopes."""
+        return self.steps == 1 and not self.is_short and is_interpolated(wanted, self.accuracy)
+
+    def points_key(self, wanted: tuple[str, ...]) -> bytes:
         """Key under which its points are remembered."""
-        return serialize.dump(self.points_params(wanted, steps))
+        return serialize.dump(self.points_params(wanted))
 
     def atlas_params(self, coarse: bool, steps: int = 1) -> dict[str, Any]:
         """Parameters of its atlas."""
@@ -260,17 +275,18 @@ def _survey(lines: list[_Line]) -> None:
         _ATLASES.get(keys[id(line)], functools.partial(dict, atlas))
 
 
-def _solve(one: _Line, wanted: tuple[str, ...], steps: int, points: _Points) -> None:
+def _solve(one: _Line, wanted: tuple[str, ...], points: _Points) -> None:
     """Solve the points of a line, each slope once, from its branches."""
 
     def solve() -> Arrays:
-        atlas = one.atlas(one.is_short and steps == 1, steps)
-        points: Arrays = dispatch.resolve(TASKS["points"].function)(one.points_params(wanted, steps), [atlas])
+        coarse = one.steps == 1 and (one.is_short or one.is_interpolated(wanted))
+        params, atlas = one.points_params(wanted), one.atlas(coarse, one.steps)
+        points: Arrays = dispatch.resolve(TASKS["points"].function)(params, [atlas])
         return points
 
     try:
         # A slider comes back to values that it has shown; points of long lines cost less than to keep them.
-        result = _POINTS.get(one.points_key(wanted, steps), solve) if one.is_short else solve()
+        result = _POINTS.get(one.points_key(wanted), solve) if one.is_short else solve()
     except Exception as error:  # as in a study, a task that raises is a status at its points
         points.fail(one.at, f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
     else:

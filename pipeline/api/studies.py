@@ -99,6 +99,7 @@ def run(
     jobs: int = 2,
     archive: str | Path | None = None,
     *,
+    accuracy: float | None = None,
     cluster: str | None = None,
     fresh: bool = False,
     retry_failed: bool = False,
@@ -114,6 +115,8 @@ def run(
         Worker processes.
     archive : str or Path, optional
         Path of the archive; by default `data/archive/NAME.nc` under the current folder.
+    accuracy : float, optional
+        Largest error bound wanted, from 1e-15 to 1e-2, instead of the study's own.
     cluster : str, optional
         A Dask scheduler, `tcp://HOST:PORT`, or `local:N`, instead of `jobs`.
     fresh, retry_failed, quiet : bool
@@ -131,22 +134,22 @@ def run(
     GaitsweepError
         If the run cannot start or continue; finished results are kept.
     """
-    study = _study(wanted)
+    study = _study(wanted, accuracy)
     path = Path(archive) if archive else Path("data", "archive", f"{study.name}.nc")
     runner.run([(study, path)], runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))
     return load(path)
 
 
-def _study(wanted: str | Path | Mapping[str, Any]) -> model.Study:
+def _study(wanted: str | Path | Mapping[str, Any], accuracy: float | None = None) -> model.Study:
     if isinstance(wanted, Mapping):
         wanted = "".join(f"{key} = {_to_toml(value, key)}\n" for key, value in wanted.items())
     elif isinstance(wanted, Path) or "=" not in wanted:
-        return parse.read(wanted)
+        return parse.read(wanted, accuracy)
     try:
         table = tomllib.loads(wanted)
     except tomllib.TOMLDecodeError as error:
         raise StudyError(f"The study cannot be read: {error}.") from error
-    return parse.parse(table, wanted, Path("study"))
+    return parse.parse(table if accuracy is None else {**table, "accuracy": accuracy}, wanted, Path("study"))
 
 
 def _to_toml(value: Any, key: str) -> str:
@@ -186,10 +189,11 @@ def gaits(
     steps : int
         Number of steps after which a gait repeats, at most 64; those that repeat after fewer are left out. The state
         is that with the largest stance angle, `period` and losses are of all steps, the multipliers those of all steps.
-    accuracy : None
-        As good as doubles give.
+    accuracy : float, optional
+        Largest error bound wanted, from 1e-15 to 1e-2; by default as good as doubles give.
     variables : sequence of str, optional
-        Names and groups of variables, as in a study; by default all but the violations.
+        Names and groups of variables, as in a study; by default all but the violations, and with an accuracy those that
+        a study has.
     **keys : float, array or DataArray
         Walker keys to change, `foot_mass_ratio` or `detuning`, in the walker's units; `knees` takes booleans.
 
@@ -213,17 +217,22 @@ def gaits(
     steps = broadcast.whole_number("steps", steps, 1)
     if steps > MAX_STEPS:
         raise Location("", "steps").wrong(f"must be at most {MAX_STEPS}", steps)
-    if accuracy is not None:
-        raise Location("", "accuracy").wrong("must be None", accuracy)
+    asked = 0.0 if accuracy is None else parse.accuracy(accuracy, Location("", "accuracy"))
     names = [variables] if isinstance(variables, str) else variables
-    wanted = parse.variables(None if names is None else list(names), Location("", "variables"))
+    wanted = parse.variables(None if names is None else list(names), Location("", "variables"), asked)
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
         raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
-    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys}, steps)
+    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys}, steps, asked)
 
 
 def solve(
-    walker: str | Path | Mapping[str, Any], slope: float, every: bool = False, *, steps: int = 1, **keys: float
+    walker: str | Path | Mapping[str, Any],
+    slope: float,
+    every: bool = False,
+    *,
+    steps: int = 1,
+    accuracy: float | None = None,
+    **keys: float,
 ) -> pd.DataFrame:
     """Find every gait of a walker at one slope.
 
@@ -237,6 +246,8 @@ def solve(
         Include gaits whose swing leg passes the stance leg more than once.
     steps : int
         Number of steps after which a gait repeats, as for `gaits`.
+    accuracy : float, optional
+        Largest error bound wanted, as for `gaits`.
     **keys : float
         Walker keys to change, `foot_mass_ratio` or `detuning`.
 
@@ -258,6 +269,7 @@ def solve(
         changes,
         every,
         broadcast.whole_number("steps", steps, 1),
+        accuracy,
     )
     rows = [
         {

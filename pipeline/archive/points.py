@@ -24,7 +24,8 @@ from pipeline.store import lines
 from pipeline.store.finished import FinishedChunk, digest, extent_of
 from pipeline.store.packing import Packed, pack_values
 from pipeline.study import units
-from tasks.registry import GAITS, STATUSES, VARIABLES
+from tasks.accuracy import MANTISSA, significant_bits
+from tasks.registry import GAITS, STATUSES, VARIABLES, Variable
 
 _FILTERS = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 #: Name of a variable, start of a chunk in it, and what gives the chunk.
@@ -143,6 +144,7 @@ class PointWriter:
                 "i4" if is_wide else description.dtype,
                 (*self.grid.sizes, *description.dims),
                 **_FILTERS,
+                **_quantization(description, self.study.accuracy),
                 # Of one gait: trailing gaits that nobody has are known only when all points are.
                 chunksizes=(*self.chunk, *(1, self.multipliers)[: len(description.dims)]),
                 fill_value=np.nan if description.dtype == "f8" else False,
@@ -211,3 +213,11 @@ class PointWriter:
         if self.columns == list(range(len(self.columns))):
             return values
         return {name: v.take(self.columns, axis=len(box)) for name, v in values.items()}
+
+
+def _quantization(variable: Variable, accuracy: float) -> dict[str, Any]:
+    """How netCDF is told that values have only the bits that an accuracy leaves them; bounds have fewer."""
+    bits = significant_bits(accuracy)
+    if bits == MANTISSA or variable.dtype != "f8" or variable.name.endswith("error_bound"):
+        return {}
+    return {"significant_digits": bits, "quantize_mode": "BitRound"}

@@ -12,7 +12,8 @@ import numpy as np
 from pipeline.archive import layout, read
 from pipeline.archive.read import columns, open_archive
 from pipeline.statuses import ALL_STATUSES
-from tasks.registry import ALWAYS, GAITS, VARIABLES
+from tasks.accuracy import always
+from tasks.registry import GAITS, VARIABLES
 
 _CF_ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references")
 _ATTRIBUTES = (*_CF_ATTRIBUTES, "provenance", "study", "kind", "checksums")
@@ -39,9 +40,15 @@ def _attributes(file: Any) -> Iterator[str]:
             raise ValueError
     except (AttributeError, ValueError, RecursionError):
         yield "`provenance` is not JSON."
-    for name in (*(ALWAYS if getattr(file, "kind", "grid") == "grid" else ("status", "reason")), "reason_text"):
+    for name in (*_required(file), "reason_text"):
         if name not in file.variables:
             yield f"`{name}` is missing."
+
+
+def _required(file: Any) -> tuple[str, ...]:
+    """Variables that an archive of its kind and accuracy holds, whatever was wanted."""
+    is_grid = getattr(file, "kind", "grid") == "grid"
+    return always(getattr(file, "accuracy", 0.0)) if is_grid else ("status", "reason")
 
 
 def _dimensions(file: Any) -> Iterator[str]:

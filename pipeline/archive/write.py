@@ -106,6 +106,7 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
             "not_attempted": np.int64(writer.written.counts["not_attempted"]),
             "figures": " ".join(study.figures),
             "provenance": provenance(plan),
+            **({"accuracy": study.accuracy} if study.accuracy else {}),
             **attributes.of_steps(study.steps),
         }
     )

@@ -54,6 +54,7 @@ def parser() -> argparse.ArgumentParser:
 
     c = add(_run, "run studies; the same command again resumes")
     c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
+    _add_accuracy(c)
     c.add_argument("--jobs", type=kinds.jobs, default=2, metavar="N", help="worker processes (default 2)")
     c.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT, or local:N")
     c.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
@@ -72,6 +73,7 @@ def parser() -> argparse.ArgumentParser:
     c = add(_plan, "show what would run and why, without running it")
     c.epilog, c.formatter_class = options.listing(), argparse.RawDescriptionHelpFormatter
     c.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
+    _add_accuracy(c)
     c.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
     c.add_argument("--retry-failed", action="store_true", help="as `run` would")
     c.add_argument("--json", action="store_true", help="for machines")
@@ -95,6 +97,7 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
     c.add_argument("--slope", required=True, type=kinds.number, metavar="S", help="rad")
     c.add_argument("--set", action="append", type=kinds.setting, default=[], metavar="KEY=VALUE", help="a walker key")
+    _add_accuracy(c)
     c.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
     c.add_argument(
         "--steps", type=kinds.count, default=1, metavar="N", help="gaits that repeat after N steps (default 1)"
@@ -145,6 +148,12 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _add_accuracy(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--accuracy", type=kinds.number, metavar="A", help="largest error bound wanted, 1e-2 to 1e-15 (default: best)"
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     terminal.prepare()
@@ -193,7 +202,7 @@ def _archives(options: argparse.Namespace, codes: list[int] | None = None) -> li
     studies = []
     for path in options.studies:
         with contextlib.nullcontext() if codes is None else _report_errors(codes, options.debug):
-            studies.append(parse.read(path))
+            studies.append(parse.read(path, getattr(options, "accuracy", None)))
     targets = [(s, options.archive or Path("data", "archive", f"{s.name}.nc")) for s in studies]
     for i, (study, path) in enumerate(targets):
         if any(path == other for _, other in targets[:i]):
@@ -284,16 +293,16 @@ def _solve(options: argparse.Namespace) -> int:
     from pipeline.study.single_point import solve
 
     slope = math.radians(options.slope) if options.degrees else options.slope
-    answer = solve(options.walker, slope, dict(options.set), options.all, options.steps)
+    answer = solve(options.walker, slope, dict(options.set), options.all, options.steps, options.accuracy)
     for line in answer.get("search", []):
         terminal.say(line)
     if options.json:
         print(json.dumps(answer["gaits"]))
-        return 0
-    from pipeline.cli import text
+    else:
+        from pipeline.cli import text
 
-    print("\n".join(text.gaits(answer["gaits"], answer["units"], options.degrees)))
-    return 0
+        print("\n".join(text.gaits(answer["gaits"], answer["units"], options.degrees)))
+    return int(any(gait["status"] != "converged" for gait in answer["gaits"]))
 
 
 def _prove(options: argparse.Namespace) -> int:

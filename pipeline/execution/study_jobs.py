@@ -201,7 +201,7 @@ class StudyJobs:
             "lines": [self.study.line(number) for number in work.lines.tolist()],
             "digests": self.plan.blocks.digests(work.lines),
             "atlases": "atlas" in self.plan.line_tasks,
-            **self.study.options,
+            **graph.point_params(self.study),
         }
         if self.plane:
             params["cell"] = self.plane.cell(params["lines"][0]["set"])

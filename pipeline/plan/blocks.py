@@ -135,7 +135,7 @@ class Blocks:
     def _walkers(self) -> dict[bool, np.ndarray]:
         """Digest of each walker with all that its lines share, for this version of the tasks and for all."""
         tasks = [self.layers[name].task for name in ("atlas", "points")]
-        shared = {"options": self.study.options, "keys": sorted(axis.name for axis in self.study.line_axes)}
+        shared = {"options": graph.point_params(self.study), "keys": sorted(axis.name for axis in self.study.line_axes)}
         keys = [
             graph.key(tasks[1], {**shared, "walker": walker}, [f"{tasks[0].name} {tasks[0].version}"])
             for walker in self.study.walkers

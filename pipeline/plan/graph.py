@@ -16,7 +16,8 @@ import numpy as np
 
 from pipeline.store.rows import TaskKey
 from pipeline.study.model import Study
-from tasks.registry import ALWAYS, READS, SHORT_LINE, TASKS, VARIABLES, Task
+from tasks import accuracy
+from tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES, Task
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ def _over_lines(name: str) -> bool:
 
 def variables(study: Study) -> tuple[str, ...]:
     """Point variables to compute: those requested, and those that requested fits, figures and claims read."""
-    names = {*study.variables, *ALWAYS}
+    names = {*study.variables, *accuracy.always(study.accuracy)}
     readers = (*study.fits, *study.figures, *study.claims, *(("claims",) if study.claims else ()))
     names.update(read for reader in readers for read in READS.get(reader, ()))
     return tuple(name for name in VARIABLES if name in names)
@@ -91,12 +92,25 @@ def over_plane(study: Study) -> bool:
     return can and not (reads_atlas or has_proofs) and study.plane is not None
 
 
+def is_interpolated(study: Study) -> bool:
+    """Whether the gaits of long lines come from polynomials where these are accurate enough."""
+    is_grid = study.kind == "grid" and study.steps == 1
+    return is_grid and not is_short(study) and accuracy.is_interpolated(variables(study), study.accuracy)
+
+
+def point_params(study: Study) -> dict[str, Any]:
+    """Parameters of points on which their values depend, beside their line and slopes."""
+    asked = {"accuracy": study.accuracy, "interpolated": is_interpolated(study)} if study.accuracy else {}
+    return {**study.options, **asked}
+
+
 def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of a task over one line, except the slopes of a block of points."""
     if name == "atlas":
-        return {"line": line, "coarse": is_short(study), **({"steps": study.steps} if study.steps > 1 else {})}
+        coarse = is_short(study) or is_interpolated(study)
+        return {"line": line, "coarse": coarse, **({"steps": study.steps} if study.steps > 1 else {})}
     if name == "points":
-        return {"line": line, **study.options}
+        return {"line": line, **point_params(study)}
     if name == "branch":
         slopes = study.slope
         window = {"slope_from": float(slopes.min()), "slope_to": float(slopes.max()), "n": len(slopes)}
@@ -116,7 +130,9 @@ def key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> Ta
     """Key of a task with these parameters and the keys of its inputs."""
     plain = _canonical(params)
     versioned = json.dumps([task.name, task.version, plain, list(inputs)], separators=(",", ":"))
-    unversioned = json.dumps([task.name, plain], separators=(",", ":"))
+    # Results to another accuracy are those of a changed study, as of another version.
+    kept = {name: value for name, value in plain.items() if name != "accuracy"}
+    unversioned = json.dumps([task.name, kept], separators=(",", ":"))
     return TaskKey(*(f"{task.name}-{_hash(text.encode())}" for text in (versioned, unversioned)))
 
 

@@ -15,7 +15,7 @@ from tasks.registry import GAITS, VARIABLES
 
 NOT_ATTEMPTED = "The run has not reached it."
 _NAMES = {code: name for name, code in ALL_STATUSES.items()}
-_BEST = tuple(ALL_STATUSES[name] for name in ("converged", "fell", "no_gait"))
+_BEST = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate", "fell", "no_gait"))
 _BASE = 1 + max(_NAMES)
 #: Indices into an array.
 Indices = np.ndarray | slice

@@ -22,8 +22,9 @@ from pipeline.study import options, overlay, units
 from pipeline.study.files import read_toml, walker
 from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
+from tasks import accuracy as accuracies
 from tasks import registry
-from tasks.registry import ALWAYS, CLAIMS, COSTLY, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
+from tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
 
 #: Tasks that are not kinds of study.
 _INTERNAL_TASKS = ("atlas", "points", "trace", *registry.FITS)
@@ -45,8 +46,14 @@ def kinds() -> tuple[str, ...]:
     return ("grid", *(t.name for t in TASKS.values() if set(t.needs) <= {"atlas"} and t.name not in _INTERNAL_TASKS))
 
 
-def read(path: str | Path) -> Study:
+def read(path: str | Path, asked: float | None = None) -> Study:
     """Read and check a study file.
+
+    Parameters
+    ----------
+    path : str or Path
+    asked : float, optional
+        Accuracy instead of the study's own.
 
     Raises
     ------
@@ -55,7 +62,7 @@ def read(path: str | Path) -> Study:
     """
     path = Path(path)
     text, table = read_toml(path, str(path))
-    return parse(table, text, path)
+    return parse(table if asked is None else {**table, "accuracy": asked}, text, path)
 
 
 def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
@@ -75,7 +82,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
         If anything in it is invalid.
     """
     top = Location(path.name)
-    known = ("name", "kind", "walker", "gaits", "axes", "want", "limits", "options", "figures")
+    known = ("name", "kind", "accuracy", "walker", "gaits", "axes", "want", "limits", "options", "figures")
     for key in table:
         if key not in known:
             raise top.unknown(key, known, "key")
@@ -90,7 +97,10 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     if kind not in kinds():
         raise top.at("kind").unknown(kind, kinds())
     gaits = _names(table.get("gaits", list(GAITS)), GAITS, top.at("gaits"))
-    want: dict[str, Any] = dict(_want(table.get("want", {}), kind, top.at("want")))
+    asked = accuracy(table["accuracy"], top.at("accuracy")) if "accuracy" in table else 0.0
+    if asked and kind != "grid":
+        raise top.at("accuracy").error(f"`accuracy` is of the gaits of a grid; this study is a `{kind}`")
+    want: dict[str, Any] = dict(_want(table.get("want", {}), kind, asked, top.at("want")))
     axes, tolerance = _axes(table.get("axes"), top.at("axes"), kind)
     chosen = options.check(table.get("options", {}), kind, _axis_keys(), top.at("options"))
     walkers = _walkers(table.get("walker"), path, top.at("walker"))
@@ -107,6 +117,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
         limits=_limits(table, top),
         walkers=walkers,
         axes=axes,
+        accuracy=asked,
         **want,
     )
     if study.points > MAX_POINTS:
@@ -265,8 +276,32 @@ def need_proofs(location: Location) -> None:
         raise location.error("Proofs need the extra `proof` (python-flint): pip install 'gaitsweep[proof]'")
 
 
-def variables(value: object, location: Location) -> tuple[str, ...]:
-    """Names of the variables that a list of names and groups asks for; all but the costly ones if it is None.
+def accuracy(value: object, location: Location) -> float:
+    """Largest error bound wanted: 1 or 3 times a power of ten, not above the value.
+
+    Raises
+    ------
+    StudyError
+        If it is not a number from 1e-15 to 1e-2.
+    """
+    number = location.number(value)
+    least, most = accuracies.ACCURACIES
+    if not least <= number <= most:
+        raise location.wrong(f"must lie in [{least:g}, {most:g}]", number)
+    candidates = [float(f"{digit}e{power}") for power in range(-16, -1) for digit in (1, 3)]
+    return max(each for each in candidates if each <= number)
+
+
+def variables(value: object, location: Location, asked: float = 0.0) -> tuple[str, ...]:
+    """Names of the variables that a list of names and groups asks for.
+
+    Parameters
+    ----------
+    value : object
+        If it is None, all but the costly ones, and of an accuracy those that need not be integrated.
+    location : Location
+    asked : float
+        Accuracy, 0 for none.
 
     Raises
     ------
@@ -274,18 +309,20 @@ def variables(value: object, location: Location) -> tuple[str, ...]:
         If a name is unknown.
     """
     if value is None:
-        return tuple(v.name for v in VARIABLES.values() if v.group not in COSTLY)
+        left = {*COSTLY, "multipliers"} if asked else set(COSTLY)
+        without = accuracies.OF_INTEGRATION if asked else ()
+        return tuple(v.name for v in VARIABLES.values() if v.group not in left and v.name not in without)
     groups = sorted({v.group for v in VARIABLES.values()} - {""})
-    requested = {*_names(value, (*VARIABLES, *groups), location), *ALWAYS}
+    requested = {*_names(value, (*VARIABLES, *groups), location), *accuracies.always(asked)}
     wanted = tuple(v.name for v in VARIABLES.values() if {v.name, v.group} & requested)
     if any(VARIABLES[name].group == "proofs" for name in wanted):
         need_proofs(location)
     return wanted
 
 
-def _want(value: object, kind: str, location: Location) -> dict[str, tuple[str, ...]]:
+def _want(value: object, kind: str, asked: float, location: Location) -> dict[str, tuple[str, ...]]:
     table = _table(value, ("variables", "fits", "figures", "claims"), location)
-    wanted = variables(table.get("variables"), location.at("variables"))
+    wanted = variables(table.get("variables"), location.at("variables"), asked)
     names = {key: _free_names(table.get(key, []), location.at(key)) for key in ("fits", "figures", "claims")}
     for fit in names["fits"]:
         if fit not in TASKS:

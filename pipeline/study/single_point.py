@@ -9,11 +9,17 @@ from typing import Any
 from pipeline.dispatch import ask
 from pipeline.study import files
 from pipeline.study.location import Location
+from pipeline.study.parse import accuracy
 from tasks.registry import MAX_STEPS
 
 
 def solve(
-    definition: str | dict[str, Any], slope: float, keys: Mapping[str, float], every: bool, steps: int = 1
+    definition: str | dict[str, Any],
+    slope: float,
+    keys: Mapping[str, float],
+    every: bool,
+    steps: int = 1,
+    asked: float | None = None,
 ) -> dict[str, Any]:
     """Find the gaits of a walker at one slope.
 
@@ -28,6 +34,8 @@ def solve(
         Include gaits whose swing leg passes the stance leg more than once.
     steps : int
         Number of steps after which a gait repeats, at most MAX_STEPS.
+    asked : float, optional
+        Largest error bound wanted.
 
     Returns
     -------
@@ -37,11 +45,14 @@ def solve(
     Raises
     ------
     StudyError
-        If the walker, a key or the slope is invalid.
+        If the walker, a key, the slope or the accuracy is invalid.
     """
     if not 0 < slope < 0.5:
         raise Location("", "slope").wrong("must lie in (0, 0.5) rad", slope)
     if not 1 <= steps <= MAX_STEPS:
         raise Location("", "steps").wrong(f"must lie in [1, {MAX_STEPS}]", steps)
     walker = files.walker(definition, Path())
-    return ask("solve", {"walker": walker, "slope": slope, "set": dict(keys), "all": every, "steps": steps})
+    params = {"walker": walker, "slope": slope, "set": dict(keys), "all": every, "steps": steps}
+    if asked is not None:
+        params["accuracy"] = accuracy(asked, Location("", "accuracy"))
+    return ask("solve", params)

@@ -291,11 +291,28 @@ class Branch:
         """
         guesses = []
         for first, last in self.pieces():
-            ends = self.q[[first, last]]
-            inside = np.nonzero((q >= ends.min()) & (q <= ends.max()))[0]
+            inside = self.covered(first, last, q)
             if len(inside):
                 guesses.append((inside, *self.on_piece(first, last, q[inside])))
         return guesses
+
+    def covered(self, first: int, last: int, q: np.ndarray) -> np.ndarray:
+        """Ln slopes that the piece between two nodes covers.
+
+        Parameters
+        ----------
+        first, last : int
+            Of `pieces`.
+        q : ndarray, shape (n,)
+            Values of ln slope.
+
+        Returns
+        -------
+        ndarray of int, shape (k,)
+            Indices into q.
+        """
+        ends = self.q[[first, last]]
+        return np.flatnonzero((q >= ends.min()) & (q <= ends.max()))
 
     def on_piece(self, first: int, last: int, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the piece between two nodes at slopes that it covers.

@@ -39,3 +39,47 @@ def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
     order = np.lexsort((-values[:, :m].imag, -values[:, :m].real, -np.abs(values[:, :m])), axis=-1)
     values[:, :m] = np.take_along_axis(values[:, :m], order, axis=1)
     return values
+
+
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def multiplier_bounds(jacobian: np.ndarray, values: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Bound of the error of every eigenvalue of the step map, for an error of its derivative.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (m, m, n)
+    values : ndarray of complex, shape (n, width)
+        Its eigenvalues, as `multipliers` gives them.
+    error : ndarray, shape (n,)
+        Bound of the Frobenius norm of the derivative's error.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Absolute.
+
+    Notes
+    -----
+    Of m zeros of a polynomial p one lies within m |p(z)|/|p'(z)| of z, and p(z) changes by the adjugate of z - J times
+    the error. Where eigenvalues meet, Elsner's bound is smaller (Bhatia, Matrix Analysis, theorem VIII.1.1,
+    doi:10.1007/978-1-4612-0653-8).
+    """
+    m = len(jacobian)
+    size = np.sqrt((jacobian**2).sum(axis=(0, 1)))
+    elsner = (2 * size + error) ** (1 - 1 / m) * error ** (1 / m)
+    worst = np.zeros(len(error))
+    for i in range(m):
+        shifted = values[:, i, None, None] * np.eye(m) - np.moveaxis(jacobian, -1, 0)
+        others = np.delete(values[:, :m], i, axis=1)
+        gap = np.abs(values[:, i, None] - others).prod(axis=1)
+        own = m * error * _adjugate_norm(shifted) / gap
+        worst = np.fmax(worst, np.fmin(own, elsner))
+    return np.asarray(worst + np.where(np.isfinite(size), 0.0, np.nan))
+
+
+def _adjugate_norm(matrices: np.ndarray) -> np.ndarray:
+    """Frobenius norms of the adjugates of matrices (n, m, m), m at most 3."""
+    if matrices.shape[1] == 3:
+        a, b, c = np.moveaxis(matrices, 1, 0)
+        matrices = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+    return np.asarray(np.sqrt((np.abs(matrices) ** 2).sum(axis=(1, 2))))

@@ -49,6 +49,8 @@ class Polished:
         The last step evaluated, its impacts corrected to the fixed point.
     bound, doubles : ndarray, shape (n,)
         Bound of the relative error of angle, rates and period; the same before any extended precision.
+    jacobian_error : ndarray, shape (n,)
+        Bound of the Frobenius norm of the error of the step map's derivative.
     converged, step : ndarray of bool, shape (n,)
         Whether Newton converged, and to a step that happens.
     leg_passes : ndarray of int, shape (n,)
@@ -62,6 +64,7 @@ class Polished:
     stride: Stride
     bound: np.ndarray
     doubles: np.ndarray
+    jacobian_error: np.ndarray
     converged: np.ndarray
     step: np.ndarray
     leg_passes: np.ndarray
@@ -101,7 +104,7 @@ def unmeasured(problem: Problem, w: np.ndarray, slope: np.ndarray) -> Guesses:
     return Guesses(w, slope, np.full(n, np.nan), np.full((outputs, n), np.nan), np.full(n, UNKNOWN))
 
 
-def settle(problem: Problem, guesses: Guesses, sampled: bool = False) -> Polished:
+def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: float = 0.0) -> Polished:
     """Polish guesses and verify that they are steps.
 
     Parameters
@@ -111,6 +114,8 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False) -> Polishe
     guesses : Guesses
     sampled : bool
         Sample every motion that is integrated: cheaper where of no guess it is known that its step happens.
+    accuracy : float
+        Bound that nearly suffices; 0 for as good a bound as doubles give.
     """
     slope, leg_passes = guesses.slope, guesses.leg_passes
     stride, scale, w = _polish(problem, guesses.w, slope, guesses.lipschitz, SAMPLES if sampled else 0)
@@ -131,9 +136,10 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False) -> Polishe
     converged = (bound < _MAX_BOUND) & (2 * lipschitz * eta < 1) & near
     amplification = (moves / gait.size).max(axis=0)
     # Where doubles do not show that Newton converges, the shrinking of its steps in more digits does.
-    for lane in np.flatnonzero(~(converged & (bound <= extended_precision.ESCALATE)) & near).tolist():
+    enough = 0.9 * accuracy or extended_precision.ESCALATE
+    for lane in np.flatnonzero(~(converged & (bound <= enough)) & near).tolist():
         wide = extended_precision.refine(
-            problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane]
+            problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane], accuracy
         )
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
         bound[lane] = wide.last_step * max(1.0, amplification[lane]) + wide.rounding
@@ -145,7 +151,21 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False) -> Polishe
         _, check = verify_steps(problem.some(lanes), w[:, lanes], np.log(slope[lanes]), known)
         step[lanes], leg_passes = check.step, leg_passes.copy()
         leg_passes[lanes] = check.leg_passes
-    return Polished(y, state, times, scale, stride, bound, doubles, converged, step, leg_passes)
+    jacobian_error = _jacobian_error(problem.m, stride, lipschitz * (eta + doubles) + SAFETY_FACTOR * std.max(axis=0))
+    return Polished(y, state, times, scale, stride, bound, doubles, jacobian_error, converged, step, leg_passes)
+
+
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def _jacobian_error(m: int, stride: Stride, error: np.ndarray) -> np.ndarray:
+    """Bound of the error of dP/dy (n,), for a relative error (n,) of the derivative of the joint equations.
+
+    That was integrated at the state before the last Newton step, and its integration rounds as the image does. dP/dy is
+    what remains of it when the event times are eliminated, which divides by the rates of the guards.
+    """
+    size = np.sqrt((stride.derivative**2).sum(axis=(0, 1)))
+    by_time = np.sqrt((stride.derivative[:m, m:-1] ** 2).sum(axis=(0, 1))) / np.abs(stride.closing).min(axis=0)
+    times = np.sqrt((stride.times_by_y**2).sum(axis=(0, 1)))
+    return np.asarray(size * (error + EPS) * (1 + by_time) * (1 + times))
 
 
 def _lipschitz_at_points(

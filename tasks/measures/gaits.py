@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks import status
+from tasks.accuracy import MANTISSA, significant_bits
 from tasks.fixed_points.labels import places
-from tasks.fixed_points.multipliers import multipliers
+from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
 from tasks.fixed_points.polish import Polished
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
@@ -20,6 +21,8 @@ from tasks.step.problem import Problem, residual_sizes
 from tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
+#: Significant bits in which bounds are kept that need not be exact.
+_BOUND_BITS = 4
 
 
 def nothing_solved(names: Sequence[str], n: int, multipliers: int) -> Arrays:
@@ -80,6 +83,72 @@ def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
         row, slot = part.index[keep], slot[keep]
         for name, values in out.items():
             values[row, slot] = part.solved[name][keep]
+
+
+def to_accuracy(out: Arrays, accuracy: float) -> Arrays:
+    """Round gaits to the digits that an accuracy leaves them, and mark those whose error bound exceeds it.
+
+    Parameters
+    ----------
+    out : dict of ndarray, shape (n, len(GAITS)[, multipliers])
+        Changed in place; bounds count the rounding.
+    accuracy : float
+        Largest error bound wanted; 0 for as good as doubles give, which changes nothing.
+
+    Returns
+    -------
+    dict of ndarray
+        The same.
+    """
+    if not accuracy:
+        return out
+    bits = significant_bits(accuracy)
+    unit = 0.5 ** (bits + 1) if bits < MANTISSA else 0.0
+    bound = out["error_bound"] + unit
+    coarse = (out["status"] == status.CONVERGED) & (bound > accuracy)
+    out["status"][coarse], out["reason"][coarse] = status.LESS_ACCURATE, status.COARSE_REASON
+    for name, values in out.items():
+        if name == "error_bound":
+            values[:] = np.where(coarse, _round_up(bound), np.minimum(_round_up(bound), accuracy))
+        elif name == "multiplier_error_bound":
+            names = ("multiplier_real", "multiplier_imag", "spectral_radius")
+            sizes = [np.abs(out[k]).reshape(*values.shape, -1).max(axis=-1) for k in names if k in out]
+            largest = sum(sizes, np.zeros(values.shape))
+            values[:] = _round_up(values + 2 * unit * largest)
+        elif values.dtype == float:
+            rounded = round_bits(values, bits)
+            if name == "spectral_radius":
+                # Rounding makes no stable gait unstable.
+                rounded = np.where(values < 1, np.minimum(rounded, 1 - unit), rounded)
+            values[:] = rounded
+    return out
+
+
+def _round_up(values: np.ndarray) -> np.ndarray:
+    """Bounds, in few bits."""
+    return round_bits(values * (1 + 0.5**_BOUND_BITS), _BOUND_BITS)
+
+
+def round_bits(values: np.ndarray, bits: int) -> np.ndarray:
+    """Round doubles to a number of significant bits after the first, ties to even.
+
+    Parameters
+    ----------
+    values : ndarray of float
+    bits : int
+
+    Returns
+    -------
+    ndarray of float
+    """
+    drop = MANTISSA - bits
+    if drop <= 0:
+        return values
+    whole = np.ascontiguousarray(values).view(np.uint64)
+    half = np.uint64((1 << (drop - 1)) - 1)
+    even = (whole >> np.uint64(drop)) & np.uint64(1)
+    mask = np.uint64(0xFFFFFFFFFFFFFFFF ^ ((1 << drop) - 1))
+    return np.asarray(((whole + half + even) & mask).view(float))
 
 
 def describe(
@@ -145,13 +214,8 @@ def _measure(
         "heelstrike_rate_ratio": gait_ratio(stride),
         "kneestrike_time": times[0] * time_unit if walker.knees else np.full(len(slope), np.nan),
     }
-    if {"multiplier_real", "multiplier_imag", "spectral_radius"} & set(want):
-        values = multipliers(stride.jacobian, 4 if walker.knees else 3)
-        measured |= {
-            "multiplier_real": values.real.copy(),
-            "multiplier_imag": values.imag.copy(),
-            "spectral_radius": np.abs(values).max(axis=1),
-        }
+    if any(VARIABLES[name].group == "multipliers" for name in want):
+        measured |= measured_multipliers(stride.jacobian, at.jacobian_error, walker.knees)
     measured |= travel(walker, slope, angle, period)
     if {"loss_normal", "loss_tangential", "loss_kneestrike", "energy_imbalance"} & set(want):
         unit = walker.total_mass * walker.g * walker.leg
@@ -172,3 +236,27 @@ def _measure(
             walker, [m * scale for m in fine.motion], fine.impact * scale, times, slope, friction_limit
         )
     return {k: np.array(v) for k, v in measured.items()}
+
+
+def measured_multipliers(jacobian: np.ndarray, error: np.ndarray, kneed: bool) -> Arrays:
+    """Variables of the group `multipliers`.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (m, m, n)
+        Derivative of the step map.
+    error : ndarray, shape (n,)
+        Bound of the Frobenius norm of its error.
+    kneed : bool
+
+    Returns
+    -------
+    dict of ndarray, shape (n[, multipliers])
+    """
+    values = multipliers(jacobian, 4 if kneed else 3)
+    return {
+        "multiplier_real": values.real.copy(),
+        "multiplier_imag": values.imag.copy(),
+        "spectral_radius": np.abs(values).max(axis=1),
+        "multiplier_error_bound": multiplier_bounds(jacobian, values, error),
+    }

@@ -70,25 +70,27 @@ def _lump(key: dict[str, Any], massless: Any, bent: Any, knees: bool, number: ty
     eps = _choose(massless, zero, one)
     m_t, m_s = _choose(massless, zero, key["m_t"] / mass), _choose(massless, one, key["m_s"] / mass)
     S_b, S_c = thigh * m_t + knee * m_s, shank * m_s
+    if knees:
+        S_b, S_c = _aligned(S_b), _aligned(S_c)
+    S = _aligned(S_b + S_c)
     C_bb = m_t * (thigh.dot(thigh) + _power(key["r_t"] / length, two)) + m_s * knee.dot(knee)
     C_cc = m_s * (shank.dot(shank) + _power(key["r_s"] / length, two))
     # H = conj(knee) S_c.
     H = _Vector(knee.dot(S_c), knee.x * S_c.y - knee.y * S_c.x)
     inertia = C_bb + C_cc + two * H.x
-    leg_S = (S_b + S_c) * eps
-    constants = {"R": R, "l": l, "eps": eps * inertia, **_pair("S_a", leg_S + _Vector(zero, l))}
+    constants = {"R": R, "l": l, "eps": eps * inertia, **_pair("S_a", S * eps + _Vector(zero, l))}
     # Stance leg m|il + p|^2 + I, hip and swing leg (the rest of the unit mass) at |il|.
-    constants["C_aa"] = R * R + l * l + two * l * leg_S.y + eps * inertia
+    constants["C_aa"] = R * R + l * l + two * l * eps * S.y + eps * inertia
     if knees:
         constants |= {
             **_pair("S_b", S_b / inertia),
             "C_bb": C_bb / inertia,
             **_pair("S_c", S_c / inertia),
             "C_cc": C_cc / inertia,
-            **_pair("H", H / inertia),
+            **_pair("H", _aligned(H) / inertia),
         }
     else:
-        constants |= {**_pair("S_b", (S_b + S_c) / inertia), "C_bb": one}
+        constants |= {**_pair("S_b", S / inertia), "C_bb": one}
     return constants
 
 
@@ -137,11 +139,16 @@ def _cosine(x: Any) -> Any:
     return math.cos(x) if type(x) is float else np.cos(np.array([x], dtype=type(x)))[0]
 
 
-def _pair(name: str, v: _Vector) -> dict[str, Any]:
-    """A complex constant as `_re` and `_im`; a part that is zero but for rounding becomes zero."""
+def _aligned(v: _Vector) -> _Vector:
+    """Vector with zero for a part that is zero but for rounding: tuned as exactly as doubles can be is tuned."""
     x, y = (np.abs(c.astype(float)) if isinstance(c, np.ndarray) else abs(float(c)) for c in (v.x, v.y))
     size = 4e-16 * np.maximum(x, y)
-    return {f"{name}_re": _choose(x > size, v.x, v.x - v.x), f"{name}_im": _choose(y > size, v.y, v.y - v.y)}
+    return _Vector(_choose(x > size, v.x, v.x - v.x), _choose(y > size, v.y, v.y - v.y))
+
+
+def _pair(name: str, v: _Vector) -> dict[str, Any]:
+    """A complex constant as `_re` and `_im`."""
+    return {f"{name}_re": v.x, f"{name}_im": v.y}
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ KEY_BITS = 1024
 #: Walkers whose offsets are tuned exactly, the printed ones they come from, and what `detuning` = 1 means.
 TUNED = {"A": ("A-printed", "physical-straight"), "C": ("C-printed", "physical")}
 Numbers = dict[str, Number]
-#: A double that differs from a tuned offset by less than this part of it stands for it.
-TUNED_TO = 1e-15
+#: A centre of mass off its line by less than this part of its distance from the pivot is meant to lie on it.
+TUNED_TO = 4e-16
 #: Keys a table may leave out.
 _DEFAULT: Numbers = {"m_h": fmpq(0), "g": fmpq(1)}
 
@@ -103,28 +103,37 @@ def doubles(table: Mapping[str, Any]) -> tuple[Numbers, bool]:
     """
     keys, kneed = _changed({}, False, table, double)
     with ctx.workprec(KEY_BITS):
-        for key, offset in _tuning(keys, kneed):
+        for key, offset, size in _tuning(keys, kneed):
             apart = abs(arb(keys[key]) - offset)
-            if apart != 0 and apart < TUNED_TO * abs(offset):
+            if apart != 0 and apart < TUNED_TO * size:
                 keys[key] = offset
     return keys, kneed
 
 
-def _tuning(keys: Numbers, kneed: bool) -> Iterator[tuple[str, arb]]:
-    """Offsets that put the centres of mass of shank (with knees) and leg exactly on their lines, one by one."""
+def _tuning(keys: Numbers, kneed: bool) -> Iterator[tuple[str, arb, arb]]:
+    """Offsets that put the centres of mass of shank (with knees) and leg exactly on their lines, one by one.
+
+    Each with the change of it that would move its centre of mass across the line by the distance from the pivot; with
+    knees the leg's is that of thigh and of the shank as a point at the knee.
+    """
     k = {name: arb(value) for name, value in keys.items()}
     if _is(k["eps_T"], 0):
         return
-    sine = k["l_t"] * k["eps_T"].sin() / (k["l_s"] - k["R"])
-    tangent = sine / (1 - sine * sine).sqrt()
+    sine_T, cosine_T = k["eps_T"].sin(), k["eps_T"].cos()
+    sine = k["l_t"] * sine_T / (k["l_s"] - k["R"])
+    cosine = (1 - sine * sine).sqrt()
+    along = k["c_s"] * cosine + k["w_s"] * sine
     if kneed:
-        yield "w_s", k["c_s"] * tangent
-    # Of the shank, forward of the hip-foot-centre line through the hip.
-    forward = -k["l_t"] * k["eps_T"].sin()
+        yield "w_s", k["c_s"] * sine / cosine, abs(along) / cosine
+    # Of the shank, forward of the hip-foot-centre line through the hip, and down along it.
+    forward, down = -k["l_t"] * sine_T, k["l_t"] * cosine_T
     if not kneed:
-        forward += k["c_s"] * sine - arb(keys["w_s"]) * (1 - sine * sine).sqrt()
+        forward += k["c_s"] * sine - arb(keys["w_s"]) * cosine
+        down += along
     if not _is(k["m_t"], 0):
-        yield "w_t", (k["m_s"] * forward / k["m_t"] - k["c_t"] * k["eps_T"].sin()) / k["eps_T"].cos()
+        shank = k["m_s"] / k["m_t"]
+        size = abs(k["c_t"] * cosine_T - k["w_t"] * sine_T + shank * down) / cosine_T
+        yield "w_t", (shank * forward - k["c_t"] * sine_T) / cosine_T, size
 
 
 def _is(value: arb, number: int) -> bool:

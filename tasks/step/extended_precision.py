@@ -198,6 +198,7 @@ def refine(
     slope: float,
     scale: float,
     bound: float,
+    accuracy: float = 0.0,
 ) -> ExtendedGait:
     """Solve for a gait to the last digits of a double, in long double where that suffices, else in 128 bits.
 
@@ -207,13 +208,19 @@ def refine(
         As in `solved`.
     bound : float
         Relative error bound of the gait in doubles.
+    accuracy : float
+        Bound that is wanted; 0 for any.
 
     Returns
     -------
     ExtendedGait
         Rounded to doubles.
     """
-    tier = 0 if bound < ESCALATE_AGAIN else 1
+
+    def rounding(tier: int) -> float:
+        return (bound if bound < 1 else 1.0) * TIERS[tier][1] / EPS + 4 * EPS
+
+    tier = 0 if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0) else 1
     gait = solved(problem, lane, stride, y, times, slope, scale, tier)
 
     def rounded(values: np.ndarray) -> np.ndarray:
@@ -225,5 +232,5 @@ def refine(
         rounded(gait.impact),
         rounded(gait.state),
         gait.last_step,
-        (bound if bound < 1 else 1.0) * TIERS[tier][1] / EPS + 4 * EPS,
+        rounding(tier),
     )

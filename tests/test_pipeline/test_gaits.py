@@ -128,7 +128,7 @@ def test_knees_may_vary_and_multipliers_are_padded():
         ({"slope": 0.01, "steps": 65}, "`steps` must be at most 64; got 65"),
         ({"slope": 0.01, "steps": 2, "variables": ["proofs"]}, "Proofs are of gaits of one step"),
         ({"slope": 0.01, "steps": True}, "`steps` must be a whole number"),
-        ({"slope": 0.01, "accuracy": 1e-9}, "`accuracy` must be None; got 1e-09"),
+        ({"slope": 0.01, "accuracy": 1}, r"`accuracy` must lie in \[1e-15, 0.01\]; got 1"),
         ({"slope": 0.01, "variables": ["weight"]}, "Unknown name `weight`"),
         ({"slope": 0.01, "walker": 3}, "`walker` must be a name, a file or a table; got int"),
         ({"slope": 0.01, "walker": np.zeros(2)}, "`walker` must be a name, a file or a table; got an array of float64"),

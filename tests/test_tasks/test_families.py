@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import pytest
 
+from tasks import interpolate_planes, solve_planes
 from tasks.families.box import Box, roots
 from tasks.families.cell import PANEL, Family, Refused, _Maker, make
 from tasks.families.patch import along, basis, coordinate, fit
@@ -175,3 +176,65 @@ def test_a_box_of_few_lines_is_left_to_lines():
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     (cell,) = make(family, Box(tuple(keys), (0.1, 0.1), (0.11, 0.11)), -4.625, lambda part: 10)
     assert cell.why == "few lines" and not cell.patches
+
+
+#: Variables of a plane that polynomials may give.
+SMOOTH = tuple(name for name in (*WANT, "multiplier_error_bound", "loss_normal") if name != "residual")
+
+
+@pytest.mark.parametrize("name", PLANES)
+@pytest.mark.parametrize("accuracy", [1e-3, 1e-7])
+def test_a_plane_to_an_accuracy_gives_what_its_lines_give(name, accuracy):
+    params = {**block(name, 24), "want": SMOOTH}
+    best = lines_side_by_side({k: v for k, v in params.items() if k != "cell"}, [])
+    for (_, exact), one in zip(best, by_line({**params, "accuracy": accuracy}), strict=True):
+        assert one["status"].tolist() == exact["status"].tolist()
+        there = exact["status"] == 0
+        assert (one["error_bound"][there] <= accuracy).all()
+        bound = (one["error_bound"] + exact["error_bound"])[there]
+        for key in ("stance_angle", "period"):
+            assert (np.abs(one[key] / exact[key] - 1)[there] <= bound).all()
+        off = np.abs(one["spectral_radius"] - exact["spectral_radius"])[there]
+        assert (off <= (one["multiplier_error_bound"] + exact["multiplier_error_bound"])[there]).all()
+        assert ((one["spectral_radius"] < 1) == (exact["spectral_radius"] < 1))[there].all()
+        assert one["loss_normal"][there] == pytest.approx(exact["loss_normal"][there], rel=4 * accuracy)
+
+
+def test_gaits_of_a_plane_to_an_accuracy_are_not_integrated(monkeypatch):
+    params = {**block("B", 24), "want": ("stance_angle",), "accuracy": 1e-5}
+    usual = by_line(params)
+    integrated = []
+
+    def solve_block(*args):
+        integrated.append(len(args[-1]))
+        return np.ones(24, bool)
+
+    monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
+    again = by_line(params)
+    for one, other in zip(usual, again, strict=True):
+        np.testing.assert_array_equal(one["stance_angle"], other["stance_angle"])
+    assert set(integrated) == {0}
+
+
+def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):
+    params = {**block("B", 12), "want": ("stance_angle",), "accuracy": 1e-5}
+    right = by_line(params)
+
+    def spoiled(values, sizes):
+        values = values.copy()
+        values[5, 0] += 1e-3
+        return fit(values, sizes)
+
+    integrated, usual = [], solve_planes._solve_block
+
+    def solve_block(*args):
+        integrated.append(len(args[-1]))
+        return usual(*args)
+
+    monkeypatch.setattr(interpolate_planes, "fit", spoiled)
+    monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
+    solve_planes._sheets.cache_clear()
+    for one, other in zip(right, by_line(params), strict=True):
+        np.testing.assert_allclose(one["stance_angle"], other["stance_angle"], rtol=1e-5)
+    assert set(integrated) == {12}
+    solve_planes._sheets.cache_clear()

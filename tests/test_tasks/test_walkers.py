@@ -250,3 +250,10 @@ def test_constants_of_several_walkers_are_those_of_each():
         one = np.ones(1)
         for i, walker in enumerate(reversed(alike)):
             np.testing.assert_array_equal(lanes.alone(i).parameters(one, one), Problem(walker).parameters(one, one))
+
+
+def test_light_legs_off_their_line_are_not_taken_for_tuned():
+    # Of the whole walker the legs are so small a part that their offset looks like rounding beside the hip.
+    walker = resolve("E", {"foot_mass_ratio": 1e-9, "w_s": 1e-8})
+    exact = -2e-9 * 1e-8 / 2  # a foot's share of the whole mass times its offset
+    assert lump(walker)["S_a_re"] == pytest.approx(exact, rel=1e-6)

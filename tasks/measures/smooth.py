@@ -1,0 +1,202 @@
+"""Quantities of gaits that are smooth along a branch, and the variables that follow from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tasks import status
+from tasks.measures.gaits import Arrays, measured_multipliers
+from tasks.measures.kinematics import step_length, travel
+from tasks.walkers.walker import Walker
+from tasks.walkers.walker_array import WalkerArray
+
+#: Rates at the start of a step, and energies lost in it.
+_RATES = ("stance_rate", "thigh_rate", "shank_rate")
+_LOSSES = ("loss_normal", "loss_tangential", "loss_kneestrike")
+MULTIPLIERS = ("multiplier_real", "multiplier_imag", "spectral_radius", "multiplier_error_bound")
+
+
+_RATIO = "heelstrike_rate_ratio"
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """The smooth quantities of gaits of a walker, or of one for each gait, from which wanted variables follow.
+
+    `names` are those that are interpolated: `stance_angle` and `period` by their logarithms, rates over the angle,
+    the time of kneestrike over the period, losses over the energy that a step draws from gravity, and the entries of
+    the step map's derivative by their numbers.
+    """
+
+    walker: Walker | WalkerArray
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, walker: Walker | WalkerArray, want: Sequence[str], m: int) -> Smooth:
+        """Choose the quantities for some variables.
+
+        Parameters
+        ----------
+        walker : Walker or WalkerArray
+        want : sequence of str
+        m : int
+            Number of section coordinates.
+        """
+        rates = _RATES if walker.knees else _RATES[:2]
+        optional = [name for name in (*_LOSSES, "kneestrike_time") if name in want]
+        if not walker.knees:
+            optional = [name for name in optional if "knee" not in name]
+        entries = [f"{i}{j}" for i in range(m) for j in range(m)] if set(want) & set(MULTIPLIERS) else []
+        return cls(walker, ("stance_angle", *rates, "period", _RATIO, *optional, *entries))
+
+    @property
+    def entries(self) -> list[str]:
+        """Names of the entries of the step map's derivative, row by row."""
+        return [name for name in self.names if name.isdigit()]
+
+    def columns(
+        self, slope: np.ndarray, solved: Mapping[str, np.ndarray], jacobian: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Quantities of gaits, and the sizes over which their errors count.
+
+        Parameters
+        ----------
+        slope : ndarray, shape (n,) [rad]
+        solved : mapping
+            Their variables, shape (n,), as `describe` gives them.
+        jacobian : ndarray, shape (m, m, n)
+            Derivatives of the step map.
+
+        Returns
+        -------
+        values, size : ndarray, shape (n, len(names))
+        """
+        angle, period = solved["stance_angle"], solved["period"]
+        fastest = np.max([np.abs(solved[name]) for name in _RATES], axis=0) * self._unit / angle
+        largest = np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
+        values, size = [], []
+        for name in self.names:
+            own = np.ones(len(slope))
+            if name in ("stance_angle", "period"):
+                value = np.log(solved[name])
+            elif name in _RATES:
+                value, own = solved[name] * self._unit / angle, fastest
+            elif name == "kneestrike_time":
+                value = solved[name] / period
+            elif name in _LOSSES:
+                value = solved[name] / self._drop(slope, angle)
+            elif name == _RATIO:
+                value, own = solved[name], np.maximum(1.0, np.abs(solved[name]))
+            else:
+                value, own = jacobian[int(name[0]), int(name[1])], largest
+            values.append(value)
+            size.append(own)
+        return np.stack(values, axis=1), np.stack(size, axis=1)
+
+    def needed(self, want: Sequence[str]) -> list[int]:
+        """Columns from which variables follow."""
+        derived = {"speed", "froude_speed", "power", "cost_of_transport"} & set(want)
+        names = {name for name in self.names if name in want or name.isdigit()}
+        if derived or names & {*_RATES, *_LOSSES} or "shank_rate" in want:
+            names.add("stance_angle")
+        if derived or "kneestrike_time" in want:
+            names.add("period")
+        if "shank_rate" in want:
+            names.add("shank_rate" if self.walker.knees else "thigh_rate")
+        return [k for k, name in enumerate(self.names) if name in names]
+
+    def multipliers(self, columns: Mapping[str, np.ndarray], error: float) -> Arrays:
+        """Variables of the group `multipliers`.
+
+        Parameters
+        ----------
+        columns : mapping
+            The entries of the step map's derivative, shape (n,).
+        error : float
+            Bound of the errors of quantities, each over its size.
+
+        Returns
+        -------
+        dict of ndarray, shape (n[, multipliers])
+        """
+        m = math.isqrt(len(self.entries))
+        jacobian = np.stack([columns[name] for name in self.entries]).reshape(m, m, -1)
+        size = np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
+        return measured_multipliers(jacobian, m * error * size, self.walker.knees)
+
+    def gaits(
+        self,
+        slope: np.ndarray,
+        columns: Mapping[str, np.ndarray],
+        want: Sequence[str],
+        error: float,
+        branch: np.ndarray | int,
+        piece: np.ndarray | int,
+    ) -> Arrays:
+        """Variables of gaits that were not integrated.
+
+        Parameters
+        ----------
+        slope : ndarray, shape (n,) [rad]
+        columns : mapping
+            By name the quantities that `needed` names, and `multipliers` where they are wanted, shape (n,).
+        want : sequence of str
+        error : float
+            Their error bound.
+        branch, piece : ndarray of int, shape (n,), or int
+            Their numbers.
+
+        Returns
+        -------
+        dict of ndarray, shape (n[, multipliers])
+            In the walker's units.
+        """
+        n = len(slope)
+        told = {"status": status.CONVERGED, "reason": 0, "error_bound": error, "branch": branch, "piece": piece}
+        solved = {name: np.broadcast_to(value, n) for name, value in told.items()}
+        solved |= {name: columns[name] for name in want if name in MULTIPLIERS}
+        return self.variables(slope, columns, [name for name in want if name not in solved]) | solved
+
+    def variables(
+        self, slope: np.ndarray, columns: Mapping[str, np.ndarray], want: Sequence[str]
+    ) -> dict[str, np.ndarray]:
+        """Variables that follow from quantities, but for multipliers.
+
+        Parameters
+        ----------
+        slope : ndarray, shape (n,) [rad]
+        columns : mapping
+            By name the quantities that `needed` names, shape (n,).
+        want : sequence of str
+
+        Returns
+        -------
+        dict of ndarray, shape (n,)
+            In the walker's units.
+        """
+        known: dict[str, np.ndarray] = {k: np.exp(columns[k]) for k in ("stance_angle", "period") if k in columns}
+        for name in {*_RATES, *_LOSSES, "kneestrike_time", _RATIO} & set(columns):
+            if name in _RATES:
+                known[name] = columns[name] * known["stance_angle"] / self._unit
+            elif name in _LOSSES:
+                known[name] = columns[name] * self._drop(slope, known["stance_angle"])
+            else:
+                known[name] = columns[name] * (known["period"] if name == "kneestrike_time" else 1.0)
+        if "shank_rate" in want and not self.walker.knees:
+            known["shank_rate"] = known["thigh_rate"]
+        if {"speed", "froude_speed", "power", "cost_of_transport"} & set(want):
+            known |= travel(self.walker, slope, known["stance_angle"], known["period"])
+        return {name: known[name] if name in known else np.full(len(slope), np.nan) for name in want}
+
+    @property
+    def _unit(self) -> Any:
+        return np.sqrt(self.walker.leg / self.walker.g)
+
+    def _drop(self, slope: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        """Energy that a step draws from gravity, in the walker's units."""
+        return self.walker.total_mass * self.walker.g * step_length(self.walker, angle) * np.sin(slope)

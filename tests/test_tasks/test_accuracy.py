@@ -1,0 +1,286 @@
+"""Points to a wanted accuracy: polynomials and integrated gaits agree, within bounds that are no larger than asked."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lines import WANT, branches, solved
+from tasks import interpolate_points, status
+from tasks.accuracy import OF_INTEGRATION, significant_bits
+from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
+from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
+from tasks.interpolate_points import Interpolation
+from tasks.measures.gaits import round_bits, to_accuracy
+from tasks.registry import GAITS
+from tasks.solve_points import atlas, points
+from tasks.step.problem import Problem
+from tasks.walkers.resolve import resolve
+
+SMOOTH = tuple(v for v in WANT if v not in OF_INTEGRATION)
+RATES = ("stance_rate", "thigh_rate", "shank_rate")
+LOSSES = ("loss_normal", "loss_tangential", "loss_kneestrike")
+LINES = [("D", {}), ("E", {"foot_mass_ratio": 0.2}), ("A", {"detuning": 0.4}), ("C", {}), ("physical", {})]
+
+
+def coarse(walker, slope, accuracy, want=SMOOTH, gaits=GAITS, **overrides):
+    line = {"walker": walker, "set": overrides}
+    found = atlas({"line": line, "coarse": True}, [])
+    asked = {"slope": np.asarray(slope, float), "want": want, "gaits": gaits}
+    return points({"line": line, **asked, "accuracy": accuracy, "interpolated": True}, [found])
+
+
+def slopes(walker, **overrides):
+    """Slopes of a line, everywhere and from 1e-12 to 0.1 beside its folds and ends."""
+    draw = np.random.default_rng(2)
+    _, found = branches(walker, **overrides)
+    ends = np.concatenate([b.q[[first, last]] for b in found for first, last in b.pieces()])
+    near = ends[:, None] + 10.0 ** draw.uniform(-12, -1, (len(ends), 24)) * draw.choice([-1, 1], (len(ends), 24))
+    slope = np.exp(np.concatenate([draw.uniform(np.log(1e-6), np.log(0.4), 300), near.ravel()]))
+    return np.unique(slope[slope < 0.45])
+
+
+@pytest.mark.parametrize(("walker", "overrides"), LINES)
+def test_gaits_are_as_accurate_as_asked_and_the_same_ones(walker, overrides):
+    slope = slopes(walker, **overrides)
+    best = solved(walker, slope, **overrides)
+    for accuracy in (1e-2, 1e-4, 1e-6, 1e-9, 1e-11):
+        out = coarse(walker, slope, accuracy, **overrides)
+        np.testing.assert_array_equal(np.isin(out["status"], status.SOLVED), best["status"] == status.CONVERGED)
+        for name in ("branch", "piece"):
+            np.testing.assert_array_equal(out[name], best[name])
+        there = best["status"] == status.CONVERGED
+        bound = (out["error_bound"] + best["error_bound"])[there]
+        assert (out["error_bound"][out["status"] == status.CONVERGED] <= accuracy).all()
+        assert (out["status"] == status.CONVERGED)[there].mean() > 0.99
+        off = {name: np.abs(out[name] - best[name])[there] for name in SMOOTH if out[name].dtype == float}
+        for name in ("stance_angle", "period"):
+            assert (off[name] <= bound * np.abs(best[name][there])).all(), name
+        fastest = np.max([np.abs(best[name]) for name in RATES], axis=0)[there]
+        for name in RATES:
+            assert (off[name] <= bound * fastest).all(), name
+        total = sum(np.nan_to_num(best[name]) for name in LOSSES)[there]
+        for name in LOSSES:
+            assert (np.nan_to_num(off[name]) <= (2 * accuracy + 1e-9) * total).all(), name
+        own = np.hypot(*(out[name] - best[name] for name in ("multiplier_real", "multiplier_imag")))
+        widest = (out["multiplier_error_bound"] + best["multiplier_error_bound"])[there]
+        assert (own.max(axis=-1)[there] <= widest).all()
+        np.testing.assert_array_equal(out["spectral_radius"][there] < 1, best["spectral_radius"][there] < 1)
+
+
+def test_bounds_of_polynomials_are_not_idle():
+    """They exceed the errors by no more than a few digits."""
+    slope = np.geomspace(1e-4, 0.1, 400)
+    out, best = coarse("A", slope, 1e-6), solved("A", slope, want=SMOOTH)
+    error = np.abs(out["stance_angle"] / best["stance_angle"] - 1)
+    assert 1e-4 < np.nanmedian(error / out["error_bound"]) < 0.5
+
+
+def test_hardly_anything_is_integrated(monkeypatch):
+    slope = np.geomspace(1e-4, 0.1, 20_000)
+    lanes = []
+    original = Problem.stride
+
+    def counted(self, w, q, **options):
+        lanes.append(w.shape[1])
+        return original(self, w, q, **options)
+
+    line = {"walker": "C", "set": {}}
+    found = atlas({"line": line, "coarse": True}, [])
+    monkeypatch.setattr(Problem, "stride", counted)
+    points({"line": line, "slope": slope, "want": ("stance_angle",), "accuracy": 1e-6, "interpolated": True}, [found])
+    assert sum(lanes) < 0.1 * 2 * len(slope)
+
+
+def test_a_point_does_not_depend_on_the_other_slopes():
+    slope = slopes("physical-straight")
+    whole = coarse("physical-straight", slope, 1e-6)
+    for part in (slice(3, 40), slice(100, 101), slice(None, None, 7)):
+        some = coarse("physical-straight", slope[part], 1e-6)
+        for name in SMOOTH:
+            if name != "reason":
+                np.testing.assert_array_equal(some[name], whole[name][part], err_msg=name)
+
+
+def test_a_polynomial_that_is_wrong_somewhere_is_not_used(monkeypatch):
+    """A value changed at a node shows at the points drawn, or the panel is halved until what is left is right."""
+    slope = np.geomspace(1e-4, 0.1, 300)
+    right, original = coarse("A", slope, 1e-6, SMOOTH), Interpolation._solve
+    spoiled = []
+
+    def wrong(self, panels, ranges):
+        results = original(self, panels, ranges)
+        for k, panel in enumerate(panels):
+            if panel.part == (0.0, 1.0):
+                values = results[k].values.copy()
+                values[3, 0] += 1e-4  # ln of an angle at a node
+                results[k] = replace(results[k], values=values)
+                spoiled.append(panel)
+        return results
+
+    monkeypatch.setattr(Interpolation, "_solve", wrong)
+    out = coarse("A", slope, 1e-6, SMOOTH)
+    assert spoiled
+    np.testing.assert_allclose(out["stance_angle"], right["stance_angle"], rtol=1e-6)
+    np.testing.assert_array_equal(out["status"], right["status"])
+
+
+@pytest.mark.parametrize("folds", [(False, False), (True, False), (False, True), (True, True)])
+def test_panels_of_a_known_function(folds):
+    """Near a fold a root of the distance in ln slope; the bound holds everywhere and is reached by halving."""
+
+    def value(q):
+        distance = (q - -3.7) if folds[0] else (-1.2 - q)
+        return np.stack([np.sin(2 * q) + (np.sqrt(distance) if any(folds) else 0), np.exp(q)], axis=1)
+
+    def solve(panels, ranges):
+        return [Sampled(value(q), np.ones((len(q), 2)), 1e-14, 1, True) for q in ranges]
+
+    both = folds == (True, True)
+    asked = np.linspace(-3.7, -1.2, 4001)[1:-1]
+    roots = panels_over(0, -3.7, -1.2, (folds[0], folds[1] and not both), asked)
+    panels = fit_panels(roots, 10, 1e-9, solve, lambda panel: True)
+    assert all(len(panel.coefficients) for panel in panels)
+    edges = [panel.bounds for panel in panels]
+    assert edges[0][0] == pytest.approx(-3.7)
+    assert edges[-1][1] == pytest.approx(-1.2)
+    for (_, high), (low, _) in itertools.pairwise(edges):
+        assert high == pytest.approx(low, abs=1e-12)
+    for panel in panels:
+        q = asked[(asked >= panel.bounds[0]) & (asked <= panel.bounds[1])]
+        x = panel.point(q)
+        inside = panel.is_measured(x)
+        predicted = np.stack([panel.evaluate(x, k) for k in (0, 1)], axis=1)
+        assert (np.abs(predicted - value(q))[inside] <= panel.error).all()
+        assert panel.error <= 1e-9
+
+
+def test_a_panel_of_two_folds_is_inverted():
+    panel = Panel(0, -3.0, -2.0, (True, True), (0.25, 0.5))
+    x = np.linspace(-1, 1, 9)
+    np.testing.assert_allclose(panel.point(panel.log_slope(x)), x, atol=1e-12)
+
+
+def test_labels_that_errors_could_change_are_integrated():
+    """Where the rate ratio passes 1/2, and where two gaits of a label have angles as near as the accuracy."""
+    problem, found = branches("physical-straight")
+    fold = [b.q[first] for b in found for first, _ in b.pieces()[1:]]
+    slope = np.exp(fold[0] + 10.0 ** np.linspace(-9, -2, 40) * [[-1], [1]]).ravel()
+    made = Interpolation(problem, found, ("stance_angle",), 1e-3, slope)
+    parts, integrated = made.parts(slope)
+    interpolated = {i for part in parts for i in part.index.tolist()}
+    for key, indices in integrated.items():
+        near = np.abs(np.log(slope[indices]) - fold[0])
+        assert (near < 1e-3).all() or key is None
+    assert interpolated
+    assert all(np.abs(np.log(slope[i]) - fold[0]) > 1e-9 for i in interpolated)
+
+
+def test_rounding_to_bits():
+    draw = np.random.default_rng(0)
+    values = draw.normal(size=2000) * 10.0 ** draw.uniform(-30, 30, 2000)
+    for bits in (6, 23, 51):
+        rounded = round_bits(values, bits)
+        assert (np.abs(rounded / values - 1) <= 0.5 ** (bits + 1)).all()
+        np.testing.assert_array_equal(round_bits(rounded, bits), rounded)
+        mantissa = rounded.view(np.uint64) & np.uint64((1 << (52 - bits)) - 1)
+        assert not mantissa.any()
+    others = np.array([np.nan, np.inf, -np.inf, 0.0])
+    np.testing.assert_array_equal(round_bits(others, 8), others)
+    assert round_bits(np.array([1 + 2.0**-9]), 8) == 1.0  # a tie, to even
+    for accuracy in (1e-2, 3e-6, 1e-15):
+        assert 0.5 ** (significant_bits(accuracy) + 1) <= accuracy / 8 or significant_bits(accuracy) == 52
+
+
+def test_a_bound_beyond_the_accuracy_is_told():
+    out = {
+        "status": np.array([[0, 0, 2, 0]]),
+        "reason": np.array([[0, 0, 3, 0]]),
+        "error_bound": np.array([[1e-7, 2e-6, np.nan, 0.9e-6]]),
+        "stance_angle": np.array([[0.1234567890123, 0.2, np.nan, 0.3]]),
+    }
+    found = to_accuracy(out, 1e-6)
+    assert found["status"].tolist() == [[0, status.LESS_ACCURATE, 2, 0]]
+    assert found["reason"].tolist() == [[0, status.COARSE_REASON, 3, 0]]
+    assert found["error_bound"][0, 3] <= 1e-6
+    assert found["error_bound"][0, 0] > 1e-7
+    assert found["stance_angle"][0, 0] == pytest.approx(0.1234567890123, rel=1e-7)
+    assert found["stance_angle"][0, 0] != 0.1234567890123
+
+
+def test_more_digits_than_doubles_give_are_computed():
+    """Beside vanishing slopes doubles give eleven digits; accuracies beyond take long double, then 113 bits."""
+    usual, best = solved("D", [1e-6]), coarse("D", [1e-6], 1e-15)
+    assert usual["error_bound"][0, 0] > 1e-15
+    assert (best["status"][0, :2] == status.CONVERGED).all()
+    assert (best["error_bound"][0, :2] <= 1e-15).all()
+    difference = np.abs(usual["stance_angle"] / best["stance_angle"] - 1)
+    assert (difference <= usual["error_bound"] + best["error_bound"])[0, :2].all()
+
+
+def test_bounds_of_eigenvalues():
+    """Against random matrices and errors; where two eigenvalues meet they move like the root of the error."""
+    draw = np.random.default_rng(4)
+    for m in (2, 3):
+        matrices = draw.normal(size=(m, m, 400)) * 10.0 ** draw.uniform(-1, 1, 400)
+        matrices[0, 1, :50], matrices[1, 0, :50] = 1.0, 0.0
+        matrices[1, 1, :50] = matrices[0, 0, :50] + 10.0 ** draw.uniform(-9, -3, 50)
+        error = 10.0 ** draw.uniform(-9, -3, 400)
+        values = multipliers(matrices, 4)
+        bound = multiplier_bounds(matrices, values, error)
+        for _ in range(20):
+            change = draw.normal(size=(m, m, 400))
+            change *= error / np.sqrt((change**2).sum(axis=(0, 1)))
+            moved = multipliers(matrices + change, 4)
+            apart = np.abs(values[:, :m, None] - moved[:, None, :m]).min(axis=2).max(axis=1)
+            assert (apart <= bound * (1 + 1e-9)).all()
+        assert np.median(bound / error) < 100
+
+
+def test_multipliers_are_within_their_bounds_of_more_digits():
+    """Differences of the step map in 113 bits give its derivative to 1e-12 and better."""
+    from tasks.step.extended_precision import _extended_step_map
+
+    for walker, slope in (("D", 0.01), ("A", 0.003), ("B", 0.02)):
+        problem = Problem(resolve(walker))
+        out = solved(walker, [slope], want=SMOOTH)
+        for g in (0, 1):
+            exact = _multipliers_in_quadruple(problem, _extended_step_map(problem.map.structure, 1), out, slope, g)
+            own = out["multiplier_real"][0, g] + 1j * out["multiplier_imag"][0, g]
+            apart = np.abs(exact[:, None] - own).min(axis=1).max()
+            assert apart <= out["multiplier_error_bound"][0, g] < 1e-5
+
+
+def _multipliers_in_quadruple(problem, step_map, out, slope, g):
+    """Eigenvalues of the derivative of one step by differences, the event time eliminated by its guard."""
+    from tasks.fixed_points.polish import settle, unmeasured
+
+    w = _similarity(problem, out, g)
+    at = settle(problem, unmeasured(problem, w, np.array([slope])))
+    parameters = problem.parameters(np.array([slope]), at.scale)[:, 0]
+    y, times = at.y[:, 0], at.times[:, 0]
+    number, m = step_map.number, problem.m
+    wide = step_map._array(parameters)
+    base, _ = step_map(step_map._array(y), step_map._array(times), wide)
+    h = number(2.0**-50)
+    columns = []
+    for i in range(m + len(times)):
+        moved = [step_map._array(y), step_map._array(times)]
+        moved[i >= m][i - m if i >= m else i] += h
+        residual, _ = step_map(*moved, wide)
+        columns.append([float((a - b) / h) for a, b in zip(residual, base, strict=True)])
+    J = np.array(columns).T
+    image = J[:m, :m] + np.eye(m) - J[:m, m:] @ np.linalg.solve(J[m:, m:], J[m:, :m])
+    return np.linalg.eigvals(image)
+
+
+def _similarity(problem, out, g):
+    unit = np.sqrt(problem.walker.leg / problem.walker.g)
+    angle = out["stance_angle"][0, g]
+    rates = [out[name][0, g] * unit / angle for name in ("stance_rate", "thigh_rate")][: problem.m - 1]
+    return np.array([[np.log(angle), *rates, out["period"][0, g] / unit]]).T
+
+
+def test_the_number_of_nodes_rises_with_the_digits():
+    assert interpolate_points.nodes_for(1e-2) < interpolate_points.nodes_for(1e-6) < interpolate_points.nodes_for(1e-11)
