@@ -21,7 +21,7 @@ from pipeline.archive.written import Written, line_description, write_strings
 from pipeline.plan.missing import Plan
 from pipeline.statuses import ANSWERS
 from pipeline.store import lines
-from pipeline.store.finished import FinishedChunk, digest, extent_of
+from pipeline.store.finished import FinishedChunk, digest, extent_of, status_rows
 from pipeline.store.packing import Packed, pack_values
 from pipeline.study import units
 from tasks.accuracy import MANTISSA, significant_bits
@@ -75,7 +75,7 @@ class PointWriter:
             status, reason = (
                 data[name][..., self.columns].reshape(-1, len(self.columns)) for name in ("status", "reason")
             )
-            rows = Counter(lines.rows(status))
+            rows = Counter(status_rows(status))
             self._count(rows, data["reasons"][np.flatnonzero(np.bincount(reason.ravel()))].tolist())
             if not set(ANSWERS).issuperset(itertools.chain(*rows)):
                 self._count_failures(numbers, data, status, reason)

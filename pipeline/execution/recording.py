@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline import serialize
 from pipeline.store import lines
+from pipeline.store.finished import status_rows
 from pipeline.store.journal import Journal
 from pipeline.store.rows import TaskKey
 
@@ -38,7 +39,7 @@ def store_points(
     status: Counter[tuple[int, ...]] = Counter()
     for row in result["rows"]:
         journal.add_points(*keys, tokens, row, cost * (len(row[0]) // 8))
-        status.update(lines.rows(serialize.load(row[1])["status"]))
+        status.update(status_rows(serialize.load(row[1])["status"]))
     for chunk in result.get("chunks", ()):
         status.update(journal.add_chunk(*keys, tokens, chunk, cost).rows())
     counts = lines.count(status, columns)

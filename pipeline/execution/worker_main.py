@@ -182,9 +182,11 @@ def _sentences(reason: Any, sentences: Any) -> tuple[Any, list[str]]:
     """Reasons renumbered over the sentences that occur, and these."""
     import numpy as np
 
-    used, numbers = np.unique(reason, return_inverse=True)
-    texts = [str(sentences[k]) for k in used] if len(sentences) else []
-    return numbers.reshape(np.shape(reason)).astype(np.int16), texts
+    if not len(sentences):
+        return np.zeros(np.shape(reason), np.int16), []
+    occurs = np.bincount(np.ravel(reason), minlength=len(sentences)) > 0
+    numbers = (np.cumsum(occurs) - 1).astype(np.int16)
+    return numbers[reason], [str(sentences[k]) for k in np.flatnonzero(occurs)]
 
 
 def _without_empty(status: Any, columns: dict[str, Any]) -> dict[str, Any]:

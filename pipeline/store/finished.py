@@ -14,8 +14,11 @@ from typing import Any
 import numpy as np
 
 from pipeline import serialize
+from pipeline.statuses import ALL_STATUSES
 from pipeline.store.packing import Packed, pack_values, unpack
 from tasks.registry import VARIABLES
+
+_BASE = 1 + max(ALL_STATUSES.values())
 
 
 def digest(slopes: np.ndarray) -> bytes:
@@ -30,6 +33,26 @@ def digest(slopes: np.ndarray) -> bytes:
     bytes
     """
     return hashlib.blake2b(np.ascontiguousarray(slopes, float).tobytes(), digest_size=16).digest()
+
+
+def status_rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
+    """Count the distinct rows of an array of statuses.
+
+    Parameters
+    ----------
+    status : ndarray, shape (n, gait)
+
+    Returns
+    -------
+    dict
+        Occurrences of each row.
+    """
+    code = np.zeros(len(status), np.intp)
+    for column in status.T:
+        code = code * _BASE + column
+    occurrences = np.bincount(code)
+    powers = _BASE ** np.arange(status.shape[1])[::-1]
+    return {tuple((c // powers % _BASE).tolist()): int(occurrences[c]) for c in np.flatnonzero(occurrences)}
 
 
 def extent_of(name: str, points: int, multipliers: int) -> tuple[int, ...]:
@@ -68,7 +91,7 @@ def finish(
                 wide[:, : column.shape[1]] = column
                 column = wide
             pieces.append(pack_values(column, shape))
-    states, n_states = np.unique(values["status"], axis=0, return_counts=True)
+    states = status_rows(values["status"])
     used = [np.isin(np.arange(len(sentences)), column) for column in values["reason"].T]
     head = {
         "names": list(values),
@@ -81,8 +104,8 @@ def finish(
         "low": float(slopes.min()),
         "high": float(slopes.max()),
         "digest": digest(slopes).hex(),
-        "states": states,
-        "n_states": n_states,
+        "states": np.array(list(states)),
+        "n_states": np.array(list(states.values())),
         "sentences": np.array(sentences, "U"),
         "used": np.stack(used, axis=1),
     }

@@ -16,7 +16,6 @@ from tasks.registry import GAITS, VARIABLES
 NOT_ATTEMPTED = "The run has not reached it."
 _NAMES = {code: name for name, code in ALL_STATUSES.items()}
 _BEST = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate", "fell", "no_gait"))
-_BASE = 1 + max(_NAMES)
 #: Indices into an array.
 Indices = np.ndarray | slice
 #: Number of a block, indices in it, and the corresponding indices among the given slopes.
@@ -296,26 +295,6 @@ def fill(
                 part = tuple(slice(min(a, b)) for a, b in zip(stored.shape[1:], column.shape[1:], strict=True))
                 column[:, *part][target] = stored[:, *part][inside]
     return values
-
-
-def rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
-    """Count the distinct rows of an array of statuses.
-
-    Parameters
-    ----------
-    status : ndarray, shape (n, gait)
-
-    Returns
-    -------
-    dict
-        Occurrences of each row.
-    """
-    code = np.zeros(len(status), np.intp)
-    for column in status.T:
-        code = code * _BASE + column
-    occurrences = np.bincount(code)
-    powers = _BASE ** np.arange(status.shape[1])[::-1]
-    return {tuple((c // powers % _BASE).tolist()): int(occurrences[c]) for c in np.flatnonzero(occurrences)}
 
 
 def count(status_rows: Mapping[tuple[int, ...], int], columns: Iterable[int] | None = None) -> Counter[str]:

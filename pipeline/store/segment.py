@@ -57,8 +57,9 @@ class Segment:
         """
         file, start = self._open(os.O_CREAT), self.end
         self._is_dirty = True
-        if start == len(MAGIC):
+        if start == len(MAGIC):  # on the disk before anything else, for by this it is known as ours
             _write(file, MAGIC, 0)
+            os.fsync(file)
         _write(file, payload, start)
         self.end += len(payload)
         return start

@@ -43,20 +43,21 @@ UNEVEN = {
 class Simulated(Engine):
     """An engine of two workers whose time is counted, not spent."""
 
-    def __init__(self, cost):
+    def __init__(self, cost, overhead=0.01):
         super().__init__()
-        self.cost, self.spent = cost, 0.0
+        self.cost, self.overhead, self.spent, self.finished = cost, overhead, 0.0, 0
 
     @contextlib.contextmanager
     def parallel(self):
         def parallel(jobs):
             for number, job in jobs:
-                took = 0.01
+                took = self.overhead
                 result = {"outcome": "ok", "reason": "", "data": serialize.dump({})}
                 if job.divided == "slope":
                     slope = job.params["slope"]
                     line = round(job.params["line"]["set"].get("w_t", 0) / 0.1 * 59)
-                    took = 0.01 + float(np.sum(self.cost(line, slope)))
+                    took = self.overhead + float(np.sum(self.cost(line, slope)))
+                    self.finished += len(slope) if job.chunk else 0
                     states = {
                         "status": np.zeros((len(slope), 4), np.int8),
                         "reasons": np.array([""]),
@@ -90,6 +91,16 @@ def test_what_is_left_is_told_to_a_quarter_after_a_fifth_of_the_work(tmp_path, n
     ]
     assert len(wrong) > 10 and max(wrong) < 0.25
     assert len(told) < 100 * found.lines + 4 * engine.spent  # chunks are not much smaller for it
+
+
+@pytest.mark.parametrize(("overhead", "cost"), [(0.002, 1e-5), (0.03, 1e-5), (0.01, 1e-4)])
+def test_cheap_points_are_finished_by_workers_however_long_a_job_takes_to_begin(tmp_path, overhead, cost):
+    """Where it takes longer than a probe's points do, these seem as dear as points beside a singularity."""
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "E"\n[axes]\n' + PEAK.replace("40000", "400000"))
+    study, engine = parse.read(tmp_path / "s.toml"), Simulated(lambda line, slope: cost + 0 * slope, overhead)
+    with contextlib.closing(Journal(tmp_path / "j", points=study.points)) as journal:
+        Scheduler([StudyJobs(Plan(study, journal), engine, lambda *_: None, study.points)], engine).run()
+    assert engine.finished > 0.9 * study.points
 
 
 @pytest.mark.soak

@@ -13,17 +13,29 @@ from collections import Counter
 
 import pytest
 
-from conftest import ROOT, STUDY
+from conftest import ROOT, STUDY, Toy
 from pipeline import paths
 from pipeline.archive import write
 from pipeline.plan.missing import Plan
 from pipeline.store.journal import Journal
+from pipeline.store.segment import MAGIC, SUFFIX
 from pipeline.study import parse
 from processes import alive, descendants, sidecar_path, wait_for_points
 
 SLOW = {"TOY_SECONDS": "0.002"}
+#: With rows of the journal alone, and with chunks of 20 points that workers finish.
+WAYS = {"rows": {}, "finished chunks": {"TOY_CHUNK": "20"}}
 ENDS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 PAGE = 4096
+
+
+@pytest.fixture(scope="module")
+def wholes(tmp_path_factory, whole):
+    """Bytes of an undisturbed run with rows and with finished chunks."""
+    toy = Toy(tmp_path_factory.mktemp("finished"))
+    toy.write()
+    toy("run", "toy.toml", **WAYS["finished chunks"])
+    return {"rows": whole, "finished chunks": toy.bytes()}
 
 
 def _clear(toy):
@@ -32,11 +44,12 @@ def _clear(toy):
 
 
 @pytest.mark.soak
-def test_two_hundred_random_kills(toy, whole, tell):
+@pytest.mark.parametrize("way", WAYS)
+def test_two_hundred_random_kills(toy, wholes, tell, way):
     """Any of four signals at a random moment, to the parent or a worker process."""
     dice, killed, ends = random.Random(1), Counter(), Counter()
     while killed.total() < 200:
-        process = toy.start("run", "toy.toml", "--chunk", 10, "--snapshot", "0.1", **SLOW)
+        process = toy.start("run", "toy.toml", "--chunk", 10, "--snapshot", "0.1", **SLOW, **WAYS[way])
         time.sleep(dice.uniform(0.1, 2.5))
         victims = [process.pid, *descendants(process.pid)]
         victim = process.pid if dice.random() < 0.75 else dice.choice(victims)
@@ -53,13 +66,13 @@ def test_two_hundred_random_kills(toy, whole, tell):
             assert process.returncode == 0, err
         assert process.returncode in (0, -signum, 128 + signum), err
         if process.returncode == 0:
-            assert toy.bytes() == whole
+            assert toy.bytes() == wholes[way]
             _clear(toy)
-    toy("run", "toy.toml")
-    assert toy.bytes() == whole
+    toy("run", "toy.toml", **WAYS[way])
+    assert toy.bytes() == wholes[way]
     tell(
-        f"{dict(sorted(killed.items()))}; exit codes {dict(sorted(ends.items()))}: {ends[0] + 1} whole archives, all "
-        "of equal bytes; no process left after 3 s"
+        f"{way}: {dict(sorted(killed.items()))}; exit codes {dict(sorted(ends.items()))}: {ends[0] + 1} archives, "
+        "all of equal bytes; no process left after 3 s"
     )
 
 
@@ -102,34 +115,38 @@ def test_an_archive_that_is_a_link_stays_one(tmp_path):
 
 
 @pytest.mark.parametrize("cuts", [1, pytest.param(60, marks=pytest.mark.soak)])
-def test_a_power_cut_costs_what_was_not_on_the_disk_yet(toy, whole, tell, cuts):
-    """The files as they are at some moment, without some of the pages the log took last; a run from there."""
+@pytest.mark.parametrize("way", WAYS)
+def test_a_power_cut_costs_what_was_not_on_the_disk_yet(toy, wholes, tell, cuts, way):
+    """The files as they are at some moment, without some of the pages that they took last; a run from there."""
+    files = ("", "-wal", SUFFIX) if WAYS[way] else ("", "-wal")
     dice, lost, kept = random.Random(cuts), Counter(), 0
     for _ in range(cuts):
-        process = toy.start("run", "toy.toml", "--chunk", 10, **SLOW)
-        wait_for_points(toy, dice.randint(1, 25))
-        for suffix in ("", "-wal"):  # what was mapped in memory is gone with the power
+        process = toy.start("run", "toy.toml", "--chunk", 10, **SLOW, **WAYS[way])
+        wait_for_points(toy, dice.randint(1, 15))
+        for suffix in files:  # what was mapped in memory is gone with the power
             shutil.copy(sidecar_path(toy, f".journal{suffix}"), toy.folder / f"cut{suffix}")
         process.kill()
         process.communicate()
         _clear(toy)
-        for suffix in ("", "-wal"):
+        for suffix in files:
             shutil.move(toy.folder / f"cut{suffix}", sidecar_path(toy, f".journal{suffix}"))
-        log = sidecar_path(toy, ".journal-wal")
-        with open(log, "r+b") as file:
-            size = log.stat().st_size
-            for _ in range(dice.randint(0, 8)):
-                file.seek(max(0, size - PAGE * dice.randint(1, 40)))
-                file.write(dice.choice([bytes(PAGE), dice.randbytes(PAGE)])[:size])
-                lost["pages"] += 1
-            if dice.random() < 0.5:
-                file.truncate(dice.randint(0, size))
-                lost["tails"] += 1
-        toy("run", "toy.toml", "--chunk", 10)
-        assert toy.bytes() == whole
+        for suffix in files[1:]:
+            log, page = sidecar_path(toy, f".journal{suffix}"), PAGE if suffix == "-wal" else PAGE // 16
+            kept_bytes = len(MAGIC) if suffix == SUFFIX else 0  # on the disk before anything else
+            with open(log, "r+b") as file:
+                size = log.stat().st_size
+                for _ in range(dice.randint(0, 8)):
+                    file.seek(max(kept_bytes, size - page * dice.randint(1, 40)))
+                    file.write(dice.choice([bytes(page), dice.randbytes(page)])[:size])
+                    lost[f"pages {suffix}"] += 1
+                if dice.random() < 0.5:
+                    file.truncate(dice.randint(kept_bytes, size))
+                    lost[f"tails {suffix}"] += 1
+        toy("run", "toy.toml", "--chunk", 10, **WAYS[way])
+        assert toy.bytes() == wholes[way]
         with sqlite3.connect(sidecar_path(toy)) as db:
             assert db.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         db.close()
         kept += sidecar_path(toy, ".events.jsonl").read_text().count('"chunk"') < 40
         _clear(toy)
-    tell(f"{cuts} power cuts ({dict(lost)} of the log lost): equal bytes after each, {kept} with earlier work kept")
+    tell(f"{way}: {cuts} power cuts ({dict(lost)} lost): equal bytes after each, {kept} with earlier work kept")
