@@ -94,17 +94,39 @@ def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return ((stride.image - stride.y) / stride.y[0]).T, derivative.transpose(2, 0, 1)
 
 
-def _joint(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residual (n, m + k) and derivative (n, m + k, m + 1 + k), by X and the durations, of the joint equations.
+def joint(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residual and derivative of the joint equations of state and event times, both over the stance angle.
 
-    Like those of `linearised` over the stance angle.
+    Parameters
+    ----------
+    stride : Stride
+        Differentiated by the slope too.
+    X : ndarray, shape (m + 1, n)
+        Where it was evaluated.
+
+    Returns
+    -------
+    residual : ndarray, shape (n, m + k)
+    derivative : ndarray, shape (n, m + k, m + 1 + k)
+        By X and the durations of the phases.
     """
-    derivative = _joint_by_X(stride.derivative, stride, X)
+    derivative = joint_by_X(stride.derivative, stride, X)
     return (stride.residual / stride.y[0]).T, (derivative / stride.y[0]).transpose(2, 0, 1)
 
 
-def _joint_by_X(by: np.ndarray, stride: Stride, X: np.ndarray) -> np.ndarray:
-    """Derivatives by X and the durations of what has the derivatives `by` y, the durations and the slope."""
+def joint_by_X(by: np.ndarray, stride: Stride, X: np.ndarray) -> np.ndarray:
+    """Return derivatives by X and the durations of what has the derivatives `by` y, the durations and the slope.
+
+    Parameters
+    ----------
+    by : ndarray, shape (i, m + k + 1, n)
+    stride : Stride
+    X : ndarray, shape (m + 1, n)
+
+    Returns
+    -------
+    ndarray, shape (i, m + 1 + k, n)
+    """
     m = len(stride.y)
     return np.concatenate([_by_X(by[:, :m], by[:, -1], stride, X), by[:, m:-1]], axis=1)
 
@@ -148,8 +170,8 @@ def correct(
     for iteration in range(max_iterations):
         x, normal = X[:, active], border[:, active]
         stride, _ = problem.some(active).stride(np.vstack([x[:m], times[:, active]]), x[m], slope=True)
-        residual, derivative = _joint(stride, x)
-        by_X = _joint_by_X(stride.times_by, stride, x)
+        residual, derivative = joint(stride, x)
+        by_X = joint_by_X(stride.times_by, stride, x)
         plane = matvec(by_X.transpose(1, 0, 2), normal[m + 1 :])
         plane[: m + 1] += normal[: m + 1]
         matrix = np.concatenate([derivative, plane.T[:, None]], axis=1)
@@ -165,7 +187,7 @@ def correct(
         moving = solvable & (size <= 1.0) & np.isfinite(new_times).all(axis=0)
         X[:, active[moving]] += dX[:, moving]
         times[:, active[moving]] = new_times[:, moving]
-        done = moving & ((size < _rounding_step(matrix, stride)) | ((size < 1e-9) & (size > 0.2 * last[active])))
+        done = moving & ((size < rounding_step(matrix, stride)) | ((size < 1e-9) & (size > 0.2 * last[active])))
         ok[active], last[active] = done, size
         # A lane that is done keeps its own last step, so its bits do not depend on the others.
         if not iteration:
@@ -185,8 +207,19 @@ def correct(
     return Point(X, times, tangent, times_tangent, ok, steps, derivatives.transpose(1, 2, 0))
 
 
-def _rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
-    """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
+def rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
+    """Size of a bordered Newton step that rounding alone makes.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, m + 1 + k, m + 1 + k)
+        Of the joint equations, and the border.
+    stride : Stride
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
     m, y = len(stride.y), np.abs(stride.y) / stride.y[0]
     inverse = np.linalg.inv(matrix).transpose(1, 2, 0)[: m + 1]
     error = matvec(np.abs(inverse), np.vstack([y, np.ones((len(matrix[0]) - m, y.shape[1]))]))
