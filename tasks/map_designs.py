@@ -13,7 +13,7 @@ from tasks.continuation.extremes import ANY_SLOPE, Points, best, find
 from tasks.continuation.refine import COARSE
 from tasks.families.box import Box
 from tasks.families.cell import Family
-from tasks.families.landscape import Landscape, make, points_at
+from tasks.families.landscape import Landscape, is_known, make, points_at
 from tasks.families.manifold import Maker
 from tasks.mechanics.lumped import Structure, structures_of
 from tasks.step.problem import Lanes
@@ -146,7 +146,7 @@ def _solve(
     maker = Maker(family, landscape.box, landscape.structure)
     unit = landscape.box.unit(keys)
     points, accepted, flags = points_at(maker, landscape.manifolds, unit, window)
-    accepted &= np.array([row.tobytes() in landscape.patterns for row in flags])
+    accepted &= is_known(flags, landscape.patterns)
     if landscape.any_slope:
         walkers = family.walkers(keys)
         accepted &= np.array([is_tuned(walkers[i]) for i in range(len(keys))])

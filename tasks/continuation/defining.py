@@ -69,8 +69,16 @@ class Evaluation:
     @property
     def log_froude(self) -> np.ndarray:
         """Logarithm of the mean speed over sqrt(g leg), shape (n,)."""
-        angle = np.exp(self.Z[0])
-        return np.log(2 * ((1 - self.radius) * np.sin(angle) + self.radius * angle) / self.Z[-1])
+        return log_froude(self.Z, self.radius)
+
+    @property
+    def speed_by_Z(self) -> np.ndarray:
+        """Derivatives of `log_froude` by Z, shape (c, n)."""
+        angle, by_Z = np.exp(self.Z[0]), np.zeros_like(self.Z)
+        length = (1 - self.radius) * np.sin(angle) + self.radius * angle
+        by_Z[0] = angle * ((1 - self.radius) * np.cos(angle) + self.radius) / length
+        by_Z[-1] = -1 / self.Z[-1]
+        return by_Z
 
     def row(self, by_Z: np.ndarray) -> np.ndarray:
         """Return derivatives by X and the durations of what has the derivatives `by_Z`, both of shape (c, n)."""
@@ -78,6 +86,19 @@ class Evaluation:
         row = matvec(self.times_by.transpose(1, 0, 2), by_Z[m + 1 :])
         row[: m + 1] += by_Z[: m + 1]
         return row
+
+
+def log_froude(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Return the logarithm of the mean speed over sqrt(g leg), shape (n,).
+
+    Parameters
+    ----------
+    Z : ndarray, shape (c, n)
+    radius : ndarray, shape (n,)
+        Of the foot, over the leg.
+    """
+    angle = np.exp(Z[0])
+    return np.asarray(np.log(2 * ((1 - radius) * np.sin(angle) + radius * angle) / Z[-1]))
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
@@ -130,17 +151,9 @@ def _fold(at: Evaluation) -> np.ndarray:
     return _determinants(np.delete(at.derivative, at.m, axis=2))
 
 
-def _along(at: Evaluation, by_Z: np.ndarray) -> np.ndarray:
-    """Determinant that vanishes where a quantity with these derivatives is stationary along the branch, shape (n,)."""
-    return _determinants(np.concatenate([at.derivative, at.row(by_Z).T[:, None]], axis=1))
-
-
 def _speed_maximum(at: Evaluation) -> np.ndarray:
-    angle, by_Z = np.exp(at.Z[0]), np.zeros_like(at.Z)
-    length = (1 - at.radius) * np.sin(angle) + at.radius * angle
-    by_Z[0] = angle * ((1 - at.radius) * np.cos(angle) + at.radius) / length
-    by_Z[-1] = -1 / at.Z[-1]
-    return _along(at, by_Z)
+    """Determinant that vanishes where the speed is stationary along the branch."""
+    return _determinants(np.concatenate([at.derivative, at.row(at.speed_by_Z).T[:, None]], axis=1))
 
 
 #: The scalar that vanishes at a special point, by its kind.
@@ -198,6 +211,28 @@ def gradient(problem: Lanes, kind: str, Z: np.ndarray) -> np.ndarray:
     return np.asarray((values[0] - values[1]) / (2 * _DIFFERENCE))
 
 
+def defining_system(problem: Lanes, kind: str, Z: np.ndarray, target: float = 0.0) -> np.ndarray:
+    """Return the defining equations and the determinant that vanishes where two special points of a kind meet.
+
+    Parameters
+    ----------
+    problem : Lanes
+        Of n lanes.
+    kind : str
+    Z : ndarray, shape (c, n)
+    target : float
+        As for `scalar`.
+
+    Returns
+    -------
+    ndarray, shape (c + 1, n)
+    """
+    rows = gradient(problem, kind, Z)
+    at = evaluate(problem, Z)
+    matrix = np.concatenate([at.derivative, at.row(rows).T[:, None]], axis=1)
+    return np.vstack([at.residual.T, scalar(kind, at, target), _determinants(matrix)])
+
+
 @dataclass
 class Polish:
     """A Newton step on the defining equations of n points.
@@ -208,12 +243,15 @@ class Polish:
         The points before it.
     change : ndarray, shape (c, n)
         The Newton step, NaN where the equations are singular.
+    along : ndarray, shape (c, n)
+        Direction of the branch in which the scalar grows.
     rounding : ndarray, shape (n,)
         By how much rounding may move the points.
     """
 
     at: Evaluation
     change: np.ndarray
+    along: np.ndarray
     rounding: np.ndarray
 
 
@@ -248,10 +286,12 @@ def newton_step(
     solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
     solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
     matrix[~solvable] = np.eye(matrix.shape[1])
-    change = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
-    change = np.vstack([change[: at.m + 1], matvec(at.times_by, change)])
+    unit = np.zeros_like(right)
+    unit[:, -1] = 1.0
+    solution = np.linalg.solve(matrix, np.stack([right, unit], axis=-1))
+    change, along = (np.vstack([v[: at.m + 1], matvec(at.times_by, v)]) for v in solution.transpose(2, 1, 0))
     change[:, ~solvable] = np.nan
-    return Polish(at, change, _ROUNDING_FACTOR * rounding_step(matrix, at.stride))
+    return Polish(at, change, along, _ROUNDING_FACTOR * rounding_step(matrix, at.stride))
 
 
 @dataclass

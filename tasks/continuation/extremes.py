@@ -23,15 +23,20 @@ from tasks.step.problem import EPS, Lanes
 #: Parts of a segment at whose ends a scalar is evaluated before Newton's method begins.
 _PARTS = 8
 _BLOCK = 4096
+#: Value of a scalar of stability at a node beside which it may change its sign twice.
+_NEAR_ZERO = 0.3
 #: A special point is at an end of stability if the magnitudes of its other multipliers are below this.
 _STABLE = 1 - 1e-9
 #: Kind of a point from which a branch continues to vanishing slopes.
 ANY_SLOPE = "any slope"
 
 
-#: Kinds of points that are of no account for slopes, for stability and for speed.
-_NOT_OF_SLOPE = ("flip", "neimark_sacker", "fastest", "speed")
-_NOT_OF_STABILITY, _NOT_OF_SPEED = ("label", "fastest", "speed"), ("label", "speed", ANY_SLOPE)
+#: Kinds of points at which a quantity has no extreme.
+NOT_OF = {
+    "smallest_slope": ("flip", "neimark_sacker", "fastest", "speed"),
+    "largest_stable_slope": ("label", "fastest", "speed"),
+    "fastest_stable_speed": ("label", "speed", ANY_SLOPE),
+}
 #: How far outside the window its own edges may lie, in ln slope.
 _EDGE = 1e-9
 
@@ -57,6 +62,8 @@ class Points:
     walks, long, stable : ndarray of bool, shape (n,)
         Whether it is a step, or the limit of steps, whose legs pass once; a long one; and whether stable gaits are
         next to it.
+    faster : ndarray of bool, shape (n,)
+        Whether the speed grows along the branch with the kind's scalar, where that is known.
     """
 
     line: np.ndarray
@@ -70,6 +77,7 @@ class Points:
     long: np.ndarray
     stable: np.ndarray
     log_slope: np.ndarray
+    faster: np.ndarray
 
     def some(self, which: np.ndarray) -> Points:
         """Return some of the points.
@@ -89,7 +97,7 @@ def join(parts: Sequence[Points]) -> Points:
 def nothing(problem: Lanes, n: int) -> Points:
     """Return n points that are none: they do not walk."""
     Z, none, no = np.full((problem.m + 1 + problem.phases, n), np.nan), np.full(n, np.nan), np.zeros(n, bool)
-    return Points(np.zeros(n, int), np.full(n, "", "U32"), Z, Z, none, none, none, no, no, no, none)
+    return Points(np.zeros(n, int), np.full(n, "", "U32"), Z, Z, none, none, none, no, no, no, none, no)
 
 
 def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -104,19 +112,30 @@ def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
     Returns
     -------
     dict of ndarray of bool, shape (n,)
-        Of the `smallest_slope` of a long or stable gait, the `largest_stable_slope`, the `fastest_stable_speed`, and
-        the `least_cost` at a speed.
+        Of the `smallest_slope` of a long or stable gait, the `largest_stable_slope` and the `fastest_stable_speed`.
     """
     q, kind = points.log_slope, points.kind
     inside = points.walks & (q >= window[0] - _EDGE) & (q <= window[1] + _EDGE)
     low = inside | (points.walks & (kind == ANY_SLOPE))
     stable = inside & points.stable
-    return {
-        "smallest_slope": low & (points.long | points.stable) & ~np.isin(kind, _NOT_OF_SLOPE),
-        "largest_stable_slope": stable & ~np.isin(kind, _NOT_OF_STABILITY),
-        "fastest_stable_speed": stable & ~np.isin(kind, _NOT_OF_SPEED),
-        "least_cost": inside & (kind == "speed"),
+    every = {
+        "smallest_slope": low & (points.long | points.stable),
+        "largest_stable_slope": stable,
+        "fastest_stable_speed": stable,
     }
+    return {name: which & ~np.isin(kind, NOT_OF[name]) for name, which in every.items()}
+
+
+def values(name: str, log_slope: np.ndarray, log_froude: np.ndarray) -> np.ndarray:
+    """Return a number that is least where a quantity has its extreme: a logarithm, or minus one.
+
+    Parameters
+    ----------
+    name : str
+        Of the quantity.
+    log_slope, log_froude : ndarray
+    """
+    return {"smallest_slope": log_slope, "largest_stable_slope": -log_slope}.get(name, -log_froude)
 
 
 def best(points: Points, lines: int, window: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -136,10 +155,9 @@ def best(points: Points, lines: int, window: tuple[float, float]) -> dict[str, n
         Numbers of points by the quantities of `roles`, -1 where there is none.
     """
     lowest = np.where(points.kind == ANY_SLOPE, -np.inf, points.log_slope)
-    values = (lowest, -points.log_slope, -points.log_froude, points.log_slope)
     out = {}
-    for (name, which), value in zip(roles(points, window).items(), values, strict=True):
-        number = np.flatnonzero(which)
+    for name, which in roles(points, window).items():
+        number, value = np.flatnonzero(which), values(name, lowest, points.log_froude)
         order = number[np.lexsort((value[number], points.line[number]))]
         line, first = np.unique(points.line[order], return_index=True)
         out[name] = np.full(lines, -1)
@@ -178,6 +196,7 @@ def classify(
         long=(gait_ratio(at.stride) < 0.5) | (kind == "label"),
         stable=other_multipliers(kind, at.stride.jacobian) < _STABLE,
         log_slope=Z[at.m],
+        faster=np.zeros(len(line), bool),
     )
 
 
@@ -252,15 +271,20 @@ def _crossings(
     """Kind, nodes before, guesses (c, n) and targets of the points where a scalar changes its sign on a segment."""
     values = nodes.values[kind]
     a, b = values[:-1], values[1:]
-    changes = (np.sign(a) != np.sign(b)) & np.isfinite(a) & np.isfinite(b) & (nodes.branch[1:] == nodes.branch[:-1])
+    joined = nodes.branch[1:] == nodes.branch[:-1]
+    changes = (np.sign(a) != np.sign(b)) & np.isfinite(a) & np.isfinite(b) & joined
     if kind in ("flip", "neimark_sacker", "fastest"):
         changes &= nodes.stable[1:] | nodes.stable[:-1]
+    if kind in ("flip", "neimark_sacker"):
+        # Between nodes it may change twice: beside one where it comes near zero.
+        least = (np.abs(a[:-1]) >= np.abs(b[:-1])) & (np.abs(b[:-1]) <= np.abs(b[1:])) & joined[:-1] & joined[1:]
+        least &= np.abs(b[:-1]) < _NEAR_ZERO
+        changes[:-1] |= least
+        changes[1:] |= least
     node = np.flatnonzero(changes)
-    n = len(node)
-    shares = np.linspace(0, 1, _PARTS + 1)
+    n, shares = len(node), np.linspace(0, 1, _PARTS + 1)
     every, share = np.repeat(node, _PARTS - 1), np.tile(shares[1:-1], n)
-    Z = nodes.evaluate(every, share)
-    lines = nodes.line[every]
+    lines, Z = nodes.line[every], nodes.evaluate(every, share)
     target = targets[kind][lines] if kind in targets else np.zeros(len(every))
     between = np.zeros(0)
     for k in range(0, len(every), _BLOCK):
@@ -268,12 +292,27 @@ def _crossings(
         at = evaluate(problem.some(lines[part]), Z[:, part])
         between = np.append(between, scalar(kind, at, target[part]))
     g = np.column_stack([a[node], between.reshape(n, _PARTS - 1), b[node]])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        i, j = np.nonzero(g[:, :-1] * g[:, 1:] <= 0)
-        share = shares[j] + np.nan_to_num(g[i, j] / (g[i, j] - g[i, j + 1])) / _PARTS
+    i, share = _roots(g)
     node = node[i]
     target = targets[kind][nodes.line[node]] if kind in targets else np.zeros(len(node))
     return kind, node, nodes.evaluate(node, share), target
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def _roots(g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and places, as shares of a row, of the roots of functions that have values g (n, p) at equal distances.
+
+    Between values of one sign two roots are those of the parabola through three of them.
+    """
+    i, j = np.nonzero(g[:, :-1] * g[:, 1:] <= 0)
+    share = j + np.nan_to_num(g[i, j] / (g[i, j] - g[i, j + 1]))
+    a, b, c = g[:, :-2], g[:, 1:-1], g[:, 2:]
+    slope, bend = 0.5 * (c - a), 0.5 * (a + c) - b
+    root = np.sqrt(slope**2 - 4 * bend * b)
+    least = (a * b > 0) & (b * c > 0) & np.isfinite(root) & (np.abs(slope) <= np.abs(2 * bend))
+    k, l = np.nonzero(least)
+    pair = [l + 1 + (-slope + sign * root)[k, l] / (2 * bend[k, l]) for sign in (-1, 1)]
+    return np.concatenate([i, k, k]), np.concatenate([share, *pair]) / (g.shape[1] - 1)
 
 
 def _at_edge(nodes: _Nodes, m: int, edge: float) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from tasks.continuation.atlas import survey_lines
-from tasks.continuation.defining import SCALARS
-from tasks.continuation.extremes import ANY_SLOPE, Points, best, find, join, roles
+from tasks.continuation.defining import SCALARS, log_froude
+from tasks.continuation.extremes import ANY_SLOPE, NOT_OF, Points, best, find, join, nothing, roles, values
 from tasks.continuation.refine import COARSE
 from tasks.families.box import Box
 from tasks.families.cell import Family, Refused
@@ -17,7 +18,14 @@ from tasks.families.manifold import Maker, Manifold
 from tasks.mechanics.lumped import Structure, common_structure
 
 #: Lines surveyed along each key, and designs along each key at which the manifolds are compared.
-_NODES, _LATTICE = 3, 15
+_NODES, _LATTICE = (-0.99, 0.0, 0.99), 15
+#: Further lines that are drawn by lot.
+_DRAWN = 2
+#: Predictions that differ by less are solved both.
+_TIE = 1e-3
+#: Points of these kinds whose value comes so near the best of a line get a manifold too, if they have one: others come
+#: to count only where one that counts changes its flags.
+_RIVALS, _RIVAL = ("fold", "flip"), {"smallest_slope": 0.05, "largest_stable_slope": 0.1, "fastest_stable_speed": 0.05}
 #: Rounds in which lines are surveyed and manifolds added, and lines of each.
 _ROUNDS, _MOST_LINES = 6, 8
 #: Points nearer than this are one.
@@ -51,9 +59,9 @@ class Landscape:
 
 
 def points_at(
-    maker: Maker, manifolds: list[Manifold], unit: np.ndarray, window: tuple[float, float]
+    maker: Maker, manifolds: list[Manifold], unit: np.ndarray, window: tuple[float, float], every: bool = False
 ) -> tuple[Points, np.ndarray, np.ndarray]:
-    """Solve the points of manifolds at designs.
+    """Solve the points of manifolds at designs at which their quantities may have their extremes.
 
     Parameters
     ----------
@@ -62,34 +70,78 @@ def points_at(
     unit : ndarray, shape (n, d)
     window : (float, float)
         Least and largest ln slope.
+    every : bool
+        All points: else of those that the predictions range behind a point that serves, none.
 
     Returns
     -------
     points : Points
-        Those of each manifold after another; `line` counts the designs.
+        `line` counts the designs.
     near : ndarray of bool, shape (n,)
         Designs whose points are all as near their predictions as they should be.
     flags : ndarray of int8, shape (n, manifolds)
-        Of which quantities each point may be the extreme.
+        Of which quantities each point may be the extreme, and the side to which the speed grows; -1 where it is not
+        solved.
     """
-    problem = maker.problem(unit)
-    parts = [manifold.polish(problem, unit) for manifold in manifolds]
-    near = np.logical_and.reduce([each for _, each in parts])
-    counts = [sum(2**k * role for k, role in enumerate(roles(points, window).values())) for points, _ in parts]
-    return join([points for points, _ in parts]), near, np.column_stack(counts).astype(np.int8)
+    n, problem = len(unit), maker.problem(unit)
+    predicted = [manifold.predict(unit)[0] for manifold in manifolds]
+    radius = problem.walkers.R / problem.walkers.leg
+    froude = [log_froude(Z, radius) for Z in predicted]
+    left = np.column_stack([manifold.there(unit) for manifold in manifolds])
+    near = ~np.logical_or.reduce([manifold.unsure(unit) for manifold in manifolds])
+    flags = np.where(left, -1, 0).astype(np.int8)
+    parts = [nothing(problem, 0)]
+    served = {name: np.full(n, np.inf) for name in NOT_OF}
+    while left.any():
+        due = left.copy() if every else np.zeros_like(left)
+        for name, kinds in NOT_OF.items():
+            value = np.column_stack([values(name, Z[maker.m], v) for Z, v in zip(predicted, froude, strict=True)])
+            value[:, [manifold.kind in kinds for manifold in manifolds]] = np.inf
+            value[~left] = np.inf
+            first = value <= np.minimum(value.min(axis=1), served[name])[:, None] + _TIE
+            due |= first & np.isfinite(value) & (value < served[name][:, None] + _TIE)
+        if not due.any():
+            break
+        for k in np.flatnonzero(due.any(axis=0)).tolist():
+            lanes = np.flatnonzero(due[:, k])
+            points, fine = manifolds[k].polish(problem.some(lanes), unit[lanes])
+            points.line, near[lanes], left[lanes, k] = lanes, near[lanes] & fine, False
+            flags[lanes, k] = _flags(points, window)
+            for name, which in roles(points, window).items():
+                value = values(name, points.log_slope, points.log_froude)
+                served[name][lanes] = np.minimum(served[name][lanes], np.where(which, value, np.inf))
+            parts.append(points)
+    return join(parts), near, flags
+
+
+def is_known(flags: np.ndarray, patterns: set[bytes]) -> np.ndarray:
+    """Whether flags (n, manifolds), as far as they are known, agree with one of the patterns, shape (n,)."""
+    known = np.array([np.frombuffer(pattern, np.int8) for pattern in sorted(patterns)]).reshape(-1, flags.shape[1])
+    return np.asarray(((flags[:, None] == known) | (flags[:, None] < 0)).all(axis=2).any(axis=1))
+
+
+def _flags(points: Points, window: tuple[float, float]) -> np.ndarray:
+    """Of which quantities points may be the extremes, and the side to which the speed grows, in bits, shape (n,)."""
+    every = roles(points, window)
+    bits = [*every.values(), every["fastest_stable_speed"] & points.faster]
+    return np.asarray(sum(2**k * bit for k, bit in enumerate(bits)), np.int8)
 
 
 class _Surveyor:
     """Finds the manifolds of a box."""
 
     def __init__(self, family: Family, box: Box, window: tuple[float, float]):
-        self.structure = common_structure(family.walkers(box.nodes(_NODES)))
+        self.structure = common_structure(family.walkers(box.nodes(len(_NODES))))
         self.maker, self.window, self.box = Maker(family, box, self.structure), window, box
         self.d = len(box.keys)
         self.unit = np.zeros((0, self.d))
         self.points: list[Points] = []
         self.manifolds: list[Manifold] = []
-        axes = [np.linspace(-1, 1, _LATTICE)] * self.d
+        self.tried: set[tuple[str, int, str]] = set()
+        # Evenly in the keys, and in their logarithms too where these are the coordinates.
+        even = np.tile(np.linspace(-1, 1, _LATTICE)[:, None], (1, self.d))
+        both = np.vstack([even, box.unit(Box(box.keys, box.low, box.high).at(even))]).round(9)
+        axes = [np.unique(both[:, k]) for k in range(self.d)]
         self.lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.d)
 
     def survey(self, unit: np.ndarray) -> None:
@@ -98,74 +150,79 @@ class _Surveyor:
         points = find(problem, survey_lines(problem, COARSE), self.window, {})
         for i in range(len(unit)):
             self.points.append(points.some(points.line == i))
+            self.points[-1].line = np.zeros(len(self.points[-1].line), int)
         self.unit = np.vstack([self.unit, unit])
 
     def landscape(self) -> Landscape:
-        nodes = self.box.unit(self.box.nodes(_NODES))
-        self.survey(np.vstack([nodes, self.box.draw(1, self.d, "design")]))
+        """Survey lines and add manifolds until the lattice holds nothing that no line has."""
+        nodes = np.array(list(itertools.product(_NODES, repeat=self.d)))
+        self.survey(np.vstack([nodes, self.box.draw(_DRAWN, self.d, "design")]))
         for _ in range(_ROUNDS):
-            patterns, unexplained, any_slope = self.explained()
-            if unexplained is not None:
-                kind, line, Z, target = unexplained
-                self.manifolds.append(self.maker.manifold(kind, self.unit[line], Z, target))
-                continue
+            while self.missing(rivals=False):
+                pass
+            self.missing(rivals=True)
+            patterns = self.patterns()
             new = self.unknown(patterns)
             if not len(new):
                 break
             self.survey(new)
-        else:
-            raise Refused("the designs of the box are too different", self.roughest())
-        return Landscape(self.box, self.structure, self.manifolds, patterns, any_slope)
-
-    def explained(self) -> tuple[set[bytes], tuple[str, int, np.ndarray, float] | None, bool]:
-        """Compare the lines with the manifolds.
-
-        Returns
-        -------
-        patterns : set of bytes
-            Flags of the manifolds on lines whose extremes all lie on them.
-        missing : tuple or None
-            An extreme on no manifold: its kind, line, Z and target.
-        any_slope : bool
-        """
-        patterns, to_vanishing = set(), 0
-        if self.manifolds:
-            own, near, flags = points_at(self.maker, self.manifolds, self.unit, self.window)
-            chosen = best(own, len(self.unit), self.window)
-        for i, points in enumerate(self.points):
-            agrees = bool(self.manifolds)
-            alone = points.some(points.line >= 0)
-            alone.line = np.zeros(len(points.line), int)
-            for name, (number,) in best(alone, 1, self.window).items():
-                if number >= 0 and points.kind[number] == ANY_SLOPE:
-                    to_vanishing += 1
-                    continue
-                if self.manifolds and (number < 0) == (chosen[name][i] < 0):
-                    j = chosen[name][i]
-                    if number < 0 or _is_same(points, number, own, j):
-                        continue
-                agrees = False
-                if number < 0:
-                    continue
-                kind, Z = str(points.kind[number]), points.Z[:, number]
-                if kind not in SCALARS:
-                    raise Refused(f"a branch ends at {kind}", self.roughest())
-                here = np.flatnonzero(own.line == i) if self.manifolds else []
-                if not any(_is_same(points, number, own, j) for j in here):
-                    edges = np.array(self.window)
-                    target = float(edges[np.abs(edges - points.log_slope[number]).argmin()]) if kind == "window" else 0.0
-                    return patterns, (kind, i, Z, target), False
-            if agrees and near[i]:
-                patterns.add(flags[i].tobytes())
-        if to_vanishing not in (0, len(self.points)):
+        vanishing = [ANY_SLOPE in points.kind[points.walks] for points in self.points]
+        if len(set(vanishing)) > 1:
             raise Refused("some designs walk at any slope", self.roughest())
-        return patterns, None, to_vanishing > 0
+        return Landscape(self.box, self.structure, self.manifolds, patterns, vanishing[0])
+
+    def missing(self, rivals: bool) -> bool:
+        """Add a manifold through an extreme of a line that lies on none; or all through points that rival extremes."""
+        own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[0] if self.manifolds else None
+        for i, points in enumerate(self.points):
+            for name, (number,) in best(points, 1, self.window).items():
+                if number < 0 or points.kind[number] == ANY_SLOPE:
+                    continue
+                value = values(name, points.log_slope, points.log_froude)
+                near = roles(points, self.window)[name] & (value < value[number] + _RIVAL[name] * rivals)
+                for k in np.flatnonzero(near) if rivals else [number]:
+                    kind = str(points.kind[k])
+                    on = [_is_same(points, k, own, j) for j in np.flatnonzero(own.line == i)] if own else []
+                    if any(on) or (rivals and (kind not in _RIVALS or (kind, i, name) in self.tried)):
+                        continue
+                    if kind not in SCALARS:
+                        raise Refused(f"a branch ends at {kind}", self.roughest())
+                    self.tried.add((kind, i, name))
+                    edges = np.array(self.window)
+                    target = float(edges[np.abs(edges - points.log_slope[k]).argmin()]) if kind == "window" else 0.0
+                    try:
+                        self.manifolds.append(self.maker.manifold(kind, self.unit[i], points.Z[:, k], target))
+                    except Refused:
+                        if not rivals:
+                            raise
+                        continue
+                    if not rivals:
+                        return True
+                    own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[0]
+        return False
+
+    def patterns(self) -> set[bytes]:
+        """Flags of the manifolds on lines whose extremes they reproduce."""
+        if not self.manifolds:
+            return {b""}
+        own, near, flags = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)
+        chosen, patterns = best(own, len(self.unit), self.window), set()
+        for i, points in enumerate(self.points):
+            agrees = bool(near[i])
+            for name, (number,) in best(points, 1, self.window).items():
+                if number >= 0 and points.kind[number] == ANY_SLOPE:
+                    continue
+                j = chosen[name][i]
+                agrees &= (number < 0) == (j < 0) and (number < 0 or _is_same(points, number, own, j))
+            if agrees:
+                patterns.add(flags[i].tobytes())
+        return patterns
 
     def unknown(self, patterns: set[bytes]) -> np.ndarray:
         """Designs (n, d) of the lattice with flags as on no line so far, one for each of them."""
         if not self.manifolds:
             return np.zeros((0, self.d))
-        _, near, flags = points_at(self.maker, self.manifolds, self.lattice, self.window)
+        _, near, flags = points_at(self.maker, self.manifolds, self.lattice, self.window, every=True)
         every: dict[bytes, list[int]] = {}
         for i in np.flatnonzero(near).tolist():
             every.setdefault(flags[i].tobytes(), []).append(i)
@@ -180,12 +237,10 @@ class _Surveyor:
     def roughest(self) -> int:
         """The key along which what the surveyed lines have changes most, or else the widest."""
         kinds = []
-        for points in self.points[: _NODES**self.d]:
-            alone = points.some(points.line >= 0)
-            alone.line = np.zeros(len(points.line), int)
-            kinds.append(tuple(str(points.kind[k]) if k >= 0 else "" for (k,) in best(alone, 1, self.window).values()))
-        _, number = np.unique([" ".join(kind) for kind in kinds], return_inverse=True)
-        number = number.reshape((_NODES,) * self.d)
+        for points in self.points[: len(_NODES) ** self.d]:
+            kinds.append(" ".join(str(points.kind[k]) for (k,) in best(points, 1, self.window).values() if k >= 0))
+        _, number = np.unique(kinds, return_inverse=True)
+        number = number.reshape((len(_NODES),) * self.d)
         return int(np.argmax([(np.diff(number, axis=k) != 0).sum() for k in range(self.d)]))
 
 

@@ -8,23 +8,21 @@ import numpy as np
 
 from numpy.polynomial.chebyshev import chebfit, chebval
 
-from tasks.continuation.defining import Polish, gradient, newton_step, other_multipliers, solve
-from tasks.continuation.extremes import Points, classify, join, nothing
+from tasks.continuation.defining import Polish, defining_system, gradient, newton_step, other_multipliers, solve
+from tasks.continuation.extremes import Points, classify
 from tasks.families.box import Box, roots
 from tasks.families.cell import Family, Refused
 from tasks.families.patch import basis, fit, tails
 from tasks.fixed_points.step_check import verify_steps
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Lanes
-from tasks.step.step_map import SAMPLES, matvec
+from tasks.step.step_map import SAMPLES
 
 #: Nodes along each key; there are more while predictions of points drawn by lot err by more than what is good.
 _SIZES, _GOOD = (5, 7, 9, 13, 17, 25, 33), 1e-6
 #: Predictions of a manifold that is of use err by no more.
 _FAIR = 1e-4
 _DRAWN = 24
-#: Newton steps that take drawn points from their predictions to rounding.
-_STEPS = 8
 #: First and least share of the way in which a point is carried from one design to another, and largest error of a
 #: prediction on it.
 _STRIDE, _LEAST_STRIDE, _MAX_STRIDE_ERROR = 0.125, 1 / 256, 0.3
@@ -32,11 +30,17 @@ _STRIDE, _LEAST_STRIDE, _MAX_STRIDE_ERROR = 0.125, 1 / 256, 0.3
 _SAFETY = 8.0
 #: Predictions err by no less: below this is rounding.
 _LEAST = 1e-9
+#: Error above which a further Newton step is taken.
+_GOAL = 1e-10
 #: Distance from an end at which its gaits must be steps, and displacement that shows how Newton's method converges.
 _INSIDE, _DISPLACED = 1e-3, 1e-4
 #: A manifold that is not on the whole box is followed in such steps of a key until its points are of no account, and a
 #: little farther; where along the other key, and the degree of the curve at which it is cut.
-_PACE, _BEYOND, _PLACES, _DEGREE = 0.05, 0.1, 9, 4
+_FARTHEST, _BEYOND, _PLACES, _DEGREE = 3.0, 0.1, 13, 4
+#: Newton steps to a turn.
+_TURNS = 12
+#: Beside a turn designs are surveyed, this share of the way to it.
+_AT_TURN = 1e-5
 
 
 @dataclass(frozen=True)
@@ -51,11 +55,14 @@ class Cut:
         1 if it ends towards higher values, else -1.
     coefficients : ndarray, shape (n,)
         Chebyshev coefficients of the coordinate at which it ends over that of the other key.
+    turns : bool
+        Whether two sheets meet there: beside it points depend on the root of the distance.
     """
 
     axis: int
     side: int
     coefficients: np.ndarray
+    turns: bool
 
     def at(self, unit: np.ndarray) -> np.ndarray:
         """Coordinates at which the manifold ends, shape (n,), for coordinates of keys (n, d)."""
@@ -64,15 +71,23 @@ class Cut:
 
     def own(self, unit: np.ndarray) -> np.ndarray:
         """Coordinates that run from -1 to 1 over the manifold, shape (n, d), of coordinates of keys."""
-        own = unit.copy()
-        own[:, self.axis] = 2 * (unit[:, self.axis] + self.side) / (self.at(unit) + self.side) - self.side
+        own, share = unit.copy(), self.share(unit)
+        if self.turns:
+            share = 1 - np.sqrt(np.maximum(1 - share, 0.0))
+        own[:, self.axis] = self.side * (2 * share - 1)
         return own
 
     def unit(self, own: np.ndarray) -> np.ndarray:
         """Inverse of `own`."""
-        unit = own.copy()
-        unit[:, self.axis] = 0.5 * (own[:, self.axis] + self.side) * (self.at(own) + self.side) - self.side
+        unit, share = own.copy(), 0.5 * (1 + self.side * own[:, self.axis])
+        if self.turns:
+            share = 1 - (1 - share) ** 2
+        unit[:, self.axis] = self.side * (share * (1 + self.side * self.at(own)) - 1)
         return unit
+
+    def share(self, unit: np.ndarray) -> np.ndarray:
+        """Share of the way from the box's own border to the curve, shape (n,), at coordinates of keys (n, d)."""
+        return np.asarray((1 + self.side * unit[:, self.axis]) / (1 + self.side * self.at(unit)))
 
 
 @dataclass(frozen=True)
@@ -124,8 +139,17 @@ class Manifold:
         both = (basis(self.own(unit), self.sizes) @ self.coefficients).T
         return both[: len(both) // 2], both[len(both) // 2 :]
 
+    def there(self, unit: np.ndarray) -> np.ndarray:
+        """Whether designs, coordinates of keys (n, d), have a point of the manifold."""
+        return self.cut.share(unit) <= 1 if self.cut else np.ones(len(unit), bool)
+
+    def unsure(self, unit: np.ndarray) -> np.ndarray:
+        """Whether designs, coordinates of keys (n, d), lie where two sheets of the manifold meet."""
+        turns = self.cut is not None and self.cut.turns
+        return np.abs(self.cut.share(unit) - 1) < _AT_TURN if turns and self.cut else np.zeros(len(unit), bool)
+
     def polish(self, problem: Lanes, unit: np.ndarray) -> tuple[Points, np.ndarray]:
-        """Solve the points of designs by one Newton step from their predictions.
+        """Solve the points of designs by a Newton step from their predictions; of each it is `there`.
 
         Parameters
         ----------
@@ -140,50 +164,43 @@ class Manifold:
         near : ndarray of bool, shape (n,)
             Whether they are as near their predictions as they should be.
         """
-        if self.cut is not None:
-            beyond = np.abs(self.own(unit)[:, self.cut.axis]) > 1 + 1e-9
-            if beyond.any():
-                return self._within(problem, unit, np.flatnonzero(~beyond))
         Z, rows = self.predict(unit)
-        step = newton_step(problem, self.kind, Z, rows, self.target, samples=0 if _is_end(self.kind) else SAMPLES)
-        size = np.abs(step.change).max(axis=0)
+        step = newton_step(problem, self.kind, Z, rows, self.target, 0 if _is_end(self.kind) else SAMPLES)
+        size, change = np.abs(step.change).max(axis=0), step.change
         near = size <= _SAFETY * max(self.moved, _LEAST)
-        error = _SAFETY * (self.linear * size + self.quadratic * size**2) + step.rounding
-        walks = _walks(problem, self.kind, step, rows, near)
-        points = classify(self.kind, step.at, np.arange(len(unit)), Z + step.change, rows, error, walks)
+        walks = _walks(problem, self.kind, step, near)
+        error = self._error(size) + step.rounding
+        again = np.flatnonzero(near & (error > _GOAL))
+        if len(again):
+            change = change.copy()
+            further = newton_step(problem.some(again), self.kind, (Z + change)[:, again], rows[:, again], self.target)
+            change[:, again] += further.change
+            error[again] = self._error(np.abs(further.change).max(axis=0)) + further.rounding
+        points = classify(self.kind, step.at, np.arange(len(unit)), Z + change, rows, error, walks)
+        # Where the speed grows towards the other side of the point, it has a maximum before it.
+        points.faster = (step.at.speed_by_Z * step.along).sum(axis=0) > 0
         return points, near
 
-    def _within(self, problem: Lanes, unit: np.ndarray, there: np.ndarray) -> tuple[Points, np.ndarray]:
-        """As `polish` for designs of which only some have a point; those of the others do not walk."""
-        near = np.ones(len(unit), bool)
-        points = nothing(problem, 0)
-        if len(there):
-            points, near[there] = self.polish(problem.some(there), unit[there])
-            points.line = there[points.line]
-        absent = nothing(problem, len(unit) - len(there))
-        absent.line = np.setdiff1d(np.arange(len(unit)), there)
-        joined = join([points, absent])
-        return joined.some(np.argsort(joined.line, kind="stable")), near
+    def _error(self, size: np.ndarray) -> np.ndarray:
+        """Error after a Newton step of some size."""
+        return np.asarray(_SAFETY * (self.linear * size + self.quadratic * size**2))
 
 
 def _is_end(kind: str) -> bool:
     return kind.startswith("end_")
 
 
-def _walks(problem: Lanes, kind: str, step: Polish, rows: np.ndarray, near: np.ndarray) -> np.ndarray:
+def _walks(problem: Lanes, kind: str, step: Polish, near: np.ndarray) -> np.ndarray:
     """Whether special points are steps whose legs pass once, or, of an end, the gaits just before it."""
     m, walks, lanes = problem.m, np.zeros(len(near), bool), np.flatnonzero(near)
     if not len(lanes):
         return walks
-    Z = step.at.Z[:, lanes] + step.change[:, lanes]
-    stride = None
+    Z, stride = step.at.Z[:, lanes], None
     if _is_end(kind):
-        _, _, V = np.linalg.svd(step.at.derivative[lanes])
-        null = V[:, -1].T
-        along = np.vstack([null[: m + 1], matvec(step.at.times_by[:, :, lanes], null)])
+        along = step.along[:, lanes]
         # Before the end kneestrike precedes heelstrike; the foot falls as it strikes.
-        inside = np.sign((rows[:, lanes] * along).sum(axis=0)) * (1 if "kneestrike_at" in kind else -1)
-        Z = Z + _INSIDE * inside * along / np.linalg.norm(along, axis=0)
+        side = 1 if "kneestrike_at" in kind else -1
+        Z = Z + step.change[:, lanes] + side * _INSIDE * along / np.linalg.norm(along, axis=0)
     else:
         stride = step.at.stride.some(lanes)
     _, check = verify_steps(problem.some(lanes), np.delete(Z, m, axis=0), Z[m], stride)
@@ -204,7 +221,7 @@ class Maker:
 
     def __init__(self, family: Family, box: Box, structure: Structure):
         self.family, self.box, self.structure = family, box, structure
-        self.d = len(box.keys)
+        self.d, self.m = len(box.keys), structure.dimension
 
     def problem(self, unit: np.ndarray) -> Lanes:
         """Walkers at coordinates of keys, shape (n, d)."""
@@ -319,49 +336,80 @@ class Maker:
         here, ok = self.carried(kind, target, unit, Z, start)
         if not ok.all():
             raise Refused(f"a {kind} is lost on its way to {(~ok).sum()} designs", 1 - axis if self.d == 2 else axis)
-        ends = np.full(len(start), np.nan)
-        rows, rate = gradient(self.problem(start), kind, here), np.zeros_like(here)
-        active, counts = np.arange(len(start)), np.zeros(len(start), bool)
-        for k in range(round(3 / _PACE)):
-            at = start[active].copy()
-            at[:, axis] += side * k * _PACE
-            solved = solve(self.problem(at), kind, here[:, active] + rate[:, active], target, rows[:, active])
-            if not solved.ok.all():
-                raise Refused(f"a {kind} is lost where it counts", axis)
-            stable = other_multipliers(kind, solved.at.stride.jacobian) < 1
-            counts[active] |= stable
-            rate[:, active] = (solved.Z - here[:, active]) * (k > 0)
-            here[:, active], rows[:, active] = solved.Z, solved.rows
-            ended = counts[active] & ~stable
-            ends[active[ended]] = at[ended, axis]
-            active = active[~ended]
-            if not len(active):
-                break
-        else:
-            raise Refused(f"a {kind} counts beyond the box", 1 - axis if self.d == 2 else axis)
-        degree = min(_DEGREE, len(ends) - 1)
-        curve = chebfit(start[:, 1 - axis] if self.d == 2 else start[:, 0], ends, degree)
-        values = chebval(start[:, 1 - axis] if self.d == 2 else start[:, 0], curve)
-        curve[0] += side * (np.abs(values - ends).max() + _BEYOND)
-        return Cut(axis, side, curve)
+        other = start[:, 1 - axis] if self.d == 2 else start[:, 0]
+        ends, where, turned = self.followed(kind, target, here, start, axis, side)
+        if turned.all():
+            ends = self.turns(kind, target, where, start, ends, axis)
+            curve = chebfit(other, ends, len(ends) - 1)
+            if np.abs(curve[-2:]).max() > 1e-6 * (len(ends) > 1):
+                raise Refused(f"a {kind} turns along a curve that is not smooth", 1 - axis)
+            return Cut(axis, side, curve, True)
+        if turned.any():
+            raise Refused(f"a {kind} ends in two ways", 1 - axis)
+        curve = chebfit(other, ends, min(_DEGREE, len(ends) - 1))
+        curve[0] += side * (np.abs(chebval(other, curve) - ends).max() + _BEYOND)
+        return Cut(axis, side, curve, False)
 
-    def converged(
-        self, kind: str, target: float, unit: np.ndarray, Z: np.ndarray, rows: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Points (c, n) to rounding from predictions, and the first Newton step (n,) that leads to them."""
-        problem, first, guess = self.problem(unit), None, Z
-        for _ in range(_STEPS):
-            change = newton_step(problem, kind, Z, rows, target).change
-            size = np.abs(change).max(axis=0)
-            if not (size < 0.3).all():
-                raise Refused(f"a {kind} does not converge at {(~(size < 0.3)).sum()} of {len(unit)} designs")
-            Z, first = Z + change, size if first is None else first
-            if size.max() < 1e-13:
+    def followed(
+        self, kind: str, target: float, here: np.ndarray, start: np.ndarray, axis: int, side: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Follow points along one key until they are of no account, or cannot be followed because two sheets meet.
+
+        Returns
+        -------
+        ends : ndarray, shape (n,)
+            Coordinates of the key.
+        Z : ndarray, shape (c, n)
+        turned : ndarray of bool, shape (n,)
+        """
+        n = len(start)
+        u, here = start[:, axis].copy(), here.copy()
+        rows, rate = gradient(self.problem(start), kind, here), np.zeros_like(here)
+        stride, counts, ended = np.full(n, 0.02), np.zeros(n, bool), np.zeros(n, bool)
+        turned, active = np.zeros(n, bool), np.arange(n)
+        while len(active):
+            at = start[active].copy()
+            at[:, axis] = u[active] + side * stride[active]
+            guess = here[:, active] + stride[active] * rate[:, active]
+            solved = solve(self.problem(at), kind, guess, target, rows[:, active])
+            fair = solved.ok & (np.abs(solved.Z - guess).max(axis=0) < 0.05)
+            new = active[fair]
+            rate[:, new] = (solved.Z[:, fair] - here[:, new]) / stride[new]
+            here[:, new], rows[:, new], u[new] = solved.Z[:, fair], solved.rows[:, fair], at[fair, axis]
+            stable = other_multipliers(kind, solved.at.stride.jacobian)[fair] < 1
+            ended[new] = counts[new] & ~stable
+            counts[new] |= stable
+            stride[new] = np.minimum(0.1, 1.5 * stride[new])
+            stride[active[~fair]] *= 0.4
+            turned[active] = stride[active] < 1e-4
+            if (np.abs(u) > _FARTHEST).any():
+                raise Refused(f"a {kind} counts far beyond the box", 1 - axis if self.d == 2 else axis)
+            active = active[~ended[active] & ~turned[active]]
+        return u, here, turned
+
+    def turns(
+        self, kind: str, target: float, Z: np.ndarray, start: np.ndarray, u: np.ndarray, axis: int
+    ) -> np.ndarray:
+        """Coordinates of a key (n,) at which two sheets of a manifold meet, from points nearby.
+
+        There the defining equations are singular. Newton's method solves them with their determinant, by differences.
+        """
+        n, c = len(u), len(Z)
+        V = np.vstack([Z, u])
+        for _ in range(_TURNS):
+            h = 1e-5 * np.concatenate([np.zeros((1, c + 1)), np.eye(c + 1), -np.eye(c + 1)])
+            lanes = (V[:, None, :] + h.T[:, :, None]).reshape(c + 1, -1)
+            at = np.tile(start, (len(h), 1))
+            at[:, axis] = lanes[-1]
+            values = defining_system(self.problem(at), kind, lanes[:-1], target).reshape(c + 1, len(h), n)
+            J = (values[:, 1 : c + 2] - values[:, c + 2 :]) / 2e-5
+            change = -np.linalg.solve(J.transpose(2, 0, 1), values[:, 0].T[:, :, None])[:, :, 0].T
+            if not (np.abs(change) < 0.5).all():
                 break
-        if size.max() > 1e-9 or np.abs(Z - guess).max() > 0.3:
-            raise Refused(f"a {kind} does not converge")
-        assert first is not None
-        return Z, first
+            V = V + change
+            if np.abs(change).max() < 1e-8:
+                return np.asarray(V[-1])
+        raise Refused(f"a {kind} is lost where it counts", axis)
 
     def through(self, kind: str, target: float, sizes: tuple[int, ...], Z: np.ndarray, cut: Cut | None) -> Manifold:
         """The manifold through points at its nodes, with what is measured at points drawn by lot."""
@@ -374,8 +422,11 @@ class Maker:
         first = newton_step(problem, kind, guess, rows, target).change
         moved = np.abs(first).max(axis=0)
         if not moved.max() < 0.1:
-            return replace(manifold, moved=float(np.nan_to_num(moved, nan=np.inf).max()))
-        Z, _ = self.converged(kind, target, unit, guess, rows)
+            return manifold
+        solved = solve(problem, kind, guess, target, rows)
+        if not solved.ok.all():
+            return manifold
+        Z = solved.Z
         displaced = Z + _DISPLACED * np.sign(self.box.draw(Z.shape[1], len(Z), "displaced")).T
         off = displaced + newton_step(problem, kind, displaced, rows, target).change - Z
         own = np.abs(guess + first - Z).max(axis=0)
