@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,6 +110,9 @@ class Manifold:
         Largest error after a Newton step, over the step and over its square.
     cut : Cut or None
         Where it ends inside the box.
+    ratio : tuple of float
+        For each key how many times faster the polynomials' own coordinate grows at the box's upper end than at its
+        lower: in boxes whose coordinates are logarithms some points depend more smoothly on the keys themselves.
     """
 
     kind: str
@@ -119,10 +123,14 @@ class Manifold:
     linear: float = 0.0
     quadratic: float = 0.0
     cut: Cut | None = None
+    ratio: tuple[float, ...] = ()
 
     def own(self, unit: np.ndarray) -> np.ndarray:
         """Coordinates of the polynomials, shape (n, d), for coordinates of keys."""
-        return self.cut.own(unit) if self.cut else unit
+        own = self.cut.own(unit) if self.cut else unit
+        r = np.array(self.ratio or 1.0)
+        with np.errstate(invalid="ignore"):
+            return np.where(r == 1, own, 2 * (r ** (0.5 * (1 + own)) - 1) / (r - 1) - 1)
 
     def predict(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predict points and the derivatives of their scalar.
@@ -243,14 +251,17 @@ class Maker:
         Refused
             If it is not smooth enough, or ends in the box in another way than along a curve.
         """
-        sizes = (_SIZES[0],) * self.d
-        nodes = self.box.unit(self.box.nodes(sizes))
-        at, ok = self.carried(kind, target, unit, Z, nodes)
+        sizes, seed = (_SIZES[0],) * self.d, (unit, Z)
+        nodes = self.nodes(sizes)
+        _, ok = self.carried(kind, target, unit, Z, nodes)
         cut = None if ok.all() else self.cut(kind, target, unit, Z, nodes[~ok])
-        seed = unit, Z
-        if cut:
-            at = self.at_nodes(kind, target, sizes, cut, seed)
-        manifold = self.through(kind, target, sizes, at, cut)
+        ratios = [(), *([self.box.ratio] if self.box.ratio else [])]
+        tries = [
+            self.through(kind, target, sizes, self.at_nodes(kind, target, sizes, cut, ratio, seed), cut, ratio)
+            for ratio in ratios
+        ]
+        manifold = min(tries, key=lambda one: one.moved)
+        ratio = manifold.ratio
         while manifold.moved > _GOOD:
             tail = tails(manifold.coefficients[:, : len(Z)], sizes)
             larger = tuple(
@@ -260,15 +271,19 @@ class Maker:
             if larger == sizes:
                 break
             sizes = larger
-            manifold = self.through(kind, target, sizes, self.at_nodes(kind, target, sizes, cut, seed, manifold), cut)
+            at = self.at_nodes(kind, target, sizes, cut, ratio, seed, manifold)
+            manifold = self.through(kind, target, sizes, at, cut, ratio)
         if not manifold.moved < _FAIR:
             tail = tails(manifold.coefficients[:, : len(Z)], sizes)
             raise Refused(f"predictions of a {kind} err by {manifold.moved:.1g}", int(np.argmax(tail)))
         return manifold
 
-    def nodes(self, sizes: tuple[int, ...], cut: Cut | None) -> np.ndarray:
+    def nodes(self, sizes: tuple[int, ...], cut: Cut | None = None, ratio: tuple[float, ...] = ()) -> np.ndarray:
         """Coordinates of keys at the nodes of a manifold, shape (n, d)."""
-        own = self.box.unit(self.box.nodes(sizes))
+        own = np.array(list(itertools.product(*map(roots, sizes))))
+        r = np.array(ratio or 1.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            own = np.where(r == 1, own, 2 * np.log(1 + 0.5 * (r - 1) * (1 + own)) / np.log(r) - 1)
         return cut.unit(own) if cut else own
 
     def at_nodes(
@@ -277,11 +292,12 @@ class Maker:
         target: float,
         sizes: tuple[int, ...],
         cut: Cut | None,
+        ratio: tuple[float, ...],
         seed: tuple[np.ndarray, np.ndarray],
         known: Manifold | None = None,
     ) -> np.ndarray:
         """Points at the nodes, shape (c, n), from a coarser manifold, or else carried from a seed."""
-        nodes = self.nodes(sizes, cut)
+        nodes = self.nodes(sizes, cut, ratio)
         Z, ok = np.zeros((len(seed[1]), len(nodes))), np.zeros(len(nodes), bool)
         if known is not None:
             guess, rows = known.predict(nodes)
@@ -411,10 +427,18 @@ class Maker:
                 return np.asarray(V[-1])
         raise Refused(f"a {kind} is lost where it counts", axis)
 
-    def through(self, kind: str, target: float, sizes: tuple[int, ...], Z: np.ndarray, cut: Cut | None) -> Manifold:
+    def through(
+        self,
+        kind: str,
+        target: float,
+        sizes: tuple[int, ...],
+        Z: np.ndarray,
+        cut: Cut | None = None,
+        ratio: tuple[float, ...] = (),
+    ) -> Manifold:
         """The manifold through points at its nodes, with what is measured at points drawn by lot."""
-        rows = gradient(self.problem(self.nodes(sizes, cut)), kind, Z)
-        manifold = Manifold(kind, target, sizes, fit(np.vstack([Z, rows]).T, sizes), cut=cut)
+        rows = gradient(self.problem(self.nodes(sizes, cut, ratio)), kind, Z)
+        manifold = Manifold(kind, target, sizes, fit(np.vstack([Z, rows]).T, sizes), cut=cut, ratio=ratio)
         unit = self.box.draw(_DRAWN, self.d, f"{kind} {sizes}")
         unit = cut.unit(unit) if cut else unit
         guess, rows = manifold.predict(unit)
