@@ -14,7 +14,7 @@ from tasks.continuation.refine import COARSE
 from tasks.families.box import Box
 from tasks.families.cell import Family
 from tasks.families.landscape import Landscape, is_known, make, points_at
-from tasks.families.manifold import Maker
+from tasks.families.manifold_maker import Maker
 from tasks.mechanics.lumped import Structure, structures_of
 from tasks.step.problem import Lanes
 from tasks.walkers.resolve import resolve_many
@@ -78,8 +78,11 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 def _walkers(walker: Any, keys: Mapping[str, np.ndarray], n: int) -> WalkerArray:
     """Walkers of designs; every number is an array."""
     few = resolve_many(walker, {key: np.array(value) for key, value in keys.items()})
-    table = few.table().items()
-    return WalkerArray(**{k: v if isinstance(v, (bool, str)) else np.broadcast_to(v, n) for k, v in table})
+    table: dict[str, Any] = {
+        key: value if isinstance(value, (bool, str)) else np.broadcast_to(value, n)
+        for key, value in few.table().items()
+    }
+    return WalkerArray(**table)
 
 
 def _alike(walkers: WalkerArray, numbers: np.ndarray) -> dict[Structure, np.ndarray]:

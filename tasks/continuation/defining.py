@@ -9,12 +9,12 @@ walker of its own, and c = m + 1 + k is the length of Z.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.continuation.tracking import joint, joint_by_X, rounding_step
+from tasks.continuation.joint import joint, joint_by_X, rounding_step
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.problem import Lanes
 from tasks.step.step_map import Stride, matvec
@@ -81,21 +81,47 @@ class Evaluation:
         return by_Z
 
     def row(self, by_Z: np.ndarray) -> np.ndarray:
-        """Return derivatives by X and the durations of what has the derivatives `by_Z`, both of shape (c, n)."""
+        """Return derivatives by X and the durations.
+
+        Parameters
+        ----------
+        by_Z : ndarray, shape (c, n)
+            Those by Z.
+
+        Returns
+        -------
+        ndarray, shape (c, n)
+        """
         m = self.m
         row = matvec(self.times_by.transpose(1, 0, 2), by_Z[m + 1 :])
         row[: m + 1] += by_Z[: m + 1]
         return row
 
 
+def foot_radius(problem: Lanes) -> np.ndarray:
+    """Return the radius of the foot over the leg.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    assert isinstance(problem.walkers, WalkerArray)
+    walkers = problem.walkers.some(problem.lanes)
+    return np.broadcast_to(np.asarray(walkers.R / walkers.leg, float), len(problem.lanes))
+
+
 def log_froude(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Return the logarithm of the mean speed over sqrt(g leg), shape (n,).
+    """Return the logarithm of the mean speed over sqrt(g leg).
 
     Parameters
     ----------
     Z : ndarray, shape (c, n)
     radius : ndarray, shape (n,)
         Of the foot, over the leg.
+
+    Returns
+    -------
+    ndarray, shape (n,)
     """
     angle = np.exp(Z[0])
     return np.asarray(np.log(2 * ((1 - radius) * np.sin(angle) + radius * angle) / Z[-1]))
@@ -117,10 +143,8 @@ def evaluate(problem: Lanes, Z: np.ndarray, samples: int = 0) -> Evaluation:
     m = problem.m
     stride, _ = problem.stride(np.vstack([Z[:m], Z[m + 1 :]]), Z[m], slope=True, samples=samples)
     residual, derivative = joint(stride, Z)
-    assert isinstance(problem.walkers, WalkerArray)
-    walkers = problem.walkers.some(problem.lanes)
-    share = np.broadcast_to(np.asarray(walkers.R / walkers.leg, float), Z.shape[1:])
-    return Evaluation(Z, stride, residual, derivative, joint_by_X(stride.times_by, stride, Z), share)
+    times_by = joint_by_X(stride.times_by, stride, Z)
+    return Evaluation(Z, stride, residual, derivative, times_by, foot_radius(problem))
 
 
 def _determinants(matrices: np.ndarray) -> np.ndarray:
@@ -360,34 +384,3 @@ def solve(
     ok = np.isfinite(error)
     Z[:, ~ok] = guess[:, ~ok]
     return Solved(Z, rows, evaluate(problem, Z), error, ok)
-
-
-def other_multipliers(kind: str, jacobian: np.ndarray) -> np.ndarray:
-    """Return the largest magnitude of the multipliers that do not define a special point.
-
-    Parameters
-    ----------
-    kind : str
-        Of a flip -1 is left out, of a fold 1, of a Neimark-Sacker point the pair.
-    jacobian : ndarray, shape (m, m, n)
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Infinite where the derivative is not finite, and where a pair is real.
-    """
-    A = np.moveaxis(jacobian, -1, 0)
-    finite = np.isfinite(A).all(axis=(1, 2))
-    values = np.full(A.shape[:2], np.inf, complex)
-    values[finite] = np.linalg.eigvals(A[finite])
-    lanes = np.arange(len(A))
-    left: Mapping[str, float] = {"flip": -1.0, "fold": 1.0}
-    sizes = np.abs(values)
-    if kind in left:
-        sizes[lanes, np.abs(values - left[kind]).argmin(axis=1)] = 0.0
-    if kind == "neimark_sacker":
-        pair = np.argsort(-np.abs(values.imag), axis=1)[:, :2]
-        real = np.abs(values.imag).max(axis=1) < 1e-9
-        sizes[lanes[:, None], pair] = 0.0
-        sizes[real] = np.inf
-    return np.asarray(sizes.max(axis=1))

@@ -13,10 +13,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.defining import SCALARS, Evaluation, evaluate, other_multipliers, scalar, solve
+from tasks.continuation.defining import SCALARS, Evaluation, evaluate, scalar, solve
 from tasks.continuation.special_points import END_NAMES
 from tasks.continuation.tracking import MIN_SLOPE
-from tasks.fixed_points.multipliers import multipliers
+from tasks.fixed_points.multipliers import multipliers, other_multipliers
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.problem import EPS, Lanes
 
@@ -134,6 +134,10 @@ def values(name: str, log_slope: np.ndarray, log_froude: np.ndarray) -> np.ndarr
     name : str
         Of the quantity.
     log_slope, log_froude : ndarray
+
+    Returns
+    -------
+    ndarray
     """
     return {"smallest_slope": log_slope, "largest_stable_slope": -log_slope}.get(name, -log_froude)
 
@@ -309,7 +313,7 @@ def _roots(g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     a, b, c = g[:, :-2], g[:, 1:-1], g[:, 2:]
     slope, bend = 0.5 * (c - a), 0.5 * (a + c) - b
     root = np.sqrt(slope**2 - 4 * bend * b)
-    least = (a * b > 0) & (b * c > 0) & np.isfinite(root) & (np.abs(slope) <= np.abs(2 * bend))
+    least = (a * b > 0) & (b * c > 0) & np.isfinite(root) & (np.abs(slope) + root <= np.abs(2 * bend)) & (bend != 0)
     k, l = np.nonzero(least)
     pair = [l + 1 + (-slope + sign * root)[k, l] / (2 * bend[k, l]) for sign in (-1, 1)]
     return np.concatenate([i, k, k]), np.concatenate([share, *pair]) / (g.shape[1] - 1)

@@ -5,16 +5,18 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from tasks.continuation.atlas import survey_lines
-from tasks.continuation.defining import SCALARS, log_froude
+from tasks.continuation.defining import SCALARS, foot_radius, log_froude
 from tasks.continuation.extremes import ANY_SLOPE, NOT_OF, Points, best, find, join, nothing, roles, values
 from tasks.continuation.refine import COARSE
 from tasks.families.box import Box
 from tasks.families.cell import Family, Refused
-from tasks.families.manifold import Maker, Manifold
+from tasks.families.manifold import Manifold
+from tasks.families.manifold_maker import Maker
 from tasks.mechanics.lumped import Structure, common_structure
 
 #: Lines surveyed along each key, and designs along each key at which the manifolds are compared.
@@ -84,9 +86,10 @@ def points_at(
         solved.
     """
     n, problem = len(unit), maker.problem(unit)
+    if not manifolds:
+        return nothing(problem, 0), np.ones(n, bool), np.zeros((n, 0), np.int8)
     predicted = [manifold.predict(unit)[0] for manifold in manifolds]
-    radius = problem.walkers.R / problem.walkers.leg
-    froude = [log_froude(Z, radius) for Z in predicted]
+    froude = [log_froude(Z, foot_radius(problem)) for Z in predicted]
     left = np.column_stack([manifold.there(unit) for manifold in manifolds])
     near = ~np.logical_or.reduce([manifold.unsure(unit) for manifold in manifolds])
     flags = np.where(left, -1, 0).astype(np.int8)
@@ -115,8 +118,20 @@ def points_at(
 
 
 def is_known(flags: np.ndarray, patterns: set[bytes]) -> np.ndarray:
-    """Whether flags (n, manifolds), as far as they are known, agree with one of the patterns, shape (n,)."""
-    known = np.array([np.frombuffer(pattern, np.int8) for pattern in sorted(patterns)]).reshape(-1, flags.shape[1])
+    """Return whether flags, as far as they are known, agree with a pattern.
+
+    Parameters
+    ----------
+    flags : ndarray of int8, shape (n, manifolds)
+        As `points_at` has them.
+    patterns : set of bytes
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    known = np.array([np.frombuffer(pattern, np.int8) for pattern in sorted(patterns)])
+    known = known.reshape(len(patterns), flags.shape[1])
     return np.asarray(((flags[:, None] == known) | (flags[:, None] < 0)).all(axis=2).any(axis=1))
 
 
@@ -173,7 +188,7 @@ class _Surveyor:
 
     def missing(self, rivals: bool) -> bool:
         """Add a manifold through an extreme of a line that lies on none; or all through points that rival extremes."""
-        own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[0] if self.manifolds else None
+        own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[0]
         for i, points in enumerate(self.points):
             for name, (number,) in best(points, 1, self.window).items():
                 if number < 0 or points.kind[number] == ANY_SLOPE:
@@ -182,7 +197,7 @@ class _Surveyor:
                 near = roles(points, self.window)[name] & (value < value[number] + _RIVAL[name] * rivals)
                 for k in np.flatnonzero(near) if rivals else [number]:
                     kind = str(points.kind[k])
-                    on = [_is_same(points, k, own, j) for j in np.flatnonzero(own.line == i)] if own else []
+                    on = [_is_same(points, k, own, j) for j in np.flatnonzero(own.line == i)]
                     if any(on) or (rivals and (kind not in _RIVALS or (kind, i, name) in self.tried)):
                         continue
                     if kind not in SCALARS:
@@ -203,8 +218,6 @@ class _Surveyor:
 
     def patterns(self) -> set[bytes]:
         """Flags of the manifolds on lines whose extremes they reproduce."""
-        if not self.manifolds:
-            return {b""}
         own, near, flags = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)
         chosen, patterns = best(own, len(self.unit), self.window), set()
         for i, points in enumerate(self.points):
@@ -220,8 +233,6 @@ class _Surveyor:
 
     def unknown(self, patterns: set[bytes]) -> np.ndarray:
         """Designs (n, d) of the lattice with flags as on no line so far, one for each of them."""
-        if not self.manifolds:
-            return np.zeros((0, self.d))
         _, near, flags = points_at(self.maker, self.manifolds, self.lattice, self.window, every=True)
         every: dict[bytes, list[int]] = {}
         for i in np.flatnonzero(near).tolist():
@@ -244,7 +255,7 @@ class _Surveyor:
         return int(np.argmax([(np.diff(number, axis=k) != 0).sum() for k in range(self.d)]))
 
 
-def _is_same(a: Points, i: int, b: Points, j: int) -> bool:
+def _is_same(a: Points, i: Any, b: Points, j: Any) -> bool:
     return a.kind[i] == b.kind[j] and bool(np.abs(a.Z[:, i] - b.Z[:, j]).max() < _SAME)
 
 
