@@ -2,146 +2,227 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from tasks.continuation import atlas as atlases
-from tasks.continuation.branch import Branch
-from tasks.continuation.locate import locate_root, row
-from tasks.continuation.lockstep import run
-from tasks.continuation.special_points import END_NAMES
-from tasks.continuation.tracking import MIN_SLOPE, Point
-from tasks.fixed_points.multipliers import multipliers
-from tasks.measures.kinematics import travel
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
+from tasks.continuation.atlas import survey_lines
+from tasks.continuation.extremes import ANY_SLOPE, Points, best, find
+from tasks.continuation.refine import COARSE
+from tasks.families.box import Box
+from tasks.families.cell import Family
+from tasks.families.landscape import Landscape, is_known, make, points_at
+from tasks.families.manifold_maker import Maker
+from tasks.mechanics.lumped import Structure, structures_of
+from tasks.step.problem import Lanes
+from tasks.walkers.resolve import resolve_many
+from tasks.walkers.tuning import is_tuned
+from tasks.walkers.walker_array import WalkerArray
 
 Arrays = dict[str, np.ndarray]
-#: Intervals between two nodes of a branch at whose ends its speed is evaluated.
-_INTERVALS = 16
 #: Entries in place of a reason where there is no number.
 _NO_GAIT, _NEVER_STABLE = "no gait", "never stable"
 #: Columns of the fastest stable gait: its slope, and its state just after heelstrike.
 _START = ("fastest_slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate")
+#: Lines surveyed, and designs solved, at a time.
+_LINES, _DESIGNS = 32, 2048
 
 
 def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
-    """Find where a line walks, where it walks stably, and its largest stable speed.
+    """Find where walkers walk, where they walk stably, and their largest stable speed.
 
     Parameters
     ----------
     params : mapping
-        `line`; `slope`, ndarray [rad], whose ends are the window.
+        `line`, of which a key of `set` may hold an array of values, one for each design; `slope`, ndarray [rad], whose
+        ends are the window; for designs of a cell of a plane of keys `cell`, with its `keys`, `low`, `high` and the
+        `values` of each key that the study has in it.
     inputs : list
-        The line's atlas.
+        Empty.
 
     Returns
     -------
     dict
-        Table `design`, one row in the walker's units: smallest_slope (0 if branches continue to vanishing
-        slopes) and smallest_at, the event there; largest_stable_slope and stability_lost_by; fastest_stable_speed, its
-        fastest_froude_speed and fastest_slope. Only gaits in the window count, and its edge is called `window`.
-        Numbers are NaN where there is `no gait`, or where it is `never stable`.
+        Table `design`, one row for each design, in the walker's units: smallest_slope of a long gait (0 if it
+        continues to vanishing slopes) and smallest_at, the event there; largest_stable_slope and stability_lost_by;
+        fastest_stable_speed, its fastest_froude_speed, fastest_slope and state; a bound on the relative error of each
+        of the three quantities; and surveyed, whether the line of the design was. Only gaits in the window count, and
+        its edge is called `window`. Numbers are NaN where there is `no gait`, or where it is `never stable`.
 
     Notes
     -----
-    Stability changes where the spectral radius is one, located on the branch for any bifurcation; its name follows from
-    the multiplier that leaves the unit circle. Speeds are evaluated on the branch's polynomial between its nodes.
+    What it has of a design depends on the design and its cell alone.
     """
-    walker = resolve(params["line"]["walker"], params["line"].get("set"))
-    problem = Problem(walker)
+    line = params["line"]
+    keys = {key: np.atleast_1d(np.asarray(value, float)) for key, value in line.get("set", {}).items()}
+    n = max((len(value) for value in keys.values()), default=1)
+    keys = {key: np.broadcast_to(value, n) for key, value in keys.items()}
     slope = np.asarray(params["slope"], float)
-    window = (np.log(slope.min()), np.log(slope.max()))
-    least: list[tuple[float, str]] = []
-    most: list[tuple[float, str]] = []
-    speeds: list[tuple[float, ...]] = []
-    m, time_unit = problem.m, np.sqrt(walker.leg / walker.g)
-    for branch in atlases.from_arrays(inputs[0]):
-        least += _lowest(branch, window)
-        Z, ends = _stable_part(problem, branch)
-        q = Z[:, m]
-        inside = (q >= window[0]) & (q <= window[1])
-        if not inside.any():
-            continue
-        most += [(s, why) for s, why in ends if window[0] <= s <= window[1]]
-        most += [(window[1], "window")] if (q > window[1]).any() else []
-        slopes, angle = np.exp(q[inside]), np.exp(Z[inside, 0])
-        period = Z[inside, -1] * time_unit
-        speed = travel(walker, slopes, angle, period)["speed"]
-        fastest = np.array([speed.argmax()])
-        y = np.vstack([angle, angle * Z[inside, 1:m].T])[:, fastest]
-        state = problem.start(y, slopes[fastest])[:, 0] / [1.0, time_unit, time_unit, time_unit]
-        speeds.append((float(speed.max()), float(slopes[fastest[0]]), *map(float, state)))
-    (first, event), (last, loss) = min(least, default=(np.nan, _NO_GAIT)), max(most, default=(np.nan, _NEVER_STABLE))
-    best, *start = max(speeds, default=(np.nan,) * 6)
-    values = {
-        "smallest_slope": 0.0 if first < np.log(10 * MIN_SLOPE) else float(np.exp(first)),
-        "smallest_at": event,
-        "largest_stable_slope": float(np.exp(last)),
-        "stability_lost_by": loss if least else _NO_GAIT,
-        "fastest_stable_speed": best,
-        "fastest_froude_speed": best / np.sqrt(walker.g * walker.leg),
-        **dict(zip(_START, start, strict=True)),
+    window = float(np.log(slope.min())), float(np.log(slope.max()))
+    walkers = _walkers(line["walker"], keys, n)
+    rows = _Rows(n)
+    accepted = np.zeros(n, bool)
+    if "cell" in params:
+        accepted = _over_plane(line, keys, params["cell"], window, rows)
+    others = np.flatnonzero(~accepted)
+    for structure, numbers in _alike(walkers, others).items():
+        for k in range(0, len(numbers), _LINES):
+            part = numbers[k : k + _LINES]
+            problem = Lanes(walkers.some(part), structure)
+            rows.store(problem, part, find(problem, survey_lines(problem, COARSE), window, {}), window, surveyed=1)
+    return {f"design/{name}": values for name, values in rows.columns(walkers).items()}
+
+
+def _walkers(walker: Any, keys: Mapping[str, np.ndarray], n: int) -> WalkerArray:
+    """Walkers of designs; every number is an array."""
+    few = resolve_many(walker, {key: np.array(value) for key, value in keys.items()})
+    table: dict[str, Any] = {
+        key: value if isinstance(value, (bool, str)) else np.broadcast_to(value, n)
+        for key, value in few.table().items()
     }
-    return {f"design/{k}": np.array([v]) for k, v in values.items()}
+    return WalkerArray(**table)
 
 
-def _lowest(branch: Branch, window: tuple[float, float]) -> list[tuple[float, str]]:
-    """Smallest ln slope of a branch's gaits in the window, and the event there; empty where it has none."""
-    gaits = branch.q[branch.leg_passes == 1]
-    if not len(gaits) or gaits.min() > window[1] or gaits.max() < window[0]:
-        return []
-    k = int(np.argmin(branch.q))
-    if branch.q[k] <= np.log(10 * MIN_SLOPE):
-        return [(float(branch.q[k]), "any slope")]
-    if gaits.min() < window[0]:
-        return [(window[0], "window")]
-    return [(float(gaits.min()), _end(branch, k) or "fold")]
+def _alike(walkers: WalkerArray, numbers: np.ndarray) -> dict[Structure, np.ndarray]:
+    """Numbers of the walkers of each structure."""
+    structures = structures_of([walkers[i] for i in numbers.tolist()])
+    each: dict[Structure, list[int]] = {}
+    for i, structure in zip(numbers.tolist(), structures, strict=True):
+        each.setdefault(structure, []).append(i)
+    return {structure: np.array(own) for structure, own in each.items()}
 
 
-def _end(branch: Branch, node: int) -> str:
-    """Name of a branch's end at a node; empty where it continues."""
-    why = {0: branch.why[0], len(branch.q) - 1: branch.why[1]}.get(node, "")
-    return END_NAMES.get(why, why)
+def _over_plane(
+    line: Mapping[str, Any],
+    keys: Mapping[str, np.ndarray],
+    cell: Mapping[str, Any],
+    window: tuple[float, float],
+    rows: _Rows,
+) -> np.ndarray:
+    """Store the designs of a cell whose points its manifolds predict, and return which those are, shape (n,)."""
+    family = Family.of({**line, "set": {k: float(v[0]) for k, v in keys.items()}}, cell["keys"])
+    box = Box(family.keys, tuple(cell["low"]), tuple(cell["high"]), log=True)
+    values = tuple(tuple(map(float, each)) for each in cell["values"])
+    at = np.column_stack([keys[key] for key in family.keys])
+    accepted, left = np.zeros(len(at), bool), np.ones(len(at), bool)
+    for part in _landscapes(family, box, window, values):
+        inside = np.flatnonzero(left & (at >= part.box.low).all(axis=1) & (at <= part.box.high).all(axis=1))
+        left[inside] = False
+        if not part.why:
+            for k in range(0, len(inside), _DESIGNS):
+                some = inside[k : k + _DESIGNS]
+                accepted[some] = _solve(family, part, at[some], some, window, rows)
+    return accepted
 
 
-def _stable_part(problem: Problem, branch: Branch) -> tuple[np.ndarray, list[tuple[float, str]]]:
-    """Gaits along the stable parts of a branch.
+@functools.lru_cache(64)
+def _landscapes(
+    family: Family, box: Box, window: tuple[float, float], values: tuple[tuple[float, ...], ...]
+) -> list[Landscape]:
+    """Landscapes of a box, for designs at some values of its keys."""
 
-    Returns
-    -------
-    Z : ndarray, shape (n, m + 1 + phases)
-        Rows of the branch, closely spaced.
-    ends : list
-        (ln slope, name) of every point at which stability, or the stable branch itself, ends.
+    def count(part: Box) -> int:
+        inside = (np.array(each) for each in values)
+        return int(np.prod([((v >= a) & (v <= b)).sum() for v, a, b in zip(inside, part.low, part.high, strict=True)]))
+
+    return make(family, box, window, count)
+
+
+def _solve(
+    family: Family,
+    landscape: Landscape,
+    keys: np.ndarray,
+    numbers: np.ndarray,
+    window: tuple[float, float],
+    rows: _Rows,
+) -> np.ndarray:
+    """Store the designs of a landscape that are accepted, and return which those are.
+
+    Parameters
+    ----------
+    keys : ndarray, shape (n, d) [the walker's units]
+    numbers : ndarray of int, shape (n,)
+        Of the designs among the rows.
     """
-    m = branch.m
-    step, _ = problem.stride(np.delete(branch.Z, m, axis=1).T, branch.q)
-    stable = (np.abs(multipliers(step.jacobian, m)).max(axis=1) < 1) & (branch.leg_passes == 1)
-    rows, ends = [np.zeros((0, branch.Z.shape[1]))], []
-    for k in np.nonzero(stable[1:] | stable[:-1])[0]:
-        axis = branch.axis[k]
-        a, b = branch.Z[k, axis], branch.Z[k + 1, axis]
-        if stable[k] != stable[k + 1]:
-            point, _ = run(problem, locate_root(branch, int(k), _excess))
-            ends.append((float(point.X[m, 0]), _bifurcation(point)))
-            a, b = (a, row(point)[axis]) if stable[k] else (row(point)[axis], b)
-        rows.append(branch.evaluate(np.full(_INTERVALS + 1, k), np.linspace(a, b, _INTERVALS + 1)))
-    ends += [(float(branch.q[k]), _end(branch, k)) for k in (0, len(branch.q) - 1) if stable[k]]
-    return np.vstack(rows), ends
+    maker = Maker(family, landscape.box, landscape.structure)
+    unit = landscape.box.unit(keys)
+    points, accepted, flags = points_at(maker, landscape.manifolds, unit, window)
+    accepted &= is_known(flags, landscape.patterns)
+    if landscape.any_slope:
+        walkers = family.walkers(keys)
+        accepted &= np.array([is_tuned(walkers[i]) for i in range(len(keys))])
+    rows.store(maker.problem(unit), numbers, points, window, 0, landscape.any_slope, accepted)
+    return accepted
 
 
-def _largest_multiplier(point: Point) -> complex:
-    return complex(multipliers(point.stride.jacobian, len(point.stride.y))[0, 0])
+class _Rows:
+    """Rows of the table, one for each of n designs; slopes and speeds are logarithms, speeds over sqrt(g leg)."""
 
+    def __init__(self, n: int):
+        names = ("smallest_slope", "largest_stable_slope", "fastest_stable_speed")
+        self.value = {name: np.full(n, np.nan) for name in names}
+        self.error = {name: np.full(n, np.nan) for name in names}
+        self.kind = {name: np.full(n, "", "U32") for name in names}
+        self.start = np.full((5, n), np.nan)
+        self.surveyed = np.zeros(n, int)
 
-def _excess(point: Point, direction: np.ndarray) -> float:
-    return abs(_largest_multiplier(point)) - 1
+    def store(
+        self,
+        problem: Lanes,
+        numbers: np.ndarray,
+        points: Points,
+        window: tuple[float, float],
+        surveyed: int,
+        any_slope: bool = False,
+        accepted: np.ndarray | None = None,
+    ) -> None:
+        """Store what the points of some designs, numbered from 0 in `points`, give."""
+        n = len(numbers)
+        chosen, kept = best(points, n, window), np.ones(n, bool) if accepted is None else accepted
+        self.surveyed[numbers[kept]] = surveyed
+        walks = np.zeros(n, bool)
+        inside = points.walks & (points.log_slope >= window[0]) & (points.log_slope <= window[1])
+        walks[points.line[inside | (points.walks & (points.kind == ANY_SLOPE))]] = True
+        for name, value in self.value.items():
+            point = chosen[name]
+            there = np.flatnonzero(kept & (point >= 0))
+            row, which = numbers[there], point[there]
+            is_speed = name == "fastest_stable_speed"
+            value[row] = (points.log_froude if is_speed else points.log_slope)[which]
+            self.error[name][row] = (points.speed_error if is_speed else points.error)[which]
+            self.kind[name][row] = points.kind[which]
+            absent = kept & (point < 0)
+            self.kind[name][numbers[absent]] = _NO_GAIT
+            if name != "smallest_slope":
+                self.kind[name][numbers[absent & (walks | any_slope)]] = _NEVER_STABLE
+            if is_speed and len(there):
+                Z, own = points.Z[:, which], problem.some(there)
+                y = np.vstack([np.exp(Z[0]), np.exp(Z[0]) * Z[1 : problem.m]])
+                self.start[0, row] = np.exp(points.log_slope[which])
+                self.start[1:, row] = own.start(y, self.start[0, row])
+        if any_slope:
+            self.kind["smallest_slope"][numbers[kept]] = ANY_SLOPE
 
-
-def _bifurcation(point: Point) -> str:
-    """Name of the point at which a multiplier leaves the unit circle."""
-    value = _largest_multiplier(point)
-    return "neimark_sacker" if abs(value.imag) > 1e-6 else "flip" if value.real < 0 else "fold"
+    def columns(self, walkers: WalkerArray) -> Arrays:
+        """The table's columns, in the walkers' units."""
+        time_unit = np.sqrt(walkers.leg / walkers.g)
+        froude = np.exp(self.value["fastest_stable_speed"])
+        any_slope = self.kind["smallest_slope"] == ANY_SLOPE
+        start = self.start.copy()
+        start[2:] /= time_unit
+        error = {name: np.where(any_slope & (name == "smallest_slope"), 0.0, e) for name, e in self.error.items()}
+        return {
+            "smallest_slope": np.where(any_slope, 0.0, np.exp(self.value["smallest_slope"])),
+            "smallest_slope_error": error["smallest_slope"],
+            "smallest_at": self.kind["smallest_slope"],
+            "largest_stable_slope": np.exp(self.value["largest_stable_slope"]),
+            "largest_stable_slope_error": error["largest_stable_slope"],
+            "stability_lost_by": self.kind["largest_stable_slope"],
+            "fastest_stable_speed": froude * np.sqrt(walkers.g * walkers.leg),
+            "fastest_stable_speed_error": error["fastest_stable_speed"],
+            "fastest_froude_speed": froude,
+            **dict(zip(_START, start, strict=True)),
+            "surveyed": self.surveyed,
+        }

@@ -27,7 +27,8 @@ def write(file: Any, plan: Plan) -> None:
         if name in ("atlas", "points"):
             continue
         parts: dict[str, list[Columns]] = {}
-        for coordinates, key in _task_runs(plan, name, layer.per_line):
+        places: dict[str, list[np.ndarray]] = {}
+        for coordinates, key, numbers in _task_runs(plan, name, layer.per_line):
             result = plan.journal.result(key)
             if result is None:
                 continue
@@ -36,8 +37,14 @@ def write(file: Any, plan: Plan) -> None:
                 continue
             for group, columns in split(serialize.load(result.data)).items():
                 parts.setdefault(group, []).append({**_repeat(coordinates, columns), **columns})
+                places.setdefault(group, []).append(numbers)
         for group in sorted(parts):
-            _group(file, plan, group, _stack(parts[group]))
+            columns = _stack(parts[group])
+            if plan.study.kind == name == "design":
+                # Jobs go through the grid cell by cell, rows line by line.
+                order = np.argsort(np.concatenate(places[group]), kind="stable")
+                columns = {name: values[order] for name, values in columns.items()}
+            _group(file, plan, group, columns)
     if failures:
         names, outcomes, reasons = zip(*failures, strict=True)
         columns = {"task": np.array(names), "outcome": np.array(outcomes), "reason": np.array(reasons)}
@@ -46,13 +53,15 @@ def write(file: Any, plan: Plan) -> None:
         _group(file, plan, "overlay", dict(plan.study.overlay))
 
 
-def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str]]:
-    """Coordinates and key of every execution of a task, in the order of the grid."""
+def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str, np.ndarray]]:
+    """Coordinates, key and numbers of the lines of every execution of a task, in the order of the grid."""
     if not per_line:
-        yield {}, plan.study_keys()[name].key
+        yield {}, plan.study_keys()[name].key, np.zeros(0, int)
         return
-    for i in range(plan.study.lines):
-        yield {"walker": plan.study.name_of(i), **plan.study.line(i)["set"]}, plan.line_keys(i)[name].key
+    for i in range(plan.study.batches):
+        numbers = plan.study.batch(i)
+        coordinates = {"walker": plan.study.name_of(int(numbers[0])), **plan.study.batch_line(i)["set"]}
+        yield coordinates, plan.line_keys(i)[name].key, numbers
 
 
 def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:

@@ -148,7 +148,11 @@ class _LineWriter:
     def __init__(self, plan: Plan):
         self.plan, self.study, self.grid = plan, plan.study, layout.Grid(plan.study)
         self.dims, self.sums = tuple(self.grid.sizes), Counter[str]()
-        ends = [self._outcome(plan.line_keys(i)) for i in range(plan.study.lines)]
+        ends: list[tuple[str, str]] = [("", "")] * plan.study.lines
+        for i in range(plan.study.batches):
+            end = self._outcome(plan.line_keys(i))
+            for number in plan.study.batch(i).tolist():
+                ends[number] = end
         self.sentences = sorted({reason for _, reason in ends})
         shape = tuple(self.grid.sizes.values())
         self.status = np.array([ALL_STATUSES[status] for status, _ in ends], np.int8).reshape(shape)

@@ -316,7 +316,7 @@ def _failed_tasks(plan: Plan) -> list[str]:
     failures = []
     for name, layer in plan.layers.items():
         if name not in ("atlas", "points", plan.study.kind):
-            for keys in map(plan.line_keys, range(plan.study.lines)) if layer.per_line else [plan.study_keys()]:
+            for keys in map(plan.line_keys, range(plan.study.batches)) if layer.per_line else [plan.study_keys()]:
                 outcome, reason, _ = plan.journal.outcome(keys[name].key) or ("ok", "", 0)
                 if outcome != "ok":
                     failures.append(f"{name}: {outcome}; {reason}")

@@ -38,6 +38,10 @@ def seconds(study: Study, name: str) -> float:
     if name == "atlas" and study.plane and graph.over_plane(study):
         lines_a_cell = math.prod(len(a) / n for a, n in zip(study.plane.axes, study.plane.parts, strict=True))
         return _total(study, COSTS["cell"]) / lines_a_cell
+    if name == "design":
+        designs, cells = study.lines / study.batches, int(study.plane is not None)
+        own = _total(study, COSTS["design of a plane" if cells else "design"])
+        return own * designs + cells * _total(study, COSTS["plane of designs"])
     is_block = name == "atlas" and (graph.is_interpolated(study) or (graph.is_short(study) and study.lines > 1))
     return _total(study, COSTS.get("atlas side by side" if is_block else name, OTHERS))
 

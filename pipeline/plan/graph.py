@@ -115,7 +115,10 @@ def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, A
         slopes = study.slope
         window = {"slope_from": float(slopes.min()), "slope_to": float(slopes.max()), "n": len(slopes)}
         return {"line": line, **window, **study.options}
-    return {"line": line, "slope": study.slope, "gaits": study.gaits, **study.options}
+    params = {"line": line, "slope": study.slope, "gaits": study.gaits, **study.options}
+    if name == "design" and study.plane:
+        params["cell"] = study.plane.cell({key: float(values[0]) for key, values in line["set"].items()})
+    return params
 
 
 def study_params(study: Study, name: str) -> dict[str, Any]:
@@ -177,8 +180,8 @@ def expand(study: Study) -> dict[str, tuple[str, dict[str, Any], list[str]]]:
     graph = layers(study)
     nodes: dict[str, tuple[str, dict[str, Any], list[str]]] = {}
     by_line = []
-    for i in range(study.lines):
-        line = study.line(i)
+    for i in range(study.batches):
+        line = study.batch_line(i)
         keys = line_keys(study, graph, line)
         by_line.append(keys)
         for name, (node, _) in keys.items():

@@ -22,7 +22,7 @@ def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
     variables = [v for v in reads if v in VARIABLES and v not in ("status", "reason")]
     slopes = study.slope[:: math.ceil(len(study.slope) / _MAX_SLOPES)]
     per_line = [need for need in layer.needs if need != "points" and plan.layers[need].per_line]
-    points = _points(plan, variables, slopes) if "points" in layer.needs else ({} for _ in range(study.lines))
+    points = _points(plan, variables, slopes) if "points" in layer.needs else ({} for _ in range(study.batches))
     for number, columns in enumerate(points):
         for need in per_line:
             stored = plan.journal.result(plan.line_keys(number)[need].key)

@@ -79,7 +79,7 @@ class Plan:
 
     def line(self, number: int, fresh: bool = False, with_points: bool = True) -> LineWork:
         """Work on the line of that number, by itself; `fresh` if the journal is empty."""
-        study, line = self.study, self.study.line(number)
+        study, line = self.study, self.study.batch_line(number)
         keys = graph.line_keys(study, self.layers, line)
         why: dict[str, str] = {}
         missing = np.arange(0)
@@ -133,7 +133,7 @@ class Plan:
         """Lines and blocks with work to do, in an order whose leading part samples the study evenly."""
         fresh = self.journal.empty()
         if not self.blocks:
-            for number in golden_ratio_order(self.study.lines):
+            for number in golden_ratio_order(self.study.batches):
                 work = self.line(number, fresh)
                 if work.why:
                     yield work
@@ -192,15 +192,15 @@ class Plan:
         return todo
 
     def line_keys(self, number: int) -> dict[str, TaskKey]:
-        """Keys of every task over the line of that number."""
-        return graph.line_keys(self.study, self.layers, self.study.line(number))
+        """Keys of every task over the line, or the designs, of the job of that number."""
+        return graph.line_keys(self.study, self.layers, self.study.batch_line(number))
 
     def study_keys(self) -> dict[str, TaskKey]:
         """Keys of every task over the whole study."""
         if self.blocks:
             parts = (self.blocks.key(block) for block in range(self.blocks.count))
         else:
-            parts = ("".join(key for key, _ in self.line_keys(i).values()) for i in range(self.study.lines))
+            parts = ("".join(key for key, _ in self.line_keys(i).values()) for i in range(self.study.batches))
         return graph.study_keys(self.study, self.layers, parts)
 
     def read(
@@ -298,7 +298,7 @@ def summary(plan: Plan) -> Summary:
     if plan.journal.empty():
         for name, layer in plan.layers.items():
             if layer.per_line:
-                todo[name]["new"] = study.points if name == "points" else study.lines
+                todo[name]["new"] = study.points if name == "points" else study.batches
         ran = True
     else:
         for work in plan.works():
@@ -317,7 +317,7 @@ def summary(plan: Plan) -> Summary:
     for name, (_, why) in _over_study(plan, ran).items():
         todo[name][why] += 1
     totals = {
-        name: study.points if name == "points" else study.lines if layer.per_line else 1
+        name: study.points if name == "points" else study.batches if layer.per_line else 1
         for name, layer in plan.layers.items()
     }
     result = Summary(todo, {name: totals[name] - sum(todo[name].values()) for name in plan.layers})

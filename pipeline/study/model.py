@@ -12,8 +12,11 @@ from typing import Any
 
 import numpy as np
 
-#: So many lines over one or two keys are divided into cells, whose gaits polynomials predict.
-_LEAST_PLANE = 64
+#: So many lines over one or two keys are divided into cells, whose gaits polynomials predict; so many designs lie in
+#: one cell.
+_LEAST_PLANE, _LEAST_DESIGNS = 64, 400
+#: Designs that one job computes: of a cell, and of lines that are surveyed one by one.
+_MOST_OF_CELL, _MOST_ALONE = 1 << 16, 32
 
 
 @dataclass(frozen=True)
@@ -145,8 +148,11 @@ class Study:
             a for a in self.line_axes if len(a) > 1 and all(a.name in check.get("widths", ()) for check in self.checks)
         ]
         axes = sorted(sorted(axes, key=len)[-2:], key=lambda axis: axis.name)
-        if not axes or math.prod(map(len, axes)) < _LEAST_PLANE:
+        of_designs = self.kind == "design"
+        if not axes or math.prod(map(len, axes)) < (_LEAST_DESIGNS if of_designs else _LEAST_PLANE):
             return None
+        if of_designs:
+            return Plane(tuple(axes), (1,) * len(axes))
         widths = [min(check["widths"][axis.name] for check in self.checks) for axis in axes]
         spans = [float(np.ptp(axis.values)) for axis in axes]
         return Plane(tuple(axes), tuple(max(1, math.ceil(s / w)) for s, w in zip(spans, widths, strict=True)))
@@ -166,6 +172,54 @@ class Study:
             places.append([np.flatnonzero(low == side) for side in np.unique(low)])
         for place in itertools.product(*places):
             yield numbers[np.ix_(*place)].ravel()
+
+    @property
+    def batches(self) -> int:
+        """Number of jobs of a task over lines: one for each, but of designs one for many."""
+        if self.kind != "design":
+            return self.lines
+        return self.lines // self._designs * self._batches_each
+
+    def batch(self, number: int) -> np.ndarray:
+        """Numbers of the lines of a job.
+
+        Returns
+        -------
+        ndarray of int, shape (n,)
+        """
+        if self.kind != "design":
+            return np.array([number])
+        cell, part = divmod(number, self._batches_each)
+        most = _MOST_OF_CELL if self.plane else _MOST_ALONE
+        places = np.arange(part * most, min((part + 1) * most, self._designs))
+        if not self.plane:
+            return cell * self._designs + places
+        names = [axis.name for axis in self.plane.axes]
+        inner = [axis for axis in self.line_axes if axis.name in names]
+        outer = [len(self.walkers), *(len(axis) for axis in self.line_axes if axis.name not in names)]
+        at = iter(np.unravel_index(cell, outer))
+        own = dict(zip((a.name for a in inner), np.unravel_index(places, [len(a) for a in inner]), strict=True))
+        indices = [next(at), *(own[axis.name] if axis.name in own else next(at) for axis in self.line_axes)]
+        return np.ravel_multi_index(np.broadcast_arrays(*indices), self.line_shape)
+
+    def batch_line(self, number: int) -> dict[str, Any]:
+        """Walker and parameters of a job over lines: those of a line, or of designs an array for each."""
+        if self.kind != "design":
+            return self.line(number)
+        walkers, *indices = np.unravel_index(self.batch(number), self.line_shape)
+        sets = {axis.name: axis.values[k].astype(float) for axis, k in zip(self.line_axes, indices, strict=True)}
+        return {"walker": self.walkers[int(walkers[0])], "set": sets}
+
+    @property
+    def _designs(self) -> int:
+        """Designs of a cell, or of a walker where there are no cells."""
+        if self.plane:
+            return math.prod(map(len, self.plane.axes))
+        return self.lines // len(self.walkers)
+
+    @property
+    def _batches_each(self) -> int:
+        return -(-self._designs // (_MOST_OF_CELL if self.plane else _MOST_ALONE))
 
     def name_of(self, number: int) -> str:
         """Label of the walker of a line."""

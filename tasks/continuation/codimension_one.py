@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tasks.continuation.joint import linearised
 from tasks.continuation.root import bracketed_root, hermite
-from tasks.continuation.tracking import linearised
 from tasks.mechanics.lumped import constants_of, structure_of
 from tasks.step.problem import Problem
 from tasks.step.simulate import STRUCK, scanner

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tasks.continuation.joint import joint, joint_by_X, rounding_step
 from tasks.fixed_points.newton import LONGEST_PERIOD
 from tasks.fixed_points.step_check import verify_steps
-from tasks.step.problem import EPS, Problem
+from tasks.step.problem import Problem
 from tasks.step.step_map import Stride, matvec
 
 #: Slopes over which branches are followed [rad]; below, double precision no longer resolves a gait's tangent.
@@ -71,50 +72,6 @@ class Point:
         return np.vstack([self.tangent, self.times_tangent])
 
 
-def linearised(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and derivative of the fixed-point equations P(y) - y = 0, both over the stance angle.
-
-    Parameters
-    ----------
-    stride : Stride
-        Differentiated by the slope too.
-    X : ndarray, shape (m + 1, n)
-        Where it was evaluated.
-
-    Returns
-    -------
-    residual : ndarray, shape (n, m)
-    derivative : ndarray, shape (n, m, m + 1)
-        By X.
-    """
-    m = len(stride.y)
-    J = stride.jacobian - np.eye(m)[:, :, None]
-    # Rows over the angle are of order one on any slope.
-    derivative = _by_X(J, stride.by_slope, stride, X) / stride.y[0]
-    return ((stride.image - stride.y) / stride.y[0]).T, derivative.transpose(2, 0, 1)
-
-
-def _joint(stride: Stride, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residual (n, m + k) and derivative (n, m + k, m + 1 + k), by X and the durations, of the joint equations.
-
-    Like those of `linearised` over the stance angle.
-    """
-    derivative = _joint_by_X(stride.derivative, stride, X)
-    return (stride.residual / stride.y[0]).T, (derivative / stride.y[0]).transpose(2, 0, 1)
-
-
-def _joint_by_X(by: np.ndarray, stride: Stride, X: np.ndarray) -> np.ndarray:
-    """Derivatives by X and the durations of what has the derivatives `by` y, the durations and the slope."""
-    m = len(stride.y)
-    return np.concatenate([_by_X(by[:, :m], by[:, -1], stride, X), by[:, m:-1]], axis=1)
-
-
-def _by_X(by_y: np.ndarray, by_slope: np.ndarray, stride: Stride, X: np.ndarray) -> np.ndarray:
-    """Derivatives by X, shape (i, m + 1, n), of what has the derivatives by y, (i, m, n), and by the slope, (i, n)."""
-    y, slope = stride.y, np.exp(X[len(stride.y)])
-    return np.concatenate([matvec(by_y, y)[:, None], by_y[:, 1:] * y[0], (by_slope * slope)[:, None]], axis=1)
-
-
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore")
 def correct(
@@ -148,8 +105,8 @@ def correct(
     for iteration in range(max_iterations):
         x, normal = X[:, active], border[:, active]
         stride, _ = problem.some(active).stride(np.vstack([x[:m], times[:, active]]), x[m], slope=True)
-        residual, derivative = _joint(stride, x)
-        by_X = _joint_by_X(stride.times_by, stride, x)
+        residual, derivative = joint(stride, x)
+        by_X = joint_by_X(stride.times_by, stride, x)
         plane = matvec(by_X.transpose(1, 0, 2), normal[m + 1 :])
         plane[: m + 1] += normal[: m + 1]
         matrix = np.concatenate([derivative, plane.T[:, None]], axis=1)
@@ -165,7 +122,7 @@ def correct(
         moving = solvable & (size <= 1.0) & np.isfinite(new_times).all(axis=0)
         X[:, active[moving]] += dX[:, moving]
         times[:, active[moving]] = new_times[:, moving]
-        done = moving & ((size < _rounding_step(matrix, stride)) | ((size < 1e-9) & (size > 0.2 * last[active])))
+        done = moving & ((size < rounding_step(matrix, stride)) | ((size < 1e-9) & (size > 0.2 * last[active])))
         ok[active], last[active] = done, size
         # A lane that is done keeps its own last step, so its bits do not depend on the others.
         if not iteration:
@@ -183,18 +140,6 @@ def correct(
     length[length == 0] = 1.0  # in lanes that are lost
     tangent, times_tangent = np.split(direction / length, [m + 1])
     return Point(X, times, tangent, times_tangent, ok, steps, derivatives.transpose(1, 2, 0))
-
-
-def _rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
-    """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
-    m, y = len(stride.y), np.abs(stride.y) / stride.y[0]
-    inverse = np.linalg.inv(matrix).transpose(1, 2, 0)[: m + 1]
-    error = matvec(np.abs(inverse), np.vstack([y, np.ones((len(matrix[0]) - m, y.shape[1]))]))
-    for k in range(m):
-        # Rounding of the start, carried through the step; the inverse takes back most of what the step amplifies.
-        carried = stride.derivative[:, k] + np.eye(len(stride.derivative))[k][:, None]
-        error = error + np.abs(matvec(inverse[:, :-1], carried)) * y[k]
-    return 6 * EPS * np.nan_to_num(error).max(axis=0)
 
 
 @dataclass(frozen=True)

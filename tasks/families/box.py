@@ -23,12 +23,26 @@ def roots(n: int) -> np.ndarray:
 class Box:
     """Values of keys from `low` to `high`, in the walker's units.
 
-    Nodes lie inside, where no constant of a walker vanishes that does not vanish everywhere.
+    Nodes lie inside, where no constant of a walker vanishes that does not vanish everywhere. With `log` the coordinates
+    of keys that span more than a factor of eight are those of their logarithms.
     """
 
     keys: tuple[str, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
+    log: bool = False
+
+    @property
+    def _is_log(self) -> np.ndarray:
+        return np.array([self.log and 0 < 8 * a < b for a, b in zip(self.low, self.high, strict=True)])
+
+    @property
+    def ratio(self) -> tuple[float, ...]:
+        """Quotient of `high` and `low` for keys whose coordinates are those of their logarithms, else 1; or nothing."""
+        if not self._is_log.any():
+            return ()
+        sides = zip(self.low, self.high, self._is_log.tolist(), strict=True)
+        return tuple(b / a if is_log else 1.0 for a, b, is_log in sides)
 
     def nodes(self, n: int | tuple[int, ...]) -> np.ndarray:
         """Return Chebyshev nodes, the last key fastest.
@@ -57,7 +71,11 @@ class Box:
         ndarray, shape (n, d) [the walker's units]
         """
         low, high = np.array(self.low), np.array(self.high)
-        return 0.5 * (low + high) + 0.5 * (high - low) * unit
+        if not self._is_log.any():
+            return 0.5 * (low + high) + 0.5 * (high - low) * unit
+        linear = Box(self.keys, self.low, self.high).at(unit)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(self._is_log, low * (high / low) ** (0.5 * (1 + unit)), linear)
 
     def unit(self, points: np.ndarray) -> np.ndarray:
         """Return the coordinates from -1 to 1 of values of keys.
@@ -71,15 +89,18 @@ class Box:
         ndarray, shape (n, d)
         """
         low, high = np.array(self.low), np.array(self.high)
-        return (2 * points - low - high) / (high - low)
+        if not self._is_log.any():
+            return (2 * points - low - high) / (high - low)
+        linear = Box(self.keys, self.low, self.high).unit(points)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(self._is_log, 2 * np.log(points / low) / np.log(high / low) - 1, linear)
 
     def halves(self, axis: int) -> tuple[Box, Box]:
         """Return both halves along one key."""
-        middle = 0.5 * (self.low[axis] + self.high[axis])
-        change = (*self.low[:axis], middle, *self.low[axis + 1 :])
+        middle = float(self.at(np.zeros((1, len(self.keys))))[0, axis])
         return (
-            Box(self.keys, self.low, (*self.high[:axis], middle, *self.high[axis + 1 :])),
-            Box(self.keys, change, self.high),
+            Box(self.keys, self.low, (*self.high[:axis], middle, *self.high[axis + 1 :]), self.log),
+            Box(self.keys, (*self.low[:axis], middle, *self.low[axis + 1 :]), self.high, self.log),
         )
 
     def draw(self, n: int, d: int, purpose: str) -> np.ndarray:

@@ -83,3 +83,34 @@ def _adjugate_norm(matrices: np.ndarray) -> np.ndarray:
         a, b, c = np.moveaxis(matrices, 1, 0)
         matrices = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
     return np.asarray(np.sqrt((np.abs(matrices) ** 2).sum(axis=(1, 2))))
+
+
+def other_multipliers(kind: str, jacobian: np.ndarray) -> np.ndarray:
+    """Return the largest magnitude of the multipliers that do not define a special point.
+
+    Parameters
+    ----------
+    kind : str
+        Of a flip -1 is left out, of a fold 1, of a Neimark-Sacker point the pair.
+    jacobian : ndarray, shape (m, m, n)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Infinite where the derivative is not finite, and where a pair is real.
+    """
+    A = np.moveaxis(jacobian, -1, 0)
+    finite = np.isfinite(A).all(axis=(1, 2))
+    values = np.full(A.shape[:2], np.inf, complex)
+    values[finite] = np.linalg.eigvals(A[finite])
+    lanes = np.arange(len(A))
+    left = {"flip": -1.0, "fold": 1.0}
+    sizes = np.abs(values)
+    if kind in left:
+        sizes[lanes, np.abs(values - left[kind]).argmin(axis=1)] = 0.0
+    if kind == "neimark_sacker":
+        pair = np.argsort(-np.abs(values.imag), axis=1)[:, :2]
+        real = np.abs(values.imag).max(axis=1) < 1e-9
+        sizes[lanes[:, None], pair] = 0.0
+        sizes[real] = np.inf
+    return np.asarray(sizes.max(axis=1))

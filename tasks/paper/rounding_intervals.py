@@ -15,9 +15,10 @@ import heyoka as hy
 import numpy as np
 
 from tasks.continuation.branch import Branch
+from tasks.continuation.joint import linearised
 from tasks.continuation.locate import locate_root
 from tasks.continuation.lockstep import run
-from tasks.continuation.tracking import Point, linearised
+from tasks.continuation.tracking import Point
 from tasks.mechanics.equations import Symbols
 from tasks.mechanics.impacts import heelstrike
 from tasks.paper.lines import Line, line, memoize

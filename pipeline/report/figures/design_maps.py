@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from pipeline.report.figures.starts import START, cells
-from pipeline.report.figures.style import axis_values, canvas, plain, rows_caption, shorten, spread_evenly
+from pipeline.report.figures.style import axis_values, canvas, plain, rows_caption, shorten, spread_evenly, thin
 from pipeline.report.figures.svg import Marks, Panel, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
@@ -20,8 +22,14 @@ _SHOWN = {
     "largest_stable_slope": "largest stable γ (rad)",
     "fastest_froude_speed": "fastest stable Fr (1)",
 }
-#: Quantities that compare, which share one colour scale.
-_COMPARED = ("smallest_slope", "largest_stable_slope")
+#: Columns of the figure's data, beside the keys.
+_DATA = (*_SHOWN, "smallest_at", "stability_lost_by", "fastest_slope")
+#: Values of derived keys at which walkers of the paper lie: the tuned one and the physical one.
+_NAMED = {"detuning": (0.0, 1.0)}
+#: Extent of contours that have a label, over that of the map.
+_LABELLED = 0.2
+#: Cells of a map that show their values under the pointer.
+_SHOWN_CELLS = 60
 #: Fewest cells along each side of a map on which contours are drawn.
 _MIN_CONTOURED = 6
 #: Largest number of rows of maps, one for each value of the other axes.
@@ -40,41 +48,42 @@ def design(source: Source) -> Sketch | None:
     others = [c for c in source.line_columns(table) if c not in keys]
     every = table[others].drop_duplicates().to_dict("records") if others else [{}]
     rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]
-    figure = canvas(60 + 150 * len(rows))
+    figure = canvas(100 + 150 * len(rows))
     panels = figure.subplots(len(rows), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
     marks, maps = [], []
     several = [{k: v for k, v in at.items() if table[k].nunique() > 1} for at in rows]
+    pictures: dict[str, Any] = {}
     for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
         part = table[np.logical_and.reduce([table[c] == v for c, v in at.items()], initial=True)] if at else table
         for axes, (column, words) in zip(row, _SHOWN.items(), strict=True):
-            scale = table[list(_COMPARED)] if column in _COMPARED else table[column]
-            _draw_map(axes, part.pivot(index=down, columns=along, values=column), scale, figure)
-            _mark_walker(axes, source.walkers.get(str(at.get("walker", source.walker)), {}), down, along)
+            pictures[column] = _draw_map(axes, part.pivot(index=down, columns=along, values=column), table[column])
+            _mark_walkers(axes, source.walkers.get(str(at.get("walker", source.walker)), {}), down, along)
             axes.set_title(words if k == 0 else "", pad=5)
             marks.append(_marks(axes, source, part, at, (down, along), column))
         maps += _panels(list(row), source, part, at, keys, len(rows))
         name = axis_values(several[k])
         row[0].set_ylabel(f"{shorten(name, 22)}: {_symbol(source, down)}" if name else _symbol(source, down))
-    for axes in panels[-1]:
+    for axes, picture, column in zip(panels[-1], pictures.values(), panels.T, strict=True):
         axes.set_xlabel(_symbol(source, along))
-        axes.set_xticks([table[along].min(), table[along].max()])
+        axes.xaxis.set_major_locator(MaxNLocator(3))
+        _add_bar(figure, picture, list(column))
     return Sketch(
         figure,
         "Design map",
         f"The smallest slope with a gait, the largest slope with a stable gait, and the Froude number of the fastest "
-        f"stable gait, over {down} and {along}. Circle: the walker itself. The two slopes share one scale. Blank: no "
-        "such gait." + rows_caption(several, every),
+        f"stable gait, over {down} and {along}. Circles: {_named(down, along)}. Blank: no such gait."
+        + rows_caption(several, every),
         f"Heat maps over {along} and {down}: "
         + "; ".join(f"{c.replace('_', ' ')} from {plain(table[c].min())} to {plain(table[c].max())}" for c in _SHOWN)
         + ".",
-        table,
+        table[[*source.line_columns(table), *(c for c in _DATA if c in table)]],
         marks,
         panels=maps,
     )
 
 
-def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series | pd.DataFrame, figure: Figure) -> None:
-    """Draw one map; all maps of a quantity share one colour scale."""
+def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series) -> Any:
+    """Draw one map; all maps of a quantity share one colour scale, each has contours of its own."""
     values = np.asarray(whole, float)
     low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
     low, high = (low, high) if low <= high else (0.0, 1.0)
@@ -83,21 +92,53 @@ def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series | pd.DataFrame, figu
     )
     axes.grid(False)
     if min(z.shape) >= _MIN_CONTOURED and np.isfinite(z.to_numpy()).any():
-        axes.contour(z.columns, z.index, np.ma.masked_invalid(z.to_numpy()), levels=5, colors="#ffffff", linewidths=0.7)
-    bar = figure.colorbar(picture, ax=axes, shrink=0.9, aspect=16)
+        levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(np.nanmin(z.to_numpy()), np.nanmax(z.to_numpy()))
+        drawn = axes.contour(
+            z.columns, z.index, np.ma.masked_invalid(z.to_numpy()), levels=levels, colors="#ffffff", linewidths=0.7
+        )
+        curves = [max(parts, key=len) for parts in drawn.allsegs if sum(map(len, parts))]
+        # Labels in the middle of the curves, where they fit, not in a row.
+        middles = [curve[int(len(curve) * (0.4 + 0.2 * (k % 2)))] for k, curve in enumerate(curves) if _fits(curve, z)]
+        axes.clabel(drawn, fmt=lambda level: plain(level), fontsize=7, inline_spacing=2, manual=middles)
+    return picture
+
+
+def _fits(curve: np.ndarray, z: pd.DataFrame) -> bool:
+    """Whether a contour (n, 2) is long enough, and far enough from the map's sides, for a label."""
+    sides = np.array([[z.columns.min(), z.columns.max()], [z.index.min(), z.index.max()]])
+    spans = np.ptp(sides, axis=1)
+    distance = np.abs(curve[len(curve) // 2] - sides.T).min(axis=0) / spans
+    return bool((np.ptp(curve, axis=0) / spans).max() > _LABELLED and distance.min() > 0.25 * _LABELLED)
+
+
+def _add_bar(figure: Figure, picture: Any, column: list[Axes]) -> None:
+    """Draw the colour scale of a column of maps below it."""
+    bar = figure.colorbar(picture, ax=column, location="bottom", shrink=0.9, aspect=24)
+    bar.ax.xaxis.set_major_locator(MaxNLocator(4))
     bar.outline.set_visible(False)
     bar.ax.grid(False)
 
 
-def _mark_walker(axes: Axes, parameters: dict[str, Any], down: str, along: str) -> None:
-    """Mark the place of the study's walker, before the axes change it, if it lies on the map."""
-    if not {down, along} <= set(parameters):
-        return
-    x, y = float(parameters[along]), float(parameters[down])
-    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    if left <= x <= right and low <= y <= high:
-        axes.plot([x], [y], "o", color="#ffffff", mfc="none", ms=9, mew=2)
-        axes.plot([x], [y], "o", color="#000000", mfc="none", ms=9, mew=0.8)
+def _named(down: str, along: str) -> str:
+    """What the circles of a map mark."""
+    is_named = {down, along} & set(_NAMED)
+    return "the tuned walker (detuning 0) and the physical one (1)" if is_named else "the walker itself"
+
+
+def _mark_walkers(axes: Axes, parameters: dict[str, Any], down: str, along: str) -> None:
+    """Mark the places of walkers that have a name, before the axes change them, if they lie on the map."""
+    places = [
+        _NAMED[key] if key in _NAMED else (parameters[key],) if key in parameters else () for key in (along, down)
+    ]
+    limits = axes.get_xlim(), axes.get_ylim()
+    # A map that begins one cell beside a walker is drawn up to it.
+    reach = [0.02 * (high - low) for low, high in limits]
+    for x, y in itertools.product(*(map(float, place) for place in places)):
+        if all(low - r <= v <= high + r for v, (low, high), r in zip((x, y), limits, reach, strict=True)):
+            for colour, width in (("#ffffff", 2.2), ("#000000", 0.9)):
+                axes.plot([x], [y], "o", color=colour, mfc="none", ms=8, mew=width, clip_on=False, zorder=5)
+    axes.set_xlim(*limits[0])
+    axes.set_ylim(*limits[1])
 
 
 def _panels(
@@ -128,6 +169,7 @@ def _marks(
 ) -> Marks:
     """Marks of the cells, each with the command that solves its walker at the slope of the cell."""
     down, along = keys
+    table = thin(table, _SHOWN_CELLS)
     walker = str(at.get("walker", source.walker))
     fixed = {k: float(v) for k, v in at.items() if k != "walker"}
     slopes = table["fastest_slope"] if column.startswith("fastest") else table[column]

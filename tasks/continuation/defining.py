@@ -1,0 +1,386 @@
+"""Defining equations of special points: the equations of a gait with one scalar beside them, and Newton's method.
+
+A point is Z = (X, times), X = (similarity coordinates, ln slope). The joint equations of a gait leave it one freedom;
+a scalar that vanishes at the special point takes it. Their derivative is exact, that of the scalar a row of central
+differences, which changes so little from point to point that a row interpolated between neighbours serves as well.
+All are smooth where strikes are tangential or the durations of phases vanish. In shapes, n counts lanes, each with a
+walker of its own, and c = m + 1 + k is the length of Z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tasks.continuation.joint import joint, joint_by_X, rounding_step
+from tasks.fixed_points.step_check import gait_ratio
+from tasks.step.problem import Lanes
+from tasks.step.step_map import Stride, matvec
+from tasks.walkers.walker_array import WalkerArray
+
+#: Step of the central differences.
+_DIFFERENCE = 1e-5
+#: Newton steps from a guess; a row of differences serves until a step shrinks by less than this factor.
+_MAX_STEPS, _MIN_SHRINKING = 12, 0.05
+#: A point that moves farther than this is another one.
+_MAX_MOVE = 0.5
+#: Error of a point in estimates of what rounding moves it by.
+_ROUNDING_FACTOR = 16.0
+
+
+@dataclass
+class Evaluation:
+    """Steps at n points Z (c, n).
+
+    Attributes
+    ----------
+    Z : ndarray, shape (c, n)
+    stride : Stride
+        Differentiated by the slope too.
+    residual : ndarray, shape (n, m + k)
+        Of the joint equations.
+    derivative : ndarray, shape (n, m + k, c)
+        By X and the durations of the phases.
+    times_by : ndarray, shape (k, c, n)
+        Derivatives of the event times by the same.
+    radius : ndarray, shape (n,)
+        Of the foot, over the leg.
+    """
+
+    Z: np.ndarray
+    stride: Stride
+    residual: np.ndarray
+    derivative: np.ndarray
+    times_by: np.ndarray
+    radius: np.ndarray
+
+    @property
+    def m(self) -> int:
+        """Number of section coordinates."""
+        return len(self.stride.y)
+
+    @property
+    def jacobians(self) -> np.ndarray:
+        """Jacobians of the step map, shape (n, m, m)."""
+        return np.moveaxis(self.stride.jacobian, -1, 0)
+
+    @property
+    def log_froude(self) -> np.ndarray:
+        """Logarithm of the mean speed over sqrt(g leg), shape (n,)."""
+        return log_froude(self.Z, self.radius)
+
+    @property
+    def speed_by_Z(self) -> np.ndarray:
+        """Derivatives of `log_froude` by Z, shape (c, n)."""
+        angle, by_Z = np.exp(self.Z[0]), np.zeros_like(self.Z)
+        length = (1 - self.radius) * np.sin(angle) + self.radius * angle
+        by_Z[0] = angle * ((1 - self.radius) * np.cos(angle) + self.radius) / length
+        by_Z[-1] = -1 / self.Z[-1]
+        return by_Z
+
+    def row(self, by_Z: np.ndarray) -> np.ndarray:
+        """Return derivatives by X and the durations.
+
+        Parameters
+        ----------
+        by_Z : ndarray, shape (c, n)
+            Those by Z.
+
+        Returns
+        -------
+        ndarray, shape (c, n)
+        """
+        m = self.m
+        row = matvec(self.times_by.transpose(1, 0, 2), by_Z[m + 1 :])
+        row[: m + 1] += by_Z[: m + 1]
+        return row
+
+
+def foot_radius(problem: Lanes) -> np.ndarray:
+    """Return the radius of the foot over the leg.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    assert isinstance(problem.walkers, WalkerArray)
+    walkers = problem.walkers.some(problem.lanes)
+    return np.broadcast_to(np.asarray(walkers.R / walkers.leg, float), len(problem.lanes))
+
+
+def log_froude(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Return the logarithm of the mean speed over sqrt(g leg).
+
+    Parameters
+    ----------
+    Z : ndarray, shape (c, n)
+    radius : ndarray, shape (n,)
+        Of the foot, over the leg.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    angle = np.exp(Z[0])
+    return np.asarray(np.log(2 * ((1 - radius) * np.sin(angle) + radius * angle) / Z[-1]))
+
+
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def evaluate(problem: Lanes, Z: np.ndarray, samples: int = 0) -> Evaluation:
+    """Evaluate steps at points.
+
+    Parameters
+    ----------
+    problem : Lanes
+        Of n lanes.
+    Z : ndarray, shape (c, n)
+    samples : int
+        Equal intervals of each phase at whose ends the motion is also returned.
+    """
+    m = problem.m
+    stride, _ = problem.stride(np.vstack([Z[:m], Z[m + 1 :]]), Z[m], slope=True, samples=samples)
+    residual, derivative = joint(stride, Z)
+    times_by = joint_by_X(stride.times_by, stride, Z)
+    return Evaluation(Z, stride, residual, derivative, times_by, foot_radius(problem))
+
+
+def _determinants(matrices: np.ndarray) -> np.ndarray:
+    """Determinants (n,), NaN where a matrix is not finite."""
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    out = np.full(len(matrices), np.nan)
+    out[finite] = np.linalg.det(matrices[finite])
+    return out
+
+
+def _flip(at: Evaluation) -> np.ndarray:
+    return _determinants(at.jacobians + np.eye(at.m))
+
+
+def _neimark_sacker(at: Evaluation) -> np.ndarray:
+    """Product over i < j of (lambda_i lambda_j - 1): the determinant of the second compound matrix less one."""
+    A = at.jacobians
+    if at.m == 2:
+        return _determinants(A) - 1
+    minors = np.array([[A[:, i, k] * A[:, j, q] - A[:, i, q] * A[:, j, k] for k, q in _PAIRS] for i, j in _PAIRS])
+    return _determinants(np.moveaxis(minors, -1, 0) - np.eye(3))
+
+
+_PAIRS = ((0, 1), (0, 2), (1, 2))
+
+
+def _fold(at: Evaluation) -> np.ndarray:
+    return _determinants(np.delete(at.derivative, at.m, axis=2))
+
+
+def _speed_maximum(at: Evaluation) -> np.ndarray:
+    """Determinant that vanishes where the speed is stationary along the branch."""
+    return _determinants(np.concatenate([at.derivative, at.row(at.speed_by_Z).T[:, None]], axis=1))
+
+
+#: The scalar that vanishes at a special point, by its kind.
+SCALARS: dict[str, Callable[[Evaluation], np.ndarray]] = {
+    "fold": _fold,
+    "flip": _flip,
+    "neimark_sacker": _neimark_sacker,
+    "end_kneestrike_at_heelstrike": lambda at: at.Z[-1] - at.Z[at.m + 1],
+    "end_tangential_heelstrike": lambda at: at.stride.closing[-1] / at.stride.y[0],
+    "fastest": _speed_maximum,
+    "label": lambda at: gait_ratio(at.stride) - 0.5,
+    "window": lambda at: at.Z[at.m],
+    "speed": lambda at: at.log_froude,
+}
+
+
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.ndarray:
+    """Return the scalar that vanishes at special points of a kind.
+
+    Parameters
+    ----------
+    kind : str
+        Of SCALARS.
+    at : Evaluation
+    target : ndarray, shape (n,), or float
+        The value that a scalar has at the special point: of ln slope for `window`, of the logarithm of the Froude
+        number for `speed`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return SCALARS[kind](at) - target
+
+
+def gradient(problem: Lanes, kind: str, Z: np.ndarray) -> np.ndarray:
+    """Return the derivatives of a scalar by Z, central differences.
+
+    Parameters
+    ----------
+    problem : Lanes
+        Of n lanes.
+    kind : str
+    Z : ndarray, shape (c, n)
+
+    Returns
+    -------
+    ndarray, shape (c, n)
+    """
+    c, n = Z.shape
+    steps = _DIFFERENCE * np.concatenate([np.eye(c), -np.eye(c)])
+    moved = (Z[:, None, :] + steps.T[:, :, None]).reshape(c, -1)
+    values = scalar(kind, evaluate(problem.some(np.tile(np.arange(n), 2 * c)), moved)).reshape(2, c, n)
+    return np.asarray((values[0] - values[1]) / (2 * _DIFFERENCE))
+
+
+def defining_system(problem: Lanes, kind: str, Z: np.ndarray, target: float = 0.0) -> np.ndarray:
+    """Return the defining equations and the determinant that vanishes where two special points of a kind meet.
+
+    Parameters
+    ----------
+    problem : Lanes
+        Of n lanes.
+    kind : str
+    Z : ndarray, shape (c, n)
+    target : float
+        As for `scalar`.
+
+    Returns
+    -------
+    ndarray, shape (c + 1, n)
+    """
+    rows = gradient(problem, kind, Z)
+    at = evaluate(problem, Z)
+    matrix = np.concatenate([at.derivative, at.row(rows).T[:, None]], axis=1)
+    return np.vstack([at.residual.T, scalar(kind, at, target), _determinants(matrix)])
+
+
+@dataclass
+class Polish:
+    """A Newton step on the defining equations of n points.
+
+    Attributes
+    ----------
+    at : Evaluation
+        The points before it.
+    change : ndarray, shape (c, n)
+        The Newton step, NaN where the equations are singular.
+    along : ndarray, shape (c, n)
+        Direction of the branch in which the scalar grows.
+    rounding : ndarray, shape (n,)
+        By how much rounding may move the points.
+    """
+
+    at: Evaluation
+    change: np.ndarray
+    along: np.ndarray
+    rounding: np.ndarray
+
+
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def newton_step(
+    problem: Lanes,
+    kind: str,
+    Z: np.ndarray,
+    rows: np.ndarray,
+    target: np.ndarray | float = 0.0,
+    samples: int = 0,
+) -> Polish:
+    """Evaluate points and a Newton step on their defining equations.
+
+    Parameters
+    ----------
+    problem : Lanes
+        Of n lanes.
+    kind : str
+    Z, rows : ndarray, shape (c, n)
+        The points, and the derivatives of the scalar there.
+    target : ndarray, shape (n,), or float
+        As for `scalar`.
+    samples : int
+        As for `evaluate`.
+    """
+    at = evaluate(problem, Z, samples)
+    size = np.linalg.norm(rows, axis=0)
+    matrix = np.concatenate([at.derivative, (at.row(rows) / size).T[:, None]], axis=1)
+    right = -np.concatenate([at.residual, (scalar(kind, at, target) / size)[:, None]], axis=1)
+    solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+    solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
+    matrix[~solvable] = np.eye(matrix.shape[1])
+    unit = np.zeros_like(right)
+    unit[:, -1] = 1.0
+    solution = np.linalg.solve(matrix, np.stack([right, unit], axis=-1))
+    change, along = (np.vstack([v[: at.m + 1], matvec(at.times_by, v)]) for v in solution.transpose(2, 1, 0))
+    change[:, ~solvable] = np.nan
+    return Polish(at, change, along, _ROUNDING_FACTOR * rounding_step(matrix, at.stride))
+
+
+@dataclass
+class Solved:
+    """Special points of n lanes.
+
+    Attributes
+    ----------
+    Z, rows : ndarray, shape (c, n)
+        The points, and the derivatives of their scalar there.
+    at : Evaluation
+        At most a Newton step away.
+    error : ndarray, shape (n,)
+        Bound on the error of Z.
+    ok : ndarray of bool, shape (n,)
+        Whether Newton converged near the guess.
+    """
+
+    Z: np.ndarray
+    rows: np.ndarray
+    at: Evaluation
+    error: np.ndarray
+    ok: np.ndarray
+
+
+def solve(
+    problem: Lanes,
+    kind: str,
+    guess: np.ndarray,
+    target: np.ndarray | float = 0.0,
+    rows: np.ndarray | None = None,
+) -> Solved:
+    """Solve the defining equations of one kind from guesses, by Newton's method.
+
+    Parameters
+    ----------
+    problem : Lanes
+        Of n lanes.
+    kind : str
+    guess : ndarray, shape (c, n)
+    target : ndarray, shape (n,), or float
+        As for `scalar`.
+    rows : ndarray, shape (c, n), optional
+        Derivatives of the scalar nearby.
+    """
+    n = guess.shape[1]
+    target = np.broadcast_to(np.asarray(target, float), n)
+    Z, rows = guess.copy(), gradient(problem, kind, guess) if rows is None else rows.copy()
+    last, error = np.full(n, np.inf), np.full(n, np.inf)
+    active = np.arange(n)
+    for _ in range(_MAX_STEPS):
+        polish = newton_step(problem.some(active), kind, Z[:, active], rows[:, active], target[active])
+        size = np.abs(polish.change).max(axis=0)
+        alive = np.isfinite(size) & (np.abs(Z[:, active] + polish.change - guess[:, active]).max(axis=0) < _MAX_MOVE)
+        moving = active[alive]
+        Z[:, moving] += polish.change[:, alive]
+        done = alive & ((size <= polish.rounding) | ((size < 1e-7) & (size > 0.3 * last[active])))
+        error[active[done]] = (polish.rounding + 2 * size)[done]
+        slow = active[alive & ~done & (size > _MIN_SHRINKING * last[active])]
+        last[active] = size
+        if len(slow):
+            rows[:, slow] = gradient(problem.some(slow), kind, Z[:, slow])
+        active = active[alive & ~done]
+        if not len(active):
+            break
+    ok = np.isfinite(error)
+    Z[:, ~ok] = guess[:, ~ok]
+    return Solved(Z, rows, evaluate(problem, Z), error, ok)

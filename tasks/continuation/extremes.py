@@ -1,0 +1,362 @@
+"""Points of a line's branches at which slope, stability or speed reach their extremes.
+
+The smallest slope, the largest slope of a stable gait and the largest speed of one are reached where a branch turns or
+ends, where a multiplier leaves the unit circle, where the speed is stationary, or at the border of a window. Each of
+these solves defining equations (`tasks.continuation.defining`), by which it is located, whatever led to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from tasks.continuation.branch import Branch
+from tasks.continuation.defining import SCALARS, Evaluation, evaluate, scalar, solve
+from tasks.continuation.special_points import END_NAMES
+from tasks.continuation.tracking import MIN_SLOPE
+from tasks.fixed_points.multipliers import multipliers, other_multipliers
+from tasks.fixed_points.step_check import gait_ratio
+from tasks.step.problem import EPS, Lanes
+
+#: Parts of a segment at whose ends a scalar is evaluated before Newton's method begins.
+_PARTS = 8
+_BLOCK = 4096
+#: Value of a scalar of stability at a node beside which it may change its sign twice.
+_NEAR_ZERO = 0.3
+#: A special point is at an end of stability if the magnitudes of its other multipliers are below this.
+_STABLE = 1 - 1e-9
+#: Kind of a point from which a branch continues to vanishing slopes.
+ANY_SLOPE = "any slope"
+
+
+#: Kinds of points at which a quantity has no extreme.
+NOT_OF = {
+    "smallest_slope": ("flip", "neimark_sacker", "fastest", "speed"),
+    "largest_stable_slope": ("label", "fastest", "speed"),
+    "fastest_stable_speed": ("label", "speed", ANY_SLOPE),
+}
+#: How far outside the window its own edges may lie, in ln slope.
+_EDGE = 1e-9
+
+
+@dataclass
+class Points:
+    """Points of several lines, n in all.
+
+    Attributes
+    ----------
+    line : ndarray of int, shape (n,)
+    kind : ndarray of str, shape (n,)
+        Of SCALARS, another end of walking, or ANY_SLOPE.
+    Z, rows : ndarray, shape (c, n)
+        Point, and derivatives of its scalar; NaN where the kind has none.
+    log_slope : ndarray, shape (n,)
+    error : ndarray, shape (n,)
+        Bound on the error of Z, ln slope included.
+    log_froude : ndarray, shape (n,)
+        Logarithm of the speed over sqrt(g leg).
+    speed_error : ndarray, shape (n,)
+        Bound on the error of that.
+    walks, long, stable : ndarray of bool, shape (n,)
+        Whether it is a step, or the limit of steps, whose legs pass once; a long one; and whether stable gaits are
+        next to it.
+    faster : ndarray of bool, shape (n,)
+        Whether the speed grows along the branch with the kind's scalar, where that is known.
+    """
+
+    line: np.ndarray
+    kind: np.ndarray
+    Z: np.ndarray
+    rows: np.ndarray
+    error: np.ndarray
+    log_froude: np.ndarray
+    speed_error: np.ndarray
+    walks: np.ndarray
+    long: np.ndarray
+    stable: np.ndarray
+    log_slope: np.ndarray
+    faster: np.ndarray
+
+    def some(self, which: np.ndarray) -> Points:
+        """Return some of the points.
+
+        Parameters
+        ----------
+        which : ndarray of int or bool
+        """
+        return Points(*(getattr(self, f.name)[..., which] for f in fields(self)))
+
+
+def join(parts: Sequence[Points]) -> Points:
+    """Return the points of several parts, one after another."""
+    return Points(*(np.concatenate([getattr(p, f.name) for p in parts], axis=-1) for f in fields(Points)))
+
+
+def nothing(problem: Lanes, n: int) -> Points:
+    """Return n points that are none: they do not walk."""
+    Z, none, no = np.full((problem.m + 1 + problem.phases, n), np.nan), np.full(n, np.nan), np.zeros(n, bool)
+    return Points(np.zeros(n, int), np.full(n, "", "U32"), Z, Z, none, none, none, no, no, no, none, no)
+
+
+def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Return which points may be the extremes of which quantity within a window.
+
+    Parameters
+    ----------
+    points : Points
+    window : (float, float)
+        Least and largest ln slope.
+
+    Returns
+    -------
+    dict of ndarray of bool, shape (n,)
+        Of the `smallest_slope` of a long or stable gait, the `largest_stable_slope` and the `fastest_stable_speed`.
+    """
+    q, kind = points.log_slope, points.kind
+    inside = points.walks & (q >= window[0] - _EDGE) & (q <= window[1] + _EDGE)
+    low = inside | (points.walks & (kind == ANY_SLOPE))
+    stable = inside & points.stable
+    every = {
+        "smallest_slope": low & (points.long | points.stable),
+        "largest_stable_slope": stable,
+        "fastest_stable_speed": stable,
+    }
+    return {name: which & ~np.isin(kind, NOT_OF[name]) for name, which in every.items()}
+
+
+def values(name: str, log_slope: np.ndarray, log_froude: np.ndarray) -> np.ndarray:
+    """Return a number that is least where a quantity has its extreme: a logarithm, or minus one.
+
+    Parameters
+    ----------
+    name : str
+        Of the quantity.
+    log_slope, log_froude : ndarray
+
+    Returns
+    -------
+    ndarray
+    """
+    return {"smallest_slope": log_slope, "largest_stable_slope": -log_slope}.get(name, -log_froude)
+
+
+def best(points: Points, lines: int, window: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Find the points at which quantities reach their extremes within a window.
+
+    Parameters
+    ----------
+    points : Points
+    lines : int
+        Number of lines.
+    window : (float, float)
+        Least and largest ln slope.
+
+    Returns
+    -------
+    dict of ndarray of int, shape (lines,)
+        Numbers of points by the quantities of `roles`, -1 where there is none.
+    """
+    lowest = np.where(points.kind == ANY_SLOPE, -np.inf, points.log_slope)
+    out = {}
+    for name, which in roles(points, window).items():
+        number, value = np.flatnonzero(which), values(name, lowest, points.log_froude)
+        order = number[np.lexsort((value[number], points.line[number]))]
+        line, first = np.unique(points.line[order], return_index=True)
+        out[name] = np.full(lines, -1)
+        out[name][line] = order[first]
+    return out
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def classify(
+    kind: str, at: Evaluation, line: np.ndarray, Z: np.ndarray, rows: np.ndarray, error: np.ndarray, walks: np.ndarray
+) -> Points:
+    """Describe located points of one kind.
+
+    Parameters
+    ----------
+    kind : str
+    at : Evaluation
+        Of steps next to the points.
+    line : ndarray of int, shape (n,)
+    Z, rows : ndarray, shape (c, n)
+    error : ndarray, shape (n,)
+    walks : ndarray of bool, shape (n,)
+    """
+    angle = np.exp(Z[0])
+    length = (1 - at.radius) * np.sin(angle) + at.radius * angle
+    by_angle = angle * ((1 - at.radius) * np.cos(angle) + at.radius) / length
+    return Points(
+        line=line,
+        kind=np.full(len(line), kind, "U32"),
+        Z=Z,
+        rows=rows,
+        error=error,
+        log_froude=np.log(2 * length / Z[-1]),
+        speed_error=(np.abs(by_angle) + 1 / Z[-1]) * error + 8 * EPS,
+        walks=walks,
+        long=(gait_ratio(at.stride) < 0.5) | (kind == "label"),
+        stable=other_multipliers(kind, at.stride.jacobian) < _STABLE,
+        log_slope=Z[at.m],
+        faster=np.zeros(len(line), bool),
+    )
+
+
+class _Nodes:
+    """Nodes of all branches of several lines, one after another, and the values of scalars there."""
+
+    def __init__(self, problem: Lanes, surveyed: Sequence[Sequence[Branch]], targets: Mapping[str, np.ndarray]):
+        self.branches = [branch for branches in surveyed for branch in branches]
+        lines = [i for i, branches in enumerate(surveyed) for _ in branches]
+        lengths = [len(branch.Z) for branch in self.branches]
+        self.line, self.branch = np.repeat(lines, lengths), np.repeat(np.arange(len(lines)), lengths)
+        self.first = np.cumsum([0, *lengths])[:-1]
+        self.Z = np.concatenate([branch.Z for branch in self.branches]).T
+        self.values = {"label": self.of_nodes("ratio") - 0.5}
+        self.walks = self.of_nodes("leg_passes") == 1
+        radius, kinds = np.full(len(self.line), np.nan), ("flip", "neimark_sacker", "fastest", *targets)
+        self.values |= {kind: np.full(len(self.line), np.nan) for kind in kinds}
+        for k in range(0, len(self.line), _BLOCK):
+            part = slice(k, k + _BLOCK)
+            at = evaluate(problem.some(self.line[part]), self.Z[:, part])
+            radius[part] = np.abs(multipliers(at.stride.jacobian, problem.m)[:, 0])
+            for kind in kinds:
+                target = targets[kind][self.line[part]] if kind in targets else 0.0
+                self.values[kind][part] = scalar(kind, at, target)
+        self.stable = (radius < 1) & self.walks
+
+    def of_nodes(self, name: str) -> np.ndarray:
+        """An attribute of the branches at their nodes."""
+        return np.concatenate([getattr(branch, name) for branch in self.branches])
+
+    def evaluate(self, node: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Points (c, n) of the branches' polynomials at shares of the segments after some nodes."""
+        Z = np.zeros((len(self.Z), len(node)))
+        for b in np.unique(self.branch[node]).tolist():
+            which = np.flatnonzero(self.branch[node] == b)
+            Z[:, which] = self.branches[b].at(node[which] - self.first[b] + share[which]).T
+        return Z
+
+
+def find(
+    problem: Lanes,
+    surveyed: Sequence[Sequence[Branch]],
+    window: tuple[float, float],
+    targets: Mapping[str, np.ndarray],
+) -> Points:
+    """Locate the points of lines at which slope, stability or speed may reach their extremes.
+
+    Parameters
+    ----------
+    problem : Lanes
+        With a lane for each line.
+    surveyed : sequence of sequence of Branch
+        The branches of each.
+    window : (float, float)
+        Least and largest ln slope.
+    targets : mapping
+        For `speed`, where it is asked for, the logarithm of the Froude number on each line.
+    """
+    if not any(surveyed):
+        return nothing(problem, 0)
+    nodes = _Nodes(problem, surveyed, targets)
+    guesses = [_crossings(problem, nodes, kind, targets) for kind in nodes.values]
+    guesses += [_at_edge(nodes, problem.m, edge) for edge in window]
+    guesses += _turns_and_ends(nodes, problem.m)
+    parts = [_located(problem, nodes, *guess) for guess in guesses if len(guess[1])]
+    return join(parts)
+
+
+def _crossings(
+    problem: Lanes, nodes: _Nodes, kind: str, targets: Mapping[str, np.ndarray]
+) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
+    """Kind, nodes before, guesses (c, n) and targets of the points where a scalar changes its sign on a segment."""
+    values = nodes.values[kind]
+    a, b = values[:-1], values[1:]
+    joined = nodes.branch[1:] == nodes.branch[:-1]
+    changes = (np.sign(a) != np.sign(b)) & np.isfinite(a) & np.isfinite(b) & joined
+    if kind in ("flip", "neimark_sacker", "fastest"):
+        changes &= nodes.stable[1:] | nodes.stable[:-1]
+    if kind in ("flip", "neimark_sacker"):
+        # Between nodes it may change twice: beside one where it comes near zero.
+        least = (np.abs(a[:-1]) >= np.abs(b[:-1])) & (np.abs(b[:-1]) <= np.abs(b[1:])) & joined[:-1] & joined[1:]
+        least &= np.abs(b[:-1]) < _NEAR_ZERO
+        changes[:-1] |= least
+        changes[1:] |= least
+    node = np.flatnonzero(changes)
+    n, shares = len(node), np.linspace(0, 1, _PARTS + 1)
+    every, share = np.repeat(node, _PARTS - 1), np.tile(shares[1:-1], n)
+    lines, Z = nodes.line[every], nodes.evaluate(every, share)
+    target = targets[kind][lines] if kind in targets else np.zeros(len(every))
+    between = np.zeros(0)
+    for k in range(0, len(every), _BLOCK):
+        part = slice(k, k + _BLOCK)
+        at = evaluate(problem.some(lines[part]), Z[:, part])
+        between = np.append(between, scalar(kind, at, target[part]))
+    g = np.column_stack([a[node], between.reshape(n, _PARTS - 1), b[node]])
+    i, share = _roots(g)
+    node = node[i]
+    target = targets[kind][nodes.line[node]] if kind in targets else np.zeros(len(node))
+    return kind, node, nodes.evaluate(node, share), target
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def _roots(g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and places, as shares of a row, of the roots of functions that have values g (n, p) at equal distances.
+
+    Between values of one sign two roots are those of the parabola through three of them.
+    """
+    i, j = np.nonzero(g[:, :-1] * g[:, 1:] <= 0)
+    share = j + np.nan_to_num(g[i, j] / (g[i, j] - g[i, j + 1]))
+    a, b, c = g[:, :-2], g[:, 1:-1], g[:, 2:]
+    slope, bend = 0.5 * (c - a), 0.5 * (a + c) - b
+    root = np.sqrt(slope**2 - 4 * bend * b)
+    least = (a * b > 0) & (b * c > 0) & np.isfinite(root) & (np.abs(slope) + root <= np.abs(2 * bend)) & (bend != 0)
+    k, l = np.nonzero(least)
+    pair = [l + 1 + (-slope + sign * root)[k, l] / (2 * bend[k, l]) for sign in (-1, 1)]
+    return np.concatenate([i, k, k]), np.concatenate([share, *pair]) / (g.shape[1] - 1)
+
+
+def _at_edge(nodes: _Nodes, m: int, edge: float) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
+    """The points at which branches cross the edge of the window."""
+    node, Z = [np.zeros(0, int)], [np.zeros((len(nodes.Z), 0))]
+    for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
+        for _, rows, segment in branch.guesses(np.array([edge])):
+            node.append(first + segment)
+            Z.append(rows.T)
+    every = np.concatenate(node)
+    return "window", every, np.concatenate(Z, axis=1), np.full(len(every), edge)
+
+
+def _turns_and_ends(nodes: _Nodes, m: int) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+    """The folds and the ends of the branches, which are nodes."""
+    by_kind: dict[str, list[int]] = {}
+    for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
+        by_kind.setdefault("fold", []).extend(first + place for place, _ in branch.pieces()[1:])
+        for place, why in zip((0, len(branch.Z) - 1), branch.why, strict=True):
+            is_any = branch.q[place] <= np.log(10 * MIN_SLOPE)
+            by_kind.setdefault(ANY_SLOPE if is_any else END_NAMES.get(why, why), []).append(first + place)
+    return [
+        (kind, np.array(numbers, int), nodes.Z[:, numbers], np.zeros(len(numbers)))
+        for kind, numbers in sorted(by_kind.items())
+        if kind != "window"
+    ]
+
+
+def _located(
+    problem: Lanes, nodes: _Nodes, kind: str, node: np.ndarray, guess: np.ndarray, target: np.ndarray
+) -> Points:
+    """Solve the defining equations of points of one kind, or take them as nodes where they have none."""
+    line = nodes.line[node]
+    own = problem.some(line)
+    is_end = kind not in SCALARS or kind.startswith("end_")
+    # An end is a node itself; whether its gaits are steps its neighbour tells.
+    inner = np.where(np.append(nodes.branch, -1)[node + 1] == nodes.branch[node], node + 1, node - 1)
+    walks = nodes.walks[inner] if is_end else nodes.walks[node] | nodes.walks[inner]
+    if kind in SCALARS:
+        solved = solve(own, kind, guess, target)
+        return classify(kind, solved.at, line, solved.Z, solved.rows, solved.error, walks & (is_end | solved.ok))
+    at, error = evaluate(own, guess), np.full(len(node), 1e-9)
+    return classify(kind, at, line, guess, np.full_like(guess, np.nan), error, walks)

@@ -1,0 +1,291 @@
+"""The special points of a box of keys, at which the quantities of its designs reach their extremes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tasks.continuation.atlas import survey_lines
+from tasks.continuation.defining import SCALARS, foot_radius, log_froude
+from tasks.continuation.extremes import ANY_SLOPE, NOT_OF, Points, best, find, join, nothing, roles, values
+from tasks.continuation.refine import COARSE
+from tasks.families.box import Box
+from tasks.families.cell import Family, Refused
+from tasks.families.manifold import Manifold
+from tasks.families.manifold_maker import Maker
+from tasks.mechanics.lumped import Structure, common_structure
+
+#: Lines surveyed along each key, and designs along each key at which the manifolds are compared.
+_NODES, _LATTICE = (-0.99, 0.0, 0.99), 15
+#: Further lines that are drawn by lot.
+_DRAWN = 2
+#: Predictions that differ by less are solved both.
+_TIE = 1e-3
+#: Points of these kinds whose value comes so near the best of a line get a manifold too, if they have one: others come
+#: to count only where one that counts changes its flags.
+_RIVALS, _RIVAL = ("fold", "flip"), {"smallest_slope": 0.05, "largest_stable_slope": 0.1, "fastest_stable_speed": 0.05}
+#: Rounds in which lines are surveyed and manifolds added, and lines of each.
+_ROUNDS, _MOST_LINES = 6, 8
+#: Points nearer than this are one.
+_SAME = 1e-6
+#: Boxes of fewer designs than this are left to lines; a box is halved so often.
+_LEAST_DESIGNS, _MOST_SPLITS = 64, 5
+
+
+@dataclass
+class Landscape:
+    """A box with the manifolds that hold the extremes of its designs; where it was refused, `why` says so.
+
+    Attributes
+    ----------
+    box : Box
+    structure : Structure
+    manifolds : list of Manifold
+    patterns : set of bytes
+        What the flags of all manifolds may be at a design: as on some line that was surveyed.
+    any_slope : bool
+        Whether the gaits of all designs continue to vanishing slopes.
+    why : str
+    """
+
+    box: Box
+    structure: Structure
+    manifolds: list[Manifold] = field(default_factory=list)
+    patterns: set[bytes] = field(default_factory=set)
+    any_slope: bool = False
+    why: str = ""
+
+
+def points_at(
+    maker: Maker, manifolds: list[Manifold], unit: np.ndarray, window: tuple[float, float], every: bool = False
+) -> tuple[Points, np.ndarray, np.ndarray]:
+    """Solve the points of manifolds at designs at which their quantities may have their extremes.
+
+    Parameters
+    ----------
+    maker : Maker
+    manifolds : list of Manifold
+    unit : ndarray, shape (n, d)
+    window : (float, float)
+        Least and largest ln slope.
+    every : bool
+        All points: else of those that the predictions range behind a point that serves, none.
+
+    Returns
+    -------
+    points : Points
+        `line` counts the designs.
+    near : ndarray of bool, shape (n,)
+        Designs whose points are all as near their predictions as they should be.
+    flags : ndarray of int8, shape (n, manifolds)
+        Of which quantities each point may be the extreme, and the side to which the speed grows; -1 where it is not
+        solved.
+    """
+    n, problem = len(unit), maker.problem(unit)
+    if not manifolds:
+        return nothing(problem, 0), np.ones(n, bool), np.zeros((n, 0), np.int8)
+    predicted = [manifold.predict(unit)[0] for manifold in manifolds]
+    froude = [log_froude(Z, foot_radius(problem)) for Z in predicted]
+    left = np.column_stack([manifold.there(unit) for manifold in manifolds])
+    near = ~np.logical_or.reduce([manifold.unsure(unit) for manifold in manifolds])
+    flags = np.where(left, -1, 0).astype(np.int8)
+    parts = [nothing(problem, 0)]
+    served = {name: np.full(n, np.inf) for name in NOT_OF}
+    while left.any():
+        due = left.copy() if every else np.zeros_like(left)
+        for name, kinds in NOT_OF.items():
+            value = np.column_stack([values(name, Z[maker.m], v) for Z, v in zip(predicted, froude, strict=True)])
+            value[:, [manifold.kind in kinds for manifold in manifolds]] = np.inf
+            value[~left] = np.inf
+            first = value <= np.minimum(value.min(axis=1), served[name])[:, None] + _TIE
+            due |= first & np.isfinite(value) & (value < served[name][:, None] + _TIE)
+        if not due.any():
+            break
+        for k in np.flatnonzero(due.any(axis=0)).tolist():
+            lanes = np.flatnonzero(due[:, k])
+            points, fine = manifolds[k].polish(problem.some(lanes), unit[lanes])
+            points.line, near[lanes], left[lanes, k] = lanes, near[lanes] & fine, False
+            flags[lanes, k] = _flags(points, window)
+            for name, which in roles(points, window).items():
+                value = values(name, points.log_slope, points.log_froude)
+                served[name][lanes] = np.minimum(served[name][lanes], np.where(which, value, np.inf))
+            parts.append(points)
+    return join(parts), near, flags
+
+
+def is_known(flags: np.ndarray, patterns: set[bytes]) -> np.ndarray:
+    """Return whether flags, as far as they are known, agree with a pattern.
+
+    Parameters
+    ----------
+    flags : ndarray of int8, shape (n, manifolds)
+        As `points_at` has them.
+    patterns : set of bytes
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    known = np.array([np.frombuffer(pattern, np.int8) for pattern in sorted(patterns)])
+    known = known.reshape(len(patterns), flags.shape[1])
+    return np.asarray(((flags[:, None] == known) | (flags[:, None] < 0)).all(axis=2).any(axis=1))
+
+
+def _flags(points: Points, window: tuple[float, float]) -> np.ndarray:
+    """Of which quantities points may be the extremes, and the side to which the speed grows, in bits, shape (n,)."""
+    every = roles(points, window)
+    bits = [*every.values(), every["fastest_stable_speed"] & points.faster]
+    return np.asarray(sum(2**k * bit for k, bit in enumerate(bits)), np.int8)
+
+
+class _Surveyor:
+    """Finds the manifolds of a box."""
+
+    def __init__(self, family: Family, box: Box, window: tuple[float, float]):
+        self.structure = common_structure(family.walkers(box.nodes(len(_NODES))))
+        self.maker, self.window, self.box = Maker(family, box, self.structure), window, box
+        self.d = len(box.keys)
+        self.unit = np.zeros((0, self.d))
+        self.points: list[Points] = []
+        self.manifolds: list[Manifold] = []
+        self.tried: set[tuple[str, int, str]] = set()
+        # Evenly in the keys, and in their logarithms too where these are the coordinates.
+        even = np.tile(np.linspace(-1, 1, _LATTICE)[:, None], (1, self.d))
+        both = np.vstack([even, box.unit(Box(box.keys, box.low, box.high).at(even))]).round(9)
+        axes = [np.unique(both[:, k]) for k in range(self.d)]
+        self.lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.d)
+
+    def survey(self, unit: np.ndarray) -> None:
+        """Survey lines, and locate their points."""
+        problem = self.maker.problem(unit)
+        points = find(problem, survey_lines(problem, COARSE), self.window, {})
+        for i in range(len(unit)):
+            self.points.append(points.some(points.line == i))
+            self.points[-1].line = np.zeros(len(self.points[-1].line), int)
+        self.unit = np.vstack([self.unit, unit])
+
+    def landscape(self) -> Landscape:
+        """Survey lines and add manifolds until the lattice holds nothing that no line has."""
+        nodes = np.array(list(itertools.product(_NODES, repeat=self.d)))
+        self.survey(np.vstack([nodes, self.box.draw(_DRAWN, self.d, "design")]))
+        for _ in range(_ROUNDS):
+            while self.missing(rivals=False):
+                pass
+            self.missing(rivals=True)
+            patterns = self.patterns()
+            new = self.unknown(patterns)
+            if not len(new):
+                break
+            self.survey(new)
+        vanishing = [ANY_SLOPE in points.kind[points.walks] for points in self.points]
+        if len(set(vanishing)) > 1:
+            raise Refused("some designs walk at any slope", self.roughest())
+        return Landscape(self.box, self.structure, self.manifolds, patterns, vanishing[0])
+
+    def missing(self, rivals: bool) -> bool:
+        """Add a manifold through an extreme of a line that lies on none; or all through points that rival extremes."""
+        own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[0]
+        for i, points in enumerate(self.points):
+            for name, (number,) in best(points, 1, self.window).items():
+                if number < 0 or points.kind[number] == ANY_SLOPE:
+                    continue
+                value = values(name, points.log_slope, points.log_froude)
+                near = roles(points, self.window)[name] & (value < value[number] + _RIVAL[name] * rivals)
+                for k in np.flatnonzero(near) if rivals else [number]:
+                    kind = str(points.kind[k])
+                    on = [_is_same(points, k, own, j) for j in np.flatnonzero(own.line == i)]
+                    if any(on) or (rivals and (kind not in _RIVALS or (kind, i, name) in self.tried)):
+                        continue
+                    if kind not in SCALARS:
+                        raise Refused(f"a branch ends at {kind}", self.roughest())
+                    self.tried.add((kind, i, name))
+                    edges = np.array(self.window)
+                    target = float(edges[np.abs(edges - points.log_slope[k]).argmin()]) if kind == "window" else 0.0
+                    try:
+                        self.manifolds.append(self.maker.manifold(kind, self.unit[i], points.Z[:, k], target))
+                    except Refused:
+                        if not rivals:
+                            raise
+                        continue
+                    if not rivals:
+                        return True
+                    own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[0]
+        return False
+
+    def patterns(self) -> set[bytes]:
+        """Flags of the manifolds on lines whose extremes they reproduce."""
+        own, near, flags = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)
+        chosen, patterns = best(own, len(self.unit), self.window), set()
+        for i, points in enumerate(self.points):
+            agrees = bool(near[i])
+            for name, (number,) in best(points, 1, self.window).items():
+                if number >= 0 and points.kind[number] == ANY_SLOPE:
+                    continue
+                j = chosen[name][i]
+                agrees &= (number < 0) == (j < 0) and (number < 0 or _is_same(points, number, own, j))
+            if agrees:
+                patterns.add(flags[i].tobytes())
+        return patterns
+
+    def unknown(self, patterns: set[bytes]) -> np.ndarray:
+        """Designs (n, d) of the lattice with flags as on no line so far, one for each of them."""
+        _, near, flags = points_at(self.maker, self.manifolds, self.lattice, self.window, every=True)
+        every: dict[bytes, list[int]] = {}
+        for i in np.flatnonzero(near).tolist():
+            every.setdefault(flags[i].tobytes(), []).append(i)
+        places = []
+        for pattern, members in sorted(every.items(), key=lambda item: (-len(item[1]), item[1][0])):
+            if pattern not in patterns:
+                of = self.lattice[members]
+                places.append(of[np.abs(of - of.mean(axis=0)).max(axis=1).argmin()])
+        known = {row.tobytes() for row in self.unit}
+        return np.array([place for place in places if place.tobytes() not in known][:_MOST_LINES]).reshape(-1, self.d)
+
+    def roughest(self) -> int:
+        """The key along which what the surveyed lines have changes most, or else the widest."""
+        kinds = []
+        for points in self.points[: len(_NODES) ** self.d]:
+            kinds.append(" ".join(str(points.kind[k]) for (k,) in best(points, 1, self.window).values() if k >= 0))
+        _, number = np.unique(kinds, return_inverse=True)
+        number = number.reshape((len(_NODES),) * self.d)
+        return int(np.argmax([(np.diff(number, axis=k) != 0).sum() for k in range(self.d)]))
+
+
+def _is_same(a: Points, i: Any, b: Points, j: Any) -> bool:
+    return a.kind[i] == b.kind[j] and bool(np.abs(a.Z[:, i] - b.Z[:, j]).max() < _SAME)
+
+
+def make(
+    family: Family,
+    box: Box,
+    window: tuple[float, float],
+    count: Callable[[Box], int],
+    splits: int = _MOST_SPLITS,
+) -> list[Landscape]:
+    """Make the landscapes of a box, or of the parts into which it is divided.
+
+    Parameters
+    ----------
+    family : Family
+    box : Box
+    window : (float, float)
+        Least and largest ln slope.
+    count : callable
+        Number of designs in a box.
+    splits : int
+        How often it may be halved.
+    """
+    surveyor = _Surveyor(family, box, window)
+    if count(box) < _LEAST_DESIGNS:
+        return [Landscape(box, surveyor.structure, why="few designs")]
+    try:
+        return [surveyor.landscape()]
+    except Refused as refused:
+        if not splits:
+            return [Landscape(box, surveyor.structure, why=str(refused))]
+        halves = box.halves(refused.axis)
+    return [part for half in halves for part in make(family, half, window, count, splits - 1)]

@@ -1,0 +1,268 @@
+"""Special points as functions of keys: polynomials that predict a point, and the rows that polish it in one step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebval
+
+from tasks.continuation.defining import Polish, newton_step
+from tasks.continuation.extremes import Points, classify
+from tasks.families.patch import basis
+from tasks.fixed_points.step_check import verify_steps
+from tasks.step.problem import Lanes
+from tasks.step.step_map import SAMPLES
+
+#: A point may lie so many times farther from its prediction than any drawn one; its error is so many times theirs.
+_SAFETY = 8.0
+#: Predictions err by no less: below this is rounding.
+LEAST = 1e-9
+#: Error above which a further Newton step is taken.
+_GOAL = 1e-10
+#: Distance from an end at which its gaits must be steps.
+_INSIDE = 1e-3
+#: Beside a turn designs are surveyed, this share of the way to it.
+_AT_TURN = 1e-5
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The border of a manifold inside a box: it lies on one side of a curve along the other key.
+
+    Attributes
+    ----------
+    axis : int
+        The key along which it ends.
+    side : int
+        1 if it ends towards higher values, else -1.
+    coefficients : ndarray, shape (n,)
+        Chebyshev coefficients of the coordinate at which it ends over that of the other key.
+    turns : bool
+        Whether two sheets meet there: beside it points depend on the root of the distance.
+    """
+
+    axis: int
+    side: int
+    coefficients: np.ndarray
+    turns: bool
+
+    def at(self, unit: np.ndarray) -> np.ndarray:
+        """Return the coordinates at which the manifold ends.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
+        other = np.delete(unit, self.axis, axis=1)
+        return np.asarray(chebval(other[:, 0] if other.shape[1] else np.zeros(len(unit)), self.coefficients))
+
+    def own(self, unit: np.ndarray) -> np.ndarray:
+        """Return coordinates that run from -1 to 1 over the manifold.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+        """
+        own, share = unit.copy(), self.share(unit)
+        if self.turns:
+            share = 1 - np.sqrt(np.maximum(1 - share, 0.0))
+        own[:, self.axis] = self.side * (2 * share - 1)
+        return own
+
+    def unit(self, own: np.ndarray) -> np.ndarray:
+        """Return coordinates of keys, the inverse of `own`.
+
+        Parameters
+        ----------
+        own : ndarray, shape (n, d)
+            Coordinates that run from -1 to 1 over the manifold.
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+        """
+        unit, share = own.copy(), 0.5 * (1 + self.side * own[:, self.axis])
+        if self.turns:
+            share = 1 - (1 - share) ** 2
+        unit[:, self.axis] = self.side * (share * (1 + self.side * self.at(own)) - 1)
+        return unit
+
+    def share(self, unit: np.ndarray) -> np.ndarray:
+        """Return the share of the way from the box's own border to the curve.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
+        return np.asarray((1 + self.side * unit[:, self.axis]) / (1 + self.side * self.at(unit)))
+
+
+@dataclass(frozen=True)
+class Manifold:
+    """Special points of one kind in a box of keys.
+
+    Attributes
+    ----------
+    kind : str
+    target : float
+        As `tasks.continuation.defining.scalar` has it.
+    sizes : tuple of int
+        Nodes along each key.
+    coefficients : ndarray, shape (product of sizes, 2 c)
+        Of Z and of the derivatives of the kind's scalar.
+    moved : float
+        Largest Newton step from predictions at points drawn by lot.
+    linear, quadratic : float
+        Largest error after a Newton step, over the step and over its square.
+    cut : Cut or None
+        Where it ends inside the box.
+    ratio : tuple of float
+        For each key how many times faster the polynomials' own coordinate grows at the box's upper end than at its
+        lower: in boxes whose coordinates are logarithms some points depend more smoothly on the keys themselves.
+    """
+
+    kind: str
+    target: float
+    sizes: tuple[int, ...]
+    coefficients: np.ndarray
+    moved: float = np.inf
+    linear: float = 0.0
+    quadratic: float = 0.0
+    cut: Cut | None = None
+    ratio: tuple[float, ...] = ()
+
+    def own(self, unit: np.ndarray) -> np.ndarray:
+        """Return the coordinates of the polynomials.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+        """
+        own = self.cut.own(unit) if self.cut else unit
+        r = np.array(self.ratio or 1.0)
+        with np.errstate(invalid="ignore"):
+            return np.where(r == 1, own, 2 * (r ** (0.5 * (1 + own)) - 1) / (r - 1) - 1)
+
+    def predict(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predict points and the derivatives of their scalar.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        Z, rows : ndarray, shape (c, n)
+        """
+        both = (basis(self.own(unit), self.sizes) @ self.coefficients).T
+        return both[: len(both) // 2], both[len(both) // 2 :]
+
+    def there(self, unit: np.ndarray) -> np.ndarray:
+        """Return whether designs have a point of the manifold.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        return self.cut.share(unit) <= 1 if self.cut else np.ones(len(unit), bool)
+
+    def unsure(self, unit: np.ndarray) -> np.ndarray:
+        """Return whether designs lie where two sheets of the manifold meet.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        turns = self.cut is not None and self.cut.turns
+        return np.abs(self.cut.share(unit) - 1) < _AT_TURN if turns and self.cut else np.zeros(len(unit), bool)
+
+    def polish(self, problem: Lanes, unit: np.ndarray) -> tuple[Points, np.ndarray]:
+        """Solve the points of designs by a Newton step from their predictions; of each it is `there`.
+
+        Parameters
+        ----------
+        problem : Lanes
+            Of n lanes.
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        points : Points
+        near : ndarray of bool, shape (n,)
+            Whether they are as near their predictions as they should be.
+        """
+        Z, rows = self.predict(unit)
+        step = newton_step(problem, self.kind, Z, rows, self.target, 0 if _is_end(self.kind) else SAMPLES)
+        size, change = np.abs(step.change).max(axis=0), step.change
+        near = size <= _SAFETY * max(self.moved, LEAST)
+        walks = _walks(problem, self.kind, step, near)
+        error = self._error(size) + step.rounding
+        again = np.flatnonzero(near & (error > _GOAL))
+        if len(again):
+            change = change.copy()
+            further = newton_step(problem.some(again), self.kind, (Z + change)[:, again], rows[:, again], self.target)
+            change[:, again] += further.change
+            error[again] = self._error(np.abs(further.change).max(axis=0)) + further.rounding
+        points = classify(self.kind, step.at, np.arange(len(unit)), Z + change, rows, error, walks)
+        # Where the speed grows towards the other side of the point, it has a maximum before it.
+        points.faster = (step.at.speed_by_Z * step.along).sum(axis=0) > 0
+        return points, near
+
+    def _error(self, size: np.ndarray) -> np.ndarray:
+        """Error after a Newton step of some size."""
+        return np.asarray(_SAFETY * (self.linear * size + self.quadratic * size**2))
+
+
+def _is_end(kind: str) -> bool:
+    return kind.startswith("end_")
+
+
+def _walks(problem: Lanes, kind: str, step: Polish, near: np.ndarray) -> np.ndarray:
+    """Whether special points are steps whose legs pass once, or, of an end, the gaits just before it."""
+    m, walks, lanes = problem.m, np.zeros(len(near), bool), np.flatnonzero(near)
+    if not len(lanes):
+        return walks
+    Z, stride = step.at.Z[:, lanes], None
+    if _is_end(kind):
+        along = step.along[:, lanes]
+        # Before the end kneestrike precedes heelstrike; the foot falls as it strikes.
+        side = 1 if "kneestrike_at" in kind else -1
+        Z = Z + step.change[:, lanes] + side * _INSIDE * along / np.linalg.norm(along, axis=0)
+    else:
+        stride = step.at.stride.some(lanes)
+    _, check = verify_steps(problem.some(lanes), np.delete(Z, m, axis=0), Z[m], stride)
+    walks[lanes] = check.anthropomorphic
+    return walks

@@ -1,0 +1,115 @@
+"""Studies of designs: many designs a job, cell by cell of a plane of keys, whatever runs them."""
+
+import math
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import pipeline
+from pipeline.plan import graph
+from pipeline.plan.costs import seconds
+from pipeline.plan.missing import Plan, summary
+from pipeline.store.journal import Journal
+from pipeline.study.parse import read
+
+STUDY = """
+name = "designs"
+kind = "design"
+walker = {walker}
+[axes]
+slope = [1e-5, 0.4]
+{axes}
+[want]
+figures = ["design"]
+"""
+#: Two cells, one for each value of the third key.
+PLANE = "R = {{ from = 0.1, to = 0.12, n = {n} }}\nm_h = [0.0, 0.02]\nm_s = {{ from = 0.03, to = 0.04, n = {m} }}"
+
+
+def written(folder, walker, axes):
+    folder.mkdir(exist_ok=True)
+    path = folder / "designs.toml"
+    path.write_text(STUDY.format(walker=walker, axes=axes))
+    return path
+
+
+def run(folder, walker, axes, **options):
+    archive = folder / "designs.nc"
+    pipeline.run(written(folder, walker, axes), archive=archive, quiet=True, **options)
+    return archive
+
+
+def table_of(archive):
+    return xr.open_dataset(archive, group="design").to_dataframe()
+
+
+@pytest.mark.parametrize(
+    ("walker", "axes", "batches"),
+    [
+        ('"B"', PLANE.format(n=25, m=20), 2),
+        ('["A", "B"]', PLANE.format(n=25, m=20), 4),
+        ('["A", "B"]', PLANE.format(n=5, m=7), 6),
+        ('"B"', "R = [0.1, 0.2]", 1),
+    ],
+)
+def test_every_design_belongs_to_one_job(tmp_path, walker, axes, batches):
+    study = read(written(tmp_path, walker, axes))
+    assert (study.plane is not None) == (study.lines >= 1000)
+    assert study.batches == batches
+    numbers = [study.batch(k) for k in range(batches)]
+    assert sorted(np.concatenate(numbers).tolist()) == list(range(study.lines))
+    for k, each in enumerate(numbers):
+        line, params = study.batch_line(k), graph.line_params(study, "design", study.batch_line(k))
+        for i, number in enumerate(each.tolist()):
+            own = study.line(number)
+            assert own["walker"] == line["walker"]
+            assert own["set"] == {key: float(values[i]) for key, values in line["set"].items()}
+        assert ("cell" in params) == (study.plane is not None)
+        if study.plane:
+            assert len(np.unique(line["set"]["m_h"])) == 1
+            assert params["cell"]["keys"] == ["R", "m_s"]
+
+
+def test_a_plan_tells_what_designs_cost(tmp_path):
+    few, many = (read(written(tmp_path, '"B"', PLANE.format(n=n, m=20))) for n in (5, 100))
+    assert many.plane and not few.plane
+    each = [seconds(study, "design") * study.batches / study.lines for study in (few, many)]
+    assert each[1] < 0.1 * each[0]
+    todo = summary(Plan(many, Journal(tmp_path / "journal", points=many.points)))
+    assert todo.todo["design"] == {"new": 2}
+    assert todo.seconds == pytest.approx(2 * seconds(many, "design"), rel=0.3)
+
+
+def test_a_plan_of_a_billion_designs_is_made_at_once(tmp_path):
+    axes = "R = { from = 0.1, to = 0.12, n = 31623 }\nm_s = { from = 0.03, to = 0.04, n = 31623 }"
+    study = read(written(tmp_path, '"B"', axes))
+    assert study.batches == math.ceil(31623**2 / 65536)
+    last = study.batch(study.batches - 1)
+    assert last[-1] == study.lines - 1 and len(last) < 65536
+    assert seconds(study, "design") * study.batches > 3600
+
+
+@pytest.fixture(scope="module")
+def archives(tmp_path_factory):
+    return [run(tmp_path_factory.mktemp(f"jobs{n}"), '"B"', PLANE.format(n=25, m=20), jobs=n) for n in (1, 2)]
+
+
+def test_two_workers_write_the_same_bytes(archives):
+    assert archives[0].read_bytes() == archives[1].read_bytes()
+
+
+def test_rows_follow_the_grid_and_hold_what_designs_hold_alone(archives, tmp_path):
+    table = table_of(archives[0])
+    assert len(table) == 1000
+    assert table[["R", "m_h", "m_s"]].apply(tuple, axis=1).is_monotonic_increasing
+    assert table.surveyed.mean() < 0.02
+    rows = table[table.m_s.isin([0.03, 0.04]) & table.R.isin([0.1, 0.12])]
+    axes = "R = [0.1, 0.12]\nm_h = [0.0, 0.02]\nm_s = [0.03, 0.04]"
+    alone = table_of(run(tmp_path, '"B"', axes, jobs=1))
+    assert (alone.surveyed == 1).all() and len(rows) == len(alone) == 8
+    assert (rows.smallest_at.values == alone.smallest_at.values).all()
+    assert (rows.stability_lost_by.values == alone.stability_lost_by.values).all()
+    for name in ("largest_stable_slope", "fastest_stable_speed"):
+        bound = rows[f"{name}_error"].values + alone[f"{name}_error"].values
+        assert (np.abs(rows[name].values / alone[name].values - 1) <= bound).all()

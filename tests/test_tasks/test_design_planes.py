@@ -1,0 +1,242 @@
+"""Designs of a plane of keys: what special points predicted over the keys give is what lines give, or not accepted."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tasks.continuation.atlas import survey_lines
+from tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude, scalar, solve
+from tasks.continuation.extremes import find
+from tasks.continuation.refine import COARSE
+from tasks.families import landscape as landscapes
+from tasks.families.box import Box
+from tasks.families.cell import Family, Refused
+from tasks.families.landscape import _Surveyor, is_known, make
+from tasks.families.manifold import Cut
+from tasks.families.manifold_maker import Maker
+from tasks.map_designs import _Rows, _solve, design
+from tasks.mechanics.lumped import common_structure
+from tasks.step.problem import Lanes
+from tasks.walkers.resolve import resolve_many
+
+QUANTITIES = ("smallest_slope", "largest_stable_slope", "fastest_stable_speed")
+SLOPE = np.array([1e-6, 0.45])
+WINDOW = (float(np.log(1e-6)), float(np.log(0.45)))
+#: Walker, and ranges of keys: beside a curve on which two flips meet; where fold and flip compete for the largest
+#: speed; where gaits continue to vanishing slopes.
+PLANES = {
+    "A": ("A", {"detuning": (0.45, 0.65), "m_h": (0.0, 1.0)}),
+    "C": ("C", {"detuning": (0.85, 1.0), "m_h": (0.0, 1.0)}),
+    "B": ("B", {"R": (0.0, 0.1), "m_s": (0.03, 0.06)}),
+}
+
+
+def designs(name, n, seed=0):
+    """Parameters of the task for designs drawn in a plane, with and without its cell."""
+    walker, keys = PLANES[name]
+    draw = np.random.default_rng(seed)
+    values = {key: draw.uniform(low, high, n) for key, (low, high) in keys.items()}
+    low, high = ([side[i] for side in keys.values()] for i in (0, 1))
+    lines = {"line": {"walker": walker, "set": values}, "slope": SLOPE}
+    cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*r, 30) for r in keys.values()]}
+    return lines, {**lines, "cell": cell}
+
+
+def computed(params):
+    return {name.removeprefix("design/"): v for name, v in design(params, []).items()}
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Landscape, family and designs of a plane, each made once."""
+    kept = {}
+
+    def of(name):
+        if name not in kept:
+            walker, keys = PLANES[name]
+            family = Family.of({"walker": walker, "set": {}}, tuple(keys))
+            box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)), log=True)
+            (landscape,) = make(family, box, WINDOW, lambda part: 1000)
+            kept[name] = family, landscape
+        return kept[name]
+
+    return of
+
+
+@pytest.mark.parametrize("name", PLANES)
+def test_both_roads_agree_within_their_bounds(name):
+    lines, plane = designs(name, 24)
+    one, other = computed(plane), computed(lines)
+    assert one["surveyed"].mean() < 0.1 and (other["surveyed"] == 1).all()
+    assert np.array_equal(one["smallest_at"], other["smallest_at"])
+    assert np.array_equal(one["stability_lost_by"], other["stability_lost_by"])
+    for quantity in QUANTITIES:
+        a, b, bound = one[quantity], other[quantity], one[f"{quantity}_error"] + other[f"{quantity}_error"]
+        assert np.array_equal(np.isnan(a), np.isnan(b))
+        there = np.isfinite(a) & (a > 0)
+        assert (np.abs(a[there] / b[there] - 1) <= bound[there]).all()
+        assert bound[there].max(initial=0) < 1e-8
+    for column in ("stance_angle", "stance_rate", "thigh_rate", "fastest_slope"):
+        there = np.isfinite(other[column])
+        assert one[column][there] == pytest.approx(other[column][there], rel=1e-7)
+
+
+def test_the_planes_hold_what_they_are_chosen_for():
+    kinds = {name: computed(designs(name, 24)[0]) for name in PLANES}
+    assert set(kinds["A"]["stability_lost_by"]) == {"flip", "never stable"}
+    faster = kinds["C"]["fastest_slope"] < 0.9 * kinds["C"]["largest_stable_slope"]
+    assert 0 < faster.sum() < 24  # a fold's gait is faster than the flip's
+    assert set(kinds["B"]["smallest_at"]) == {"any slope"}
+
+
+def test_a_design_does_not_depend_on_its_company():
+    _, plane = designs("A", 12)
+    part = {**plane, "line": {**plane["line"], "set": {k: v[7:9] for k, v in plane["line"]["set"].items()}}}
+    one, other = computed(part), computed(plane)
+    assert all(np.array_equal(one[k], other[k][7:9], equal_nan=one[k].dtype.kind == "f") for k in one)
+
+
+def solved(family, landscape, keys):
+    rows = _Rows(len(keys))
+    accepted = _solve(family, landscape, keys, np.arange(len(keys)), WINDOW, rows)
+    return rows, accepted
+
+
+@pytest.mark.parametrize("by", [1e-9, 1e-7, 1e-5, 1e-3])
+def test_wrong_polynomials_change_no_accepted_value(made, by):
+    family, right = made("A")
+    keys = right.box.at(np.random.default_rng(3).uniform(-1, 1, (200, 2)))
+    out, accepted = solved(family, right, keys)
+    assert accepted.mean() > 0.95
+    wrong = copy.deepcopy(right)
+    wrong.manifolds = [replace(m, coefficients=m.coefficients * (1 + by)) for m in right.manifolds]
+    other, still = solved(family, wrong, keys)
+    assert by < 1e-4 or not still.any()
+    for quantity in QUANTITIES:
+        assert np.array_equal(out.kind[quantity][still & accepted], other.kind[quantity][still & accepted])
+        off = np.abs(out.value[quantity] - other.value[quantity])[still & accepted]
+        bound = (out.error[quantity] + other.error[quantity])[still & accepted]
+        assert (off[np.isfinite(off)] <= bound[np.isfinite(off)]).all()
+
+
+def test_polynomials_that_changed_places_are_not_accepted(made):
+    family, right = made("A")
+    keys = right.box.at(np.random.default_rng(3).uniform(-1, 1, (50, 2)))
+    wrong = copy.deepcopy(right)
+    a, b = right.manifolds[:2]
+    wrong.manifolds[:2] = [replace(b, kind=a.kind), replace(a, kind=b.kind)]
+    assert not solved(family, wrong, keys)[1].any()
+
+
+def test_a_dropped_manifold_is_found_again(made):
+    family, right = made("A")
+    surveyor = _Surveyor(family, right.box, WINDOW)
+    surveyor.survey(right.box.unit(np.array([[0.46, 0.1], [0.47, 0.9], [0.64, 0.05]])))
+    surveyor.manifolds = list(right.manifolds)
+    assert not surveyor.missing(rivals=False)
+    assert surveyor.patterns() <= right.patterns
+    for k, dropped in enumerate(right.manifolds[:2]):
+        surveyor.manifolds = [m for m in right.manifolds if m is not dropped]
+        assert surveyor.missing(rivals=False)
+        assert surveyor.manifolds[-1].kind == dropped.kind, k
+
+
+def test_flags_that_no_line_has_are_not_known():
+    patterns = {np.array([1, 6], np.int8).tobytes(), np.array([1, 0], np.int8).tobytes()}
+    flags = np.array([[1, 6], [1, -1], [3, -1], [1, 2], [-1, -1]], np.int8)
+    assert is_known(flags, patterns).tolist() == [True, True, False, False, True]
+
+
+def test_stability_ends_where_two_flips_meet(made):
+    """Just before the curve on which they meet a line has a window of stable gaits, just beyond it none."""
+    _, landscape = made("A")
+    (cut,) = [m.cut for m in landscape.manifolds if m.cut is not None]
+    assert cut.turns and (cut.axis, cut.side) == (0, 1)
+    for m_h in (0.1, 0.7):
+        unit = landscape.box.unit(np.array([[0.5, m_h]]))
+        unit[0, 0] = cut.at(unit)[0]
+        at = float(landscape.box.at(unit)[0, 0])
+        line = {"walker": "A", "set": {"detuning": np.array([at - 2e-5, at + 2e-5]), "m_h": np.full(2, m_h)}}
+        both = computed({"line": line, "slope": SLOPE})
+        assert both["stability_lost_by"].tolist() == ["flip", "never stable"]
+
+
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_coordinates_of_a_part_are_inverse(turns, side):
+    cut = Cut(1, side, np.array([0.2, 0.1]), turns)
+    own = np.random.default_rng(0).uniform(-1, 1, (9, 2))
+    assert cut.own(cut.unit(own)) == pytest.approx(own, abs=1e-12)
+    ends = cut.unit(np.array([[0.5, -side], [0.5, side]]))
+    assert ends[:, 1] == pytest.approx([-side, 0.25])
+
+
+def test_boxes_with_logarithms_have_inverse_coordinates():
+    box = Box(("detuning", "m_h"), (0.005, 0.0), (1.0, 6.0), log=True)
+    unit = np.random.default_rng(0).uniform(-1, 1, (9, 2))
+    assert box.unit(box.at(unit)) == pytest.approx(unit, abs=1e-12)
+    low, high = box.halves(0)
+    assert low.high[0] == high.low[0] == pytest.approx(np.sqrt(0.005))
+    assert box.at(np.array([[-1.0, -1.0], [1.0, 1.0]])) == pytest.approx(np.array([[0.005, 0.0], [1.0, 6.0]]))
+
+
+def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
+    walker, keys = PLANES["B"]
+    family = Family.of({"walker": walker, "set": {}}, tuple(keys))
+    box = Box(tuple(keys), (0.05, 0.05), (0.06, 0.06))
+    assert [part.why for part in make(family, box, WINDOW, lambda part: 10)] == ["few designs"]
+
+    def refuse(self):
+        raise Refused("no reason", 1)
+
+    monkeypatch.setattr(landscapes._Surveyor, "landscape", refuse)
+    parts = make(family, box, WINDOW, lambda part: 1000, splits=1)
+    assert [part.why for part in parts] == ["no reason", "no reason"]
+    assert parts[0].box.high[1] == parts[1].box.low[1]
+
+
+def lanes(walker, **keys):
+    return Lanes(resolve_many(walker, {key: np.array([value]) for key, value in keys.items()}))
+
+
+def test_the_scalars_vanish_at_points_known_otherwise():
+    """A flip and a fold have the multipliers -1 and 1; where the speed is greatest that of both neighbours is less."""
+    problem = lanes("C", detuning=0.85, m_h=0.0)
+    points = find(problem, survey_lines(problem, COARSE), WINDOW, {})
+    assert {"fold", "flip", "neimark_sacker", "fastest", "end_kneestrike_at_heelstrike"} <= set(points.kind)
+    value = {"flip": -1.0, "fold": 1.0}
+    for k in np.flatnonzero(points.walks):
+        kind, Z = str(points.kind[k]), points.Z[:, [k]]
+        at = evaluate(problem, Z)
+        if kind in SCALARS and kind != "window" and np.isfinite(at.stride.jacobian).all():
+            assert abs(scalar(kind, at)[0]) < 1e-9 * np.abs(points.rows[:, k]).max()
+        values = np.linalg.eigvals(at.jacobians[0]) if kind in (*value, "neimark_sacker") else np.zeros(0)
+        if kind in value:
+            assert np.abs(values - value[kind]).min() < (1e-9 if kind == "flip" else 1e-5)
+        if kind == "neimark_sacker":
+            pairs = [values[i] * values[j] for i in range(3) for j in range(i)]
+            assert np.abs(np.array(pairs) - 1).min() < 1e-9
+        if kind == "fastest":
+            step = 1e-4
+            others = [solve(problem, "window", Z, Z[problem.m] + sign * step).Z for sign in (-1, 1)]
+            v = [log_froude(each, at.radius)[0] for each in (others[0], Z, others[1])]
+            assert abs(v[2] - v[0]) < 5e-3 * abs(v[0] - 2 * v[1] + v[2])
+
+
+def test_a_row_of_differences_is_the_derivative():
+    problem = lanes("A", detuning=0.3, m_h=0.5)
+    Z = np.array([[np.log(0.3)], [-0.9], [-0.5], [np.log(0.03)], [2.0]])
+    move = 1e-4 * np.random.default_rng(0).normal(size=(5, 1))
+    for kind in ("flip", "fold", "neimark_sacker", "fastest", "end_tangential_heelstrike", "speed"):
+        there, here = (scalar(kind, evaluate(problem, Z + sign * move))[0] for sign in (1, -1))
+        assert there - here == pytest.approx(2 * float(gradient(problem, kind, Z)[:, 0] @ move[:, 0]), rel=1e-4)
+
+
+def test_a_point_that_is_lost_is_refused():
+    family = Family.of({"walker": "A", "set": {}}, ("detuning",))
+    box = Box(("detuning",), (0.3,), (0.5,))
+    maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
+    with pytest.raises(Refused):
+        maker.manifold("flip", np.array([0.0]), np.array([np.log(0.4), -0.9, -0.5, np.log(0.3), 2.0]))
