@@ -24,8 +24,9 @@ from tasks.step.symbols import end_of_step, lock_knee, start_of_step
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
 #: Each tier's type of number and its rounding unit.
 TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1.93e-34))
-#: Newton steps with one derivative, each of at most half the size of the one before, and derivatives by differences.
-_MAX_STEPS, _MAX_DERIVATIVES = 20, 4
+#: Newton steps, with one derivative each of at most half the size of the one before, and derivatives by differences in
+#: each tier's number: in long double they would be no better than those in doubles.
+_MAX_STEPS, _MAX_DERIVATIVES = 20, (0, 4)
 #: Relative size of a step from which Newton is lost: it begins at a gait in doubles.
 _MAX_STEP = 1e-2
 
@@ -204,7 +205,7 @@ def solved(
         step = inverse @ np.array([float(v) for v in residual])
         size = float(np.max(np.abs(step / measure)))
         if not size <= 0.5 * before:
-            if derivatives == _MAX_DERIVATIVES:
+            if before < ESCALATE or derivatives == _MAX_DERIVATIVES[tier]:
                 break
             # Beside falls, where the step amplifies its start most, the derivative in doubles does not serve.
             derivatives += 1
