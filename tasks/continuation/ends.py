@@ -59,8 +59,8 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
             continue
         if test(*at_good) * test(*at_bad) < 0:
             end = BranchEnd(kind, *(yield from locate_root(branch, segment, test)), 0.0)
-            distance = float(np.linalg.norm(end.point.X[:, 0] - branch.Z[good, : branch.m + 1]))
-            ends.append((distance, end))
+            # In the coordinate in which the segment is monotone: all others turn where kneestrike is tangential.
+            ends.append((abs(float(row(end.point)[axis] - branch.Z[good, axis])), end))
     if ends:
         end = min(ends, key=lambda end: end[0])[1]
         if (yield from _walks_up_to(branch, good, segment, end)):
