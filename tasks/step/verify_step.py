@@ -140,6 +140,18 @@ def _extrema(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return extremum(1.0, (da < 0) & (db >= 0)), extremum(-1.0, (da > 0) & (db <= 0))
 
 
+# Where a guard does not change between samples there is no crossing to ask for.
+@np.errstate(invalid="ignore", divide="ignore")
+def _behind(falls: np.ndarray, guard: np.ndarray, stance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether a guard that falls in some intervals does so with a negative stance angle, shape (intervals, n).
+
+    Returned besides is whether in one of them that angle changes its sign, shape (n,): finer samples tell better.
+    """
+    share = np.clip(guard[:-1] / (guard[:-1] - guard[1:]), 0.0, 1.0)
+    at = stance[:-1] + share * (stance[1:] - stance[:-1])
+    return falls & (at < 0), (falls & (stance[:-1] >= 0) & (stance[1:] < 0)).any(axis=0)
+
+
 # Where a strike is tangential to the last digit its rate has no value.
 @np.errstate(invalid="ignore")
 def strikes_fall_in_order(
@@ -202,11 +214,12 @@ def verify(
     behind = np.minimum(a[:-1], a[1:]) - margin < 0
     # At the strike itself a guard is as far from zero as rounding, which a long step amplifies, has moved it.
     touch = np.maximum(_TOUCH, 2 * np.abs(guard[-1]))
-    falls = (guard[1:] < -touch) & (guard[:-1] >= -touch) & (a[1:] < 0)
+    falls = (guard[1:] < -touch) & (guard[:-1] >= -touch)
+    falls, late = _behind(falls, guard, a)
     falls[-1] = False
     # A guard that falls to zero was positive just before.
     step = strikes_fall_in_order(closing, times, touch) & ~falls.any(axis=0) & (a[-1] < 0)
-    doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0)
+    doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0) | late
     leg_passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
     for phase in motion:
         half = phase.shape[1] // 2
@@ -226,7 +239,9 @@ def verify(
         sum_, closing_in = three[:, 0] + three[:, 1], three[:, 3] + three[:, 4]
         down = sum_[1:] <= 0
         down[-1] = sum_[-1] < -touch
-        step &= ~(down & (sum_[:-1] > 0) & (three[1:, 0] < 0)).any(axis=0)
+        falls, late = _behind(down & (sum_[:-1] > 0), sum_, three[:, 0])
+        step &= ~falls.any(axis=0)
+        doubt |= late
         behind = np.minimum(three[:-1, 0], three[1:, 0]) - margin < 0
         doubt |= (behind & _unclear(sum_, closing_in, margin)).any(axis=0)
         # The knee starts straight: the guard's first zero is no strike.
