@@ -11,6 +11,8 @@ import numpy as np
 _MIN_KNEESTRIKE = 1e-7
 #: Value of the heelstrike guard, angles being of order one, that may be rounding just before the strike itself, at least.
 _TOUCH = 1e-12
+#: Flexion that may be rounding: a knee that strikes at once hardly flexes.
+_STRAIGHT = 1e-14
 
 
 @dataclass
@@ -232,7 +234,7 @@ def verify(
         hyperextends = rate[0] < 0
         inner = flexion[1:-1]
         bent = np.maximum.accumulate(inner > 0, axis=0)
-        straight_again = (bent[:-1] & (inner[1:] <= 0)).any(axis=0)
+        straight_again = (bent[:-1] & (inner[1:] < -_STRAIGHT)).any(axis=0)
         # A strike that falls comes from above, if only since the last sample: almost tangential ones do.
         step = step & ~straight_again & (times[0] > _MIN_KNEESTRIKE)
         # The foot could strike before the knee; where both strike together its height at kneestrike is rounding.
