@@ -103,9 +103,7 @@ class _ExtendedStepMap:
         section = values[1 : 1 + self.m]
         return np.concatenate([section - y, guards, values[:1]]), values[1 + self.m :]
 
-    def inverse(
-        self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, residual: np.ndarray
-    ) -> np.ndarray:
+    def inverse(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """How far a residual moves the solution's y and event times, by differences from the residual at y and times.
 
         Returns
@@ -163,7 +161,7 @@ class ExtendedGait:
 def solved(
     problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np.ndarray, slope: float, scale: float, tier: int
 ) -> ExtendedGait:
-    """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles where that serves.
+    """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles if it serves.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ import numpy as np
 #: Shortest time to kneestrike [sqrt(leg/g)]: in less the knee flexes by no more than rounding. At time 0, where the
 #: knee is straight, its guard has a root that is no strike.
 _MIN_KNEESTRIKE = 1e-7
-#: Value of the heelstrike guard, angles being of order one, that may be rounding just before the strike itself, at least.
+#: Value of a guard, angles being of order one, that may be rounding at a strike, or more where that is farther from 0.
 _TOUCH = 1e-12
 #: Flexion that may be rounding: a knee that strikes at once hardly flexes.
 _STRAIGHT = 1e-14
@@ -151,14 +151,12 @@ def _behind(falls: np.ndarray, guard: np.ndarray, stance: np.ndarray) -> tuple[n
     """
     share = np.clip(guard[:-1] / (guard[:-1] - guard[1:]), 0.0, 1.0)
     at = stance[:-1] + share * (stance[1:] - stance[:-1])
-    return falls & (at < 0), (falls & (stance[:-1] >= 0) & (stance[1:] < 0)).any(axis=0)
+    return falls & (at < 0), np.asarray((falls & (stance[:-1] >= 0) & (stance[1:] < 0)).any(axis=0))
 
 
 # Where a strike is tangential to the last digit its rate has no value.
 @np.errstate(invalid="ignore")
-def strikes_fall_in_order(
-    closing: np.ndarray, times: np.ndarray, touch: float | np.ndarray = _TOUCH
-) -> np.ndarray:
+def strikes_fall_in_order(closing: np.ndarray, times: np.ndarray, touch: float | np.ndarray = _TOUCH) -> np.ndarray:
     """Whether solved strikes follow each other, and the guard of each falls.
 
     Parameters
