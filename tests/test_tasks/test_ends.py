@@ -11,6 +11,7 @@ from lines import FAILURES, branches, of_label, repeats, solved
 from pipeline.bench.bounds import compared
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.polish import UNKNOWN, settle
+from tasks.mechanics.lumped import lump
 from tasks.registry import GAITS, STATUSES
 from tasks.solve_points import lines
 from tasks.step import extended_precision
@@ -127,3 +128,44 @@ def test_of_two_ends_on_one_segment_the_first_ends_the_branch():
     side = -branch.why.index("end_tangential_kneestrike")
     stride, _ = problem.stride(np.delete(branch.Z[side], problem.m)[:, None], branch.q[[side]])
     assert abs(stride.closing[0, 0]) < 1e-6 and np.diff(branch.Z[side, -2:]) > 5e-3
+
+
+def shorter_steps(problem, y, time, slope, ratio):
+    """Slopes at which steps of ever smaller angle, y[0] = 1 in its own unit, repeat: Newton's method in long double."""
+    exact = extended_precision._extended_step_map(problem.structure, 0)
+    constants = lump(problem.walker, np.longdouble)
+    fixed = [constants[k] for k in problem.structure.constants]
+    U, slopes = np.array([*y[1:] / y[0], time, slope], np.longdouble), []
+    for angle in y[0] / np.longdouble(ratio) ** np.arange(6):
+
+        def equations(U, angle=angle):
+            scaled = np.append(np.longdouble(1), U[:-2])
+            residual, _ = exact(scaled, U[-2:-1], np.array([U[-1], angle, *fixed], np.longdouble))
+            return residual / np.abs(U[:-2]).max()
+
+        h = np.longdouble(1e-9) * np.array([*np.full(len(U) - 2, np.abs(U[:-2]).max()), 1.0, slope], np.longdouble)
+        for _ in range(12):
+            columns = [(equations(U + d) - equations(U - d)) / (2 * d.max()) for d in np.diag(h)]
+            step = np.linalg.solve(np.array(columns, float).T, -equations(U).astype(float))
+            U = U + step
+            if np.abs(step[-1]) < 1e-16 * slope:
+                break
+        slopes.append(U[-1])
+        # Rates vanish with the root of the angle.
+        U = np.append(U[:-2] * np.sqrt(ratio), U[-2:])
+    return np.array(slopes)
+
+
+@pytest.mark.parametrize(("name", "overrides"), [("physical-straight", {}), ("A", {"detuning": 0.3})])
+def test_the_slope_of_vanishing_steps_is_that_of_ever_shorter_ones(name, overrides):
+    problem, found = branches(name, **overrides)
+    (branch,) = [b for b in found if "zero step length" in b.why]
+    (end,) = [p for p in special_points(problem, branch) if p["kind"] == "end_zero_step"]
+    node = np.delete(branch.Z[-branch.why.index("zero step length")], problem.m)
+    angle = np.exp(node[0])
+    slopes = shorter_steps(problem, np.array([angle, *angle * node[1:-1]]), node[-1], end["slope"], 4.0)
+    while len(slopes) > 1:
+        # Powers of the root of the angle, one after another.
+        order = 7 - len(slopes)
+        slopes = slopes[1:] + (slopes[1:] - slopes[:-1]) / (2**order - 1)
+    assert abs(float(slopes[0] / end["slope"] - 1)) < end["error_bound"] < 1e-8
