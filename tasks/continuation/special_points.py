@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
+from tasks.continuation.branch import LOST, Branch
 from tasks.continuation.locate import TestFunction, locate_root, oriented_tangent
 from tasks.continuation.lockstep import Procedure, side_by_side
 from tasks.continuation.tracking import Point, branch_point_determinant, correct
@@ -102,7 +102,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
 END_NAMES = {
     "zero step length": "end_zero_step",
     "end of the window": "window",
-    "no further point": "lost",
+    **dict.fromkeys(LOST, "lost"),
     "a fall": "end_fall",
 }
 

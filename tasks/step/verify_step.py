@@ -213,7 +213,10 @@ def verify(
     # Between samples i and i + 1: a strike needs the guard at or below zero with the stance angle negative.
     behind = np.minimum(a[:-1], a[1:]) - margin < 0
     # At the strike itself a guard is as far from zero as rounding, which a long step amplifies, has moved it.
-    touch = np.maximum(_TOUCH, 2 * np.abs(guard[-1]))
+    off = np.abs(guard[-1])
+    if len(motion) == 2:
+        off = np.maximum(off, np.abs(motion[0][-1, 1] - motion[0][-1, 2]))
+    touch = np.maximum(_TOUCH, 8 * off)
     falls = (guard[1:] < -touch) & (guard[:-1] >= -touch)
     falls, late = _behind(falls, guard, a)
     falls[-1] = False
