@@ -175,8 +175,9 @@ def _solve_lines(
 
 def _reasons(branches: list[Branch], searched: str) -> list[str]:
     """Sentences that `reason` indexes."""
+    lost = sorted(slope for branch in branches for slope in branch.lost())
     long, short = (
-        status.outside(label, [s for b in branches for s in _spans(b, label)], searched) for label in GAITS[:2]
+        status.outside(label, [s for b in branches for s in _spans(b, label)], searched, lost) for label in GAITS[:2]
     )
     return status.reasons(long, short)
 

@@ -1,5 +1,7 @@
 """Outcomes of a solve, and the sentence for each. A physical violation is not a status."""
 
+from collections.abc import Sequence
+
 from tasks.registry import STATUSES
 
 CONVERGED, NO_GAIT, NOT_CONVERGED, FELL, LESS_ACCURATE = (
@@ -15,7 +17,7 @@ COARSE = "Converged to a step, but its error bound exceeds the accuracy wanted."
 NOT_A_STEP = "The solution is not a step: a guard is crossed before the event solved for."
 
 
-def outside(label: str, pieces: list[tuple[float, float]], searched: str) -> str:
+def outside(label: str, pieces: list[tuple[float, float]], searched: str, lost: Sequence[float] = ()) -> str:
     """Say why no branch has a gait of a label at some slope.
 
     Parameters
@@ -26,7 +28,11 @@ def outside(label: str, pieces: list[tuple[float, float]], searched: str) -> str
         Least and largest slopes over which branches have such gaits.
     searched : str
         What was searched, in words.
+    lost : sequence of float [rad]
+        Slopes at which branches could be continued no further, or failed a check.
     """
+    if lost:
+        searched += f"; continuation was lost at {', '.join(f'{slope:.6g}' for slope in lost)}"
     if not pieces:
         return f"No {label} gait found: {searched}."
     spans = "; ".join(f"{low:.6g} to {high:.6g}" for low, high in pieces)

@@ -4,11 +4,13 @@ import functools
 
 import numpy as np
 
-from tasks.registry import COSTLY, GAITS, VARIABLES
+from oracle import Oracle
+from tasks.registry import COSTLY, GAITS, STATUSES, VARIABLES
 from tasks.solve_points import atlas, points
 from tasks.walkers.resolve import resolve
 
 WANT = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
+FAILURES = [code for name, code in STATUSES.items() if name not in ("converged", "no_gait")]
 
 
 @functools.lru_cache(maxsize=32)
@@ -37,3 +39,18 @@ def branches(walker, **overrides):
 
     found = _atlas(walker, tuple(sorted(overrides.items())))
     return Problem(resolve(walker, overrides)), from_arrays(found)
+
+
+def of_label(out, label):
+    g = GAITS.index(label)
+    return {k: v[0, g] for k, v in out.items() if k != "reasons"}
+
+
+def repeats(walker, overrides, slope, found):
+    """How far a step of the second derivation, with scipy's events, lands from a gait, relative."""
+    rates = np.array([found["stance_rate"], found["thigh_rate"], found["shank_rate"]])
+    model = Oracle(resolve(walker, overrides).table())
+    rates = rates if model.knees else rates[:2]
+    step = model.step(found["stance_angle"], rates, slope, rtol=1e-11, atol=1e-12)
+    moved = np.abs(step.rates[: len(rates)] - rates).max() / np.abs(rates).max()
+    return max(abs(step.theta / found["stance_angle"] - 1), moved, abs(step.period / found["period"] - 1))

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from tasks.continuation.branch import Branch
+from tasks.continuation.checks import checked
 from tasks.continuation.ends import BranchEnd, locate_end
 from tasks.continuation.locate import (
     check_steps,
@@ -73,6 +74,7 @@ def _from_tracks(m: int, down: Track, up: Track, tolerance: float) -> Procedure[
             branch = yield from _with_folds(branch)
             branch = yield from densify(branch, tolerance)
             branch = yield from without_jumps(branch.in_order())
+            branch = yield from checked(branch)
             branches += yield from _without_gaps(branch, tolerance)
     return branches
 
@@ -141,6 +143,7 @@ def _without_gaps(branch: Branch, tolerance: float) -> Procedure[list[Branch]]:
         part = yield from _with_ends(branch, first, last)
         if part is not None:
             part = yield from densify(part, tolerance)
+            part = yield from checked(part)
             yield from measure(part, tolerance)
             branches.append(part)
     return branches

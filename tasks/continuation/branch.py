@@ -12,6 +12,8 @@ from tasks.fixed_points.polish import UNKNOWN, Guesses
 
 #: Nodes nearer than this are one: that of a fold may be its neighbour but for rounding.
 _COINCIDENT = 1e-8
+#: Kinds of ends that are none: where continuation was lost, or what lies beyond failed a check.
+LOST = ("no further point", "too many points", "not a step")
 #: Worth of the event times as coordinates of segments, beside that of other coordinates.
 _WORTH_OF_TIMES = 0.02
 
@@ -123,6 +125,10 @@ class Branch:
         return Branch(
             self.m, self.Z[nodes], self.tangent[nodes], np.zeros(len(nodes)), (low[0], high[0]), (low[1], high[1])
         )
+
+    def lost(self) -> list[float]:
+        """Return the slopes of ends at which the branch could be continued no further [rad]."""
+        return [float(np.exp(self.q[-i])) for i in (0, 1) if self.why[i] in LOST]
 
     def in_order(self) -> Branch:
         """Branch without the nodes that, seen from its middle, do not lie along it, with nothing measured yet.

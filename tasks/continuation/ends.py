@@ -27,6 +27,9 @@ from tasks.step.step_map import SAMPLES
 _SHARES = 1 - 0.1 ** np.arange(1, 7)
 #: Value of an end's test function below which rounding may decide whether a gait is a step.
 _MIN_DISTANCE = 1e-6
+#: At time 0 the knee's guard has a root that is no strike: one nearer to it than this is not told from it
+#: [sqrt(leg/g)].
+_EARLIEST_KNEESTRIKE = 2e-6
 
 
 @dataclass(frozen=True)
@@ -59,13 +62,21 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
             continue
         if test(*at_good) * test(*at_bad) < 0:
             end = BranchEnd(kind, *(yield from locate_root(branch, segment, test)), 0.0)
-            distance = float(np.linalg.norm(end.point.X[:, 0] - branch.Z[good, : branch.m + 1]))
-            ends.append((distance, end))
+            # In the coordinate in which the segment is monotone: all others turn where kneestrike is tangential.
+            ends.append((abs(float(row(end.point)[axis] - branch.Z[good, axis])), end))
     if ends:
         end = min(ends, key=lambda end: end[0])[1]
         if (yield from _walks_up_to(branch, good, segment, end)):
-            return end
+            return (yield from _with_a_kneestrike(branch, segment, end))
     return (yield from _earlier_strike_end(branch, segment, good, bad))
+
+
+def _with_a_kneestrike(branch: Branch, segment: int, end: BranchEnd) -> Procedure[BranchEnd]:
+    """Where the knee strikes as soon as it is released, the end at the earliest kneestrike that rounding resolves."""
+    if end.kind != "end_tangential_kneestrike" or end.point.times[0, 0] > _EARLIEST_KNEESTRIKE:
+        return end
+    earliest = yield from locate_root(branch, segment, lambda point, _: float(point.times[0, 0] - _EARLIEST_KNEESTRIKE))
+    return BranchEnd(end.kind, *earliest, abs(float(earliest[0].X[-1, 0] - end.point.X[-1, 0])))
 
 
 def _walks_up_to(branch: Branch, good: int, segment: int, end: BranchEnd) -> Procedure[bool]:

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
+from tasks.continuation.branch import LOST, Branch
 from tasks.continuation.locate import TestFunction, locate_root, oriented_tangent
 from tasks.continuation.lockstep import Procedure, side_by_side
 from tasks.continuation.tracking import Point, branch_point_determinant, correct
 from tasks.fixed_points.rounding import rounding
 from tasks.step.problem import EPS, Problem
+
+#: Points from which the slope of vanishing steps is extrapolated, and how far they reach, over the first's distance.
+_EXTRAPOLATION_POINTS, _EXTRAPOLATION_SPAN = 10, 3.0
 
 
 def _eigen_products(A: np.ndarray) -> np.ndarray:
@@ -89,6 +92,8 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
             records.append((segment + 0.5, _record(kind, problem, point, 0)))
     for index, kind, error in zip((0, len(branch.Z) - 1), branch.why, branch.end_errors, strict=True):
         record = _record(END_NAMES.get(kind, kind), problem, nodes, index, error)
+        if kind == "zero step length":
+            record |= _limit_of_short_steps(branch, index)
         records.append((float(index), record))
     return [record for _, record in sorted(records, key=lambda entry: entry[0])]
 
@@ -97,9 +102,36 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
 END_NAMES = {
     "zero step length": "end_zero_step",
     "end of the window": "window",
-    "no further point": "lost",
+    **dict.fromkeys(LOST, "lost"),
     "a fall": "end_fall",
 }
+
+
+def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
+    """Slope, with its error, at which the steps of a branch's end vanish.
+
+    Notes
+    -----
+    Where the fastest rate vanishes more slowly than the angle, the slope is a smooth function of angle/rate and is
+    extrapolated to zero, by Neville's scheme over Chebyshev's points; where not, the angle has vanished in doubles.
+    """
+    order = slice(None) if end == 0 else slice(None, None, -1)
+    Z, tangent, m = branch.Z[order], branch.tangent[order], branch.m
+    left = abs(float(tangent[0, m] / tangent[0, 0]))
+    values = np.exp(Z[:1, m])
+    shares = 1 / np.abs(Z[:, 1 + int(np.abs(Z[0, 1:m]).argmax())])
+    beyond = shares > _EXTRAPOLATION_SPAN * shares[0]
+    count = int(beyond.argmax()) if beyond.any() else len(shares)
+    if left > EPS and count >= 2 * _EXTRAPOLATION_POINTS:
+        wanted = np.cos(np.pi * np.arange(_EXTRAPOLATION_POINTS) / (_EXTRAPOLATION_POINTS - 1))
+        wanted = shares[0] + (shares[count - 1] - shares[0]) * (0.5 - 0.5 * wanted)
+        at = np.unique(np.abs(shares[:count, None] - wanted).argmin(axis=0))
+        x, row = shares[at], np.exp(Z[at, m])
+        for k in range(1, len(x)):
+            row = (x[k:] * row[:-1] - x[:-k] * row[1:]) / (x[k:] - x[:-k])
+            values = np.append(values, row[0])
+        left = float(np.ptp(values[-3:]) / values[-1])
+    return {"slope": float(values[-1]), "error_bound": 4 * left + 8 * EPS}
 
 
 def _is_genuine(kind: str, point: Point) -> bool:

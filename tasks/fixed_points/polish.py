@@ -14,6 +14,7 @@ from tasks.fixed_points.step_check import verify_steps
 from tasks.step import extended_precision
 from tasks.step.problem import EPS, Problem, joint_sizes
 from tasks.step.step_map import SAMPLES, Stride, matvec
+from tasks.step.verify_step import strikes_fall_in_order
 
 #: Leg passes where the atlas has not shown that a point's step happens.
 UNKNOWN = -1
@@ -144,7 +145,7 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
         bound[lane] = wide.last_step * max(1.0, amplification[lane]) + wide.rounding
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
-    step = np.asarray(((stride.closing < 0) & (np.diff(times, axis=0, prepend=0.0) > 0)).all(axis=0))
+    step = strikes_fall_in_order(stride.closing, times)
     lanes = np.nonzero(leg_passes == UNKNOWN)[0]
     if len(lanes):
         known = stride.some(lanes) if sampled else None

@@ -24,15 +24,18 @@ from tasks.step.symbols import end_of_step, lock_knee, start_of_step
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
 #: Each tier's type of number and its rounding unit.
 TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1.93e-34))
-#: Newton steps with the derivative in doubles, each of at most half the size of the one before.
-_MAX_STEPS = 20
+#: Newton steps, with one derivative each of at most half the size of the one before, and derivatives by differences in
+#: each tier's number: in long double they would be no better than those in doubles.
+_MAX_STEPS, _MAX_DERIVATIVES = 20, (0, 4)
+#: Relative size of a step from which Newton is lost: it begins at a gait in doubles.
+_MAX_STEP = 1e-2
 
 
 class _ExtendedStepMap:
     """The step map of one structure in a wider number, one lane at a time and without derivatives."""
 
     def __init__(self, structure: Structure, number: Any, unit: float):
-        self.structure, self.number = structure, number
+        self.structure, self.number, self.unit = structure, number, unit
         self.m, self.kneed = structure.dimension, structure.kneed
         flows = [True, False] if self.kneed else [False]
         systems = [system(structure, free, 0, False) for free in flows]
@@ -100,6 +103,26 @@ class _ExtendedStepMap:
         section = values[1 : 1 + self.m]
         return np.concatenate([section - y, guards, values[:1]]), values[1 + self.m :]
 
+    def inverse(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """How far a residual moves the solution's y and event times, by differences from the residual at y and times.
+
+        Returns
+        -------
+        ndarray, shape (m + k, m + k)
+            In doubles.
+        """
+        unknowns, difference = np.concatenate([y, times]), self.number(self.unit ** (2 / 3))
+        columns = []
+        for i in range(len(unknowns)):
+            moved = unknowns.copy()
+            moved[i] = moved[i] + difference
+            change = (self(moved[: self.m], moved[self.m :], parameters)[0] - residual) / difference
+            columns.append([float(v) for v in change])
+        try:
+            return -np.linalg.inv(np.array(columns).T)
+        except np.linalg.LinAlgError:
+            return np.full((len(unknowns), len(unknowns)), np.nan)
+
 
 @functools.lru_cache(maxsize=16)
 def _extended_step_map(structure: Structure, tier: int) -> _ExtendedStepMap:
@@ -138,7 +161,7 @@ class ExtendedGait:
 def solved(
     problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np.ndarray, slope: float, scale: float, tier: int
 ) -> ExtendedGait:
-    """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles.
+    """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles if it serves.
 
     Parameters
     ----------
@@ -172,7 +195,7 @@ def solved(
         np.array([number(v) for v in y], dtype=number),
         np.array([number(v) for v in times], dtype=number),
     )
-    inverse = stride.inverse[:, :, lane]
+    inverse, derivatives = stride.inverse[:, :, lane], 0
     m, measure = len(y), joint_sizes(y[:, None], len(times))[:, 0]
     before = size = np.inf
     for _ in range(_MAX_STEPS):
@@ -180,7 +203,15 @@ def solved(
         step = inverse @ np.array([float(v) for v in residual])
         size = float(np.max(np.abs(step / measure)))
         if not size <= 0.5 * before:
-            break
+            if before < ESCALATE or derivatives == _MAX_DERIVATIVES[tier]:
+                break
+            # Beside falls, where the step amplifies its start most, the derivative in doubles does not serve.
+            derivatives += 1
+            inverse = exact.inverse(wide, wide_times, parameters, residual)
+            step = inverse @ np.array([float(v) for v in residual])
+            size = float(np.max(np.abs(step / measure)))
+            if not size < _MAX_STEP:
+                break
         wide = wide + np.array([number(v) for v in step[:m]], dtype=number)
         wide_times = wide_times + np.array([number(v) for v in step[m:]], dtype=number)
         before = size

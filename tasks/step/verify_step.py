@@ -9,8 +9,10 @@ import numpy as np
 #: Shortest time to kneestrike [sqrt(leg/g)]: in less the knee flexes by no more than rounding. At time 0, where the
 #: knee is straight, its guard has a root that is no strike.
 _MIN_KNEESTRIKE = 1e-7
-#: Value of the heelstrike guard, angles being of order one, that may be rounding just before the strike itself.
+#: Value of a guard, angles being of order one, that may be rounding at a strike, or more where that is farther from 0.
 _TOUCH = 1e-12
+#: Flexion that may be rounding: a knee that strikes at once hardly flexes.
+_STRAIGHT = 1e-14
 
 
 @dataclass
@@ -140,6 +142,44 @@ def _extrema(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return extremum(1.0, (da < 0) & (db >= 0)), extremum(-1.0, (da > 0) & (db <= 0))
 
 
+# Where a guard does not change between samples there is no crossing to ask for.
+@np.errstate(invalid="ignore", divide="ignore")
+def _behind(falls: np.ndarray, guard: np.ndarray, stance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether a guard that falls in some intervals does so with a negative stance angle, shape (intervals, n).
+
+    Returned besides is whether in one of them that angle changes its sign, shape (n,): finer samples tell better.
+    """
+    share = np.clip(guard[:-1] / (guard[:-1] - guard[1:]), 0.0, 1.0)
+    at = stance[:-1] + share * (stance[1:] - stance[:-1])
+    return falls & (at < 0), np.asarray((falls & (stance[:-1] >= 0) & (stance[1:] < 0)).any(axis=0))
+
+
+# Where a strike is tangential to the last digit its rate has no value.
+@np.errstate(invalid="ignore")
+def strikes_fall_in_order(closing: np.ndarray, times: np.ndarray, touch: float | np.ndarray = _TOUCH) -> np.ndarray:
+    """Whether solved strikes follow each other, and the guard of each falls.
+
+    Parameters
+    ----------
+    closing : ndarray, shape (k, n)
+        Rates of the guards at the solved times.
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+    touch : float or ndarray, shape (n,)
+        Value of a guard that may be rounding.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+
+    Notes
+    -----
+    Where the foot strikes just after the knee, its height at kneestrike, not the difference of the times, is known to
+    rounding: a foot that strikes almost tangentially is late by rounding alone.
+    """
+    height = np.diff(times, axis=0, prepend=0) * -closing
+    return np.asarray(((closing < 0) & (height > -touch)).all(axis=0) & (times[0] > 0))
+
+
 def verify(
     motion: list[np.ndarray], closing: np.ndarray, times: np.ndarray, margin: float | np.ndarray = 0.0
 ) -> StepCheck:
@@ -172,16 +212,17 @@ def verify(
     guard = a + b
     # Between samples i and i + 1: a strike needs the guard at or below zero with the stance angle negative.
     behind = np.minimum(a[:-1], a[1:]) - margin < 0
-    falls = (guard[1:] < -_TOUCH) & (guard[:-1] >= -_TOUCH) & (a[1:] < 0)
+    # At the strike itself a guard is as far from zero as rounding, which a long step amplifies, has moved it.
+    off = np.abs(guard[-1])
+    if len(motion) == 2:
+        off = np.maximum(off, np.abs(motion[0][-1, 1] - motion[0][-1, 2]))
+    touch = np.maximum(_TOUCH, 8 * off)
+    falls = (guard[1:] < -touch) & (guard[:-1] >= -touch)
+    falls, late = _behind(falls, guard, a)
     falls[-1] = False
     # A guard that falls to zero was positive just before.
-    step = (
-        (closing < 0).all(axis=0)
-        & ~falls.any(axis=0)
-        & (a[-1] < 0)
-        & (np.diff(times, axis=0, prepend=0) > 0).all(axis=0)
-    )
-    doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0)
+    step = strikes_fall_in_order(closing, times, touch) & ~falls.any(axis=0) & (a[-1] < 0)
+    doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0) | late
     leg_passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
     for phase in motion:
         half = phase.shape[1] // 2
@@ -194,11 +235,16 @@ def verify(
         hyperextends = rate[0] < 0
         inner = flexion[1:-1]
         bent = np.maximum.accumulate(inner > 0, axis=0)
-        straight_again = (bent[:-1] & (inner[1:] <= 0)).any(axis=0)
-        step = step & bent.any(axis=0) & ~straight_again & (inner[-1] > 0) & (times[0] > _MIN_KNEESTRIKE)
-        # The foot could strike before the knee.
+        straight_again = (bent[:-1] & (inner[1:] < -_STRAIGHT)).any(axis=0)
+        # A strike that falls comes from above, if only since the last sample: almost tangential ones do.
+        step = step & ~straight_again & (times[0] > _MIN_KNEESTRIKE)
+        # The foot could strike before the knee; where both strike together its height at kneestrike is rounding.
         sum_, closing_in = three[:, 0] + three[:, 1], three[:, 3] + three[:, 4]
-        step &= ~((sum_[1:] <= 0) & (sum_[:-1] > 0) & (three[1:, 0] < 0)).any(axis=0)
+        down = sum_[1:] <= 0
+        down[-1] = sum_[-1] < -touch
+        falls, late = _behind(down & (sum_[:-1] > 0), sum_, three[:, 0])
+        step &= ~falls.any(axis=0)
+        doubt |= late
         behind = np.minimum(three[:-1, 0], three[1:, 0]) - margin < 0
         doubt |= (behind & _unclear(sum_, closing_in, margin)).any(axis=0)
         # The knee starts straight: the guard's first zero is no strike.

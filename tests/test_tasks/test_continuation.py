@@ -86,7 +86,7 @@ def test_a_branch_ends_where_a_search_no_longer_finds_its_gait():
     """The time of kneestrike changes ever faster towards the end, and beyond it the step has no such kneestrike."""
     problem = Problem(random_walker("kneed, near", 336))
     found = survey(problem)
-    (end,) = [np.exp(b.q[0]) for b in found if b.why == ("end_earlier_strike", "end_kneestrike_at_heelstrike")]
+    (end,) = [np.exp(b.q[0]) for b in found if b.why == ("end_tangential_kneestrike", "end_kneestrike_at_heelstrike")]
     for slope, number in ((1.01 * end, 2), (0.99 * end, 1)):
         assert search(problem, slope)[2].step.sum() == number
         assert sum(len(index) for b in found for index, _, _ in b.guesses(np.log([slope]))) == number
@@ -373,7 +373,7 @@ def test_of_a_branch_that_jumps_to_another_only_one_part_is_kept():
 def test_a_step_to_another_root_of_a_guard_is_refused():
     """Beyond slope 0.0146 the gait goes on; the time of kneestrike used to jump to a root before the step began."""
     found = survey(Problem(random_walker("kneed, near", 306)), COARSE)
-    (end,) = [np.exp(b.q[0]) for b in found if b.why == ("end_earlier_strike", "end_kneestrike_at_heelstrike")]
+    (end,) = [np.exp(b.q[0]) for b in found if b.why == ("end_tangential_kneestrike", "end_kneestrike_at_heelstrike")]
     assert end == pytest.approx(0.014628, abs=1e-6)
 
 

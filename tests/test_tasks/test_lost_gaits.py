@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lines import branches, solved
+from lines import FAILURES, branches, of_label, repeats, solved
 from oracle import Oracle, StepFailed
 from pipeline.bench.bounds import compared
 from pipeline.bench.missed import missed, neighbour
@@ -17,7 +17,6 @@ from tasks.fixed_points.step_check import verify_steps
 from tasks.registry import GAITS, STATUSES
 from tasks.solve_points import atlas, points
 from tasks.step.verify_step import strike_distance
-from tasks.walkers.resolve import resolve
 
 GAP = {
     "m_t": 2.39806,
@@ -81,22 +80,6 @@ BESIDE_FOLDS = [
     ("physical", {}, 0.019129048414023374, "other1"),
     ("physical-straight", {}, 0.015386310517529214, "other1"),
 ]
-FAILURES = [code for name, code in STATUSES.items() if name not in ("converged", "no_gait")]
-
-
-def of_label(out, label):
-    g = GAITS.index(label)
-    return {k: v[0, g] for k, v in out.items() if k != "reasons"}
-
-
-def repeats(walker, overrides, slope, found):
-    """How far a step of the second derivation, with scipy's events, lands from a gait, relative."""
-    rates = np.array([found["stance_rate"], found["thigh_rate"], found["shank_rate"]])
-    model = Oracle(resolve(walker, overrides).table())
-    rates = rates if model.knees else rates[:2]
-    step = model.step(found["stance_angle"], rates, slope, rtol=1e-11, atol=1e-12)
-    moved = np.abs(step.rates[: len(rates)] - rates).max() / np.abs(rates).max()
-    return max(abs(step.theta / found["stance_angle"] - 1), moved, abs(step.period / found["period"] - 1))
 
 
 @pytest.mark.parametrize(("walker", "overrides", "slope", "label"), BESIDE_FOLDS)

@@ -1,0 +1,105 @@
+"""Checks of whole branches, beside those of order and orientation: lengths, held-out points, folds and ends.
+
+All are procedures, which run side by side (`tasks.continuation.lockstep`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tasks.continuation.branch import Branch
+from tasks.continuation.locate import correct_at, row, row_tangent
+from tasks.continuation.lockstep import Call, Procedure
+from tasks.continuation.tracking import correct, fall_margin
+
+#: Least length of a chord over that of the polynomial between two nodes, and parts in which that is measured.
+_MIN_CHORD, _PARTS = 0.5, 8
+#: Segments of a branch whose polynomial is held against a point that is solved anew, and where on them.
+_HELD_OUT, _PLACE = 8, 0.382
+#: Share of the chord by which such a point may move, and the distance that may be rounding.
+_MAX_MOVE, _ROUNDING = 1e-2, 1e-7
+#: Rounds in which segments that fail are split.
+_MAX_ROUNDS = 4
+#: Largest value of an end's test function at its node.
+_MAX_END = 1e-4
+_GOLDEN = (np.sqrt(5) - 1) / 2
+
+
+def checked(branch: Branch) -> Procedure[Branch]:
+    """Check a branch as a whole; split the segments that fail, and cut it where that does not help.
+
+    Returns
+    -------
+    Branch
+        Of which every segment is at most twice as long as its chord, held-out points lie where the polynomials are,
+        and the slope turns at folds alone. Where it was cut, and at an end that is none, there is `no further point`.
+    """
+    for _ in range(_MAX_ROUNDS):
+        failing = yield from _failing(branch)
+        split = False
+        for segment in np.flatnonzero(failing)[::-1].tolist():
+            alone = branch.part(np.array([segment, segment + 1]))
+            middle = float(alone.Z[:, alone.axis[0]].mean())
+            point, direction = yield from correct_at(alone, 0, middle)
+            if point.ok[0] and alone.lies_between(np.array([0]), point.Z)[0]:
+                branch, split = branch.insert(segment + 1, row(point), row_tangent(point, direction)), True
+        if not split:
+            break
+    else:
+        failing = yield from _failing(branch)
+    if failing.any():
+        runs = np.split(np.arange(len(branch.Z)), np.flatnonzero(failing) + 1)
+        branch = branch.part(max(runs, key=len))
+    return (yield from _with_consistent_ends(branch)) if len(branch.Z) > 1 else branch
+
+
+def _failing(branch: Branch) -> Procedure[np.ndarray]:
+    """Which segments fail, shape (n - 1,)."""
+    m, n = branch.m, len(branch.Z) - 1
+    failing = _too_long(branch)
+    for fold, _ in branch.pieces()[1:]:
+        # A node at which the slope turns is a fold: it falls on one side and rises on the other.
+        sides = branch.tangent[[fold - 1, fold + 1], m]
+        failing[[fold - 1, fold]] |= sides.prod() > 0
+    held_out = np.unique((n * (_GOLDEN * np.arange(1, _HELD_OUT + 1) % 1)).astype(int))
+    rows = branch.at(held_out + _PLACE)
+    border = branch.direction[held_out] + branch.direction[held_out + 1]
+    border /= np.linalg.norm(border, axis=1, keepdims=True)
+    point = yield Call(correct, (rows[:, : m + 1].T, rows[:, m + 1 :].T, border.T))
+    chord = np.linalg.norm(branch.Z[held_out + 1] - branch.Z[held_out], axis=1)
+    moved = np.linalg.norm(point.Z.T - rows, axis=1)
+    failing[held_out] |= ~point.ok | ~(moved < np.maximum(_MAX_MOVE * chord, _ROUNDING))
+    # Nodes so near each other leave no room for another.
+    failing[np.linalg.norm(np.diff(branch.Z, axis=0), axis=1) < _ROUNDING] = False
+    return failing
+
+
+def _too_long(branch: Branch) -> np.ndarray:
+    """Which segments' polynomials are more than twice as long as their chords, shape (n - 1,)."""
+    n = len(branch.Z) - 1
+    place = (np.arange(n)[:, None] + np.arange(1, _PARTS) / _PARTS).ravel()
+    inner = branch.at(place).reshape(n, _PARTS - 1, -1)
+    points = np.concatenate([branch.Z[:-1, None], inner, branch.Z[1:, None]], axis=1)
+    length = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
+    chord = np.linalg.norm(np.diff(branch.Z, axis=0), axis=1)
+    return np.asarray(~(chord >= _MIN_CHORD * length))
+
+
+def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
+    """The branch, whose ends at which their own condition does not hold are none."""
+    m, why = branch.m, list(branch.why)
+    Z = branch.Z[[0, -1]].T
+    point = yield Call(correct, (Z[: m + 1], Z[m + 1 :], branch.direction[[0, -1]].T), (("max_iterations", 1),))
+    closing = point.stride.closing / point.stride.y[0]
+    values = {
+        "end_kneestrike_at_heelstrike": Z[-1] - Z[m + 1],
+        "end_tangential_heelstrike": closing[-1],
+        "end_tangential_kneestrike": closing[0],
+        "a fall": fall_margin(Z[: m + 1], Z[m + 1 :]),
+    }
+    for side in (0, 1):
+        if why[side] in values and not abs(values[why[side]][side]) < _MAX_END:
+            why[side] = "no further point"
+    return replace(branch, why=(why[0], why[1])) if tuple(why) != branch.why else branch

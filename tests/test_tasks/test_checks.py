@@ -1,0 +1,77 @@
+"""Checks of whole branches: a sound one passes unchanged, a damaged one is mended, cut or reported."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lines import branches
+from tasks.continuation import checks
+from tasks.continuation.branch import Branch
+from tasks.continuation.checks import checked
+from tasks.continuation.lockstep import run
+from tasks.continuation.refine import COARSE, measure
+from tasks.continuation.special_points import special_points
+from tasks.solve_points import _reasons
+from tasks.status import outside
+
+
+def plain(branch, nodes=None):
+    nodes = np.arange(len(branch.Z)) if nodes is None else nodes
+    return Branch(branch.m, branch.Z[nodes], branch.tangent[nodes], np.zeros(len(nodes)), branch.why)
+
+
+@pytest.mark.parametrize("name", ["B", "C", "physical", "physical-straight"])
+def test_a_sound_branch_passes_unchanged(name):
+    problem, found = branches(name)
+    for branch in found:
+        assert run(problem, checked(branch)) is branch
+
+
+def test_a_branch_of_few_nodes_is_mended():
+    problem, found = branches("B")
+    branch = max(found, key=lambda b: len(b.Z))
+    few = plain(branch, np.linspace(0, len(branch.Z) - 1, 5).astype(int))
+    assert run(problem, checks._failing(few)).any()
+    mended = run(problem, checked(few))
+    assert mended.why == branch.why and len(mended.Z) > len(few.Z)
+    assert not run(problem, checks._failing(mended)).any()
+    # What was inserted lies on the branch.
+    for Z in mended.Z:
+        assert np.abs(branch.Z - Z).max(axis=1).min() < 0.5
+
+
+def test_a_polynomial_that_goes_astray_between_two_nodes_is_longer_than_its_chord():
+    _, found = branches("B")
+    branch = plain(found[0])
+    assert not checks._too_long(branch).any()
+    tangent = branch.tangent.copy()
+    k = len(tangent) // 2
+    other = (branch.m + 1) % tangent.shape[1]
+    tangent[k, other] += 40 * np.linalg.norm(tangent[k])
+    assert checks._too_long(replace(branch, tangent=tangent))[k - 1 : k + 1].any()
+
+
+def test_a_branch_that_cannot_be_mended_is_cut_and_reported():
+    """A node of the other gait in its midst: the slope turns where there is no fold."""
+    problem, found = branches("D")
+    branch, other = (plain(b) for b in found)
+    k = len(branch.Z) // 3
+    Z = branch.Z.copy()
+    Z[k] = other.Z[np.argmin(np.abs(other.q - branch.q[k]))]
+    Z[k, branch.m] = branch.q[k] + 0.3 * (branch.q[k] - branch.q[k + 8])
+    damaged = replace(branch, Z=Z)
+    kept = run(problem, checked(damaged))
+    assert "no further point" in kept.why and len(kept.lost()) >= 1
+    np.testing.assert_array_equal(np.isin(kept.Z[:, 0], branch.Z[:, 0]).mean() > 0.9, True)
+    assert "lost" in [p["kind"] for p in special_points(problem, kept)]
+    run(problem, measure(kept, COARSE))
+    assert all("continuation was lost at" in sentence for sentence in np.array(_reasons([kept], "searched"))[[1, 5]])
+    assert "lost" not in outside("long", [], "searched")
+
+
+@pytest.mark.parametrize("end", ["end_kneestrike_at_heelstrike", "end_tangential_heelstrike", "a fall"])
+def test_an_end_whose_condition_does_not_hold_is_none(end):
+    problem, found = branches("C", detuning=0.3)
+    branch = next(b for b in found if b.why[1] != end)
+    assert run(problem, checked(replace(branch, why=(branch.why[0], end)))).why == (branch.why[0], "no further point")
