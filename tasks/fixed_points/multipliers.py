@@ -68,21 +68,35 @@ def multiplier_bounds(jacobian: np.ndarray, values: np.ndarray, error: np.ndarra
     size = np.sqrt((jacobian**2).sum(axis=(0, 1)))
     elsner = (2 * size + error) ** (1 - 1 / m) * error ** (1 / m)
     worst = np.zeros(len(error))
+    norms = _adjugate_norms(jacobian, values.T[:m])
     for i in range(m):
-        shifted = values[:, i, None, None] * np.eye(m) - np.moveaxis(jacobian, -1, 0)
-        others = np.delete(values[:, :m], i, axis=1)
-        gap = np.abs(values[:, i, None] - others).prod(axis=1)
-        own = m * error * _adjugate_norm(shifted) / gap
-        worst = np.fmax(worst, np.fmin(own, elsner))
+        gap = np.ones(len(error))
+        for k in set(range(m)) - {i}:
+            gap = gap * np.abs(values[:, i] - values[:, k])
+        worst = np.fmax(worst, np.fmin(m * error * norms[i] / gap, elsner))
     return np.asarray(worst + np.where(np.isfinite(size), 0.0, np.nan))
 
 
-def _adjugate_norm(matrices: np.ndarray) -> np.ndarray:
-    """Frobenius norms of the adjugates of matrices (n, m, m), m at most 3."""
-    if matrices.shape[1] == 3:
-        a, b, c = np.moveaxis(matrices, 1, 0)
-        matrices = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
-    return np.asarray(np.sqrt((np.abs(matrices) ** 2).sum(axis=(1, 2))))
+def _adjugate_norms(jacobian: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Frobenius norms (m, n) of the adjugates of z - J at its m eigenvalues (m, n), for m = 2 and 3.
+
+    The adjugate is the product of J less each of the other eigenvalues; its norm follows from scalar products.
+    """
+    m = len(jacobian)
+    trace, square = np.einsum("iin->n", jacobian), (jacobian**2).sum(axis=(0, 1))
+    if m == 2:
+        other = values[::-1]
+        norm = square - 2 * other.real * trace + 2 * np.abs(other) ** 2
+        largest = square
+    else:
+        twice = np.einsum("ijn,jkn->ikn", jacobian, jacobian)
+        total, product = values.sum(axis=0) - values, np.stack([values[k - 2] * values[k - 1] for k in range(3)])
+        largest = (twice**2).sum(axis=(0, 1))
+        norm = largest - 2 * total.real * (twice * jacobian).sum(axis=(0, 1))
+        norm += 2 * product.real * np.einsum("iin->n", twice) + np.abs(total) ** 2 * square
+        norm += 3 * np.abs(product) ** 2 - 2 * (total * product.conj()).real * trace
+    # What cancels is known to the root of rounding.
+    return np.sqrt(np.maximum(norm, 0.0) + 1e-14 * largest)
 
 
 def other_multipliers(kind: str, jacobian: np.ndarray) -> np.ndarray:
