@@ -10,13 +10,10 @@ import numpy as np
 
 from pipeline import api
 from pipeline.bench.harness import Case, solve_study
+from pipeline.bench.planes import PLANES
 
-#: Walkers and the slopes of their lines; two axes of keys at one slope are a plane.
+#: Walkers and the slopes of their lines.
 LINES = {"D": (1e-4, 0.015), "E": (1e-3, 0.1), "B": (1e-3, 0.1), "A": (1e-3, 0.05), "C": (1e-3, 0.05)}
-PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {
-    "B": (0.01, {"m_s": (0.05, 0.15), "R": (0.0, 0.3)}),
-    "C": (0.03, {"detuning": (0.0, 0.4), "m_h": (0.0, 3.0)}),
-}
 #: Accuracies measured; 0 is as good as doubles give.
 ACCURACIES = {False: (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 0.0, 1e-15), True: (1e-3, 1e-6, 0.0)}
 #: What is wanted, besides status, labels and error bounds.
