@@ -47,18 +47,18 @@ def load(archive: str | Path, table: str | None = None) -> Any:
         If the file is not an archive of gaitsweep, or does not have the table.
     """
     path = Path(archive)
-    with read.open_archive(path) as file:
+    with read.open_archive(path) as file:  # what cannot be read of a damaged file is told as such
         tables = list(read.tables(file))
-    if table is None:
-        grid = _decode(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
-        return _Grid(grid.data_vars, grid.coords, grid.attrs)
-    if table not in tables:
-        raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
-    columns = xr.load_dataset(path, group=table, engine="netcdf4")
-    if any(column.ndim > 1 for column in columns.values()):
-        frame = unfolded(columns, xr.load_dataset(path, engine="netcdf4"))
-    else:
-        frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
+        if table is None:
+            grid = _decode(xr.load_dataset(path, engine="netcdf4")).assign_attrs(tables=tables)
+            return _Grid(grid.data_vars, grid.coords, grid.attrs)
+        if table not in tables:
+            raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
+        columns = xr.load_dataset(path, group=table, engine="netcdf4")
+        if any(column.ndim > 1 for column in columns.values()):
+            frame = unfolded(columns, xr.load_dataset(path, engine="netcdf4"))
+        else:
+            frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
     frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}
     return frame
 

@@ -20,6 +20,7 @@ import pytest
 import xarray as xr
 
 from conftest import STUDY, Toy
+from pipeline.api.studies import load
 from pipeline.archive import diff, layout, read, verify, write
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
@@ -307,6 +308,18 @@ def test_diff_aligns_by_coordinates(made, tmp_path):
     found = diff.diff(made, other)
     assert {f"1 of 2 values of `w_t` are only in {path}" for path in (made, other)} <= set(found)
     assert not [f for f in found if (f.startswith("`") and "status" in f) or "stance" in f]
+
+
+def test_what_cannot_be_loaded_is_called_damaged(copy):
+    """The chunks of a variable that the library refuses raise an error of its own."""
+    data = bytearray(copy.read_bytes())
+    with netCDF4.Dataset(copy) as file:
+        lost = np.ascontiguousarray(file["stance_angle"][:, 0, 0].data).view(np.uint8).reshape(-1, 8)[:, 1].tobytes()
+    data[data.index(lost)] ^= 1  # bytes of the mantissa that do not compress are stored
+    copy.write_bytes(data)
+    with pytest.raises(ArchiveError, match=r"copy.nc is damaged: .*HDF error\.$"):
+        load(copy)
+    assert len(load(copy, "fits/scaling")) == 2
 
 
 def test_a_bug_is_not_called_damage(made, copy, monkeypatch, capsys):

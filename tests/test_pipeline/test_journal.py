@@ -6,6 +6,7 @@ import os
 import random
 import shutil
 import sqlite3
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -320,6 +321,16 @@ def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypat
     assert [f.name for f in tmp_path.iterdir()] == ["j"]
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
         assert not len(lines.missing(journal, "L", WANT, slopes))
+
+
+@pytest.mark.parametrize(("free", "error"), [(1 << 30, ArchiveError), (1 << 10, DiskFullError)])
+def test_a_log_that_cannot_be_written_is_a_full_disk_only_where_little_is_left(tmp_path, monkeypatch, free, error):
+    """A folder in its place, say."""
+    (tmp_path / "j-wal").mkdir()
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
+    with pytest.raises((ArchiveError, DiskFullError)) as raised:
+        Journal(tmp_path / "j")
+    assert raised.type is error
 
 
 def test_a_file_of_somebody_else_is_told_and_not_touched(tmp_path):

@@ -58,7 +58,8 @@ def test_two_hundred_random_kills(toy, wholes, tell, way):
             os.kill(victim, signum)
             killed[f"{'parent' if victim == process.pid else 'worker'} {signum.name}"] += 1
         _, err = process.communicate(timeout=60)
-        assert "Traceback" not in err, err
+        # Until its modules are imported, an interrupt is Python's own.
+        assert "Traceback" not in err or "import" in err.splitlines()[-2], err
         ends[process.returncode] += 1
         if victim == process.pid:
             assert not alive(victims)
