@@ -8,15 +8,21 @@ from typing import Any
 
 import numpy as np
 
+from tasks import registry
 from tasks.continuation.atlas import survey_lines
+from tasks.continuation.branch import Branch
 from tasks.continuation.extremes import ANY_SLOPE, Points, best, find
 from tasks.continuation.refine import COARSE
+from tasks.disturb_designs import attractors, largest_steps
+from tasks.dynamics.initial_states import gaits_at
 from tasks.families.box import Box
 from tasks.families.cell import Family
 from tasks.families.landscape import Landscape, is_known, make, points_at
 from tasks.families.manifold_maker import Maker
+from tasks.fixed_points.multipliers import multipliers
 from tasks.mechanics.lumped import Structure, structures_of
 from tasks.step.problem import Lanes
+from tasks.step.simulate import stride as simulated_step
 from tasks.walkers.resolve import resolve_many
 from tasks.walkers.tuning import is_tuned
 from tasks.walkers.walker_array import WalkerArray
@@ -62,17 +68,58 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     slope = np.asarray(params["slope"], float)
     window = float(np.log(slope.min())), float(np.log(slope.max()))
     walkers = _walkers(line["walker"], keys, n)
-    rows = _Rows(n)
-    accepted = np.zeros(n, bool)
-    if "cell" in params:
+    options = registry.options("design", params)
+    at_slope, at_speed = options["at_slope"], options["at_speed"]
+    rows, accepted = _Rows(n), np.zeros(n, bool)
+    # What depends on more than special points is computed on surveyed lines.
+    if "cell" in params and at_slope is None and at_speed is None:
         accepted = _over_plane(line, keys, params["cell"], window, rows)
     others = np.flatnonzero(~accepted)
     for structure, numbers in _alike(walkers, others).items():
         for k in range(0, len(numbers), _LINES):
             part = numbers[k : k + _LINES]
-            problem = Lanes(walkers.some(part), structure)
-            rows.store(problem, part, find(problem, survey_lines(problem, COARSE), window, {}), window, surveyed=1)
-    return {f"design/{name}": values for name, values in rows.columns(walkers).items()}
+            own = walkers.some(part)
+            problem = Lanes(own, structure)
+            branches = survey_lines(problem, COARSE)
+            speed = {} if at_speed is None else {"speed": np.log(at_speed / np.sqrt(own.g * own.leg))}
+            points = find(problem, branches, window, speed)
+            rows.store(problem, part, points, window, surveyed=1)
+            if at_speed is not None:
+                rows.store_cost(points, part, window)
+            if at_slope is not None:
+                lines = [{**line, "set": {key: float(value[i]) for key, value in keys.items()}} for i in part]
+                _disturb(problem, branches, lines, part, at_slope, float(options["ground"]), rows)
+    columns = rows.columns(walkers) | rows.further(options)
+    return {f"design/{name}": values for name, values in columns.items()}
+
+
+def _disturb(
+    problem: Lanes,
+    surveyed: list[list[Branch]],
+    lines: list[dict[str, Any]],
+    numbers: np.ndarray,
+    slope: float,
+    ground: float,
+    rows: _Rows,
+) -> None:
+    """Store what attracts walkers beside their long gaits at a slope, and the steps of the ground that they survive."""
+    gaits = [gaits_at(problem.alone(i), surveyed[i], np.array([slope]), "long")[1] for i in range(len(lines))]
+    walking = [i for i, y in enumerate(gaits) if y.shape[1]]
+    if not walking:
+        return
+    own, y = problem.some(np.array(walking)), np.concatenate([gaits[i] for i in walking], axis=1)
+    rows.attractor[numbers[walking]] = attractors(own, y, slope)
+    if not ground:
+        return
+    slopes = np.full(len(walking), slope)
+    jacobian = simulated_step(own, y, slopes).jacobian
+    stable = np.zeros(len(walking), bool) if jacobian is None else np.abs(multipliers(jacobian, own.m)[:, 0]) < 1
+    states = own.start(y, slopes)[:3]
+    for k in np.flatnonzero(stable).tolist():
+        walker = own.walker_of(k)
+        unit = np.sqrt(walker.leg / walker.g)
+        steps = largest_steps(lines[walking[k]], slope, states[:, k] / [1.0, unit, unit], ground)
+        rows.steps[:, numbers[walking[k]]] = steps
 
 
 def _walkers(walker: Any, keys: Mapping[str, np.ndarray], n: int) -> WalkerArray:
@@ -167,6 +214,9 @@ class _Rows:
         self.kind = {name: np.full(n, "", "U32") for name in names}
         self.start = np.full((5, n), np.nan)
         self.surveyed = np.zeros(n, int)
+        self.attractor = np.full(n, _NO_GAIT, "U32")
+        self.steps = np.full((2, n), np.nan)
+        self.cost = np.full((3, n), np.nan)
 
     def store(
         self,
@@ -204,6 +254,25 @@ class _Rows:
                 self.start[1:, row] = own.start(y, self.start[0, row])
         if any_slope:
             self.kind["smallest_slope"][numbers[kept]] = ANY_SLOPE
+
+    def store_cost(self, points: Points, numbers: np.ndarray, window: tuple[float, float]) -> None:
+        """Store the least cost of transport at a speed: the sine of the least slope at which gaits have it."""
+        q = points.log_slope
+        there = np.flatnonzero((points.kind == "speed") & points.walks & (q >= window[0]) & (q <= window[1]))
+        for k in there[np.argsort(-q[there], kind="stable")]:
+            self.cost[:, numbers[points.line[k]]] = np.sin(np.exp(q[k])), points.error[k], points.stable[k]
+
+    def further(self, options: Mapping[str, Any]) -> Arrays:
+        """The columns that options ask for."""
+        out: Arrays = {}
+        if options["at_speed"] is not None:
+            names = ("least_cost_of_transport", "least_cost_error", "stable_at_least_cost")
+            out |= dict(zip(names, self.cost, strict=True))
+        if options["at_slope"] is not None:
+            out["attractor"] = self.attractor
+            if options["ground"]:
+                out |= dict(zip(("largest_step_down", "largest_step_up"), self.steps, strict=True))
+        return out
 
     def columns(self, walkers: WalkerArray) -> Arrays:
         """The table's columns, in the walkers' units."""

@@ -83,7 +83,7 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def section_problem(walker: Walker) -> Problem:
+def section_problem(walker: Walker) -> Lanes:
     """Step map of a walker with three coordinates on its section, those of point feet as of other straight legs."""
     return Lanes([walker], replace(structure_of(walker), point_foot=False))
 

@@ -287,9 +287,9 @@ MAX_STEPS = 64
 class Option:
     """One option of a kind of study: what it holds, its default, and its meaning.
 
-    `holds` is "number", "positive", "count" (a whole number from 1), "count or 0", "counts" (a list of them), "steps"
-    (from 1 to MAX_STEPS), "range" (two rising numbers), "gait" (a label), "key" (of a walker) or "kinds" (of special
-    points).
+    `holds` is "number", "positive", "count" (a whole number from 1), "count or 0", "counts" (a list of them),
+    "steps" (from 1 to MAX_STEPS), "slope" (above 0 and below 0.5), "share" (from 0 to 0.5), "range" (two rising
+    numbers), "gait" (a label), "key" (of a walker) or "kinds" (of special points).
     """
 
     holds: str
@@ -333,6 +333,13 @@ OPTIONS: dict[str, dict[str, Option]] = {
         "kinds": Option("kinds", ("fold", "flip"), "special points whose curves are followed"),
     },
     "census": {"starts": Option("count", 2000, "initial guesses at each slope")},
+    "design": {
+        "at_slope": Option("slope", None, "slope at which attractors are found [rad]"),
+        "at_speed": Option("positive", None, "speed at which the least cost is found, in the walker's units"),
+        "ground": Option(
+            "share", 0.0, "largest step of the ground tried at `at_slope`, down and up, over the leg; 0: none"
+        ),
+    },
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from pipeline.study.location import Location
@@ -38,6 +38,8 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     whole = registry.options(kind, options) if known else {}
     if kind == "curve" and not whole["from"] < whole["to"]:
         raise place.at("from").wrong(f"must be less than `to` = {whole['to']!r}", whole["from"])
+    if kind == "design" and whole["ground"] and whole["at_slope"] is None:
+        raise place.error("`ground` needs the slope at which the walker walks, `at_slope`")
     return options
 
 
@@ -60,10 +62,10 @@ def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> Non
         raise place.wrong(f"must be a whole number from 1 to {MAX_STEPS}", value)
     if what == "counts" and not (isinstance(value, list) and value and all(map(_count, value))):
         raise place.wrong("must be a list of whole numbers from 1", value)
-    if what == "number":
-        place.number(value)
-    if what == "positive" and not place.number(value) > 0:
-        raise place.wrong("must be above 0", value)
+    if what in _NUMBERS:
+        fits, bound = _NUMBERS[what]
+        if not fits(place.number(value)):
+            raise place.wrong(bound, value)
     if what == "range" and not (_pair(value) and place.number(value[0]) < place.number(value[1])):
         raise place.wrong("must be two increasing numbers", value)
     names = {"gait": GAITS, "key": tuple(a for a in axes if a != "slope"), "kinds": FOLLOWED}.get(what, ())
@@ -72,6 +74,15 @@ def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> Non
     for name in value if what == "kinds" else [value] if names else []:
         if name not in names:
             raise place.unknown(str(name), names)
+
+
+#: Numbers that options hold: whether one fits, and what it must be.
+_NUMBERS: dict[str, tuple[Callable[[float], bool], str]] = {
+    "number": (lambda x: True, ""),
+    "positive": (lambda x: x > 0, "must be above 0"),
+    "slope": (lambda x: 0 < x < 0.5, "must lie in (0, 0.5) rad"),
+    "share": (lambda x: 0 <= x <= 0.5, "must lie in [0, 0.5]"),
+}
 
 
 def _pair(value: Any) -> bool:

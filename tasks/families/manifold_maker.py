@@ -29,9 +29,9 @@ _STRIDE, _LEAST_STRIDE, _MAX_STRIDE_ERROR = 0.125, 1 / 256, 0.3
 _DISPLACED = 1e-4
 #: How far a manifold that is not on the whole box is followed along a key, and how far it is kept beyond the place from
 #: which its points are of no account; at how many places along the other key, and the degree of that curve.
-_FARTHEST, _BEYOND, _PLACES, _DEGREE = 3.0, 0.1, 13, 4
-#: Newton steps to a turn.
-_TURNS = 12
+_FARTHEST, _BEYOND, _PLACES, _DEGREE = 3.0, 0.1, (13, 21), 4
+#: Newton steps to a turn, and largest last coefficient of the curve of turns.
+_TURNS, _SMOOTH = 12, 1e-6
 
 
 class Maker:
@@ -169,21 +169,28 @@ class Maker:
         """The curve at which a manifold is cut, which does not extend to some designs, `lost` (n, d)."""
         axis = int(np.abs(np.mean(lost - unit, axis=0)).argmax())
         side = 1 if np.mean(lost[:, axis]) > unit[axis] else -1
-        start = np.zeros((_PLACES if self.d == 2 else 1, self.d))
+        for places in _PLACES if self.d == 2 else (1,):
+            cut = self._cut_along(kind, target, (unit, Z), axis, side, places)
+            if not cut.turns or self.d == 1 or np.abs(cut.coefficients[-2:]).max() < _SMOOTH:
+                return cut
+        raise Refused(f"a {kind} turns along a curve that is not smooth", 1 - axis)
+
+    def _cut_along(
+        self, kind: str, target: float, seed: tuple[np.ndarray, np.ndarray], axis: int, side: int, places: int
+    ) -> Cut:
+        """The curve at which a manifold ends towards one side of a key, by its ends at some places along the other."""
+        start = np.zeros((places, self.d))
         if self.d == 2:
-            start[:, 1 - axis] = roots(_PLACES)
+            start[:, 1 - axis] = roots(places)
         start[:, axis] = -side
-        here, ok = self._carried(kind, target, unit, Z, start)
+        here, ok = self._carried(kind, target, *seed, start)
         if not ok.all():
             raise Refused(f"a {kind} is lost on its way to {(~ok).sum()} designs", 1 - axis if self.d == 2 else axis)
         other = start[:, 1 - axis] if self.d == 2 else start[:, 0]
         ends, where, turned = self._followed(kind, target, here, start, axis, side)
         if turned.all():
             ends = self._turns(kind, target, where, start, ends, axis)
-            curve = chebfit(other, ends, len(ends) - 1)
-            if np.abs(curve[-2:]).max() > 1e-6 * (len(ends) > 1):
-                raise Refused(f"a {kind} turns along a curve that is not smooth", 1 - axis)
-            return Cut(axis, side, curve, True)
+            return Cut(axis, side, chebfit(other, ends, len(ends) - 1), True)
         if turned.any():
             raise Refused(f"a {kind} ends in two ways", 1 - axis)
         curve = chebfit(other, ends, min(_DEGREE, len(ends) - 1))

@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 import pipeline
+from pipeline.errors import StudyError
 from pipeline.plan import graph
 from pipeline.plan.costs import seconds
 from pipeline.plan.missing import Plan, summary
@@ -113,3 +114,44 @@ def test_rows_follow_the_grid_and_hold_what_designs_hold_alone(archives, tmp_pat
     for name in ("largest_stable_slope", "fastest_stable_speed"):
         bound = rows[f"{name}_error"].values + alone[f"{name}_error"].values
         assert (np.abs(rows[name].values / alone[name].values - 1) <= bound).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("at_slope = 0.5", r"`at_slope` must lie in \(0, 0.5\) rad; got 0.5 \(designs.toml, options.at_slope\)"),
+        ("at_slope = 0.0", r"`at_slope` must lie in \(0, 0.5\) rad; got 0.0"),
+        ("at_speed = -1", r"`at_speed` must be above 0; got -1"),
+        ("at_slope = 0.01\nground = 0.6", r"`ground` must lie in \[0, 0.5\]; got 0.6"),
+        ("ground = 0.1", "`ground` needs the slope at which the walker walks, `at_slope`"),
+        ("at_sloop = 0.1", "Unknown key `at_sloop`, did you mean `at_slope`"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(tmp_path, options, message):
+    path = written(tmp_path, '"B"', "R = [0.1, 0.2]")
+    path.write_text(path.read_text() + f"[options]\n{options}\n")
+    with pytest.raises(StudyError, match=message):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("axes", "message"),
+    [
+        (
+            "R = { from = 0.1, to = 2.0, n = 30 }\nm_s = { from = 0.03, to = 0.04, n = 30 }",
+            "`R` must leave the hip above the foot's centre; got 2.0",
+        ),
+        ("m_s = { from = -0.1, to = 0.1, n = 30 }\nR = [0.1, 0.2]", "`m_s` must be >= 0; got -0.1"),
+        ("detuning = { from = 0.0, to = 1.0, n = 30 }\nR = [0.1, 0.2]", "detuning.*needs walker A or C"),
+        ("R = { from = 0.1, to = 0.1, n = 1 }", "`from` must be less than `to` = 0.1; got 0.1"),
+    ],
+)
+def test_planes_that_leave_the_walkers_are_refused(tmp_path, axes, message):
+    with pytest.raises(StudyError, match=message):
+        read(written(tmp_path, '"B"', axes))
+
+
+def test_a_derived_key_is_not_contradicted(tmp_path):
+    axes = "detuning = { from = 0.0, to = 1.0, n = 30 }\nr_t = { from = 0.1, to = 0.2, n = 30 }"
+    with pytest.raises(StudyError, match="`r_t` is set by `detuning`, which owns w_t, r_t, c_t, w_s, r_s"):
+        read(written(tmp_path, '"A"', axes))

@@ -6,11 +6,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from pipeline.report import cells
-from pipeline.report.figures import FIGURES, draw
+from pipeline.report.figures import FIGURES, design_maps, draw
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.cycle import traced_steps
 from pipeline.report.figures.degrees import add_degrees
-from pipeline.report.figures.style import GAIT_COLOURS, MUTED, log_axis, plain
+from pipeline.report.figures.style import GAIT_COLOURS, MUTED, log_axis, plain, style
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
 from test_report import synthetic
@@ -212,6 +212,39 @@ def test_a_design_map_of_a_third_key_says_which_values_it_draws(tmp_path):
         "l_t=0.4",
         "l_t=0.5",
     }
+
+
+def test_a_fine_design_map_has_labelled_contours_and_marks_the_tuned_and_the_physical_walker(tmp_path):
+    mass, detuning = np.linspace(0.0, 5.97, 20), np.linspace(0.005, 1.0, 30)
+    m, d = (np.ravel(a) for a in np.meshgrid(mass, detuning, indexing="ij"))
+    quantity = 0.01 * d * (1 + 0.2 * m)
+    best = {
+        "m_h": m,
+        "detuning": d,
+        "smallest_slope": quantity,
+        "largest_stable_slope": np.where(d < 0.6, 0.05 - quantity, np.nan),
+        "fastest_froude_speed": 0.2 + quantity,
+        "fastest_slope": quantity,
+        "surveyed": np.zeros(len(m)),
+    }
+    axes = "m_h = { from = 0.0, to = 5.97, n = 20 }\ndetuning = { from = 0.005, to = 1.0, n = 30 }\nslope = [1e-6, 0.4]"
+    text = f'name = "d"\nkind = "design"\nwalker = "A"\n[axes]\n{axes}\n[want]\nfigures = ["design"]'
+    source = read(
+        write(tmp_path / "d.nc", text, {}, {"m_h": mass, "detuning": detuning}, {"A": POINT}, {"design": best})
+    )
+    with style():
+        sketch = design_maps.design(source)
+    maps = [axes for axes in sketch.figure.axes if axes.get_label() != "<colorbar>"]
+    assert len(maps) == 3 and len(sketch.figure.axes) == 6
+    for axes in maps:
+        # Two rings, one white and one black, around each walker: at the border of the map, one step beside its cells.
+        places = [tuple(line.get_xydata()[0]) for line in axes.lines]
+        assert sorted(places) == sorted([(0.0, 0.0), (1.0, 0.0)] * 2)
+        assert axes.get_xlim()[0] < 0.005 and axes.texts
+    assert "Circles: the tuned walker (detuning 0) and the physical one (1)." in sketch.caption
+    assert "surveyed" not in sketch.data and len(sketch.data) == 600
+    drawing = draw(source, "design", "test")
+    assert sum(len(target["rows"]) for target in drawing.targets) <= 260
 
 
 def test_a_number_has_the_digits_that_its_error_leaves():

@@ -240,3 +240,15 @@ def test_a_point_that_is_lost_is_refused():
     maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
     with pytest.raises(Refused):
         maker.manifold("flip", np.array([0.0]), np.array([np.log(0.4), -0.9, -0.5, np.log(0.3), 2.0]))
+
+
+def test_a_manifold_over_one_key_ends_where_it_turns():
+    family = Family.of({"walker": "A", "set": {}}, ("detuning",))
+    box = Box(("detuning",), (0.4,), (0.7,))
+    (landscape,) = make(family, box, WINDOW, lambda part: 1000)
+    assert not landscape.why
+    (cut,) = [m.cut for m in landscape.manifolds if m.cut is not None]
+    assert cut.turns and cut.coefficients.shape == (1,)
+    at = float(box.at(cut.coefficients[None])[0, 0])
+    line = {"walker": "A", "set": {"detuning": np.array([at - 2e-5, at + 2e-5])}}
+    assert computed({"line": line, "slope": SLOPE})["stability_lost_by"].tolist() == ["flip", "never stable"]
