@@ -156,6 +156,26 @@ def test_panels_of_a_known_function(folds):
         assert panel.error <= 1e-9
 
 
+def test_the_bound_of_a_panel_counts_gaits_coefficients_and_drawn_points():
+    """Each alone: a bound of the gaits, a wave that the nodes do not see, one that ends in the last coefficients."""
+    nodes, root = 8, panels_over(0, -3.0, -2.5, (False, False), np.array([-2.7]))
+
+    def error(value, bound=0.0):
+        def solve(panels, ranges):
+            x = [panel.point(q) for panel, q in zip(panels, ranges, strict=True)]
+            return [Sampled(value(each)[:, None], np.full((len(each), 1), 0.5), bound, 1, True) for each in x]
+
+        (panel,) = fit_panels(root, nodes, 1e3, solve, lambda panel: True)
+        return panel.error
+
+    flat = error(lambda x: 1 + 0 * x)
+    assert flat < 1e-13
+    assert error(lambda x: 1 + 0 * x, bound=5e-4) == pytest.approx(5e-4, rel=1e-6)
+    hidden = error(lambda x: 1e-3 * np.cos(nodes * np.arccos(x)))  # zero at the nodes
+    assert 8 * 1e-3 / 0.5 * 0.9 < hidden <= 8 * 1e-3 / 0.5 * (1 + 1e-9)
+    assert error(lambda x: 1e-3 * np.cos((nodes - 1) * np.arccos(x))) == pytest.approx(1e-3 / 0.5, rel=1e-6)
+
+
 def test_a_panel_of_two_folds_is_inverted():
     panel = Panel(0, -3.0, -2.0, (True, True), (0.25, 0.5))
     x = np.linspace(-1, 1, 9)
