@@ -105,6 +105,25 @@ def test_a_second_interrupt_is_hard():
     assert (done.returncode, done.stdout) == (130, "held\n")
 
 
+def test_a_signal_in_a_callback_of_the_interpreter_is_not_told_by_a_traceback():
+    """Where no error can be raised, as while a module is imported: the next one ends the run."""
+    program = (
+        "import os, signal, weakref; from pipeline.execution.runner import Signals\n"
+        "class Module: pass\n"
+        "module = Module(); kept = weakref.ref(module, lambda _: os.kill(os.getpid(), signal.SIGTERM))\n"
+        "try:\n"
+        "    with Signals().handle(): del module; raise RuntimeError('a worker is gone')\n"
+        "except Exception as error: print(type(error).__name__, error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program],
+        text=True,
+        capture_output=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert (done.stdout, done.stderr) == ("StoppedError Stopped by SIGTERM; finished results are kept.\n", "")
+
+
 def test_an_archive_is_on_the_disk_before_it_takes_its_place(tmp_path, monkeypatch):
     (tmp_path / "s.toml").write_text(STUDY)
     journal, steps = Journal(tmp_path / "j"), []
