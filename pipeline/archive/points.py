@@ -44,7 +44,7 @@ class PointWriter:
         self.multipliers = max(c["multipliers"] for c in self.study.checks)
         self.chunk = layout.grid_chunk(self.grid.sizes)
         #: Points in a chunk, if it is a part of one line.
-        self.extent = layout.line_extent(self.grid.sizes)
+        self.extent = 0 if plan.blocks else layout.line_extent(self.grid.sizes)
         self._ranges = functools.lru_cache(64)(self._read_ranges)
         self._digest = functools.lru_cache(1024)(lambda start, stop: digest(self.study.slope[start:stop]))
         self.columns = [GAITS.index(g) for g in self.study.gaits]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from types import FrameType
@@ -24,7 +25,11 @@ class Signals:
 
     @contextlib.contextmanager
     def handle(self) -> Iterator[None]:
-        """Handle signals inside; only the main thread can."""
+        """Handle signals inside; only the main thread can.
+
+        Inside a callback of the interpreter, as while a module is imported, no error can be raised. Its worker
+        processes being gone, the run then ends by the error that follows.
+        """
         if threading.current_thread() is not threading.main_thread():
             yield
             return
@@ -33,6 +38,8 @@ class Signals:
             for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
             if signal.getsignal(s) not in (signal.SIG_IGN, None)
         }
+        hook = sys.unraisablehook
+        sys.unraisablehook = lambda error: None if isinstance(error.exc_value, StoppedError) else hook(error)
         try:
             yield
         except StoppedError:
@@ -42,6 +49,7 @@ class Signals:
                 self._stop()
             raise
         finally:
+            sys.unraisablehook = hook
             for signum, handler in handlers.items():
                 signal.signal(signum, handler)
 
