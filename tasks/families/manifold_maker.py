@@ -18,7 +18,7 @@ from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Lanes
 
 #: Nodes along each key; there are more while predictions of points drawn by lot err by more than what is good.
-_SIZES, _GOOD = (5, 7, 9, 13, 17, 25, 33), 1e-6
+_SIZES, _COMPARED, _GOOD = (5, 7, 9, 13, 17, 25, 33), 9, 1e-6
 #: Predictions of a manifold that is of use err by no more.
 _FAIR = 1e-4
 _DRAWN = 24
@@ -79,13 +79,20 @@ class Maker:
         nodes = self._nodes(sizes)
         _, ok = self._carried(kind, target, unit, Z, nodes)
         cut = None if ok.all() else self._cut(kind, target, unit, Z, nodes[~ok])
-        ratios = [(), *([self.box.ratio] if self.box.ratio else [])]
-        tries = [
-            self._through(kind, target, sizes, self._at_nodes(kind, target, sizes, cut, ratio, seed), cut, ratio)
-            for ratio in ratios
-        ]
+        tries = []
+        for ratio in [(), self.box.ratio] if self.box.ratio else [()]:
+            manifold = self._through(
+                kind, target, sizes, self._at_nodes(kind, target, sizes, cut, ratio, seed), cut, ratio
+            )
+            if self.box.ratio:
+                # With so many nodes it shows which coordinate is the better one. Beside a turn poor predictions lead to
+                # the other sheet.
+                more = (_COMPARED,) * self.d
+                at = self._at_nodes(kind, target, more, cut, ratio, seed, None if cut else manifold)
+                manifold = self._through(kind, target, more, at, cut, ratio)
+            tries.append(manifold)
         manifold = min(tries, key=lambda one: one.moved)
-        ratio = manifold.ratio
+        sizes, ratio = manifold.sizes, manifold.ratio
         while manifold.moved > _GOOD:
             tail = tails(manifold.coefficients[:, : len(Z)], sizes)
             larger = tuple(

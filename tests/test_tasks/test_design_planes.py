@@ -104,6 +104,14 @@ def solved(family, landscape, keys):
     return rows, accepted
 
 
+def assert_accepted_agree(out, other, both):
+    for quantity in QUANTITIES:
+        assert np.array_equal(out.kind[quantity][both], other.kind[quantity][both])
+        off = np.abs(out.value[quantity] - other.value[quantity])[both]
+        bound = (out.error[quantity] + other.error[quantity])[both]
+        assert (off[np.isfinite(off)] <= bound[np.isfinite(off)]).all()
+
+
 @pytest.mark.parametrize("by", [1e-9, 1e-7, 1e-5, 1e-3])
 def test_wrong_polynomials_change_no_accepted_value(made, by):
     family, right = made("A")
@@ -113,12 +121,13 @@ def test_wrong_polynomials_change_no_accepted_value(made, by):
     wrong = copy.deepcopy(right)
     wrong.manifolds = [replace(m, coefficients=m.coefficients * (1 + by)) for m in right.manifolds]
     other, still = solved(family, wrong, keys)
-    assert by < 1e-4 or not still.any()
-    for quantity in QUANTITIES:
-        assert np.array_equal(out.kind[quantity][still & accepted], other.kind[quantity][still & accepted])
-        off = np.abs(out.value[quantity] - other.value[quantity])[still & accepted]
-        bound = (out.error[quantity] + other.error[quantity])[still & accepted]
-        assert (off[np.isfinite(off)] <= bound[np.isfinite(off)]).all()
+    assert by < 1e-4 or not still.any()  # farther from their predictions than any that was measured
+    assert_accepted_agree(out, other, still & accepted)
+    # Whatever the distance, the step's own length bounds what is left of it.
+    wrong.manifolds = [replace(m, moved=1.0) for m in wrong.manifolds]
+    other, still = solved(family, wrong, keys)
+    assert by > 1e-4 or still.mean() > 0.9
+    assert_accepted_agree(out, other, still & accepted)
 
 
 def test_polynomials_that_changed_places_are_not_accepted(made):
@@ -128,6 +137,15 @@ def test_polynomials_that_changed_places_are_not_accepted(made):
     a, b = right.manifolds[:2]
     wrong.manifolds[:2] = [replace(b, kind=a.kind), replace(a, kind=b.kind)]
     assert not solved(family, wrong, keys)[1].any()
+
+
+def test_designs_unlike_any_surveyed_line_are_not_accepted(made):
+    family, right = made("A")
+    keys = right.box.at(np.random.default_rng(3).uniform(-1, 1, (50, 2)))
+    assert not solved(family, replace(right, patterns=set()), keys)[1].any()
+    one = {sorted(right.patterns)[0]}
+    accepted = solved(family, replace(right, patterns=one), keys)[1]
+    assert 0 < accepted.sum() < len(accepted)
 
 
 def test_a_dropped_manifold_is_found_again(made):
