@@ -287,18 +287,17 @@ def test_a_gait_missing_from_a_survey_is_counted(monkeypatch):
 
 
 def beside_special_points(branches, random):
-    """Slopes at relative distances from 1e-12 to 1e-2 from folds and ends of a line's branches, on their side."""
-    places = [(b, f, b.q[f - 1]) for b in branches for f, _ in b.pieces()[1:]]
-    places += [(b, e, b.q[inner]) for b in branches for e, inner in ((0, 1), (-1, -2))]
-    for branch, at, inner in [places[i] for i in random.integers(len(places), size=26)] if places else []:
-        distance = np.sign(inner - branch.q[at]) * 10 ** random.uniform(-12, -2)
+    """Slopes at relative distances from 1e-12 to 1e-2 from folds and ends of a line's branches, on either side."""
+    places = [(b, at) for b in branches for at in (0, *(f for f, _ in b.pieces()[1:]), -1)]
+    for branch, at in [places[i] for i in random.integers(len(places), size=40)] if places else []:
+        distance = random.choice([-1, 1]) * 10 ** random.uniform(-12, -2)
         if np.log(1e-6) < branch.q[at] < np.log(0.69):
             yield float(np.exp(branch.q[at]) * (1 + distance))
 
 
 @pytest.mark.parametrize("count", [5, pytest.param(2000, marks=pytest.mark.soak)])
 def test_no_point_beside_a_fold_or_an_end_of_a_random_line_fails(count):
-    """Walkers off by up to 30 %, or detuned from -0.5 to 2; 40 slopes each."""
+    """Walkers off by up to 30 %, or detuned from -0.5 to 2; 54 slopes each."""
     failed = []
     for k in range(count):
         walker, overrides, _ = neighbour(k)
@@ -309,4 +308,4 @@ def test_no_point_beside_a_fold_or_an_end_of_a_random_line_fails(count):
         out = points({"line": line, "slope": np.array(slope), "want": ("stance_angle", "status", "reason")}, [surveyed])
         for i, g in np.argwhere(np.isin(out["status"], FAILURES)):
             failed.append((walker, overrides, slope[i], out["reasons"][out["reason"][i, g]]))
-    assert len(failed) <= 0.005 * count, failed
+    assert not failed
