@@ -14,8 +14,6 @@ GAITS = ("long", "short", "other1", "other2")
 
 #: What can become of a solve (CF flag values). How a run ended for a worker is added by the pipeline.
 STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3, "less_accurate": 9}
-#: Statuses of gaits that have values.
-SOLVED = ("converged", "less_accurate")
 
 #: SI units of each kind of quantity; every one is "1" for a walker in consistent units.
 SI_UNITS = {
@@ -336,9 +334,7 @@ OPTIONS: dict[str, dict[str, Option]] = {
     "design": {
         "at_slope": Option("slope", None, "slope at which attractors are found [rad]"),
         "at_speed": Option("positive", None, "speed at which the least cost is found, in the walker's units"),
-        "ground": Option(
-            "share", 0.0, "largest step of the ground tried at `at_slope`, down and up, over the leg; 0: none"
-        ),
+        "ground": Option("share", 0.0, "largest step of the ground tried at `at_slope`, over the leg; 0: none"),
     },
 }
 
