@@ -15,11 +15,12 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from tasks.continuation import pseudo_arclength as engine
 from tasks.continuation.joint import linearised
-from tasks.continuation.root import bracketed_root, hermite
 from tasks.mechanics.lumped import constants_of, structure_of
 from tasks.step.problem import Problem
 from tasks.step.simulate import STRUCK, scanner
@@ -27,9 +28,21 @@ from tasks.step.simulate import stride as simulate_step
 from tasks.step.step_map import Stride, StrideMap, stride_map
 from tasks.walkers.walker import Walker, WalkerError
 
-#: Relative step of the central differences, and largest predictor error over the length of a continuation step.
-DIFFERENCE, _MAX_BEND = 1e-5, 0.1
-_MIN_STEP, _MAX_POINTS = 5e-4, 300
+#: Relative step of the central differences.
+DIFFERENCE = 1e-5
+_NEWTON = engine.Newton(max_iterations=14, max_step=0.5, small=1e-8, shrinking=0.3)
+#: Steps grow where the predictor's error over their length is below the target, and are kept elsewhere.
+_CONTROL = engine.StepControl(
+    shortest=5e-4,
+    longest=0.1,
+    min_cosine=0.95,
+    target=0.03,
+    power=np.inf,
+    growth=(1.0, 1.5),
+    reduction=0.4,
+    max_bend=0.1,
+)
+_MAX_POINTS = 300
 
 
 def _shifted_det(sign: float) -> Callable[[Stride], np.ndarray]:
@@ -161,7 +174,7 @@ class Curve:
 
         return np.append(residual[0], g[0]), derivative, times_after
 
-    def correct(self, U: np.ndarray, times: np.ndarray, border: np.ndarray, max_iterations: int = 14) -> Point:
+    def correct(self, U: np.ndarray, times: np.ndarray, border: np.ndarray) -> Point:
         """Correct a point of the curve in the plane through U normal to `border`, by Newton.
 
         Parameters
@@ -169,32 +182,38 @@ class Curve:
         U, border : ndarray, shape (u,)
         times : ndarray, shape (k,) [sqrt(leg/g)]
             Event times to begin with.
-        max_iterations : int
-            Newton steps.
         """
-        start, last, size = U.copy(), np.inf, np.inf
-        lost = Point(U * np.nan, times, border, False, np.inf)
-        for _ in range(max_iterations):
+        normal = np.pad(border, (0, len(times)))[:, None]
+        return self._point(self._correct_lanes(np.append(U, times)[:, None], normal, len(U)), border)
+
+    def _correct_lanes(self, Z: np.ndarray, border: np.ndarray, u: int) -> engine.Corrected:
+        """Correct n points Z = (U, times), shape (u + k, n), in the planes normal to `border`."""
+        return engine.bordered_newton(lambda lanes, Z: self._linearise(Z, u), lambda *_: 1e-14, _NEWTON, Z, border, u)
+
+    def _point(self, at: engine.Corrected, direction: np.ndarray) -> Point:
+        """Return the one corrected point, its tangent on the side of a direction (u,)."""
+        u = len(direction)
+        if not at.ok[0]:
+            return Point(np.full(u, np.nan), at.Z[u:, 0], direction, False, np.inf)
+        tangent = at.direction[:u, 0]
+        return Point(
+            at.Z[:u, 0], at.Z[u:, 0], tangent * (np.sign(tangent @ direction) or 1.0), True, float(at.error[0])
+        )
+
+    def _linearise(self, Z: np.ndarray, u: int) -> engine.Linearisation:
+        """The equations at n points; NaN where there is no such walker."""
+        k, n = len(Z) - u, Z.shape[1]
+        residual, derivative = np.full((n, u - 1), np.nan), np.full((n, u - 1, u), np.nan)
+        times_by, late = np.full((k, u, n), np.nan), np.full((k, n), np.nan)
+        for i in range(n):
             try:
-                residual, derivative, times_after = self.system(U, times)
+                residual[i], derivative[i], times_after = self.system(Z[:u, i], Z[u:, i])
             except WalkerError:
-                return lost
-            matrix = np.vstack([derivative, border])
-            if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
-                return lost
-            try:
-                dU = np.linalg.solve(matrix, np.append(-residual, border @ (start - U)))
-                tangent = _null_vector(derivative, border)
-            except np.linalg.LinAlgError:
-                return lost
-            size = float(np.abs(dU).max())
-            if size > 0.5:
-                return lost
-            U, times = U + dU, times_after(dU)
-            if size < 1e-14 or (size < 1e-8 and size > 0.3 * last):
-                return Point(U, times, tangent, True, size)
-            last = size
-        return lost
+                continue
+            own = times_after(np.zeros(u))
+            times_by[..., i] = np.transpose([times_after(e) - own for e in np.eye(u)])
+            late[:, i] = own - Z[u:, i]
+        return engine.Linearisation(residual, derivative, times_by, late)
 
     def walks(self, point: Point) -> bool:
         """Whether the strikes solved for are the first ones of the step, by simulation."""
@@ -285,12 +304,6 @@ def _neighbours(U: np.ndarray, h: float) -> np.ndarray:
     return np.array(lanes).T
 
 
-def _null_vector(derivative: np.ndarray, border: np.ndarray) -> np.ndarray:
-    """Unit null vector of the derivative, on the side of `border`."""
-    tangent = np.linalg.solve(np.vstack([derivative, border]), np.append(np.zeros(len(derivative)), 1.0))
-    return tangent / np.linalg.norm(tangent)
-
-
 def follow(
     curve: Curve, first: Point, direction: float, window: Mapping[str, tuple[float, float]], step: float = 0.02
 ) -> list[Point]:
@@ -306,40 +319,40 @@ def follow(
         `q` (ln slope) and `key`: least and largest value of each.
     step : float
         Length of the first continuation step.
-
-    Returns
-    -------
-    list of Point
     """
     sign = np.sign(first.tangent[-1] or 1.0) * direction
     first.tangent = first.tangent * sign
-    points = [first]
-    while len(points) < _MAX_POINTS and step > _MIN_STEP:
+    points, u = [first], len(first.U)
+
+    def judge(point: engine.Corrected, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.ones(1, bool), error / step
+
+    while len(points) < _MAX_POINTS and step > _CONTROL.shortest:
         last = points[-1]
-        guess, times = last.U + step * last.tangent, last.times
+        track = engine.Tracks(
+            _CONTROL, engine.column(last.U, last.times), engine.column(last.tangent, 0 * last.times), step, u
+        )
         if len(points) > 1:
             back = np.linalg.norm(last.U - points[-2].U)
-            guess += 0.5 * step**2 * (last.tangent - points[-2].tangent) / back
-            times = times + (last.times - points[-2].times) * step / back
-        new = curve.correct(guess, times, last.tangent)
-        bend = np.linalg.norm(new.U - guess) / step if new.ok else np.inf
-        accepted = bend < _MAX_BEND and new.tangent @ last.tangent > 0.95
-        if accepted and (leaves := _exit(curve, last, new, window)) is not None:
+            track.turning = engine.column(last.tangent - points[-2].tangent, 0 * last.times) / back
+            track.tangent[u:, 0] = (last.times - points[-2].times) / back
+        corrected, fair = track.advance(np.array([0]), partial(curve._correct_lanes, u=u), judge)
+        if fair[0]:
+            new = curve._point(corrected, last.tangent)
+            if (leaves := _exit(curve, last, new, window)) is None:
+                points.append(new)
+                step = float(track.step[0])
+                continue
             component, edge, share = leaves
             if share < 1e-9:
                 break  # it begins on the border
-            guess, times = last.U + share * (new.U - last.U), last.times + share * (new.times - last.times)
+            guess = last.U + share * (new.U - last.U)
             guess[component] = edge
-            new = curve.correct(guess, times, np.eye(len(guess))[component])
+            new = curve.correct(guess, last.times + share * (new.times - last.times), np.eye(u)[component])
             if new.ok:
                 new.tangent *= np.sign(new.tangent @ last.tangent) or 1.0
                 return [*points, new]
-            accepted = False
-        if accepted:
-            points.append(new)
-            step = min(0.1, step * (1.5 if bend < 0.3 * _MAX_BEND else 1.0))
-        else:
-            step *= 0.4
+        step *= _CONTROL.reduction
     return points
 
 
@@ -367,23 +380,19 @@ def turning(curve: Curve, a: Point, b: Point, component: int) -> Point | None:
     """
     if a.tangent[component] * b.tangent[component] >= 0:
         return None
-    length = float(np.linalg.norm(b.U - a.U))
-    direction = (b.U - a.U) / length
+    u, length = len(a.U), float(np.linalg.norm(b.U - a.U))
 
-    def at(s: float) -> Point:
-        h = s / length
-        U = hermite(a.U, a.tangent, b.U, b.tangent, length, h)
-        point = curve.correct(U, a.times * (1 - h) + b.times * h, direction)
-        if point.tangent @ direction < 0:
-            point.tangent = -point.tangent
-        return point
+    def at(Z: np.ndarray, direction: np.ndarray) -> Point:
+        return curve.correct(Z[:u], Z[u:], direction[:u])
 
-    ends = [at(0.0), at(length)]
+    ends = [curve.correct(p.U, p.times, (b.U - a.U) / length) for p in (a, b)]
     if not all(p.ok for p in ends) or ends[0].tangent[component] * ends[1].tangent[component] >= 0:
         return None
-    turn = at(bracketed_root(lambda s: at(s).tangent[component], 0.0, length, 1e-11 * length))
+    one, other = ((np.append(p.U, p.times), np.append(p.tangent, 0 * p.times)) for p in (a, b))
+    turn = engine.root_between(one, other, u, at, lambda point: float(point.tangent[component]), 1e-11)
     curvature = abs(ends[1].tangent[component] - ends[0].tangent[component]) / length
-    coarse = _null_vector(curve.system(turn.U, turn.times, 2 * DIFFERENCE)[1], turn.tangent)
+    coarse = np.linalg.svd(curve.system(turn.U, turn.times, 2 * DIFFERENCE)[1])[2][-1]
+    coarse *= np.sign(coarse @ turn.tangent)
     moved = abs(coarse[component] - turn.tangent[component]) / curvature + 1e-11 * length
     turn.error += float(moved * abs(turn.tangent[-2])) + 8 * np.finfo(float).eps
     return turn

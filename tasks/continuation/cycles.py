@@ -3,7 +3,7 @@
 All n sections are unknowns, so errors do not grow over many steps: a gait of 64 steps is as well conditioned as one of
 a single step. Z = (sections, q) with q = ln slope; sections are in rad and rad/sqrt(leg/g), divided by sqrt(n), so
 lengths along a branch mean the same for every n. The event times follow as functions of Z. In shapes, m counts section
-coordinates and k phases of a step.
+coordinates and k phases of a step, t gaits.
 """
 
 from __future__ import annotations
@@ -13,16 +13,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.continuation.root import bracketed_root, hermite
+from tasks.continuation import pseudo_arclength as engine
 from tasks.step.problem import Problem
 from tasks.step.simulate import STRUCK
 from tasks.step.simulate import stride as simulate_step
 
-#: Acceptance of a continuation step: predictor error relative to its length, and change of the monodromy's trace.
-_MAX_BEND, _MAX_CHANGE = 0.2, 0.6
+#: Largest change of the monodromy's trace over a continuation step; the next is to make half of it.
+_MAX_CHANGE = 0.6
+_CONTROL = engine.StepControl(
+    shortest=1e-12,
+    longest=np.inf,
+    min_cosine=0.9,
+    target=0.5 * _MAX_CHANGE,
+    power=1.0,
+    growth=(0.0, 1.6),
+    reduction=0.4,
+    max_bend=0.2,
+)
+#: Near the flip where a branch begins the derivative is nearly singular, and rounding makes larger steps.
+_NEWTON = engine.Newton(max_iterations=15, max_step=0.3, small=1e-12, shrinking=0.3, stalled=1e-10)
+#: Newton step that is rounding.
+_ROUNDING_STEP = 2e-16
 MAX_POINTS = 400
-#: Largest Newton step that may be due to rounding, where the derivative is nearly singular.
-_MAX_ROUNDING_STEP = 1e-10
 Test = Callable[["Cycle"], float]
 
 
@@ -96,10 +108,64 @@ def _product(A: np.ndarray) -> np.ndarray:
     return M
 
 
+@dataclass
+class _Steps:
+    """Jacobians of the steps of t gaits, shape (m, m, n, t)."""
+
+    A: np.ndarray
+
+    def assign(self, lanes: np.ndarray, other: _Steps) -> None:
+        self.A[..., lanes] = other.A
+
+
+def linearise(problem: Problem, Z: np.ndarray, n: int) -> engine.Linearisation:
+    """Linearise the equations of t gaits of period n.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one walker, or of t lanes.
+    Z : ndarray, shape (m n + 1 + k n, t)
+        Sections over sqrt(n), ln slope, and event times.
+    n : int
+
+    Returns
+    -------
+    engine.Linearisation
+    """
+    m, k, t = problem.m, problem.phases, Z.shape[1]
+    Y, times = Z[: m * n].reshape(n, m, t).transpose(1, 0, 2) * np.sqrt(n), Z[m * n + 1 :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.where(Y[0] > 0, np.exp2(np.floor(np.log2(np.abs(Y[0])))), np.nan)
+    by_q = np.exp(Z[m * n])
+    lanes = problem.some(np.tile(np.arange(t), n))
+    parameters = lanes.parameters(np.tile(by_q, n), scale.ravel())
+    steps = lanes.map((Y / scale).reshape(m, -1), times.reshape(k, -1), parameters, slope=True)
+
+    def of(values: np.ndarray) -> np.ndarray:
+        return values.reshape(*values.shape[:-1], n, t)
+
+    def rows(values: np.ndarray) -> np.ndarray:
+        return values.transpose(2, 1, 0).reshape(t, m * n)
+
+    A, by_y, by_slope = of(steps.jacobian), of(steps.times_by_y), of(steps.times_by_slope)
+    derivative, times_by = np.zeros((t, m * n, m * n + 1)), np.zeros((k, n, m * n + 1, t))
+    for i in range(n):
+        own, after = slice(m * i, m * i + m), m * ((i + 1) % n)
+        derivative[:, own, own] += A[:, :, i].transpose(2, 0, 1)
+        derivative[:, own, after : after + m] -= np.eye(m)
+        times_by[:, i, own] = by_y[:, :, i] * np.sqrt(n) / scale[i]
+    derivative[:, :, -1] = rows(of(steps.by_slope) * scale * by_q) / np.sqrt(n)
+    times_by[:, :, -1] = by_slope * by_q
+    residual = rows(of(steps.image) * scale - np.roll(Y, -1, axis=1)) / np.sqrt(n)
+    late = steps.times.reshape(k * n, t) - times
+    return engine.Linearisation(residual, derivative, times_by.reshape(k * n, -1, t), late, _Steps(A))
+
+
 def system(
     problem: Problem, Y: np.ndarray, times: np.ndarray, q: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Equations of a cycle.
+    """Equations of one cycle.
 
     Parameters
     ----------
@@ -117,30 +183,16 @@ def system(
     times_after : callable
         Event times after a change of Z.
     """
-    m, n = Y.shape
-    scale = np.exp2(np.floor(np.log2(np.abs(Y[0]))))
-    slope = np.full(n, np.exp(q))
-    steps = problem.map(Y / scale, times, problem.parameters(slope, scale), slope=True)
-    residual = (steps.image * scale - np.roll(Y, -1, axis=1)).T.ravel() / np.sqrt(n)
-    derivative = np.zeros((m * n, m * n + 1))
-    for i in range(n):
-        rows = slice(m * i, m * i + m)
-        derivative[rows, rows] += steps.jacobian[:, :, i]
-        after = m * ((i + 1) % n)
-        derivative[rows, after : after + m] -= np.eye(m)
-    derivative[:, -1] = (steps.by_slope * scale).T.ravel() * np.exp(q) / np.sqrt(n)
+    Z = np.append(Y.T.ravel() / np.sqrt(Y.shape[1]), q)
+    at = linearise(problem, engine.column(Z, times), Y.shape[1])
 
     def times_after(dZ: np.ndarray) -> np.ndarray:
-        dY = dZ[:-1].reshape(n, m).T * np.sqrt(n) / scale
-        total = steps.times + steps.times_by_slope * np.exp(q) * dZ[-1]
-        for i in range(m):
-            total = total + steps.times_by_y[:, i] * dY[i]
-        return total
+        return times + (at.late[:, 0] + at.times_by[:, :, 0] @ dZ).reshape(times.shape)
 
-    return residual, derivative, steps.jacobian, times_after
+    return at.residual[0], at.derivative[0], at.evaluation.A[..., 0], times_after
 
 
-def correct(problem: Problem, Z: np.ndarray, times: np.ndarray, border: np.ndarray, max_iterations: int = 15) -> Cycle:
+def correct(problem: Problem, Z: np.ndarray, times: np.ndarray, border: np.ndarray) -> Cycle:
     """Correct a cycle in the plane through Z normal to `border`, by Newton with exact derivatives.
 
     Parameters
@@ -148,46 +200,41 @@ def correct(problem: Problem, Z: np.ndarray, times: np.ndarray, border: np.ndarr
     Z, border : ndarray, shape (m n + 1,)
     times : ndarray, shape (k, n) [sqrt(leg/g)]
         Event times to begin with.
-    max_iterations : int
-        Newton steps.
 
     Returns
     -------
     Cycle
     """
     n = times.shape[1]
-    m = problem.m
-    Z, start, last, ok, size = Z.copy(), Z, np.inf, False, np.inf
-    for _ in range(max_iterations):
-        Y = Z[:-1].reshape(n, m).T * np.sqrt(n)
-        if not (np.isfinite(Z).all() and (Y[0] > 0).all()):
-            break
-        residual, derivative, A, times_after = system(problem, Y, times, Z[-1])
-        matrix = np.vstack([derivative, border])
-        if not (np.isfinite(matrix).all() and np.isfinite(residual).all()):
-            break
-        try:
-            right = np.zeros((len(matrix), 2))
-            right[:-1, 0], right[-1] = -residual, (border @ (start - Z), 1.0)
-            dZ, tangent = np.linalg.solve(matrix, right).T
-        except np.linalg.LinAlgError:
-            break
-        size = float(np.abs(dZ).max())
-        if size > 0.3:
-            break
-        Z, times = Z + dZ, times_after(dZ)
-        # Done when the step is rounding, or small and no longer shrinking.
-        if size < 2e-16 or (size < 1e-12 and size > 0.3 * last):
-            ok = True
-            break
-        last = size
-    else:
-        # Near the flip where a branch begins the derivative is nearly singular, and rounding makes larger steps.
-        ok = size < _MAX_ROUNDING_STEP
-    if not ok:
-        return Cycle(np.full((m, n), np.nan), times, np.nan, np.zeros((m, m, n)), border, False, size)
-    Y, tangent = Z[:-1].reshape(n, m).T * np.sqrt(n), tangent / np.linalg.norm(tangent)
-    return Cycle(Y, times, float(Z[-1]), A, tangent, True, size)
+    guess = np.append(Z, times.ravel())[:, None]
+    return _cycles(_correct(problem, n, guess, np.pad(border, (0, times.size))[:, None]), n)[0]
+
+
+def _correct(problem: Problem, n: int, guess: np.ndarray, border: np.ndarray) -> engine.Corrected:
+    """Correct t gaits of period n in the planes through their guesses, (m n + 1 + k n, t), normal to `border`."""
+    return engine.bordered_newton(
+        lambda lanes, Z: linearise(problem.some(lanes), Z, n),
+        lambda matrix, at: _ROUNDING_STEP,
+        _NEWTON,
+        guess,
+        border,
+        problem.m * n + 1,
+    )
+
+
+def _cycles(point: engine.Corrected, n: int) -> list[Cycle]:
+    """Each of t corrected gaits of period n."""
+    m, t = len(point.at.evaluation.A), len(point.ok)
+    Y = point.Z[: m * n].reshape(n, m, t).transpose(1, 0, 2) * np.sqrt(n)
+    times = point.Z[m * n + 1 :].reshape(-1, n, t)
+    q, tangent = point.Z[m * n], point.direction[: m * n + 1]
+    A = point.at.evaluation.A
+    Y, q = np.where(point.ok, Y, np.nan), np.where(point.ok, q, np.nan)
+    A = np.where(point.ok, A, 0.0)
+    return [
+        Cycle(Y[..., i], times[..., i], float(q[i]), A[..., i], tangent[:, i], bool(point.ok[i]), float(point.error[i]))
+        for i in range(t)
+    ]
 
 
 def at_slope(problem: Problem, Y: np.ndarray, times: np.ndarray, slope: float) -> Cycle:
@@ -259,37 +306,40 @@ class Path:
 
     def advance(self) -> bool:
         """Add a point; False where none can be found."""
-        last = self.points[-1]
-        while self.step > 1e-12:
-            guess = last.Z + self.step * last.tangent
-            if len(self.points) > 1:
-                back = np.linalg.norm(last.Z - self.points[-2].Z)
-                guess += 0.5 * self.step**2 * (last.tangent - self.points[-2].tangent) / back
-            new = correct(self.problem, guess, last.times, last.tangent)
-            if new.ok:
-                new = _orient(new, last.tangent)
-                bend = np.linalg.norm(new.Z - guess) / self.step
-                change = abs(np.trace(new.monodromy) - np.trace(last.monodromy))
-                if bend < _MAX_BEND and change < _MAX_CHANGE and new.tangent @ last.tangent > 0.9:
-                    self.points.append(new)
-                    self.step *= min(1.6, 0.5 * _MAX_CHANGE / max(change, 1e-9))
-                    return True
-            self.step *= 0.4
+        last, alone = self.points[-1], np.array([0])
+        tangent = engine.column(last.tangent, 0 * last.times)
+        track = engine.Tracks(_CONTROL, engine.column(last.Z, last.times), tangent, self.step, len(last.Z))
+        if len(self.points) > 1:
+            before = self.points[-2]
+            change = engine.column(last.tangent - before.tangent, 0 * last.times)
+            track.turning = change / np.linalg.norm(last.Z - before.Z)
+
+        def correct_track(guess: np.ndarray, border: np.ndarray) -> engine.Corrected:
+            return _correct(self.problem, last.period, guess, border)
+
+        def judge(point: engine.Corrected, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            (cycle,) = _cycles(point, last.period)
+            change = np.abs(np.trace(cycle.monodromy) - np.trace(last.monodromy))
+            return np.array([change < _MAX_CHANGE]), np.array([change])
+
+        while track.step[0] > _CONTROL.shortest:
+            point, fair = track.advance(alone, correct_track, judge)
+            self.step = float(track.step[0])
+            if fair[0]:
+                self.points.append(_orient(_cycles(point, last.period)[0], last.tangent))
+                return True
         return False
 
     def locate_root(self, test: Test) -> Cycle:
         """Locate the root of a test function between the last two points, where it changes sign."""
         a, b = self.points[-2:]
-        length = float(np.linalg.norm(b.Z - a.Z))
-        direction = (b.Z - a.Z) / length
+        ends = [(np.append(p.Z, p.times), np.append(p.tangent, 0 * p.times)) for p in (a, b)]
 
-        def at(s: float) -> Cycle:
-            h = s / length
-            Z = hermite(a.Z, a.tangent, b.Z, b.tangent, length, h)
-            return _orient(correct(self.problem, Z, a.times * (1 - h) + b.times * h, direction), direction)
+        def at(Z: np.ndarray, direction: np.ndarray) -> Cycle:
+            cycles = _cycles(_correct(self.problem, a.period, Z[:, None], direction[:, None]), a.period)
+            return _orient(cycles[0], direction[: len(a.Z)])
 
-        root = bracketed_root(lambda s: test(at(s)), 0.0, length, 3e-13 * length)
-        return at(root)
+        return engine.root_between(ends[0], ends[1], len(a.Z), at, test, 3e-13)
 
 
 def _orient(cycle: Cycle, direction: np.ndarray) -> Cycle:

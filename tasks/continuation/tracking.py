@@ -10,23 +10,35 @@ In shapes, n counts lanes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tasks.continuation.joint import joint, joint_by_X, rounding_step
+from tasks.continuation.pseudo_arclength import Linearisation, Newton, StepControl, Tracks, bordered_newton
 from tasks.fixed_points.newton import LONGEST_PERIOD
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Problem
-from tasks.step.step_map import Stride, matvec
+from tasks.step.step_map import Stride
 
 #: Slopes over which branches are followed [rad]; below, double precision no longer resolves a gait's tangent.
 MIN_SLOPE, MAX_SLOPE = 1e-13, 0.7
 #: Largest ln of a stance angle that is no fall.
 _MAX_LOG_ANGLE = 0.5
-_MAX_STEP, _MIN_STEP = 0.5, 1e-7
-#: Acceptance of a continuation step: largest predictor error, turning angle [rad] and error of the event times.
-_MAX_ERROR, _MAX_TURN, _MAX_TIME_ERROR = 0.02, 0.3, 0.1
+_NEWTON = Newton(max_iterations=8, max_step=1.0, small=1e-9, shrinking=0.2)
+#: Steps of branches turn by at most 0.3 rad; what is kept near its target is the distance from the predicted point.
+_CONTROL = StepControl(
+    shortest=1e-7,
+    longest=0.5,
+    min_cosine=np.cos(0.3),
+    target=2e-3,
+    power=1 / 3,
+    growth=(0.4, 2.0),
+    reduction=0.3,
+    max_error=0.02,
+)
+#: Largest error of predicted event times.
+_MAX_TIME_ERROR = 0.1
 _MAX_NODES = 1500
 #: Where the sign of the branch point determinant changes over a longer step than this, Newton has jumped to a branch
 #: nearby; over a shorter one branches cross.
@@ -72,8 +84,6 @@ class Point:
         return np.vstack([self.tangent, self.times_tangent])
 
 
-# Where heelstrike is tangential to the last digit the map has no derivative.
-@np.errstate(invalid="ignore", over="ignore")
 def correct(
     problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray | None, max_iterations: int = 8
 ) -> Point:
@@ -99,47 +109,23 @@ def correct(
         border = np.zeros((m + 1, n))
         border[m] = 1
     border = np.pad(border, ((0, m + 1 + len(times) - len(border)), (0, 0)))
-    start, X, times = np.vstack([X, times]), X.copy(), times.copy()
-    ok, last = np.zeros(n, bool), np.full(n, np.inf)
-    active = np.arange(n)
-    for iteration in range(max_iterations):
-        x, normal = X[:, active], border[:, active]
-        stride, _ = problem.some(active).stride(np.vstack([x[:m], times[:, active]]), x[m], slope=True)
+
+    def linearise(lanes: np.ndarray, Z: np.ndarray) -> Linearisation:
+        x = Z[: m + 1]
+        stride, _ = problem.some(lanes).stride(np.vstack([x[:m], Z[m + 1 :]]), x[m], slope=True)
         residual, derivative = joint(stride, x)
-        by_X = joint_by_X(stride.times_by, stride, x)
-        plane = matvec(by_X.transpose(1, 0, 2), normal[m + 1 :])
-        plane[: m + 1] += normal[: m + 1]
-        matrix = np.concatenate([derivative, plane.T[:, None]], axis=1)
-        off = (normal * (start[:, active] - np.vstack([x, times[:, active]]))).sum(axis=0)
-        right = np.concatenate([-residual, off[:, None]], axis=1)
-        solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-        solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
-        matrix[~solvable], right[~solvable] = np.eye(len(derivative[0]) + 1), 0.0
-        change = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
-        dX = change[: m + 1]
-        size = np.abs(dX).max(axis=0)
-        new_times = times[:, active] + matvec(by_X, change)
-        moving = solvable & (size <= 1.0) & np.isfinite(new_times).all(axis=0)
-        X[:, active[moving]] += dX[:, moving]
-        times[:, active[moving]] = new_times[:, moving]
-        done = moving & ((size < rounding_step(matrix, stride)) | ((size < 1e-9) & (size > 0.2 * last[active])))
-        ok[active], last[active] = done, size
-        # A lane that is done keeps its own last step, so its bits do not depend on the others.
-        if not iteration:
-            steps, derivatives, times_by_X = stride, derivative, by_X
-        else:
-            steps.assign(active, stride)
-            derivatives[active], times_by_X[:, :, active] = derivative, by_X
-        active = active[moving & ~done]
-        if not len(active):
-            break
-    _, _, V = np.linalg.svd(np.nan_to_num(derivatives))
-    null = V[:, -1].T
-    direction = np.vstack([null[: m + 1], matvec(np.nan_to_num(times_by_X), null)])
-    length = np.sqrt((direction**2).sum(axis=0))
-    length[length == 0] = 1.0  # in lanes that are lost
-    tangent, times_tangent = np.split(direction / length, [m + 1])
-    return Point(X, times, tangent, times_tangent, ok, steps, derivatives.transpose(1, 2, 0))
+        late = np.zeros((len(Z) - m - 1, len(lanes)))
+        return Linearisation(residual, derivative, joint_by_X(stride.times_by, stride, x), late, stride)
+
+    limits = replace(_NEWTON, max_iterations=max_iterations)
+    at = bordered_newton(linearise, _rounding, limits, np.vstack([X, times]), border)
+    (X, times), (tangent, times_tangent) = np.split(at.Z, [m + 1]), np.split(at.direction, [m + 1])
+    return Point(X, times, tangent, times_tangent, at.ok, at.at.evaluation, at.at.derivative.transpose(1, 2, 0))
+
+
+def _rounding(matrix: np.ndarray, at: Linearisation) -> np.ndarray:
+    """Size of a bordered Newton step that rounding alone makes, shape (n,)."""
+    return rounding_step(matrix, at.evaluation)
 
 
 @dataclass(frozen=True)
@@ -222,63 +208,59 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple
     # Tracks of n lanes: down, then up.
     lanes, sign = np.tile(np.arange(n), 2), np.repeat([-1.0, 1.0], n)
     problem = problem.some(lanes)
-    tracks = _Tracks(first, lanes, sign * upwards[:, lanes])
+    tracks = _Branches(first, lanes, sign * upwards[:, lanes])
     tracks.side = sign * np.sign(branch_point_determinant(first, upwards))[lanes]
     tracks.stop[~first.ok[lanes]] = _STOP_REASONS.index("no start")
     while len(active := np.flatnonzero(tracks.stop == 0)):
-        guess, border = tracks.predict(active)
-        point = correct(problem.some(active), guess[: m + 1], guess[m + 1 :], border)
-        side = np.sign(branch_point_determinant(point, border))
-        error = np.linalg.norm(point.Z - guess, axis=0)
-        turn = np.abs((point.direction * border).sum(axis=0))
-        fair = point.ok & (error < _MAX_ERROR) & (turn > np.cos(_MAX_TURN))
-        # Another root of a guard is another solution, even if the gait is nearly the same.
-        fair &= (np.abs(point.times - guess[m + 1 :]) < _MAX_TIME_ERROR).all(axis=0)
-        fair &= (tracks.side[active] * side >= 0) | (tracks.step[active] <= MAX_CROSSING_STEP)
-        new = active[fair]
-        tracks.append(point, np.flatnonzero(fair), new, border[:, fair])
+        border, side = tracks.tangent[:, active], np.zeros(len(active))
+
+        def correct_active(guess: np.ndarray, border: np.ndarray, active: np.ndarray = active) -> Point:
+            return correct(problem.some(active), guess[: m + 1], guess[m + 1 :], border)
+
+        def judge(
+            point: Point,
+            guess: np.ndarray,
+            error: np.ndarray,
+            active: np.ndarray = active,
+            border: np.ndarray = border,
+            side: np.ndarray = side,
+        ) -> tuple[np.ndarray, np.ndarray]:
+            # Another root of a guard is another solution, even if the gait is nearly the same.
+            fair = (np.abs(point.times - guess[m + 1 :]) < _MAX_TIME_ERROR).all(axis=0)
+            side[:] = np.sign(branch_point_determinant(point, border))
+            return fair & ((tracks.side[active] * side >= 0) | (tracks.step[active] <= MAX_CROSSING_STEP)), error
+
+        point, fair = tracks.advance(active, correct_active, judge)
+        new, refused = active[fair], active[~fair]
         tracks.side[new] = side[fair]
+        tracks.record(new)
         tracks.stop[new] = _stop_reasons(point.X[:, fair], point.times[:, fair], tracks.count[new])
-        growth = np.clip((2e-3 / np.maximum(error[fair], 1e-12)) ** (1 / 3), 0.4, 2.0)
-        tracks.step[new] = np.minimum(_MAX_STEP, tracks.step[new] * growth)
-        refused = active[~fair]
-        tracks.step[refused] *= 0.3
-        tracks.stop[refused[tracks.step[refused] < _MIN_STEP]] = _STOP_REASONS.index("no further point")
+        tracks.stop[refused[tracks.step[refused] < _CONTROL.shortest]] = _STOP_REASONS.index("no further point")
         checked = new[(tracks.stop[new] == 0) & (tracks.count[new] % _CHECK_EVERY == 0)]
         if len(checked):
             tracks.stop[checked[~_are_steps(problem, tracks, checked)]] = _STOP_REASONS.index("not a step")
     return tracks.pairs()
 
 
-class _Tracks:
-    """Tracks on their way: the last points of n of them as arrays, and all of them in the order they were found."""
+class _Branches(Tracks):
+    """Branches under way: beside their last points all of them in the order they were found, and why they stopped."""
 
     def __init__(self, first: Point, lanes: np.ndarray, orientation: np.ndarray):
-        n, size = len(lanes), len(first.Z)
-        self.count = np.zeros(n, int)
-        self.Z, self.tangent, self.bend = np.zeros((size, n)), np.zeros((size, n)), np.zeros((size, n))
-        self.step, self.side, self.stop = np.full(n, 0.05), np.zeros(n), np.zeros(n, int)
-        self.recent = np.zeros((_CHECK_EVERY // 3, size, n))
-        self.log: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-        self.append(first, lanes, np.arange(n), orientation)
-
-    def append(self, point: Point, lanes: np.ndarray, tracks: np.ndarray, orientation: np.ndarray) -> None:
-        """Add the points of lanes to tracks, their tangents turned to the side of `orientation`, as long as Z."""
-        tangent = point.direction[:, lanes]
+        tangent = first.direction[:, lanes]
         tangent = np.where((tangent * orientation).sum(axis=0) >= 0, tangent, -tangent)
-        Z = point.Z[:, lanes]
-        # The tangent turns on as it did over the last step.
-        self.bend[:, tracks] = (tangent - self.tangent[:, tracks]) / np.linalg.norm(Z - self.Z[:, tracks], axis=0)
-        self.bend[:, tracks[self.count[tracks] == 0]] = 0.0
-        self.Z[:, tracks], self.tangent[:, tracks] = Z, tangent
+        super().__init__(_CONTROL, first.Z[:, lanes], tangent, 0.05)
+        n = len(lanes)
+        self.count, self.side, self.stop = np.zeros(n, int), np.zeros(n), np.zeros(n, int)
+        self.recent = np.zeros((_CHECK_EVERY // 3, *self.Z.shape))
+        self.log: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.record(np.arange(n))
+
+    def record(self, tracks: np.ndarray) -> None:
+        """Add the last points of tracks to what was found."""
+        Z = self.Z[:, tracks]
         self.recent[self.count[tracks] % len(self.recent), :, tracks] = Z.T
         self.count[tracks] += 1
-        self.log.append((tracks, Z, tangent))
-
-    def predict(self, tracks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Next points of tracks, bent as the tangent turned over the last step, and their last tangents."""
-        h, tangent = self.step[tracks], self.tangent[:, tracks]
-        return self.Z[:, tracks] + h * tangent + 0.5 * h * h * self.bend[:, tracks], tangent
+        self.log.append((tracks, Z, self.tangent[:, tracks]))
 
     def pairs(self) -> list[tuple[Track, Track]]:
         """Tracks down and up of each gait."""
@@ -313,7 +295,7 @@ def branch_point_determinant(point: Point, direction: np.ndarray) -> np.ndarray:
     return np.linalg.det(np.concatenate([point.derivative, row[None]]).transpose(2, 0, 1))
 
 
-def _are_steps(problem: Problem, tracks: _Tracks, which: np.ndarray) -> np.ndarray:
+def _are_steps(problem: Problem, tracks: _Branches, which: np.ndarray) -> np.ndarray:
     """Whether any of the last points of some tracks is a step that happens, shape (len(which),)."""
     Z = tracks.recent[:, :, which]
     lanes = np.tile(which, len(Z))

@@ -1,0 +1,348 @@
+"""Pseudo-arclength continuation: predictor, corrector, step control and the location of events between two points.
+
+What is continued are the zeros of any equations with one more unknown than there are of them: branches of gaits
+(`tracking`), gaits of period n (`cycles`) and curves of special points (`codimension_one`). A point is Z: coordinates
+that are unknowns themselves, then event times, which follow from the unknowns. Lanes have points of their own and share
+nothing but the call. In shapes, n counts lanes, c coordinates of Z, u unknowns and k event times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from tasks.continuation.root import bracketed_root, hermite
+from tasks.step.step_map import matvec
+
+Point = TypeVar("Point")
+
+
+@dataclass
+class Linearisation:
+    """Equations of n lanes at their points, to first order.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (n, u - 1)
+    derivative : ndarray, shape (n, u - 1, u)
+        By the unknowns, of which the first c - k are those coordinates of Z.
+    times_by : ndarray, shape (k, u, n)
+        Derivatives of the event times by the unknowns.
+    late : ndarray, shape (k, n)
+        Newton step of the event times where the unknowns stay.
+    evaluation : object
+        What was evaluated for it, if it is wanted; its `assign(lanes, other)` replaces some lanes.
+    """
+
+    residual: np.ndarray
+    derivative: np.ndarray
+    times_by: np.ndarray
+    late: np.ndarray
+    evaluation: Any = None
+
+    def assign(self, lanes: np.ndarray, other: Linearisation) -> None:
+        """Replace some lanes by those of another.
+
+        Parameters
+        ----------
+        lanes : ndarray of int, shape (j,)
+        other : Linearisation
+            Of j lanes.
+        """
+        self.residual[lanes], self.derivative[lanes] = other.residual, other.derivative
+        self.times_by[..., lanes], self.late[:, lanes] = other.times_by, other.late
+        if self.evaluation is not None:
+            self.evaluation.assign(lanes, other.evaluation)
+
+
+#: The linearisation of some lanes at their points Z (c, n), and the size of a bordered Newton step that rounding makes
+#: (n,), by the bordered matrix (n, u, u).
+Linearise = Callable[[np.ndarray, np.ndarray], Linearisation]
+RoundingStep = Callable[[np.ndarray, Linearisation], "np.ndarray | float"]
+
+
+@dataclass(frozen=True)
+class Newton:
+    """When bordered Newton ends.
+
+    A lane is lost after `max_iterations`, or a step larger than `max_step`. It has converged after a step that is
+    rounding, or after one below `small` that is larger than `shrinking` times the one before; where even that takes
+    too long, if the last step is below `stalled`.
+    """
+
+    max_iterations: int
+    max_step: float
+    small: float
+    shrinking: float
+    stalled: float = 0.0
+
+
+@dataclass
+class Corrected:
+    """Corrected points of n lanes.
+
+    Attributes
+    ----------
+    Z, direction : ndarray, shape (c, n)
+        The points and the tangents there, of length one in the coordinates that lengths are measured in.
+    ok : ndarray of bool, shape (n,)
+        Whether Newton converged.
+    error : ndarray, shape (n,)
+        Size of the last step.
+    at : Linearisation
+        The last one: at the point or a Newton step away.
+    """
+
+    Z: np.ndarray
+    direction: np.ndarray
+    ok: np.ndarray
+    error: np.ndarray
+    at: Linearisation
+
+
+# Where a strike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore", over="ignore")
+def bordered_newton(
+    linearise: Linearise,
+    rounding_step: RoundingStep,
+    limits: Newton,
+    Z: np.ndarray,
+    border: np.ndarray,
+    measured: int | None = None,
+) -> Corrected:
+    """Solve for the zeros in the planes through some points normal to `border`, by Newton's method.
+
+    Parameters
+    ----------
+    linearise : callable
+        The equations of lanes, ndarray of int (j,), at points (c, j).
+    rounding_step : callable
+        Size of a step that rounding alone makes.
+    limits : Newton
+    Z : ndarray, shape (c, n)
+        Predicted points.
+    border : ndarray, shape (c, n)
+    measured : int, optional
+        Number of coordinates, the first, that lengths are measured in; all if omitted.
+
+    Returns
+    -------
+    Corrected
+    """
+    n = Z.shape[1]
+    start, Z = Z, Z.copy()
+    ok, error = np.zeros(n, bool), np.full(n, np.inf)
+    active = np.arange(n)
+    for iteration in range(limits.max_iterations):
+        normal, points = border[:, active], Z[:, active]
+        here = linearise(active, points)
+        own = len(Z) - len(here.times_by)
+        plane = matvec(here.times_by.transpose(1, 0, 2), normal[own:])
+        plane[:own] += normal[:own]
+        matrix = np.concatenate([here.derivative, plane.T[:, None]], axis=1)
+        off = (normal * (start[:, active] - points)).sum(axis=0)
+        right = np.concatenate([-here.residual, off[:, None]], axis=1)
+        solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+        solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
+        matrix[~solvable], right[~solvable] = np.eye(matrix.shape[1]), 0.0
+        change = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
+        size = np.abs(change[:own]).max(axis=0)
+        new_times = points[own:] + (here.late + matvec(here.times_by, change))
+        moving = solvable & (size <= limits.max_step) & np.isfinite(new_times).all(axis=0)
+        Z[:, active[moving]] = np.vstack([points[:own] + change[:own], new_times])[:, moving]
+        done = moving & (
+            (size < rounding_step(matrix, here)) | ((size < limits.small) & (size > limits.shrinking * error[active]))
+        )
+        ok[active], error[active] = done, size
+        # A lane that is done keeps its own last step, so its bits do not depend on the others.
+        if not iteration:
+            at = here
+        else:
+            at.assign(active, here)
+        active = active[moving & ~done]
+        if not len(active):
+            break
+    ok[active] |= error[active] < limits.stalled
+    null = np.linalg.svd(np.nan_to_num(at.derivative))[2][:, -1].T
+    direction = np.vstack([null[:own], matvec(np.nan_to_num(at.times_by), null)])
+    length = np.sqrt((direction[:measured] ** 2).sum(axis=0))
+    length[length == 0] = 1.0  # in lanes that are lost
+    return Corrected(Z, direction / length, ok, error, at)
+
+
+@dataclass(frozen=True)
+class StepControl:
+    """Which steps along a curve are accepted, and how long the next is.
+
+    A step is refused if the corrected point is farther from the predicted one than `max_error`, or than `max_bend`
+    times the step, or if the tangent turns by more than the angle of cosine `min_cosine`; the next is `reduction` times
+    as long. After an accepted one it is (`target` / a measure of its error)^`power` times as long, within `growth`.
+    """
+
+    shortest: float
+    longest: float
+    min_cosine: float
+    target: float
+    power: float
+    growth: tuple[float, float]
+    reduction: float
+    max_error: float = np.inf
+    max_bend: float = np.inf
+
+    def accepts(self, error: np.ndarray, step: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+        """Whether steps may be accepted, shape (n,).
+
+        Parameters
+        ----------
+        error : ndarray, shape (n,)
+            Distance of the corrected from the predicted points.
+        step : ndarray, shape (n,)
+        cosine : ndarray, shape (n,)
+            Of the angle between the tangents before and after.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        return np.asarray((error < self.max_error) & (error < self.max_bend * step) & (cosine > self.min_cosine))
+
+    def after(self, step: np.ndarray, measure: np.ndarray) -> np.ndarray:
+        """Length of the next steps after accepted ones, shape (n,).
+
+        Parameters
+        ----------
+        step : ndarray, shape (n,)
+        measure : ndarray, shape (n,)
+            What is to be near `target`.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
+        factor = np.clip((self.target / np.maximum(measure, 1e-12)) ** self.power, *self.growth)
+        return np.minimum(self.longest, step * factor)
+
+
+class Tracks:
+    """Curves under way: the last points of n of them.
+
+    Attributes
+    ----------
+    Z, tangent : ndarray, shape (c, n)
+        Last points and the tangents there, along the tracks.
+    turning : ndarray, shape (c, n)
+        How fast the tangents turned over the last steps.
+    step : ndarray, shape (n,)
+        Length of the next steps.
+    """
+
+    def __init__(
+        self, control: StepControl, Z: np.ndarray, tangent: np.ndarray, step: float, measured: int | None = None
+    ):
+        self.control, self.measured = control, measured
+        self.Z, self.tangent, self.turning = Z.copy(), tangent.copy(), np.zeros(Z.shape)
+        self.step = np.full(Z.shape[1], step)
+
+    def advance(
+        self,
+        active: np.ndarray,
+        correct: Callable[[np.ndarray, np.ndarray], Any],
+        judge: Callable[[Any, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    ) -> tuple[Any, np.ndarray]:
+        """Try a step of some tracks.
+
+        Parameters
+        ----------
+        active : ndarray of int, shape (j,)
+        correct : callable
+            The corrected points (with `Z`, `direction` and `ok`) of predicted ones (c, j), in planes normal to (c, j).
+        judge : callable
+            Which of the corrected points are fair (j,), beside what the step control demands, and what it is to keep
+            near its target (j,), by the points, the predicted ones and the distances between them.
+
+        Returns
+        -------
+        point : object
+            The corrected points.
+        fair : ndarray of bool, shape (j,)
+            Which of them were accepted; the next step of the other tracks is shorter.
+        """
+        h, border = self.step[active], self.tangent[:, active].copy()
+        guess = self.Z[:, active] + h * border + 0.5 * h * h * self.turning[:, active]
+        border[self.measured or len(border) :] = 0.0
+        point = correct(guess, border)
+        error = np.linalg.norm((point.Z - guess)[: self.measured], axis=0)
+        cosine = (point.direction * border).sum(axis=0)
+        fair, measure = judge(point, guess, error)
+        fair = fair & point.ok & self.control.accepts(error, h, np.abs(cosine))
+        new = active[fair]
+        tangent = np.where(cosine >= 0, point.direction, -point.direction)[:, fair]
+        Z = point.Z[:, fair]
+        # The tangent turns on as it did over the last step.
+        chord = np.linalg.norm((Z - self.Z[:, new])[: self.measured], axis=0)
+        self.turning[:, new] = (tangent - self.tangent[:, new]) / chord
+        self.Z[:, new], self.tangent[:, new] = Z, tangent
+        self.step[new] = self.control.after(h[fair], measure[fair])
+        self.step[active[~fair]] *= self.control.reduction
+        return point, fair
+
+
+def root_between(
+    a: tuple[np.ndarray, np.ndarray],
+    b: tuple[np.ndarray, np.ndarray],
+    measured: int,
+    correct: Callable[[np.ndarray, np.ndarray], Point],
+    test: Callable[[Point], float],
+    tolerance: float,
+) -> Point:
+    """Locate the root of a test function between two points of a curve, where it changes sign.
+
+    Parameters
+    ----------
+    a, b : tuple of ndarray, shape (c,)
+        The points, each with the curve's tangent there.
+    measured : int
+        Number of coordinates, the first, that lengths are measured in.
+    correct : callable
+        The point in the plane through another normal to a direction, both (c,).
+    test : callable
+    tolerance : float
+        Of the root, over the distance of the points.
+
+    Returns
+    -------
+    object
+        As `correct` returns it.
+
+    Raises
+    ------
+    ValueError
+        Where the function has the same sign at both ends.
+    """
+    chord = b[0] - a[0]
+    chord[measured:] = 0.0
+    length = float(np.linalg.norm(chord))
+
+    def at(s: float) -> Point:
+        return correct(hermite(*a, *b, length, s / length), chord / length)
+
+    return at(bracketed_root(lambda s: test(at(s)), 0.0, length, tolerance * length))
+
+
+def column(Z: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Coordinates and event times of one point as one lane.
+
+    Parameters
+    ----------
+    Z : ndarray, shape (c - k,)
+    times : ndarray
+        k of them.
+
+    Returns
+    -------
+    ndarray, shape (c, 1)
+    """
+    return np.append(Z, times)[:, None]

@@ -1,0 +1,84 @@
+"""Predictor, corrector and step control on circles, whose points, tangents and lengths are known."""
+
+import numpy as np
+import pytest
+
+from tasks.continuation.pseudo_arclength import (
+    Linearisation,
+    Newton,
+    StepControl,
+    Tracks,
+    bordered_newton,
+    root_between,
+)
+
+#: Squares of the radii of the circles x^2 + y^2 = r^2 of three lanes, with a time t = x y beside them.
+SQUARES = np.array([1.0, 4.0, 0.25])
+NEWTON = Newton(max_iterations=8, max_step=1.0, small=1e-9, shrinking=0.2)
+CONTROL = StepControl(
+    shortest=1e-6, longest=0.3, min_cosine=0.9, target=1e-3, power=0.5, growth=(0.5, 2.0), reduction=0.5, max_bend=0.1
+)
+
+
+def circles(squares):
+    def linearise(lanes, Z):
+        x, y, time = Z
+        residual = (x**2 + y**2 - squares[lanes])[:, None]
+        derivative = np.array([[2 * x, 2 * y]]).transpose(2, 0, 1)
+        return Linearisation(residual, derivative, np.array([[y, x]]), (x * y - time)[None])
+
+    return lambda guess, border: bordered_newton(linearise, lambda *_: 1e-15, NEWTON, guess, border, 2)
+
+
+def test_points_tangents_and_times_of_circles():
+    radius, angle = np.sqrt(SQUARES), np.array([0.3, 1.2, 2.5])
+    border = np.array([-np.sin(angle), np.cos(angle), 0 * angle])
+    at = circles(SQUARES)(np.array([1.1 * radius * np.cos(angle), 1.1 * radius * np.sin(angle), 0 * angle]), border)
+    assert at.ok.all()
+    np.testing.assert_allclose(at.Z[:2], radius * [np.cos(angle), np.sin(angle)], atol=1e-14)
+    np.testing.assert_allclose(at.Z[2], at.Z[0] * at.Z[1], atol=1e-13)
+    np.testing.assert_allclose(np.abs((at.direction * border).sum(axis=0)), 1.0, rtol=1e-14)
+    assert not circles(SQUARES)(np.array([[np.nan], [0.0], [0.0]]), border[:, :1]).ok[0]
+
+
+def test_tracks_side_by_side_go_once_round_and_as_each_does_alone():
+    def followed(squares):
+        radius = np.sqrt(squares)
+        Z = np.array([radius, 0 * radius, 0 * radius])
+        tracks = Tracks(CONTROL, Z, np.array([0 * radius, 0 * radius + 1, radius]), 0.2, 2)
+        turned, rounds = np.zeros(len(squares)), []
+        for _ in range(60):
+            before = tracks.Z.copy()
+
+            def judge(point, guess, error):
+                return np.ones(len(error), bool), error
+
+            active = np.arange(len(squares))
+            tracks.advance(active, circles(squares), judge)
+            turned += np.arctan2(
+                before[0] * tracks.Z[1] - before[1] * tracks.Z[0], (before[:2] * tracks.Z[:2]).sum(axis=0)
+            )
+            rounds.append(tracks.Z.copy())
+        return turned, np.array(rounds)
+
+    turned, together = followed(SQUARES)
+    assert (turned > 2 * np.pi).all()
+    np.testing.assert_allclose((together[:, :2] ** 2).sum(axis=1), SQUARES * np.ones((60, 1)), rtol=1e-14)
+    for lane in range(3):
+        np.testing.assert_array_equal(followed(SQUARES[lane : lane + 1])[1][..., 0], together[..., lane])
+
+
+def test_a_step_that_turns_too_far_is_refused_and_halved():
+    tracks = Tracks(CONTROL, np.array([[0.5], [0.0], [0.0]]), np.array([[0.0], [1.0], [0.5]]), 0.4, 2)
+    _, fair = tracks.advance(np.array([0]), circles(SQUARES[2:]), lambda p, g, e: (np.ones(1, bool), e))
+    assert not fair[0] and tracks.step[0] == 0.2
+    np.testing.assert_array_equal(tracks.Z[:, 0], [0.5, 0.0, 0.0])
+
+
+def test_a_root_is_located_between_two_points():
+    def correct(Z, direction):
+        return circles(SQUARES[:1])(Z[:, None], direction[:, None]).Z[:, 0]
+
+    ends = [(np.array([np.cos(a), np.sin(a), 0.0]), np.array([-np.sin(a), np.cos(a), 0.0])) for a in (0.2, 0.9)]
+    at = root_between(*ends, 2, correct, lambda Z: Z[1] - Z[0], 1e-14)
+    assert at[:2] == pytest.approx(np.sqrt([0.5, 0.5]), abs=1e-13)
