@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from pipeline.study.model import Study
-from tasks.registry import SHORT_LINE
 
 CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box assembled in memory
 Box = tuple[slice, ...]
@@ -37,6 +36,8 @@ def chunk_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
 
 def grid_chunk(sizes: Mapping[str, int]) -> tuple[int, ...]:
     """Shape of a chunk of the grid: many short lines, or a part of a long one, which a worker can finish by itself."""
+    from tasks.registry import SHORT_LINE  # here, for the report reads archives without any task
+
     slopes = sizes["slope"]
     if slopes <= SHORT_LINE:
         return chunk_shape(sizes, CHUNK)

@@ -115,7 +115,7 @@ def _chunk(variable: Any) -> tuple[int, ...]:
     """Shape of the chunks in which a variable of points was written, whoever has stored it otherwise since."""
     points = _points(variable)
     inner = variable.shape[len(points) :]
-    if variable.group().gaitsweep_schema == 1:
+    if getattr(variable.group(), "gaitsweep_schema", 1) == 1:
         return (*layout.chunk_shape(points, layout.CHUNK), *inner)
     return (*np.atleast_1d(variable.group().checksum_chunk).tolist(), 1, *inner[1:])
 
@@ -130,7 +130,7 @@ def box_checksum(variable: Any, values: np.ndarray, box: layout.Box) -> int:
         In the box.
     box : Box
     """
-    if variable.group().gaitsweep_schema == 1:
+    if getattr(variable.group(), "gaitsweep_schema", 1) == 1:
         return layout.checksum(values, box)
     parts = layout.split(values, box, _chunk(variable))
     return sum(layout.chunk_checksum(zlib.crc32(part.tobytes()), corner) for corner, part in parts)

@@ -40,7 +40,7 @@ def peaks(toy, *arguments):
     return found.pop(process.pid), max(found.values(), default=0), time.monotonic() - began
 
 
-def test_a_point_costs_the_parent_less_memory_than_its_results(toy):
+def test_a_point_costs_the_parent_little_memory(toy):
     few, many = 150_000, 500_000  # below, what is held once is not full yet
     parent = []
     for n in (few, many):
@@ -49,7 +49,6 @@ def test_a_point_costs_the_parent_less_memory_than_its_results(toy):
         parent.append(found)
         assert worker < 256 * MIB
     assert parent[1] - parent[0] < (many - few) * (1 << 30) / 1e7
-    assert os.path.getsize(toy.folder / "data/archive/toy.journal") > many * 150
 
 
 @pytest.mark.soak
