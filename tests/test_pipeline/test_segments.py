@@ -389,7 +389,7 @@ def test_a_chunk_is_whole_if_nine_tenths_of_it_are_missing():
 def test_an_archive_is_written_whatever_of_a_journal_is_finished(tmp_path, monkeypatch):
     """Chunks of the same line finished, in rows, retried, or of another grid: equal bytes."""
     monkeypatch.setattr(layout, "CHUNK", 20)
-    monkeypatch.setattr(layout, "SHORT_LINE", 10)
+    monkeypatch.setattr("tasks.registry.SHORT_LINE", 10)
     monkeypatch.setattr("pipeline.plan.graph.SHORT_LINE", 10)
     (tmp_path / "s.toml").write_text(
         'name = "s"\nwalker = "E"\ngaits = ["long"]\n[axes]\nslope = { from = 0.01, to = 0.1, n = 50 }\n'
