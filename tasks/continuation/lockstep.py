@@ -51,6 +51,8 @@ def run(problem: Problem, procedure: Procedure[Result]) -> Result:
     return side_by_side(problem, [0], [procedure])[0]
 
 
+# Lanes beside an end may be lost.
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def side_by_side(
     problem: Problem, lines: Sequence[int] | np.ndarray, procedures: Sequence[Procedure[Result]]
 ) -> list[Result]:

@@ -113,8 +113,6 @@ def newton(
     return NewtonResult(w, converged)
 
 
-# Beside an end a moved state may not strike at all.
-@np.errstate(invalid="ignore", divide="ignore", over="ignore")
 def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Lipschitz estimate of the Newton map at solutions: maximum over directions of |F'^-1 dF'|/|dw|.
 
