@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -119,3 +121,42 @@ class Box:
         text = repr((self.keys, [x.hex() for x in (*self.low, *self.high)], purpose))
         seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
         return np.random.Generator(np.random.PCG64(seed)).uniform(-1, 1, (n, d))
+
+
+class Refused(Exception):
+    """Why a box cannot be described as one, and the key along which it should be halved."""
+
+    def __init__(self, why: str, axis: int = 0):
+        super().__init__(why)
+        self.axis = axis
+
+
+Part = TypeVar("Part")
+
+
+def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box], bool], splits: int) -> list[Part]:
+    """Make the parts into which a box must be divided.
+
+    Parameters
+    ----------
+    box : Box
+    make : callable
+        Makes a part of a box or raises Refused; with a reason, makes an empty one that gives it.
+    is_worth : callable
+        Whether a box is worth its making.
+    splits : int
+        How often the box may be halved.
+
+    Returns
+    -------
+    list
+    """
+    if not is_worth(box):
+        return [make(box, "few walkers")]
+    try:
+        return [make(box, "")]
+    except Refused as refused:
+        if not splits:
+            return [make(box, str(refused))]
+        halves = box.halves(refused.axis)
+    return [part for half in halves for part in divide(half, make, is_worth, splits - 1)]

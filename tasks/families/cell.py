@@ -14,7 +14,7 @@ import numpy as np
 from tasks.continuation.atlas import survey_lines
 from tasks.continuation.branch import Branch
 from tasks.continuation.refine import COARSE
-from tasks.families.box import Box, roots
+from tasks.families.box import Box, Refused, divide, roots
 from tasks.families.patch import Patch, along, basis, fit, side_of_fold, tails
 from tasks.families.pieces import Piece, match, pieces_of
 from tasks.fixed_points.newton import lipschitz, newton, newton_step
@@ -44,14 +44,6 @@ _CLEAR = 0.03
 _FAR = 1.0
 #: How often a box is halved, and from how many lines on its patches are worth their making.
 _MOST_SPLITS, _LEAST_LINES = 6, 24
-
-
-class Refused(Exception):
-    """Why a box has no patches, and the key along which it should be halved."""
-
-    def __init__(self, why: str, axis: int = 0):
-        super().__init__(why)
-        self.axis = axis
 
 
 @dataclass(frozen=True)
@@ -101,16 +93,12 @@ def make(family: Family, box: Box, low: float, count: Callable[[Box], int], spli
     splits : int
         How often it may be halved.
     """
-    maker = _Maker(family, box, low)
-    if count(box) < _LEAST_LINES:
-        return [Cell(box, maker.structure, why="few lines")]
-    try:
-        return [Cell(box, maker.structure, maker.patches())]
-    except Refused as refused:
-        if not splits:
-            return [Cell(box, maker.structure, why=str(refused))]
-        halves = box.halves(refused.axis)
-    return [cell for half in halves for cell in make(family, half, low, count, splits - 1)]
+
+    def cell(box: Box, why: str) -> Cell:
+        maker = _Maker(family, box, low)
+        return Cell(box, maker.structure, [] if why else maker.patches(), why)
+
+    return divide(box, cell, lambda part: count(part) >= _LEAST_LINES, splits)
 
 
 @functools.lru_cache(64)

@@ -13,8 +13,8 @@ from tasks.continuation.atlas import survey_lines
 from tasks.continuation.defining import SCALARS, foot_radius, log_froude
 from tasks.continuation.extremes import ANY_SLOPE, NOT_OF, Points, best, find, join, nothing, roles, values
 from tasks.continuation.refine import COARSE
-from tasks.families.box import Box
-from tasks.families.cell import Family, Refused
+from tasks.families.box import Box, Refused, divide
+from tasks.families.cell import Family
 from tasks.families.manifold import Manifold
 from tasks.families.manifold_maker import Maker
 from tasks.mechanics.lumped import Structure, common_structure
@@ -279,13 +279,9 @@ def make(
     splits : int
         How often it may be halved.
     """
-    surveyor = _Surveyor(family, box, window)
-    if count(box) < _LEAST_DESIGNS:
-        return [Landscape(box, surveyor.structure, why="few designs")]
-    try:
-        return [surveyor.landscape()]
-    except Refused as refused:
-        if not splits:
-            return [Landscape(box, surveyor.structure, why=str(refused))]
-        halves = box.halves(refused.axis)
-    return [part for half in halves for part in make(family, half, window, count, splits - 1)]
+
+    def landscape(box: Box, why: str) -> Landscape:
+        surveyor = _Surveyor(family, box, window)
+        return Landscape(box, surveyor.structure, why=why) if why else surveyor.landscape()
+
+    return divide(box, landscape, lambda part: count(part) >= _LEAST_DESIGNS, splits)

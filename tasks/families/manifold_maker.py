@@ -9,8 +9,8 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebfit, chebval
 
 from tasks.continuation.defining import defining_system, gradient, newton_step, solve
-from tasks.families.box import Box, roots
-from tasks.families.cell import Family, Refused
+from tasks.families.box import Box, Refused, roots
+from tasks.families.cell import Family
 from tasks.families.manifold import LEAST, Cut, Manifold
 from tasks.families.patch import fit, tails
 from tasks.fixed_points.multipliers import other_multipliers

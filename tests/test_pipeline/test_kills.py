@@ -88,6 +88,13 @@ def test_two_hundred_random_kills(toy, wholes, tell, way):
     )
 
 
+def interpret(program):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program], text=True, capture_output=True, env=environment
+    )
+
+
 def test_a_second_interrupt_is_hard():
     """The first waits for what must not be cut in two; the second does not."""
     program = (
@@ -96,12 +103,7 @@ def test_a_second_interrupt_is_hard():
         "with signals.handle():\n"
         "    with signals: interrupt(); print('held', flush=True); interrupt(); print('soft', flush=True)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", program],
-        text=True,
-        capture_output=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
+    done = interpret(program)
     assert (done.returncode, done.stdout) == (130, "held\n")
 
 
@@ -115,12 +117,7 @@ def test_a_signal_in_a_callback_of_the_interpreter_is_not_told_by_a_traceback():
         "    with Signals().handle(): del module; raise RuntimeError('a worker is gone')\n"
         "except Exception as error: print(type(error).__name__, error)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", program],
-        text=True,
-        capture_output=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
+    done = interpret(program)
     assert (done.stdout, done.stderr) == ("StoppedError Stopped by SIGTERM; finished results are kept.\n", "")
 
 

@@ -11,8 +11,8 @@ from tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude,
 from tasks.continuation.extremes import find
 from tasks.continuation.refine import COARSE
 from tasks.families import landscape as landscapes
-from tasks.families.box import Box
-from tasks.families.cell import Family, Refused
+from tasks.families.box import Box, Refused
+from tasks.families.cell import Family
 from tasks.families.landscape import _Surveyor, is_known, make
 from tasks.families.manifold import Cut
 from tasks.families.manifold_maker import Maker
@@ -204,7 +204,7 @@ def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
     walker, keys = PLANES["B"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box = Box(tuple(keys), (0.05, 0.05), (0.06, 0.06))
-    assert [part.why for part in make(family, box, WINDOW, lambda part: 10)] == ["few designs"]
+    assert [part.why for part in make(family, box, WINDOW, lambda part: 10)] == ["few walkers"]
 
     def refuse(self):
         raise Refused("no reason", 1)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tasks import interpolate_planes, solve_planes
-from tasks.families.box import Box, roots
-from tasks.families.cell import PANEL, Family, Refused, _Maker, make
+from tasks.families.box import Box, Refused, roots
+from tasks.families.cell import PANEL, Family, _Maker, make
 from tasks.families.patch import along, basis, coordinate, fit
 from tasks.families.pieces import Piece
 from tasks.mechanics.lumped import common_structure, constants_of
@@ -175,7 +175,7 @@ def test_a_box_of_few_lines_is_left_to_lines():
     walker, keys, _ = PLANES["B"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     (cell,) = make(family, Box(tuple(keys), (0.1, 0.1), (0.11, 0.11)), -4.625, lambda part: 10)
-    assert cell.why == "few lines" and not cell.patches
+    assert cell.why == "few walkers" and not cell.patches
 
 
 #: Variables of a plane that polynomials may give.
