@@ -25,6 +25,7 @@ from tasks.continuation.locate import (
     oriented_tangent,
     row,
     row_tangent,
+    sharpened_fold,
 )
 from tasks.continuation.lockstep import Call, Procedure, side_by_side
 from tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
@@ -164,6 +165,7 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
 
         branch, at = yield from narrow_segment(branch, int(segment), is_before)
         point, direction = yield from locate_root(branch, at, slope_rate)
+        point = yield from sharpened_fold(point)
         # A node may be the fold but for the last digits: between the two there is no polynomial.
         if np.linalg.norm(branch.Z[at : at + 2] - row(point), axis=1).min() > _TWIN:
             branch = branch.insert(at + 1, row(point), row_tangent(point, direction))

@@ -6,6 +6,7 @@ All are procedures, which run side by side (`tasks.continuation.lockstep`).
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,8 @@ from tasks.continuation.lockstep import Call, Procedure
 from tasks.continuation.root import root_search
 from tasks.continuation.tracking import Point, correct
 from tasks.fixed_points.step_check import verify_steps
-from tasks.step.problem import Problem
+from tasks.step import extended_precision
+from tasks.step.problem import EPS, Problem
 from tasks.step.step_map import Stride
 from tasks.step.verify_step import StepCheck, strike_distance
 
@@ -24,6 +26,8 @@ TestFunction = Callable[[Point, np.ndarray], float | bool]
 
 #: Splits of a segment on which an end or a fold lies, and the largest error of its polynomial over its length.
 _MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
+#: Error of a fold's ln slope up to which doubles locate it well enough.
+_SHARP = 1e-13
 
 
 def oriented_tangent(point: Point, direction: np.ndarray) -> np.ndarray:
@@ -225,3 +229,40 @@ def sampled_steps(problem: Problem, X: np.ndarray, times: np.ndarray, samples: i
     """
     stride, _ = problem.stride(np.vstack([X[: problem.m], times]), X[problem.m], samples=samples)
     return stride, strike_distance(stride.scaled_motion(), stride.times)
+
+
+def _fold_covector(point: Point, lane: int) -> np.ndarray:
+    """How far residuals of the joint equations, over the stance angle, move the ln slope of a fold, shape (m + k,)."""
+    derivative, m = point.derivative[..., lane], len(point.X) - 1
+    least = np.linalg.svd(np.delete(derivative, m, axis=1))[0][:, -1]
+    return np.asarray(-least / (least @ derivative[:, m]))
+
+
+def fold_error(point: Point, lane: int) -> float:
+    """Error of ln slope at a fold: rounding of the residual along the singular direction of I - DP.
+
+    Parameters
+    ----------
+    point : Point
+        Of n lanes.
+    lane : int
+    """
+    y, image = np.abs([point.stride.y[:, lane], point.stride.image[:, lane]])
+    rounded = 3 * EPS * np.append(y + image, np.full(len(point.derivative) - len(y), 2 * y[0]))
+    return float(np.abs(_fold_covector(point, lane)) @ rounded / y[0])
+
+
+def sharpened_fold(point: Point) -> Procedure[Point]:
+    """Correct the slope of a fold by its residual in more digits, where doubles leave it uncertain.
+
+    Parameters
+    ----------
+    point : Point
+        Of one lane.
+    """
+    if fold_error(point, 0) < _SHARP:
+        return point
+    residual = yield Call(extended_precision.residual, (point.X, point.times))
+    X = point.X.copy()
+    X[-1, 0] += _fold_covector(point, 0) @ residual[:, 0]
+    return replace(point, X=X)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from tasks.continuation.branch import LOST, Branch
-from tasks.continuation.locate import TestFunction, locate_root, oriented_tangent
+from tasks.continuation.locate import TestFunction, fold_error, locate_root, oriented_tangent
 from tasks.continuation.lockstep import Procedure, side_by_side
 from tasks.continuation.tracking import Point, branch_point_determinant, correct
 from tasks.fixed_points.rounding import rounding
@@ -147,18 +147,9 @@ def _is_genuine(kind: str, point: Point) -> bool:
     return True
 
 
-def _fold_error(point: Point, lane: int) -> float:
-    """Error of ln slope at a fold: rounding of the residual along the singular direction of I - DP."""
-    derivative, m = point.derivative[..., lane], len(point.X) - 1
-    least = np.linalg.svd(np.delete(derivative, m, axis=1))[0][:, -1]
-    y, image = np.abs([point.stride.y[:, lane], point.stride.image[:, lane]])
-    rounded = 3 * EPS * np.append(y + image, np.full(len(derivative) - m, 2 * y[0]))
-    return float(np.abs(least) @ rounded / y[0] / abs(least @ derivative[:, m]))
-
-
 def _record(kind: str, problem: Problem, point: Point, lane: int, error: float = 0.0) -> dict[str, float | str]:
     if kind == "fold":
-        error = _fold_error(point, lane)
+        error = fold_error(point, lane)
     else:
         error += float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
     return {

@@ -138,12 +138,16 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     amplification = (moves / gait.size).max(axis=0)
     # Where doubles do not show that Newton converges, the shrinking of its steps in more digits does.
     enough = 0.9 * accuracy or extended_precision.ESCALATE
-    for lane in np.flatnonzero(~(converged & (bound <= enough)) & near).tolist():
+    # Newton's steps in doubles from beside a fold may lead anywhere.
+    lost = np.flatnonzero(~(near & (bound < extended_precision.UNTRUSTED)))
+    first, unit = problem.section(guesses.w[:, lost])
+    y[:, lost], times[:, lost] = first * (unit / scale[lost]), guesses.w[problem.m :, lost]
+    for lane in np.flatnonzero(~(converged & (bound <= enough))).tolist():
         wide = extended_precision.refine(
             problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane], accuracy
         )
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
-        bound[lane] = wide.last_step * max(1.0, amplification[lane]) + wide.rounding
+        bound[lane] = 2 * wide.last_step * max(1.0, amplification[lane]) + wide.rounding
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
     step = strikes_fall_in_order(stride.closing, times)
     lanes = np.nonzero(leg_passes == UNKNOWN)[0]

@@ -19,6 +19,7 @@ from tasks.mechanics.lumped import Structure, lump
 from tasks.step.problem import EPS, Problem, joint_sizes
 from tasks.step.step_map import Stride
 from tasks.step.symbols import end_of_step, lock_knee, start_of_step
+from tasks.walkers.walker import Walker
 
 #: Error bounds of a fixed point in doubles from which long double is used, and 128 bits.
 ESCALATE, ESCALATE_AGAIN = 1e-12, 4e-9
@@ -27,6 +28,11 @@ TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1
 #: Newton steps, with one derivative each of at most half the size of the one before, and derivatives by differences in
 #: each tier's number: in long double they would be no better than those in doubles.
 _MAX_STEPS, _MAX_DERIVATIVES = 20, (0, 4)
+#: Size below which steps that no longer shrink are rounding: 128 bits resolve more than is asked for.
+_ROUNDING = (ESCALATE, 0.0)
+#: Error bound in doubles from which their derivative is not trusted: beside folds of small gaits it may be too far from
+#: singular, and steps along the fold shrink no error though they are small.
+UNTRUSTED = 1e-3
 #: Relative size of a step from which Newton is lost: it begins at a gait in doubles.
 _MAX_STEP = 1e-2
 
@@ -42,7 +48,7 @@ class _ExtendedStepMap:
         self._flows = [
             hy.taylor_adaptive(
                 motion.equations,
-                state=self._array(np.zeros(len(motion.equations))),
+                state=self.array(np.zeros(len(motion.equations))),
                 fp_type=number,
                 tol=number(2 * unit),
                 compact_mode=True,
@@ -52,7 +58,8 @@ class _ExtendedStepMap:
         self._held = [motion.parameters(fp_type=number, compact_mode=True) for motion in systems]
         self._start, self._knee, self._finish = self._compile()
 
-    def _array(self, values: Any) -> np.ndarray:
+    def array(self, values: Any) -> np.ndarray:
+        """Convert to this number."""
         return np.array([self.number(v) for v in values], dtype=self.number)
 
     def _compile(self) -> tuple[Any, Any, Any]:
@@ -80,6 +87,11 @@ class _ExtendedStepMap:
     def _call(self, function: Any, values: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         return function(np.concatenate([values, parameters]))
 
+    def parameters(self, walker: Walker, slope: float, scale: float) -> np.ndarray:
+        """Parameters of the compiled functions."""
+        constants = lump(walker, self.number)
+        return self.array([slope, scale, *(constants[k] for k in self.structure.constants)])
+
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """State just after heelstrike at y."""
         return self._call(self._start, y, parameters)
@@ -95,7 +107,7 @@ class _ExtendedStepMap:
             Rates just before heelstrike.
         """
         state, duration = self.start(y, parameters), times[-1]
-        guards = self._array([])
+        guards = self.array([])
         if self.kneed:
             values = self._call(self._knee, self._integrate(0, state, parameters, times[0]), parameters)
             guards, state, duration = values[:1], values[1:], times[1] - times[0]
@@ -111,7 +123,8 @@ class _ExtendedStepMap:
         ndarray, shape (m + k, m + k)
             In doubles.
         """
-        unknowns, difference = np.concatenate([y, times]), self.number(self.unit ** (2 / 3))
+        # Beside folds its rounding counts over 1e-11, beside falls the step bends within 1e-17.
+        unknowns, difference = np.concatenate([y, times]), self.number(self.unit**0.6)
         columns = []
         for i in range(len(unknowns)):
             moved = unknowns.copy()
@@ -159,7 +172,15 @@ class ExtendedGait:
 
 
 def solved(
-    problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np.ndarray, slope: float, scale: float, tier: int
+    problem: Problem,
+    lane: int,
+    stride: Stride,
+    y: np.ndarray,
+    times: np.ndarray,
+    slope: float,
+    scale: float,
+    tier: int,
+    trusted: bool = True,
 ) -> ExtendedGait:
     """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles if it serves.
 
@@ -179,22 +200,17 @@ def solved(
         [rad], and the power of two by which angles and rates are divided.
     tier : int
         Index into `TIERS`.
+    trusted : bool
+        Whether Newton begins with the derivative in doubles.
 
     Returns
     -------
     ExtendedGait
-        In the tier's number.
+        In the tier's number; `last_step` is infinite where Newton's steps do not shrink.
     """
-    number, _ = TIERS[tier]
     exact = _extended_step_map(problem.structure, tier)
-    constants = lump(problem.walker_of(lane), number)
-    parameters = np.array(
-        [number(slope), number(scale), *(constants[k] for k in problem.structure.constants)], dtype=number
-    )
-    wide, wide_times = (
-        np.array([number(v) for v in y], dtype=number),
-        np.array([number(v) for v in times], dtype=number),
-    )
+    parameters = exact.parameters(problem.walker_of(lane), slope, scale)
+    wide, wide_times = exact.array(y), exact.array(times)
     inverse, derivatives = stride.inverse[:, :, lane], 0
     m, measure = len(y), joint_sizes(y[:, None], len(times))[:, 0]
     before = size = np.inf
@@ -202,22 +218,49 @@ def solved(
         residual, impact = exact(wide, wide_times, parameters)
         step = inverse @ np.array([float(v) for v in residual])
         size = float(np.max(np.abs(step / measure)))
-        if not size <= 0.5 * before:
-            if before < ESCALATE or derivatives == _MAX_DERIVATIVES[tier]:
+        if not (trusted and size <= 0.5 * before):
+            if before < _ROUNDING[tier]:
+                break
+            if derivatives == _MAX_DERIVATIVES[tier]:
+                before = size = np.inf
                 break
             # Beside falls, where the step amplifies its start most, the derivative in doubles does not serve.
-            derivatives += 1
+            derivatives, trusted = derivatives + 1, True
             inverse = exact.inverse(wide, wide_times, parameters, residual)
             step = inverse @ np.array([float(v) for v in residual])
             size = float(np.max(np.abs(step / measure)))
             if not size < _MAX_STEP:
+                before = size = np.inf
                 break
-        wide = wide + np.array([number(v) for v in step[:m]], dtype=number)
-        wide_times = wide_times + np.array([number(v) for v in step[m:]], dtype=number)
+        wide, wide_times = wide + exact.array(step[:m]), wide_times + exact.array(step[m:])
         before = size
         if size < EPS / 64:
             break
     return ExtendedGait(wide, wide_times, impact, exact.start(wide, parameters), min(before, size))
+
+
+def residual(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Residual of the joint equations in 128 bits, at points in doubles.
+
+    Parameters
+    ----------
+    problem : Problem
+    X : ndarray, shape (m + 1, n)
+        Similarity coordinates and ln slope.
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+
+    Returns
+    -------
+    ndarray, shape (m + k, n)
+        Over the stance angle.
+    """
+    exact, columns = _extended_step_map(problem.structure, 1), []
+    y, scale = problem.section(X[:-1])
+    for lane, slope in enumerate(np.exp(X[-1]).tolist()):
+        parameters = exact.parameters(problem.walker_of(lane), slope, scale[lane])
+        values, _ = exact(exact.array(y[:, lane]), exact.array(times[:, lane]), parameters)
+        columns.append([float(value) for value in values] / y[0, lane])
+    return np.array(columns).T
 
 
 def refine(
@@ -252,7 +295,7 @@ def refine(
         return (bound if bound < 1 else 1.0) * TIERS[tier][1] / EPS + 4 * EPS
 
     tier = 0 if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0) else 1
-    gait = solved(problem, lane, stride, y, times, slope, scale, tier)
+    gait = solved(problem, lane, stride, y, times, slope, scale, tier, trusted=bound < UNTRUSTED)
 
     def rounded(values: np.ndarray) -> np.ndarray:
         return np.array([float(v) for v in values])

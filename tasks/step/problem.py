@@ -84,11 +84,25 @@ class Problem:
         scale : ndarray, shape (n,)
             Power of two by which its angles and rates are divided.
         """
-        angle = np.exp(w[0])
-        scale = np.exp2(np.floor(np.log2(angle)))
-        y = np.vstack([angle, angle * w[1 : self.m]]) / scale
+        y, scale = self.section(w)
         stride = self.map(y, w[self.m :], self.parameters(np.exp(log_slope), scale), slope, samples, coarse)
         return stride, scale
+
+    def section(self, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled section coordinates of similarity coordinates, and the power of two that divides them.
+
+        Parameters
+        ----------
+        w : ndarray, shape (m or more, n)
+
+        Returns
+        -------
+        y : ndarray, shape (m, n)
+        scale : ndarray, shape (n,)
+        """
+        angle = np.exp(w[0])
+        scale = np.exp2(np.floor(np.log2(angle)))
+        return np.vstack([angle, angle * w[1 : self.m]]) / scale, scale
 
     def start(self, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """State just after heelstrike of section states.

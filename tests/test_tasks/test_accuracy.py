@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from lines import WANT, branches, solved
-from tasks import status
+from tasks import interpolate_points, status
 from tasks.accuracy import OF_INTEGRATION, nodes_for, significant_bits
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
-from tasks.interpolate_points import Interpolation
+from tasks.fixed_points.newton import lipschitz
+from tasks.fixed_points.rounding import rounding_std
+from tasks.interpolate_points import Interpolation, _Found
 from tasks.measures.gaits import round_bits, to_accuracy
+from tasks.measures.smooth import Smooth
 from tasks.registry import GAITS
 from tasks.solve_points import atlas, points
 from tasks.step.problem import Problem
@@ -176,6 +179,16 @@ def test_the_bound_of_a_panel_counts_gaits_coefficients_and_drawn_points():
     assert error(lambda x: 1e-3 * np.cos((nodes - 1) * np.arccos(x))) == pytest.approx(1e-3 / 0.5, rel=1e-6)
 
 
+def test_a_panel_whose_gaits_are_not_all_found_is_not_used():
+    (root,) = panels_over(0, -2.9, -2.5, (False, False), np.array([-2.7]))
+
+    def solve(panels, ranges):
+        return [Sampled(np.ones((len(q), 1)), np.ones((len(q), 1)), 1e-14, 1, False) for q in ranges]
+
+    made = fit_panels([root], 8, 1e-3, solve, lambda panel: panel.part[0] == 0)
+    assert made and not any(len(panel.coefficients) for panel in made)
+
+
 def test_a_panel_of_two_folds_is_inverted():
     panel = Panel(0, -3.0, -2.0, (True, True), (0.25, 0.5))
     x = np.linspace(-1, 1, 9)
@@ -195,6 +208,79 @@ def test_labels_that_errors_could_change_are_integrated():
         assert (near < 1e-3).all() or key is None
     assert interpolated
     assert all(np.abs(np.log(slope[i]) - fold[0]) > 1e-9 for i in interpolated)
+
+
+def test_gaits_whose_stability_errors_could_change_are_integrated():
+    problem, found = branches("D")
+    want = ("stance_angle", "spectral_radius", "multiplier_real", "multiplier_imag", "multiplier_error_bound")
+    slope = 0.015088437941119463 * (1 + np.array([-0.1, -1e-6, 1e-6, 0.1]))  # the proved flip of the long gait
+    made = Interpolation(problem, found, want, 1e-3, slope)
+    _, integrated = made.parts(slope)
+    assert sorted(i for indices in integrated.values() for i in indices.tolist()) == [1, 2]
+
+
+def test_gaits_of_a_label_that_errors_could_order_are_integrated():
+    problem, found = branches("A")
+    made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
+    angles = {0: [0.2, 0.2, 0.2], 1: [0.2039, 0.2041, 0.2039]}  # four accuracies are 0.004
+    ratio = {0: np.full(3, 0.3), 1: np.array([0.3, 0.3, 0.7])}
+    none = np.zeros(3, bool)
+    parts = [
+        _Found(k, made.panels[0][0], np.arange(3), np.zeros(3), {"stance_angle": np.array(angles[k])}, ratio[k], none)
+        for k in (0, 1)
+    ]
+    assert made._ties(parts, 3).tolist() == [True, False, False]
+
+
+def test_a_label_that_errors_could_change_is_near():
+    problem, found = branches("A")
+    made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
+    panel = made.panels[0][0]
+    coefficients = np.zeros_like(panel.coefficients)
+    ratio = made.smooth.names.index("heelstrike_rate_ratio")
+    coefficients[:2, ratio] = 0.5, 0.1  # 1/2 in the middle
+    x = np.array([-0.9, -0.03, 0.03, 0.9])
+    one = made._found(0, replace(panel, coefficients=coefficients, error=1e-3), np.arange(4), x)
+    assert one.near.tolist() == [False, True, True, False]
+
+
+def test_gaits_with_another_number_of_leg_passes_share_no_panel(monkeypatch):
+    original = interpolate_points.describe
+
+    def changed(*args):
+        solved = original(*args)
+        solved["passes"][2] = 3
+        return solved
+
+    problem, found = branches("A")
+    made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
+    panel = made.panels[0][0]
+    q = panel.log_slope(panel.samples(len(panel.coefficients)))
+    assert made._solve([panel], [q])[0].good
+    monkeypatch.setattr(interpolate_points, "describe", changed)
+    assert not made._solve([panel], [q])[0].good
+
+
+def test_what_a_panel_measures_is_no_less_than_at_its_gaits():
+    problem, found = branches("A")
+    made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
+    q = np.log(np.linspace(0.01, 0.012, 9))
+    guesses, _ = made.pieces[0].guesses(q, np.exp(q))
+    measured, m = made._measured(guesses, q, len(q)), problem.m
+    assert (measured.lipschitz > lipschitz(problem, np.vstack([guesses.w[:m], q]), guesses.w[m:])).all()
+    # Estimates of single points scatter.
+    np.testing.assert_array_less(rounding_std(problem, guesses.w, q).mean(axis=1) / 3, measured.rounding_std.T[0])
+
+
+def test_the_error_of_a_derivative_is_that_of_all_its_entries():
+    problem, _ = branches("D")
+    smooth = Smooth.of(problem.walker, ("multiplier_real", "multiplier_error_bound"), 2)
+    J = np.array([[0.3, -2.0], [0.4, 0.5]])
+    columns = {name: np.array([J[int(name[0]), int(name[1])]]) for name in smooth.entries}
+    found = smooth.multipliers(columns, 1e-3)["multiplier_error_bound"]
+    # Every entry off by 1e-3 of the largest.
+    norm = np.array([np.sqrt(4) * 1e-3 * 2.0])
+    np.testing.assert_allclose(found, multiplier_bounds(J[:, :, None], multipliers(J[:, :, None], 3), norm), rtol=0.1)
 
 
 def test_rounding_to_bits():
@@ -237,6 +323,9 @@ def test_more_digits_than_doubles_give_are_computed():
     assert (best["error_bound"][0, :2] <= 1e-15).all()
     difference = np.abs(usual["stance_angle"] / best["stance_angle"] - 1)
     assert (difference <= usual["error_bound"] + best["error_bound"])[0, :2].all()
+    # Where doubles give fourteen digits no more are computed unless asked for.
+    assert 1e-15 < solved("D", [0.003])["error_bound"][0, 0] < 1e-12
+    assert coarse("D", [0.003], 1e-15)["error_bound"][0, 0] <= 1e-15
 
 
 def test_bounds_of_eigenvalues():
@@ -281,12 +370,12 @@ def _multipliers_in_quadruple(problem, step_map, out, slope, g):
     parameters = problem.parameters(np.array([slope]), at.scale)[:, 0]
     y, times = at.y[:, 0], at.times[:, 0]
     number, m = step_map.number, problem.m
-    wide = step_map._array(parameters)
-    base, _ = step_map(step_map._array(y), step_map._array(times), wide)
+    wide = step_map.array(parameters)
+    base, _ = step_map(step_map.array(y), step_map.array(times), wide)
     h = number(2.0**-50)
     columns = []
     for i in range(m + len(times)):
-        moved = [step_map._array(y), step_map._array(times)]
+        moved = [step_map.array(y), step_map.array(times)]
         moved[i >= m][i - m if i >= m else i] += h
         residual, _ = step_map(*moved, wide)
         columns.append([float((a - b) / h) for a, b in zip(residual, base, strict=True)])

@@ -10,6 +10,7 @@ from tasks.families.box import Box, Refused, roots
 from tasks.families.cell import PANEL, Family, _Maker, make
 from tasks.families.patch import along, basis, coordinate, fit
 from tasks.families.pieces import Piece
+from tasks.measures.smooth import Smooth
 from tasks.mechanics.lumped import common_structure, constants_of
 from tasks.registry import ALWAYS, GAITS
 from tasks.solve_planes import lines, solve
@@ -214,6 +215,29 @@ def test_gaits_of_a_plane_to_an_accuracy_are_not_integrated(monkeypatch):
     for one, other in zip(usual, again, strict=True):
         np.testing.assert_array_equal(one["stance_angle"], other["stance_angle"])
     assert set(integrated) == {0}
+
+
+def test_lines_of_a_plane_whose_stability_errors_could_change_are_integrated(monkeypatch):
+    params = {**block("B", 12), "want": ("stance_angle", "spectral_radius"), "accuracy": 1e-3}
+    integrated, original = [], Smooth.multipliers
+
+    def beside_the_unit_circle(self, columns, error):
+        found = original(self, columns, error)
+        found["spectral_radius"][3] = 1 + 0.9 * found["multiplier_error_bound"][3]
+        return found
+
+    monkeypatch.setattr(Smooth, "multipliers", beside_the_unit_circle)
+    usual = solve_planes._solve_block
+    monkeypatch.setattr(solve_planes, "_solve_block", lambda *args: (integrated.append(len(args[-1])), usual(*args))[1])
+    by_line(params)
+    assert 0 < sum(integrated) < 12
+
+
+def test_a_polynomial_whose_gaits_may_have_either_label_is_not_used(monkeypatch):
+    family, cell = cell_of("B", 0.004)
+    assert interpolate_planes.sheets(family, cell, ("stance_angle",), 1e-3)
+    monkeypatch.setattr(interpolate_planes.Sheet, "ratio_range", lambda self: (0.4, 0.6))
+    assert not interpolate_planes.sheets(family, cell, ("stance_angle",), 1e-3)
 
 
 def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):

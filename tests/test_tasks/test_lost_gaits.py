@@ -12,7 +12,7 @@ from pipeline.bench.missed import missed, neighbour
 from tasks.continuation.atlas import from_arrays
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.newton import newton
-from tasks.fixed_points.polish import UNKNOWN, unmeasured
+from tasks.fixed_points.polish import UNKNOWN, settle, unmeasured
 from tasks.fixed_points.step_check import verify_steps
 from tasks.registry import GAITS, STATUSES
 from tasks.solve_points import atlas, points
@@ -109,6 +109,33 @@ def test_bounds_hold_as_near_a_fold_as_its_slope_is_known(walker, overrides):
             # Both gaits at every distance.
             assert len(rows) == 24
             assert all(error <= bound < 1e-9 for _, bound, error, _, _ in rows)
+
+
+#: Nearly tuned, with a fold at so small a slope that its derivative in doubles is rounding.
+TINY_FOLD = {
+    **{"m_t": 2.8089367342747895, "m_s": 0.8289680150753062, "r_t": 0.1955414883828786, "r_s": 0.1349088128098967},
+    **{"c_t": 0.07592779639184609, "c_s": 0.15140079374558255, "R": 0.15182739329675565},
+    **{"eps_T": 0.1219618966829219, "l_t": 0.4430969751069832},
+}
+
+
+@pytest.mark.parametrize("shank", [0.4224, 0.4226])
+def test_gaits_beside_a_fold_at_a_tiny_slope_settle_in_more_digits(shank):
+    problem, found = branches("A", **TINY_FOLD, l_s=shank)
+    (branch,) = [b for b in found if len(b.pieces()) == 2]
+    ((fold, _),) = branch.pieces()[1:]
+    slope = np.exp(branch.q[fold]) * (1 + np.array([1e-12, 1e-11, 1e-10, 1e-8]))
+    angles = []
+    for index, Z, segment in branch.guesses(np.log(slope)):
+        guesses = branch.known_guesses(Z, segment, slope[index])
+        gaits = settle(problem, guesses)
+        assert gaits.converged.all() and gaits.step.all() and gaits.doubles.max() > 1e-3
+        # Again with derivatives in more digits, from the solution: Newton shows how far it was.
+        assert all(error <= bound < 1e-11 for _, bound, error, _, _ in compared(problem, guesses))
+        angles.append(gaits.y[0] * gaits.scale)
+    # Two gaits that part with the root of the distance.
+    apart = np.abs(angles[0] / angles[1] - 1)
+    np.testing.assert_allclose(apart[1:] / apart[:-1], np.sqrt([10, 10, 100]), rtol=0.05)
 
 
 def test_a_gait_is_kept_where_a_rate_passes_zero():

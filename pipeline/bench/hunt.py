@@ -1,0 +1,293 @@
+"""The worst inputs: optimisers move a walker's keys and slopes to where its gaits are hardest to solve."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from joblib import Parallel, delayed
+from scipy.optimize import differential_evolution, minimize
+
+from pipeline.bench.bounds import compared
+from pipeline.bench.missed import DERIVED, KEYS, SPREAD, WALKERS
+from tasks.continuation import atlas as atlases
+from tasks.continuation.branch import Branch
+from tasks.continuation.lockstep import lanes_of
+from tasks.continuation.refine import COARSE
+from tasks.fixed_points.multipliers import multipliers
+from tasks.fixed_points.newton import newton_step
+from tasks.fixed_points.polish import Guesses, Polished, join, settle
+from tasks.fixed_points.step_check import gait_ratio
+from tasks.mechanics.lumped import structures_of
+from tasks.step.problem import Lanes, Problem
+from tasks.walkers.catalogue import CATALOGUE
+from tasks.walkers.resolve import resolve
+from tasks.walkers.walker import Walker, WalkerError
+
+#: Range of the slopes [rad], and of their relative distances from the ends and folds of branches.
+MIN_SLOPE, MAX_SLOPE = 1e-7, 0.3
+NEAREST, FARTHEST = 1e-12, 1e-1
+#: What is maximised, with what it means; `true error over bound` must stay below 1.
+MEASURES = {
+    "true error over bound": "error in extended precision over the error bound",
+    "error bound": "relative",
+    "last Newton step": "relative",
+    "time": "processor time of a gait of one line alone [s]",
+    "grazing": "stance angle over the least rate of a guard at its strike",
+    "fold": "1/|1 - multiplier|",
+    "flip": "1/|1 + multiplier|",
+    "vanishing rate": "largest over smallest rate",
+    "label tie": "1/|gait ratio - 1/2|",
+}
+#: Worst gaits kept of each measure, gaits of a line that are solved again in extended precision, and lines surveyed
+#: side by side.
+WORST, REFERENCES, SIDE_BY_SIDE = 10, 3, 32
+
+
+@dataclass(frozen=True)
+class Input:
+    """A gait: the walker's name, the keys set, the slope [rad], its stance angle [rad] and the value of a measure."""
+
+    walker: str
+    keys: dict[str, float]
+    slope: float
+    angle: float
+    value: float
+
+    @property
+    def command(self) -> str:
+        """What prints the gait."""
+        keys = "".join(f" --set {key}={value!r}" for key, value in self.keys.items())
+        return f"gaitsweep solve {self.walker} --slope {self.slope!r}{keys}"
+
+
+@dataclass
+class Hunted:
+    """The worst gaits by measure, and what is wrong: gaits that fail and errors above their bounds."""
+
+    worst: dict[str, list[Input]] = field(default_factory=lambda: {name: [] for name in MEASURES})
+    wrong: list[tuple[str, Input]] = field(default_factory=list)
+    lines: int = 0
+    gaits: int = 0
+
+    def add(self, other: Hunted) -> None:
+        """Merge another hunt; of the gaits of one walker only the worst is kept."""
+        for name, known in self.worst.items():
+            best: dict[tuple[object, ...], Input] = {}
+            for one in sorted([*known, *other.worst[name]], key=lambda one: -one.value):
+                best.setdefault((one.walker, *one.keys.items()), one)
+            self.worst[name] = list(best.values())[:WORST]
+        self.wrong += other.wrong
+        self.lines += other.lines
+        self.gaits += other.gaits
+
+    def rows(self) -> list[dict[str, float | str]]:
+        """Rows of the table: the worst of each measure, then what is wrong."""
+        found = [(name, one) for name, of in self.worst.items() for one in of] + self.wrong
+        return [
+            {"measure": name, "value": one.value, "stance angle": one.angle, "command": one.command}
+            for name, one in found
+        ]
+
+    def __str__(self) -> str:
+        worst = "; ".join(f"{name} {of[0].value:.3g}" for name, of in self.worst.items() if of)
+        return f"{self.lines} lines, {self.gaits} gaits, {len(self.wrong)} wrong; worst: {worst}"
+
+
+@dataclass(frozen=True)
+class Range:
+    """A walker of the catalogue and the ranges of the keys that are moved."""
+
+    walker: str
+    low: dict[str, float]
+    high: dict[str, float]
+
+    def keys(self, unit: np.ndarray) -> dict[str, float]:
+        """Values of the keys for coordinates from 0 to 1, shape (number of keys,)."""
+        return {
+            key: float(low + share * (self.high[key] - low))
+            for (key, low), share in zip(self.low.items(), unit, strict=False)
+        }
+
+
+def ranges() -> list[Range]:
+    """All that is hunted: for each walker its derived key, and masses, lengths and offsets off by up to 30 %."""
+    hunted = [Range(name, {key: low}, {key: high}) for name, (key, low, high) in DERIVED.items()]
+    for name in WALKERS:
+        table = CATALOGUE[name].table()
+        around = [{key: float(table[key] * (1 + s * SPREAD)) for key in KEYS if table[key]} for s in (-1, 1)]
+        hunted.append(Range(name, *around))
+    return hunted
+
+
+def hunt(generations: int, seed: int = 1, jobs: int = 2, say: Callable[[str], None] | None = None) -> Hunted:
+    """Maximise every measure over every range, by differential evolution and then by the Nelder-Mead method.
+
+    Parameters
+    ----------
+    generations : int
+        Of the differential evolution.
+    seed : int
+        Seed of the random numbers.
+    jobs : int
+        Processes.
+    say : callable, optional
+        Called with each line of progress.
+
+    Returns
+    -------
+    Hunted
+        Every gait that was solved counts for every measure.
+    """
+    asked = [(name, where) for where in ranges() for name in MEASURES]
+    outcome = Hunted()
+    work = Parallel(n_jobs=jobs, return_as="generator")
+    each = work(delayed(maximise)(name, where, generations, seed + k) for k, (name, where) in enumerate(asked))
+    for (name, where), found in zip(asked, each, strict=True):
+        outcome.add(found)
+        if say:
+            say(f"{name}, {where.walker} over {', '.join(where.low)}: {outcome}")
+    return outcome
+
+
+def maximise(name: str, where: Range, generations: int, seed: int) -> Hunted:
+    """Maximise one measure over one range.
+
+    Parameters
+    ----------
+    name : str
+        Of `MEASURES`.
+    where : Range
+    generations, seed : int
+    """
+    outcome, size = Hunted(), len(where.low) + 2
+
+    def cost(population: np.ndarray) -> np.ndarray:
+        found = [
+            _evaluated(where, unit) for unit in np.array_split(population.T, -(-population.shape[1] // SIDE_BY_SIDE))
+        ]
+        for _, hunted in found:
+            outcome.add(hunted)
+        return -np.concatenate([values[name] for values, _ in found])
+
+    box = [(0.0, 1.0)] * size
+    best = differential_evolution(
+        cost, box, vectorized=True, updating="deferred", polish=False, popsize=3, maxiter=generations, rng=seed
+    )
+    minimize(
+        lambda unit: cost(np.clip(unit, 0, 1)[:, None])[0],
+        best.x,
+        method="Nelder-Mead",
+        options={"maxfev": 2 * size * generations},
+    )
+    return outcome
+
+
+def _evaluated(where: Range, unit: np.ndarray) -> tuple[dict[str, np.ndarray], Hunted]:
+    """Largest values of the measures on lines (n,), and their worst gaits, for coordinates (n, number of keys + 2)."""
+    values, outcome = {name: np.full(len(unit), -np.inf) for name in MEASURES}, Hunted()
+    keys, walkers = [where.keys(each) for each in unit], dict[int, Walker]()
+    for i, each in enumerate(keys):
+        with contextlib.suppress(WalkerError):  # values that no walker can have
+            walkers[i] = resolve(where.walker, each)
+    structures = dict(zip(walkers, structures_of(list(walkers.values())), strict=True)) if walkers else {}
+    for structure in dict.fromkeys(structures.values()):
+        alike = [i for i in walkers if structures[i] == structure]
+        problem = Lanes([walkers[i] for i in alike], structure)
+        for lane, (i, branches) in enumerate(zip(alike, atlases.survey_lines(problem, COARSE), strict=True)):
+            found = hardest(where.walker, keys[i], problem.alone(lane), branches, slopes_of(branches, unit[i, -2:]))
+            for name, worst in found.worst.items():
+                values[name][i] = worst[0].value if worst else -np.inf
+            outcome.add(found)
+    return values, outcome
+
+
+def slopes_of(branches: list[Branch], share: np.ndarray) -> np.ndarray:
+    """Slopes of a line: one by itself, and at one relative distance on either side of every end and fold.
+
+    Parameters
+    ----------
+    branches : list of Branch
+    share : ndarray, shape (2,)
+        From 0 to 1, of the ranges of slopes and of distances.
+
+    Returns
+    -------
+    ndarray, shape (n,) [rad]
+    """
+    slope = MIN_SLOPE * (MAX_SLOPE / MIN_SLOPE) ** share[0]
+    ends = np.array([branch.q[k] for branch in branches for piece in branch.pieces() for k in piece])
+    distance = NEAREST * (FARTHEST / NEAREST) ** share[1]
+    beside = (np.exp(ends)[:, None] * (1 + distance * np.array([-1.0, 1.0]))).ravel()
+    return np.unique(np.append(beside[(beside > MIN_SLOPE) & (beside < MAX_SLOPE)], slope))
+
+
+def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: list[Branch], slope: np.ndarray) -> Hunted:
+    """Solve the gaits of a line at some slopes, and find the worst by every measure.
+
+    Parameters
+    ----------
+    walker : str
+        Its name.
+    keys : dict
+        The keys that are set.
+    problem : Problem
+        Of that walker.
+    branches : list of Branch
+    slope : ndarray, shape (n,) [rad]
+    """
+    outcome = Hunted(lines=1)
+    parts = [
+        branch.known_guesses(Z, segment, slope[index])
+        for branch in branches
+        for index, Z, segment in branch.guesses(np.log(slope))
+    ]
+    if not parts:
+        return outcome
+    guesses = join(parts)
+    start = time.process_time()
+    at = settle(problem, guesses)
+    seconds = (time.process_time() - start) / len(guesses.slope)
+    angle, settled = at.y[0] * at.scale, at.converged & at.step
+    outcome.gaits = len(angle)
+
+    def gait(k: int, value: float) -> Input:
+        return Input(walker, keys, float(guesses.slope[k]), float(angle[k]), value)
+
+    outcome.wrong = [("not converged", gait(k, float(at.bound[k]))) for k in np.flatnonzero(~settled)]
+    values = {name: np.where(settled, value, -np.inf) for name, value in _measured(problem, at, guesses).items()}
+    values["time"] = np.where(settled, seconds, -np.inf)
+    # In extended precision the gaits whose bounds are largest, and those nearest a fold.
+    hard = np.unique([np.argsort(-values[name])[:REFERENCES] for name in ("error bound", "fold")])
+    hard = hard[settled[hard]]
+    ratio = values["true error over bound"] = np.full(len(angle), -np.inf)
+    compared_gaits = [(k, *row) for k in hard for row in compared(problem, lanes_of(guesses, np.array([k])))]
+    for k, _, bound, error, _, _ in compared_gaits:
+        ratio[k] = error / bound
+    outcome.wrong += [("true error over bound", gait(k, float(ratio[k]))) for k in np.flatnonzero(ratio > 1)]
+    for name, value in values.items():
+        k = int(np.argmax(value))
+        if value[k] > -np.inf:
+            outcome.worst[name] = [gait(k, float(value[k]))]
+    return outcome
+
+
+def _measured(problem: Problem, at: Polished, guesses: Guesses) -> dict[str, np.ndarray]:
+    """Measures of gaits that one evaluation gives, each of shape (n,)."""
+    each = multipliers(at.stride.jacobian, 3)[:, : problem.m]
+    rates = np.abs(at.y[1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        measures = {
+            "error bound": at.bound,
+            "last Newton step": np.abs(newton_step(at.stride, guesses.w)).max(axis=0),
+            "grazing": at.stride.y[0] / np.abs(at.stride.closing).min(axis=0),
+            "fold": 1 / np.abs(each - 1).min(axis=1),
+            "flip": 1 / np.abs(each + 1).min(axis=1),
+            "vanishing rate": rates.max(axis=0) / rates.min(axis=0),
+            "label tie": 1 / np.abs(gait_ratio(at.stride) - 0.5),
+        }
+    # Exact hits count as the largest number.
+    return {name: np.nan_to_num(value, nan=-np.inf) for name, value in measures.items()}
