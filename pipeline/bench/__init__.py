@@ -12,7 +12,9 @@ FAMILIES = {"D": 0.005, "E": 0.005, "B": 0.01, "A": 0.01, "C": 0.01}
 QUICK = ("D", "B")
 
 
-def main(quick: bool, out: Path, families: tuple[str, ...] | None = None, grid: int | None = None) -> int:
+def main(
+    quick: bool, out: Path, families: tuple[str, ...] | None = None, grid: int | None = None, hunts: bool = False
+) -> int:
     """Measure, write `bench.nc` and `bench.html` into a folder, and print the path of the page.
 
     Parameters
@@ -25,6 +27,8 @@ def main(quick: bool, out: Path, families: tuple[str, ...] | None = None, grid: 
         Names of walkers; default: all of `FAMILIES`, or those of `QUICK`.
     grid : int, optional
         Number of slopes of the grids.
+    hunts : bool
+        Also search for the worst inputs.
 
     Returns
     -------
@@ -40,7 +44,7 @@ def main(quick: bool, out: Path, families: tuple[str, ...] | None = None, grid: 
 
     try:
         out.mkdir(parents=True, exist_ok=True)
-        measurements = run.measure(quick, families or (QUICK if quick else tuple(FAMILIES)), grid, _say)
+        measurements = run.measure(quick, families or (QUICK if quick else tuple(FAMILIES)), grid, _say, hunts)
         record.write(measurements, out / "bench.nc")
         bench_page.write(measurements, out / "bench.html")
     except OSError as error:

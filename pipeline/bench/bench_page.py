@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.bench import accuracies
 from pipeline.bench.harness import Case
+from pipeline.bench.hunt import MEASURES
 from pipeline.bench.run import Measurements
 
 _PLOTTED = ("stride", "jacobian", "fixed point")
@@ -71,6 +72,14 @@ converge, and most random walkers have no gait.</p>
 <h2>Error bounds</h2>
 <p>Error bounds of gaits at random slopes, with their errors as computed in extended precision.</p>
 {{ table(bounds) }}
+<p>By decade of the slope: gaits whose error exceeds the bound, and how many times the error the bound is.</p>
+{{ table(deception) }}
+{% if hunted %}<h2>The worst inputs</h2>
+<p>Found by differential evolution and the Nelder-Mead method over walkers, their keys and slopes, beside folds and ends
+as near as a relative distance of 1e-12: for each of {{ measures | length }} measures the ten worst lines, with the
+command that prints their gaits; behind them whatever is wrong.</p>
+<ul>{% for name, meaning in measures.items() %}<li>{{ name }}: {{ meaning }}</li>{% endfor %}</ul>
+{{ table(hunted) }}{% endif %}
 <h2>The Taylor step and peak performance</h2>
 <p>Operations are estimated from the u-variables of the decomposition and the order. An integration step is timed
 through one call from Python, so the rate of short steps is underestimated.</p>
@@ -124,6 +133,9 @@ def write(measurements: Measurements, path: Path) -> None:
         planes=measurements.planes,
         accuracies=accuracies.table([case for case in measurements.cases if case.problem in ("line", "plane")]),
         missed=measurements.missed,
+        deception=measurements.deception,
+        hunted=measurements.hunted,
+        measures=MEASURES,
         flows=[{"walker": k, **v} for k, of in measurements.flows.items() for v in of],
     )
     path.write_text(text, encoding="utf-8")

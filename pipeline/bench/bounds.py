@@ -68,6 +68,20 @@ class Bounds:
             )
         return rows
 
+    def histogram(self) -> list[dict[str, float | str]]:
+        """One row per walker and decade of the slope: how often the bound lies, and how tight it is."""
+        names, decade = np.array(self.walker), np.floor(np.log10(self.slope)).astype(int)
+        ratio = self.bound / np.maximum(self.error, 1e-18)
+        edges = np.array([0.0, *10.0 ** np.arange(5), np.inf])
+        words = ["error above bound", *(f"{10**k} to {10 ** (k + 1)}" for k in range(4)), "above 10000"]
+        rows: list[dict[str, float | str]] = []
+        for name in dict.fromkeys(self.walker):
+            for power in np.unique(decade[names == name])[::-1]:
+                counts, _ = np.histogram(ratio[(names == name) & (decade == power)], edges)
+                columns = dict(zip(words, counts.astype(float).tolist(), strict=True))
+                rows.append({"walker": name, "slopes from": f"1e{power}", "gaits": float(counts.sum()), **columns})
+        return rows
+
 
 def bounds(
     each: int,

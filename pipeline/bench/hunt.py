@@ -45,6 +45,8 @@ MEASURES = {
 #: Worst gaits kept of each measure, gaits of a line that are solved again in extended precision, and lines surveyed
 #: side by side.
 WORST, REFERENCES, SIDE_BY_SIDE = 10, 3, 32
+#: Generations of a full and of a quick hunt, and lines of a generation for each coordinate.
+GENERATIONS, POPULATION = {False: 2, True: 0}, 3
 
 
 @dataclass(frozen=True)
@@ -123,13 +125,13 @@ def ranges() -> list[Range]:
     return hunted
 
 
-def hunt(generations: int, seed: int = 1, jobs: int = 2, say: Callable[[str], None] | None = None) -> Hunted:
+def hunt(quick: bool, seed: int = 1, jobs: int = 2, say: Callable[[str], None] | None = None) -> Hunted:
     """Maximise every measure over every range, by differential evolution and then by the Nelder-Mead method.
 
     Parameters
     ----------
-    generations : int
-        Of the differential evolution.
+    quick : bool
+        Over single keys only, with the first generation alone.
     seed : int
         Seed of the random numbers.
     jobs : int
@@ -142,8 +144,8 @@ def hunt(generations: int, seed: int = 1, jobs: int = 2, say: Callable[[str], No
     Hunted
         Every gait that was solved counts for every measure.
     """
-    asked = [(name, where) for where in ranges() for name in MEASURES]
-    outcome = Hunted()
+    asked = [(name, where) for where in ranges() for name in MEASURES if len(where.low) == 1 or not quick]
+    outcome, generations = Hunted(), GENERATIONS[quick]
     work = Parallel(n_jobs=jobs, return_as="generator")
     each = work(delayed(maximise)(name, where, generations, seed + k) for k, (name, where) in enumerate(asked))
     for (name, where), found in zip(asked, each, strict=True):
@@ -175,8 +177,10 @@ def maximise(name: str, where: Range, generations: int, seed: int) -> Hunted:
 
     box = [(0.0, 1.0)] * size
     best = differential_evolution(
-        cost, box, vectorized=True, updating="deferred", polish=False, popsize=3, maxiter=generations, rng=seed
+        cost, box, vectorized=True, updating="deferred", polish=False, popsize=POPULATION, maxiter=generations, rng=seed
     )
+    if not generations:
+        return outcome
     minimize(
         lambda unit: cost(np.clip(unit, 0, 1)[:, None])[0],
         best.x,

@@ -51,7 +51,11 @@ def write(measurements: Measurements, path: Path) -> None:
         ("lines", measurements.lines),
         ("planes", measurements.planes),
         ("missed", measurements.missed),
+        ("deception", measurements.deception),
+        ("hunted", measurements.hunted),
     ):
+        if not table:
+            continue
         columns = {
             re.sub(r"\W+", "_", k.replace("/", " per ")).strip("_"): (
                 "row",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.bench import FAMILIES, accuracies, bounds, counted, lines, machine, missed, planes, problems, stress
+from pipeline.bench import FAMILIES, accuracies, bounds, counted, hunt, lines, machine, missed, planes, problems, stress
 from pipeline.bench.harness import Case, time_in_turns
 from tasks.walkers.resolve import resolve
 
@@ -32,11 +32,15 @@ class Measurements:
     lines: list[dict[str, float | str]] = field(default_factory=list)
     planes: list[dict[str, float | str]] = field(default_factory=list)
     missed: list[dict[str, float | str]] = field(default_factory=list)
+    deception: list[dict[str, float | str]] = field(default_factory=list)
+    hunted: list[dict[str, float | str]] = field(default_factory=list)
     kind: str = ""
     quick: bool = False
 
 
-def measure(quick: bool, families: Sequence[str], grid: int | None, say: Callable[[str], None]) -> Measurements:
+def measure(
+    quick: bool, families: Sequence[str], grid: int | None, say: Callable[[str], None], hunts: bool = False
+) -> Measurements:
     """Run the bench for some walkers.
 
     Parameters
@@ -49,6 +53,8 @@ def measure(quick: bool, families: Sequence[str], grid: int | None, say: Callabl
         Number of slopes of the grids; None: 2000 (500 for kneed walkers), a quarter of it if quick.
     say : callable
         Called with each line of progress.
+    hunts : bool
+        Also search for the worst inputs.
 
     Returns
     -------
@@ -87,5 +93,9 @@ def measure(quick: bool, families: Sequence[str], grid: int | None, say: Callabl
     measurements.outcomes = stress.lanes(RANDOM_LANES[quick]).rows()
     measurements.missed = missed.missed(RANDOM_LINES[quick]).rows()
     each = RANDOM_SLOPES[quick]
-    measurements.bounds = bounds.bounds(each, walkers=[(name, resolve(name, {})) for name in families]).rows()
+    compared = bounds.bounds(each, walkers=[(name, resolve(name, {})) for name in families])
+    measurements.bounds, measurements.deception = compared.rows(), compared.histogram()
+    if hunts:
+        say("hunt for the worst inputs")
+        measurements.hunted = hunt.hunt(quick, say=say).rows()
     return measurements

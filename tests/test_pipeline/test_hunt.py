@@ -1,0 +1,73 @@
+"""The hunt for the worst inputs: what it reports can be reproduced, and it would find what is wrong."""
+
+import shlex
+
+import numpy as np
+import pytest
+
+from lines import solved
+from pipeline.bench import hunt
+from tasks.registry import STATUSES
+
+
+@pytest.fixture(scope="module")
+def feet():
+    """A small hunt over the walker with point feet."""
+    (where,) = [each for each in hunt.ranges() if each.walker == "E" and len(each.low) == 1]
+    return where, hunt.maximise("error bound", where, 0, 1)
+
+
+def test_a_hunt_finds_nothing_wrong_and_lists_the_worst(feet):
+    _, found = feet
+    assert found.lines >= 9 and found.gaits > 10 and not found.wrong
+    for name, worst in found.worst.items():
+        values = [one.value for one in worst]
+        assert values and values == sorted(values, reverse=True), name
+        assert len({tuple(one.keys.items()) for one in worst}) == len(worst) <= hunt.WORST
+    assert found.worst["true error over bound"][0].value < 1
+
+
+def test_its_commands_print_the_gaits(feet):
+    _, found = feet
+    for name in ("fold", "error bound", "flip"):
+        one = found.worst[name][0]
+        words = shlex.split(one.command)
+        keys = dict(word.split("=") for word in words[6::2])
+        out = solved(words[2], float(words[4]), **{key: float(value) for key, value in keys.items()})
+        there = out["status"] == STATUSES["converged"]
+        assert np.abs(out["stance_angle"][there] / one.angle - 1).min() < 1e-6
+
+
+def test_a_hunt_climbs(feet):
+    where, first = feet
+    climbed = hunt.maximise("vanishing rate", where, 1, 1)
+    assert climbed.worst["vanishing rate"][0].value >= first.worst["vanishing rate"][0].value
+    assert climbed.lines > first.lines
+
+
+def test_what_is_wrong_is_told_with_its_command(feet, monkeypatch):
+    where, _ = feet
+    original, settle = hunt.compared, hunt.settle
+
+    def too_small(problem, guesses):
+        return [(slope, bound, 3 * bound, *rest) for slope, bound, _, *rest in original(problem, guesses)]
+
+    def lost(problem, guesses):
+        gaits = settle(problem, guesses)
+        gaits.converged[-1] = False
+        return gaits
+
+    monkeypatch.setattr(hunt, "compared", too_small)
+    found = hunt.maximise("error bound", where, 0, 1)
+    assert {what for what, _ in found.wrong} == {"true error over bound"} and "wrong" in str(found)
+    assert all(one.value == pytest.approx(3) and one.command.startswith("gaitsweep solve E") for _, one in found.wrong)
+    monkeypatch.setattr(hunt, "settle", lost)
+    assert {what for what, _ in hunt.maximise("error bound", where, 0, 1).wrong} >= {"not converged"}
+    assert found.rows()[-1]["command"] == found.wrong[-1][1].command
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(7200)
+def test_no_hunted_input_is_wrong(tell):
+    found = hunt.hunt(False, say=tell)
+    assert not found.wrong
