@@ -63,7 +63,7 @@ class Input:
     def command(self) -> str:
         """What prints the gait."""
         keys = "".join(f" --set {key}={value!r}" for key, value in self.keys.items())
-        return f"gaitsweep solve {self.walker} --slope {self.slope!r}{keys}"
+        return f"gaitsweep solve --walker {self.walker} --slope {self.slope!r}{keys}"
 
 
 @dataclass
