@@ -285,6 +285,8 @@ def refine(
 
     tier = 0 if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0) else 1
     gait = solved(problem, lane, stride, y, times, slope, scale, tier)
+    if not tier and not np.isfinite(gait.last_step):
+        tier, gait = 1, solved(problem, lane, stride, y, times, slope, scale, 1)
 
     def rounded(values: np.ndarray) -> np.ndarray:
         return np.array([float(v) for v in values])
