@@ -170,7 +170,10 @@ def _solve_lines(
     if proofs:
         for line, out in zip(lines, results, strict=True):
             _prove(out, line, slope)
-    return [{**to_accuracy({v: out[v] for v in want}, accuracy), "reasons": out["reasons"]} for out in results]
+    for out in results:
+        for k in range(0, n, block):
+            to_accuracy({name: out[name][k : k + block] for name in want}, accuracy)
+    return [{name: out[name] for name in (*want, "reasons")} for out in results]
 
 
 def _reasons(branches: list[Branch], searched: str) -> list[str]:

@@ -108,7 +108,13 @@ class Range:
     high: dict[str, float]
 
     def keys(self, unit: np.ndarray) -> dict[str, float]:
-        """Values of the keys for coordinates from 0 to 1, shape (number of keys,)."""
+        """Values of the keys.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (number of keys or more,)
+            Coordinates from 0 to 1.
+        """
         return {
             key: float(low + share * (self.high[key] - low))
             for (key, low), share in zip(self.low.items(), unit, strict=False)
@@ -261,7 +267,7 @@ def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: lis
     def gait(k: int, value: float) -> Input:
         return Input(walker, keys, float(guesses.slope[k]), float(angle[k]), value)
 
-    outcome.wrong = [("not converged", gait(k, float(at.bound[k]))) for k in np.flatnonzero(~settled)]
+    outcome.wrong = [("not converged", gait(k, float(at.bound[k]))) for k in np.flatnonzero(~settled).tolist()]
     values = {name: np.where(settled, value, -np.inf) for name, value in _measured(problem, at, guesses).items()}
     values["time"] = np.where(settled, seconds, -np.inf)
     # In extended precision the gaits whose bounds are largest, and those nearest a fold.
@@ -271,7 +277,7 @@ def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: lis
     compared_gaits = [(k, *row) for k in hard for row in compared(problem, lanes_of(guesses, np.array([k])))]
     for k, _, bound, error, _, _ in compared_gaits:
         ratio[k] = error / bound
-    outcome.wrong += [("true error over bound", gait(k, float(ratio[k]))) for k in np.flatnonzero(ratio > 1)]
+    outcome.wrong += [("true error over bound", gait(k, float(ratio[k]))) for k in np.flatnonzero(ratio > 1).tolist()]
     for name, value in values.items():
         k = int(np.argmax(value))
         if value[k] > -np.inf:

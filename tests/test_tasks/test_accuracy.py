@@ -306,7 +306,8 @@ def test_a_bound_beyond_the_accuracy_is_told():
         "error_bound": np.array([[1e-7, 2e-6, np.nan, 0.9e-6]]),
         "stance_angle": np.array([[0.1234567890123, 0.2, np.nan, 0.3]]),
     }
-    found = to_accuracy(out, 1e-6)
+    found = {name: values.copy() for name, values in out.items()}
+    to_accuracy(found, 1e-6)
     assert found["status"].tolist() == [[0, status.LESS_ACCURATE, 2, 0]]
     assert found["reason"].tolist() == [[0, status.COARSE_REASON, 3, 0]]
     assert found["error_bound"][0, 3] <= 1e-6
