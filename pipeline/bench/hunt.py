@@ -208,14 +208,14 @@ def _evaluated(where: Range, unit: np.ndarray) -> tuple[dict[str, np.ndarray], H
         alike = [i for i in walkers if structures[i] == structure]
         problem = Lanes([walkers[i] for i in alike], structure)
         for lane, (i, branches) in enumerate(zip(alike, atlases.survey_lines(problem, COARSE), strict=True)):
-            found = hardest(where.walker, keys[i], problem.alone(lane), branches, slopes_of(branches, unit[i, -2:]))
+            found = _hardest(where.walker, keys[i], problem.alone(lane), branches, _slopes_of(branches, unit[i, -2:]))
             for name, worst in found.worst.items():
                 values[name][i] = worst[0].value if worst else -np.inf
             outcome.add(found)
     return values, outcome
 
 
-def slopes_of(branches: list[Branch], share: np.ndarray) -> np.ndarray:
+def _slopes_of(branches: list[Branch], share: np.ndarray) -> np.ndarray:
     """Slopes of a line: one by itself, and at one relative distance on either side of every end and fold.
 
     Parameters
@@ -235,7 +235,9 @@ def slopes_of(branches: list[Branch], share: np.ndarray) -> np.ndarray:
     return np.unique(np.append(beside[(beside > MIN_SLOPE) & (beside < MAX_SLOPE)], slope))
 
 
-def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: list[Branch], slope: np.ndarray) -> Hunted:
+def _hardest(
+    walker: str, keys: dict[str, float], problem: Problem, branches: list[Branch], slope: np.ndarray
+) -> Hunted:
     """Solve the gaits of a line at some slopes, and find the worst by every measure.
 
     Parameters
