@@ -103,7 +103,7 @@ def to_accuracy(out: Arrays, accuracy: float) -> None:
     if not accuracy:
         return
     # Labels that no gait has need no rounding.
-    used = slice(1 + int(np.flatnonzero(np.isin(out["status"], status.SOLVED).any(axis=0)).max(initial=-1)))
+    used = slice(1 + int(np.flatnonzero(np.isin(out["status"], status.SOLVED).any(axis=0)).max(initial=0)))
     out = {name: values[:, used] for name, values in out.items()}
     bits = significant_bits(accuracy)
     unit = 0.5 ** (bits + 1) if bits < MANTISSA else 0.0
