@@ -250,6 +250,27 @@ def test_several_studies_end_with_one_account_of_them_all(toy):
     assert said[-1].startswith("To see it: gaitsweep report data/archive/*.nc")
 
 
+def test_a_task_that_studies_share_is_computed_once(tmp_path, monkeypatch):
+    """Two studies of orbits over the same slopes; the second is refused nothing that the first has."""
+    monkeypatch.chdir(tmp_path)
+    text = 'name = "{}"\nkind = "orbit"\nwalker = "D"\n[axes]\nslope = [0.01]\n[options]\nsteps = 30\ntransient = {}\n'
+    for name, transient in (("a", 5), ("b", 5), ("c", 6)):
+        (tmp_path / f"{name}.toml").write_text(text.format(name, transient))
+    assert commands.main(["run", "a.toml", "b.toml", "c.toml", "--quiet"]) == 0
+    events = [
+        [json.loads(line) for line in Path(f"data/archive/{name}.events.jsonl").read_text().splitlines()]
+        for name in "abc"
+    ]
+    spent = [{e["task"]: e["seconds"] for e in log if e["event"] == "task"} for log in events]
+    assert sorted(s["atlas"] > 0 for s in spent) == [False, False, True]
+    assert sorted(s["orbit"] > 0 for s in spent[:2]) == [False, True] and spent[2]["orbit"] > 0
+    accounts = [
+        json.loads(Path(f"data/archive/{name}.run.json").read_text())["account"]["workers_cpu"] for name in "abc"
+    ]
+    assert 0.0 in accounts[:2]
+    assert commands.main(["diff", "data/archive/a.nc", "data/archive/b.nc"]) == 0
+
+
 def refused(toy):
     """Studies of which one is wrong, one is held by another run and one has a foreign journal."""
     folder = toy.folder / "data" / "archive"
