@@ -47,6 +47,8 @@ def load(archive: str | Path, table: str | None = None) -> Any:
         If the file is not an archive of gaitsweep, or does not have the table.
     """
     path = Path(archive)
+    if path.is_file():
+        read.probe_once(path.resolve(), path.stat().st_mtime_ns)
     with read.open_archive(path) as file:  # what cannot be read of a damaged file is told as such
         tables = list(read.tables(file))
         if table is None:

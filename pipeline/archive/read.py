@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import subprocess
 import sys
@@ -20,6 +21,7 @@ SCHEMA = 2
 _READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
 _TIMEOUT, _MIN_SPEED = 30.0, 5e6  # time [s] and speed [byte/s] allowed to read an archive
 _MAX_VALUES = 1 << 20  # values read at a time
+_MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
 
 
 @contextlib.contextmanager
@@ -175,6 +177,12 @@ def probe(paths: Iterable[Path]) -> None:
             raise ArchiveError(f"{path} is damaged: the netCDF library crashes on it.")
 
 
+@functools.lru_cache(64)
+def probe_once(path: Path, modified: int) -> None:
+    """As `probe`, of one archive, but only once until its time of modification changes."""
+    probe([path])
+
+
 def _read_whole(path: Path) -> None:
     """Read all variables; errors are left to the actual reader."""
     with contextlib.suppress(Exception), open_archive(path) as file:
@@ -193,14 +201,19 @@ def _one_line(error: Exception) -> str:
 
 
 def check_replaceable(path: Path) -> None:
-    """Check that `path` is an archive of gaitsweep, which may be replaced.
+    """Check that `path` is an archive of gaitsweep, which may be replaced, whether it is damaged or not.
 
     Raises
     ------
     ArchiveError
         If it is another file or cannot be read.
     """
+    with open(path, "rb") as file:
+        beginning = file.read(_HEADER)
+    if beginning.startswith(_MAGIC) and b"gaitsweep_schema" in beginning:
+        return
     try:
+        probe([path])
         with open_archive(path):
             pass
     except ArchiveError as error:
@@ -210,6 +223,8 @@ def check_replaceable(path: Path) -> None:
 def not_attempted(path: Path) -> int | None:
     """Number of points of an archive that were not attempted; None if there is no archive."""
     try:
+        if path.exists():
+            probe([path])
         with open_archive(path) as file:
             return int(file.not_attempted)
     except (ArchiveError, ValueError, TypeError, AttributeError):

@@ -256,6 +256,16 @@ def test_a_foreign_file_is_not_touched(toy):
         journal(toy, what).unlink()
 
 
+def test_a_mangled_archive_is_replaced_unopened(toy, whole):
+    """What crashes or hangs the netCDF library is never given to it by the run itself."""
+    toy("run", "toy.toml")
+    archive = journal(toy, ".nc")
+    data = archive.read_bytes()
+    archive.write_bytes(data[: 1 << 14] + b"\xff" * (len(data) - (1 << 14)))
+    toy("run", "toy.toml")
+    assert toy.bytes() == whole
+
+
 def test_snapshots_can_be_read_while_the_run_goes_on(toy, whole):
     import netCDF4
 
