@@ -145,7 +145,7 @@ def run(
 def _study(wanted: str | Path | Mapping[str, Any], accuracy: float | None = None) -> model.Study:
     if isinstance(wanted, Mapping):
         wanted = "".join(f"{key} = {_to_toml(value, key)}\n" for key, value in wanted.items())
-    elif isinstance(wanted, Path) or "=" not in wanted:
+    elif isinstance(wanted, Path) or "=" not in wanted or ("\n" not in wanted and wanted.endswith(".toml")):
         return parse.read(wanted, accuracy)
     try:
         table = tomllib.loads(wanted)

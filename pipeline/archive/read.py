@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import os
 import subprocess
 import sys
 import zlib
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.archive import layout
-from pipeline.errors import ArchiveError, GaitsweepError
+from pipeline.errors import ArchiveError, GaitsweepError, WorkerError
 
 SCHEMA = 2
 _READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
@@ -159,7 +160,11 @@ def probe(paths: Iterable[Path]) -> None:
     ------
     ArchiveError
         If one crashes or hangs it.
+    WorkerError
+        If there is no other process, as where a user may have no more.
     """
+    # Threads of a numerical library are not needed, and may be refused.
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     for path in paths:
         size = path.stat().st_size if path.is_file() else 0
         command = [sys.executable, "-P", "-m", "pipeline.archive.read", str(path)]
@@ -169,12 +174,17 @@ def probe(paths: Iterable[Path]) -> None:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
+                env=environment,
                 timeout=_TIMEOUT + size / _MIN_SPEED,
             )
         except subprocess.TimeoutExpired as error:
             raise ArchiveError(f"{path} is damaged: the netCDF library hangs on it.") from error
-        if process.returncode:
+        except OSError as error:
+            raise WorkerError(f"{path} cannot be tried in another process: {error.strerror}.") from error
+        if process.returncode < 0:
             raise ArchiveError(f"{path} is damaged: the netCDF library crashes on it.")
+        if process.returncode:
+            raise WorkerError(f"{path} cannot be tried in another process: that ended with {process.returncode}.")
 
 
 @functools.lru_cache(64)
@@ -227,7 +237,7 @@ def not_attempted(path: Path) -> int | None:
             probe([path])
         with open_archive(path) as file:
             return int(file.not_attempted)
-    except (ArchiveError, ValueError, TypeError, AttributeError):
+    except (ArchiveError, WorkerError, ValueError, TypeError, AttributeError):
         return None
 
 

@@ -19,9 +19,9 @@ import netCDF4
 import pytest
 
 from conftest import ROOT, STUDY, TOYS
-from pipeline.archive import write
+from pipeline.archive import read, write
 from pipeline.cli import commands
-from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError
+from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError, unwritten
 from pipeline.execution import locks, study_jobs
 from processes import sidecar_path
 
@@ -168,6 +168,41 @@ def test_a_folder_that_cannot_be_written_is_said(toy):
     else:
         (toy.folder / "data").mkdir(mode=0o500)
     assert "cannot be written" in toy("run", "toy.toml", expect=2).stderr
+
+
+@pytest.mark.parametrize("suffix", [".journal", ".journal-chunks", ".lock", ".events.jsonl", ".nc"])
+def test_a_folder_in_the_place_of_a_file_is_named(toy, suffix):
+    (toy.folder / "data" / "archive" / f"toy{suffix}").mkdir(parents=True)
+    (said,) = toy("run", "toy.toml", "--quiet", expect=2).stderr.splitlines()
+    assert "data/archive/toy" in said and f"toy{suffix}" in said and "directory" in said
+
+
+def test_a_limit_of_the_system_is_not_called_damage(toy, monkeypatch, capsys):
+    toy("run", "toy.toml")
+    archive = toy.folder / "data" / "archive" / "toy.nc"
+    for code, said in ((errno.EAGAIN, "Resource temporarily unavailable"), (errno.EMFILE, "Too many open files")):
+        monkeypatch.setattr(read.subprocess, "run", Mock(side_effect=OSError(code, os.strerror(code))))
+        assert commands.main(["verify", str(archive)]) == 3
+        assert capsys.readouterr().err == f"gaitsweep: {archive} cannot be tried in another process: {said}.\n"
+        error = unwritten(archive, OSError(code, os.strerror(code)))
+        assert (error.exit_code, str(error)) == (3, f"A limit of the system is reached: {said}.")
+    monkeypatch.setattr(read.subprocess, "run", Mock(return_value=Mock(returncode=1)))
+    assert commands.main(["verify", str(archive)]) == 3
+
+
+@pytest.mark.parametrize("files", [8, 12, 16])
+def test_few_file_handles_are_said_in_one_line(toy, files):
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_NOFILE, ({files}, {files}))"
+    program = f"{limit}\nimport runpy, sys\nsys.argv = sys.argv[1:]\nrunpy.run_path(sys.argv[0], run_name='__main__')"
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program, str(TOYS / "gaitsweep_toy.py"), "run", "toy.toml", "--quiet"],
+        cwd=toy.folder,
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{TOYS}"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode in (2, 3), done.stderr
+    assert "Internal" not in done.stderr and done.stderr.count("\n") == 1
 
 
 def test_status_tells_what_happened_to_people_and_machines(toy):
