@@ -79,7 +79,7 @@ class Scheduler:
                 if self.engine.address is None:
                     raise
                 broken += 1
-                message = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+                message = f"{type(error).__name__}: {' '.join(str(error).split())[:200].rstrip('.')}"
                 if broken > _MAX_RETRIES:
                     raise WorkerError(f"Workers cannot be kept alive: {message}.") from error
                 for study in self.studies:

@@ -37,6 +37,12 @@ def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, tell, jobs, chunk
     tell(f"local, --jobs {jobs}, --chunk {chunk}: equal bytes")
 
 
+def test_a_run_needs_no_shared_memory(toy, whole):
+    """As where there is no /dev/shm, and joblib makes no semaphores."""
+    toy("run", "toy.toml", JOBLIB_MULTIPROCESSING="0")
+    assert toy.bytes() == whole
+
+
 def test_the_same_command_again_computes_nothing(toy):
     toy("run", "toy.toml")
     first = toy.bytes()
