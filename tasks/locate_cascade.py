@@ -61,7 +61,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `line`; `slope`, ndarray [rad], whose ends are the window and whose values are searched for families of other
         periods than one; and the study's options: `periods`, the longest; `families`, first periods; `starts`, initial
-        conditions of the search at each slope; `steps`, that walking must last (0: its end is not located).
+        conditions of the search at each slope; `steps`, that walking must last (0: its end is not located). Without
+        slopes nothing is located.
     inputs : list
         The line's atlas.
 
@@ -77,6 +78,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     slope = np.sort(np.asarray(params["slope"], float))
+    if not len(slope):
+        return {}
     rows: list[dict[str, Any]] = []
     limits: list[dict[str, Any]] = []
     ends: list[dict[str, Any]] = []

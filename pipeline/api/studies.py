@@ -47,6 +47,8 @@ def load(archive: str | Path, table: str | None = None) -> Any:
         If the file is not an archive of gaitsweep, or does not have the table.
     """
     path = Path(archive)
+    if path.is_file():
+        read.probe_once(path.resolve(), path.stat().st_mtime_ns)
     with read.open_archive(path) as file:  # what cannot be read of a damaged file is told as such
         tables = list(read.tables(file))
         if table is None:
@@ -143,7 +145,7 @@ def run(
 def _study(wanted: str | Path | Mapping[str, Any], accuracy: float | None = None) -> model.Study:
     if isinstance(wanted, Mapping):
         wanted = "".join(f"{key} = {_to_toml(value, key)}\n" for key, value in wanted.items())
-    elif isinstance(wanted, Path) or "=" not in wanted:
+    elif isinstance(wanted, Path) or "=" not in wanted or ("\n" not in wanted and wanted.endswith(".toml")):
         return parse.read(wanted, accuracy)
     try:
         table = tomllib.loads(wanted)

@@ -46,7 +46,7 @@ class Location:
         """
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.wrong("must be a number", value)
-        if not math.isfinite(value) or abs(value) > 1e300:
+        if abs(value) > 1e300 or not math.isfinite(value):  # a whole number may be too large for a float
             raise self.wrong("must be finite", value)
         return float(value)
 

@@ -307,7 +307,7 @@ class StrideMap:
         """
         m, n = y.shape
         size = self.start_size
-        start, by_y = np.split(self.start(y, parameters), [size])
+        start, by_y = _split(self.start(y, parameters), size)
         D = by_y.reshape(size, m, n)
         if slope:
             D = np.concatenate([D, np.zeros((size, 1, n))], axis=1)
@@ -319,7 +319,7 @@ class StrideMap:
             final, phase = integrate(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             motion.append(phase)
             out = self._apply(self._knee, np.vstack([final[:6], _unlanes(final[6:], 6, m + 1), parameters]))
-            start2, parts, knee, strike = np.split(out, np.cumsum([4, 4 * (m + 2), m + 3]))
+            start2, parts, knee, strike = _split(out, 4, 4 * (m + 2), m + 3)
             D = np.broadcast_to(np.eye(4, 3 + slope, -1)[:, :, None], (4, 3 + slope, n))
             duration = times[1] - times[0]
             # Heelstrike is timed from the start of the step; a part along the field is a shift of time.
@@ -332,8 +332,8 @@ class StrideMap:
         motion.append(phase)
         directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)
         out = self._apply(self._finish, np.vstack([y, final[:4], directions, parts, knee, parameters]))
-        image, jacobian, by_slope, shifts, residual, derivative, moves, newton, impact, impact_by_y = np.split(
-            out, np.cumsum(finish_sizes(m, k))
+        image, jacobian, by_slope, shifts, residual, derivative, moves, newton, impact, impact_by_y = _split(
+            out, *finish_sizes(m, k)
         )
         derivative, moves = derivative.reshape(m + k, m + k + 1, n), moves.reshape(m + k, m + k, n)
         shifts = shifts.reshape(k, m + 2, n)
@@ -367,6 +367,14 @@ class StrideMap:
 def finish_sizes(m: int, k: int) -> tuple[int, ...]:
     """Lengths of all but the last of what the end of a step gives, for m coordinates and k phases."""
     return m, m * m, m, k * (m + 2), m + k, (m + k) * (m + k + 1), (m + k) ** 2, m + k, 2
+
+
+def _split(values: np.ndarray, *sizes: int) -> list[np.ndarray]:
+    """Parts of so many rows, and the rest."""
+    parts, end = [], 0
+    for size in sizes:
+        parts.append(values[end : (end := end + size)])
+    return [*parts, values[end:]]
 
 
 def _lanes(D: np.ndarray) -> np.ndarray:
