@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -221,6 +221,8 @@ def gaits(
         raise Location("", "steps").wrong(f"must be at most {MAX_STEPS}", steps)
     asked = 0.0 if accuracy is None else parse.accuracy(accuracy, Location("", "accuracy"))
     names = [variables] if isinstance(variables, str) else variables
+    if not isinstance(names, Iterable | None):
+        raise Location("", "variables").wrong("must be a list of names", names)
     wanted = parse.variables(None if names is None else list(names), Location("", "variables"), asked)
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
         raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
@@ -264,11 +266,10 @@ def solve(
     StudyError
         If the walker, a key or the slope is invalid.
     """
-    changes = {key: broadcast.number(key, value) for key, value in keys.items()}
     answer = single_point.solve(
         broadcast.definition(walker),
         broadcast.number("slope", slope),
-        changes,
+        broadcast.changes(keys),
         every,
         broadcast.whole_number("steps", steps, 1),
         accuracy,
