@@ -11,7 +11,7 @@ import numpy as np
 from tasks.families.box import roots
 from tasks.families.cell import Cell, Family
 from tasks.families.panels import SAFETY
-from tasks.families.patch import Patch, along, basis, coordinate, fit, side_of_fold, tails
+from tasks.families.patch import Patch, along, basis, coordinate, evaluate, fit, side_of_fold, tails
 from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished, settle
 from tasks.interpolate_points import SHARE, TIE
 from tasks.measures.gaits import Arrays, Part, describe
@@ -237,7 +237,7 @@ def interpolate(
         own = walkers.some(line)
         smooth = Smooth.of(own, want, cell.structure.dimension)
         needed = sorted({*smooth.needed(want), 0})
-        values = basis(np.column_stack([x, unit[line]]), sheet.sizes) @ sheet.coefficients[:, needed]
+        values = evaluate(np.column_stack([x, unit[line]]), sheet.sizes, sheet.coefficients[:, needed])
         columns: Arrays = {smooth.names[k]: value for k, value in zip(needed, values.T, strict=True)}
         if smooth.entries:
             columns |= smooth.multipliers(columns, sheet.error)
