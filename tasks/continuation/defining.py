@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.continuation.joint import joint, joint_by_X, rounding_step
+from tasks.continuation.pseudo_arclength import bordered_matrix, replace_singular
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.problem import Lanes
 from tasks.step.step_map import Stride, matvec
@@ -74,28 +75,21 @@ class Evaluation:
     @property
     def speed_by_Z(self) -> np.ndarray:
         """Derivatives of `log_froude` by Z, shape (c, n)."""
-        angle, by_Z = np.exp(self.Z[0]), np.zeros_like(self.Z)
-        length = (1 - self.radius) * np.sin(angle) + self.radius * angle
-        by_Z[0] = angle * ((1 - self.radius) * np.cos(angle) + self.radius) / length
-        by_Z[-1] = -1 / self.Z[-1]
-        return by_Z
+        return log_froude_by_Z(self.Z, self.radius)
 
-    def row(self, by_Z: np.ndarray) -> np.ndarray:
-        """Return derivatives by X and the durations.
+    def bordered(self, by_Z: np.ndarray) -> np.ndarray:
+        """Return the matrix of the joint equations and of a scalar, by X and the durations.
 
         Parameters
         ----------
         by_Z : ndarray, shape (c, n)
-            Those by Z.
+            Derivatives of the scalar by Z.
 
         Returns
         -------
-        ndarray, shape (c, n)
+        ndarray, shape (n, c, c)
         """
-        m = self.m
-        row = matvec(self.times_by.transpose(1, 0, 2), by_Z[m + 1 :])
-        row[: m + 1] += by_Z[: m + 1]
-        return row
+        return bordered_matrix(self.derivative, by_Z, self.times_by)
 
 
 def foot_radius(problem: Lanes) -> np.ndarray:
@@ -125,6 +119,25 @@ def log_froude(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """
     angle = np.exp(Z[0])
     return np.asarray(np.log(2 * ((1 - radius) * np.sin(angle) + radius * angle) / Z[-1]))
+
+
+def log_froude_by_Z(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Return the derivatives of `log_froude` by Z.
+
+    Parameters
+    ----------
+    Z : ndarray, shape (c, n)
+    radius : ndarray, shape (n,)
+        Of the foot, over the leg.
+
+    Returns
+    -------
+    ndarray, shape (c, n)
+    """
+    angle, by_Z = np.exp(Z[0]), np.zeros_like(Z)
+    by_Z[0] = angle * ((1 - radius) * np.cos(angle) + radius) / ((1 - radius) * np.sin(angle) + radius * angle)
+    by_Z[-1] = -1 / Z[-1]
+    return by_Z
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
@@ -177,7 +190,7 @@ def _fold(at: Evaluation) -> np.ndarray:
 
 def _speed_maximum(at: Evaluation) -> np.ndarray:
     """Determinant that vanishes where the speed is stationary along the branch."""
-    return _determinants(np.concatenate([at.derivative, at.row(at.speed_by_Z).T[:, None]], axis=1))
+    return _determinants(at.bordered(at.speed_by_Z))
 
 
 #: The scalar that vanishes at a special point, by its kind.
@@ -251,10 +264,9 @@ def defining_system(problem: Lanes, kind: str, Z: np.ndarray, target: float = 0.
     -------
     ndarray, shape (c + 1, n)
     """
-    rows = gradient(problem, kind, Z)
     at = evaluate(problem, Z)
-    matrix = np.concatenate([at.derivative, at.row(rows).T[:, None]], axis=1)
-    return np.vstack([at.residual.T, scalar(kind, at, target), _determinants(matrix)])
+    determinants = _determinants(at.bordered(gradient(problem, kind, Z)))
+    return np.vstack([at.residual.T, scalar(kind, at, target), determinants])
 
 
 @dataclass
@@ -305,11 +317,10 @@ def newton_step(
     """
     at = evaluate(problem, Z, samples)
     size = np.linalg.norm(rows, axis=0)
-    matrix = np.concatenate([at.derivative, (at.row(rows) / size).T[:, None]], axis=1)
+    matrix = at.bordered(rows)
+    matrix[:, -1] /= size[:, None]
     right = -np.concatenate([at.residual, (scalar(kind, at, target) / size)[:, None]], axis=1)
-    solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-    solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
-    matrix[~solvable] = np.eye(matrix.shape[1])
+    solvable = replace_singular(matrix, right)
     unit = np.zeros_like(right)
     unit[:, -1] = 1.0
     solution = np.linalg.solve(matrix, np.stack([right, unit], axis=-1))

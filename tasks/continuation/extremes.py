@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.defining import SCALARS, Evaluation, evaluate, scalar, solve
+from tasks.continuation.defining import SCALARS, Evaluation, evaluate, log_froude, log_froude_by_Z, scalar, solve
 from tasks.continuation.special_points import END_NAMES
 from tasks.continuation.tracking import MIN_SLOPE
 from tasks.fixed_points.multipliers import multipliers, other_multipliers
@@ -29,8 +29,6 @@ _NEAR_ZERO = 0.3
 _STABLE = 1 - 1e-9
 #: Kind of a point from which a branch continues to vanishing slopes.
 ANY_SLOPE = "any slope"
-
-
 #: Kinds of points at which a quantity has no extreme.
 NOT_OF = {
     "smallest_slope": ("flip", "neimark_sacker", "fastest", "speed"),
@@ -185,17 +183,14 @@ def classify(
     error : ndarray, shape (n,)
     walks : ndarray of bool, shape (n,)
     """
-    angle = np.exp(Z[0])
-    length = (1 - at.radius) * np.sin(angle) + at.radius * angle
-    by_angle = angle * ((1 - at.radius) * np.cos(angle) + at.radius) / length
     return Points(
         line=line,
         kind=np.full(len(line), kind, "U32"),
         Z=Z,
         rows=rows,
         error=error,
-        log_froude=np.log(2 * length / Z[-1]),
-        speed_error=(np.abs(by_angle) + 1 / Z[-1]) * error + 8 * EPS,
+        log_froude=log_froude(Z, at.radius),
+        speed_error=np.abs(log_froude_by_Z(Z, at.radius)).sum(axis=0) * error + 8 * EPS,
         walks=walks,
         long=(gait_ratio(at.stride) < 0.5) | (kind == "label"),
         stable=other_multipliers(kind, at.stride.jacobian) < _STABLE,
@@ -212,7 +207,7 @@ class _Nodes:
         lines = [i for i, branches in enumerate(surveyed) for _ in branches]
         lengths = [len(branch.Z) for branch in self.branches]
         self.line, self.branch = np.repeat(lines, lengths), np.repeat(np.arange(len(lines)), lengths)
-        self.first = np.cumsum([0, *lengths])[:-1]
+        self.first, self.targets = np.cumsum([0, *lengths])[:-1], targets
         self.Z = np.concatenate([branch.Z for branch in self.branches]).T
         self.values = {"label": self.of_nodes("ratio") - 0.5}
         self.walks = self.of_nodes("leg_passes") == 1
@@ -223,13 +218,17 @@ class _Nodes:
             at = evaluate(problem.some(self.line[part]), self.Z[:, part])
             radius[part] = np.abs(multipliers(at.stride.jacobian, problem.m)[:, 0])
             for kind in kinds:
-                target = targets[kind][self.line[part]] if kind in targets else 0.0
-                self.values[kind][part] = scalar(kind, at, target)
+                self.values[kind][part] = scalar(kind, at, self.target(kind, part))
         self.stable = (radius < 1) & self.walks
 
     def of_nodes(self, name: str) -> np.ndarray:
         """An attribute of the branches at their nodes."""
         return np.concatenate([getattr(branch, name) for branch in self.branches])
+
+    def target(self, kind: str, node: np.ndarray | slice) -> np.ndarray:
+        """The value that a scalar has at the special points of the lines of some nodes."""
+        line = self.line[node]
+        return self.targets[kind][line] if kind in self.targets else np.zeros(len(line))
 
     def evaluate(self, node: np.ndarray, share: np.ndarray) -> np.ndarray:
         """Points (c, n) of the branches' polynomials at shares of the segments after some nodes."""
@@ -262,16 +261,14 @@ def find(
     if not any(surveyed):
         return nothing(problem, 0)
     nodes = _Nodes(problem, surveyed, targets)
-    guesses = [_crossings(problem, nodes, kind, targets) for kind in nodes.values]
-    guesses += [_at_edge(nodes, problem.m, edge) for edge in window]
-    guesses += _turns_and_ends(nodes, problem.m)
+    guesses = [_crossings(problem, nodes, kind) for kind in nodes.values]
+    guesses += [_at_edge(nodes, edge) for edge in window]
+    guesses += _turns_and_ends(nodes)
     parts = [_located(problem, nodes, *guess) for guess in guesses if len(guess[1])]
     return join(parts)
 
 
-def _crossings(
-    problem: Lanes, nodes: _Nodes, kind: str, targets: Mapping[str, np.ndarray]
-) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
+def _crossings(problem: Lanes, nodes: _Nodes, kind: str) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
     """Kind, nodes before, guesses (c, n) and targets of the points where a scalar changes its sign on a segment."""
     values = nodes.values[kind]
     a, b = values[:-1], values[1:]
@@ -288,8 +285,7 @@ def _crossings(
     node = np.flatnonzero(changes)
     n, shares = len(node), np.linspace(0, 1, _PARTS + 1)
     every, share = np.repeat(node, _PARTS - 1), np.tile(shares[1:-1], n)
-    lines, Z = nodes.line[every], nodes.evaluate(every, share)
-    target = targets[kind][lines] if kind in targets else np.zeros(len(every))
+    lines, Z, target = nodes.line[every], nodes.evaluate(every, share), nodes.target(kind, every)
     between = np.zeros(0)
     for k in range(0, len(every), _BLOCK):
         part = slice(k, k + _BLOCK)
@@ -298,8 +294,7 @@ def _crossings(
     g = np.column_stack([a[node], between.reshape(n, _PARTS - 1), b[node]])
     i, share = _roots(g)
     node = node[i]
-    target = targets[kind][nodes.line[node]] if kind in targets else np.zeros(len(node))
-    return kind, node, nodes.evaluate(node, share), target
+    return kind, node, nodes.evaluate(node, share), nodes.target(kind, node)
 
 
 @np.errstate(invalid="ignore", divide="ignore")
@@ -319,7 +314,7 @@ def _roots(g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([i, k, k]), np.concatenate([share, *pair]) / (g.shape[1] - 1)
 
 
-def _at_edge(nodes: _Nodes, m: int, edge: float) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
+def _at_edge(nodes: _Nodes, edge: float) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
     """The points at which branches cross the edge of the window."""
     node, Z = [np.zeros(0, int)], [np.zeros((len(nodes.Z), 0))]
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
@@ -330,7 +325,7 @@ def _at_edge(nodes: _Nodes, m: int, edge: float) -> tuple[str, np.ndarray, np.nd
     return "window", every, np.concatenate(Z, axis=1), np.full(len(every), edge)
 
 
-def _turns_and_ends(nodes: _Nodes, m: int) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+def _turns_and_ends(nodes: _Nodes) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
     """The folds and the ends of the branches, which are nodes."""
     by_kind: dict[str, list[int]] = {}
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):

@@ -103,6 +103,47 @@ class Corrected:
     at: Linearisation
 
 
+def bordered_matrix(derivative: np.ndarray, by_Z: np.ndarray, times_by: np.ndarray) -> np.ndarray:
+    """Return the matrix of equations and of one more function, by the unknowns.
+
+    Parameters
+    ----------
+    derivative : ndarray, shape (n, u - 1, u)
+        Of the equations.
+    by_Z : ndarray, shape (c, n)
+        Derivatives of the function by Z.
+    times_by : ndarray, shape (k, u, n)
+        Derivatives of the event times by the unknowns.
+
+    Returns
+    -------
+    ndarray, shape (n, u, u)
+    """
+    own = len(by_Z) - len(times_by)
+    row = matvec(times_by.transpose(1, 0, 2), by_Z[own:])
+    row[:own] += by_Z[:own]
+    return np.concatenate([derivative, row.T[:, None]], axis=1)
+
+
+def replace_singular(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Replace linear systems without a solution by the identity and zeros, in place.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, u, u)
+    right : ndarray, shape (n, u)
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        Which have a solution.
+    """
+    solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+    solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
+    matrix[~solvable], right[~solvable] = np.eye(matrix.shape[1]), 0.0
+    return np.asarray(solvable)
+
+
 # Where a strike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore")
 def bordered_newton(
@@ -140,14 +181,10 @@ def bordered_newton(
         normal, points = border[:, active], Z[:, active]
         here = linearise(active, points)
         own = len(Z) - len(here.times_by)
-        plane = matvec(here.times_by.transpose(1, 0, 2), normal[own:])
-        plane[:own] += normal[:own]
-        matrix = np.concatenate([here.derivative, plane.T[:, None]], axis=1)
+        matrix = bordered_matrix(here.derivative, normal, here.times_by)
         off = (normal * (start[:, active] - points)).sum(axis=0)
         right = np.concatenate([-here.residual, off[:, None]], axis=1)
-        solvable = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-        solvable[solvable] = np.linalg.det(matrix[solvable]) != 0
-        matrix[~solvable], right[~solvable] = np.eye(matrix.shape[1]), 0.0
+        solvable = replace_singular(matrix, right)
         change = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
         size = np.abs(change[:own]).max(axis=0)
         new_times = points[own:] + (here.late + matvec(here.times_by, change))
