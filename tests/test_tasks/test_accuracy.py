@@ -8,7 +8,7 @@ import pytest
 
 from lines import WANT, branches, solved
 from tasks import interpolate_points, status
-from tasks.accuracy import OF_INTEGRATION, nodes_for, significant_bits
+from tasks.accuracy import OF_INTEGRATION, is_interpolated, nodes_for, significant_bits
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
 from tasks.fixed_points.newton import lipschitz
@@ -31,7 +31,9 @@ def coarse(walker, slope, accuracy, want=SMOOTH, gaits=GAITS, **overrides):
     line = {"walker": walker, "set": overrides}
     found = atlas({"line": line, "coarse": True}, [])
     asked = {"slope": np.asarray(slope, float), "want": want, "gaits": gaits}
-    return points({"line": line, **asked, "accuracy": accuracy, "interpolated": True}, [found])
+    return points(
+        {"line": line, **asked, "accuracy": accuracy, "interpolated": is_interpolated(want, accuracy)}, [found]
+    )
 
 
 def slopes(walker, **overrides):
