@@ -47,6 +47,7 @@ class Scheduler:
         self._uses = {key: n for key, n in Counter(keys).items() if n > 1}  # studies that want each result still
         self._results: dict[str, dict[str, Any] | None] = {}  # of these, None while one is computed
         self._copies: deque[Job] = deque()  # jobs that run for another study
+        self._compiling: int | None = None  # number of the first job with knees
 
     def run(self) -> None:
         """Run everything the studies request.
@@ -99,11 +100,21 @@ class Scheduler:
             ready = [study for study in self.studies if study.next]
             if not ready:
                 return
-            taken = max(ready, key=lambda study: study.urgency).take()
+            study = max(ready, key=lambda study: (not self._waits(study), study.urgency))
+            taken = study.take()
             if taken and not self._is_shared(taken[0]):
                 number = next(self._numbers)
                 self.running[number] = taken[0]
+                if study.has_knees and self._compiling is None:
+                    self._compiling = number
                 yield number, taken[1]
+
+    def _waits(self, study: StudyJobs) -> bool:
+        """Whether other studies go first, until one worker has compiled the equations of knees, and all may load them.
+
+        Where there is no cached code it takes a quarter of a minute; other equations take a few seconds.
+        """
+        return study.has_knees and self._compiling in self.running
 
     def _is_shared(self, job: Job) -> bool:
         """Whether another study has or gets the same result, which is then copied."""

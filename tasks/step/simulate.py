@@ -16,7 +16,7 @@ import heyoka as hy
 import numpy as np
 
 from tasks.mechanics.equations import ZERO, Solver, Symbols, rows
-from tasks.mechanics.kernel import LANES, prepare_compiler
+from tasks.mechanics.kernel import LANES, CompiledFunction, prepare_compiler
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Problem
 from tasks.step.step_map import Stride
@@ -76,7 +76,7 @@ class Scanner:
         self._lock = self._compile_lock() if structure.kneed else None
         self._strike = None if structure.kneed else self._compile_strike()
 
-    def _compile_step(self, free: bool) -> hy.cfunc:
+    def _compile_step(self, free: bool) -> CompiledFunction:
         p = Symbols(self.structure)
         n = 3 if free else 2
         x = list(hy.make_vars(*(f"x{i}" for i in range(2 * n))))
@@ -87,20 +87,20 @@ class Scanner:
             derivatives.append([*stage[n:], *Solver(M)(f)])
             terms = [(a, d) for a, d in zip(weights, derivatives, strict=True) if a]
             stage = [x[i] + h * sum((a * d[i] for a, d in terms), ZERO) for i in range(2 * n)]
-        return hy.cfunc(stage, vars=[*x, h, *p.variables], compact_mode=False)
+        return CompiledFunction(stage, [*x, h, *p.variables])
 
-    def _compile_lock(self) -> hy.cfunc:
+    def _compile_lock(self) -> CompiledFunction:
         p = Symbols(self.structure)
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
-        return hy.cfunc(lock_knee(p, x), vars=[*x, *p.variables], compact_mode=False)
+        return CompiledFunction(lock_knee(p, x), [*x, *p.variables])
 
-    def _compile_strike(self) -> hy.cfunc:
+    def _compile_strike(self) -> CompiledFunction:
         p = Symbols(self.structure)
         x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-        return hy.cfunc(end_of_step(self.structure, p, x), vars=[*x, *p.variables], compact_mode=False)
+        return CompiledFunction(end_of_step(self.structure, p, x), [*x, *p.variables])
 
     @staticmethod
-    def _call(function: hy.cfunc, *inputs: np.ndarray) -> np.ndarray:
+    def _call(function: CompiledFunction, *inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes padded to whole SIMD groups."""
         n = inputs[0].shape[1]
         padded = np.empty((sum(map(len, inputs)), n + -n % (4 * LANES)))
@@ -126,6 +126,7 @@ class Scanner:
         -------
         ndarray, shape (4, n)
         """
+        assert self._lock
         return self._call(self._lock, x, parameters)
 
     def strike(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:

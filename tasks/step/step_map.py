@@ -20,7 +20,7 @@ import heyoka as hy
 import numpy as np
 
 from tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
-from tasks.mechanics.kernel import LANES, flow, prepare_compiler, whole_groups
+from tasks.mechanics.kernel import LANES, CompiledFunction, flow, prepare_compiler, whole_groups
 from tasks.mechanics.lumped import Structure
 from tasks.step.symbols import derivatives_along, end_of_step, flat, inverse, lock_knee, matrix, start_of_step
 
@@ -155,16 +155,13 @@ class StrideMap:
             self._knee = self._compile_knee()
         self._finish = self._compile_finish()
 
-    def _function(self, outputs: list[Sym], variables: list[Sym]) -> hy.cfunc:
-        return hy.cfunc(outputs, vars=variables, compact_mode=False)
-
-    def _compile_start(self) -> hy.cfunc:
+    def _compile_start(self) -> CompiledFunction:
         p = Symbols(self.structure)
         y = list(hy.make_vars(*(f"y{i}" for i in range(self.m))))
         state = start_of_step(self.structure, p, y)
-        return self._function(state + flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
+        return CompiledFunction(state + flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
 
-    def _compile_knee(self) -> hy.cfunc:
+    def _compile_knee(self) -> CompiledFunction:
         """From the end of three links to the start of two, with directions (y, duration, slope).
 
         The flow of two links carries its own field and three unit vectors beside it, whatever the directions: a part
@@ -189,9 +186,9 @@ class StrideMap:
         strike = [x[i] - field[i] * guard / closing for i in range(6)]
         strike += [D[i][d] - field[i] * guard_by[d] / closing for i in range(6) for d in range(self.m)]
         guards = [guard, *guard_by[: self.m], closing, *guard_by[self.m :]]
-        return self._function(lock + flat(parts) + guards + strike, [*x, *flat(D), *p.variables])
+        return CompiledFunction(lock + flat(parts) + guards + strike, [*x, *flat(D), *p.variables])
 
-    def _compile_finish(self) -> hy.cfunc:
+    def _compile_finish(self) -> CompiledFunction:
         """From the end of two links to the image on the section, its derivatives and the Newton step.
 
         Directions are (y, the duration of the phase with a free knee, slope), the second only with knees.
@@ -247,9 +244,9 @@ class StrideMap:
             *(struck(D[i], 0, x[i]) for i in (2, 3)),
             *(struck(D[i], 1 + d, D[i][d]) for i in (2, 3) for d in range(m)),
         ]
-        return self._function(outputs, [*y, *x, *flat(carried), *flat(parts), *flat(knee), *p.variables])
+        return CompiledFunction(outputs, [*y, *x, *flat(carried), *flat(parts), *flat(knee), *p.variables])
 
-    def _apply(self, function: hy.cfunc, inputs: np.ndarray) -> np.ndarray:
+    def _apply(self, function: CompiledFunction, inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes padded to whole SIMD groups, so that every lane runs the same code."""
         # A register's sines are computed in another way if one of its arguments is not finite.
         lost = ~np.isfinite(inputs).all(axis=0)
