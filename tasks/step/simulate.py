@@ -96,8 +96,18 @@ class Scanner:
         return hy.cfunc(end_of_step(self.structure, p, x), vars=[*x, *p.variables], compact_mode=False)
 
     @staticmethod
-    def _call(function: hy.cfunc, *inputs: np.ndarray) -> np.ndarray:
-        """Call a compiled function on lanes padded to whole SIMD groups."""
+    def call(function: hy.cfunc, *inputs: np.ndarray) -> np.ndarray:
+        """Call a compiled function on lanes padded to whole SIMD groups.
+
+        Parameters
+        ----------
+        function : heyoka.cfunc
+        *inputs : ndarray, shape (k, n)
+
+        Returns
+        -------
+        ndarray, shape (outputs, n)
+        """
         n = inputs[0].shape[1]
         padded = np.empty((sum(map(len, inputs)), n + -n % (4 * LANES)))
         np.concatenate(inputs, out=padded[:, :n])
@@ -106,7 +116,7 @@ class Scanner:
 
     def _advance(self, free: bool, x: np.ndarray, h: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """States after a time step h (n,) of the formula, of three links or two."""
-        return self._call(self._step[free], x, h[None], parameters)
+        return self.call(self._step[free], x, h[None], parameters)
 
     def lock(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """State of two links after kneestrike.
@@ -122,7 +132,7 @@ class Scanner:
         -------
         ndarray, shape (4, n)
         """
-        return self._call(self._lock, x, parameters)
+        return self.call(self._lock, x, parameters)
 
     def strike(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Section coordinates at heelstrike: just after it for straight legs, just before it for knees.
@@ -138,10 +148,15 @@ class Scanner:
         -------
         ndarray, shape (m, n)
         """
-        return x[1:4].copy() if self._strike is None else self._call(self._strike, x, parameters)
+        return x[1:4].copy() if self._strike is None else self.call(self._strike, x, parameters)
 
     def integrate_to_event(
-        self, free: bool, x: np.ndarray, begin: np.ndarray, parameters: np.ndarray
+        self,
+        free: bool,
+        x: np.ndarray,
+        begin: np.ndarray,
+        parameters: np.ndarray,
+        height: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Integrate every lane to its strike.
 
@@ -155,6 +170,8 @@ class Scanner:
             Time since the step began [sqrt(leg/g)].
         parameters : ndarray, shape (n_parameters, n)
             Slope, scale and the structure's constants.
+        height : ndarray, shape (n,), optional
+            By which the ground rises until heelstrike, over l.
 
         Returns
         -------
@@ -172,10 +189,12 @@ class Scanner:
             if not len(lanes):
                 return state, time, outcome
             x_next = self._advance(free, x, steps[: len(lanes)], parameters)
-            fraction = _crossing(free, x, x_next, h)
+            ground = None if height is None else np.array([parameters[1], height])
+            fraction = _crossing(free, x, x_next, h, ground)
             strikes = fraction >= 0
             if strikes.any():
-                at, final = self._refine(free, x[:, strikes], fraction[strikes], h, parameters[:, strikes])
+                on = None if ground is None else ground[:, strikes]
+                at, final = self._refine(free, x[:, strikes], fraction[strikes], h, parameters[:, strikes], on)
                 state[:, lanes[strikes]], time[lanes[strikes]], outcome[lanes[strikes]] = final, i * h + at, STRUCK
             angle = x_next[0] * parameters[1]
             with np.errstate(invalid="ignore"):
@@ -195,27 +214,45 @@ class Scanner:
             x = x_next
             if done.any():
                 lanes, x, parameters = lanes[~done], x[:, ~done], parameters[:, ~done]
+                height = None if height is None else height[~done]
         outcome[lanes] = NO_KNEESTRIKE if free else NO_HEELSTRIKE
         return state, time, outcome
 
     def _refine(
-        self, free: bool, x: np.ndarray, fraction: np.ndarray, h: float, parameters: np.ndarray
+        self,
+        free: bool,
+        x: np.ndarray,
+        fraction: np.ndarray,
+        h: float,
+        parameters: np.ndarray,
+        ground: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Time within the time step at which the guard vanishes, by Newton on the formula, and the state there."""
         at = fraction * h
         for _ in range(2):
             final = self._advance(free, x, at, parameters)
-            g, rate = _guard(free, final)
+            g, rate = _guard(free, final, ground)
             at = np.clip(at - g / rate, 0.0, h)
         return at, self._advance(free, x, at, parameters)
 
 
-def _guard(free: bool, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Guard of the next strike and its rate: flexion of the knee, or the sum of the legs' angles."""
-    return (x[1] - x[2], x[4] - x[5]) if free else (x[0] + x[1], x[2] + x[3])
+def _guard(free: bool, x: np.ndarray, ground: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Guard of the next strike and its rate: flexion of the knee, or the sum of the legs' angles.
+
+    With `ground`, the scale of the angles and its height over l (2, n), the height of the foot's centre above it.
+    """
+    if free:
+        return x[1] - x[2], x[4] - x[5]
+    if ground is None:
+        return x[0] + x[1], x[2] + x[3]
+    scale, height = ground
+    mean, apart = 0.5 * scale * (x[0] + x[1]), 0.5 * scale * (x[1] - x[0])
+    mean_rate, apart_rate = 0.5 * scale * (x[2] + x[3]), 0.5 * scale * (x[3] - x[2])
+    rate = np.cos(mean) * np.sin(apart) * mean_rate + np.sin(mean) * np.cos(apart) * apart_rate
+    return 2 * np.sin(mean) * np.sin(apart) - height, 2 * rate
 
 
-def _crossing(free: bool, x: np.ndarray, x_next: np.ndarray, h: float) -> np.ndarray:
+def _crossing(free: bool, x: np.ndarray, x_next: np.ndarray, h: float, ground: np.ndarray | None = None) -> np.ndarray:
     """Fraction of the time step at which the guard falls through zero, shape (n,); -1 where it does not.
 
     Notes
@@ -224,14 +261,15 @@ def _crossing(free: bool, x: np.ndarray, x_next: np.ndarray, h: float) -> np.nda
     time step the guard is its cubic Hermite polynomial, so that a dip below zero and back is detected too. Heelstrikes
     count only with the stance leg behind.
     """
-    (a, da), (b, db) = _guard(free, x), _guard(free, x_next)
+    (a, da), (b, db) = _guard(free, x, ground), _guard(free, x_next, ground)
     da, db = h * da, h * db
     with np.errstate(invalid="ignore"):
         through = (a > 0) & (b <= 0)
         dips = (a > 0) & (b > 0) & (da < 0) & (db > 0)
         if not free:
-            through &= x_next[0] < 0
-            dips &= x_next[0] < 0
+            behind = (x_next[0] < 0) & ((ground is None) | (x_next[1] > x_next[0]))
+            through &= behind
+            dips &= behind
     fraction = np.full(len(a), -1.0)
     lanes = np.nonzero(through | dips)[0]
     if not len(lanes):
