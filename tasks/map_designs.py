@@ -9,20 +9,19 @@ from typing import Any
 import numpy as np
 
 from tasks import registry
-from tasks.continuation.atlas import survey_lines
-from tasks.continuation.branch import Branch
-from tasks.continuation.extremes import ANY_SLOPE, Points, best, find
+from tasks.continuation.atlas import survey_lines, to_arrays
+from tasks.continuation.extremes import ANY_SLOPE, QUANTITIES, Points, best, find
 from tasks.continuation.refine import COARSE
-from tasks.disturb_designs import attractors, largest_steps
-from tasks.dynamics.initial_states import gaits_at
+from tasks.disturb_designs import attractors, largest_steps, section
 from tasks.families.box import Box
 from tasks.families.cell import Family
 from tasks.families.landscape import Landscape, is_known, make, points_at
 from tasks.families.manifold_maker import Maker
-from tasks.fixed_points.multipliers import multipliers
 from tasks.mechanics.lumped import Structure, structures_of
+from tasks.registry import GAITS
+from tasks.solve_planes import lines as lines_of_plane
+from tasks.solve_points import points
 from tasks.step.problem import Lanes
-from tasks.step.simulate import stride as simulated_step
 from tasks.walkers.resolve import resolve_many
 from tasks.walkers.tuning import is_tuned
 from tasks.walkers.walker_array import WalkerArray
@@ -32,6 +31,8 @@ Arrays = dict[str, np.ndarray]
 _NO_GAIT, _NEVER_STABLE = "no gait", "never stable"
 #: Columns of the fastest stable gait: its slope, and its state just after heelstrike.
 _START = ("fastest_slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate")
+#: What the gaits at a slope are known by.
+_GAIT = ("stance_angle", "stance_rate", "thigh_rate", "spectral_radius")
 #: Lines surveyed, and designs solved, at a time.
 _LINES, _DESIGNS = 32, 2048
 
@@ -69,57 +70,49 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     window = float(np.log(slope.min())), float(np.log(slope.max()))
     walkers = _walkers(line["walker"], keys, n)
     options = registry.options("design", params)
-    at_slope, at_speed = options["at_slope"], options["at_speed"]
-    rows, accepted = _Rows(n), np.zeros(n, bool)
-    # What depends on more than special points is computed on surveyed lines.
-    if "cell" in params and at_slope is None and at_speed is None:
+    at_slope, at_speed, ground = options["at_slope"], options["at_speed"], float(options["ground"])
+    log_speed = None if at_speed is None else float(np.log(at_speed))
+    rows, accepted, gaits = _Rows(n, log_speed), np.zeros(n, bool), np.full((4, n), np.nan)
+    if "cell" in params:
         accepted = _over_plane(line, keys, params["cell"], window, rows)
+        if at_slope is not None:
+            each = [{**line, "set": {k: float(v[i]) for k, v in keys.items()}} for i in range(n)]
+            asked = {"lines": each, "slope": np.array([at_slope]), "want": _GAIT, "cell": params["cell"]}
+            gaits = _long(lines_of_plane(asked, [])[0][1])
     others = np.flatnonzero(~accepted)
     for structure, numbers in _alike(walkers, others).items():
         for k in range(0, len(numbers), _LINES):
             part = numbers[k : k + _LINES]
-            own = walkers.some(part)
-            problem = Lanes(own, structure)
+            problem = Lanes(walkers.some(part), structure)
             branches = survey_lines(problem, COARSE)
-            speed = {} if at_speed is None else {"speed": np.log(at_speed / np.sqrt(own.g * own.leg))}
-            points = find(problem, branches, window, speed)
-            rows.store(problem, part, points, window, surveyed=1)
-            if at_speed is not None:
-                rows.store_cost(points, part, window)
-            if at_slope is not None:
-                lines = [{**line, "set": {key: float(value[i]) for key, value in keys.items()}} for i in part]
-                _disturb(problem, branches, lines, part, at_slope, float(options["ground"]), rows)
+            rows.store(problem, part, find(problem, branches, window, log_speed), window, surveyed=1)
+            if at_slope is not None and "cell" not in params:
+                for i, of_line in zip(part.tolist(), branches, strict=True):
+                    own = {**line, "set": {key: float(value[i]) for key, value in keys.items()}}
+                    asked = {"line": own, "slope": np.array([at_slope]), "want": _GAIT}
+                    gaits[:, [i]] = _long(points(asked, [to_arrays(of_line)]))
+    if at_slope is not None:
+        _disturb(walkers, gaits, at_slope, ground, rows)
     columns = rows.columns(walkers) | rows.further(options)
     return {f"design/{name}": values for name, values in columns.items()}
 
 
-def _disturb(
-    problem: Lanes,
-    surveyed: list[list[Branch]],
-    lines: list[dict[str, Any]],
-    numbers: np.ndarray,
-    slope: float,
-    ground: float,
-    rows: _Rows,
-) -> None:
+def _long(solved: Arrays) -> np.ndarray:
+    """Stance angle, both rates and spectral radius of the long gaits of n points, (4, n)."""
+    return np.array([solved[name][:, GAITS.index("long")] for name in _GAIT])
+
+
+def _disturb(walkers: WalkerArray, gaits: np.ndarray, slope: float, ground: float, rows: _Rows) -> None:
     """Store what attracts walkers beside their long gaits at a slope, and the steps of the ground that they survive."""
-    gaits = [gaits_at(problem.alone(i), surveyed[i], np.array([slope]), "long")[1] for i in range(len(lines))]
-    walking = [i for i, y in enumerate(gaits) if y.shape[1]]
-    if not walking:
-        return
-    own, y = problem.some(np.array(walking)), np.concatenate([gaits[i] for i in walking], axis=1)
-    rows.attractor[numbers[walking]] = attractors(own, y, slope)
-    if not ground:
-        return
-    slopes = np.full(len(walking), slope)
-    jacobian = simulated_step(own, y, slopes).jacobian
-    stable = np.zeros(len(walking), bool) if jacobian is None else np.abs(multipliers(jacobian, own.m)[:, 0]) < 1
-    states = own.start(y, slopes)[:3]
-    for k in np.flatnonzero(stable).tolist():
-        walker = own.walker_of(k)
-        unit = np.sqrt(walker.leg / walker.g)
-        steps = largest_steps(lines[walking[k]], slope, states[:, k] / [1.0, unit, unit], ground)
-        rows.steps[:, numbers[walking[k]]] = steps
+    for structure, numbers in _alike(walkers, np.flatnonzero(np.isfinite(gaits[0]))).items():
+        own = walkers.some(numbers)
+        problem, time_unit = Lanes(own, structure), np.sqrt(own.leg / own.g)
+        angle, stance_rate, thigh_rate, radius = gaits[:, numbers]
+        y = section(problem, np.array([angle, stance_rate * time_unit, thigh_rate * time_unit]), slope)
+        rows.attractor[numbers] = attractors(problem, y, slope)
+        stable = np.flatnonzero(radius < 1)
+        if ground and len(stable):
+            rows.steps[:, numbers[stable]] = largest_steps(problem.some(stable), y[:, stable], slope, ground)
 
 
 def _walkers(walker: Any, keys: Mapping[str, np.ndarray], n: int) -> WalkerArray:
@@ -154,7 +147,7 @@ def _over_plane(
     values = tuple(tuple(map(float, each)) for each in cell["values"])
     at = np.column_stack([keys[key] for key in family.keys])
     accepted, left = np.zeros(len(at), bool), np.ones(len(at), bool)
-    for part in _landscapes(family, box, window, values):
+    for part in _landscapes(family, box, window, values, rows.log_speed):
         inside = np.flatnonzero(left & (at >= part.box.low).all(axis=1) & (at <= part.box.high).all(axis=1))
         left[inside] = False
         if not part.why:
@@ -166,7 +159,11 @@ def _over_plane(
 
 @functools.lru_cache(64)
 def _landscapes(
-    family: Family, box: Box, window: tuple[float, float], values: tuple[tuple[float, ...], ...]
+    family: Family,
+    box: Box,
+    window: tuple[float, float],
+    values: tuple[tuple[float, ...], ...],
+    log_speed: float | None,
 ) -> list[Landscape]:
     """Landscapes of a box, for designs at some values of its keys."""
 
@@ -174,7 +171,7 @@ def _landscapes(
         inside = (np.array(each) for each in values)
         return int(np.prod([((v >= a) & (v <= b)).sum() for v, a, b in zip(inside, part.low, part.high, strict=True)]))
 
-    return make(family, box, window, count)
+    return make(family, box, window, count, log_speed=log_speed)
 
 
 def _solve(
@@ -207,8 +204,8 @@ def _solve(
 class _Rows:
     """Rows of the table, one for each of n designs; slopes and speeds are logarithms, speeds over sqrt(g leg)."""
 
-    def __init__(self, n: int):
-        names = ("smallest_slope", "largest_stable_slope", "fastest_stable_speed")
+    def __init__(self, n: int, log_speed: float | None = None):
+        self.log_speed, names = log_speed, QUANTITIES if log_speed is not None else QUANTITIES[:-1]
         self.value = {name: np.full(n, np.nan) for name in names}
         self.error = {name: np.full(n, np.nan) for name in names}
         self.kind = {name: np.full(n, "", "U32") for name in names}
@@ -216,7 +213,7 @@ class _Rows:
         self.surveyed = np.zeros(n, int)
         self.attractor = np.full(n, _NO_GAIT, "U32")
         self.steps = np.full((2, n), np.nan)
-        self.cost = np.full((3, n), np.nan)
+        self.stable_at_least_cost = np.full(n, np.nan)
 
     def store(
         self,
@@ -243,6 +240,8 @@ class _Rows:
             value[row] = (points.log_froude if is_speed else points.log_slope)[which]
             self.error[name][row] = (points.speed_error if is_speed else points.error)[which]
             self.kind[name][row] = points.kind[which]
+            if name == "least_cost":
+                self.stable_at_least_cost[row] = points.stable[which]
             absent = kept & (point < 0)
             self.kind[name][numbers[absent]] = _NO_GAIT
             if name != "smallest_slope":
@@ -255,19 +254,13 @@ class _Rows:
         if any_slope:
             self.kind["smallest_slope"][numbers[kept]] = ANY_SLOPE
 
-    def store_cost(self, points: Points, numbers: np.ndarray, window: tuple[float, float]) -> None:
-        """Store the least cost of transport at a speed: the sine of the least slope at which gaits have it."""
-        q = points.log_slope
-        there = np.flatnonzero((points.kind == "speed") & points.walks & (q >= window[0]) & (q <= window[1]))
-        for k in there[np.argsort(-q[there], kind="stable")]:
-            self.cost[:, numbers[points.line[k]]] = np.sin(np.exp(q[k])), points.error[k], points.stable[k]
-
     def further(self, options: Mapping[str, Any]) -> Arrays:
         """The columns that options ask for."""
         out: Arrays = {}
         if options["at_speed"] is not None:
-            names = ("least_cost_of_transport", "least_cost_error", "stable_at_least_cost")
-            out |= dict(zip(names, self.cost, strict=True))
+            out["least_cost_of_transport"] = np.sin(np.exp(self.value["least_cost"]))
+            out["least_cost_error"] = self.error["least_cost"]
+            out["stable_at_least_cost"] = self.stable_at_least_cost
         if options["at_slope"] is not None:
             out["attractor"] = self.attractor
             if options["ground"]:

@@ -17,8 +17,7 @@ import heyoka as hy
 import numpy as np
 
 from tasks.map_step import check_state, section_problem, to_section
-from tasks.mechanics.equations import Symbols, system
-from tasks.mechanics.impacts import heelstrike
+from tasks.mechanics.equations import system
 from tasks.mechanics.kernel import prepare_compiler
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Problem
@@ -34,6 +33,7 @@ from tasks.step.simulate import (
     STRUCK,
     scanner,
 )
+from tasks.step.uneven_ground import heelstrike_of
 from tasks.walkers.resolve import resolve
 
 #: Intervals of each phase at whose ends the motion is sampled.
@@ -146,7 +146,7 @@ def _step(problem: Problem, x: np.ndarray, parameters: np.ndarray, height: float
         if free:
             x, begin = scanner(structure).lock(x[:, None], parameters[:, None])[:, 0], end
     else:
-        rates = _heelstrike(structure)(np.concatenate([x, parameters]))
+        rates = heelstrike_of(structure)(np.concatenate([x, parameters]))
         angles = [x[1], x[0], x[0]] if structure.kneed else [x[1], x[0]]
         x = np.concatenate([angles, rates])
     return _Step(outcome, times, x, np.array(motion).reshape(-1, 4, SAMPLES + 1))
@@ -239,13 +239,3 @@ def _is_no_heelstrike(taylor: Any, sign: int) -> bool:
 def _phase(structure: Structure, free: bool) -> _Phase:
     """The compiled motion of a phase, one a process."""
     return _Phase(structure, free)
-
-
-@functools.lru_cache(maxsize=16)
-def _heelstrike(structure: Structure) -> hy.cfunc:
-    """Rates after a heelstrike from two links' state before it and the parameters, the legs at any two angles."""
-    prepare_compiler()
-    p = Symbols(structure)
-    x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-    rates = heelstrike(p, x[1], x[2], x[3], structure.kneed, old_angle=x[0])
-    return hy.cfunc(rates, vars=[*x, *p.variables], compact_mode=False)

@@ -46,8 +46,8 @@ class Evaluation:
         By X and the durations of the phases.
     times_by : ndarray, shape (k, c, n)
         Derivatives of the event times by the same.
-    radius : ndarray, shape (n,)
-        Of the foot, over the leg.
+    radius, log_unit : ndarray, shape (n,)
+        Radius of the foot over the leg, and the logarithm of sqrt(g leg) in the walker's units.
     """
 
     Z: np.ndarray
@@ -56,6 +56,7 @@ class Evaluation:
     derivative: np.ndarray
     times_by: np.ndarray
     radius: np.ndarray
+    log_unit: np.ndarray
 
     @property
     def m(self) -> int:
@@ -99,9 +100,16 @@ def foot_radius(problem: Lanes) -> np.ndarray:
     -------
     ndarray, shape (n,)
     """
+    return _radius_and_unit(problem)[0]
+
+
+def _radius_and_unit(problem: Lanes) -> np.ndarray:
+    """Radius of the foot over the leg, and the logarithm of sqrt(g leg), (2, n)."""
     assert isinstance(problem.walkers, WalkerArray)
     walkers = problem.walkers.some(problem.lanes)
-    return np.broadcast_to(np.asarray(walkers.R / walkers.leg, float), len(problem.lanes))
+    both = np.empty((2, len(problem.lanes)))
+    both[0], both[1] = walkers.R / walkers.leg, 0.5 * np.log(walkers.g * walkers.leg)
+    return both
 
 
 def log_froude(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -157,7 +165,7 @@ def evaluate(problem: Lanes, Z: np.ndarray, samples: int = 0) -> Evaluation:
     stride, _ = problem.stride(np.vstack([Z[:m], Z[m + 1 :]]), Z[m], slope=True, samples=samples)
     residual, derivative = joint(stride, Z)
     times_by = joint_by_X(stride.times_by, stride, Z)
-    return Evaluation(Z, stride, residual, derivative, times_by, foot_radius(problem))
+    return Evaluation(Z, stride, residual, derivative, times_by, *_radius_and_unit(problem))
 
 
 def _determinants(matrices: np.ndarray) -> np.ndarray:
@@ -203,7 +211,7 @@ SCALARS: dict[str, Callable[[Evaluation], np.ndarray]] = {
     "fastest": _speed_maximum,
     "label": lambda at: gait_ratio(at.stride) - 0.5,
     "window": lambda at: at.Z[at.m],
-    "speed": lambda at: at.log_froude,
+    "speed": lambda at: at.log_froude + at.log_unit,
 }
 
 
@@ -217,8 +225,8 @@ def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.nd
         Of SCALARS.
     at : Evaluation
     target : ndarray, shape (n,), or float
-        The value that a scalar has at the special point: of ln slope for `window`, of the logarithm of the Froude
-        number for `speed`.
+        The value that a scalar has at the special point: of ln slope for `window`, of ln speed in the walker's
+        units for `speed`.
 
     Returns
     -------

@@ -29,12 +29,15 @@ _NEAR_ZERO = 0.3
 _STABLE = 1 - 1e-9
 #: Kind of a point from which a branch continues to vanishing slopes.
 ANY_SLOPE = "any slope"
-#: Kinds of points at which a quantity has no extreme.
-NOT_OF = {
+
+
+#: Kinds of points at which a quantity has no extreme; the least cost of a speed is that of the points that have it.
+_NOT_OF = {
     "smallest_slope": ("flip", "neimark_sacker", "fastest", "speed"),
     "largest_stable_slope": ("label", "fastest", "speed"),
     "fastest_stable_speed": ("label", "speed", ANY_SLOPE),
 }
+QUANTITIES = (*_NOT_OF, "least_cost")
 #: How far outside the window its own edges may lie, in ln slope.
 _EDGE = 1e-9
 
@@ -98,6 +101,22 @@ def nothing(problem: Lanes, n: int) -> Points:
     return Points(np.zeros(n, int), np.full(n, "", "U32"), Z, Z, none, none, none, no, no, no, none, no)
 
 
+def may_be(name: str, kind: np.ndarray) -> np.ndarray:
+    """Return whether points of some kinds may be the extremes of a quantity.
+
+    Parameters
+    ----------
+    name : str
+        Of QUANTITIES.
+    kind : ndarray of str, shape (n,)
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    return kind == "speed" if name == "least_cost" else ~np.isin(kind, _NOT_OF[name])
+
+
 def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
     """Return which points may be the extremes of which quantity within a window.
 
@@ -110,7 +129,8 @@ def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
     Returns
     -------
     dict of ndarray of bool, shape (n,)
-        Of the `smallest_slope` of a long or stable gait, the `largest_stable_slope` and the `fastest_stable_speed`.
+        Of the `smallest_slope` of a long or stable gait, the `largest_stable_slope`, the `fastest_stable_speed` and the
+        `least_cost` of transport at a speed.
     """
     q, kind = points.log_slope, points.kind
     inside = points.walks & (q >= window[0] - _EDGE) & (q <= window[1] + _EDGE)
@@ -120,8 +140,9 @@ def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
         "smallest_slope": low & (points.long | points.stable),
         "largest_stable_slope": stable,
         "fastest_stable_speed": stable,
+        "least_cost": inside,
     }
-    return {name: which & ~np.isin(kind, NOT_OF[name]) for name, which in every.items()}
+    return {name: which & may_be(name, kind) for name, which in every.items()}
 
 
 def values(name: str, log_slope: np.ndarray, log_froude: np.ndarray) -> np.ndarray:
@@ -137,7 +158,9 @@ def values(name: str, log_slope: np.ndarray, log_froude: np.ndarray) -> np.ndarr
     -------
     ndarray
     """
-    return {"smallest_slope": log_slope, "largest_stable_slope": -log_slope}.get(name, -log_froude)
+    if name == "fastest_stable_speed":
+        return -log_froude
+    return -log_slope if name == "largest_stable_slope" else log_slope
 
 
 def best(points: Points, lines: int, window: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -202,12 +225,12 @@ def classify(
 class _Nodes:
     """Nodes of all branches of several lines, one after another, and the values of scalars there."""
 
-    def __init__(self, problem: Lanes, surveyed: Sequence[Sequence[Branch]], targets: Mapping[str, np.ndarray]):
+    def __init__(self, problem: Lanes, surveyed: Sequence[Sequence[Branch]], targets: Mapping[str, float]):
         self.branches = [branch for branches in surveyed for branch in branches]
         lines = [i for i, branches in enumerate(surveyed) for _ in branches]
         lengths = [len(branch.Z) for branch in self.branches]
         self.line, self.branch = np.repeat(lines, lengths), np.repeat(np.arange(len(lines)), lengths)
-        self.first, self.targets = np.cumsum([0, *lengths])[:-1], targets
+        self.first = np.cumsum([0, *lengths])[:-1]
         self.Z = np.concatenate([branch.Z for branch in self.branches]).T
         self.values = {"label": self.of_nodes("ratio") - 0.5}
         self.walks = self.of_nodes("leg_passes") == 1
@@ -218,17 +241,12 @@ class _Nodes:
             at = evaluate(problem.some(self.line[part]), self.Z[:, part])
             radius[part] = np.abs(multipliers(at.stride.jacobian, problem.m)[:, 0])
             for kind in kinds:
-                self.values[kind][part] = scalar(kind, at, self.target(kind, part))
+                self.values[kind][part] = scalar(kind, at, targets.get(kind, 0.0))
         self.stable = (radius < 1) & self.walks
 
     def of_nodes(self, name: str) -> np.ndarray:
         """An attribute of the branches at their nodes."""
         return np.concatenate([getattr(branch, name) for branch in self.branches])
-
-    def target(self, kind: str, node: np.ndarray | slice) -> np.ndarray:
-        """The value that a scalar has at the special points of the lines of some nodes."""
-        line = self.line[node]
-        return self.targets[kind][line] if kind in self.targets else np.zeros(len(line))
 
     def evaluate(self, node: np.ndarray, share: np.ndarray) -> np.ndarray:
         """Points (c, n) of the branches' polynomials at shares of the segments after some nodes."""
@@ -243,7 +261,7 @@ def find(
     problem: Lanes,
     surveyed: Sequence[Sequence[Branch]],
     window: tuple[float, float],
-    targets: Mapping[str, np.ndarray],
+    log_speed: float | None = None,
 ) -> Points:
     """Locate the points of lines at which slope, stability or speed may reach their extremes.
 
@@ -255,20 +273,23 @@ def find(
         The branches of each.
     window : (float, float)
         Least and largest ln slope.
-    targets : mapping
-        For `speed`, where it is asked for, the logarithm of the Froude number on each line.
+    log_speed : float, optional
+        Logarithm of a speed, in the walkers' units, whose points are located too.
     """
     if not any(surveyed):
         return nothing(problem, 0)
+    targets = {} if log_speed is None else {"speed": log_speed}
     nodes = _Nodes(problem, surveyed, targets)
-    guesses = [_crossings(problem, nodes, kind) for kind in nodes.values]
+    guesses = [_crossings(problem, nodes, kind, targets.get(kind, 0.0)) for kind in nodes.values]
     guesses += [_at_edge(nodes, edge) for edge in window]
     guesses += _turns_and_ends(nodes)
     parts = [_located(problem, nodes, *guess) for guess in guesses if len(guess[1])]
     return join(parts)
 
 
-def _crossings(problem: Lanes, nodes: _Nodes, kind: str) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
+def _crossings(
+    problem: Lanes, nodes: _Nodes, kind: str, target: float
+) -> tuple[str, np.ndarray, np.ndarray, np.ndarray]:
     """Kind, nodes before, guesses (c, n) and targets of the points where a scalar changes its sign on a segment."""
     values = nodes.values[kind]
     a, b = values[:-1], values[1:]
@@ -285,16 +306,16 @@ def _crossings(problem: Lanes, nodes: _Nodes, kind: str) -> tuple[str, np.ndarra
     node = np.flatnonzero(changes)
     n, shares = len(node), np.linspace(0, 1, _PARTS + 1)
     every, share = np.repeat(node, _PARTS - 1), np.tile(shares[1:-1], n)
-    lines, Z, target = nodes.line[every], nodes.evaluate(every, share), nodes.target(kind, every)
+    lines, Z = nodes.line[every], nodes.evaluate(every, share)
     between = np.zeros(0)
     for k in range(0, len(every), _BLOCK):
         part = slice(k, k + _BLOCK)
         at = evaluate(problem.some(lines[part]), Z[:, part])
-        between = np.append(between, scalar(kind, at, target[part]))
+        between = np.append(between, scalar(kind, at, target))
     g = np.column_stack([a[node], between.reshape(n, _PARTS - 1), b[node]])
     i, share = _roots(g)
     node = node[i]
-    return kind, node, nodes.evaluate(node, share), nodes.target(kind, node)
+    return kind, node, nodes.evaluate(node, share), np.full(len(node), target)
 
 
 @np.errstate(invalid="ignore", divide="ignore")

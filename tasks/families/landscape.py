@@ -11,7 +11,18 @@ import numpy as np
 
 from tasks.continuation.atlas import survey_lines
 from tasks.continuation.defining import SCALARS, foot_radius, log_froude
-from tasks.continuation.extremes import ANY_SLOPE, NOT_OF, Points, best, find, join, nothing, roles, values
+from tasks.continuation.extremes import (
+    ANY_SLOPE,
+    QUANTITIES,
+    Points,
+    best,
+    find,
+    join,
+    may_be,
+    nothing,
+    roles,
+    values,
+)
 from tasks.continuation.refine import COARSE
 from tasks.families.box import Box, Refused, divide
 from tasks.families.cell import Family
@@ -27,7 +38,8 @@ _DRAWN = 2
 _TIE = 1e-3
 #: Points of these kinds whose value comes so near the best of a line get a manifold too, if they have one: others come
 #: to count only where one that counts changes its flags.
-_RIVALS, _RIVAL = ("fold", "flip"), {"smallest_slope": 0.05, "largest_stable_slope": 0.1, "fastest_stable_speed": 0.05}
+_RIVALS = ("fold", "flip")
+_RIVAL = {"smallest_slope": 0.05, "largest_stable_slope": 0.1, "fastest_stable_speed": 0.05, "least_cost": 0.0}
 #: Rounds in which lines are surveyed and manifolds added, and lines of each.
 _ROUNDS, _MOST_LINES = 6, 8
 #: Points nearer than this are one.
@@ -89,17 +101,18 @@ def points_at(
     if not manifolds:
         return nothing(problem, 0), np.ones(n, bool), np.zeros((n, 0), np.int8)
     predicted = [manifold.predict(unit)[0] for manifold in manifolds]
+    kinds = np.array([manifold.kind for manifold in manifolds])
     froude = [log_froude(Z, foot_radius(problem)) for Z in predicted]
     left = np.column_stack([manifold.there(unit) for manifold in manifolds])
     near = ~np.logical_or.reduce([manifold.unsure(unit) for manifold in manifolds])
     flags = np.where(left, -1, 0).astype(np.int8)
     parts = [nothing(problem, 0)]
-    served = {name: np.full(n, np.inf) for name in NOT_OF}
+    served = {name: np.full(n, np.inf) for name in QUANTITIES}
     while left.any():
         due = left.copy() if every else np.zeros_like(left)
-        for name, kinds in NOT_OF.items():
+        for name in QUANTITIES:
             value = np.column_stack([values(name, Z[maker.m], v) for Z, v in zip(predicted, froude, strict=True)])
-            value[:, [manifold.kind in kinds for manifold in manifolds]] = np.inf
+            value[:, ~may_be(name, kinds)] = np.inf
             value[~left] = np.inf
             first = value <= np.minimum(value.min(axis=1), served[name])[:, None] + _TIE
             due |= first & np.isfinite(value) & (value < served[name][:, None] + _TIE)
@@ -145,9 +158,10 @@ def _flags(points: Points, window: tuple[float, float]) -> np.ndarray:
 class _Surveyor:
     """Finds the manifolds of a box."""
 
-    def __init__(self, family: Family, box: Box, window: tuple[float, float]):
+    def __init__(self, family: Family, box: Box, window: tuple[float, float], log_speed: float | None = None):
         self.structure = common_structure(family.walkers(box.nodes(len(_NODES))))
         self.maker, self.window, self.box = Maker(family, box, self.structure), window, box
+        self.log_speed = log_speed
         self.d = len(box.keys)
         self.unit = np.zeros((0, self.d))
         self.points: list[Points] = []
@@ -162,7 +176,7 @@ class _Surveyor:
     def survey(self, unit: np.ndarray) -> None:
         """Survey lines, and locate their points."""
         problem = self.maker.problem(unit)
-        points = find(problem, survey_lines(problem, COARSE), self.window, {})
+        points = find(problem, survey_lines(problem, COARSE), self.window, self.log_speed)
         for i in range(len(unit)):
             self.points.append(points.some(points.line == i))
             self.points[-1].line = np.zeros(len(self.points[-1].line), int)
@@ -204,7 +218,8 @@ class _Surveyor:
                         raise Refused(f"a branch ends at {kind}", self.roughest())
                     self.tried.add((kind, i, name))
                     edges = np.array(self.window)
-                    target = float(edges[np.abs(edges - points.log_slope[k]).argmin()]) if kind == "window" else 0.0
+                    edge = float(edges[np.abs(edges - points.log_slope[k]).argmin()])
+                    target = {"window": edge, "speed": self.log_speed or 0.0}.get(kind, 0.0)
                     try:
                         self.manifolds.append(self.maker.manifold(kind, self.unit[i], points.Z[:, k], target))
                     except Refused:
@@ -265,6 +280,7 @@ def make(
     window: tuple[float, float],
     count: Callable[[Box], int],
     splits: int = _MOST_SPLITS,
+    log_speed: float | None = None,
 ) -> list[Landscape]:
     """Make the landscapes of a box, or of the parts into which it is divided.
 
@@ -278,10 +294,12 @@ def make(
         Number of designs in a box.
     splits : int
         How often it may be halved.
+    log_speed : float, optional
+        Logarithm of a speed at which the least cost of transport is wanted.
     """
 
     def landscape(box: Box, why: str) -> Landscape:
-        surveyor = _Surveyor(family, box, window)
+        surveyor = _Surveyor(family, box, window, log_speed)
         return Landscape(box, surveyor.structure, why=why) if why else surveyor.landscape()
 
     return divide(box, landscape, lambda part: count(part) >= _LEAST_DESIGNS, splits)

@@ -230,7 +230,8 @@ class Maker:
             new = active[fair]
             rate[:, new] = (solved.Z[:, fair] - here[:, new]) / stride[new]
             here[:, new], rows[:, new], u[new] = solved.Z[:, fair], solved.rows[:, fair], at[fair, axis]
-            stable = other_multipliers(kind, solved.at.stride.jacobian)[fair] < 1
+            # Gaits of a speed count whether they are stable or not.
+            stable = (other_multipliers(kind, solved.at.stride.jacobian)[fair] < 1) | (kind == "speed")
             ended[new] = counts[new] & ~stable
             counts[new] |= stable
             stride[new] = np.minimum(0.1, 1.5 * stride[new])

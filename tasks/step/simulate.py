@@ -18,6 +18,7 @@ import numpy as np
 from tasks.mechanics.equations import ZERO, Solver, Symbols, rows
 from tasks.mechanics.kernel import LANES, CompiledFunction, prepare_compiler
 from tasks.mechanics.lumped import Structure
+from tasks.step.crossing import crossing, guard
 from tasks.step.problem import Problem
 from tasks.step.step_map import Stride
 from tasks.step.symbols import end_of_step, lock_knee
@@ -100,8 +101,18 @@ class Scanner:
         return CompiledFunction(end_of_step(self.structure, p, x), [*x, *p.variables])
 
     @staticmethod
-    def _call(function: CompiledFunction, *inputs: np.ndarray) -> np.ndarray:
-        """Call a compiled function on lanes padded to whole SIMD groups."""
+    def call(function: CompiledFunction, *inputs: np.ndarray) -> np.ndarray:
+        """Call a compiled function on lanes padded to whole SIMD groups.
+
+        Parameters
+        ----------
+        function : CompiledFunction
+        *inputs : ndarray, shape (k, n)
+
+        Returns
+        -------
+        ndarray, shape (outputs, n)
+        """
         n = inputs[0].shape[1]
         padded = np.empty((sum(map(len, inputs)), n + -n % (4 * LANES)))
         np.concatenate(inputs, out=padded[:, :n])
@@ -110,7 +121,7 @@ class Scanner:
 
     def _advance(self, free: bool, x: np.ndarray, h: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """States after a time step h (n,) of the formula, of three links or two."""
-        return self._call(self._step[free], x, h[None], parameters)
+        return self.call(self._step[free], x, h[None], parameters)
 
     def lock(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """State of two links after kneestrike.
@@ -127,7 +138,7 @@ class Scanner:
         ndarray, shape (4, n)
         """
         assert self._lock
-        return self._call(self._lock, x, parameters)
+        return self.call(self._lock, x, parameters)
 
     def strike(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Section coordinates at heelstrike: just after it for straight legs, just before it for knees.
@@ -143,10 +154,15 @@ class Scanner:
         -------
         ndarray, shape (m, n)
         """
-        return x[1:4].copy() if self._strike is None else self._call(self._strike, x, parameters)
+        return x[1:4].copy() if self._strike is None else self.call(self._strike, x, parameters)
 
     def integrate_to_event(
-        self, free: bool, x: np.ndarray, begin: np.ndarray, parameters: np.ndarray
+        self,
+        free: bool,
+        x: np.ndarray,
+        begin: np.ndarray,
+        parameters: np.ndarray,
+        height: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Integrate every lane to its strike.
 
@@ -160,6 +176,8 @@ class Scanner:
             Time since the step began [sqrt(leg/g)].
         parameters : ndarray, shape (n_parameters, n)
             Slope, scale and the structure's constants.
+        height : ndarray, shape (n,), optional
+            By which the ground rises until heelstrike, over l.
 
         Returns
         -------
@@ -173,11 +191,12 @@ class Scanner:
         n, h = x.shape[1], _TIME_STEP[self.structure.kneed]
         state, time, outcome = np.full_like(x, np.nan), np.zeros(n), np.full(n, LOST)
         lanes, i, last = np.arange(n), 0, int(MAX_TIME / h)
+        ground = None if height is None else np.array([parameters[1], height])
         while len(lanes) and i < last:
             count = min(last - i, max(1, min(_MAX_BLOCK, _BLOCK // len(lanes))))
             X = self._advance_block(free, x, h, parameters, count)
             count = len(X) - 1
-            fraction = _crossing(free, X, h)
+            fraction = crossing(free, X, h, ground)
             strikes = fraction >= 0
             angle = X[1:, 0] * parameters[1]
             with np.errstate(invalid="ignore"):
@@ -202,9 +221,11 @@ class Scanner:
                 outcome[lanes[k]] = cause
                 k, j = k[cause == STRUCK], j[cause == STRUCK]
                 if len(k):
-                    at, final = self._refine(free, X[j, :, k].T, fraction[j, k], h, parameters[:, k])
+                    on = None if ground is None else ground[:, k]
+                    at, final = self._refine(free, X[j, :, k].T, fraction[j, k], h, parameters[:, k], on)
                     state[:, lanes[k]], time[lanes[k]] = final, (i + j) * h + at
                 lanes, x, parameters = lanes[~done], X[-1][:, ~done], parameters[:, ~done]
+                ground = None if ground is None else ground[:, ~done]
             else:
                 x = X[-1]
             i += count
@@ -235,62 +256,21 @@ class Scanner:
         return X[: 2 + int(wild.argmax()) if wild.any() else None, :, :n]
 
     def _refine(
-        self, free: bool, x: np.ndarray, fraction: np.ndarray, h: float, parameters: np.ndarray
+        self,
+        free: bool,
+        x: np.ndarray,
+        fraction: np.ndarray,
+        h: float,
+        parameters: np.ndarray,
+        ground: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Time within the time step at which the guard vanishes, by Newton on the formula, and the state there."""
         at = fraction * h
         for _ in range(2):
             final = self._advance(free, x, at, parameters)
-            g, rate = _guard(free, final)
+            g, rate = guard(free, final, ground)
             at = np.clip(at - g / rate, 0.0, h)
         return at, self._advance(free, x, at, parameters)
-
-
-def _guard(free: bool, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Guard of the next strike and its rate: flexion of the knee, or the sum of the legs' angles."""
-    return (x[1] - x[2], x[4] - x[5]) if free else (x[0] + x[1], x[2] + x[3])
-
-
-def _crossing(free: bool, X: np.ndarray, h: float) -> np.ndarray:
-    """Fraction of each time step at which the guard falls through zero, shape (steps, n); -1 where it does not.
-
-    Parameters
-    ----------
-    free : bool
-        To kneestrike with the knee free, or to heelstrike with it locked.
-    X : ndarray, shape (steps + 1, size, n)
-        Scaled states before and after each time step.
-    h : float [sqrt(leg/g)]
-        Time step.
-
-    Notes
-    -----
-    At a strike the guard, once positive, falls to zero; at the start it is exactly zero, which is no strike. Within a
-    time step the guard is its cubic Hermite polynomial, so that a dip below zero and back is detected too. Heelstrikes
-    count only with the stance leg behind.
-    """
-    g, dg = _guard(free, X.swapaxes(0, 1))
-    dg = h * dg
-    a, b, da, db = g[:-1], g[1:], dg[:-1], dg[1:]
-    with np.errstate(invalid="ignore"):
-        crosses = (a > 0) & ((b <= 0) | ((da < 0) & (db > 0)))
-        if not free:
-            crosses &= X[1:, 0] < 0
-    fraction = np.full(a.shape, -1.0)
-    lanes = np.nonzero(crosses)
-    if not len(lanes[0]):
-        return fraction
-    a, b, da, db = a[lanes], b[lanes], da[lanes], db[lanes]
-    s = np.linspace(0.0, 1.0, 17)[:, None]
-    value = a * (1 + 2 * s) * (1 - s) ** 2 + da * s * (1 - s) ** 2 + b * s * s * (3 - 2 * s) + db * s * s * (s - 1)
-    below = value <= 0
-    first = np.argmax(below, axis=0)
-    column = np.arange(len(a))
-    high, low = value[np.maximum(first - 1, 0), column], value[first, column]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = (first - 1 + high / (high - low)) / 16
-    fraction[lanes] = np.where(below.any(axis=0), at, -1.0)
-    return fraction
 
 
 @functools.lru_cache(maxsize=16)

@@ -225,7 +225,7 @@ def lanes(walker, **keys):
 def test_the_scalars_vanish_at_points_known_otherwise():
     """A flip and a fold have the multipliers -1 and 1; where the speed is greatest that of both neighbours is less."""
     problem = lanes("C", detuning=0.85, m_h=0.0)
-    points = find(problem, survey_lines(problem, COARSE), WINDOW, {})
+    points = find(problem, survey_lines(problem, COARSE), WINDOW)
     assert {"fold", "flip", "neimark_sacker", "fastest", "end_kneestrike_at_heelstrike"} <= set(points.kind)
     value = {"flip": -1.0, "fold": 1.0}
     for k in np.flatnonzero(points.walks):

@@ -5,9 +5,12 @@ import pytest
 
 import pipeline
 from lines import gait
-from tasks.disturb_designs import largest_steps
+from tasks.disturb_designs import section
 from tasks.map_designs import design
-from tasks.walkers.resolve import resolve
+from tasks.mechanics.lumped import structure_of
+from tasks.step.problem import Lanes
+from tasks.step.uneven_ground import step_onto
+from tasks.walkers.resolve import resolve, resolve_many
 
 
 def computed(walker, at=None, **options):
@@ -53,7 +56,8 @@ def test_larger_steps_of_the_ground_are_not_survived(walker, slope):
     """A simulation of every one of the 200 steps, by another integrator, agrees on both sides of the limit."""
     long = gait(walker, slope, "long")
     state = np.array([long[name] for name in ("stance_angle", "stance_rate", "thigh_rate")])
-    down, up = largest_steps({"walker": walker}, slope, state, 0.03)
+    found = computed(walker, at_slope=slope, ground=0.03)
+    (down,), (up,) = found["largest_step_down"], found["largest_step_up"]
     leg = resolve(walker).leg
     assert 0 <= up <= down < 0.03
     for h, survives in ((-down, True), (-down - 1e-3, False), (up, True), (up + 1e-3, False)):
@@ -64,6 +68,42 @@ def test_larger_steps_of_the_ground_are_not_survived(walker, slope):
 
 
 def test_no_step_larger_than_asked_for_is_tried():
-    long = gait("A", 0.02, "long")
+    found = computed("A", at_slope=0.02, ground=0.003)
+    assert found["largest_step_down"].tolist() == found["largest_step_up"].tolist() == [0.003]
+
+
+@pytest.mark.parametrize("walker", ["A", "C"])
+def test_steps_onto_other_ground_are_those_of_a_simulation(walker):
+    long, heights = gait(walker, 0.009, "long"), np.array([-0.004, -0.001, 0.0, 0.001, 0.004])
     state = np.array([long[name] for name in ("stance_angle", "stance_rate", "thigh_rate")])
-    assert largest_steps({"walker": "A"}, 0.02, state, 0.003) == (0.003, 0.003)
+    own = resolve_many(walker, {"m_h": np.full(5, resolve(walker).m_h)})
+    problem = Lanes(own, structure_of(resolve(walker)))
+    unit = np.sqrt(own.leg / own.g)
+    y = section(problem, np.repeat((state * [1, unit, unit])[:, None], 5, axis=1), 0.009)
+    after = step_onto(problem, y, np.full(5, 0.009), heights * own.leg / own.l)
+    start = problem.start(after.image, np.full(5, 0.009))
+    for i, h in enumerate(heights):
+        steps = pipeline.simulate(walker, 0.009, state, 2, ground={0: h * own.leg})
+        last = [float(steps["stance_angle"][-1]), *(float(steps[k][-1]) * unit for k in ("stance_rate", "thigh_rate"))]
+        assert start[:3, i] == pytest.approx(last, rel=1e-6)
+        assert after.times[-1, i] * unit == pytest.approx(float(steps["period"][1]), rel=1e-6)
+
+
+def test_options_over_a_plane_give_what_lines_give():
+    """Some long gaits are stable, others lead to gaits of two and four steps."""
+    draw = np.random.default_rng(0)
+    at = {"R": draw.uniform(0.05, 0.1, 10), "m_s": draw.uniform(0.03, 0.06, 10)}
+    params = {"line": {"walker": "B", "set": at}, "slope": np.array([1e-6, 0.45])}
+    params |= {"at_slope": 0.0102, "at_speed": 0.3, "ground": 0.005}
+    cell = {"keys": list(at), "low": [0.05, 0.03], "high": [0.1, 0.06]}
+    cell["values"] = [np.linspace(0.05, 0.1, 30), np.linspace(0.03, 0.06, 30)]
+    one, other = design({**params, "cell": cell}, []), design(params, [])
+    assert one["design/surveyed"].mean() < 0.2 and (other["design/surveyed"] == 1).all()
+    assert {"period 1", "period 2"} <= set(other["design/attractor"])
+    assert np.isfinite(other["design/largest_step_up"]).any()
+    for name in ("attractor", "stable_at_least_cost", "largest_step_down", "largest_step_up"):
+        a, b = one[f"design/{name}"], other[f"design/{name}"]
+        assert np.array_equal(a, b, equal_nan=a.dtype.kind == "f"), name
+    a, b = one["design/least_cost_of_transport"], other["design/least_cost_of_transport"]
+    bound = one["design/least_cost_error"] + other["design/least_cost_error"]
+    assert (np.abs(a / b - 1) <= bound).all() and bound.max() < 1e-8

@@ -94,6 +94,29 @@ def test_an_array_of_walkers_has_the_constants_of_each(walker, keys):
         assert many.some(np.array([i])).leg == pytest.approx(one.leg, rel=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("walker", "keys", "slope", "at"),
+    [
+        ("E", {"w_t": (-0.004, 0.004), "m_s": (0.09, 0.1)}, 0.02, {"w_t": 0.0, "m_s": 0.092}),
+        ("E", {"foot_mass_ratio": (0.0, 0.1)}, 0.01, {"foot_mass_ratio": 0.0}),
+        ("physical-straight", {"m_h": (0.0, 0.5), "w_s": (0.024, 0.026)}, 0.005, {"m_h": 0.1, "w_s": 0.025}),
+    ],
+)
+def test_planes_may_touch_a_change_of_structure_or_hold_no_gait(walker, keys, slope, at):
+    """At no offset the section has a dimension less, without mass at the foot the leg no inertia."""
+    low, high = ([side[i] for side in keys.values()] for i in (0, 1))
+    cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
+    params = {"lines": [{"walker": walker, "set": at}], "slope": np.array([slope]), "want": WANT}
+    (one,), ((_, other),) = by_line({**params, "cell": cell}), lines_side_by_side(params, [])
+    assert int(one["reason"].max()) < 6  # of the cell's sentences, not of a line's own
+    assert np.array_equal(one["status"], other["status"])
+    gaits = other["status"] == 0
+    assert gaits.sum() == (0 if walker == "physical-straight" else 2)
+    bound = one["error_bound"] + other["error_bound"]
+    for variable in ("stance_angle", "period"):
+        assert (np.abs(one[variable] / other[variable] - 1) <= bound)[gaits].all()
+
+
 def test_an_offset_of_point_feet_may_be_a_key():
     """Offsets that differ from walker to walker stand beside zeros that all of them share."""
     many = resolve_many("E", {"w_t": np.array([0.01, 0.02]), "m_s": np.array([0.1, 0.11])})
