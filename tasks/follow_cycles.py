@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -69,16 +70,20 @@ class CycleBranch:
         beside = [*self.cycles[1:], self.cycles[-2]] if len(self.cycles) > 1 else self.cycles
         return [(c.tangent[-1] or other.tangent[-1]) > 0 for c, other in zip(self.cycles, beside, strict=True)]
 
+    @functools.cached_property
+    def lengths(self) -> list[float]:
+        """Distance of each gait from the next."""
+        Z = [cycle.Z for cycle in self.cycles]
+        return [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(Z)]
+
     def guesses(self, log_slope: float) -> Iterator[Guess]:
         """Yield a guess of each gait at one slope."""
         piece = 0
         for i in range(len(self.cycles) - 1):
-            a, b, rises = self.cycles[i], self.cycles[i + 1], self.rises[i]
-            length = float(np.linalg.norm(b.Z - a.Z))
-            point = cubic(a, b)
+            a, b, rises, length = self.cycles[i], self.cycles[i + 1], self.rises[i], self.lengths[i]
             # Near a fold the slope leaves the interval of the ends, by less than the segment's length.
             if min(a.q, b.q) - length <= log_slope <= max(a.q, b.q) + length:
-                h = np.linspace(0.0, 1.0, _INTERVALS + 1)
+                h, point = np.linspace(0.0, 1.0, _INTERVALS + 1), cubic(a, b)
                 off = np.array([point(x)[-1] for x in h]) - log_slope
                 for j in np.flatnonzero((off[:-1] < 0) != (off[1:] < 0)).tolist():
                     root = bracketed_root(functools.partial(_slope_off, point, log_slope), h[j], h[j + 1])

@@ -10,6 +10,7 @@ import numpy as np
 from tasks import status
 from tasks.accuracy import always
 from tasks.continuation.cycles import Cycle, at_slope, really_walks, system
+from tasks.continuation.lockstep import lanes_of
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.follow_cycles import MAX_MULTIPLIER, CycleBranch, Guess, is_same
@@ -228,13 +229,23 @@ def _multiplier_error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: 
     """Bound of the error of every multiplier: how they change in other units, and where states are off by `bound`."""
     values = cycle.multipliers()
     worst = 0.0
-    for unit, off in ((1.0, 0.0), *((unit, 0.0) for unit in _UNITS), (1.0, bound), (1.0, -bound)):
-        s = scale * unit
-        step = problem.map(cycle.Y * (1 + off) / s, cycle.times, problem.parameters(slope, s))
+    cases = ((1.0, 0.0), *((unit, 0.0) for unit in _UNITS), (1.0, bound), (1.0, -bound))
+    for step in _evaluate(problem, cycle, slope, [(scale * unit, cycle.Y * (1 + off)) for unit, off in cases]):
         others = Cycle(cycle.Y, cycle.times, cycle.q, step.jacobian, cycle.tangent, True, 0.0).multipliers()
         apart = np.abs(values[:, None] - others)
         worst = max(worst, float(np.maximum(apart.min(axis=0), apart.min(axis=1)).max()))
     return _MULTIPLIER_SAFETY * worst + EPS * float(np.abs(values).max())
+
+
+def _evaluate(
+    problem: Problem, cycle: Cycle, slope: np.ndarray, cases: list[tuple[np.ndarray, np.ndarray]]
+) -> list[Stride]:
+    """Steps of a gait with other scales (n,) and sections (m, n), all in one call."""
+    n = cycle.period
+    Y = np.hstack([Y / scale for scale, Y in cases])
+    parameters = np.hstack([problem.parameters(slope, scale) for scale, _ in cases])
+    steps = problem.map(Y, np.tile(cycle.times, len(cases)), parameters)
+    return [lanes_of(steps, slice(k * n, k * n + n)) for k in range(len(cases))]
 
 
 def _worst(amounts: Arrays) -> dict[str, Any]:
@@ -273,10 +284,7 @@ def _error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray)
     of their images may do to the sections, all signs the worst, is what rounding may have done to Newton's solution.
     """
     m, n = cycle.Y.shape
-    steps: list[Stride] = []
-    for unit in (1.0, *_UNITS):
-        s = scale * unit
-        steps.append(problem.map(cycle.Y / s, cycle.times, problem.parameters(slope, s)))
+    steps = _evaluate(problem, cycle, slope, [(scale * unit, cycle.Y) for unit in (1.0, *_UNITS)])
     images = np.array([step.image * scale * unit for step, unit in zip(steps, (1.0, *_UNITS), strict=True)])
     times = np.array([step.times[-1] for step in steps])
     after = np.roll(cycle.Y, -1, axis=1)

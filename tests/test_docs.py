@@ -7,6 +7,7 @@ import sys
 import textwrap
 import tomllib
 
+import numpy as np
 import pytest
 
 from conftest import ROOT
@@ -118,3 +119,17 @@ def test_every_option_of_every_kind_is_in_the_docs_and_the_help():
         for name, option in known.items():
             assert f"`{name}`" in line, (kind, name)
             assert option.meaning in text, (kind, name)
+
+
+def test_the_page_on_python_runs_from_top_to_bottom(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    study = 'name = "study"\nkind = "branch"\nwalker = "D"\n[axes]\nslope = { from = 0.005, to = 0.01, n = 5 }\n'
+    (tmp_path / "study.toml").write_text(study)
+    names = {}
+    for block in blocks("docs/python.md", "python"):
+        exec(block, names)
+    # The numbers and sizes that the page states.
+    speeds = names["gaits"]("A", np.linspace(0.001, 0.06, 100)).sel(gait="long")
+    assert np.interp(0.5, speeds.speed, speeds.cost_of_transport) == pytest.approx(0.0152, abs=5e-5)
+    assert names["grid"].period.shape == (20, 20, 20, 4) and (names["grid"].status.sel(gait="long") == 0).all()
+    assert names["walk"].steps_taken == 20 and len(names["branches"]) > 4 and len(names["table"]) == 2

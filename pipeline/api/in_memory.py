@@ -172,11 +172,11 @@ def gaits(
         for one in solvable[k : k + _BLOCK]:
             _solve(one, wanted, points)
     is_si = bool(answers) and answers[0]["si"]
-    dataset = _dataset(points, grid[0], is_si, steps)
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
     coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si)) for name, a in varying.items()}
     first = next((line for (line, _), check in zip(lines, checks, strict=True) if check in answers), None)
-    return dataset.assign_coords(coordinates).assign_attrs(_constants(first, answers, varying) if first else {})
+    constants = _constants(first, answers, varying) if first else {}
+    return _dataset(points, grid[0], coordinates, constants, is_si, steps)
 
 
 def _lines(
@@ -319,7 +319,14 @@ def _solve(one: _Line, wanted: tuple[str, ...], points: _Points) -> None:
         points.put(one.at, result, one.row)
 
 
-def _dataset(points: _Points, grid: xr.DataArray, is_si: bool, steps: int) -> xr.Dataset:
+def _dataset(
+    points: _Points,
+    grid: xr.DataArray,
+    coordinates: Mapping[str, xr.DataArray],
+    constants: Mapping[str, str | float],
+    is_si: bool,
+    steps: int,
+) -> xr.Dataset:
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
     used = np.unique(points.reason)
     by_number = {number: sentence for sentence, number in points.sentences.items()}
@@ -336,14 +343,15 @@ def _dataset(points: _Points, grid: xr.DataArray, is_si: bool, steps: int) -> xr
         values = values.reshape((*grid.shape, *values.shape[1:]))
         variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], is_si, steps=steps))
     text = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
-    gait = ("gait", np.array(GAITS), {"long_name": "gait by its character", "units": "1"})
-    dataset = xr.Dataset(
-        {"reason_text": ("reason_index", np.array(sentences, str), text), **variables}, {**grid.coords, "gait": gait}
-    )
-    if "multiplier" in dataset.dims:
+    coords = {**grid.coords, "gait": ("gait", np.array(GAITS), {"long_name": "gait by its character", "units": "1"})}
+    multipliers = [a.shape[-1] for name, a in points.values.items() if "multiplier" in VARIABLES[name].dims]
+    if multipliers:
         named = {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"}
-        numbers = np.arange(dataset.sizes["multiplier"], dtype=np.int32)
-        dataset = dataset.assign_coords(multiplier=("multiplier", numbers, named))
+        coords["multiplier"] = ("multiplier", np.arange(multipliers[0], dtype=np.int32), named)
     source = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"
     described = {"Conventions": "CF-1.11", "source": source, "references": PAPER, **attributes.of_steps(steps)}
-    return dataset.assign_attrs(described)
+    return xr.Dataset(
+        {"reason_text": ("reason_index", np.array(sentences, str), text), **variables},
+        {**coords, **coordinates},
+        {**described, **constants},
+    )

@@ -24,7 +24,7 @@ def definition(walker: object) -> str | dict[str, Any]:
     Parameters
     ----------
     walker : str, Path or mapping
-        A name from the catalogue, a walker file, or a table.
+        A name from the catalogue, a walker file, or a table, whose `base` may be a file too.
 
     Raises
     ------
@@ -32,7 +32,8 @@ def definition(walker: object) -> str | dict[str, Any]:
         If it is anything else, or the name or the file is unknown.
     """
     if isinstance(walker, Mapping):
-        return {str(k): v.item() if isinstance(v, np.generic) else v for k, v in walker.items()}
+        table = {str(k): v.item() if isinstance(v, np.generic) else v for k, v in walker.items()}
+        return files.walker({k: str(v) if isinstance(v, Path) else v for k, v in table.items()}, Path())
     if not isinstance(walker, str | Path):
         raise StudyError(f"`walker` must be a name, a file or a table; got {_kind(walker)}.")
     return files.walker(str(walker), Path())

@@ -88,6 +88,18 @@ def test_a_start_that_never_strikes_is_an_outcome_of_a_simulation():
         assert walk.reason.item() == "Step 0: fell backward." and np.isnan(walk.stance_angle[1:]).all()
 
 
+def test_a_table_may_be_based_on_a_file_everywhere(tmp_path):
+    (tmp_path / "mine.toml").write_text('[walker]\nbase = "E"\nR = 0.2\n')
+    gait = pipeline.gaits("E", 0.01, R=0.2, m_h=0.1).isel(gait=0)
+    state = [gait[name].item() for name in ("stance_angle", "stance_rate", "thigh_rate")]
+    for base in (tmp_path / "mine.toml", str(tmp_path / "mine.toml")):
+        table = {"base": base, "m_h": 0.1}
+        assert pipeline.gaits(table, 0.01).isel(gait=0).stance_angle.item() == state[0]
+        assert pipeline.solve(table, 0.01).stance_angle[0] == state[0]
+        assert pipeline.step_map(table, 0.01, state).state == pytest.approx(state, rel=1e-10)
+        assert pipeline.simulate(table, 0.01, state, 1).stance_angle[1] == pytest.approx(state[0], rel=1e-10)
+
+
 @pytest.mark.parametrize("knees", [False, np.False_])
 def test_knees_are_changed_alike_everywhere(knees):
     gait = pipeline.gaits("C", 0.02, knees=knees).isel(gait=0)
