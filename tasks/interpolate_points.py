@@ -11,6 +11,7 @@ from tasks import status
 from tasks.accuracy import nodes_for
 from tasks.continuation.branch import Branch
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
+from tasks.families.pieces import Piece, pieces_of
 from tasks.fixed_points.newton import lipschitz
 from tasks.fixed_points.polish import Guesses, join, settle
 from tasks.fixed_points.rounding import rounding_std
@@ -30,37 +31,13 @@ _MEASURED = 3
 _LIPSCHITZ_SAFETY = 2.0
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """A piece of a branch: the branch and its number, first and last nodes, and its range of ln slope."""
-
-    branch: Branch
-    number: int
-    first: int
-    last: int
-    low: float
-    high: float
-    folds: tuple[bool, bool]
-    margins: tuple[float, float]
-
-    @classmethod
-    def of(cls, branch: Branch, number: int, first: int, last: int) -> _Piece:
-        """Piece between two nodes."""
-        ends = []
-        for node, error in ((first, branch.end_errors[0]), (last, branch.end_errors[1])):
-            is_fold = 0 < node < len(branch.q) - 1
-            ends.append((float(branch.q[node]), is_fold, 0.0 if is_fold else _NEAR_END + _END_SAFETY * error))
-        (low, low_fold, low_margin), (high, high_fold, high_margin) = sorted(ends)
-        return cls(branch, number, first, last, low, high, (low_fold, high_fold), (low_margin, high_margin))
-
-    def holds(self, q: np.ndarray) -> np.ndarray:
-        """Indices of the ln slopes that the piece covers."""
-        return self.branch.covered(self.first, self.last, q)
-
-    def guesses(self, q: np.ndarray, slope: np.ndarray) -> tuple[Guesses, np.ndarray]:
-        """Guesses at ln slopes, and their segments."""
-        Z, segment = self.branch.on_piece(self.first, self.last, q)
-        return self.branch.known_guesses(Z, segment, slope), segment
+def _margins(piece: Piece) -> tuple[float, float]:
+    """How far from both ends of a piece gaits are given by polynomials, in ln slope; at a fold anywhere."""
+    low, high = (
+        0.0 if is_fold else _NEAR_END + _END_SAFETY * error
+        for is_fold, error in zip(piece.folds, piece.end_errors, strict=True)
+    )
+    return low, high
 
 
 class Interpolation:
@@ -83,16 +60,12 @@ class Interpolation:
         self.problem, self.accuracy = problem, accuracy
         self.want = [name for name in want if name not in ("status", "reason", "error_bound", "branch", "piece")]
         self.smooth = Smooth.of(problem.walker, want, problem.m)
-        self.pieces = [
-            _Piece.of(branch, number, first, last)
-            for number, branch in enumerate(branches)
-            for first, last in branch.pieces()
-        ]
+        self.pieces = pieces_of(branches)
         q = np.sort(np.log(slope))
         roots = [
             panel
             for k, piece in enumerate(self.pieces)
-            for panel in panels_over(k, piece.low, piece.high, piece.folds, q[piece.holds(q)])
+            for panel in panels_over(k, *piece.q, piece.folds, q[piece.branch.covered(piece.first, piece.last, q)])
         ]
 
         def is_needed(panel: Panel) -> bool:
@@ -107,9 +80,7 @@ class Interpolation:
         problem, samples = self.problem, len(slopes[0])
         q = np.concatenate(slopes)
         slope = np.exp(q)
-        guesses = join(
-            [self.pieces[p.piece].guesses(each, np.exp(each))[0] for p, each in zip(panels, slopes, strict=True)]
-        )
+        guesses = join([self.pieces[p.piece].guesses(each) for p, each in zip(panels, slopes, strict=True)])
         if np.isnan(guesses.rounding_std).any():
             guesses = self._measured(guesses, q, samples)
         at = settle(problem, guesses, accuracy=self.accuracy)
@@ -156,8 +127,9 @@ class Interpolation:
         found: list[_Found] = []
         flown: list[list[np.ndarray]] = []
         for k, piece in enumerate(self.pieces):
-            index = piece.holds(q)
-            inside = (q[index] - piece.low > piece.margins[0]) & (piece.high - q[index] > piece.margins[1])
+            index = piece.branch.covered(piece.first, piece.last, q)
+            (low, high), margins = piece.q, _margins(piece)
+            inside = (q[index] - low > margins[0]) & (high - q[index] > margins[1])
             flown.append([index[~inside]])
             index, panels = index[inside], self.panels[k]
             which = np.searchsorted([panel.bounds[0] for panel in panels], q[index], side="right") - 1
@@ -224,8 +196,7 @@ class Interpolation:
             if names[k] not in columns:
                 columns[names[k]] = panel.evaluate(x, k)
         piece = self.pieces[one.piece]
-        place = int(piece.branch.piece(np.array([piece.first]))[0])
-        solved = self.smooth.gaits(slope[index], columns, self.want, panel.error, piece.number, place)
+        solved = self.smooth.gaits(slope[index], columns, self.want, panel.error, piece.number, piece.place)
         return Part(index, columns["stance_angle"], one.ratio if keep.all() else one.ratio[keep], solved)
 
 

@@ -265,7 +265,7 @@ def test_what_a_panel_measures_is_no_less_than_at_its_gaits():
     problem, found = branches("A")
     made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
     q = np.log(np.linspace(0.01, 0.012, 9))
-    guesses, _ = made.pieces[0].guesses(q, np.exp(q))
+    guesses = made.pieces[0].guesses(q)
     measured, m = made._measured(guesses, q, len(q)), problem.m
     assert (measured.lipschitz > lipschitz(problem, np.vstack([guesses.w[:m], q]), guesses.w[m:])).all()
     # Estimates of single points scatter.
