@@ -31,6 +31,11 @@ _MEASURED = 3
 _LIPSCHITZ_SAFETY = 2.0
 
 
+def has_one_label(low: float, high: float, error: float) -> bool:
+    """Whether gaits have the same label wherever between two bounds their ratio lies, whatever the error."""
+    return low > 0.5 + TIE * error or high < 0.5 - TIE * error
+
+
 def _margins(piece: Piece) -> tuple[float, float]:
     """How far from both ends of a piece gaits are given by polynomials, in ln slope; at a fold anywhere."""
     low, high = (
@@ -142,7 +147,7 @@ class Interpolation:
                 x = panel.point(q[own])
                 measured = panel.is_measured(x)
                 flown[k].append(own[~measured])
-                if panel.kind == 1:
+                if panel.passes == 1:
                     one = self._found(k, panel, own[measured], x[measured])
                     flown[k].append(one.index[one.near])
                     found.append(one)
@@ -158,13 +163,12 @@ class Interpolation:
         names = self.smooth.names
         ratio = names.index("heelstrike_rate_ratio")
         low, high = panel.range_of(ratio)
-        margin = TIE * panel.error
         columns = {"stance_angle": panel.evaluate(x, names.index("stance_angle"))}
-        if low > 0.5 + margin or high < 0.5 - margin:
+        if has_one_label(low, high, panel.error):
             ratios = np.full(len(x), 0.5 * (low + high))
         else:
             ratios = columns["heelstrike_rate_ratio"] = panel.evaluate(x, ratio)
-        near = np.abs(ratios - 0.5) <= margin
+        near = np.abs(ratios - 0.5) <= TIE * panel.error
         if self.smooth.entries:
             for name in self.smooth.entries:
                 columns[name] = panel.evaluate(x, names.index(name))
