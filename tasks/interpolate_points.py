@@ -125,40 +125,40 @@ class Interpolation:
         -------
         parts : list of Part
             Without those that are to be integrated.
-        flown : dict of ndarray of int
+        integrated : dict of ndarray of int
             Indices of their slopes, by numbers of the branches and of the first nodes of their pieces.
         """
         q = np.log(slope)
-        found: list[_Found] = []
-        flown: list[list[np.ndarray]] = []
+        gaits: list[_PanelGaits] = []
+        integrated: list[list[np.ndarray]] = []
         for k, piece in enumerate(self.pieces):
             index = piece.branch.covered(piece.first, piece.last, q)
             (low, high), margins = piece.q, _margins(piece)
             inside = (q[index] - low > margins[0]) & (high - q[index] > margins[1])
-            flown.append([index[~inside]])
+            integrated.append([index[~inside]])
             index, panels = index[inside], self.panels[k]
             which = np.searchsorted([panel.bounds[0] for panel in panels], q[index], side="right") - 1
             which = np.maximum(which, 0)
             for number in range(which.min(initial=len(panels)), which.max(initial=-1) + 1):
                 panel, own = panels[number], index[which == number]
                 if not len(panel.coefficients):
-                    flown[k].append(own)
+                    integrated[k].append(own)
                     continue
                 x = panel.point(q[own])
                 measured = panel.is_measured(x)
-                flown[k].append(own[~measured])
+                integrated[k].append(own[~measured])
                 if panel.passes == 1:
-                    one = self._found(k, panel, own[measured], x[measured])
-                    flown[k].append(one.index[one.near])
-                    found.append(one)
-        tied = self._ties(found, len(slope))
-        for one in found:
-            flown[one.piece].append(one.index[tied[one.index]])
-        parts = [self._part(one, slope, ~(one.near | tied[one.index])) for one in found]
+                    one = self._evaluate(k, panel, own[measured], x[measured])
+                    integrated[k].append(one.index[one.uncertain])
+                    gaits.append(one)
+        tied = self._ties(gaits, len(slope))
+        for one in gaits:
+            integrated[one.piece].append(one.index[tied[one.index]])
+        parts = [self._part(one, slope, ~(one.uncertain | tied[one.index])) for one in gaits]
         keys = [(piece.number, piece.first) for piece in self.pieces]
-        return parts, {key: np.unique(np.concatenate(each)) for key, each in zip(keys, flown, strict=True)}
+        return parts, {key: np.unique(np.concatenate(each)) for key, each in zip(keys, integrated, strict=True)}
 
-    def _found(self, piece: int, panel: Panel, index: np.ndarray, x: np.ndarray) -> _Found:
+    def _evaluate(self, piece: int, panel: Panel, index: np.ndarray, x: np.ndarray) -> _PanelGaits:
         """Gaits of a panel, with what their labels need."""
         names = self.smooth.names
         ratio = names.index("heelstrike_rate_ratio")
@@ -168,22 +168,22 @@ class Interpolation:
             ratios = np.full(len(x), 0.5 * (low + high))
         else:
             ratios = columns["heelstrike_rate_ratio"] = panel.evaluate(x, ratio)
-        near = np.abs(ratios - 0.5) <= TIE * panel.error
+        uncertain = np.abs(ratios - 0.5) <= TIE * panel.error
         if self.smooth.entries:
             for name in self.smooth.entries:
                 columns[name] = panel.evaluate(x, names.index(name))
             columns |= self.smooth.multipliers(columns, panel.error)
             # Whether a gait is stable does not depend on the accuracy.
             largest = columns["spectral_radius"]
-            near |= np.abs(largest - 1) <= columns["multiplier_error_bound"]
-        return _Found(piece, panel, index, x, columns, ratios, near)
+            uncertain |= np.abs(largest - 1) <= columns["multiplier_error_bound"]
+        return _PanelGaits(piece, panel, index, x, columns, ratios, uncertain)
 
-    def _ties(self, found: list[_Found], n: int) -> np.ndarray:
+    def _ties(self, gaits: list[_PanelGaits], n: int) -> np.ndarray:
         """Whether gaits of one label at a slope are so near each other that errors may order them, shape (n,)."""
         tied = np.zeros(n, bool)
         for label in (True, False):
-            angles = np.full((len(found), n), np.nan)
-            for row, one in zip(angles, found, strict=True):
+            angles = np.full((len(gaits), n), np.nan)
+            for row, one in zip(angles, gaits, strict=True):
                 row[one.index] = np.where((one.ratio < 0.5) == label, one.columns["stance_angle"], np.nan)
             crowded = np.flatnonzero(np.isfinite(angles).sum(axis=0) > 1)
             if len(crowded):
@@ -191,7 +191,7 @@ class Interpolation:
                 tied[crowded] |= (gaps <= TIE * self.accuracy).any(axis=0)
         return tied
 
-    def _part(self, one: _Found, slope: np.ndarray, keep: np.ndarray) -> Part:
+    def _part(self, one: _PanelGaits, slope: np.ndarray, keep: np.ndarray) -> Part:
         """Variables of gaits of a panel."""
         index, x = (one.index, one.x) if keep.all() else (one.index[keep], one.x[keep])
         columns = {name: value if keep.all() else value[keep] for name, value in one.columns.items()}
@@ -205,10 +205,10 @@ class Interpolation:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _PanelGaits:
     """Gaits of a panel: indices of their slopes, their points, what was evaluated, their ratios.
 
-    `near` is whether their label is uncertain.
+    `uncertain` is whether errors could change their label or stability.
     """
 
     piece: int
@@ -217,4 +217,4 @@ class _Found:
     x: np.ndarray
     columns: Arrays
     ratio: np.ndarray
-    near: np.ndarray
+    uncertain: np.ndarray

@@ -13,7 +13,7 @@ from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
 from tasks.fixed_points.newton import lipschitz
 from tasks.fixed_points.rounding import rounding_std
-from tasks.interpolate_points import Interpolation, _Found
+from tasks.interpolate_points import Interpolation, _PanelGaits
 from tasks.measures.gaits import round_bits, to_accuracy
 from tasks.measures.smooth import Smooth
 from tasks.registry import GAITS
@@ -226,7 +226,9 @@ def test_gaits_of_a_label_that_errors_could_order_are_integrated():
     ratio = {0: np.full(3, 0.3), 1: np.array([0.3, 0.3, 0.7])}
     none = np.zeros(3, bool)
     parts = [
-        _Found(k, made.panels[0][0], np.arange(3), np.zeros(3), {"stance_angle": np.array(angles[k])}, ratio[k], none)
+        _PanelGaits(
+            k, made.panels[0][0], np.arange(3), np.zeros(3), {"stance_angle": np.array(angles[k])}, ratio[k], none
+        )
         for k in (0, 1)
     ]
     assert made._ties(parts, 3).tolist() == [True, False, False]
@@ -240,8 +242,8 @@ def test_a_label_that_errors_could_change_is_near():
     ratio = made.smooth.names.index("heelstrike_rate_ratio")
     coefficients[:2, ratio] = 0.5, 0.1  # 1/2 in the middle
     x = np.array([-0.9, -0.03, 0.03, 0.9])
-    one = made._found(0, replace(panel, coefficients=coefficients, error=1e-3), np.arange(4), x)
-    assert one.near.tolist() == [False, True, True, False]
+    one = made._evaluate(0, replace(panel, coefficients=coefficients, error=1e-3), np.arange(4), x)
+    assert one.uncertain.tolist() == [False, True, True, False]
 
 
 def test_gaits_with_another_number_of_leg_passes_share_no_panel(monkeypatch):
