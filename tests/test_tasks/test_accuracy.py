@@ -195,19 +195,19 @@ def test_a_panel_of_two_folds_is_inverted():
     np.testing.assert_allclose(panel.point(panel.log_slope(x)), x, atol=1e-12)
 
 
-def test_labels_that_errors_could_change_are_integrated():
-    """Where the rate ratio passes 1/2, and where two gaits of a label have angles as near as the accuracy."""
+def test_gaits_of_a_label_beside_a_fold_are_integrated():
+    """Where their angles differ by four accuracies or less, which is near the fold alone."""
     problem, found = branches("physical-straight")
     fold = [b.q[first] for b in found for first, _ in b.pieces()[1:]]
     slope = np.exp(fold[0] + 10.0 ** np.linspace(-9, -2, 40) * [[-1], [1]]).ravel()
     made = Interpolation(problem, found, ("stance_angle",), 1e-3, slope)
     parts, integrated = made.parts(slope)
-    interpolated = {i for part in parts for i in part.index.tolist()}
-    for key, indices in integrated.items():
-        near = np.abs(np.log(slope[indices]) - fold[0])
-        assert (near < 1e-3).all() or key is None
-    assert interpolated
-    assert all(np.abs(np.log(slope[i]) - fold[0]) > 1e-9 for i in interpolated)
+    indices = np.concatenate(list(integrated.values()))
+    assert len(indices) and (np.abs(np.log(slope[indices]) - fold[0]) < 1e-5).all()
+    one, other = parts
+    _, a, b = np.intersect1d(one.index, other.index, return_indices=True)
+    assert len(a) > 20 and (one.ratio < 0.5).all() and (other.ratio < 0.5).all()
+    assert 4e-3 < np.abs(one.angle[a] - other.angle[b]).min() < 8e-3
 
 
 def test_gaits_whose_stability_errors_could_change_are_integrated():
