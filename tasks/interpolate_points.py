@@ -62,8 +62,7 @@ class Interpolation:
     def __init__(
         self, problem: Problem, branches: list[Branch], want: Sequence[str], accuracy: float, slope: np.ndarray
     ):
-        self.problem, self.accuracy = problem, accuracy
-        self.want = [name for name in want if name not in ("status", "reason", "error_bound", "branch", "piece")]
+        self.problem, self.accuracy, self.want = problem, accuracy, want
         self.smooth = Smooth.of(problem.walker, want, problem.m)
         self.pieces = pieces_of(branches)
         q = np.sort(np.log(slope))
