@@ -25,8 +25,8 @@ SHARE = 0.9
 _NEAR_END, _END_SAFETY = 1e-9, 8.0
 #: Gaits of one label whose angles differ by fewer accuracies are integrated, and those with ratios as near 1/2.
 TIE = 4.0
-#: Samples of a panel at which rounding and Lipschitz constants are measured, where the atlas has none, and how often
-#: the largest Lipschitz constant is counted.
+#: Samples of a panel at which rounding and Lipschitz constants are measured, where the atlas has none, and the factor
+#: on the largest of these constants.
 _MEASURED = 3
 _LIPSCHITZ_SAFETY = 2.0
 
@@ -101,7 +101,7 @@ class Interpolation:
         return results
 
     def _measured(self, guesses: Guesses, q: np.ndarray, samples: int) -> Guesses:
-        """Guesses at panels of so many samples each, with what is measured at a few samples of each panel."""
+        """Guesses with rounding and Lipschitz constants that are measured at a few of the samples of each panel."""
         lanes = (np.arange(0, len(q), samples)[:, None] + np.linspace(0, samples - 1, _MEASURED).astype(int)).ravel()
         w, m = guesses.w[:, lanes], self.problem.m
         estimates = lipschitz(self.problem, np.vstack([w[:m], q[lanes]]), w[m:]).reshape(-1, _MEASURED)

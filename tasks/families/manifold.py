@@ -14,15 +14,15 @@ from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Lanes
 from tasks.step.step_map import SAMPLES
 
-#: A point may lie so many times farther from its prediction than any drawn one; its error is so many times theirs.
+#: Factor by which a point may lie farther from its prediction, and err more, than those drawn.
 _SAFETY = 8.0
-#: Predictions err by no less: below this is rounding.
+#: Least error of predictions: below is rounding.
 LEAST = 1e-9
 #: Error above which a further Newton step is taken.
 _GOAL = 1e-10
 #: Distance from an end at which its gaits must be steps.
 _INSIDE = 1e-3
-#: Beside a turn designs are surveyed, this share of the way to it.
+#: Share of the way to a turn within which designs are surveyed.
 _AT_TURN = 1e-5
 
 
@@ -223,7 +223,7 @@ class Manifold:
         return cut.share(unit) <= 1 if cut else np.ones(len(unit), bool)
 
     def unsure(self, unit: np.ndarray) -> np.ndarray:
-        """Return whether designs lie where two sheets of the manifold meet.
+        """Return whether designs lie too near the turn at which two sheets of the manifold meet.
 
         Parameters
         ----------
@@ -238,7 +238,7 @@ class Manifold:
         return np.abs(cut.share(unit) - 1) < _AT_TURN if cut and cut.turns else np.zeros(len(unit), bool)
 
     def polish(self, problem: Lanes, unit: np.ndarray) -> tuple[Points, np.ndarray]:
-        """Solve the points of designs by a Newton step from their predictions; of each it is `there`.
+        """Solve the points of designs that are `there`, by a Newton step from their predictions.
 
         Parameters
         ----------

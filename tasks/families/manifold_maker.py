@@ -16,9 +16,10 @@ from tasks.fixed_points.multipliers import other_multipliers
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Lanes
 
-#: Nodes along each key; there are more while predictions of points drawn by lot err by more than what is good.
+#: Nodes along each key, those with which coordinates are compared, and the error of predictions below which no more are
+#: taken.
 _SIZES, _COMPARED, _GOOD = (5, 7, 9, 13, 17, 25, 33), 9, 1e-6
-#: Predictions of a manifold that is of use err by no more.
+#: Largest error of the predictions of a useful manifold.
 _FAIR = 1e-4
 _DRAWN = 24
 #: First and least share of the way in which a point is carried from one design to another, and largest distance from

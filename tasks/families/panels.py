@@ -19,9 +19,9 @@ from tasks.families.patch import along, basis, coordinate, fit
 _WIDTH = 1.0
 #: Narrowest part of such a range, in its coordinate from 0 to 1.
 _NARROWEST = 2.0**-12
-#: How often the largest error at the points drawn is counted in the bound.
-SAFETY = 8.0
-#: Nearer a fold than this share of the distance of the first point drawn nothing was measured.
+#: Factor by which the bound exceeds the largest error at the points drawn.
+_SAFETY = 8.0
+#: Share of the first drawn point's distance from a fold within which errors are unknown.
 _UNMEASURED = 0.25
 
 
@@ -109,7 +109,7 @@ class Panel:
         return np.concatenate([roots(nodes), -np.cos(np.pi * angle / nodes)])
 
     def halves(self) -> Iterator[Panel]:
-        """Both halves of the panel, unless they are too narrow."""
+        """Yield both halves of the panel, unless they are too narrow."""
         start, stop = self.part
         middle = 0.5 * (start + stop)
         if middle - start >= _NARROWEST:
@@ -229,7 +229,7 @@ class Sampled:
         nodes = len(self.values) - len(drawn)
         coefficients = fit(self.values[:nodes], sizes)
         off = np.abs(basis(drawn, sizes) @ coefficients - self.values[nodes:]) / self.size[nodes:]
-        return coefficients, float(SAFETY * off.max())
+        return coefficients, float(_SAFETY * off.max())
 
 
 def fit_panels(
