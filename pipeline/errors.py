@@ -3,6 +3,9 @@
 import errno
 from pathlib import Path
 
+#: Errors of a process that gets no more files, processes or memory, whatever file it was about to open.
+_LIMITS = (errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM)
+
 
 class GaitsweepError(Exception):
     """An error a user can act on; `str` is one sentence on one line and `exit_code` what the command ends with."""
@@ -40,9 +43,11 @@ def is_disk_full(error: BaseException) -> bool:
 
 
 def unwritten(path: Path, error: OSError) -> GaitsweepError:
-    """Error for a file or folder that cannot be written."""
+    """Error for a file or folder that cannot be written: the one that the system names, or else `path`."""
+    if error.errno in _LIMITS:
+        return WorkerError(f"A limit of the system is reached: {error.strerror}.")
     kind = DiskFullError if is_disk_full(error) else ArchiveError
-    return kind(f"{path} cannot be written: {error.strerror}.")
+    return kind(f"{error.filename or path} cannot be written: {error.strerror}.")
 
 
 class BusyError(GaitsweepError):

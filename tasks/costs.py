@@ -45,7 +45,7 @@ COSTS = {
     "plane of designs": (Cost(5.0, 10.0),),
     "census": (Cost(0.06, 0.1), Cost(5e-6, 6e-5, ("slopes", "starts"))),
     "landmarks": (Cost(1.0, 2.0),),
-    "crises": (Cost(4.0, 8.0),),
+    "corners": (Cost(0.01, 4.0),),
     "claims": (Cost(20.0, 30.0),),
 }
 #: Costs of a point: of a long line, of a short one, of gaits of several steps; and of groups of variables beside these.

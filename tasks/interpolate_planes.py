@@ -11,7 +11,7 @@ import numpy as np
 from tasks.families.box import tensor_nodes
 from tasks.families.cell import Cell, Family
 from tasks.families.panels import Sampled, value_bounds
-from tasks.families.patch import Patch, along, basis, coordinate, side_of_fold, tails
+from tasks.families.patch import Patch, along, coordinate, evaluate, side_of_fold, tails
 from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished, settle
 from tasks.interpolate_points import SHARE, TIE, has_one_label
 from tasks.measures.gaits import Arrays, Part, describe
@@ -221,7 +221,7 @@ def interpolate(
         own = walkers.some(line)
         smooth = Smooth.of(own, want, cell.structure.dimension)
         needed = sorted({*smooth.needed(want), 0})
-        values = basis(np.column_stack([x, unit[line]]), sheet.sizes) @ sheet.coefficients[:, needed]
+        values = evaluate(np.column_stack([x, unit[line]]), sheet.sizes, sheet.coefficients[:, needed])
         columns: Arrays = {smooth.names[k]: value for k, value in zip(needed, values.T, strict=True)}
         if smooth.entries:
             columns |= smooth.multipliers(columns, sheet.error)

@@ -11,6 +11,7 @@ import numpy as np
 from tasks import registry
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
+from tasks.continuation.cycle_events import slope_error
 from tasks.continuation.cycles import (
     MAX_POINTS,
     Cycle,
@@ -61,7 +62,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     params : mapping
         `line`; `slope`, ndarray [rad], whose ends are the window and whose values are searched for families of other
         periods than one; and the study's options: `periods`, the longest; `families`, first periods; `starts`, initial
-        conditions of the search at each slope; `steps`, that walking must last (0: its end is not located).
+        conditions of the search at each slope; `steps`, that walking must last (0: its end is not located). Without
+        slopes nothing is located.
     inputs : list
         The line's atlas.
 
@@ -77,6 +79,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
     slope = np.sort(np.asarray(params["slope"], float))
+    if not len(slope):
+        return {}
     rows: list[dict[str, Any]] = []
     limits: list[dict[str, Any]] = []
     ends: list[dict[str, Any]] = []
@@ -251,31 +255,7 @@ def _first_event(path: Path, test: Test, kind: str, low: float, high: float) -> 
         before, after = path.points[-2:]
         if test(before) * test(after) < 0:
             cycle = path.locate_root(test)
-            return _Event(kind, cycle, slope_error(path, test, cycle)), ""
+            return _Event(kind, cycle, slope_error(path.problem, cycle, kind)), ""
         if not low - 0.05 <= after.q <= high + 0.05:
             return None, f"the branch leaves the window at a slope of {after.slope:.6g}"
     return None, f"none on {MAX_POINTS} points of the branch, up to a slope of {path.points[-1].slope:.6g}"
-
-
-def slope_error(path: Path, test: Test, cycle: Cycle) -> float:
-    """Relative error of an event's slope: the corrector's last step, and rounding of the Jacobians in the test.
-
-    Parameters
-    ----------
-    path : Path
-        Whose last two points enclose the event.
-    test : callable
-        That is zero there.
-    cycle : Cycle
-        The gait at the event.
-
-    Returns
-    -------
-    float
-    """
-    eps = np.finfo(float).eps
-    before, after = path.points[-2:]
-    if test is fold_test:
-        return cycle.error + 8 * eps
-    rounding_std = 16 * eps * cycle.period * (1 + np.abs(cycle.A).max()) ** 2
-    return float(cycle.error + 8 * eps + rounding_std * abs((after.q - before.q) / (test(after) - test(before))))

@@ -1,4 +1,4 @@
-"""The tasks `landmarks` and `crises`: slopes that the paper prints, beside those computed and what rounding allows."""
+"""The tasks `landmarks`, `corners`, `crises`: slopes that the paper prints, as computed, and what rounding allows."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from tasks.paper.kneed_chaos import corner_crises, crisis
-from tasks.paper.lines import line, use_atlases
+from tasks.paper.lines import line, set_tables, use_atlases
 from tasks.paper.published import HALF_UNITS
 from tasks.paper.rounding_intervals import LANDMARKS, interval
+from tasks.registry import LOSS_WINDOWS
 
 Arrays = dict[str, np.ndarray]
 _COLUMNS = ("landmark", "walker", "point", "printed", "half_unit", "slope", "slope_low", "slope_high", "stance_angle")
@@ -59,8 +60,10 @@ def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
     Parameters
     ----------
-    params, inputs
-        As for `landmarks`.
+    params : mapping
+        `lines` of the study.
+    inputs : list
+        One dict a line, with its atlas and the tables of its tasks `cascade` and `corners`.
 
     Returns
     -------
@@ -81,15 +84,39 @@ def crises(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     return _table("crises", rows)
 
 
+def corners(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
+    """Bracket the loss of walking at the two corners of the rounding of a line's walker.
+
+    Parameters
+    ----------
+    params : mapping
+        `line`.
+    inputs : list
+        The line's atlas.
+
+    Returns
+    -------
+    dict
+        Table `corners`, of two rows: low and high [rad]; of none where the paper prints no loss of walking, or the
+        walker's parameters are exact.
+    """
+    walker = params["line"]["walker"]
+    (name, *_) = _walkers({"lines": [params["line"]]}, inputs) or [""]
+    brackets = corner_crises(walker) if name in LOSS_WINDOWS and name in HALF_UNITS else ()
+    return {f"corners/{side}": np.array([pair[k] for pair in brackets]) for k, side in enumerate(("low", "high"))}
+
+
 def _walkers(params: Mapping[str, Any], inputs: list[Arrays]) -> list[str]:
     """Walkers of the catalogue among a study's lines, as they are there; their atlases are kept for the look-ups."""
     known = [
-        (one["walker"], one["set"], atlas)
-        for one, atlas in zip(params["lines"], inputs, strict=True)
+        (one["walker"], data)
+        for one, data in zip(params["lines"], inputs, strict=True)
         if isinstance(one["walker"], str) and not one["set"]
     ]
-    use_atlases(known)
-    return [walker for walker, _, _ in known]
+    atlases = [(walker, {k: v for k, v in data.items() if "/" not in k}) for walker, data in known]
+    use_atlases((walker, {}, atlas) for walker, atlas in atlases if atlas)
+    set_tables((walker, {k: v for k, v in data.items() if "/" in k}) for walker, data in known)
+    return [walker for walker, _ in known]
 
 
 def _table(group: str, rows: Iterable[tuple[Any, ...]]) -> Arrays:

@@ -211,30 +211,30 @@ TASKS = {
         Task(
             "atlas",
             "tasks.solve_points:atlas",
-            14,
+            15,
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),
         Task("points", "tasks.solve_points:points", 11, needs=("atlas",), seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 3, needs=("atlas",)),
-        Task("branch", "tasks.follow_branches:branch", 6, needs=("atlas",)),
+        Task("branch", "tasks.follow_branches:branch", 7, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 5, needs=("atlas",)),
-        Task("cascade", "tasks.locate_cascade:cascade", 6, needs=("atlas",)),
+        Task("cascade", "tasks.locate_cascade:cascade", 7, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 5, needs=("atlas",)),
         Task("curve", "tasks.follow_curves:curve", 5, needs=("atlas",)),
-        Task("design", "tasks.map_designs:design", 4),
+        Task("design", "tasks.map_designs:design", 5),
         Task("census", "tasks.count_gaits:census", 4),
         Task("scaling", "tasks.fit_laws:scaling", 2, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 3, needs=("points",)),
         Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",)),
-        Task("crises", "tasks.locate_landmarks:crises", 2, needs=("atlas",)),
+        Task("corners", "tasks.locate_landmarks:corners", 1, needs=("atlas",)),
+        Task("crises", "tasks.locate_landmarks:crises", 3, needs=("atlas", "cascade", "corners")),
         Task("claims", "tasks.check_claims:claims", 9, needs=("points", "atlas")),
     )
 }
 
 #: A line of no more slopes is short: its atlas is coarse, and what its gaits' error bounds need is measured at each.
 SHORT_LINE = 256
-
 
 #: Rates that complete the start of a step: a click on a gait's mark in a figure makes it walk.
 _START = ("stance_rate", "thigh_rate", "shank_rate")
@@ -276,6 +276,12 @@ FITS = ("scaling", "transition", "landmarks", "crises")
 #: Names a study's `figures` may hold.
 FIGURES = tuple(name for name in READS if name not in FITS)
 
+
+#: Tasks whose tables claims read beside those of the study's own task, and tasks whose results are in no table.
+READ_BY_CLAIMS, INTERNAL = {"K2": ("corners",)}, ("atlas", "points", "corners")
+
+#: Windows of slopes [rad] in which the walkers lose persistent walking whose loss the paper prints.
+LOSS_WINDOWS = {"D": (0.01, 0.0195), "C": (0.07, 0.1), "C-printed": (0.07, 0.1)}
 
 #: Longest period of gaits, in steps.
 MAX_STEPS = 64
@@ -338,7 +344,6 @@ OPTIONS: dict[str, dict[str, Option]] = {
     },
 }
 
-
 #: Options that had another name before, which is still read.
 RENAMED_OPTIONS = {"strides": "steps"}
 
@@ -351,15 +356,12 @@ def options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
 #: Points whose curves a study of kind `curve` follows.
 FOLLOWED = ("fold", "flip", "end_kneestrike_at_heelstrike", "end_tangential_heelstrike")
 
-#: What is known of gaits of one step only: tasks, figures and variables that a study of longer ones cannot want.
+#: What is known of gaits of one step only: what a study of longer ones cannot want.
 OF_ONE_STEP = ("transition", "landmarks", "crises", "angles", "claims", "proved", "proved_radius")
 
 #: Figures that only one kind of study can show.
-SHOWN_BY = {"locus": "branch", "bifurcation": "orbit", "basin": "basin", "design": "design"} | {
-    "census": "census",
-    "cascade": "cascade",
-    "curves": "curve",
-}
+SHOWN_BY = {name: name for name in ("basin", "design", "census", "cascade")}
+SHOWN_BY |= {"locus": "branch", "bifurcation": "orbit", "curves": "curve"}
 
 #: Claims of the ledger.
 CLAIMS = tuple(

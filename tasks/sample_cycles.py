@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from tasks.continuation.cycle_events import slope_error
 from tasks.continuation.cycles import Cycle, Path, Test, correct, flip_test, fold_test, system
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.follow_cycles import CycleBranch, cubic
-from tasks.locate_cascade import slope_error
 from tasks.solve_cycles import solve_cycle
 from tasks.step.problem import EPS, Problem
 
@@ -122,7 +122,7 @@ def _special_points(problem: Problem, branch: CycleBranch) -> list[dict[str, Any
                 path.points.append(b)
                 cycle = path.locate_root(test)
                 if cycle.ok:
-                    found.append(_record(problem, kind, cycle, slope_error(path, test, cycle)))
+                    found.append(_record(problem, kind, cycle, slope_error(problem, cycle, kind)))
     return [*found, _record(problem, branch.ends[1], last, _end_error(branch.ends[1], last))]
 
 

@@ -69,7 +69,8 @@ def cycle_points(problem: Problem, branches: list[CycleBranch], params: Mapping[
         _fill({name: values[k] for name, values in out.items()}, problem, branches, value, want, friction_limit)
     long = _outside(branches, n)
     reasons = status.reasons(long, long)
-    return {**to_accuracy(out, accuracy), "reasons": np.array(reasons)}
+    to_accuracy(out, accuracy)
+    return {**out, "reasons": np.array(reasons)}
 
 
 def _outside(branches: list[CycleBranch], n: int) -> str:

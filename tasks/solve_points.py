@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +34,10 @@ _INTERPOLATED_BLOCK = 1 << 14
 #: What a proof of a gait is held against, and the largest relative radius of its box.
 PROVED_FROM = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time", "error_bound")
 PROOF_ACCURACY = 1e-12
+#: Branches of the latest lines by walker and tolerance: studies of one command often have lines in common. Nothing else
+#: decides them, so what a process has computed before changes no bit.
+_surveyed: OrderedDict[tuple[str, float], list[Branch]] = OrderedDict()
+_MAX_SURVEYED = 128
 
 
 def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -58,7 +63,8 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         # They are followed far from the branches where they begin.
         single = atlases.from_arrays(inputs[0]) if inputs else atlases.survey(problem, FINE)
         return to_arrays(cycle_branches(problem, single, steps))
-    return atlases.to_arrays(atlases.survey(problem, COARSE if params.get("coarse") else FINE))
+    (branches,) = _survey([problem.walker], problem.structure, COARSE if params.get("coarse") else FINE)
+    return atlases.to_arrays(branches)
 
 
 def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -113,10 +119,24 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     results: list[tuple[Arrays, Arrays]] = [({}, {})] * len(walkers)
     for structure, numbers in alike.items():
         problem = Lanes([walkers[i] for i in numbers], structure)
-        surveyed = atlases.survey_lines(problem, COARSE)
+        surveyed = _survey([walkers[i] for i in numbers], structure, COARSE)
         solved = _solve_lines(problem, [params["lines"][i] for i in numbers], surveyed, params)
         for i, branches, one in zip(numbers, surveyed, solved, strict=True):
             results[i] = atlases.to_arrays(branches), one
+    return results
+
+
+def _survey(walkers: Sequence[Walker], structure: Structure, tolerance: float) -> list[list[Branch]]:
+    """Branches of lines of one structure; of lines that were surveyed before, those."""
+    keys = [(repr(walker), tolerance) for walker in walkers]
+    new = [i for i, key in enumerate(keys) if key not in _surveyed]
+    if new:
+        problem = Lanes([walkers[i] for i in new], structure)
+        for i, branches in zip(new, atlases.survey_lines(problem, tolerance), strict=True):
+            _surveyed[keys[i]] = branches
+    results = [_surveyed[key] for key in keys]
+    while len(_surveyed) > _MAX_SURVEYED:
+        _surveyed.popitem(last=False)
     return results
 
 
@@ -170,7 +190,10 @@ def _solve_lines(
     if proofs:
         for line, out in zip(lines, results, strict=True):
             _prove(out, line, slope)
-    return [{**to_accuracy({v: out[v] for v in want}, accuracy), "reasons": out["reasons"]} for out in results]
+    for out in results:
+        for k in range(0, n, block):
+            to_accuracy({name: out[name][k : k + block] for name in want}, accuracy)
+    return [{name: out[name] for name in (*want, "reasons")} for out in results]
 
 
 def _reasons(branches: list[Branch], searched: str) -> list[str]:

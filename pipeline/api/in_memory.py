@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 
 from pipeline import dispatch, serialize
+from pipeline.api import planes
 from pipeline.archive import attributes
 from pipeline.archive.citation import PAPER
 from pipeline.errors import StudyError
@@ -163,6 +164,7 @@ def gaits(
             points.fail(at, str(check))
         elif len(at):
             solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True), steps, accuracy))
+    solvable = _solve_plane(walker, solvable, wanted, points)
     for k in range(0, len(solvable), _BLOCK):
         if steps == 1:
             short = [line for line in solvable[k : k + _BLOCK] if line.is_short]
@@ -258,6 +260,30 @@ class _Line:
             return atlas
 
         return _ATLASES.get(serialize.dump(params), follow)
+
+
+def _solve_plane(
+    walker: str | dict[str, Any], lines: list[_Line], wanted: tuple[str, ...], points: _Points
+) -> list[_Line]:
+    """Solve lines that make up a plane of keys as a study over it does; the lines that are left."""
+    if len(lines) < 2 or lines[0].steps > 1 or any(not np.array_equal(x.slopes, lines[0].slopes) for x in lines[1:]):
+        return lines
+    sets = [one.line["set"] for one in lines]
+    fixed = {key: value for key, value in sets[0].items() if all(each[key] == value for each in sets)}
+    keys = {key: np.array([each[key] for each in sets]) for key in sets[0] if key not in fixed}
+    study = planes.plane_of(walker, fixed, keys, lines[0].slopes, wanted, lines[0].accuracy)
+    if study is None:
+        return lines
+    left = np.ones(len(lines), bool)
+    try:
+        for numbers, result in planes.cells(study, keys, [one.line for one in lines]):
+            some = [lines[k] for k in numbers.tolist()]
+            rows = [k * len(one.slopes) + one.row for k, one in enumerate(some)]
+            points.put(np.concatenate([one.at for one in some]), result, np.concatenate(rows))
+            left[numbers] = False
+    except Exception:  # as in a study, the lines of a cell that fails are tried one by one
+        pass
+    return [lines[k] for k in np.flatnonzero(left).tolist()]
 
 
 def _survey(lines: list[_Line]) -> None:

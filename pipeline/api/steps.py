@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ import xarray as xr
 from pipeline import dispatch
 from pipeline.archive import attributes
 from pipeline.errors import StudyError
-from pipeline.study.broadcast import definition, number, whole_number
+from pipeline.study.broadcast import changes, definition, number, whole_number
 from pipeline.study.location import Location
 from tasks.registry import SI_UNITS, VARIABLES
 
@@ -182,13 +182,12 @@ def _params(walker: object, slope: object, state: object, keys: Mapping[str, Any
     value = number("slope", slope)
     if not 0 < value < 0.5:
         raise Location("", "slope").wrong("must lie in (0, 0.5) rad", value)
-    changes = {key: v if key == "knees" and isinstance(v, bool) else number(key, v) for key, v in keys.items()}
-    return {"walker": definition(walker), "slope": value, "set": changes, "state": _numbers("state", state, 3)}
+    return {"walker": definition(walker), "slope": value, "set": changes(keys), "state": _numbers("state", state, 3)}
 
 
 def _numbers(name: str, value: Any, count: int) -> list[float]:
     try:
-        values = [] if isinstance(value, str | bytes | Mapping) else list(value)
+        values = [] if isinstance(value, str | bytes | Mapping | Set) else list(value)
     except TypeError:  # not a sequence
         values = []
     if len(values) != count:

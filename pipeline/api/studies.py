@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,8 @@ def load(archive: str | Path, table: str | None = None) -> Any:
         If the file is not an archive of gaitsweep, or does not have the table.
     """
     path = Path(archive)
+    if path.is_file():
+        read.probe_once(path.resolve(), path.stat().st_mtime_ns)
     with read.open_archive(path) as file:  # what cannot be read of a damaged file is told as such
         tables = list(read.tables(file))
         if table is None:
@@ -143,7 +145,7 @@ def run(
 def _study(wanted: str | Path | Mapping[str, Any], accuracy: float | None = None) -> model.Study:
     if isinstance(wanted, Mapping):
         wanted = "".join(f"{key} = {_to_toml(value, key)}\n" for key, value in wanted.items())
-    elif isinstance(wanted, Path) or "=" not in wanted:
+    elif isinstance(wanted, Path) or "=" not in wanted or ("\n" not in wanted and wanted.endswith(".toml")):
         return parse.read(wanted, accuracy)
     try:
         table = tomllib.loads(wanted)
@@ -219,6 +221,8 @@ def gaits(
         raise Location("", "steps").wrong(f"must be at most {MAX_STEPS}", steps)
     asked = 0.0 if accuracy is None else parse.accuracy(accuracy, Location("", "accuracy"))
     names = [variables] if isinstance(variables, str) else variables
+    if not isinstance(names, Iterable | None):
+        raise Location("", "variables").wrong("must be a list of names", names)
     wanted = parse.variables(None if names is None else list(names), Location("", "variables"), asked)
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
         raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
@@ -262,11 +266,10 @@ def solve(
     StudyError
         If the walker, a key or the slope is invalid.
     """
-    changes = {key: broadcast.number(key, value) for key, value in keys.items()}
     answer = single_point.solve(
         broadcast.definition(walker),
         broadcast.number("slope", slope),
-        changes,
+        broadcast.changes(keys),
         every,
         broadcast.whole_number("steps", steps, 1),
         accuracy,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
+import os
 import subprocess
 import sys
 import zlib
@@ -14,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.archive import layout
-from pipeline.errors import ArchiveError, GaitsweepError
+from pipeline.errors import ArchiveError, GaitsweepError, WorkerError
 
 SCHEMA = 2
 _READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
 _TIMEOUT, _MIN_SPEED = 30.0, 5e6  # time [s] and speed [byte/s] allowed to read an archive
 _MAX_VALUES = 1 << 20  # values read at a time
+_MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
 
 
 @contextlib.contextmanager
@@ -157,7 +160,11 @@ def probe(paths: Iterable[Path]) -> None:
     ------
     ArchiveError
         If one crashes or hangs it.
+    WorkerError
+        If there is no other process, as where a user may have no more.
     """
+    # Threads of a numerical library are not needed, and may be refused.
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     for path in paths:
         size = path.stat().st_size if path.is_file() else 0
         command = [sys.executable, "-P", "-m", "pipeline.archive.read", str(path)]
@@ -167,12 +174,23 @@ def probe(paths: Iterable[Path]) -> None:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
+                env=environment,
                 timeout=_TIMEOUT + size / _MIN_SPEED,
             )
         except subprocess.TimeoutExpired as error:
             raise ArchiveError(f"{path} is damaged: the netCDF library hangs on it.") from error
-        if process.returncode:
+        except OSError as error:
+            raise WorkerError(f"{path} cannot be tried in another process: {error.strerror}.") from error
+        if process.returncode < 0:
             raise ArchiveError(f"{path} is damaged: the netCDF library crashes on it.")
+        if process.returncode:
+            raise WorkerError(f"{path} cannot be tried in another process: that ended with {process.returncode}.")
+
+
+@functools.lru_cache(64)
+def probe_once(path: Path, modified: int) -> None:
+    """As `probe`, of one archive, but only once until its time of modification changes."""
+    probe([path])
 
 
 def _read_whole(path: Path) -> None:
@@ -193,14 +211,19 @@ def _one_line(error: Exception) -> str:
 
 
 def check_replaceable(path: Path) -> None:
-    """Check that `path` is an archive of gaitsweep, which may be replaced.
+    """Check that `path` is an archive of gaitsweep, which may be replaced, whether it is damaged or not.
 
     Raises
     ------
     ArchiveError
         If it is another file or cannot be read.
     """
+    with open(path, "rb") as file:
+        beginning = file.read(_HEADER)
+    if beginning.startswith(_MAGIC) and b"gaitsweep_schema" in beginning:
+        return
     try:
+        probe([path])
         with open_archive(path):
             pass
     except ArchiveError as error:
@@ -210,9 +233,11 @@ def check_replaceable(path: Path) -> None:
 def not_attempted(path: Path) -> int | None:
     """Number of points of an archive that were not attempted; None if there is no archive."""
     try:
+        if path.exists():
+            probe([path])
         with open_archive(path) as file:
             return int(file.not_attempted)
-    except (ArchiveError, ValueError, TypeError, AttributeError):
+    except (ArchiveError, WorkerError, ValueError, TypeError, AttributeError):
         return None
 
 

@@ -24,7 +24,7 @@ def write(file: Any, plan: Plan) -> None:
     """Write the tables of all tasks of a study; of failed tasks, their names and reasons."""
     failures: list[tuple[str, str, str]] = []
     for name, layer in plan.layers.items():
-        if name in ("atlas", "points"):
+        if name in registry.INTERNAL or (name in registry.OPTIONS and name != plan.study.kind):
             continue
         parts: dict[str, list[Columns]] = {}
         places: dict[str, list[np.ndarray]] = {}

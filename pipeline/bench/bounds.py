@@ -155,15 +155,7 @@ def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, flo
         doubles = at.doubles[lane]
         tier = 0 if doubles <= extended_precision.ESCALATE else 1 if doubles < extended_precision.ESCALATE_AGAIN else 2
         exact = extended_precision.solved(
-            problem,
-            int(lane),
-            at.stride,
-            at.y[:, lane],
-            at.times[:, lane],
-            slope[lane],
-            at.scale[lane],
-            min(tier, 1),
-            tier < 2,
+            problem, int(lane), at.stride, at.y[:, lane], at.times[:, lane], slope[lane], at.scale[lane], min(tier, 1)
         )
         state, half = convert(exact.state, np.longdouble) * at.scale[lane], len(exact.state) // 2
         period = convert(exact.times[-1:], np.longdouble) * time_unit

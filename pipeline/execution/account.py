@@ -49,8 +49,8 @@ class Account:
         -------
         dict
             `workers_cpu`, `integrators`, `python`: processor time of the workers for this study, in compiled
-            integrators and outside [s]; `parent_cpu` [s], `workers_idle` (share of their time) and peaks of memory
-            [byte], of all studies of the command until this one was finished.
+            integrators and functions of a step, and outside [s]; `parent_cpu` [s], `workers_idle` (share of their
+            time) and peaks of memory [byte], of all studies of the command until this one was finished.
         """
         elapsed = time.monotonic() - command.start
         return {

@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import logging
 import re
+import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
@@ -40,6 +41,9 @@ def connect(address: str) -> Iterator[Any]:
         if name.startswith(("distributed", "tornado", "asyncio")):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with contextlib.ExitStack() as stack:
+        hook = sys.unraisablehook
+        stack.callback(setattr, sys, "unraisablehook", hook)
+        sys.unraisablehook = lambda error: None if _is_of_distributed(error.object) else hook(error)
         try:
             if local:
                 address = stack.enter_context(
@@ -52,6 +56,10 @@ def connect(address: str) -> Iterator[Any]:
         except (OSError, TimeoutError) as error:
             raise WorkerError(f"No cluster with a worker answers at {address}.") from error
         yield client
+
+
+def _is_of_distributed(callback: Any) -> bool:
+    return str(getattr(callback, "__module__", "")).startswith("distributed")
 
 
 def results(client: Any, run: Callable[..., _Result], jobs: Iterator[tuple[Any, ...]]) -> Iterator[_Result]:

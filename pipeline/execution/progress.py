@@ -96,7 +96,8 @@ class Progress:
     def state(self) -> dict[str, Any]:
         """State of the run: counts, rate [1/s], remaining time `eta` [s], memory [byte] and workers."""
         elapsed, stages = time.time() - self.start, self._stages()
-        with open("/proc/self/statm") as file:
+        memory = 0
+        with contextlib.suppress(OSError), open("/proc/self/statm") as file:
             memory = int(file.read().split()[1]) * 4096
         return {
             "elapsed": round(elapsed, 1),

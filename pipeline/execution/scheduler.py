@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -22,7 +22,7 @@ from pipeline.execution.worker_process import Request
 
 _JOBS_PER_WORKER = 16  # jobs submitted or not yet read, for each worker
 _MAX_RETRIES = 3  # consecutive restarts of a broken engine
-_MAX_SHARED = 300  # atlases kept for other studies, some 100 kB each
+_MAX_SHARED = 300  # lines of a study that are looked for in others: planes hardly have any in common
 
 
 class Scheduler:
@@ -43,8 +43,11 @@ class Scheduler:
         self.account = Account()
         self.running: dict[int, Job] = {}
         self._numbers = itertools.count()
-        self._atlases: dict[str, dict[str, Any] | None] = {}  # results by key, None while one is computed
-        self._copies: deque[Job] = deque()  # atlases that are computed for another study
+        keys = itertools.chain.from_iterable(_keys(study) for study in studies)
+        self._uses = {key: n for key, n in Counter(keys).items() if n > 1}  # studies that want each result still
+        self._results: dict[str, dict[str, Any] | None] = {}  # of these, None while one is computed
+        self._copies: deque[Job] = deque()  # jobs that run for another study
+        self._compiling: int | None = None  # number of the first job with knees
 
     def run(self) -> None:
         """Run everything the studies request.
@@ -77,7 +80,7 @@ class Scheduler:
                 if self.engine.address is None:
                     raise
                 broken += 1
-                message = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+                message = f"{type(error).__name__}: {' '.join(str(error).split())[:200].rstrip('.')}"
                 if broken > _MAX_RETRIES:
                     raise WorkerError(f"Workers cannot be kept alive: {message}.") from error
                 for study in self.studies:
@@ -86,7 +89,7 @@ class Scheduler:
                 for job in (*self.running.values(), *self._copies):
                     job.study.put_back(job)
                 self.running, self._copies = {}, deque()
-                self._atlases = {key: atlas for key, atlas in self._atlases.items() if atlas}
+                self._results = {key: result for key, result in self._results.items() if result}
 
     def _ready(self) -> Iterator[tuple[int, Request]]:
         """Numbered requests of ready jobs, the most urgent first; joblib asks from its own thread, one at a time.
@@ -97,43 +100,61 @@ class Scheduler:
             ready = [study for study in self.studies if study.next]
             if not ready:
                 return
-            taken = max(ready, key=lambda study: study.urgency).take()
+            study = max(ready, key=lambda study: (not self._waits(study), study.urgency))
+            taken = study.take()
             if taken and not self._is_shared(taken[0]):
                 number = next(self._numbers)
                 self.running[number] = taken[0]
+                if study.has_knees and self._compiling is None:
+                    self._compiling = number
                 yield number, taken[1]
 
+    def _waits(self, study: StudyJobs) -> bool:
+        """Whether other studies go first, until one worker has compiled the equations of knees, and all may load them.
+
+        Where there is no cached code it takes a quarter of a minute; other equations take a few seconds.
+        """
+        return study.has_knees and self._compiling in self.running
+
     def _is_shared(self, job: Job) -> bool:
-        """Whether another study has or gets the same atlas, which is then copied."""
-        if job.name != "atlas" or job.block:
+        """Whether another study has or gets the same result, which is then copied."""
+        if job.keys.key not in self._uses or job.block or job.indices is not None:
             return False
-        if job.keys.key in self._atlases:
+        if job.keys.key in self._results:
             self._copies.append(job)
             return True
-        if len(self.studies) > 1 and len(self._atlases) < _MAX_SHARED:
-            self._atlases[job.keys.key] = None
+        self._results[job.keys.key] = None
         return False
 
     def _record(self, job: Job, result: dict[str, Any]) -> None:
         self.account.add(result)
         job.study.record(job, result)
-        if job.keys.key in self._atlases and not job.block:
+        if job.keys.key in self._results and job.indices is None:
             if result["outcome"] == "ok":
-                self._atlases[job.keys.key] = result
+                self._results[job.keys.key] = result
+                self._count_use(job)
             else:  # limits of studies differ
-                del self._atlases[job.keys.key]
+                del self._results[job.keys.key]
             self._record_copies()
         self._finish()
 
     def _record_copies(self) -> None:
         for _ in range(len(self._copies)):
             job = self._copies.popleft()
-            if job.keys.key not in self._atlases:
+            if job.keys.key not in self._results:
                 job.study.put_back(job)
-            elif result := self._atlases[job.keys.key]:
+            elif result := self._results[job.keys.key]:
                 job.study.record(job, {**result, "seconds": 0.0, "cpu": 0.0, "integrating": 0.0})
+                self._count_use(job)
             else:
                 self._copies.append(job)
+
+    def _count_use(self, job: Job) -> None:
+        """Forget a result once every study has it."""
+        key = job.keys.key
+        self._uses[key] -= 1
+        if not self._uses[key]:
+            del self._uses[key], self._results[key]
 
     def _finish(self) -> None:
         """Begin the next wave of studies whose present one is recorded; finish those that have none."""
@@ -143,3 +164,9 @@ class Scheduler:
                 if study.is_over:
                     self.studies.remove(study)
                     self.finish(study)
+
+
+def _keys(study: StudyJobs) -> Iterator[str]:
+    """Keys of the tasks over the lines of a study, unless these are many."""
+    for number in range(study.study.batches if study.study.batches <= _MAX_SHARED else 0):
+        yield from (keys.key for keys in study.plan.line_keys(number).values())

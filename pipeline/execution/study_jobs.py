@@ -61,6 +61,8 @@ class StudyJobs:
     ----------
     next : Job or None
         The next job of the present wave.
+    has_knees : bool
+        Whether any walker has.
     taken, recorded : int
         Jobs taken, by the thread of an executor, and recorded or put back.
     error : Exception or None
@@ -85,6 +87,7 @@ class StudyJobs:
         self.cost = self.journal.seconds_per_point() or (layer.task.seconds_per_point if layer else 0.0) or 1e-3
         if {"proved", "proved_radius"} & set(plan.variables):
             self.cost = max(self.cost, SECONDS_PER_PROOF)
+        self.has_knees = any(check["multipliers"] > 3 for check in self.study.checks)
         self.points_measured = 0
         can_finish = layer and not plan.blocks
         extent = layout.line_extent(layout.Grid(self.study).sizes) if can_finish else 0

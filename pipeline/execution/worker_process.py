@@ -272,7 +272,7 @@ def _divide(request: Request, slopes: np.ndarray, outcome: str, parts: Any) -> l
     if len(slopes) > 1:
         pieces = np.array_split(slopes, min(_PIECES, len(slopes)))
         return [row for piece in pieces for row in _run_block(request, piece)]
-    if outcome == "worker_died":
+    if outcome in ("worker_died", "timed_out"):  # both may have had a cause outside
         outcome, parts = _ask(request, {**request.params, "slope": slopes})
         if outcome == "ok":
             return [(slopes.tobytes(), parts[1], parts[2])]

@@ -43,7 +43,7 @@ def seconds(study: Study, name: str) -> float:
         own = _total(study, COSTS["design of a plane" if cells else "design"])
         return own * designs + cells * _total(study, COSTS["plane of designs"])
     is_block = name == "atlas" and (graph.is_interpolated(study) or (graph.is_short(study) and study.lines > 1))
-    return _total(study, COSTS.get("atlas side by side" if is_block else name, OTHERS))
+    return _total(study, COSTS.get("atlas side by side" if is_block else name, OTHERS), name)
 
 
 def seconds_after(study: Study, layers: dict[str, graph.Layer]) -> dict[str, float]:
@@ -71,9 +71,14 @@ def _of_point(study: Study) -> list[Cost]:
     return [POINTS[group] for group in (kind, *sorted(wanted & {"violations", "proofs"}))]
 
 
-def _total(study: Study, costs: Iterable[Cost]) -> float:
-    """Sum of costs over the mean of the study's walkers, for one point, and one line or study."""
-    options = registry.options(study.kind, study.options) if study.kind in OPTIONS else {}
+def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:
+    """Sum of costs over the mean of the study's walkers, for one point, and one line or study.
+
+    A task of another kind of study than this, as fits read it, has the defaults of its options.
+    """
+    is_foreign = name in OPTIONS and name != study.kind
+    kind, given = (name, {}) if is_foreign else (study.kind, study.options)
+    options = registry.options(kind, given) if kind in OPTIONS else {}
     sizes = {name: len(v) if isinstance(v, list | tuple) else v for name, v in options.items()}
     # Gaits of 2 steps begin at flips; every further doubling, and an odd period, is searched for as well.
     searches = sum(study.steps % 2**k == 0 for k in range(6) if study.steps // 2**k > 2) + 0.2 * (study.steps > 1)

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.store.rows import TaskKey
 from pipeline.study.model import Study
 from tasks import accuracy
-from tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES, Task
+from tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, SHORT_LINE, TASKS, VARIABLES, Task
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,10 @@ def layers(study: Study) -> dict[str, Layer]:
     if study.claims and "claims" in TASKS:
         # Claims read the main results of the study, its points or the tables of its task, and their atlas.
         own = "points" if study.kind == "grid" else study.kind
-        needed["claims"] = Layer(TASKS["claims"], False, (own, *TASKS[own].needs))
+        others = tuple(dict.fromkeys(name for claim in study.claims for name in READ_BY_CLAIMS.get(claim, ())))
+        for name in others:
+            add(name, True)
+        needed["claims"] = Layer(TASKS["claims"], False, (own, *TASKS[own].needs, *others))
     return needed
 
 
@@ -60,7 +63,8 @@ def depths(graph: dict[str, Layer]) -> dict[str, int]:
     """Longest chain of inputs of each layer."""
     depth: dict[str, int] = {}
     for name, layer in graph.items():  # inputs come first
-        depth[name] = max((1 + depth[need] for need in layer.needs), default=0)
+        # Atlases run first; all other tasks over lines follow together, whether they need one or not.
+        depth[name] = max((1 + depth[need] for need in layer.needs), default=int(name != "atlas"))
     return depth
 
 
@@ -111,6 +115,12 @@ def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, A
         return {"line": line, "coarse": coarse, **({"steps": study.steps} if study.steps > 1 else {})}
     if name == "points":
         return {"line": line, **point_params(study)}
+    if name == "corners":
+        return {"line": line}
+    if name == "cascade" != study.kind:  # for the fit `crises`
+        named = isinstance(line["walker"], str) and not line["set"]
+        slopes = np.array(LOSS_WINDOWS.get(line["walker"], ()) if named else (), float)
+        return {"line": line, "slope": slopes, "gaits": GAITS}
     if name == "branch":
         slopes = study.slope
         window = {"slope_from": float(slopes.min()), "slope_to": float(slopes.max()), "n": len(slopes)}

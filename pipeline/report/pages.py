@@ -6,9 +6,12 @@ import base64
 import contextlib
 import fcntl
 import hashlib
+import multiprocessing
 import os
 import re
+import threading
 from collections.abc import Iterable, Iterator
+from concurrent import futures
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -39,6 +42,9 @@ _RUN = ("began", "seconds", "jobs", "cluster", "version", "points", "failed", "e
 
 #: Points without a gait that the CSV file lists; the archive has all of them.
 _MAX_ABSENT = 20_000
+
+#: Processes that make pages; a large archive takes each of them a GiB.
+_MAX_PROCESSES = 4
 
 #: Size limit of all thumbnails on the index [byte].
 _MAX_THUMBNAIL_BYTES = 235_000
@@ -118,15 +124,31 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
     sources = [read(Path(archive)) for archive in archives]
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    environment = _environment()
-    pages, texts = [], {}
-    for source, slug in zip(sources, _slugs(sources), strict=True):
-        with _readable(source.path):
-            pages.append(_page(source, slug))
-            texts[f"{slug}.html"] = _study(environment, pages[-1])
+    pages = _in_processes(sources, _slugs(sources))
     with _locked(out):
-        _combine(environment, out, pages, texts, only)
+        _combine(_environment(), out, pages, only)
     return out / "index.html"
+
+
+def _make(source: Source, slug: str) -> tuple[str, dict[str, str]]:
+    """Text of the page of a study, and its data files by their names."""
+    with _readable(source.path):
+        page = _page(source, slug)
+        return _study(_environment(), page), page.files
+
+
+def _in_processes(sources: list[Source], slugs: list[str]) -> dict[str, tuple[str, dict[str, str]]]:
+    """What `_make` gives for each source, by slug; pages depend on no other, so every core makes some."""
+    workers = min(_MAX_PROCESSES, len(os.sched_getaffinity(0)), len(sources))
+    if workers > 1 and threading.active_count() == 1:  # a fork keeps the locks that other threads hold
+        fork = multiprocessing.get_context("fork")
+        # A system may have no semaphores, or no room for another process.
+        with (
+            contextlib.suppress(OSError, futures.BrokenExecutor),
+            futures.ProcessPoolExecutor(workers, fork) as pool,
+        ):
+            return dict(zip(slugs, pool.map(_make, sources, slugs), strict=True))
+    return dict(zip(slugs, map(_make, sources, slugs), strict=True))
 
 
 @contextlib.contextmanager
@@ -153,15 +175,18 @@ def _locked(out: Path) -> Iterator[None]:
         os.close(folder)
 
 
-def _combine(environment: jinja2.Environment, out: Path, pages: list[Page], texts: dict[str, str], only: bool) -> None:
+def _combine(
+    environment: jinja2.Environment, out: Path, pages: dict[str, tuple[str, dict[str, str]]], only: bool
+) -> None:
     """Write pages and their data, and the index and ledger of all pages in the folder."""
+    texts = {f"{slug}.html": text for slug, (text, _) in pages.items()}
     previous, current = entry.read_all(out), {name: entry.read(text) for name, text in texts.items()}
     keep = {name: record for name, record in previous.items() if name not in texts and not only} | current
     entries = sorted((record for record in keep.values() if record), key=lambda record: record.order)
-    for page in pages:
-        for name, text in page.files.items():
+    for slug, (page, files) in pages.items():
+        for name, text in files.items():
             _publish(out / name, text)
-        _publish(out / f"{page.slug}.html", texts[f"{page.slug}.html"])
+        _publish(out / f"{slug}.html", page)
     wanted = {*keep, *(name for record in entries for name in record.files)}
     for record in previous.values():
         entry.remove(out, record, wanted)

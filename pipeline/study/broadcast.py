@@ -51,6 +51,20 @@ def number(name: str, value: object) -> float:
     return Location("", name).number(value)
 
 
+def changes(keys: Mapping[str, object]) -> dict[str, float | bool]:
+    """Check values of keys to change: finite numbers, of `knees` true or false.
+
+    Raises
+    ------
+    StudyError
+        If one is not.
+    """
+    for value in (keys[k] for k in keys if k == "knees"):
+        if not isinstance(value, bool | np.bool_):
+            raise Location("", "knees").wrong("must be true or false", value)
+    return {key: bool(value) if key == "knees" else number(key, value) for key, value in keys.items()}
+
+
 def whole_number(name: str, value: object, least: int) -> int:
     """Check that an argument is a whole number, of Python or numpy.
 

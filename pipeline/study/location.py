@@ -8,6 +8,8 @@ from collections.abc import Iterable
 
 from pipeline.errors import StudyError
 
+_LARGEST = 1e300
+
 
 class Location:
     """Place in a study file, given by its keys; makes errors that name it."""
@@ -46,7 +48,9 @@ class Location:
         """
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.wrong("must be a number", value)
-        if not math.isfinite(value) or abs(value) > 1e300:
+        if abs(value) > _LARGEST:  # a whole number may exceed every double
+            raise self.wrong("must be finite" if value in (math.inf, -math.inf) else "must be at most 1e300", value)
+        if math.isnan(value):
             raise self.wrong("must be finite", value)
         return float(value)
 

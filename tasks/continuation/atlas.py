@@ -9,6 +9,7 @@ Lines are surveyed in blocks, side by side (`tasks.continuation.lockstep`); a li
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -52,6 +53,8 @@ _SHARES = 3
 _SAME = 1e-4
 #: Nodes nearer than this are the same but for rounding, which at a fold moves them along the branch.
 _TWIN = 1e-10
+#: With fewer gaits than this all are refined at once; with more one of each line, for the next may lie on its branch.
+_FEW = 8
 
 
 def _join(m: int, down: Track, up: Track) -> tuple[Branch, int]:
@@ -200,29 +203,41 @@ def survey_lines(problem: Lanes, tolerance: float = FINE) -> list[list[Branch]]:
     """
     m = problem.m
     branches: list[list[Branch]] = [[] for _ in problem.lanes]
-    for slope, gaits in zip(ANCHORS, search_lines(problem, ANCHORS, _SHARES), strict=True):
-        q = np.log(slope)
-        lines = np.repeat(np.arange(len(gaits)), [w.shape[1] for w in gaits])
-        if not len(lines):
-            continue
-        w = np.hstack(gaits)
-        _, check = verify_steps(problem.some(lines), w, np.full(len(lines), q))
-        new = [i for i in np.nonzero(check.anthropomorphic)[0] if not is_known(branches[lines[i]], m, w[:, i], q)]
+    for q, w, lines in _gaits_at_anchors(problem):
+        new = [i for i, line in enumerate(lines) if not is_known(branches[line], m, w[:, i], q)]
         if not new:
             continue
         w, lines = w[:, new], lines[new]
         pairs = follow(problem.some(lines), w, np.full(len(new), q))
-        # One gait of every line at a time: the next may lie on its branch.
         turn = np.arange(len(lines)) - np.searchsorted(lines, lines)
+        if len(lines) < _FEW:
+            turn[:] = 0
         for k in range(turn.max() + 1):
             chosen = [i for i in np.flatnonzero(turn == k) if not is_known(branches[lines[i]], m, w[:, i], q)]
             parts = side_by_side(problem, lines[chosen], [_from_tracks(m, *pairs[i], tolerance) for i in chosen])
-            for line, part in zip(lines[chosen], parts, strict=True):
+            for i, part in zip(chosen, parts, strict=True):
+                if is_known(branches[lines[i]], m, w[:, i], q):
+                    continue
                 for branch in part:
                     middle = branch.Z[len(branch.Z) // 2]
-                    if not is_known(branches[line], m, np.delete(middle, m), middle[m]):
-                        branches[line].append(branch)
+                    if not is_known(branches[lines[i]], m, np.delete(middle, m), middle[m]):
+                        branches[lines[i]].append(branch)
     return [_rank(each) for each in branches]
+
+
+def _gaits_at_anchors(problem: Lanes) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+    """Anthropomorphic gaits of several lines that the search finds, for each anchor its ln slope, w and their lines."""
+    gaits = search_lines(problem, ANCHORS, _SHARES)
+    counts = np.array([[w.shape[1] for w in each] for each in gaits])
+    q = np.log(ANCHORS)
+    lines, at = np.repeat(np.tile(np.arange(counts.shape[1]), len(q)), counts.ravel()), counts.sum(axis=1)
+    if not len(lines):
+        return
+    w = np.hstack([w for each in gaits for w in each])
+    _, check = verify_steps(problem.some(lines), w, np.repeat(q, at))
+    for k, end in enumerate(np.cumsum(at).tolist()):
+        kept = end - at[k] + np.flatnonzero(check.anthropomorphic[end - at[k] : end])
+        yield float(q[k]), w[:, kept], lines[kept]
 
 
 def _rank(branches: list[Branch]) -> list[Branch]:

@@ -149,12 +149,16 @@ def linearise(problem: Problem, Z: np.ndarray, n: int) -> engine.Linearisation:
         return values.transpose(2, 1, 0).reshape(t, m * n)
 
     A, by_y, by_slope = of(steps.jacobian), of(steps.times_by_y), of(steps.times_by_slope)
-    derivative, times_by = np.zeros((t, m * n, m * n + 1)), np.zeros((k, n, m * n + 1, t))
-    for i in range(n):
-        own, after = slice(m * i, m * i + m), m * ((i + 1) % n)
-        derivative[:, own, own] += A[:, :, i].transpose(2, 0, 1)
-        derivative[:, own, after : after + m] -= np.eye(m)
-        times_by[:, i, own] = by_y[:, :, i] * np.sqrt(n) / scale[i]
+    own, after = np.arange(n), (np.arange(n) + 1) % n
+    # By step and coordinate; of a gait of one step the state after it is its own.
+    by_states = np.zeros((t, n, m, n, m))
+    by_states[:, own, :, own] += A.transpose(2, 3, 0, 1)
+    by_states[:, own, :, after] -= np.eye(m)
+    derivative = np.zeros((t, m * n, m * n + 1))
+    derivative[:, :, :-1] = by_states.reshape(t, m * n, m * n)
+    times_by, times_by_states = np.zeros((k, n, m * n + 1, t)), np.zeros((k, n, n, m, t))
+    times_by_states[:, own, own] = by_y.transpose(0, 2, 1, 3) * np.sqrt(n) / scale[:, None]
+    times_by[:, :, :-1] = times_by_states.reshape(k, n, m * n, t)
     derivative[:, :, -1] = rows(of(steps.by_slope) * scale * by_q) / np.sqrt(n)
     times_by[:, :, -1] = by_slope * by_q
     residual = rows(of(steps.image) * scale - np.roll(Y, -1, axis=1)) / np.sqrt(n)

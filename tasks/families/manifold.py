@@ -9,7 +9,7 @@ from numpy.polynomial.chebyshev import chebval
 
 from tasks.continuation.defining import Polish, newton_step
 from tasks.continuation.extremes import Points, classify
-from tasks.families.patch import basis
+from tasks.families.patch import evaluate
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Lanes
 from tasks.step.step_map import SAMPLES
@@ -204,7 +204,7 @@ class Manifold:
         -------
         Z, rows : ndarray, shape (c, n)
         """
-        both = (basis(self.coordinates.own(unit), self.sizes) @ self.coefficients).T
+        both = evaluate(self.coordinates.own(unit), self.sizes, self.coefficients).T
         return both[: len(both) // 2], both[len(both) // 2 :]
 
     def there(self, unit: np.ndarray) -> np.ndarray:

@@ -176,7 +176,8 @@ def panels_over(piece: int, low: float, high: float, folds: tuple[bool, bool], l
     """
     cuts = np.arange(np.floor(low / _WIDTH) + 1, np.ceil(high / _WIDTH)) * _WIDTH
     edges = np.concatenate([[low], cuts, [high]])
-    holds = np.unique(np.clip(np.searchsorted(edges, log_slope, side="right") - 1, 0, len(edges) - 2))
+    inside = np.clip(np.searchsorted(edges, log_slope, side="right") - 1, 0, len(edges) - 2)
+    holds = np.flatnonzero(np.bincount(inside, minlength=1))
     return [
         Panel(piece, float(edges[k]), float(edges[k + 1]), (folds[0] and k == 0, folds[1] and k == len(edges) - 2))
         for k in holds.tolist()

@@ -10,6 +10,9 @@ from numpy.polynomial.chebyshev import chebvander
 from tasks.families.box import roots
 from tasks.step.step_map import Stride
 
+#: Points at which polynomials are evaluated at a time.
+_ROWS = 64
+
 
 def along(share: np.ndarray, folds: tuple[bool, bool]) -> np.ndarray:
     """Return the share of the range of ln slope at a coordinate from 0 to 1 in which gaits are smooth.
@@ -88,8 +91,29 @@ def basis(points: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
     """
     product = np.ones((len(points), 1))
     for x, n in zip(points.T, sizes, strict=True):
-        product = (product[:, :, None] * chebvander(x, n - 1)[:, None, :]).reshape(len(points), -1)
+        product = (product[:, :, None] * chebvander(x, n - 1)[:, None, :]).reshape(len(points), product.shape[1] * n)
     return product
+
+
+def evaluate(points: np.ndarray, sizes: tuple[int, ...], coefficients: np.ndarray) -> np.ndarray:
+    """Evaluate polynomials at points, each by itself: the bits of one do not depend on the others.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, d)
+        Of the cube from -1 to 1.
+    sizes : tuple of int
+        Number of polynomials in each dimension.
+    coefficients : ndarray, shape (product of sizes, c)
+
+    Returns
+    -------
+    ndarray, shape (n, c)
+    """
+    # A product of matrices rounds in another way if the number of rows is another: it gets blocks of one shape.
+    n, rows = len(points), np.zeros((len(points) + -len(points) % _ROWS, len(coefficients)))
+    rows[:n] = basis(points, sizes)
+    return (rows.reshape(-1, _ROWS, len(coefficients)) @ coefficients).reshape(len(rows), coefficients.shape[1])[:n]
 
 
 def tails(coefficients: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
@@ -180,7 +204,7 @@ class Patch:
         -------
         ndarray, shape (n, 2)
         """
-        return basis(unit, self.sizes[1:]) @ self.ends
+        return evaluate(unit, self.sizes[1:], self.ends)
 
     def numbers_at(self, unit: np.ndarray) -> np.ndarray:
         """Return the numbers of branch and piece on the nearest surveyed line.
@@ -216,5 +240,5 @@ class Patch:
         """
         s = coordinate((q - ends[:, 0]) / (ends[:, 1] - ends[:, 0]), self.folds)
         x = 2 * s - 1
-        w = (basis(np.column_stack([x, unit]), self.sizes) @ self.gaits).T
+        w = evaluate(np.column_stack([x, unit]), self.sizes, self.gaits).T
         return w, np.abs(x[:, None] - roots(max(1, len(self.lipschitz)))).argmin(axis=1)

@@ -138,7 +138,7 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     amplification = (moves / gait.size).max(axis=0)
     # Where doubles do not show that Newton converges, the shrinking of its steps in more digits does.
     enough = 0.9 * accuracy or extended_precision.ESCALATE
-    # Newton's steps in doubles from beside a fold may lead anywhere.
+    # Where Newton's steps in doubles are not trusted it begins again.
     lost = np.flatnonzero(~(near & (bound < extended_precision.UNTRUSTED)))
     first, unit = problem.section(guesses.w[:, lost])
     y[:, lost], times[:, lost] = first * (unit / scale[lost]), guesses.w[problem.m :, lost]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -81,11 +82,15 @@ def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
         slot = np.minimum(place[part.index], len(GAITS))
         keep = np.flatnonzero((slot >= 0) & is_wanted[slot])
         row, slot = part.index[keep], slot[keep]
+        where: tuple[Any, Any] = (row, slot)
+        if len(row) and row[-1] - row[0] == len(row) - 1 and (slot == slot[0]).all() and (np.diff(row) == 1).all():
+            where = slice(row[0], row[-1] + 1), slot[0]  # several times as fast
         for name, values in out.items():
-            values[row, slot] = part.solved[name][keep]
+            solved = part.solved[name]
+            values[where] = solved if len(keep) == len(solved) else solved[keep]
 
 
-def to_accuracy(out: Arrays, accuracy: float) -> Arrays:
+def to_accuracy(out: Arrays, accuracy: float) -> None:
     """Round gaits to the digits that an accuracy leaves them, and mark those whose error bound exceeds it.
 
     Parameters
@@ -94,14 +99,12 @@ def to_accuracy(out: Arrays, accuracy: float) -> Arrays:
         Changed in place; bounds count the rounding.
     accuracy : float
         Largest error bound wanted; 0 for as good as doubles give, which changes nothing.
-
-    Returns
-    -------
-    dict of ndarray
-        The same.
     """
     if not accuracy:
-        return out
+        return
+    # Labels that no gait has need no rounding.
+    used = slice(1 + int(np.flatnonzero(np.isin(out["status"], status.SOLVED).any(axis=0)).max(initial=0)))
+    out = {name: values[:, used] for name, values in out.items()}
     bits = significant_bits(accuracy)
     unit = 0.5 ** (bits + 1) if bits < MANTISSA else 0.0
     bound = out["error_bound"] + unit
@@ -121,7 +124,6 @@ def to_accuracy(out: Arrays, accuracy: float) -> Arrays:
                 # Rounding makes no stable gait unstable.
                 rounded = np.where(values < 1, np.minimum(rounded, 1 - unit), rounded)
             values[:] = rounded
-    return out
 
 
 def _round_up(values: np.ndarray) -> np.ndarray:

@@ -184,6 +184,22 @@ def flow(structure: Structure, free_knee: bool, directions: int, with_slope: boo
     return FLOWS[key]
 
 
+class CompiledFunction:
+    """A compiled function of lanes, and the processor time `seconds` that this process has spent in all of them."""
+
+    seconds = 0.0
+
+    def __init__(self, outputs: list[Any], variables: list[Any]):
+        self._function = hy.cfunc(outputs, vars=variables, compact_mode=False)
+
+    def __call__(self, inputs: np.ndarray, outputs: np.ndarray | None = None) -> np.ndarray:
+        """Values of the function, shape (outputs, n), at inputs of shape (variables, n)."""
+        began = time.process_time()
+        values: np.ndarray = self._function(inputs) if outputs is None else self._function(inputs, outputs=outputs)
+        CompiledFunction.seconds += time.process_time() - began
+        return values
+
+
 def integrating_seconds() -> float:
-    """Processor time that this process has spent in compiled flows [s]."""
-    return sum(flow.seconds for flow in FLOWS.values())
+    """Processor time that this process has spent in compiled flows and functions [s]."""
+    return sum(flow.seconds for flow in FLOWS.values()) + CompiledFunction.seconds

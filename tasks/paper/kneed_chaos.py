@@ -184,7 +184,6 @@ def kneed_doublings() -> ClaimResult:
     )
 
 
-@memoize
 def corner_crises(walker: str) -> tuple[tuple[float, float], tuple[float, float]]:
     """Bracket the loss of walking at the two corners of a walker's rounding.
 
@@ -203,6 +202,12 @@ def corner_crises(walker: str) -> tuple[tuple[float, float], tuple[float, float]
     The loss has no derivative, so it is computed for two walkers whose keys are all off by their half units, each in
     the direction that moves the flip down, or up.
     """
+    rows = table("corners", walker, lambda: _compute_corners(walker))
+    lower, upper = zip(rows["low"].tolist(), rows["high"].tolist(), strict=True)
+    return lower, upper
+
+
+def _compute_corners(walker: str) -> Arrays:
     sensitivity = interval(f"{walker} flip").sensitivity
     brackets = []
     for direction in (-1, 1):
@@ -212,7 +217,7 @@ def corner_crises(walker: str) -> tuple[tuple[float, float], tuple[float, float]
         params = {"line": {"walker": asdict(corner), "set": {}}}
         ends = cascade({**params, "slope": np.array(CORNER), "periods": 8, "steps": 40}, [atlas(params, [])])
         brackets.append((float(ends["lost/low"][0]), float(ends["lost/high"][0])))
-    return brackets[0], brackets[1]
+    return {f"corners/{side}": np.array([pair[k] for pair in brackets]) for k, side in enumerate(("low", "high"))}
 
 
 @claim(

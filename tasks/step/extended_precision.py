@@ -30,8 +30,7 @@ TIERS: tuple[tuple[Any, float], ...] = ((np.longdouble, 1.1e-19), (hy.real128, 1
 _MAX_STEPS, _MAX_DERIVATIVES = 20, (0, 4)
 #: Size below which steps that no longer shrink are rounding: 128 bits resolve more than is asked for.
 _ROUNDING = (ESCALATE, 0.0)
-#: Error bound in doubles from which their derivative is not trusted: beside folds of small gaits it may be too far from
-#: singular, and steps along the fold shrink no error though they are small.
+#: Error bound in doubles from which their Newton steps are not trusted: beside folds of small gaits they lead anywhere.
 UNTRUSTED = 1e-3
 #: Relative size of a step from which Newton is lost: it begins at a gait in doubles.
 _MAX_STEP = 1e-2
@@ -172,15 +171,7 @@ class ExtendedGait:
 
 
 def solved(
-    problem: Problem,
-    lane: int,
-    stride: Stride,
-    y: np.ndarray,
-    times: np.ndarray,
-    slope: float,
-    scale: float,
-    tier: int,
-    trusted: bool = True,
+    problem: Problem, lane: int, stride: Stride, y: np.ndarray, times: np.ndarray, slope: float, scale: float, tier: int
 ) -> ExtendedGait:
     """Solve for a gait by Newton's method, its residual in the tier's number, its derivative in doubles if it serves.
 
@@ -200,8 +191,6 @@ def solved(
         [rad], and the power of two by which angles and rates are divided.
     tier : int
         Index into `TIERS`.
-    trusted : bool
-        Whether Newton begins with the derivative in doubles.
 
     Returns
     -------
@@ -218,14 +207,14 @@ def solved(
         residual, impact = exact(wide, wide_times, parameters)
         step = inverse @ np.array([float(v) for v in residual])
         size = float(np.max(np.abs(step / measure)))
-        if not (trusted and size <= 0.5 * before):
+        if not size <= 0.5 * before:
             if before < _ROUNDING[tier]:
                 break
             if derivatives == _MAX_DERIVATIVES[tier]:
                 before = size = np.inf
                 break
             # Beside falls, where the step amplifies its start most, the derivative in doubles does not serve.
-            derivatives, trusted = derivatives + 1, True
+            derivatives += 1
             inverse = exact.inverse(wide, wide_times, parameters, residual)
             step = inverse @ np.array([float(v) for v in residual])
             size = float(np.max(np.abs(step / measure)))
@@ -295,7 +284,9 @@ def refine(
         return (bound if bound < 1 else 1.0) * TIERS[tier][1] / EPS + 4 * EPS
 
     tier = 0 if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0) else 1
-    gait = solved(problem, lane, stride, y, times, slope, scale, tier, trusted=bound < UNTRUSTED)
+    gait = solved(problem, lane, stride, y, times, slope, scale, tier)
+    if not tier and not np.isfinite(gait.last_step):
+        tier, gait = 1, solved(problem, lane, stride, y, times, slope, scale, 1)
 
     def rounded(values: np.ndarray) -> np.ndarray:
         return np.array([float(v) for v in values])

@@ -16,7 +16,7 @@ import heyoka as hy
 import numpy as np
 
 from tasks.mechanics.equations import ZERO, Solver, Symbols, rows
-from tasks.mechanics.kernel import LANES, prepare_compiler
+from tasks.mechanics.kernel import LANES, CompiledFunction, prepare_compiler
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Problem
 from tasks.step.step_map import Stride
@@ -29,6 +29,10 @@ CAUSES = ("walks", "fell backward", "fell forward", "knee never struck", "foot n
 MAX_ANGLE, MAX_TIME = 1.2, 12.0
 #: Time step of the scan [sqrt(leg/g)], by whether there are knees: a free shank swings faster.
 _TIME_STEP = {False: 0.125, True: 0.0625}
+#: Time steps that are taken before strikes are looked for: at most so many, and so many of all lanes together.
+_MAX_BLOCK, _BLOCK = 8, 4096
+#: Angle, and change of an angle in a time step, at which a block ends [rad].
+_WILD = 4.0
 
 #: Dormand and Prince (J. Comput. Appl. Math. 6 (1980) 19-26), fifth order in six stages.
 _STAGES = (
@@ -72,7 +76,7 @@ class Scanner:
         self._lock = self._compile_lock() if structure.kneed else None
         self._strike = None if structure.kneed else self._compile_strike()
 
-    def _compile_step(self, free: bool) -> hy.cfunc:
+    def _compile_step(self, free: bool) -> CompiledFunction:
         p = Symbols(self.structure)
         n = 3 if free else 2
         x = list(hy.make_vars(*(f"x{i}" for i in range(2 * n))))
@@ -83,20 +87,20 @@ class Scanner:
             derivatives.append([*stage[n:], *Solver(M)(f)])
             terms = [(a, d) for a, d in zip(weights, derivatives, strict=True) if a]
             stage = [x[i] + h * sum((a * d[i] for a, d in terms), ZERO) for i in range(2 * n)]
-        return hy.cfunc(stage, vars=[*x, h, *p.variables], compact_mode=False)
+        return CompiledFunction(stage, [*x, h, *p.variables])
 
-    def _compile_lock(self) -> hy.cfunc:
+    def _compile_lock(self) -> CompiledFunction:
         p = Symbols(self.structure)
         x = list(hy.make_vars(*(f"x{i}" for i in range(6))))
-        return hy.cfunc(lock_knee(p, x), vars=[*x, *p.variables], compact_mode=False)
+        return CompiledFunction(lock_knee(p, x), [*x, *p.variables])
 
-    def _compile_strike(self) -> hy.cfunc:
+    def _compile_strike(self) -> CompiledFunction:
         p = Symbols(self.structure)
         x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
-        return hy.cfunc(end_of_step(self.structure, p, x), vars=[*x, *p.variables], compact_mode=False)
+        return CompiledFunction(end_of_step(self.structure, p, x), [*x, *p.variables])
 
     @staticmethod
-    def _call(function: hy.cfunc, *inputs: np.ndarray) -> np.ndarray:
+    def _call(function: CompiledFunction, *inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes padded to whole SIMD groups."""
         n = inputs[0].shape[1]
         padded = np.empty((sum(map(len, inputs)), n + -n % (4 * LANES)))
@@ -122,6 +126,7 @@ class Scanner:
         -------
         ndarray, shape (4, n)
         """
+        assert self._lock
         return self._call(self._lock, x, parameters)
 
     def strike(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
@@ -167,36 +172,67 @@ class Scanner:
         """
         n, h = x.shape[1], _TIME_STEP[self.structure.kneed]
         state, time, outcome = np.full_like(x, np.nan), np.zeros(n), np.full(n, LOST)
-        lanes, steps = np.arange(n), np.full(n, h)
-        for i in range(int(MAX_TIME / h)):
-            if not len(lanes):
-                return state, time, outcome
-            x_next = self._advance(free, x, steps[: len(lanes)], parameters)
-            fraction = _crossing(free, x, x_next, h)
+        lanes, i, last = np.arange(n), 0, int(MAX_TIME / h)
+        while len(lanes) and i < last:
+            count = min(last - i, max(1, min(_MAX_BLOCK, _BLOCK // len(lanes))))
+            X = self._advance_block(free, x, h, parameters, count)
+            count = len(X) - 1
+            fraction = _crossing(free, X, h)
             strikes = fraction >= 0
-            if strikes.any():
-                at, final = self._refine(free, x[:, strikes], fraction[strikes], h, parameters[:, strikes])
-                state[:, lanes[strikes]], time[lanes[strikes]], outcome[lanes[strikes]] = final, i * h + at, STRUCK
-            angle = x_next[0] * parameters[1]
+            angle = X[1:, 0] * parameters[1]
             with np.errstate(invalid="ignore"):
-                falls = {
-                    BACKWARD: angle > MAX_ANGLE,
+                # In the order in which they count; what follows the first of them in a lane does not.
+                ends = {
+                    STRUCK: strikes,
+                    LOST: ~np.isfinite(X[1:]).all(axis=1),
                     FORWARD: angle < -MAX_ANGLE,
-                    LOST: ~np.isfinite(x_next).all(axis=0),
+                    BACKWARD: angle > MAX_ANGLE,
+                    NO_KNEESTRIKE if free else NO_HEELSTRIKE: (
+                        begin[lanes] + np.arange(i + 1, i + count + 1)[:, None] * h > MAX_TIME
+                    ),
                 }
-            done = strikes.copy()
-            for cause, fallen in falls.items():
-                fallen &= ~strikes
-                outcome[lanes[fallen]] = cause
-                done |= fallen
-            late = ~done & (begin[lanes] + (i + 1) * h > MAX_TIME)
-            outcome[lanes[late]] = NO_KNEESTRIKE if free else NO_HEELSTRIKE
-            done |= late
-            x = x_next
+            any_end = np.any(list(ends.values()), axis=0)
+            done, first = any_end.any(axis=0), any_end.argmax(axis=0)
             if done.any():
-                lanes, x, parameters = lanes[~done], x[:, ~done], parameters[:, ~done]
+                k = np.flatnonzero(done)
+                j = first[k]
+                cause = np.full(len(k), LOST)
+                for end, when in reversed(ends.items()):
+                    cause[when[j, k]] = end
+                outcome[lanes[k]] = cause
+                k, j = k[cause == STRUCK], j[cause == STRUCK]
+                if len(k):
+                    at, final = self._refine(free, X[j, :, k].T, fraction[j, k], h, parameters[:, k])
+                    state[:, lanes[k]], time[lanes[k]] = final, (i + j) * h + at
+                lanes, x, parameters = lanes[~done], X[-1][:, ~done], parameters[:, ~done]
+            else:
+                x = X[-1]
+            i += count
         outcome[lanes] = NO_KNEESTRIKE if free else NO_HEELSTRIKE
         return state, time, outcome
+
+    def _advance_block(self, free: bool, x: np.ndarray, h: float, parameters: np.ndarray, count: int) -> np.ndarray:
+        """States (steps + 1, size, n) before and after each of up to `count` time steps.
+
+        A lane that strikes or falls on the way is integrated with the others. A block ends where the angles of one
+        became so large that in the next step the compiled sine might reduce those of its neighbours in another way.
+        """
+        size, n = x.shape
+        width = n + -n % (4 * LANES)
+        inputs = np.empty((size + 1 + len(parameters), width))
+        inputs[:size, :n], inputs[size], inputs[size + 1 :, :n] = x, h, parameters
+        inputs[:, n:] = inputs[:, n - 1 : n]
+        X = np.empty((count + 1, size, width))
+        X[0] = inputs[:size]
+        for k in range(count):
+            if k:
+                inputs[:size] = X[k]
+            self._step[free](inputs, outputs=X[k + 1])
+        scale, half = inputs[size + 2], size // 2
+        with np.errstate(invalid="ignore"):
+            moved = np.maximum(np.abs(X[1:-1, :half]).max(axis=1), h * np.abs(X[1:-1, half:]).max(axis=1)) * scale
+            wild = ~(moved < _WILD).all(axis=1)
+        return X[: 2 + int(wild.argmax()) if wild.any() else None, :, :n]
 
     def _refine(
         self, free: bool, x: np.ndarray, fraction: np.ndarray, h: float, parameters: np.ndarray
@@ -215,8 +251,17 @@ def _guard(free: bool, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (x[1] - x[2], x[4] - x[5]) if free else (x[0] + x[1], x[2] + x[3])
 
 
-def _crossing(free: bool, x: np.ndarray, x_next: np.ndarray, h: float) -> np.ndarray:
-    """Fraction of the time step at which the guard falls through zero, shape (n,); -1 where it does not.
+def _crossing(free: bool, X: np.ndarray, h: float) -> np.ndarray:
+    """Fraction of each time step at which the guard falls through zero, shape (steps, n); -1 where it does not.
+
+    Parameters
+    ----------
+    free : bool
+        To kneestrike with the knee free, or to heelstrike with it locked.
+    X : ndarray, shape (steps + 1, size, n)
+        Scaled states before and after each time step.
+    h : float [sqrt(leg/g)]
+        Time step.
 
     Notes
     -----
@@ -224,24 +269,23 @@ def _crossing(free: bool, x: np.ndarray, x_next: np.ndarray, h: float) -> np.nda
     time step the guard is its cubic Hermite polynomial, so that a dip below zero and back is detected too. Heelstrikes
     count only with the stance leg behind.
     """
-    (a, da), (b, db) = _guard(free, x), _guard(free, x_next)
-    da, db = h * da, h * db
+    g, dg = _guard(free, X.swapaxes(0, 1))
+    dg = h * dg
+    a, b, da, db = g[:-1], g[1:], dg[:-1], dg[1:]
     with np.errstate(invalid="ignore"):
-        through = (a > 0) & (b <= 0)
-        dips = (a > 0) & (b > 0) & (da < 0) & (db > 0)
+        crosses = (a > 0) & ((b <= 0) | ((da < 0) & (db > 0)))
         if not free:
-            through &= x_next[0] < 0
-            dips &= x_next[0] < 0
-    fraction = np.full(len(a), -1.0)
-    lanes = np.nonzero(through | dips)[0]
-    if not len(lanes):
+            crosses &= X[1:, 0] < 0
+    fraction = np.full(a.shape, -1.0)
+    lanes = np.nonzero(crosses)
+    if not len(lanes[0]):
         return fraction
     a, b, da, db = a[lanes], b[lanes], da[lanes], db[lanes]
     s = np.linspace(0.0, 1.0, 17)[:, None]
     value = a * (1 + 2 * s) * (1 - s) ** 2 + da * s * (1 - s) ** 2 + b * s * s * (3 - 2 * s) + db * s * s * (s - 1)
     below = value <= 0
     first = np.argmax(below, axis=0)
-    column = np.arange(len(lanes))
+    column = np.arange(len(a))
     high, low = value[np.maximum(first - 1, 0), column], value[first, column]
     with np.errstate(divide="ignore", invalid="ignore"):
         at = (first - 1 + high / (high - low)) / 16

@@ -20,7 +20,7 @@ import heyoka as hy
 import numpy as np
 
 from tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
-from tasks.mechanics.kernel import LANES, flow, prepare_compiler, whole_groups
+from tasks.mechanics.kernel import LANES, CompiledFunction, flow, prepare_compiler, whole_groups
 from tasks.mechanics.lumped import Structure
 from tasks.step.symbols import derivatives_along, end_of_step, flat, inverse, lock_knee, matrix, start_of_step
 
@@ -155,16 +155,13 @@ class StrideMap:
             self._knee = self._compile_knee()
         self._finish = self._compile_finish()
 
-    def _function(self, outputs: list[Sym], variables: list[Sym]) -> hy.cfunc:
-        return hy.cfunc(outputs, vars=variables, compact_mode=False)
-
-    def _compile_start(self) -> hy.cfunc:
+    def _compile_start(self) -> CompiledFunction:
         p = Symbols(self.structure)
         y = list(hy.make_vars(*(f"y{i}" for i in range(self.m))))
         state = start_of_step(self.structure, p, y)
-        return self._function(state + flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
+        return CompiledFunction(state + flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
 
-    def _compile_knee(self) -> hy.cfunc:
+    def _compile_knee(self) -> CompiledFunction:
         """From the end of three links to the start of two, with directions (y, duration, slope).
 
         The flow of two links carries its own field and three unit vectors beside it, whatever the directions: a part
@@ -189,9 +186,9 @@ class StrideMap:
         strike = [x[i] - field[i] * guard / closing for i in range(6)]
         strike += [D[i][d] - field[i] * guard_by[d] / closing for i in range(6) for d in range(self.m)]
         guards = [guard, *guard_by[: self.m], closing, *guard_by[self.m :]]
-        return self._function(lock + flat(parts) + guards + strike, [*x, *flat(D), *p.variables])
+        return CompiledFunction(lock + flat(parts) + guards + strike, [*x, *flat(D), *p.variables])
 
-    def _compile_finish(self) -> hy.cfunc:
+    def _compile_finish(self) -> CompiledFunction:
         """From the end of two links to the image on the section, its derivatives and the Newton step.
 
         Directions are (y, the duration of the phase with a free knee, slope), the second only with knees.
@@ -247,9 +244,9 @@ class StrideMap:
             *(struck(D[i], 0, x[i]) for i in (2, 3)),
             *(struck(D[i], 1 + d, D[i][d]) for i in (2, 3) for d in range(m)),
         ]
-        return self._function(outputs, [*y, *x, *flat(carried), *flat(parts), *flat(knee), *p.variables])
+        return CompiledFunction(outputs, [*y, *x, *flat(carried), *flat(parts), *flat(knee), *p.variables])
 
-    def _apply(self, function: hy.cfunc, inputs: np.ndarray) -> np.ndarray:
+    def _apply(self, function: CompiledFunction, inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes padded to whole SIMD groups, so that every lane runs the same code."""
         # A register's sines are computed in another way if one of its arguments is not finite.
         lost = ~np.isfinite(inputs).all(axis=0)
@@ -307,7 +304,7 @@ class StrideMap:
         """
         m, n = y.shape
         size = self.start_size
-        start, by_y = np.split(self.start(y, parameters), [size])
+        start, by_y = _split(self.start(y, parameters), size)
         D = by_y.reshape(size, m, n)
         if slope:
             D = np.concatenate([D, np.zeros((size, 1, n))], axis=1)
@@ -319,7 +316,7 @@ class StrideMap:
             final, phase = integrate(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             motion.append(phase)
             out = self._apply(self._knee, np.vstack([final[:6], _unlanes(final[6:], 6, m + 1), parameters]))
-            start2, parts, knee, strike = np.split(out, np.cumsum([4, 4 * (m + 2), m + 3]))
+            start2, parts, knee, strike = _split(out, 4, 4 * (m + 2), m + 3)
             D = np.broadcast_to(np.eye(4, 3 + slope, -1)[:, :, None], (4, 3 + slope, n))
             duration = times[1] - times[0]
             # Heelstrike is timed from the start of the step; a part along the field is a shift of time.
@@ -332,8 +329,8 @@ class StrideMap:
         motion.append(phase)
         directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)
         out = self._apply(self._finish, np.vstack([y, final[:4], directions, parts, knee, parameters]))
-        image, jacobian, by_slope, shifts, residual, derivative, moves, newton, impact, impact_by_y = np.split(
-            out, np.cumsum(finish_sizes(m, k))
+        image, jacobian, by_slope, shifts, residual, derivative, moves, newton, impact, impact_by_y = _split(
+            out, *finish_sizes(m, k)
         )
         derivative, moves = derivative.reshape(m + k, m + k + 1, n), moves.reshape(m + k, m + k, n)
         shifts = shifts.reshape(k, m + 2, n)
@@ -367,6 +364,14 @@ class StrideMap:
 def finish_sizes(m: int, k: int) -> tuple[int, ...]:
     """Lengths of all but the last of what the end of a step gives, for m coordinates and k phases."""
     return m, m * m, m, k * (m + 2), m + k, (m + k) * (m + k + 1), (m + k) ** 2, m + k, 2
+
+
+def _split(values: np.ndarray, *sizes: int) -> list[np.ndarray]:
+    """Parts of so many rows, and the rest."""
+    parts, end = [], 0
+    for size in sizes:
+        parts.append(values[end : (end := end + size)])
+    return [*parts, values[end:]]
 
 
 def _lanes(D: np.ndarray) -> np.ndarray:

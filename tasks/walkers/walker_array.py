@@ -71,6 +71,6 @@ class WalkerArray(Walker):
     @property
     def point_foot(self) -> bool:
         """Whether every leg's mass is one point at a foot of zero radius."""
-        hip_thigh = not np.any(self.m_t) or not np.any([self.c_t, self.w_t, self.r_t])
+        hip_thigh = not np.any(self.m_t) or not any(map(np.any, (self.c_t, self.w_t, self.r_t)))
         foot = np.all(self.c_s == self.l_s) and not (np.any(self.w_s) or np.any(self.r_s))
         return bool(hip_thigh and foot and not (np.any(self.R) or np.any(self.eps_T) or self.knees))

@@ -13,6 +13,7 @@ import zlib
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import netCDF4
 import numpy as np
@@ -345,6 +346,22 @@ class _Counted:
     def __getitem__(self, index):
         assert self.times[index].size <= max(100, self.times[:1].size if self.shape else 1)
         self.times[index] += 1
+
+
+def test_an_archive_that_crashes_the_library_is_not_opened_here(copy, monkeypatch):
+    """Another process has tried it, once for each state of the file."""
+    path, calls = copy, []
+    monkeypatch.setattr(read.subprocess, "run", lambda *_, **__: calls.append(1) or Mock(returncode=-11))
+    monkeypatch.setattr(netCDF4, "Dataset", None)
+    for _ in range(2):
+        with pytest.raises(ArchiveError, match="the netCDF library crashes on it"):
+            load(path)
+        assert read.not_attempted(path) is None
+    assert len(calls) == 4
+    monkeypatch.undo()
+    monkeypatch.setattr(read.subprocess, "run", lambda *_, **__: calls.append(1) or Mock(returncode=0))
+    load(path), load(path)
+    assert len(calls) == 5
 
 
 def test_an_archive_is_probed_in_every_value_some_at_a_time(monkeypatch):

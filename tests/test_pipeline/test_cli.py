@@ -19,9 +19,9 @@ import netCDF4
 import pytest
 
 from conftest import ROOT, STUDY, TOYS
-from pipeline.archive import write
+from pipeline.archive import read, write
 from pipeline.cli import commands
-from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError
+from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError, unwritten
 from pipeline.execution import locks, study_jobs
 from processes import sidecar_path
 
@@ -170,6 +170,41 @@ def test_a_folder_that_cannot_be_written_is_said(toy):
     assert "cannot be written" in toy("run", "toy.toml", expect=2).stderr
 
 
+@pytest.mark.parametrize("suffix", [".journal", ".journal-chunks", ".lock", ".events.jsonl", ".nc"])
+def test_a_folder_in_the_place_of_a_file_is_named(toy, suffix):
+    (toy.folder / "data" / "archive" / f"toy{suffix}").mkdir(parents=True)
+    (said,) = toy("run", "toy.toml", "--quiet", expect=2).stderr.splitlines()
+    assert "data/archive/toy" in said and f"toy{suffix}" in said and "directory" in said
+
+
+def test_a_limit_of_the_system_is_not_called_damage(toy, monkeypatch, capsys):
+    toy("run", "toy.toml")
+    archive = toy.folder / "data" / "archive" / "toy.nc"
+    for code, said in ((errno.EAGAIN, "Resource temporarily unavailable"), (errno.EMFILE, "Too many open files")):
+        monkeypatch.setattr(read.subprocess, "run", Mock(side_effect=OSError(code, os.strerror(code))))
+        assert commands.main(["verify", str(archive)]) == 3
+        assert capsys.readouterr().err == f"gaitsweep: {archive} cannot be tried in another process: {said}.\n"
+        error = unwritten(archive, OSError(code, os.strerror(code)))
+        assert (error.exit_code, str(error)) == (3, f"A limit of the system is reached: {said}.")
+    monkeypatch.setattr(read.subprocess, "run", Mock(return_value=Mock(returncode=1)))
+    assert commands.main(["verify", str(archive)]) == 3
+
+
+@pytest.mark.parametrize("files", [8, 12, 16])
+def test_few_file_handles_are_said_in_one_line(toy, files):
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_NOFILE, ({files}, {files}))"
+    program = f"{limit}\nimport runpy, sys\nsys.argv = sys.argv[1:]\nrunpy.run_path(sys.argv[0], run_name='__main__')"
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program, str(TOYS / "gaitsweep_toy.py"), "run", "toy.toml", "--quiet"],
+        cwd=toy.folder,
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{TOYS}"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode in (2, 3), done.stderr
+    assert "Internal" not in done.stderr and done.stderr.count("\n") == 1
+
+
 def test_status_tells_what_happened_to_people_and_machines(toy):
     assert "there is no record of a run" in toy("status", "toy.toml").stdout
     toy("run", "toy.toml", "--quiet")
@@ -248,6 +283,27 @@ def test_several_studies_end_with_one_account_of_them_all(toy):
     said = toy("run", "toy.toml", "other.toml").stderr.splitlines()
     assert said[-2].startswith("2 studies in ") and said[-2].endswith(": converged 800")
     assert said[-1].startswith("To see it: gaitsweep report data/archive/*.nc")
+
+
+def test_a_task_that_studies_share_is_computed_once(tmp_path, monkeypatch):
+    """Two studies of orbits over the same slopes; the second is refused nothing that the first has."""
+    monkeypatch.chdir(tmp_path)
+    text = 'name = "{}"\nkind = "orbit"\nwalker = "D"\n[axes]\nslope = [0.01]\n[options]\nsteps = 30\ntransient = {}\n'
+    for name, transient in (("a", 5), ("b", 5), ("c", 6)):
+        (tmp_path / f"{name}.toml").write_text(text.format(name, transient))
+    assert commands.main(["run", "a.toml", "b.toml", "c.toml", "--quiet"]) == 0
+    events = [
+        [json.loads(line) for line in Path(f"data/archive/{name}.events.jsonl").read_text().splitlines()]
+        for name in "abc"
+    ]
+    spent = [{e["task"]: e["seconds"] for e in log if e["event"] == "task"} for log in events]
+    assert sorted(s["atlas"] > 0 for s in spent) == [False, False, True]
+    assert sorted(s["orbit"] > 0 for s in spent[:2]) == [False, True] and spent[2]["orbit"] > 0
+    accounts = [
+        json.loads(Path(f"data/archive/{name}.run.json").read_text())["account"]["workers_cpu"] for name in "abc"
+    ]
+    assert 0.0 in accounts[:2]
+    assert commands.main(["diff", "data/archive/a.nc", "data/archive/b.nc"]) == 0
 
 
 def refused(toy):

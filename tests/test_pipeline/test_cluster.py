@@ -160,6 +160,43 @@ def test_workers_killed_at_random_blame_nobody(toy, whole, cluster, tell, seed):
 
 
 @pytest.mark.soak
+def test_a_cluster_that_loses_all_its_workers_goes_on_with_new_ones(toy, whole, cluster, tell):
+    cluster.add_worker(**SLOW)
+    cluster.add_worker()
+    process = toy.start("run", "toy.toml", "--cluster", cluster.address, "--chunk", 10)
+    for _ in range(3):
+        wait_for_points(toy, 1)
+        time.sleep(0.3)
+        for worker in cluster.workers:
+            worker.kill()
+            worker.wait()
+        assert process.poll() is None
+        time.sleep(3)  # longer than a count of the workers
+        assert process.poll() is None
+        cluster.workers = []
+        cluster.add_worker()
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert toy.bytes() == whole
+    tell("all workers of a cluster killed three times, and others added 3 s later: equal bytes")
+
+
+@pytest.mark.soak
+def test_few_file_handles_on_a_cluster_are_said_in_one_line(toy):
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (30, 30))"
+    program = f"{limit}\nimport runpy, sys\nsys.argv = sys.argv[1:]\nrunpy.run_path(sys.argv[0], run_name='__main__')"
+    words = [str(TOYS / "gaitsweep_toy.py"), "run", "toy.toml", "--quiet", "--cluster", "local:2"]
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program, *words],
+        cwd=toy.folder,
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{TOYS}"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 3 and done.stderr.count("\n") == 1 and "kept alive" in done.stderr, done.stderr
+
+
+@pytest.mark.soak
 def test_a_killed_scheduler_is_exit_3_and_the_run_resumes(toy, whole, cluster, tell):
     cluster.add_worker(**SLOW)
     process = toy.start("run", "toy.toml", "--cluster", cluster.address, "--chunk", 10, **SLOW)

@@ -40,6 +40,24 @@ def test_what_depends_on_a_task_is_in_its_depth_and_urgency(make):
     assert after["atlas"] == max(seconds["points"] + after["points"], seconds["landmarks"])
 
 
+def test_claims_wait_for_the_task_of_their_study_though_that_needs_no_atlas(make):
+    layers = graph.layers(make(kind="census", walker="D", axes={"slope": [0.01]}, want={"claims": ["G1"]}))
+    assert graph.depths(layers) == {"census": 1, "claims": 2}
+
+
+def test_the_loss_of_walking_is_located_once_for_studies_of_different_kinds(make):
+    """Chaos, its cascade and the claims on it read the same tables."""
+    studies = [
+        make(kind="orbit", walker=["C", "C-printed"], axes={"slope": [0.07, 0.08, 0.1]}, want={"fits": ["crises"]}),
+        make(kind="cascade", walker=["C-printed"], axes={"slope": [0.07, 0.1]}, want={"claims": ["K1", "K2"]}),
+    ]
+    keys = [{key for key in graph.expand(study) if not key.startswith(("crises", "claims"))} for study in studies]
+    assert sorted(key.partition("-")[0] for key in keys[0] & keys[1]) == ["atlas", "cascade", "corners"]
+    assert {key.partition("-")[0] for key in keys[0] - keys[1]} == {"atlas", "orbit", "cascade", "corners"}
+    others = graph.expand(make(want={"fits": ["crises"]})).values()
+    assert [len(parameters["slope"]) for name, parameters, _ in others if name == "cascade"] == [0, 0]
+
+
 def test_the_graph_is_plain_data_and_whole(make):
     nodes = graph.expand(make(want={"fits": ["scaling", "transition"]}))
     assert [key.split("-")[0] for key in nodes] == ["atlas", "points"] * 2 + ["scaling", "transition"]

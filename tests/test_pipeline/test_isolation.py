@@ -100,6 +100,12 @@ def test_a_run_that_was_suspended_blames_no_point(toy):
     assert (opened(toy).status.sel(gait="long") == 0).all()
 
 
+def test_a_point_that_takes_too_long_once_is_tried_again(toy):
+    toy.write(ONE_LINE.replace("n = 191", "n = 3"))
+    toy("run", "toy.toml", "--chunk", 1, TOY_TROUBLE=f"once@{np.linspace(0.01, 0.2, 3)[1]}")
+    assert (toy.folder / "hung").exists() and (opened(toy).status.sel(gait="long") == 0).all()
+
+
 def test_failed_points_are_kept_until_retried(toy):
     toy.write(LIMITED)
     toy("run", "toy.toml", expect=1, TOY_TROUBLE="raise@0.05 segfault@0.15")

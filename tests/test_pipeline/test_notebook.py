@@ -111,7 +111,8 @@ def test_a_table_is_a_frame_with_units(mine):
 
 def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
     text = 'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\n'
-    (tmp_path / "s.toml").write_text(text)
+    for name in ("s.toml", "a=b.toml"):
+        (tmp_path / name).write_text(text)
     from pipeline.api import studies
 
     read = [
@@ -119,6 +120,7 @@ def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
         for one in (
             tmp_path / "s.toml",
             str(tmp_path / "s.toml"),
+            str(tmp_path / "a=b.toml"),
             text,
             {"name": "s", "walker": "E", "axes": {"slope": np.array([0.01, 0.02])}},
         )

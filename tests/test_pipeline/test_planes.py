@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import pipeline
+from pipeline.api import in_memory
 from pipeline.errors import DiskFullError
 from pipeline.plan.missing import Plan
+from pipeline.statuses import ALL_STATUSES
 from pipeline.store.journal import Journal
 from pipeline.study.parse import read
 
@@ -101,3 +104,33 @@ def test_violations_are_measured_walker_by_walker(tmp_path):
     one = pipeline.gaits("B", plane.slope.values, R=0.2, m_s=0.12, variables=["scuff_depth"])
     depth = plane.scuff_depth.isel(R=-1, m_s=-1).sel(gait=BOTH)
     assert depth.values == pytest.approx(one.scuff_depth.sel(gait=BOTH).values, rel=1e-9)
+
+
+def test_arrays_over_a_plane_give_what_a_study_over_it_gives(archive, monkeypatch):
+    """Through the same cells, in whatever order the values come, and beside a slope that cannot be."""
+    monkeypatch.setattr(in_memory, "_survey", None)  # no line is surveyed by itself
+    plane = xr.load_dataset(archive).transpose("R", "m_s", "slope", ...)
+    R, m_s = plane.R.values[::-1, None, None], plane.m_s.values[:, None]
+    answer = pipeline.gaits("B", [0.01, 0.7, 0.008], R=R, m_s=m_s, variables=["stance_angle", "period", "loss_normal"])
+    assert (answer.status.values[:, :, 1] == ALL_STATUSES["raised"]).all()
+    answer = answer.isel(dim_0=slice(None, None, -1), dim_2=[2, 0], gait=slice(plane.sizes["gait"]))
+    for name in ("stance_angle", "period", "loss_normal", "error_bound", "status", "branch", "piece"):
+        np.testing.assert_array_equal(answer[name].values, plane[name].values)
+    words = (data.reason_text.values[data.reason.values] for data in (answer, plane))
+    np.testing.assert_array_equal(*words)
+
+
+def test_arrays_that_are_no_plane_are_solved_line_by_line(monkeypatch):
+    monkeypatch.setattr(in_memory.planes, "cells", None)
+    m_s = np.linspace(0.08, 0.12, 70)
+    R = np.where(np.arange(70) < 69, 0.1, 0.2)
+    assert (pipeline.gaits("B", 0.01, R=R, m_s=m_s, variables=["period"]).status.sel(gait=BOTH) == 0).all()
+
+
+def test_lines_of_cells_that_fail_are_solved_one_by_one(monkeypatch):
+    def fail(params, inputs):
+        raise FloatingPointError
+
+    monkeypatch.setattr("tasks.solve_planes.lines", fail)
+    answer = pipeline.gaits("B", 0.01, m_s=np.linspace(0.08, 0.12, 64), variables=["period"])
+    assert (answer.status.sel(gait=BOTH) == 0).all()

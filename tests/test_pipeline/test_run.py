@@ -37,6 +37,12 @@ def test_bytes_do_not_depend_on_workers_and_chunks(toy, whole, tell, jobs, chunk
     tell(f"local, --jobs {jobs}, --chunk {chunk}: equal bytes")
 
 
+def test_a_run_needs_no_shared_memory(toy, whole):
+    """As where there is no /dev/shm, and joblib makes no semaphores."""
+    toy("run", "toy.toml", JOBLIB_MULTIPROCESSING="0")
+    assert toy.bytes() == whole
+
+
 def test_the_same_command_again_computes_nothing(toy):
     toy("run", "toy.toml")
     first = toy.bytes()
@@ -254,6 +260,16 @@ def test_a_foreign_file_is_not_touched(toy):
             assert "move it away" in toy("run", "toy.toml", *options, expect=2).stderr
             assert journal(toy, what).read_text() == "not ours\n"
         journal(toy, what).unlink()
+
+
+def test_a_mangled_archive_is_replaced_unopened(toy, whole):
+    """What crashes or hangs the netCDF library is never given to it by the run itself."""
+    toy("run", "toy.toml")
+    archive = journal(toy, ".nc")
+    data = archive.read_bytes()
+    archive.write_bytes(data[: 1 << 14] + b"\xff" * (len(data) - (1 << 14)))
+    toy("run", "toy.toml")
+    assert toy.bytes() == whole
 
 
 def test_snapshots_can_be_read_while_the_run_goes_on(toy, whole):

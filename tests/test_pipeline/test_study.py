@@ -56,6 +56,7 @@ WRONG = {
         "foot_mass_ratio = [0.7]": "`foot_mass_ratio` must lie in [0, 0.5); got 0.7 (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = [0.1]\nm_h = [0.0, 1.0]": "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 0.0 (s.toml, axes.m_h).",
         "foot_mass_ratio = []": "`foot_mass_ratio` must hold at least one value; got [] (s.toml, axes.foot_mass_ratio).",
+        f"foot_mass_ratio = [{'9' * 400}]": f"`foot_mass_ratio` must be at most 1e300; got {'9' * 57} (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = [0.1, nan]": "`foot_mass_ratio` must be finite; got nan (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = [0.1, 0.2, 0.1]": "`foot_mass_ratio` must rise or fall throughout; got [0.1, 0.2, 0.1] (s.toml, axes.foot_mass_ratio).",
         "foot_mass_ratio = 0.1": "`foot_mass_ratio` must be a list, or a table of from, to, n and spacing; got 0.1"

@@ -2,8 +2,9 @@ import json
 import re
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
+from unittest.mock import Mock
 
 import netCDF4
 import numpy as np
@@ -178,6 +179,20 @@ def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
     again = pages.write(archives, tmp_path).parent
     for path in report.iterdir():
         assert path.read_bytes() == (again / path.name).read_bytes(), path.name
+
+
+@pytest.mark.parametrize("trouble", [None, OSError("no semaphores"), BrokenExecutor("killed")])
+def test_pages_made_in_one_process_or_several_have_the_same_bytes(report, archives, tmp_path, monkeypatch, trouble):
+    """Processes that cannot be had are done without."""
+    pool = Mock(side_effect=trouble) if trouble else Mock(wraps=ProcessPoolExecutor)
+    monkeypatch.setattr(pages.futures, "ProcessPoolExecutor", pool)
+    monkeypatch.setattr(pages.os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(pages.threading, "active_count", lambda: 1)
+    pages.write(archives, tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        path.name: path.read_bytes() for path in report.iterdir()
+    }
+    assert pool.called
 
 
 def test_a_report_adds_to_the_pages_already_there(report, archives, tmp_path):

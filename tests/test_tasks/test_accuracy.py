@@ -8,7 +8,7 @@ import pytest
 
 from lines import WANT, branches, solved
 from tasks import interpolate_points, status
-from tasks.accuracy import OF_INTEGRATION, nodes_for, significant_bits
+from tasks.accuracy import OF_INTEGRATION, is_interpolated, nodes_for, significant_bits
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
 from tasks.fixed_points.newton import lipschitz
@@ -31,7 +31,9 @@ def coarse(walker, slope, accuracy, want=SMOOTH, gaits=GAITS, **overrides):
     line = {"walker": walker, "set": overrides}
     found = atlas({"line": line, "coarse": True}, [])
     asked = {"slope": np.asarray(slope, float), "want": want, "gaits": gaits}
-    return points({"line": line, **asked, "accuracy": accuracy, "interpolated": True}, [found])
+    return points(
+        {"line": line, **asked, "accuracy": accuracy, "interpolated": is_interpolated(want, accuracy)}, [found]
+    )
 
 
 def slopes(walker, **overrides):
@@ -308,7 +310,8 @@ def test_a_bound_beyond_the_accuracy_is_told():
         "error_bound": np.array([[1e-7, 2e-6, np.nan, 0.9e-6]]),
         "stance_angle": np.array([[0.1234567890123, 0.2, np.nan, 0.3]]),
     }
-    found = to_accuracy(out, 1e-6)
+    found = {name: values.copy() for name, values in out.items()}
+    to_accuracy(found, 1e-6)
     assert found["status"].tolist() == [[0, status.LESS_ACCURATE, 2, 0]]
     assert found["reason"].tolist() == [[0, status.COARSE_REASON, 3, 0]]
     assert found["error_bound"][0, 3] <= 1e-6

@@ -13,8 +13,8 @@ from tasks.families.patch import along, basis, coordinate, fit
 from tasks.families.pieces import Piece
 from tasks.measures.smooth import Smooth
 from tasks.mechanics.lumped import common_structure, constants_of
-from tasks.registry import ALWAYS, GAITS
-from tasks.solve_planes import lines, solve
+from tasks.registry import ALWAYS
+from tasks.solve_planes import lines
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.walkers.resolve import resolve, resolve_many
 
@@ -95,6 +95,12 @@ def test_an_array_of_walkers_has_the_constants_of_each(walker, keys):
         assert many.some(np.array([i])).leg == pytest.approx(one.leg, rel=1e-15)
 
 
+def test_an_offset_of_point_feet_may_be_a_key():
+    """Offsets that differ from walker to walker stand beside zeros that all of them share."""
+    many = resolve_many("E", {"w_t": np.array([0.01, 0.02]), "m_s": np.array([0.1, 0.11])})
+    assert not many.point_foot and many[0] == resolve("E", {"w_t": 0.01, "m_s": 0.1})
+
+
 @pytest.mark.parametrize("name", PLANES)
 def test_a_plane_gives_what_its_lines_give(name):
     params = block(name, 24)
@@ -112,11 +118,14 @@ def test_a_plane_gives_what_its_lines_give(name):
     assert by_patch >= 22
 
 
-def test_a_line_of_a_plane_does_not_depend_on_its_company():
-    params = block("B", 12)
-    part = by_line({**params, "lines": params["lines"][7:9]})
-    for one, other in zip(by_line(params)[7:9], part, strict=True):
-        assert all(np.array_equal(one[k], other[k], equal_nan=True) for k in WANT)
+@pytest.mark.parametrize(("name", "accuracy"), [("B", 0.0), ("A", 0.0), ("B", 1e-5)])
+def test_a_line_of_a_plane_does_not_depend_on_its_company(name, accuracy):
+    """Nor is there need of any: some lines of A alone have no slope on a piece that others have there."""
+    params = {**block(name, 12), "accuracy": accuracy}
+    together = by_line(params)
+    for i in range(12):
+        (alone,) = by_line({**params, "lines": params["lines"][i : i + 1]})
+        assert all(np.array_equal(alone[k], together[i][k], equal_nan=True) for k in WANT)
 
 
 @pytest.fixture(scope="module")
@@ -124,38 +133,10 @@ def cell():
     return cell_of("B", 0.01)
 
 
-def solved(family, cell):
-    keys = cell.box.at(np.random.default_rng(3).uniform(-1, 1, (30, 2)))
-    return solve(family, cell, keys, np.array([0.01]), WANT, set(GAITS))
-
-
-def test_wrong_patches_change_no_accepted_value(cell):
-    family, right = cell
-    out, accepted = solved(family, right)
-    assert accepted.all()
-    wrong = copy.deepcopy(right)
-    for patch in wrong.patches:
-        patch.gaits *= 1 + 1e-4
-    other, accepted = solved(family, wrong)
-    assert not accepted.all()  # farther from their predictions than any that was measured
-    for patch in wrong.patches:
-        patch.error = 1.0
-    other, accepted = solved(family, wrong)
-    assert accepted.all()
-    bound = out["error_bound"] + other["error_bound"]
-    gaits = out["status"] == 0
-    assert (np.abs(out["period"] / other["period"] - 1)[gaits] <= bound[gaits]).all()
-    a, b = wrong.patches
-    a.gaits, a.sizes, a.ends, b.gaits, b.sizes, b.ends = b.gaits, b.sizes, b.ends, a.gaits, a.sizes, a.ends
-    assert not solved(family, wrong)[1].any()
-
-
-def test_a_dropped_and_an_invented_branch_are_found(cell):
+def test_an_invented_branch_is_found(cell):
     family, right = cell
     maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL))
     maker.check(right.patches)
-    with pytest.raises(Refused, match="further piece"):
-        maker.check(right.patches[:1])
     moved = copy.deepcopy(right.patches)
     moved[0].gaits[0] += 0.5
     with pytest.raises(Refused, match="lacks a piece"):

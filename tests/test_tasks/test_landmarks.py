@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tasks.fits.transition import fitted_lines
-from tasks.locate_landmarks import landmarks
+from tasks.locate_landmarks import corners, crises, landmarks
 from tasks.paper.lines import line
 from tasks.solve_points import atlas
 
@@ -40,7 +40,8 @@ def test_landmarks_do_not_depend_on_what_their_process_computed_before():
     tables = []
     for k in (0, 1, 0):
         tables.append(landmarks({"lines": [{"walker": "D", "set": {}, "name": "D"}]}, [given[k]]))
-        assert line("D").arrays is given[k]
+        assert line("D").arrays.keys() == given[k].keys()
+        assert all(line("D").arrays[name] is values for name, values in given[k].items())
     assert tables[0]["landmarks/slope"].tolist() == tables[2]["landmarks/slope"].tolist()
 
 
@@ -49,6 +50,23 @@ def test_an_exact_walkers_landmark_has_no_interval_of_rounding():
     assert flip["slope"] == pytest.approx(0.0150884379411195, rel=1e-11)
     assert flip["slope_low"] == flip["slope_high"] == flip["slope"]
     assert abs(flip["printed"] - flip["slope"]) < flip["half_unit"] == 5e-4
+
+
+def test_the_loss_of_walking_is_read_from_the_tables_of_its_line():
+    """What other tasks have located is tabulated, not located again."""
+    lines = [{"walker": w, "set": {}, "name": w} for w in ("C", "D", "E")]
+    lost = {"lost/family": np.array(["1"]), "lost/low": np.array([0.1]), "lost/high": np.array([0.11])}
+    rounding = {"corners/low": np.array([0.08, 0.12]), "corners/high": np.array([0.09, 0.13])}
+    table = crises({"lines": lines}, [{**lost, **rounding}, lost, {}])
+    assert table["crises/walker"].tolist() == ["C", "D"]
+    assert table["crises/slope"].tolist() == [0.5 * (0.1 + 0.11)] * 2
+    assert table["crises/slope_low"].tolist() == [0.08, 0.1] and table["crises/slope_high"].tolist() == [0.13, 0.11]
+
+
+def test_walkers_without_rounded_parameters_have_no_corners():
+    for walker, settings in (("D", {}), ("E", {}), ("C", {"R": 0.1}), ({"l_t": 1.0}, {})):
+        table = corners({"line": {"walker": walker, "set": settings}}, [{}])
+        assert {name: len(column) for name, column in table.items()} == {"corners/low": 0, "corners/high": 0}
 
 
 def test_a_study_without_walkers_of_the_paper_has_no_landmarks():

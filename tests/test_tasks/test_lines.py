@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lines import WANT
+from tasks import solve_points
 from tasks.mechanics.kernel import LANES
 from tasks.registry import GAITS
 from tasks.solve_points import atlas, lines, points
@@ -49,6 +50,27 @@ def test_a_line_does_not_depend_on_its_company(name):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_a_line_does_not_depend_on_its_company_in_large_blocks(name):
     assert_independent(drawn(name, 64), [1, 7, 64])
+
+
+def test_lines_that_a_process_has_surveyed_are_not_surveyed_again(monkeypatch):
+    """In a block of other lines and of another study, they keep their bits."""
+    surveyed, survey = [], solve_points.atlases.survey_lines
+    monkeypatch.setattr(solve_points, "_MAX_SURVEYED", 3)
+    monkeypatch.setattr(
+        solve_points.atlases, "survey_lines", lambda p, t: surveyed.append(len(p.walkers)) or survey(p, t)
+    )
+    a, b, c, d = drawn("E", 4)
+    first, later = block([a, b]), block([b, c], SLOPES[:5])
+    assert surveyed == [2, 1]
+    assert_same(later[0][:1], first[1][:1])
+    (alone,) = block([b], SLOPES[:5])
+    assert_same(alone, later[0])
+    fine = atlas({"line": b}, [])
+    assert surveyed == [2, 1, 1] and len(fine["Z"]) != len(alone[0]["Z"])
+    block([d])  # of four lines the earliest is forgotten
+    assert len(solve_points._surveyed) == 3
+    solve_points._surveyed.clear()
+    assert_same(block([b], SLOPES[:5])[0], alone)
 
 
 def test_a_block_holds_lines_of_any_structure():

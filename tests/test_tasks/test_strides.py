@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from oracle import Oracle, SimplestWalker, StepFailed
+from tasks.mechanics.kernel import integrating_seconds
+from tasks.step import simulate
 from tasks.step.problem import Problem
 from tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
 from tasks.walkers.resolve import resolve
@@ -14,6 +16,29 @@ LONG_D = np.array([[0.2003109005442470894], [-0.1998324730049523546]])
 @pytest.fixture(scope="module")
 def simplest():
     return Problem(resolve("D"))
+
+
+@pytest.mark.parametrize("walker", ["D", "A", "C"])
+def test_bits_do_not_depend_on_how_often_strikes_are_looked_for(monkeypatch, walker):
+    """Walkers that strike, fall either way or are lost in the middle of a block of time steps."""
+    problem = Problem(resolve(walker))
+    dice = np.random.default_rng(5)
+    y = np.vstack([dice.uniform(0.02, 0.6, 99), *dice.uniform(-1.2, 0.4, (problem.m - 1, 99))])
+    slope = dice.uniform(1e-3, 0.2, 99)
+    whole = stride(problem, y, slope, exact=False)
+    assert len(set(whole.outcome.tolist())) > 2 and (whole.outcome == STRUCK).sum() > 5
+    monkeypatch.setattr(simulate, "_MAX_BLOCK", 1)
+    single = stride(problem, y, slope, exact=False)
+    for name in ("image", "times", "outcome"):
+        assert getattr(whole, name).tobytes() == getattr(single, name).tobytes()
+
+
+def test_time_in_compiled_code_is_counted(simplest):
+    """Of a simulation too, which integrates by functions of its own."""
+    before = integrating_seconds()
+    for _ in range(20):
+        stride(simplest, np.tile(LONG_D, 999), np.full(999, 0.009), exact=False)
+    assert integrating_seconds() > before
 
 
 def test_the_published_gait_comes_back_to_itself(simplest):

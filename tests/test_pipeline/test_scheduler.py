@@ -1,0 +1,46 @@
+"""The order of the jobs of several studies."""
+
+import contextlib
+import itertools
+
+import pytest
+
+from pipeline.execution.executors import Engine
+from pipeline.execution.scheduler import Scheduler
+from pipeline.execution.study_jobs import StudyJobs
+from pipeline.plan.missing import Plan
+from pipeline.store.journal import Journal
+from pipeline.study import parse
+
+TEXT = 'name = "{}"\nkind = "branch"\nwalker = "{}"\n[axes]\nslope = [0.01, 0.02]\n{} = [0.1, 0.2, 0.3]\n'
+
+
+@pytest.fixture
+def scheduler(tmp_path):
+    """Of two studies of three lines, with knees and without."""
+    engine, studies = Engine(2), []
+    with contextlib.ExitStack() as stack:
+        for walker, key in (("C", "detuning"), ("E", "foot_mass_ratio")):
+            (tmp_path / f"{walker}.toml").write_text(TEXT.format(walker, walker, key))
+            study = parse.read(tmp_path / f"{walker}.toml")
+            journal = stack.enter_context(contextlib.closing(Journal(tmp_path / walker)))
+            studies.append(StudyJobs(Plan(study, journal), engine, lambda *_: None, study.points))
+            studies[-1].advance()
+        yield Scheduler(studies, engine)
+
+
+def _walkers(scheduler, n):
+    return [request.params["line"]["walker"] for _, request in itertools.islice(scheduler._ready(), n)]
+
+
+def test_one_worker_compiles_the_equations_of_knees_while_others_do_other_work(scheduler):
+    assert scheduler.studies[0].urgency > scheduler.studies[1].urgency
+    assert _walkers(scheduler, 3) == ["C", "E", "E"]
+    del scheduler.running[0]  # it has compiled them
+    assert _walkers(scheduler, 2) == ["C", "C"]
+    assert _walkers(scheduler, 9) == ["E"]
+
+
+def test_a_worker_without_other_work_does_not_wait_for_code(scheduler):
+    scheduler.studies = scheduler.studies[:1]
+    assert _walkers(scheduler, 9) == ["C", "C", "C"]

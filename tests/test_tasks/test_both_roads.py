@@ -1,0 +1,199 @@
+"""Patches and lines give the same gaits at random points of six families, and those of 113 bits."""
+
+import copy
+from dataclasses import dataclass, field
+
+import mpmath as mp
+import numpy as np
+import pytest
+
+import extended
+from tasks.continuation.atlas import from_arrays
+from tasks.families.box import Box
+from tasks.families.cell import PANEL, Family, Refused, _Maker, make
+from tasks.registry import ALWAYS, GAITS
+from tasks.solve_planes import lines, solve
+from tasks.solve_points import lines as lines_side_by_side
+from tasks.solve_points import points
+from tasks.walkers.resolve import resolve
+
+RATES = ("stance_rate", "thigh_rate", "shank_rate")
+VALUES = ("stance_angle", *RATES, "period")
+WANT = (*VALUES, "kneestrike_time", "spectral_radius", "multiplier_error_bound", *ALWAYS)
+#: Walker, keys with their ranges, and a slope [rad] in each panel. In the last four families folds and ends of branches
+#: lie inside: at tangential heelstrike for straight legs, at kneestrike and tangential heelstrike for knees.
+FAMILIES = {
+    "B": ("B", {"m_s": (0.05, 0.15), "R": (0.0, 0.12)}, (0.004, 0.01, 0.02)),
+    "E": ("E", {"foot_mass_ratio": (0.1, 0.2)}, (0.003, 0.01, 0.02)),
+    "E with offset": ("E", {"w_t": (0.01, 0.013), "m_s": (0.09, 0.11)}, (0.0045, 0.0055, 0.015, 0.02)),
+    "A": ("A", {"detuning": (0.75, 0.9), "m_h": (1.0, 1.5)}, (0.009, 0.01, 0.03, 0.035)),
+    "C": ("C", {"detuning": (0.3, 0.4), "m_h": (0.0, 0.5)}, (0.005, 0.007, 0.012, 0.03)),
+    "physical": ("physical", {"w_s": (0.024, 0.026), "R": (0.195, 0.205)}, (0.02, 0.022, 0.035, 0.053)),
+}
+#: Slopes of a line, and how many of them lie near its folds and ends, at distances from 3e-4 to 1e-2 in ln slope.
+EACH, NEAR = 20, 3
+
+
+@dataclass
+class Outcome:
+    """Points compared by both roads, their gaits, those of lines that patches gave, and what differs."""
+
+    points: int = 0
+    gaits: int = 0
+    by_patch: int = 0
+    near: int = 0
+    checked: int = 0
+    worst: float = 0.0
+    worst_exact: float = 0.0
+    wrong: list = field(default_factory=list)
+
+
+def slopes(random, branches, inside):
+    """Slopes of a line: in a panel, and near folds and ends of its branches that lie in it; the number of these."""
+    low = np.floor(np.log(inside) / PANEL) * PANEL
+    places = [b.q[at] for b in branches for at in (0, *(f for f, _ in b.pieces()[1:]), -1)]
+    places = [q for q in places if low < q < low + PANEL]
+    near = [
+        random.choice(places) + random.choice([-1, 1]) * 10 ** random.uniform(-3.5, -2) for _ in places and range(NEAR)
+    ]
+    near = np.clip(near, low, np.nextafter(low + PANEL, low))
+    return np.exp(np.sort([*near, *random.uniform(low, low + PANEL, EACH - len(near))])), len(near)
+
+
+def off(one, other, bounded_by):
+    """Differences of values over the sum of both bounds; rates over the largest rate."""
+    fastest = np.max([np.abs(other[name]) for name in RATES], axis=0)
+    sizes = {name: fastest if name in RATES else np.abs(other[name]) for name in VALUES}
+    each = [np.abs(one[name] - other[name]) / sizes[name] for name in VALUES]
+    return np.max(each, axis=0) / bounded_by
+
+
+def compare(outcome, name, count, exact, seed=0):
+    """Compare both roads on some lines of a family, and some of their gaits with those of 113 bits."""
+    walker, keys, panels = FAMILIES[name]
+    random = np.random.default_rng(seed)
+    drawn = [{key: float(random.uniform(*side)) for key, side in keys.items()} for _ in range(count)]
+    low, high = ([side[i] for side in keys.values()] for i in (0, 1))
+    cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
+    every = [{"walker": walker, "set": one} for one in drawn]
+    surveyed = []
+    for k in range(0, count, 24):
+        surveyed += lines_side_by_side({"lines": every[k : k + 24], "slope": [panels[0]], "want": ALWAYS}, [])
+    found = []
+    for i, (line, (atlas, _)) in enumerate(zip(every, surveyed, strict=True)):
+        slope, near = slopes(random, from_arrays(atlas), panels[i % len(panels)])
+        asked = {"slope": slope, "want": WANT}
+        other = points({"line": line, **asked}, [atlas])
+        ((_, one),) = lines({"lines": [line], "cell": cell, **asked}, [])
+        by_patch = int(one["reason"].max()) < 6
+        outcome.points += EACH
+        outcome.near += near * by_patch
+        outcome.by_patch += EACH * by_patch
+        if not np.array_equal(one["status"], other["status"]):
+            at = np.argwhere(one["status"] != other["status"]).tolist()
+            said = [(slope[i], GAITS[g], int(one["status"][i, g]), int(other["status"][i, g])) for i, g in at]
+            outcome.wrong.append((name, line["set"], by_patch, said))
+            continue
+        there = other["status"] == 0
+        outcome.gaits += there.sum()
+        one, other = ({key: v[there] for key, v in each.items() if key in WANT} for each in (one, other))
+        share = off(one, other, one["error_bound"] + other["error_bound"])
+        bound = one["multiplier_error_bound"] + other["multiplier_error_bound"]
+        share = np.maximum(share, np.abs(one["spectral_radius"] - other["spectral_radius"]) / bound)
+        outcome.worst = max(outcome.worst, share.max(initial=0))
+        if share.max(initial=0) > 1 or not np.array_equal(np.isnan(one["period"]), np.isnan(other["period"])):
+            outcome.wrong.append((name, line["set"], by_patch, share.max()))
+        at_slope = np.nonzero(there)[0]
+        found += [
+            (line, slope[at_slope[i]], {key: float(v[i]) for key, v in one.items()})
+            for i in range(len(share))
+            if by_patch
+        ]
+    for k in random.permutation(len(found))[:exact].tolist():
+        line, slope, gait = found[k]
+        outcome.worst_exact = max(outcome.worst_exact, error_of(line, slope, gait))
+        outcome.checked += 1
+    return outcome
+
+
+def error_of(line, slope, gait):
+    """Error of a gait, over its bound, against Lagrange's equations and impacts in 113 bits."""
+    table = resolve(line["walker"], line["set"]).table()
+    names = VALUES[:4] if table["knees"] else VALUES[:3]
+    times = ("kneestrike_time", "period") if table["knees"] else ("period",)
+    _, exact, _ = extended.solve(table, slope, [gait[name] for name in (*names, *times)])
+    fastest = max(abs(gait[name]) for name in RATES)
+    errors = [
+        abs(mp.mpf(gait[name]) - value) / (fastest if name in RATES else value)
+        for name, value in zip((*names, *times), exact, strict=True)
+        if name != "kneestrike_time"
+    ]
+    return float(max(errors)) / gait["error_bound"]
+
+
+@pytest.mark.parametrize("count", [3, pytest.param(84, marks=pytest.mark.soak)])
+def test_both_roads_agree(count, tell):
+    """The short test takes the families whose lines are cheap, the long one 10,080 points and 300 references."""
+    outcome = Outcome()
+    for name in FAMILIES if count > 3 else ("B", "E", "E with offset"):
+        compare(outcome, name, count, exact=50 if count > 3 else 1)
+    tell(
+        f"{outcome.points} points, {outcome.gaits} gaits; {outcome.by_patch} points by patches, of these {outcome.near}"
+        f" near folds and ends; {outcome.checked} checked with 113 bits; differences up to {outcome.worst:.2f} of the"
+        f" sum of both bounds, errors up to {outcome.worst_exact:.2f} of their bound"
+    )
+    assert not outcome.wrong
+    assert outcome.by_patch > 0.8 * outcome.points and outcome.near >= 5 * (count > 3)
+    assert outcome.worst_exact <= 1 and outcome.checked == (300 if count > 3 else 3)
+
+
+LONG = [pytest.param(name, marks=pytest.mark.soak) for name in FAMILIES if name not in ("B", "E")]
+
+
+@pytest.mark.parametrize("name", ["B", "E", *LONG])
+def test_wrong_patches_change_no_accepted_value(name):
+    walker, keys, panels = FAMILIES[name]
+    family = Family.of({"walker": walker, "set": {}}, tuple(keys))
+    box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)))
+    low = float(np.floor(np.log(panels[-1]) / PANEL) * PANEL)
+    (right,) = make(family, box, low, lambda part: 1000)
+    at = box.at(np.random.default_rng(3).uniform(-1, 1, (30, len(keys))))
+    slope = np.exp(low + PANEL * np.array([0.2, 0.7]))
+
+    def solved(cell):
+        return solve(family, cell, at, slope, WANT, set(GAITS))
+
+    out, accepted = solved(right)
+    assert accepted.mean() > 0.8
+
+    def assert_unchanged(other, still):
+        """Every gait of an accepted line is one of the right gaits at its point."""
+        for line in np.flatnonzero(accepted & still):
+            for k, g in np.argwhere(other["status"][line] == 0):
+                period, bound = other["period"][line, k, g], other["error_bound"][line, k, g]
+                bounds = bound + np.nan_to_num(out["error_bound"][line, k])
+                assert (np.abs(out["period"][line, k] / period - 1) <= bounds).any()
+
+    wrong = copy.deepcopy(right)
+    for patch in wrong.patches:
+        patch.gaits *= 1 + 1e-4
+    other, still = solved(wrong)
+    assert_unchanged(other, still)
+    assert not still.all()  # farther from their predictions than any that was measured
+    for patch in wrong.patches:
+        patch.error = 1.0
+    other, still = solved(wrong)
+    assert_unchanged(other, still)
+    assert still[accepted].mean() > 0.8
+    assert np.array_equal(other["status"][accepted & still], out["status"][accepted & still])
+    a, b = wrong.patches
+    a.gaits, a.sizes, a.ends, b.gaits, b.sizes, b.ends = b.gaits, b.sizes, b.ends, a.gaits, a.sizes, a.ends
+    assert_unchanged(*solved(wrong))
+    maker = _Maker(family, box, low)
+    maker.check(right.patches)
+    for k in range(len(right.patches)):
+        fewer = copy.deepcopy(right)
+        del fewer.patches[k]
+        assert_unchanged(*solved(fewer))
+        with pytest.raises(Refused, match="further piece"):
+            maker.check(fewer.patches)

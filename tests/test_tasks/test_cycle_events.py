@@ -1,0 +1,148 @@
+"""Bounds on the slopes of flips and folds of period n: against 113 bits, and their linearised equations."""
+
+from dataclasses import replace
+
+import heyoka as hy
+import numpy as np
+import pytest
+
+from lines import _atlas
+from tasks import locate_cascade
+from tasks.continuation.cycle_events import _LEAST, _test, slope_error
+from tasks.mechanics.lumped import lump
+from tasks.step.extended_precision import _extended_step_map
+from tasks.step.problem import Problem
+from tasks.walkers.resolve import resolve
+
+R = hy.real128
+
+
+def family(walker, low, high, longest, first=1):
+    problem, slopes = Problem(resolve(walker)), np.linspace(low, high, 3)
+    start = locate_cascade._first_gaits(problem, _atlas(walker, ()), slopes, first, 200)[0]
+    return problem, list(locate_cascade._follow_family(problem, start, slopes, longest)[0])
+
+
+def wide(values):
+    return np.vectorize(R, otypes=[R])(values)
+
+
+def product(a, b):
+    return np.array([[sum(x * y for x, y in zip(row, column, strict=True)) for column in b.T] for row in a], R)
+
+
+def step(exact, constants, y, times, slope):
+    """Image, event times and Jacobian of a step in 113 bits, by differences extrapolated to fourth order."""
+    m, z = len(y), np.concatenate([y, times])
+    parameters = np.array([slope, R(1), *constants], R)
+
+    def values(z):
+        residual = exact(z[:m], z[m:], parameters)[0]
+        return np.concatenate([residual[:m] + z[:m], residual[m:]])
+
+    def difference(i, h):
+        ends = [z.copy(), z.copy()]
+        ends[0][i], ends[1][i] = z[i] + h, z[i] - h
+        return (values(ends[0]) - values(ends[1])) / (R(2) * h)
+
+    h = R(2) ** -30
+    J = np.array([(R(4) * difference(i, h / R(2)) - difference(i, h)) / R(3) for i in range(len(z))], R).T
+    base, G = values(z), J[m:, m:]
+    if len(times) == 1:
+        inverse = np.array([[R(1) / G[0, 0]]], R)
+    else:
+        inverse = np.array([[G[1, 1], -G[0, 1]], [-G[1, 0], G[0, 0]]], R) / (G[0, 0] * G[1, 1] - G[0, 1] * G[1, 0])
+    late, by_y = -product(inverse, base[m:, None]), -product(inverse, J[m:, :m])
+    image = base[:m] + product(J[:m, m:], late)[:, 0]
+    return image, times + late[:, 0], J[:m, :m] + product(J[:m, m:], by_y)
+
+
+def determinant(a):
+    if len(a) == 1:
+        return a[0, 0]
+    minors = [a[0, j] * determinant(np.delete(a[1:], j, 1)) for j in range(len(a))]
+    return sum(x if j % 2 == 0 else -x for j, x in enumerate(minors))
+
+
+def flip_in_113_bits(problem, cycle):
+    """Slope of a flip: the secant method on det(M + 1), the gait at each slope by Newton on all sections."""
+    exact, constants = _extended_step_map(problem.structure, 1), lump(problem.walker, R)
+    constants = [constants[name] for name in problem.structure.constants]
+    Y, times = wide(cycle.Y), wide(cycle.times)
+    m, n = Y.shape
+
+    def test(slope):
+        for _ in range(8):
+            steps = [step(exact, constants, Y[:, i], times[:, i], slope) for i in range(n)]
+            matrix, residual = np.zeros((m * n, m * n)), np.zeros(m * n)
+            for i, (image, _, A) in enumerate(steps):
+                own, after = slice(m * i, m * i + m), m * ((i + 1) % n)
+                matrix[own, own] += A.astype(float)
+                matrix[own, after : after + m] -= np.eye(m)
+                residual[own] = (image - Y[:, (i + 1) % n]).astype(float)
+            change = -np.linalg.solve(matrix, residual).reshape(n, m).T
+            late = max(abs(float(x)) for i in range(n) for x in steps[i][1] - times[:, i])
+            Y[:] = Y + wide(change)
+            times[:] = np.array([each[1] for each in steps], R).T
+            if max(np.abs(change).max(), late) < 1e-22:
+                break
+        M = wide(np.eye(m))
+        for _, _, A in steps:
+            M = product(A, M)
+        return determinant(M + wide(np.eye(m)))
+
+    a = R(cycle.slope)
+    b = a * (R(1) + R(1e-10))
+    at_a, at_b = test(a), test(b)
+    while abs(float((b - a) / b)) > 1e-19:
+        a, at_a, b = b, at_b, b - at_b * (b - a) / (at_b - at_a)
+        at_b = test(b)
+    return b
+
+
+CASES = [
+    ("D", 0.0145, 0.0195, 4),
+    pytest.param("D", 0.0145, 0.0195, 16, marks=pytest.mark.soak),
+    pytest.param("C", 0.07, 0.1, 4, marks=pytest.mark.soak),
+    pytest.param("B", 3e-4, 0.03, 4, marks=pytest.mark.soak),
+]
+
+
+@pytest.mark.parametrize(("walker", "low", "high", "longest"), CASES)
+def test_the_bound_of_a_flips_slope_holds_against_113_bits(walker, low, high, longest, tell):
+    problem, events = family(walker, low, high, longest)
+    for event in events:
+        slope = flip_in_113_bits(problem, event.cycle)
+        error = abs(float((R(event.cycle.slope) - slope) / slope))
+        tell(f"{walker}, period {event.cycle.period}: error {error:.1e}, bound {event.error:.1e}")
+        assert error < event.error < 4e-12
+
+
+@pytest.mark.parametrize("first", [1, 3])
+def test_a_slope_that_is_off_is_told(first):
+    """The bound is linear in what is left to a solution: a gait at another slope is off by just that."""
+    window = (0.0145, 0.0195) if first == 1 else (0.0122, 0.0130)
+    problem, events = family("D", *window, 2 * first, first)
+    assert [e.kind for e in events] == (["flip", "flip"] if first == 1 else ["fold", "flip", "flip"])
+    for event in events:
+        for off in (1e-9, -3e-8):
+            moved = replace(event.cycle, q=event.cycle.q + off)
+            assert slope_error(problem, moved, event.kind) == pytest.approx(abs(off), rel=1e-3)
+        assert _LEAST < slope_error(problem, event.cycle, event.kind) < 1e-12
+
+
+def test_the_derivative_of_the_test_function_is_that_of_the_determinant():
+    A = np.random.default_rng(1).normal(size=(3, 3, 4))
+
+    def value(A):
+        M = np.eye(3)
+        for i in range(4):
+            M = A[:, :, i] @ M
+        return np.linalg.det(M + np.eye(3))
+
+    test, by_A = _test(A)
+    assert test == pytest.approx(value(A), rel=1e-12)
+    for index in np.ndindex(A.shape):
+        h = np.zeros(A.shape)
+        h[index] = 1e-6
+        assert by_A[index] == pytest.approx((value(A + h) - value(A - h)) / 2e-6, rel=1e-6, abs=1e-7)
