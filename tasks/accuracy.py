@@ -1,12 +1,20 @@
-"""What an accuracy leaves to do and to keep. Like the registry, it imports no solver."""
+"""What must be computed and kept for a wanted accuracy. Like the registry, it imports no solver."""
 
 import math
 from collections.abc import Iterable
 
 from tasks.registry import ALWAYS, COSTLY, VARIABLES
 
-#: What is known only of steps that are integrated: a study of an accuracy names them if it wants them.
+#: Variables that only integrated steps have: a study with an accuracy names them if it wants them.
 OF_INTEGRATION = ("residual", "energy_imbalance")
+#: Accuracies that may be asked for.
+ACCURACIES = (1e-15, 1e-2)
+#: Most accurate bound that polynomials reach, with some margin.
+INTERPOLATED_FROM = 1e-11
+#: Bits of a double after the first.
+MANTISSA = 52
+#: Nodes of a panel, besides one for each digit wanted.
+_NODES = 4
 
 
 def always(accuracy: float) -> tuple[str, ...]:
@@ -14,30 +22,18 @@ def always(accuracy: float) -> tuple[str, ...]:
     return tuple(name for name in ALWAYS if not (accuracy and name in OF_INTEGRATION))
 
 
-#: Accuracies that may be asked for; most accurate bound that polynomials reach, with some margin.
-ACCURACIES, INTERPOLATED_FROM = (1e-15, 1e-2), 1e-11
-
-
-#: Bits of a double after the first.
-MANTISSA = 52
-
-
-#: Nodes of a panel, a range of ln slope over which a polynomial gives gaits: so many, and one for each digit wanted.
-_NODES = 4
-
-
 def nodes_for(accuracy: float) -> int:
-    """Nodes of a panel for an accuracy; besides, as many gaits and one are integrated to check it."""
+    """Number of nodes of a panel; one more gait than that is integrated to check it."""
     return _NODES + round(-math.log10(accuracy))
 
 
 def significant_bits(accuracy: float) -> int:
-    """Bits after the first that numbers of an accuracy keep: rounding to them is at most a sixteenth of it."""
+    """Bits after the first to which numbers are kept, so that rounding is at most a sixteenth of the accuracy."""
     return min(MANTISSA, 3 + math.ceil(-math.log2(accuracy))) if accuracy else MANTISSA
 
 
 def is_interpolated(want: Iterable[str], accuracy: float) -> bool:
-    """Whether polynomials may give points of long lines: wanted variables are smooth, and the accuracy in reach."""
+    """Whether polynomials may give the points: all variables are smooth, and the accuracy is within their reach."""
     want = set(want)
-    flown = {VARIABLES[name].group for name in want} & set(COSTLY) or want & set(OF_INTEGRATION)
-    return accuracy >= INTERPOLATED_FROM and not flown
+    integrated = {VARIABLES[name].group for name in want} & set(COSTLY) or want & set(OF_INTEGRATION)
+    return accuracy >= INTERPOLATED_FROM and not integrated

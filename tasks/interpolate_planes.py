@@ -8,12 +8,12 @@ from itertools import combinations
 
 import numpy as np
 
-from tasks.families.box import roots
+from tasks.families.box import tensor_nodes
 from tasks.families.cell import Cell, Family
-from tasks.families.panels import SAFETY
-from tasks.families.patch import Patch, along, basis, coordinate, evaluate, fit, side_of_fold, tails
+from tasks.families.panels import Sampled, value_bounds
+from tasks.families.patch import Patch, along, coordinate, evaluate, side_of_fold, tails
 from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished, settle
-from tasks.interpolate_points import SHARE, TIE
+from tasks.interpolate_points import SHARE, TIE, has_one_label
 from tasks.measures.gaits import Arrays, Part, describe
 from tasks.measures.smooth import Smooth
 from tasks.step.problem import Lanes
@@ -107,9 +107,7 @@ class Sheet:
 
     def ratio_range(self) -> tuple[float, float]:
         """Bounds of the gait ratio."""
-        first, *others = self.coefficients[:, self.names.index("heelstrike_rate_ratio")].tolist()
-        spread = sum(map(abs, others))
-        return first - spread, first + spread
+        return value_bounds(self.coefficients[:, self.names.index("heelstrike_rate_ratio")])
 
 
 def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float) -> list[Sheet]:
@@ -141,19 +139,15 @@ def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accura
     sizes, d = patch.sizes, len(family.keys)
     drawn = cell.box.draw(_DRAWN, 1 + d, f"sheet {patch.numbers[0]}")
     while True:
-        nodes = _nodes(sizes)
-        sampled = _sampled(family, cell, patch, np.vstack([nodes, drawn]), want, accuracy)
-        if sampled is None:
+        names, sampled = _sampled(family, cell, patch, np.vstack([tensor_nodes(sizes), drawn]), want, accuracy)
+        if not sampled.good:
             return None
-        names, values, size, bound, passes = sampled
-        coefficients = fit(values[: len(nodes)], sizes)
-        off = np.abs(basis(drawn, sizes) @ coefficients - values[len(nodes) :]) / size[len(nodes) :]
-        tail = tails(coefficients / size.min(axis=0), sizes)
-        error = float(SAFETY * off.max() + tail.sum() + bound)
+        coefficients, off = sampled.fit(drawn, sizes)
+        tail = tails(coefficients / sampled.size.min(axis=0), sizes)
+        error = float(off + tail.sum() + sampled.bound)
         if error <= SHARE * accuracy:
-            sheet = Sheet(patch, names, sizes, coefficients, error, passes)
-            low, high = sheet.ratio_range()
-            return sheet if low > 0.5 + TIE * error or high < 0.5 - TIE * error else None
+            sheet = Sheet(patch, names, sizes, coefficients, error, sampled.passes)
+            return sheet if has_one_label(*sheet.ratio_range(), error) else None
         grow = tail > 0.1 * accuracy / len(tail)
         larger = tuple(min(n + 2 * int(more or not grow.any()), _MOST) for n, more in zip(sizes, grow, strict=True))
         if larger == sizes:
@@ -161,19 +155,10 @@ def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accura
         sizes = larger
 
 
-def _nodes(sizes: tuple[int, ...]) -> np.ndarray:
-    """Nodes of tensor polynomials in the cube from -1 to 1, the last dimension fastest, shape (product of sizes, d)."""
-    grids = np.meshgrid(*map(roots, sizes), indexing="ij")
-    return np.stack([grid.ravel() for grid in grids], axis=1)
-
-
 def _sampled(
     family: Family, cell: Cell, patch: Patch, points: np.ndarray, want: Sequence[str], accuracy: float
-) -> tuple[tuple[str, ...], np.ndarray, np.ndarray, float, int] | None:
-    """Names, values and sizes (n, c) of quantities at points (n, 1 + d) of a patch, their bound, and leg passes.
-
-    None where they are not all gaits of one kind.
-    """
+) -> tuple[tuple[str, ...], Sampled]:
+    """Names of quantities, and what was solved at points (n, 1 + d) of a patch."""
     unit = points[:, 1:]
     ends = patch.ends_at(unit)
     q = ends[:, 0] + along(0.5 * (1 + points[:, 0]), patch.folds) * (ends[:, 1] - ends[:, 0])
@@ -187,9 +172,8 @@ def _sampled(
     smooth = Smooth.of(walkers, want, problem.m)
     values, size = smooth.columns(slope, solved, at.stride.jacobian)
     passes = solved["passes"]
-    if not (fine.all() and np.isfinite(values).all() and (passes == passes[0]).all()):
-        return None
-    return smooth.names, values, size, float(solved["error_bound"].max()), int(passes[0])
+    good = bool(fine.all() and np.isfinite(values).all() and (passes == passes[0]).all())
+    return smooth.names, Sampled(values, size, float(solved["error_bound"].max()), int(passes[0]), good)
 
 
 def interpolate(

@@ -11,6 +11,7 @@ from tasks import status
 from tasks.accuracy import nodes_for
 from tasks.continuation.branch import Branch
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
+from tasks.families.pieces import Piece, pieces_of
 from tasks.fixed_points.newton import lipschitz
 from tasks.fixed_points.polish import Guesses, join, settle
 from tasks.fixed_points.rounding import rounding_std
@@ -24,43 +25,24 @@ SHARE = 0.9
 _NEAR_END, _END_SAFETY = 1e-9, 8.0
 #: Gaits of one label whose angles differ by fewer accuracies are integrated, and those with ratios as near 1/2.
 TIE = 4.0
-#: Samples of a panel at which rounding and Lipschitz constants are measured, where the atlas has none, and how often
-#: the largest Lipschitz constant is counted.
+#: Samples of a panel at which rounding and Lipschitz constants are measured, where the atlas has none, and the factor
+#: on the largest of these constants.
 _MEASURED = 3
 _LIPSCHITZ_SAFETY = 2.0
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """A piece of a branch: the branch and its number, first and last nodes, and its range of ln slope."""
+def has_one_label(low: float, high: float, error: float) -> bool:
+    """Whether gaits have the same label wherever between two bounds their ratio lies, whatever the error."""
+    return low > 0.5 + TIE * error or high < 0.5 - TIE * error
 
-    branch: Branch
-    number: int
-    first: int
-    last: int
-    low: float
-    high: float
-    folds: tuple[bool, bool]
-    margins: tuple[float, float]
 
-    @classmethod
-    def of(cls, branch: Branch, number: int, first: int, last: int) -> _Piece:
-        """Piece between two nodes."""
-        ends = []
-        for node, error in ((first, branch.end_errors[0]), (last, branch.end_errors[1])):
-            is_fold = 0 < node < len(branch.q) - 1
-            ends.append((float(branch.q[node]), is_fold, 0.0 if is_fold else _NEAR_END + _END_SAFETY * error))
-        (low, low_fold, low_margin), (high, high_fold, high_margin) = sorted(ends)
-        return cls(branch, number, first, last, low, high, (low_fold, high_fold), (low_margin, high_margin))
-
-    def holds(self, q: np.ndarray) -> np.ndarray:
-        """Indices of the ln slopes that the piece covers."""
-        return self.branch.covered(self.first, self.last, q)
-
-    def guesses(self, q: np.ndarray, slope: np.ndarray) -> tuple[Guesses, np.ndarray]:
-        """Guesses at ln slopes, and their segments."""
-        Z, segment = self.branch.on_piece(self.first, self.last, q)
-        return self.branch.known_guesses(Z, segment, slope), segment
+def _margins(piece: Piece) -> tuple[float, float]:
+    """How far from both ends of a piece gaits are given by polynomials, in ln slope; at a fold anywhere."""
+    low, high = (
+        0.0 if is_fold else _NEAR_END + _END_SAFETY * error
+        for is_fold, error in zip(piece.folds, piece.end_errors, strict=True)
+    )
+    return low, high
 
 
 class Interpolation:
@@ -80,19 +62,14 @@ class Interpolation:
     def __init__(
         self, problem: Problem, branches: list[Branch], want: Sequence[str], accuracy: float, slope: np.ndarray
     ):
-        self.problem, self.accuracy = problem, accuracy
-        self.want = [name for name in want if name not in ("status", "reason", "error_bound", "branch", "piece")]
+        self.problem, self.accuracy, self.want = problem, accuracy, want
         self.smooth = Smooth.of(problem.walker, want, problem.m)
-        self.pieces = [
-            _Piece.of(branch, number, first, last)
-            for number, branch in enumerate(branches)
-            for first, last in branch.pieces()
-        ]
+        self.pieces = pieces_of(branches)
         q = np.sort(np.log(slope))
         roots = [
             panel
             for k, piece in enumerate(self.pieces)
-            for panel in panels_over(k, piece.low, piece.high, piece.folds, q[piece.holds(q)])
+            for panel in panels_over(k, *piece.q, piece.folds, q[piece.branch.covered(piece.first, piece.last, q)])
         ]
 
         def is_needed(panel: Panel) -> bool:
@@ -107,9 +84,7 @@ class Interpolation:
         problem, samples = self.problem, len(slopes[0])
         q = np.concatenate(slopes)
         slope = np.exp(q)
-        guesses = join(
-            [self.pieces[p.piece].guesses(each, np.exp(each))[0] for p, each in zip(panels, slopes, strict=True)]
-        )
+        guesses = join([self.pieces[p.piece].guesses(each) for p, each in zip(panels, slopes, strict=True)])
         if np.isnan(guesses.rounding_std).any():
             guesses = self._measured(guesses, q, samples)
         at = settle(problem, guesses, accuracy=self.accuracy)
@@ -126,7 +101,7 @@ class Interpolation:
         return results
 
     def _measured(self, guesses: Guesses, q: np.ndarray, samples: int) -> Guesses:
-        """Guesses at panels of so many samples each, with what is measured at a few samples of each panel."""
+        """Guesses with rounding and Lipschitz constants that are measured at a few of the samples of each panel."""
         lanes = (np.arange(0, len(q), samples)[:, None] + np.linspace(0, samples - 1, _MEASURED).astype(int)).ravel()
         w, m = guesses.w[:, lanes], self.problem.m
         estimates = lipschitz(self.problem, np.vstack([w[:m], q[lanes]]), w[m:]).reshape(-1, _MEASURED)
@@ -149,65 +124,65 @@ class Interpolation:
         -------
         parts : list of Part
             Without those that are to be integrated.
-        flown : dict of ndarray of int
+        integrated : dict of ndarray of int
             Indices of their slopes, by numbers of the branches and of the first nodes of their pieces.
         """
         q = np.log(slope)
-        found: list[_Found] = []
-        flown: list[list[np.ndarray]] = []
+        gaits: list[_PanelGaits] = []
+        integrated: list[list[np.ndarray]] = []
         for k, piece in enumerate(self.pieces):
-            index = piece.holds(q)
-            inside = (q[index] - piece.low > piece.margins[0]) & (piece.high - q[index] > piece.margins[1])
-            flown.append([index[~inside]])
+            index = piece.branch.covered(piece.first, piece.last, q)
+            (low, high), margins = piece.q, _margins(piece)
+            inside = (q[index] - low > margins[0]) & (high - q[index] > margins[1])
+            integrated.append([index[~inside]])
             index, panels = index[inside], self.panels[k]
             which = np.searchsorted([panel.bounds[0] for panel in panels], q[index], side="right") - 1
             which = np.maximum(which, 0)
             for number in range(which.min(initial=len(panels)), which.max(initial=-1) + 1):
                 panel, own = panels[number], index[which == number]
                 if not len(panel.coefficients):
-                    flown[k].append(own)
+                    integrated[k].append(own)
                     continue
                 x = panel.point(q[own])
                 measured = panel.is_measured(x)
-                flown[k].append(own[~measured])
-                if panel.kind == 1:
-                    one = self._found(k, panel, own[measured], x[measured])
-                    flown[k].append(one.index[one.near])
-                    found.append(one)
-        tied = self._ties(found, len(slope))
-        for one in found:
-            flown[one.piece].append(one.index[tied[one.index]])
-        parts = [self._part(one, slope, ~(one.near | tied[one.index])) for one in found]
+                integrated[k].append(own[~measured])
+                if panel.passes == 1:
+                    one = self._evaluate(k, panel, own[measured], x[measured])
+                    integrated[k].append(one.index[one.uncertain])
+                    gaits.append(one)
+        tied = self._ties(gaits, len(slope))
+        for one in gaits:
+            integrated[one.piece].append(one.index[tied[one.index]])
+        parts = [self._part(one, slope, ~(one.uncertain | tied[one.index])) for one in gaits]
         keys = [(piece.number, piece.first) for piece in self.pieces]
-        return parts, {key: np.unique(np.concatenate(each)) for key, each in zip(keys, flown, strict=True)}
+        return parts, {key: np.unique(np.concatenate(each)) for key, each in zip(keys, integrated, strict=True)}
 
-    def _found(self, piece: int, panel: Panel, index: np.ndarray, x: np.ndarray) -> _Found:
+    def _evaluate(self, piece: int, panel: Panel, index: np.ndarray, x: np.ndarray) -> _PanelGaits:
         """Gaits of a panel, with what their labels need."""
         names = self.smooth.names
         ratio = names.index("heelstrike_rate_ratio")
         low, high = panel.range_of(ratio)
-        margin = TIE * panel.error
         columns = {"stance_angle": panel.evaluate(x, names.index("stance_angle"))}
-        if low > 0.5 + margin or high < 0.5 - margin:
+        if has_one_label(low, high, panel.error):
             ratios = np.full(len(x), 0.5 * (low + high))
         else:
             ratios = columns["heelstrike_rate_ratio"] = panel.evaluate(x, ratio)
-        near = np.abs(ratios - 0.5) <= margin
+        uncertain = np.abs(ratios - 0.5) <= TIE * panel.error
         if self.smooth.entries:
             for name in self.smooth.entries:
                 columns[name] = panel.evaluate(x, names.index(name))
             columns |= self.smooth.multipliers(columns, panel.error)
             # Whether a gait is stable does not depend on the accuracy.
             largest = columns["spectral_radius"]
-            near |= np.abs(largest - 1) <= columns["multiplier_error_bound"]
-        return _Found(piece, panel, index, x, columns, ratios, near)
+            uncertain |= np.abs(largest - 1) <= columns["multiplier_error_bound"]
+        return _PanelGaits(piece, panel, index, x, columns, ratios, uncertain)
 
-    def _ties(self, found: list[_Found], n: int) -> np.ndarray:
+    def _ties(self, gaits: list[_PanelGaits], n: int) -> np.ndarray:
         """Whether gaits of one label at a slope are so near each other that errors may order them, shape (n,)."""
         tied = np.zeros(n, bool)
         for label in (True, False):
-            angles = np.full((len(found), n), np.nan)
-            for row, one in zip(angles, found, strict=True):
+            angles = np.full((len(gaits), n), np.nan)
+            for row, one in zip(angles, gaits, strict=True):
                 row[one.index] = np.where((one.ratio < 0.5) == label, one.columns["stance_angle"], np.nan)
             crowded = np.flatnonzero(np.isfinite(angles).sum(axis=0) > 1)
             if len(crowded):
@@ -215,7 +190,7 @@ class Interpolation:
                 tied[crowded] |= (gaps <= TIE * self.accuracy).any(axis=0)
         return tied
 
-    def _part(self, one: _Found, slope: np.ndarray, keep: np.ndarray) -> Part:
+    def _part(self, one: _PanelGaits, slope: np.ndarray, keep: np.ndarray) -> Part:
         """Variables of gaits of a panel."""
         index, x = (one.index, one.x) if keep.all() else (one.index[keep], one.x[keep])
         columns = {name: value if keep.all() else value[keep] for name, value in one.columns.items()}
@@ -224,16 +199,15 @@ class Interpolation:
             if names[k] not in columns:
                 columns[names[k]] = panel.evaluate(x, k)
         piece = self.pieces[one.piece]
-        place = int(piece.branch.piece(np.array([piece.first]))[0])
-        solved = self.smooth.gaits(slope[index], columns, self.want, panel.error, piece.number, place)
+        solved = self.smooth.gaits(slope[index], columns, self.want, panel.error, piece.number, piece.place)
         return Part(index, columns["stance_angle"], one.ratio if keep.all() else one.ratio[keep], solved)
 
 
 @dataclass(frozen=True)
-class _Found:
+class _PanelGaits:
     """Gaits of a panel: indices of their slopes, their points, what was evaluated, their ratios.
 
-    `near` is whether their label is uncertain.
+    `uncertain` is whether errors could change their label or stability.
     """
 
     piece: int
@@ -242,4 +216,4 @@ class _Found:
     x: np.ndarray
     columns: Arrays
     ratio: np.ndarray
-    near: np.ndarray
+    uncertain: np.ndarray

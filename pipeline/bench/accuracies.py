@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from pipeline.bench.planes import PLANES
 LINES = {"D": (1e-4, 0.015), "E": (1e-3, 0.1), "B": (1e-3, 0.1), "A": (1e-3, 0.05), "C": (1e-3, 0.05)}
 #: Accuracies measured; 0 is as good as doubles give.
 ACCURACIES = {False: (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 0.0, 1e-15), True: (1e-3, 1e-6, 0.0)}
+_OF_PLANES = (1e-4, 1e-6, 0.0)
 #: What is wanted, besides status, labels and error bounds.
 WANTED = {"two variables": ["stance_angle", "period"], "with multipliers": ["stance_angle", "period", "multipliers"]}
 #: Slopes of a line, and lines along each key of a plane: where polynomials give the gaits, where steps are integrated,
@@ -47,27 +49,21 @@ def cases(quick: bool, walkers: tuple[str, ...]) -> list[Case]:
     """
     measured = []
     for name in walkers:
-        for accuracy in ACCURACIES[quick]:
-            for words, want in WANTED.items():
-                if name in LINES:
-                    measured.append(_case(name, "line", words, accuracy, want, quick))
+        if name in LINES:
+            measured += [_case(name, "line", words, a, quick) for a in ACCURACIES[quick] for words in WANTED]
         if name in PLANES and not quick:
-            measured += [
-                _case(name, "plane", "two variables", a, WANTED["two variables"], quick) for a in (1e-4, 1e-6, 0.0)
-            ]
+            measured += [_case(name, "plane", "two variables", a, quick) for a in _OF_PLANES]
     return measured
 
 
-def _case(name: str, problem: str, words: str, accuracy: float, want: list[str], quick: bool) -> Case:
+def _case(name: str, problem: str, words: str, accuracy: float, quick: bool) -> Case:
     tier = 2 if 0 < accuracy < 1e-12 else 1 if accuracy < 1e-11 else 0
     size = (_SLOPES if problem == "line" else _ACROSS)[tier]
-    size = int(size * (_QUICK if quick and problem == "line" else 1))
+    size = int(size * (_QUICK if quick else 1))
 
     def study(n: int) -> dict[str, Any]:
-        axes = _axes(name, problem, n)
-        return {"name": "accuracy", "walker": name, "axes": axes, "want": {"variables": want}} | (
-            {"accuracy": accuracy} if accuracy else {}
-        )
+        table = _study(name, problem, n, WANTED[words])
+        return table | {"accuracy": accuracy} if accuracy else table
 
     fewer = int(size * (_FEWER if problem == "line" else np.sqrt(_FEWER)))
     (seconds, gaits), (first, known) = solve_study(study(size)), solve_study(study(fewer))
@@ -78,24 +74,27 @@ def _case(name: str, problem: str, words: str, accuracy: float, want: list[str],
     return case
 
 
-def _axes(name: str, problem: str, n: int) -> dict[str, Any]:
+def _study(name: str, problem: str, n: int, want: list[str]) -> dict[str, Any]:
+    """A study of a line of n slopes, or of a plane of n values of each key."""
     if problem == "line":
         low, high = LINES[name]
-        return {"slope": {"from": low, "to": high, "n": n, "spacing": "log"}}
-    slope, keys = PLANES[name]
-    return {"slope": [slope], **{key: {"from": low, "to": high, "n": n} for key, (low, high) in keys.items()}}
+        axes: dict[str, Any] = {"slope": {"from": low, "to": high, "n": n, "spacing": "log"}}
+    else:
+        slope, keys = PLANES[name]
+        axes = {"slope": [slope], **{key: {"from": low, "to": high, "n": n} for key, (low, high) in keys.items()}}
+    return {"name": "accuracy", "walker": name, "axes": axes, "want": {"variables": want}}
 
 
+@functools.cache
 def _error(name: str, problem: str, accuracy: float) -> float:
     """Largest relative error of stance angles at some of the points."""
-    table = {"name": "error", "walker": name, "axes": _axes(name, problem, _COMPARED[problem])}
-    table["want"] = {"variables": ["stance_angle"]}
+    study = _study(name, problem, _COMPARED[problem], ["stance_angle"])
     with tempfile.TemporaryDirectory() as folder:
         archive = Path(folder, "error.nc")
-        best = api.run(table, jobs=1, archive=archive, quiet=True)
+        best = api.run(study, jobs=1, archive=archive, quiet=True)
         if not accuracy:
             return float(best.error_bound.max())
-        own = api.run(table, jobs=1, archive=archive, accuracy=accuracy, quiet=True)
+        own = api.run(study, jobs=1, archive=archive, accuracy=accuracy, quiet=True)
     return max(float(np.abs(own.stance_angle / best.stance_angle - 1).max()), float(np.finfo(float).eps) / 2)
 
 

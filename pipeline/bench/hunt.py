@@ -12,17 +12,14 @@ from joblib import Parallel, delayed
 from scipy.optimize import differential_evolution, minimize
 
 from pipeline.bench.bounds import compared
-from pipeline.bench.missed import DERIVED, KEYS, SPREAD, WALKERS
-from tasks.continuation import atlas as atlases
+from pipeline.bench.missed import DERIVED, KEYS, SPREAD, WALKERS, survey_walkers
 from tasks.continuation.branch import Branch
 from tasks.continuation.lockstep import lanes_of
-from tasks.continuation.refine import COARSE
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import newton_step
 from tasks.fixed_points.polish import Guesses, Polished, join, settle
 from tasks.fixed_points.step_check import gait_ratio
-from tasks.mechanics.lumped import structures_of
-from tasks.step.problem import Lanes, Problem
+from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker, WalkerError
@@ -42,9 +39,8 @@ MEASURES = {
     "vanishing rate": "largest over smallest rate",
     "label tie": "1/|gait ratio - 1/2|",
 }
-#: Worst gaits kept of each measure, gaits of a line that are solved again in extended precision, and lines surveyed
-#: side by side.
-WORST, REFERENCES, SIDE_BY_SIDE = 10, 3, 32
+#: Worst gaits kept of each measure, and gaits of a line that are solved again in extended precision.
+WORST, REFERENCES = 10, 3
 #: Generations of a full and of a quick hunt, and lines of a generation for each coordinate.
 GENERATIONS, POPULATION = {False: 2, True: 0}, 3
 
@@ -174,12 +170,9 @@ def maximise(name: str, where: Range, generations: int, seed: int) -> Hunted:
     outcome, size = Hunted(), len(where.low) + 2
 
     def cost(population: np.ndarray) -> np.ndarray:
-        found = [
-            _evaluated(where, unit) for unit in np.array_split(population.T, -(-population.shape[1] // SIDE_BY_SIDE))
-        ]
-        for _, hunted in found:
-            outcome.add(hunted)
-        return -np.concatenate([values[name] for values, _ in found])
+        values, hunted = _evaluated(where, population.T)
+        outcome.add(hunted)
+        return -values[name]
 
     box = [(0.0, 1.0)] * size
     best = differential_evolution(
@@ -199,19 +192,17 @@ def maximise(name: str, where: Range, generations: int, seed: int) -> Hunted:
 def _evaluated(where: Range, unit: np.ndarray) -> tuple[dict[str, np.ndarray], Hunted]:
     """Largest values of the measures on lines (n,), and their worst gaits, for coordinates (n, number of keys + 2)."""
     values, outcome = {name: np.full(len(unit), -np.inf) for name in MEASURES}, Hunted()
-    keys, walkers = [where.keys(each) for each in unit], dict[int, Walker]()
-    for i, each in enumerate(keys):
+    lines: list[tuple[int, dict[str, float], Walker]] = []
+    for i, keys in enumerate(map(where.keys, unit)):
         with contextlib.suppress(WalkerError):  # values that no walker can have
-            walkers[i] = resolve(where.walker, each)
-    structures = dict(zip(walkers, structures_of(list(walkers.values())), strict=True)) if walkers else {}
-    for structure in dict.fromkeys(structures.values()):
-        alike = [i for i in walkers if structures[i] == structure]
-        problem = Lanes([walkers[i] for i in alike], structure)
-        for lane, (i, branches) in enumerate(zip(alike, atlases.survey_lines(problem, COARSE), strict=True)):
-            found = _hardest(where.walker, keys[i], problem.alone(lane), branches, _slopes_of(branches, unit[i, -2:]))
-            for name, worst in found.worst.items():
+            lines.append((i, keys, resolve(where.walker, keys)))
+    for numbers, problem, surveyed in survey_walkers([walker for *_, walker in lines]):
+        for lane, (number, branches) in enumerate(zip(numbers, surveyed, strict=True)):
+            i, keys, _ = lines[number]
+            hunted = _hardest(where.walker, keys, problem.alone(lane), branches, _slopes_of(branches, unit[i, -2:]))
+            for name, worst in hunted.worst.items():
                 values[name][i] = worst[0].value if worst else -np.inf
-            outcome.add(found)
+            outcome.add(hunted)
     return values, outcome
 
 

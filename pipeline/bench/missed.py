@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from tasks.continuation import atlas as atlases
+from tasks.continuation.branch import Branch
 from tasks.continuation.refine import COARSE
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.search import starts
@@ -85,25 +86,40 @@ def missed(count: int, seed: int = 1, say: Callable[[str], None] | None = None) 
             drawn.append((name, changes, slope, resolve(name, changes)))
         except WalkerError:
             continue
-    structures = structures_of([walker for *_, walker in drawn])
-    for structure in dict.fromkeys(structures):
-        alike = [line for line, other in zip(drawn, structures, strict=True) if other == structure]
-        for k in range(0, len(alike), BLOCK):
-            block = alike[k : k + BLOCK]
-            problem = Lanes([walker for *_, walker in block], structure)
-            slopes = np.array([slope for _, _, slope, _ in block])
-            w, line = _dense(problem, slopes)
-            surveyed = atlases.survey_lines(problem, COARSE)
-            for i, (name, changes, slope, _) in enumerate(block):
-                outcome.lines[name] += 1
-                for gait in w[:, line == i].T:
-                    outcome.gaits[name] += 1
-                    if not atlases.is_known(surveyed[i], problem.m, gait, float(np.log(slope))):
-                        outcome.lacking[name] += 1
-                        outcome.each.append((name, changes, slope, float(np.exp(gait[0])), float(gait[-1])))
-            if say:
-                say(f"{outcome.lines.total()} lines, {outcome.gaits.total()} gaits, {outcome.lacking.total()} missed")
+    for numbers, problem, surveyed in survey_walkers([walker for *_, walker in drawn]):
+        w, line = _dense(problem, np.array([drawn[i][2] for i in numbers]))
+        for lane, (i, branches) in enumerate(zip(numbers, surveyed, strict=True)):
+            name, changes, slope, _ = drawn[i]
+            outcome.lines[name] += 1
+            for gait in w[:, line == lane].T:
+                outcome.gaits[name] += 1
+                if not atlases.is_known(branches, problem.m, gait, float(np.log(slope))):
+                    outcome.lacking[name] += 1
+                    outcome.each.append((name, changes, slope, float(np.exp(gait[0])), float(gait[-1])))
+        if say:
+            say(f"{outcome.lines.total()} lines, {outcome.gaits.total()} gaits, {outcome.lacking.total()} missed")
     return outcome
+
+
+def survey_walkers(walkers: Sequence[Walker]) -> Iterator[tuple[list[int], Lanes, list[list[Branch]]]]:
+    """Survey the lines of walkers, those of one structure side by side.
+
+    Yields
+    ------
+    numbers : list of int
+        Of some walkers.
+    problem : Lanes
+        With a lane for each of them.
+    branches : list of list of Branch
+        Those of each.
+    """
+    structures = structures_of(walkers)
+    for structure in dict.fromkeys(structures):
+        alike = [i for i, other in enumerate(structures) if other == structure]
+        for k in range(0, len(alike), BLOCK):
+            numbers = alike[k : k + BLOCK]
+            problem = Lanes([walkers[i] for i in numbers], structure)
+            yield numbers, problem, atlases.survey_lines(problem, COARSE)
 
 
 def _dense(problem: Lanes, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline import serialize
 from pipeline.store.journal import Journal
+from pipeline.store.lines import renumber_reasons
 from pipeline.store.rows import Block
 from tasks.registry import VARIABLES
 
@@ -46,14 +47,10 @@ def _join(journal: Journal, group: list[Block]) -> tuple[bytes, bytes, bytes]:
     _, last = np.unique(slopes[::-1], return_index=True)
     keep = len(slopes) - 1 - last
     sentences: dict[str, int] = {}
-    reason = []
-    for block in group:
-        names = [str(s) for s in block.states["reasons"]]
-        table = np.array([sentences.setdefault(s, len(sentences)) for s in names] or [0])
-        reason.append(table[block.states["reason"]])
+    reason = np.concatenate([renumber_reasons(b.states, sentences) for b in group])
     states = {
         "status": np.concatenate([b.states["status"] for b in group])[keep],
-        "reason": np.concatenate(reason)[keep].astype(np.int32),
+        "reason": reason[keep],
         "reasons": np.array(list(sentences) or [""]),
     }
     parts = [journal.variables(b.id) for b in group]

@@ -226,14 +226,13 @@ class Journal:
         if not rows_found:
             raise CorruptJournalError(self.path)
         row = rows_found[0]
-        _, _, _, variables, low, high, *_, slopes, states = row
-        shared = number, _split_words(variables), low, high
+        variables, (slopes, states) = _split_words(row[3]), row[-2:]
         place = rows.place("points", row)
         if place[1]:
             chunk = FinishedChunk(Head(states), lambda: self._payload(*place))
-            return Block(*shared, chunk, chunk.contents)
+            return Block(number, variables, chunk, chunk.contents)
         contents = np.frombuffer(slopes), serialize.load(states)
-        return Block(*shared, None, lambda: contents)
+        return Block(number, variables, None, lambda: contents)
 
     def _payload(self, start: int, length: int, checksum: int) -> bytes:
         payload = self._segment.read(start, length)

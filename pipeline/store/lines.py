@@ -204,7 +204,7 @@ def read_states(
         if len(inside):
             source, target = _as_slice(inside), _as_slice(positions)
             status[target] = block.states["status"][source]
-            reason[target] = _reason_numbers(block, sentences)[source]
+            reason[target] = renumber_reasons(block.states, sentences)[source]
             sources.append((block.id, source, target))
     return status, reason, list(sentences), sources
 
@@ -270,10 +270,23 @@ def _as_slice(indices: np.ndarray) -> Indices:
     return slice(first, first + n) if np.array_equal(indices, np.arange(first, first + n)) else indices
 
 
-def _reason_numbers(block: Block, sentences: dict[str, int]) -> np.ndarray:
-    names = [str(s) for s in block.states["reasons"]]
+def renumber_reasons(states: dict[str, np.ndarray], sentences: dict[str, int]) -> np.ndarray:
+    """Count the reasons of a block over the sentences of several.
+
+    Parameters
+    ----------
+    states : dict
+        `reason`, shape (n, gait), and the sentences `reasons` that it indexes.
+    sentences : dict
+        Numbers of the sentences so far; changed in place.
+
+    Returns
+    -------
+    ndarray of int32, shape (n, gait)
+    """
+    names = [str(s) for s in states["reasons"]]
     table = np.array([sentences.setdefault(s, len(sentences)) for s in names] or [0], np.int32)
-    return table[block.states["reason"]]
+    return np.asarray(table[states["reason"]])
 
 
 def fill(

@@ -61,8 +61,6 @@ class Block:
     id : int
     variables : frozenset of str
         Names of the variables, and of the gaits as `@long`.
-    low, high : float [rad]
-        Least and largest slope.
     finished : FinishedChunk or None
         The finished chunk that it is, if it is one.
     slopes : ndarray, shape (n,) [rad]
@@ -73,8 +71,6 @@ class Block:
 
     id: int
     variables: frozenset[str]
-    low: float
-    high: float
     finished: FinishedChunk | None
     _read: Callable[[], tuple[np.ndarray, dict[str, np.ndarray]]]
 

@@ -22,7 +22,7 @@ class Segment:
         self._flags = (os.O_RDWR if write else os.O_RDONLY) | os.O_CLOEXEC
         self._file: int | None = None
         self._is_dirty = False
-        self.end = len(MAGIC)  # where the next payload is written
+        self._end = len(MAGIC)  # where the next payload is written
 
     def _open(self, flags: int = 0) -> int:
         if self._file is None:
@@ -43,9 +43,9 @@ class Segment:
 
     def resume(self, end: int) -> None:
         """Continue to write at `end`, without what lies behind it."""
-        self.end = max(end, len(MAGIC))
-        if self.size > self.end:
-            os.ftruncate(self._open(), self.end)
+        self._end = max(end, len(MAGIC))
+        if self.size > self._end:
+            os.ftruncate(self._open(), self._end)
 
     def append(self, payload: bytes) -> int:
         """Write a payload and return its offset; it counts once a row of the journal says so.
@@ -55,13 +55,13 @@ class Segment:
         OSError
             If it cannot be written. The next payload then takes its place.
         """
-        file, start = self._open(os.O_CREAT), self.end
+        file, start = self._open(os.O_CREAT), self._end
         self._is_dirty = True
         if start == len(MAGIC):  # on the disk before anything else, for by this it is known as ours
             _write(file, MAGIC, 0)
             os.fsync(file)
         _write(file, payload, start)
-        self.end += len(payload)
+        self._end += len(payload)
         return start
 
     def read(self, start: int, length: int) -> bytes:

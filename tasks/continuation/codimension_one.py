@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 
 from tasks.continuation import pseudo_arclength as engine
-from tasks.continuation.joint import linearised
+from tasks.continuation.joint import determinants, linearised
 from tasks.mechanics.lumped import constants_of, structure_of
 from tasks.step.problem import Problem
 from tasks.step.simulate import STRUCK, scanner
@@ -50,10 +50,7 @@ def _shifted_det(sign: float) -> Callable[[Stride], np.ndarray]:
 
     def value(stride: Stride) -> np.ndarray:
         A = np.moveaxis(stride.jacobian, -1, 0)
-        finite = np.isfinite(A).all(axis=(1, 2))
-        out = np.full(len(A), np.nan)
-        out[finite] = np.linalg.det(np.eye(A.shape[1]) + sign * A[finite])
-        return out
+        return determinants(np.eye(A.shape[1]) + sign * A)
 
     return value
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.continuation.joint import joint, joint_by_X, rounding_step
+from tasks.continuation.joint import determinants, joint, joint_by_X, rounding_step
 from tasks.continuation.pseudo_arclength import bordered_matrix, replace_singular
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.problem import Lanes
@@ -168,37 +168,29 @@ def evaluate(problem: Lanes, Z: np.ndarray, samples: int = 0) -> Evaluation:
     return Evaluation(Z, stride, residual, derivative, times_by, *_radius_and_unit(problem))
 
 
-def _determinants(matrices: np.ndarray) -> np.ndarray:
-    """Determinants (n,), NaN where a matrix is not finite."""
-    finite = np.isfinite(matrices).all(axis=(1, 2))
-    out = np.full(len(matrices), np.nan)
-    out[finite] = np.linalg.det(matrices[finite])
-    return out
-
-
 def _flip(at: Evaluation) -> np.ndarray:
-    return _determinants(at.jacobians + np.eye(at.m))
+    return determinants(at.jacobians + np.eye(at.m))
 
 
 def _neimark_sacker(at: Evaluation) -> np.ndarray:
     """Product over i < j of (lambda_i lambda_j - 1): the determinant of the second compound matrix less one."""
     A = at.jacobians
     if at.m == 2:
-        return _determinants(A) - 1
+        return determinants(A) - 1
     minors = np.array([[A[:, i, k] * A[:, j, q] - A[:, i, q] * A[:, j, k] for k, q in _PAIRS] for i, j in _PAIRS])
-    return _determinants(np.moveaxis(minors, -1, 0) - np.eye(3))
+    return determinants(np.moveaxis(minors, -1, 0) - np.eye(3))
 
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def _fold(at: Evaluation) -> np.ndarray:
-    return _determinants(np.delete(at.derivative, at.m, axis=2))
+    return determinants(np.delete(at.derivative, at.m, axis=2))
 
 
 def _speed_maximum(at: Evaluation) -> np.ndarray:
     """Determinant that vanishes where the speed is stationary along the branch."""
-    return _determinants(at.bordered(at.speed_by_Z))
+    return determinants(at.bordered(at.speed_by_Z))
 
 
 #: The scalar that vanishes at a special point, by its kind.
@@ -273,8 +265,8 @@ def defining_system(problem: Lanes, kind: str, Z: np.ndarray, target: float = 0.
     ndarray, shape (c + 1, n)
     """
     at = evaluate(problem, Z)
-    determinants = _determinants(at.bordered(gradient(problem, kind, Z)))
-    return np.vstack([at.residual.T, scalar(kind, at, target), determinants])
+    matrix = at.bordered(gradient(problem, kind, Z))
+    return np.vstack([at.residual.T, scalar(kind, at, target), determinants(matrix)])
 
 
 @dataclass

@@ -74,6 +74,24 @@ def _by_X(by_y: np.ndarray, by_slope: np.ndarray, stride: Stride, X: np.ndarray)
     return np.concatenate([matvec(by_y, y)[:, None], by_y[:, 1:] * y[0], (by_slope * slope)[:, None]], axis=1)
 
 
+def determinants(matrices: np.ndarray) -> np.ndarray:
+    """Return determinants.
+
+    Parameters
+    ----------
+    matrices : ndarray, shape (n, i, i)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        NaN where a matrix is not finite.
+    """
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    out = np.full(len(matrices), np.nan)
+    out[finite] = np.linalg.det(matrices[finite])
+    return out
+
+
 def rounding_step(matrix: np.ndarray, stride: Stride) -> np.ndarray:
     """Size of a bordered Newton step that rounding alone makes.
 

@@ -21,6 +21,21 @@ def roots(n: int) -> np.ndarray:
     return np.cos((2 * np.arange(n)[::-1] + 1) * np.pi / (2 * n))
 
 
+def tensor_nodes(sizes: tuple[int, ...]) -> np.ndarray:
+    """Return Chebyshev nodes of the cube from -1 to 1, the last dimension fastest.
+
+    Parameters
+    ----------
+    sizes : tuple of int
+        Along each dimension.
+
+    Returns
+    -------
+    ndarray, shape (product of sizes, d)
+    """
+    return np.array(list(itertools.product(*map(roots, sizes))))
+
+
 @dataclass(frozen=True)
 class Box:
     """Values of keys from `low` to `high`, in the walker's units.
@@ -59,7 +74,7 @@ class Box:
         ndarray, shape (product of n, d) [the walker's units]
         """
         sizes = (n,) * len(self.keys) if isinstance(n, int) else n
-        return self.at(np.array(list(itertools.product(*map(roots, sizes)))))
+        return self.at(tensor_nodes(sizes))
 
     def at(self, unit: np.ndarray) -> np.ndarray:
         """Return the values of keys at coordinates that run from -1 to 1.

@@ -34,10 +34,10 @@ from tasks.mechanics.lumped import Structure, common_structure
 _NODES, _LATTICE = (-0.99, 0.0, 0.99), 15
 #: Further lines that are drawn by lot.
 _DRAWN = 2
-#: Predictions that differ by less are solved both.
+#: Of predictions that differ by less both are solved.
 _TIE = 1e-3
-#: Points of these kinds whose value comes so near the best of a line get a manifold too, if they have one: others come
-#: to count only where one that counts changes its flags.
+#: Kinds of points that get a manifold, if one can be made, already where their value comes this near the best of a
+#: line: points of other kinds become the best only where another point changes its flags.
 _RIVALS = ("fold", "flip")
 _RIVAL = {"smallest_slope": 0.05, "largest_stable_slope": 0.1, "fastest_stable_speed": 0.05, "least_cost": 0.0}
 #: Rounds in which lines are surveyed and manifolds added, and lines of each.
@@ -228,7 +228,8 @@ class _Surveyor:
                         continue
                     if not rivals:
                         return True
-                    own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[0]
+                    new, _, _ = points_at(self.maker, self.manifolds[-1:], self.unit, self.window, every=True)
+                    own = join([own, new])
         return False
 
     def patterns(self) -> set[bytes]:

@@ -14,15 +14,15 @@ from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Lanes
 from tasks.step.step_map import SAMPLES
 
-#: A point may lie so many times farther from its prediction than any drawn one; its error is so many times theirs.
+#: Factor by which a point may lie farther from its prediction, and err more, than those drawn.
 _SAFETY = 8.0
-#: Predictions err by no less: below this is rounding.
+#: Least error of predictions: below is rounding.
 LEAST = 1e-9
 #: Error above which a further Newton step is taken.
 _GOAL = 1e-10
 #: Distance from an end at which its gaits must be steps.
 _INSIDE = 1e-3
-#: Beside a turn designs are surveyed, this share of the way to it.
+#: Share of the way to a turn within which designs are surveyed.
 _AT_TURN = 1e-5
 
 
@@ -114,41 +114,23 @@ class Cut:
 
 
 @dataclass(frozen=True)
-class Manifold:
-    """Special points of one kind in a box of keys.
+class Coordinates:
+    """Coordinates that run from -1 to 1 over the part of a box that a manifold covers.
 
     Attributes
     ----------
-    kind : str
-    target : float
-        As `tasks.continuation.defining.scalar` has it.
-    sizes : tuple of int
-        Nodes along each key.
-    coefficients : ndarray, shape (product of sizes, 2 c)
-        Of Z and of the derivatives of the kind's scalar.
-    moved : float
-        Largest Newton step from predictions at points drawn by lot.
-    linear, quadratic : float
-        Largest error after a Newton step, over the step and over its square.
     cut : Cut or None
         Where it ends inside the box.
     ratio : tuple of float
-        For each key how many times faster the polynomials' own coordinate grows at the box's upper end than at its
-        lower: in boxes whose coordinates are logarithms some points depend more smoothly on the keys themselves.
+        For each key how many times faster the coordinate grows at the box's upper end than at its lower: in boxes whose
+        coordinates are logarithms some points depend more smoothly on the keys themselves. Empty for the box's own.
     """
 
-    kind: str
-    target: float
-    sizes: tuple[int, ...]
-    coefficients: np.ndarray
-    moved: float = np.inf
-    linear: float = 0.0
-    quadratic: float = 0.0
     cut: Cut | None = None
     ratio: tuple[float, ...] = ()
 
     def own(self, unit: np.ndarray) -> np.ndarray:
-        """Return the coordinates of the polynomials.
+        """Return the coordinates on the manifold.
 
         Parameters
         ----------
@@ -159,10 +141,56 @@ class Manifold:
         -------
         ndarray, shape (n, d)
         """
-        own = self.cut.own(unit) if self.cut else unit
-        r = np.array(self.ratio or 1.0)
+        own, r = self.cut.own(unit) if self.cut else unit, np.array(self.ratio or 1.0)
         with np.errstate(invalid="ignore"):
             return np.where(r == 1, own, 2 * (r ** (0.5 * (1 + own)) - 1) / (r - 1) - 1)
+
+    def unit(self, own: np.ndarray) -> np.ndarray:
+        """Return coordinates of keys, the inverse of `own`.
+
+        Parameters
+        ----------
+        own : ndarray, shape (n, d)
+            Coordinates on the manifold.
+
+        Returns
+        -------
+        ndarray, shape (n, d)
+        """
+        r = np.array(self.ratio or 1.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            own = np.where(r == 1, own, 2 * np.log(1 + 0.5 * (r - 1) * (1 + own)) / np.log(r) - 1)
+        return self.cut.unit(own) if self.cut else own
+
+
+@dataclass(frozen=True)
+class Manifold:
+    """Special points of one kind in a box of keys.
+
+    Attributes
+    ----------
+    kind : str
+    target : float
+        As `tasks.continuation.defining.scalar` has it.
+    coordinates : Coordinates
+    sizes : tuple of int
+        Nodes along each key.
+    coefficients : ndarray, shape (product of sizes, 2 c)
+        Of Z and of the derivatives of the kind's scalar.
+    moved : float
+        Largest Newton step from predictions at points drawn by lot.
+    linear, quadratic : float
+        Largest error after a Newton step, over the step and over its square.
+    """
+
+    kind: str
+    target: float
+    coordinates: Coordinates
+    sizes: tuple[int, ...]
+    coefficients: np.ndarray
+    moved: float = np.inf
+    linear: float = 0.0
+    quadratic: float = 0.0
 
     def predict(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predict points and the derivatives of their scalar.
@@ -176,7 +204,7 @@ class Manifold:
         -------
         Z, rows : ndarray, shape (c, n)
         """
-        both = evaluate(self.own(unit), self.sizes, self.coefficients).T
+        both = evaluate(self.coordinates.own(unit), self.sizes, self.coefficients).T
         return both[: len(both) // 2], both[len(both) // 2 :]
 
     def there(self, unit: np.ndarray) -> np.ndarray:
@@ -191,10 +219,11 @@ class Manifold:
         -------
         ndarray of bool, shape (n,)
         """
-        return self.cut.share(unit) <= 1 if self.cut else np.ones(len(unit), bool)
+        cut = self.coordinates.cut
+        return cut.share(unit) <= 1 if cut else np.ones(len(unit), bool)
 
     def unsure(self, unit: np.ndarray) -> np.ndarray:
-        """Return whether designs lie where two sheets of the manifold meet.
+        """Return whether designs lie too near the turn at which two sheets of the manifold meet.
 
         Parameters
         ----------
@@ -205,11 +234,11 @@ class Manifold:
         -------
         ndarray of bool, shape (n,)
         """
-        turns = self.cut is not None and self.cut.turns
-        return np.abs(self.cut.share(unit) - 1) < _AT_TURN if turns and self.cut else np.zeros(len(unit), bool)
+        cut = self.coordinates.cut
+        return np.abs(cut.share(unit) - 1) < _AT_TURN if cut and cut.turns else np.zeros(len(unit), bool)
 
     def polish(self, problem: Lanes, unit: np.ndarray) -> tuple[Points, np.ndarray]:
-        """Solve the points of designs by a Newton step from their predictions; of each it is `there`.
+        """Solve the points of designs that are `there`, by a Newton step from their predictions.
 
         Parameters
         ----------

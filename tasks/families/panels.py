@@ -10,18 +10,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebval, chebvander
+from numpy.polynomial.chebyshev import chebval
 
 from tasks.families.box import roots
-from tasks.families.patch import along, coordinate
+from tasks.families.patch import along, basis, coordinate, fit
 
 #: Widest range of ln slope; pieces of branches are cut at its multiples.
 _WIDTH = 1.0
 #: Narrowest part of such a range, in its coordinate from 0 to 1.
 _NARROWEST = 2.0**-12
-#: How often the largest error at the points drawn is counted in the bound.
-SAFETY = 8.0
-#: Nearer a fold than this share of the distance of the first point drawn nothing was measured.
+#: Factor by which the bound exceeds the largest error at the points drawn.
+_SAFETY = 8.0
+#: Share of the first drawn point's distance from a fold within which errors are unknown.
 _UNMEASURED = 0.25
 
 
@@ -43,8 +43,8 @@ class Panel:
         Of Chebyshev polynomials; empty where no polynomials serve.
     error : float
         Bound of their errors, each relative to the size of its quantity.
-    kind : int
-        That of its gaits.
+    passes : int
+        How often the legs of its gaits pass.
     """
 
     piece: int
@@ -54,7 +54,7 @@ class Panel:
     part: tuple[float, float] = (0.0, 1.0)
     coefficients: np.ndarray = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     error: float = np.inf
-    kind: int = 0
+    passes: int = 0
 
     def log_slope(self, x: np.ndarray) -> np.ndarray:
         """Ln slopes of points.
@@ -109,7 +109,7 @@ class Panel:
         return np.concatenate([roots(nodes), -np.cos(np.pi * angle / nodes)])
 
     def halves(self) -> Iterator[Panel]:
-        """Both halves of the panel, unless they are too narrow."""
+        """Yield both halves of the panel, unless they are too narrow."""
         start, stop = self.part
         middle = 0.5 * (start + stop)
         if middle - start >= _NARROWEST:
@@ -154,9 +154,7 @@ class Panel:
 
     def range_of(self, column: int) -> tuple[float, float]:
         """Bounds of the values of a polynomial."""
-        first, *others = self.coefficients[:, column].tolist()
-        spread = sum(map(abs, others))
-        return first - spread, first + spread
+        return value_bounds(self.coefficients[:, column])
 
 
 def panels_over(piece: int, low: float, high: float, folds: tuple[bool, bool], log_slope: np.ndarray) -> list[Panel]:
@@ -186,18 +184,53 @@ def panels_over(piece: int, low: float, high: float, folds: tuple[bool, bool], l
     ]
 
 
+def value_bounds(coefficients: np.ndarray) -> tuple[float, float]:
+    """Least and largest value that a sum of Chebyshev polynomials may have.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (n,)
+        The first is that of the constant.
+    """
+    first, *others = coefficients.tolist()
+    spread = sum(map(abs, others))
+    return first - spread, first + spread
+
+
 @dataclass(frozen=True)
 class Sampled:
-    """What was solved at the samples of a panel: `values` (n, c), their `size` (n, c), and a `bound` of their errors.
+    """What was solved at nodes and, behind them, at points drawn to check the polynomials.
 
-    `kind` is that of the gaits; `good` is whether all were found, of one kind.
+    `values` and `size`, (n, c), are quantities and the sizes over which their errors count; `bound` is that of the
+    errors; `passes` is how often the legs pass; `good` is whether all were found, with as many passes.
     """
 
     values: np.ndarray
     size: np.ndarray
     bound: float
-    kind: int
+    passes: int
     good: bool
+
+    def fit(self, drawn: np.ndarray, sizes: tuple[int, ...]) -> tuple[np.ndarray, float]:
+        """Fit polynomials to the values at the nodes, and check them at the other points.
+
+        Parameters
+        ----------
+        drawn : ndarray, shape (j, d)
+            The other points, in the cube from -1 to 1.
+        sizes : tuple of int
+            Nodes along each dimension.
+
+        Returns
+        -------
+        coefficients : ndarray, shape (product of sizes, c)
+        error : float
+            By how much they may err, as far as the other points show.
+        """
+        nodes = len(self.values) - len(drawn)
+        coefficients = fit(self.values[:nodes], sizes)
+        off = np.abs(basis(drawn, sizes) @ coefficients - self.values[nodes:]) / self.size[nodes:]
+        return coefficients, float(_SAFETY * off.max())
 
 
 def fit_panels(
@@ -248,11 +281,6 @@ def _fit(panel: Panel, x: np.ndarray, sampled: Sampled, nodes: int) -> Panel:
     """Panel with polynomials through its nodes, and the bound that the other points and the last coefficients give."""
     if not sampled.good:
         return panel
-    inverse = 2.0 / nodes * chebvander(x[:nodes], nodes - 1).T
-    inverse[0] *= 0.5
-    coefficients = inverse @ sampled.values[:nodes]
-    predicted = chebvander(x[nodes:], nodes - 1) @ coefficients
-    off = (np.abs(predicted - sampled.values[nodes:]) / sampled.size[nodes:]).max()
+    coefficients, off = sampled.fit(x[nodes:, None], (nodes,))
     tail = (np.abs(coefficients[-2:]).sum(axis=0) / sampled.size.min(axis=0)).max()
-    error = float(SAFETY * off + tail + sampled.bound)
-    return replace(panel, coefficients=coefficients, error=error, kind=sampled.kind)
+    return replace(panel, coefficients=coefficients, error=float(off + tail + sampled.bound), passes=sampled.passes)

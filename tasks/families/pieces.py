@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tasks.continuation.branch import Branch
+from tasks.fixed_points.polish import Guesses
 
 #: How far beyond a panel pieces are compared, in ln slope.
 _REACH = 1.0
@@ -29,6 +30,28 @@ class Piece:
     last: int
     kinds: tuple[str, str]
     q: tuple[float, float]
+
+    @property
+    def folds(self) -> tuple[bool, bool]:
+        """Whether it begins and ends at a fold."""
+        return self.kinds[0] == "fold", self.kinds[1] == "fold"
+
+    @property
+    def end_errors(self) -> tuple[float, float]:
+        """Errors of `q`, beyond rounding; those of the branch's own ends at folds."""
+        low, high = self.branch.end_errors
+        return (high, low) if self.branch.q[self.first] > self.branch.q[self.last] else (low, high)
+
+    def guesses(self, q: np.ndarray) -> Guesses:
+        """Return guesses of its gaits.
+
+        Parameters
+        ----------
+        q : ndarray, shape (n,)
+            Values of ln slope that it covers.
+        """
+        Z, segment = self.branch.on_piece(self.first, self.last, q)
+        return self.branch.known_guesses(Z, segment, np.exp(q))
 
     def at(self, q: np.ndarray) -> np.ndarray:
         """Evaluate the branch's polynomials; beyond the piece, at its ends.

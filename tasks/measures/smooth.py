@@ -18,10 +18,10 @@ from tasks.walkers.walker_array import WalkerArray
 #: Rates at the start of a step, and energies lost in it.
 _RATES = ("stance_rate", "thigh_rate", "shank_rate")
 _LOSSES = ("loss_normal", "loss_tangential", "loss_kneestrike")
-MULTIPLIERS = ("multiplier_real", "multiplier_imag", "spectral_radius", "multiplier_error_bound")
-
-
 _RATIO = "heelstrike_rate_ratio"
+_MULTIPLIERS = ("multiplier_real", "multiplier_imag", "spectral_radius", "multiplier_error_bound")
+#: What follows from angle and period.
+_TRAVEL = ("speed", "froude_speed", "power", "cost_of_transport")
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Smooth:
         optional = [name for name in (*_LOSSES, "kneestrike_time") if name in want]
         if not walker.knees:
             optional = [name for name in optional if "knee" not in name]
-        entries = [f"{i}{j}" for i in range(m) for j in range(m)] if set(want) & set(MULTIPLIERS) else []
+        entries = [f"{i}{j}" for i in range(m) for j in range(m)] if set(want) & set(_MULTIPLIERS) else []
         return cls(walker, ("stance_angle", *rates, "period", _RATIO, *optional, *entries))
 
     @property
@@ -100,7 +100,7 @@ class Smooth:
 
     def needed(self, want: Sequence[str]) -> list[int]:
         """Columns from which variables follow."""
-        derived = {"speed", "froude_speed", "power", "cost_of_transport"} & set(want)
+        derived = set(_TRAVEL) & set(want)
         names = {name for name in self.names if name in want or name.isdigit()}
         if derived or names & {*_RATES, *_LOSSES} or "shank_rate" in want:
             names.add("stance_angle")
@@ -157,28 +157,13 @@ class Smooth:
             In the walker's units.
         """
         n = len(slope)
-        told = {"status": status.CONVERGED, "reason": 0, "error_bound": error, "branch": branch, "piece": piece}
-        solved = {name: np.broadcast_to(value, n) for name, value in told.items()}
-        solved |= {name: columns[name] for name in want if name in MULTIPLIERS}
-        return self.variables(slope, columns, [name for name in want if name not in solved]) | solved
+        known = {"status": status.CONVERGED, "reason": 0, "error_bound": error, "branch": branch, "piece": piece}
+        solved = {name: np.broadcast_to(value, n) for name, value in known.items()}
+        solved |= {name: columns[name] for name in want if name in _MULTIPLIERS}
+        return self._variables(slope, columns, [name for name in want if name not in solved]) | solved
 
-    def variables(
-        self, slope: np.ndarray, columns: Mapping[str, np.ndarray], want: Sequence[str]
-    ) -> dict[str, np.ndarray]:
-        """Variables that follow from quantities, but for multipliers.
-
-        Parameters
-        ----------
-        slope : ndarray, shape (n,) [rad]
-        columns : mapping
-            By name the quantities that `needed` names, shape (n,).
-        want : sequence of str
-
-        Returns
-        -------
-        dict of ndarray, shape (n,)
-            In the walker's units.
-        """
+    def _variables(self, slope: np.ndarray, columns: Mapping[str, np.ndarray], want: Sequence[str]) -> Arrays:
+        """Variables (n,) that follow from quantities, but for multipliers."""
         known: dict[str, np.ndarray] = {k: np.exp(columns[k]) for k in ("stance_angle", "period") if k in columns}
         for name in {*_RATES, *_LOSSES, "kneestrike_time", _RATIO} & set(columns):
             if name in _RATES:
@@ -189,7 +174,7 @@ class Smooth:
                 known[name] = columns[name] * (known["period"] if name == "kneestrike_time" else 1.0)
         if "shank_rate" in want and not self.walker.knees:
             known["shank_rate"] = known["thigh_rate"]
-        if {"speed", "froude_speed", "power", "cost_of_transport"} & set(want):
+        if set(_TRAVEL) & set(want):
             known |= travel(self.walker, slope, known["stance_angle"], known["period"])
         return {name: known[name] if name in known else np.full(len(slope), np.nan) for name in want}
 

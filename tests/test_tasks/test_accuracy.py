@@ -13,7 +13,7 @@ from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
 from tasks.fixed_points.newton import lipschitz
 from tasks.fixed_points.rounding import rounding_std
-from tasks.interpolate_points import Interpolation, _Found
+from tasks.interpolate_points import Interpolation, _PanelGaits
 from tasks.measures.gaits import round_bits, to_accuracy
 from tasks.measures.smooth import Smooth
 from tasks.registry import GAITS
@@ -197,19 +197,19 @@ def test_a_panel_of_two_folds_is_inverted():
     np.testing.assert_allclose(panel.point(panel.log_slope(x)), x, atol=1e-12)
 
 
-def test_labels_that_errors_could_change_are_integrated():
-    """Where the rate ratio passes 1/2, and where two gaits of a label have angles as near as the accuracy."""
+def test_gaits_of_a_label_beside_a_fold_are_integrated():
+    """Where their angles differ by four accuracies or less, which is near the fold alone."""
     problem, found = branches("physical-straight")
     fold = [b.q[first] for b in found for first, _ in b.pieces()[1:]]
     slope = np.exp(fold[0] + 10.0 ** np.linspace(-9, -2, 40) * [[-1], [1]]).ravel()
     made = Interpolation(problem, found, ("stance_angle",), 1e-3, slope)
     parts, integrated = made.parts(slope)
-    interpolated = {i for part in parts for i in part.index.tolist()}
-    for key, indices in integrated.items():
-        near = np.abs(np.log(slope[indices]) - fold[0])
-        assert (near < 1e-3).all() or key is None
-    assert interpolated
-    assert all(np.abs(np.log(slope[i]) - fold[0]) > 1e-9 for i in interpolated)
+    indices = np.concatenate(list(integrated.values()))
+    assert len(indices) and (np.abs(np.log(slope[indices]) - fold[0]) < 1e-5).all()
+    one, other = parts
+    _, a, b = np.intersect1d(one.index, other.index, return_indices=True)
+    assert len(a) > 20 and (one.ratio < 0.5).all() and (other.ratio < 0.5).all()
+    assert 4e-3 < np.abs(one.angle[a] - other.angle[b]).min() < 8e-3
 
 
 def test_gaits_whose_stability_errors_could_change_are_integrated():
@@ -228,7 +228,9 @@ def test_gaits_of_a_label_that_errors_could_order_are_integrated():
     ratio = {0: np.full(3, 0.3), 1: np.array([0.3, 0.3, 0.7])}
     none = np.zeros(3, bool)
     parts = [
-        _Found(k, made.panels[0][0], np.arange(3), np.zeros(3), {"stance_angle": np.array(angles[k])}, ratio[k], none)
+        _PanelGaits(
+            k, made.panels[0][0], np.arange(3), np.zeros(3), {"stance_angle": np.array(angles[k])}, ratio[k], none
+        )
         for k in (0, 1)
     ]
     assert made._ties(parts, 3).tolist() == [True, False, False]
@@ -242,8 +244,8 @@ def test_a_label_that_errors_could_change_is_near():
     ratio = made.smooth.names.index("heelstrike_rate_ratio")
     coefficients[:2, ratio] = 0.5, 0.1  # 1/2 in the middle
     x = np.array([-0.9, -0.03, 0.03, 0.9])
-    one = made._found(0, replace(panel, coefficients=coefficients, error=1e-3), np.arange(4), x)
-    assert one.near.tolist() == [False, True, True, False]
+    one = made._evaluate(0, replace(panel, coefficients=coefficients, error=1e-3), np.arange(4), x)
+    assert one.uncertain.tolist() == [False, True, True, False]
 
 
 def test_gaits_with_another_number_of_leg_passes_share_no_panel(monkeypatch):
@@ -267,7 +269,7 @@ def test_what_a_panel_measures_is_no_less_than_at_its_gaits():
     problem, found = branches("A")
     made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
     q = np.log(np.linspace(0.01, 0.012, 9))
-    guesses, _ = made.pieces[0].guesses(q, np.exp(q))
+    guesses = made.pieces[0].guesses(q)
     measured, m = made._measured(guesses, q, len(q)), problem.m
     assert (measured.lipschitz > lipschitz(problem, np.vstack([guesses.w[:m], q]), guesses.w[m:])).all()
     # Estimates of single points scatter.

@@ -173,7 +173,7 @@ def test_flags_that_no_line_has_are_not_known():
 def test_stability_ends_where_two_flips_meet(made):
     """Just before the curve on which they meet a line has a window of stable gaits, just beyond it none."""
     _, landscape = made("A")
-    (cut,) = [m.cut for m in landscape.manifolds if m.cut is not None]
+    (cut,) = [m.coordinates.cut for m in landscape.manifolds if m.coordinates.cut]
     assert cut.turns and (cut.axis, cut.side) == (0, 1)
     for m_h in (0.1, 0.7):
         unit = landscape.box.unit(np.array([[0.5, m_h]]))
@@ -268,7 +268,7 @@ def test_a_manifold_over_one_key_ends_where_it_turns():
     box = Box(("detuning",), (0.4,), (0.7,))
     (landscape,) = make(family, box, WINDOW, lambda part: 1000)
     assert not landscape.why
-    (cut,) = [m.cut for m in landscape.manifolds if m.cut is not None]
+    (cut,) = [m.coordinates.cut for m in landscape.manifolds if m.coordinates.cut]
     assert cut.turns and cut.coefficients.shape == (1,)
     at = float(box.at(cut.coefficients[None])[0, 0])
     line = {"walker": "A", "set": {"detuning": np.array([at - 2e-5, at + 2e-5])}}

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tasks import interpolate_planes, solve_planes
+from tasks.families import panels
 from tasks.families.box import Box, Refused, roots
 from tasks.families.cell import PANEL, Family, _Maker, make
 from tasks.families.patch import along, basis, coordinate, fit
@@ -259,7 +260,7 @@ def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):
         integrated.append(len(args[-1]))
         return usual(*args)
 
-    monkeypatch.setattr(interpolate_planes, "fit", spoiled)
+    monkeypatch.setattr(panels, "fit", spoiled)
     monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
     solve_planes._sheets.cache_clear()
     for one, other in zip(right, by_line(params), strict=True):
