@@ -161,7 +161,7 @@ def _sampled(
     """Names of quantities, and what was solved at points (n, 1 + d) of a patch."""
     unit = points[:, 1:]
     ends = patch.ends_at(unit)
-    q = ends[:, 0] + along(0.5 * (1 + points[:, 0]), patch.folds) * (ends[:, 1] - ends[:, 0])
+    q = ends[:, 0] + along(0.5 * (1 + points[:, 0]), patch.folds, patch.vanishing) * (ends[:, 1] - ends[:, 0])
     w, node = patch.predict(unit, q, ends)
     walkers = family.walkers(cell.box.at(unit))
     problem, slope = Lanes(walkers, cell.structure), np.exp(q)
@@ -217,7 +217,7 @@ def interpolate(
             continue
         line = index // s
         low, high = ends[line].T
-        x = 2 * coordinate((q[index % s] - low) / (high - low), patch.folds) - 1
+        x = 2 * coordinate((q[index % s] - low) / (high - low), patch.folds, patch.vanishing) - 1
         own = walkers.some(line)
         smooth = Smooth.of(own, want, cell.structure.dimension)
         needed = sorted({*smooth.needed(want), 0})

@@ -204,10 +204,13 @@ class _Maker:
             if is_event[end] and len(kinds) > 1:
                 raise Refused(f"a piece ends at {' or '.join(sorted(kinds))}", self.steeper(own))
         low, high = (bool(is_event[end]) and group[0].kinds[end] == "fold" for end in (0, 1))
+        at_zero = [bool(is_event[end]) and group[0].kinds[end] == "zero step length" for end in (0, 1)]
+        own_ends = (low, high), (at_zero[0], at_zero[1])
         events = bool(is_event[0]), bool(is_event[1])
         for along_piece in _ALONG:
             sizes = (along_piece, *[_MANY] * self.d)
-            patch = self.patch(group, (low, high), events, sizes, q, self.gaits_of(group, q, sizes, (low, high)))
+            patch = self.patch(group, (low, high), events, sizes, q, self.gaits_of(group, q, sizes, *own_ends))
+            patch.vanishing = own_ends[1]
             if tails(patch.gaits, sizes)[0] < _COARSE_TAIL:
                 break
         patch.end_errors = np.array([tails(patch.ends[:, [i]], sizes[1:]).max() * is_event[i] for i in (0, 1)])
@@ -246,18 +249,27 @@ class _Maker:
         )
 
     def grid(
-        self, sizes: tuple[int, ...], ends: np.ndarray, folds: tuple[bool, bool] = (False, False)
+        self,
+        sizes: tuple[int, ...],
+        ends: np.ndarray,
+        folds: tuple[bool, bool] = (False, False),
+        vanishing: tuple[bool, bool] = (False, False),
     ) -> tuple[np.ndarray, np.ndarray]:
         """Keys (n, d) and ln slopes (n,) of a patch's nodes; the piece's own coordinate slowest."""
-        share = along(0.5 * (1 + roots(sizes[0])), folds)
+        share = along(0.5 * (1 + roots(sizes[0])), folds, vanishing)
         q = ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
         return np.tile(self.box.nodes(sizes[1:]), (sizes[0], 1)), q.ravel()
 
     def gaits_of(
-        self, group: list[Piece], ends: np.ndarray, sizes: tuple[int, ...], folds: tuple[bool, bool] = (False, False)
+        self,
+        group: list[Piece],
+        ends: np.ndarray,
+        sizes: tuple[int, ...],
+        folds: tuple[bool, bool] = (False, False),
+        vanishing: tuple[bool, bool] = (False, False),
     ) -> np.ndarray:
         """Gaits at the nodes of a patch by the polynomials of surveyed lines, shape (m + k, n)."""
-        _, q = self.grid(sizes, ends, folds)
+        _, q = self.grid(sizes, ends, folds, vanishing)
         by_line = q.reshape(sizes[0], -1)
         rows = np.stack([piece.at(by_line[:, i]) for i, piece in enumerate(group)], axis=1)
         return np.delete(rows.reshape(len(q), -1), group[0].branch.m, axis=1).T
@@ -275,7 +287,7 @@ class _Maker:
     def error(self, patch: Patch) -> float:
         """Set and return the largest correction of predictions at points drawn by lot, and the side of a fold."""
         drawn = self.box.draw(_DRAWN, 1 + self.d, f"patch {patch.numbers[0]}")
-        share, unit = along(0.5 * (1 + drawn[:, 0]), patch.folds), drawn[:, 1:]
+        share, unit = along(0.5 * (1 + drawn[:, 0]), patch.folds, patch.vanishing), drawn[:, 1:]
         ends = patch.ends_at(unit)
         q = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
         w, _ = patch.predict(unit, q, ends)
@@ -293,7 +305,7 @@ class _Maker:
             raise Refused("a fold lies inside")
         sizes, m = (_MEASURED[0], *[_MEASURED[1]] * self.d), self.structure.dimension
         unit = self.box.unit(self.box.nodes(sizes[1:]))
-        keys, q = self.grid(sizes, patch.ends_at(unit), patch.folds)
+        keys, q = self.grid(sizes, patch.ends_at(unit), patch.folds, patch.vanishing)
         unit = self.box.unit(keys)
         w, _ = patch.predict(unit, q, patch.ends_at(unit))
         problem = self.problem(keys)

@@ -12,9 +12,11 @@ from tasks.step.step_map import Stride
 
 #: Points at which polynomials are evaluated at a time.
 _ROWS = 64
+#: Logarithm of the share of the way to an end at zero step length up to which gaits are predicted.
+_VANISHING = np.log(1e2)
 
 
-def along(share: np.ndarray, folds: tuple[bool, bool]) -> np.ndarray:
+def along(share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[bool, bool] = (False, False)) -> np.ndarray:
     """Return the share of the range of ln slope at a coordinate from 0 to 1 in which gaits are smooth.
 
     Parameters
@@ -22,33 +24,46 @@ def along(share: np.ndarray, folds: tuple[bool, bool]) -> np.ndarray:
     share : ndarray
     folds : (bool, bool)
         Whether the piece begins and ends at a fold, where gaits depend on the root of the distance in ln slope.
+    vanishing : (bool, bool)
+        Whether it begins and ends where steps vanish, and gaits depend on the distance's logarithm: up to 1e-2 of it.
 
     Returns
     -------
     ndarray
         From 0 to 1.
     """
+    if vanishing[0]:
+        return 1 - along(1 - share, folds[::-1], vanishing[::-1])
     low, high = folds
+    if vanishing[1]:
+        return -np.expm1(-_VANISHING * (share**2 if low else share))
     if low and high:
         return 0.5 * (1 - np.cos(np.pi * share))
     return share**2 if low else 1 - (1 - share) ** 2 if high else share
 
 
-def coordinate(share: np.ndarray, folds: tuple[bool, bool]) -> np.ndarray:
+def coordinate(
+    share: np.ndarray, folds: tuple[bool, bool], vanishing: tuple[bool, bool] = (False, False)
+) -> np.ndarray:
     """Return the coordinate at a share of the range of ln slope, the inverse of `along`.
 
     Parameters
     ----------
     share : ndarray
-    folds : (bool, bool)
+    folds, vanishing : (bool, bool)
 
     Returns
     -------
     ndarray
         From 0 to 1.
     """
+    if vanishing[0]:
+        return 1 - coordinate(1 - share, folds[::-1], vanishing[::-1])
     share = np.clip(share, 0.0, 1.0)
     low, high = folds
+    if vanishing[1]:
+        way = np.minimum(-np.log1p(-np.minimum(share, 1 - 1e-9)) / _VANISHING, 1.0)
+        return np.sqrt(way) if low else way
     if low and high:
         return np.arccos(1 - 2 * share) / np.pi
     return np.sqrt(share) if low else 1 - np.sqrt(1 - share) if high else share
@@ -157,8 +172,8 @@ class Patch:
     ----------
     lines, numbers : ndarray, shape (l, d) and (l, 2)
         Coordinates of keys of surveyed lines, and on each the numbers of the branch and of the piece on it.
-    folds : (bool, bool)
-        Whether the piece begins and ends at a fold.
+    folds, vanishing : (bool, bool)
+        Whether the piece begins and ends at a fold, and at zero step length.
     events : (bool, bool)
         Whether it ends at an event, whose slope depends on the keys; elsewhere it is cut.
     sizes : tuple of int
@@ -191,6 +206,7 @@ class Patch:
     lipschitz: np.ndarray
     rounding_std: np.ndarray
     side: float
+    vanishing: tuple[bool, bool] = (False, False)
 
     def ends_at(self, unit: np.ndarray) -> np.ndarray:
         """Return the ln slopes of both ends.
@@ -238,7 +254,7 @@ class Patch:
         node : ndarray of int, shape (n,)
             The nearest of the places along the piece at which rounding is measured.
         """
-        s = coordinate((q - ends[:, 0]) / (ends[:, 1] - ends[:, 0]), self.folds)
+        s = coordinate((q - ends[:, 0]) / (ends[:, 1] - ends[:, 0]), self.folds, self.vanishing)
         x = 2 * s - 1
         w = evaluate(np.column_stack([x, unit]), self.sizes, self.gaits).T
         return w, np.abs(x[:, None] - roots(max(1, len(self.lipschitz)))).argmin(axis=1)

@@ -21,12 +21,12 @@ RATES = ("stance_rate", "thigh_rate", "shank_rate")
 VALUES = ("stance_angle", *RATES, "period")
 WANT = (*VALUES, "kneestrike_time", "spectral_radius", "multiplier_error_bound", *ALWAYS)
 #: Walker, keys with their ranges, and a slope [rad] in each panel. In the last four families folds and ends of branches
-#: lie inside: at tangential heelstrike for straight legs, at kneestrike and tangential heelstrike for knees.
+#: lie inside: for straight legs at zero step length and tangential heelstrike, for knees at kneestrike and the latter.
 FAMILIES = {
     "B": ("B", {"m_s": (0.05, 0.15), "R": (0.0, 0.12)}, (0.004, 0.01, 0.02)),
     "E": ("E", {"foot_mass_ratio": (0.1, 0.2)}, (0.003, 0.01, 0.02)),
-    "E with offset": ("E", {"w_t": (0.01, 0.013), "m_s": (0.09, 0.11)}, (0.0045, 0.0055, 0.015, 0.02)),
-    "A": ("A", {"detuning": (0.75, 0.9), "m_h": (1.0, 1.5)}, (0.009, 0.01, 0.03, 0.035)),
+    "E with offset": ("E", {"w_t": (0.01, 0.013), "m_s": (0.09, 0.11)}, (0.0045, 0.0055, 0.007, 0.02)),
+    "A": ("A", {"detuning": (0.75, 0.9), "m_h": (1.0, 1.5)}, (0.009, 0.012, 0.0145, 0.03)),
     "C": ("C", {"detuning": (0.3, 0.4), "m_h": (0.0, 0.5)}, (0.005, 0.007, 0.012, 0.03)),
     "physical": ("physical", {"w_s": (0.024, 0.026), "R": (0.195, 0.205)}, (0.02, 0.022, 0.035, 0.053)),
 }
@@ -51,7 +51,9 @@ class Outcome:
 def slopes(random, branches, inside):
     """Slopes of a line: in a panel, and near folds and ends of its branches that lie in it; the number of these."""
     low = np.floor(np.log(inside) / PANEL) * PANEL
-    places = [b.q[at] for b in branches for at in (0, *(f for f, _ in b.pieces()[1:]), -1)]
+    places = [b.q[at] for b in branches for at in (f for f, _ in b.pieces()[1:])]
+    # Nearer than a hundredth of the way to an end at zero step length lines are surveyed.
+    places += [b.q[-k] for b in branches for k, why in zip((0, 1), b.why, strict=True) if why != "zero step length"]
     places = [q for q in places if low < q < low + PANEL]
     near = [
         random.choice(places) + random.choice([-1, 1]) * 10 ** random.uniform(-3.5, -2) for _ in places and range(NEAR)

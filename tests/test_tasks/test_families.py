@@ -96,6 +96,18 @@ def test_an_array_of_walkers_has_the_constants_of_each(walker, keys):
 
 
 @pytest.mark.parametrize(
+    "ends", [((False, False), (False, True)), ((True, False), (False, True)), ((False, True), (True, False))]
+)
+def test_beside_an_end_at_zero_step_length_the_coordinate_is_a_logarithm(ends):
+    x = np.linspace(0, 1, 11)
+    share = along(x, *ends)
+    assert coordinate(share, *ends) == pytest.approx(x, abs=1e-7)
+    from_end = share if ends[1][0] else 1 - share[::-1]
+    assert from_end[0] == pytest.approx(0.01) and from_end[-1] == pytest.approx(1.0)
+    assert (np.diff(np.log(from_end)) > 0).all()
+
+
+@pytest.mark.parametrize(
     ("walker", "keys", "slope", "at"),
     [
         ("E", {"w_t": (-0.004, 0.004), "m_s": (0.09, 0.1)}, 0.02, {"w_t": 0.0, "m_s": 0.092}),
