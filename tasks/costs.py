@@ -50,8 +50,8 @@ COSTS = {
 }
 #: Costs of a point: of a long line, of a short one, of gaits of several steps; and of groups of variables beside these.
 POINTS = {
-    "long": Cost(1.3e-5, 6e-5, ("points",)),
-    "interpolated": Cost(6e-7, 6e-7, ("points",)),
+    "long": Cost(1.8e-5, 7e-5, ("points",)),
+    "interpolated": Cost(1.3e-6, 1.3e-6, ("points",)),
     "plane": Cost(1e-4, 3e-4, ("points",)),
     "short": Cost(2e-4, 1e-3, ("points",)),
     "cycles": Cost(2e-3, 3e-3, ("points", "gait_steps")),
