@@ -15,6 +15,7 @@ from __future__ import annotations
 import copy
 import functools
 from dataclasses import dataclass
+from typing import Any
 
 import heyoka as hy
 import numpy as np
@@ -155,11 +156,15 @@ class StrideMap:
             self._knee = self._compile_knee()
         self._finish = self._compile_finish()
 
+    def _function(self, outputs: list[Any], variables: list[Any]) -> CompiledFunction:
+        """Compile a function; the bench's reference overrides this with wider numbers."""
+        return CompiledFunction(outputs, variables)
+
     def _compile_start(self) -> CompiledFunction:
         p = Symbols(self.structure)
         y = list(hy.make_vars(*(f"y{i}" for i in range(self.m))))
         state = start_of_step(self.structure, p, y)
-        return CompiledFunction(state + flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
+        return self._function(state + flat([[hy.diff(x, v) for v in y] for x in state]), [*y, *p.variables])
 
     def _compile_knee(self) -> CompiledFunction:
         """From the end of three links to the start of two, with directions (y, duration, slope).
@@ -186,7 +191,7 @@ class StrideMap:
         strike = [x[i] - field[i] * guard / closing for i in range(6)]
         strike += [D[i][d] - field[i] * guard_by[d] / closing for i in range(6) for d in range(self.m)]
         guards = [guard, *guard_by[: self.m], closing, *guard_by[self.m :]]
-        return CompiledFunction(lock + flat(parts) + guards + strike, [*x, *flat(D), *p.variables])
+        return self._function(lock + flat(parts) + guards + strike, [*x, *flat(D), *p.variables])
 
     def _compile_finish(self) -> CompiledFunction:
         """From the end of two links to the image on the section, its derivatives and the Newton step.
@@ -244,7 +249,7 @@ class StrideMap:
             *(struck(D[i], 0, x[i]) for i in (2, 3)),
             *(struck(D[i], 1 + d, D[i][d]) for i in (2, 3) for d in range(m)),
         ]
-        return CompiledFunction(outputs, [*y, *x, *flat(carried), *flat(parts), *flat(knee), *p.variables])
+        return self._function(outputs, [*y, *x, *flat(carried), *flat(parts), *flat(knee), *p.variables])
 
     def _apply(self, function: CompiledFunction, inputs: np.ndarray) -> np.ndarray:
         """Call a compiled function on lanes padded to whole SIMD groups, so that every lane runs the same code."""
