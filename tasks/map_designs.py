@@ -166,12 +166,7 @@ def _landscapes(
     log_speed: float | None,
 ) -> list[Landscape]:
     """Landscapes of a box, for designs at some values of its keys."""
-
-    def count(part: Box) -> int:
-        inside = (np.array(each) for each in values)
-        return int(np.prod([((v >= a) & (v <= b)).sum() for v, a, b in zip(inside, part.low, part.high, strict=True)]))
-
-    return make(family, box, window, count, log_speed=log_speed)
+    return make(family, box, window, lambda part: part.count(values), log_speed=log_speed)
 
 
 def _solve(

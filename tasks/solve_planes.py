@@ -102,13 +102,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
 @functools.lru_cache(256)
 def _cells(family: Family, box: Box, low: float, values: tuple[tuple[float, ...], ...]) -> list[Cell]:
     """Cells of a box for the panel from `low` on, for the lines at some values of its keys."""
-
-    def count(part: Box) -> int:
-        inside = (np.array(each) for each in values)
-        sides = zip(inside, part.low, part.high, strict=True)
-        return int(np.prod([((v >= a) & (v <= b)).sum() for v, a, b in sides]))
-
-    return make(family, box, low, count)
+    return make(family, box, low, lambda part: part.count(values))
 
 
 @functools.lru_cache(256)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -60,6 +60,17 @@ class Box:
             return ()
         sides = zip(self.low, self.high, self._is_log.tolist(), strict=True)
         return tuple(b / a if is_log else 1.0 for a, b, is_log in sides)
+
+    def count(self, values: Sequence[Sequence[float]]) -> int:
+        """Return how many points of a grid lie inside or on the border.
+
+        Parameters
+        ----------
+        values : sequence of sequences of float
+            Of each key, in the walker's units.
+        """
+        sides = zip(map(np.asarray, values), self.low, self.high, strict=True)
+        return int(np.prod([((v >= a) & (v <= b)).sum() for v, a, b in sides]))
 
     def nodes(self, n: int | tuple[int, ...]) -> np.ndarray:
         """Return Chebyshev nodes, the last key fastest.
