@@ -108,7 +108,6 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
 
     def least(X: np.ndarray, times: np.ndarray, samples: int = violations.SAMPLES) -> np.ndarray:
         stride, scale = problem.stride(np.vstack([X[:m], times]), X[m], samples=samples)
-        assert stride.motion is not None
         return violations.measure(
             problem.walker, [part * scale for part in stride.motion], stride.impact * scale, times, np.exp(X[m])
         )["least_normal_force"]

@@ -160,7 +160,6 @@ def _iterate(problem: Problem, y: np.ndarray, slope: np.ndarray, options: Mappin
         before, y, lanes = y[:, walks], result.image[:, walks], lanes[walks]
         if not len(lanes):
             break
-        assert result.jacobian is not None
         growth.step(
             result.jacobian[:, :, walks],
             (k - _ALIGNMENT) * _BLOCKS // (strides - _ALIGNMENT) if k >= _ALIGNMENT else None,

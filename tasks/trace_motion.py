@@ -58,7 +58,6 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
                 stride, _ = problem.stride(w, q)
                 w = w + newton_step(stride, w)
             stride, scale = problem.stride(w, q, samples=SAMPLES)
-            assert stride.motion is not None
             for lane, g in np.argwhere(is_drawn):
                 times, angles = _cycle(stride.motion, stride.times[:, lane], lane)
                 a, b, c = angles * scale[lane]

@@ -16,7 +16,7 @@ from pipeline.bench.planes import PLANES
 #: Walkers and the slopes of their lines.
 LINES = {"D": (1e-4, 0.015), "E": (1e-3, 0.1), "B": (1e-3, 0.1), "A": (1e-3, 0.05), "C": (1e-3, 0.05)}
 #: Accuracies measured; 0 is as good as doubles give.
-ACCURACIES = {False: (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 0.0, 1e-15), True: (1e-3, 1e-6, 0.0)}
+ACCURACIES = {False: (1e-2, 1e-4, 1e-6, 1e-9, 1e-11, 1e-12, 0.0, 1e-15), True: (1e-3, 1e-6, 0.0)}
 _OF_PLANES = (1e-4, 1e-6, 0.0)
 #: What is wanted, besides status, labels and error bounds.
 WANTED = {"two variables": ["stance_angle", "period"], "with multipliers": ["stance_angle", "period", "multipliers"]}

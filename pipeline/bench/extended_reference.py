@@ -19,7 +19,8 @@ class _Algebra(StrideMap):
         self.structure, self.m, self.kneed, self.kind = structure, structure.dimension, structure.kneed, kind
         self.start_size = 6 if self.kneed else 4
         self.begin = self._compile_start()
-        self.lock = self._compile_knee() if self.kneed else None
+        if self.kneed:
+            self.lock = self._compile_knee()
         self.finish = self._compile_finish()
 
     def _function(self, outputs: list[Any], variables: list[Any]) -> Any:
@@ -125,7 +126,6 @@ class Precise:
         duration, parts, knee = times[0], self.array([]), self.array([])
         if self.kneed:
             final = self._integrate(self.free, start, D, parameters, times[0])
-            assert self.algebra.lock is not None
             out = self.algebra.lock(np.concatenate([final[:6], self._padded(final[6:], 6), parameters]))
             start, parts, knee, _ = np.split(out, np.cumsum([4, 4 * (m + 2), m + 3]))
             D = self.array(np.eye(4, m, -1).ravel()).reshape(4, m)

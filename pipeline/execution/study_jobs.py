@@ -96,6 +96,8 @@ class StudyJobs:
         #: Lines of a block in one job: fewer than it has where workers would otherwise be idle.
         self.lines_at_once = max(_MIN_LINES, math.ceil(self.study.lines / (engine.jobs * CHUNKS_PER_WORKER)))
         self.costs = Costs(len(self.study.slope), points, self.cost)
+        #: Whether points cost the same at every slope, and so little that measuring them first would cost more.
+        self._is_even = graph.is_interpolated(self.study)
         self._seconds_after = seconds_after(self.study, plan.layers)
         self.account = Account()
         self.next: Job | None = None
@@ -241,7 +243,7 @@ class StudyJobs:
 
     def _open_line(self, work: LineWork, inputs: tuple[bytes, ...]) -> None:
         self.costs.open_line(work.number, work.missing)
-        is_long = len(work.missing) * self.cost > TARGET_SECONDS
+        is_long = not self._is_even and len(work.missing) * self.cost > TARGET_SECONDS
         points = self._line_job("points", dataclasses.replace(work, missing=work.missing[:0].copy()), inputs)
         self._queue.open(points, work.missing, _FIRST_CHUNK if is_long else 0)
 
@@ -253,7 +255,7 @@ class StudyJobs:
         """Points in the next chunk: about a second of work, less where workers would otherwise be idle."""
         if self.chunk:
             return self.chunk
-        if job and not self.points_measured:
+        if job and not (self.points_measured or self._is_even):
             return _FIRST_CHUNK
         seconds = seconds_of_chunk(self.points * self.cost / self.engine.jobs, self.study.limits.seconds)
         size = seconds / self.cost
@@ -351,7 +353,8 @@ class StudyJobs:
         with self.hold:
             counts = self._store(job, result, len(indices))
         self._measure(work.number, indices, result["seconds"], job.probe)
-        if work.number not in self.costs.probed and self.costs.seconds_left(work.number) > _PROBED_SECONDS:
+        is_long = not self._is_even and self.costs.seconds_left(work.number) > _PROBED_SECONDS
+        if is_long and work.number not in self.costs.probed:
             self._to_probe.append(work)
         self.listen("chunk", {**_event(job, result), "points": len(indices), "counts": dict(counts)})
 

@@ -52,7 +52,7 @@ def saddle_at(problem: Problem, y: np.ndarray, slope: float) -> Saddle | None:
     Saddle or None
     """
     at = stride(problem, y[:, None], np.array([slope]))
-    if at.outcome[0] != STRUCK or at.jacobian is None:
+    if at.outcome[0] != STRUCK:
         return None
     values, vectors = np.linalg.eig(at.jacobian[:, :, 0])
     is_outside = np.abs(values) > 1

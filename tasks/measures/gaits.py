@@ -225,7 +225,6 @@ def _measure(
         measured["loss_normal"], measured["loss_tangential"] = normal * unit, tangential * unit
         knee = np.zeros(len(slope))
         if walker.knees:
-            assert stride.knee is not None
             knee = kneestrike_loss(walker, stride.knee * scale)
         measured["loss_kneestrike"] = knee * unit if walker.knees else np.full(len(slope), np.nan)
         drop = step_length(walker, angle) / walker.leg * np.sin(slope)
@@ -233,7 +232,6 @@ def _measure(
     if any(VARIABLES[name].group == "violations" for name in want):
         # Extremes need closer samples than the verification of a step: it is integrated again with those.
         fine = problem.map(y / scale, times, problem.parameters(slope, scale), samples=violations.SAMPLES)
-        assert fine.motion is not None
         measured |= violations.measure(
             walker, [m * scale for m in fine.motion], fine.impact * scale, times, slope, friction_limit
         )

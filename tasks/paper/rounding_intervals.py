@@ -202,7 +202,6 @@ def _grazing(walkers: list[Walker], Z: np.ndarray) -> np.ndarray:
     y = np.vstack([angle, angle * Z[1:m]]) / scale
     parameters = problem.parameters(np.exp(Z[m + 1]), scale)
     stride = problem.map(y, Z[m : m + 1], parameters, True, 1)
-    assert stride.motion is not None
     a, b, a_rate, b_rate = stride.motion[-1][-1]
     p = Symbols(problem.structure)
     names = hy.make_vars("angle", "stance", "swing")

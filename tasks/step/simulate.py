@@ -10,7 +10,7 @@ correction. A lane's bits depend on its initial state alone.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import heyoka as hy
 import numpy as np
@@ -58,14 +58,14 @@ class SimulatedSteps:
         Kneestrike, for knees, and heelstrike.
     outcome : ndarray of int, shape (n,)
         Index of CAUSES.
-    jacobian : ndarray, shape (m, m, n), or None
-        Where the steps are exact.
+    jacobian : ndarray, shape (m, m, n)
+        Empty where the steps are not exact.
     """
 
     image: np.ndarray
     times: np.ndarray
     outcome: np.ndarray
-    jacobian: np.ndarray | None = None
+    jacobian: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 0)))
 
 
 class Scanner:

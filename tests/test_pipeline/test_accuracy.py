@@ -111,6 +111,15 @@ def test_bytes_do_not_depend_on_how_it_is_run(archive, tmp_path, options):
     assert other.read_bytes() == archive.read_bytes()
 
 
+def test_gaits_of_polynomials_are_not_probed(tmp_path):
+    """Their jobs are large from the first: a few points cost as much time as thousands."""
+    pipeline.run(written(tmp_path, n=60_000), jobs=1, archive=tmp_path / "coarse.nc", quiet=True)
+    events = [json.loads(line) for line in (tmp_path / "coarse.events.jsonl").read_text().splitlines()]
+    sizes = [event["points"] for event in events if event["event"] == "chunk"]
+    assert sum(sizes) == 60_000
+    assert len(sizes) <= 4
+
+
 def test_another_accuracy_solves_again_and_says_so(folder, archive, capsys):
     study = str(folder / "coarse.toml")
     assert main(["plan", study, "--archive", str(archive), "--accuracy", "1e-8", "--json"]) == 0
