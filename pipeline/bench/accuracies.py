@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import api
-from pipeline.bench.harness import Case, solve_study
+from pipeline.bench.harness import Case, what_more_take
 from pipeline.bench.planes import PLANES
 
 #: Walkers and the slopes of their lines.
@@ -66,11 +66,11 @@ def _case(name: str, problem: str, words: str, accuracy: float, quick: bool) -> 
         return table | {"accuracy": accuracy} if accuracy else table
 
     fewer = int(size * (_FEWER if problem == "line" else np.sqrt(_FEWER)))
-    (seconds, gaits), (first, known) = solve_study(study(size)), solve_study(study(fewer))
+    further = what_more_take(study, fewer, size)
     case = Case(name, problem, f"gaitsweep, {words}", accuracy or float(np.finfo(float).eps), lambda: np.zeros(0))
-    case.seconds = [max(seconds - first, 0.0) / (gaits - known)]
+    case.seconds = [further.seconds / further.gaits]
     case.error = _error(name, problem, accuracy)
-    case.work = float(gaits)
+    case.work = float(further.gaits + further.gaits_of_fewer)
     return case
 
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,6 +33,15 @@ class Case:
     error: float = np.nan
     work: float = np.nan
     seconds: list[float] = field(default_factory=list)
+
+
+class Difference(NamedTuple):
+    """Processor time [s] and gaits that a larger study has more than a smaller one, and those of the smaller one."""
+
+    seconds: float
+    gaits: int
+    seconds_of_fewer: float
+    gaits_of_fewer: int
 
 
 def time_in_turns(cases: Sequence[Case], rounds: int, least: float) -> None:
@@ -67,6 +76,12 @@ def solve_study(study: dict[str, Any]) -> tuple[float, int]:
         account = json.loads(Path(folder, "study.run.json").read_text())["account"]
     seconds = account["workers_cpu"] + account["parent_cpu"] - begin
     return seconds, int((archive.status == "converged").sum())
+
+
+def what_more_take(study: Callable[[int], dict[str, Any]], fewer: int, more: int) -> Difference:
+    """Solve two sizes of a study; loading, compiling and whatever else they share cancel in the difference."""
+    (seconds, gaits), (first, known) = solve_study(study(more)), solve_study(study(fewer))
+    return Difference(max(seconds - first, 0.0), gaits - known, first, known)
 
 
 def largest_error(result: np.ndarray, exact: np.ndarray) -> float:

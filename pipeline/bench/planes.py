@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.bench.harness import solve_study
+from pipeline.bench.harness import what_more_take
 from pipeline.study.parse import parse
 from tasks.registry import ALWAYS
 from tasks.solve_planes import lines
@@ -17,8 +18,8 @@ PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {
     "B": (0.01, {"m_s": (0.05, 0.15), "R": (0.0, 0.25)}),
     "C": (0.04, {"detuning": (0.0, 1.0), "m_h": (0.0, 1.5)}),
 }
-#: Walkers along each key in the larger and in the smaller study of a full and of a quick run.
-_ACROSS = {False: (120, 40), True: (48, 32)}
+#: Walkers along each key in the smaller and in the larger study of a full and of a quick run.
+_ACROSS = {False: (40, 120), True: (32, 48)}
 
 
 def table(quick: bool) -> list[dict[str, float | str]]:
@@ -42,16 +43,17 @@ def table(quick: bool) -> list[dict[str, float | str]]:
     """
     rows: list[dict[str, float | str]] = []
     for name, (slope, keys) in list(PLANES.items())[: 1 if quick else None]:
-        (more, gaits), (fewer, known) = (solve_study(_study(name, slope, keys, n)) for n in _ACROSS[quick])
-        each = (more - fewer) / (gaits - known)
-        cells, surveyed = _surveyed(_study(name, slope, keys, _ACROSS[quick][1]))
+        study = functools.partial(_study, name, slope, keys)
+        further = what_more_take(study, *_ACROSS[quick])
+        each = further.seconds / further.gaits
+        cells, surveyed = _surveyed(study(_ACROSS[quick][0]))
         rows.append(
             {
                 "walker": name,
                 "keys": " × ".join(keys),
-                "gaits": float(gaits),
+                "gaits": float(further.gaits + further.gaits_of_fewer),
                 "s a further gait": each,
-                "s a cell": (fewer - known * each) / cells,
+                "s a cell": (further.seconds_of_fewer - further.gaits_of_fewer * each) / cells,
                 "cells": float(cells),
                 "share of walkers surveyed one by one": surveyed,
             }
