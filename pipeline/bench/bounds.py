@@ -9,10 +9,10 @@ import numpy as np
 
 from pipeline.bench.extended_reference import convert
 from pipeline.bench.stress import random_walker
-from tasks import solve_points
 from tasks.continuation import atlas as atlases
 from tasks.fixed_points.polish import Guesses, settle
 from tasks.fixed_points.rounding import apply_newton_step
+from tasks.measures.gaits import describe
 from tasks.step import extended_precision
 from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
@@ -146,8 +146,8 @@ def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, flo
     list of tuple
         Slope [rad], bound, error, condition number and tier of precision of each converged gait.
     """
-    product, slope = solve_points.solve(problem, guesses, WANT), guesses.slope
-    at = settle(problem, guesses)
+    at, slope = settle(problem, guesses), guesses.slope
+    product = describe(problem, problem.walker, at, slope, WANT)
     time_unit, rows = _time_unit(problem.walker), []
     corrected = apply_newton_step(problem, at.stride, problem.parameters(slope, at.scale))
     condition = np.maximum(1.0, (corrected.sensitivity / corrected.size).max(axis=0) - 1.0)

@@ -29,7 +29,7 @@ _NEWTON = Newton(max_iterations=8, max_step=1.0, small=1e-9, shrinking=0.2)
 #: Steps of branches turn by at most 0.3 rad; what is kept near its target is the distance from the predicted point.
 _CONTROL = StepControl(
     shortest=1e-7,
-    longest=0.5,
+    longest=2.0,
     min_cosine=np.cos(0.3),
     target=2e-3,
     power=1 / 3,
