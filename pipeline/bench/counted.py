@@ -1,4 +1,4 @@
-"""Counted work, and the share of a line's time that is spent in compiled code."""
+"""Counted work, and the share of a line's time that is spent in compiled flows and maps."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def less_and_less(f: problems.Family, n: int) -> list[dict[str, float | str]]:
 
 
 def line(f: problems.Family, n: int) -> dict[str, float]:
-    """Steps per gait (each is one Newton step) and the share of time in compiled code, on one line of n slopes."""
+    """Steps a gait (each is one Newton step) and the share of time in compiled flows and maps, on one line."""
     slopes = np.geomspace(1e-3, f.slope * 3, n)
     params = {"line": {"walker": f.name, "set": {}}, "slope": slopes, "want": problems.GRID_WANT, "gaits": GAITS}
     solve_points.points(params, [f.atlas])
@@ -157,7 +157,7 @@ def line(f: problems.Family, n: int) -> dict[str, float]:
         "microseconds a gait": 1e6 * wall / max(gaits, 1),
         "strides a gait": strides / max(gaits, 1),
         "flights a gait": flights / max(gaits, 1),
-        "share in compiled code": clock.seconds / wall,
+        "share in flows and maps": clock.seconds / wall,
     }
 
 
