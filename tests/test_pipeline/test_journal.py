@@ -6,14 +6,13 @@ import os
 import random
 import shutil
 import sqlite3
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pipeline import serialize
 from pipeline.errors import ArchiveError, DiskFullError
-from pipeline.store import lines
+from pipeline.store import journal_file, lines
 from pipeline.store.compact import compact
 from pipeline.store.journal import Journal
 from pipeline.store.journal_file import CorruptJournalError, repair
@@ -323,11 +322,11 @@ def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypat
         assert not len(lines.missing(journal, "L", WANT, slopes))
 
 
-@pytest.mark.parametrize(("free", "error"), [(1 << 30, ArchiveError), (1 << 10, DiskFullError)])
-def test_a_log_that_cannot_be_written_is_a_full_disk_only_where_little_is_left(tmp_path, monkeypatch, free, error):
+@pytest.mark.parametrize(("full", "error"), [(False, ArchiveError), (True, DiskFullError)])
+def test_a_log_that_cannot_be_written_is_a_full_disk_only_if_it_is_one(tmp_path, monkeypatch, full, error):
     """A folder in its place, say."""
     (tmp_path / "j-wal").mkdir()
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
+    monkeypatch.setattr(journal_file, "shortage", lambda *_: OSError(errno.ENOSPC, "full") if full else None)
     with pytest.raises((ArchiveError, DiskFullError)) as raised:
         Journal(tmp_path / "j")
     assert raised.type is error
