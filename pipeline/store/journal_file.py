@@ -171,7 +171,7 @@ def repair(path: Path) -> None:
             for table, row in _intact_rows(path):
                 place = rows.place(table, row)
                 is_named |= bool(place[1])
-                if place[1] and not _is_whole(segment, *place):
+                if (place[1] and not _is_whole(segment, *place)) or not rows.is_readable(table, row):
                     continue
                 if table == "points":  # a compacted block has the number of its last part, and more points
                     journal.execute("DELETE FROM points WHERE id = ? AND n < ?", (row[0], row[6]))
