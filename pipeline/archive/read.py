@@ -77,7 +77,7 @@ def open_archive(path: Path) -> Iterator[Any]:
             raise
         except Exception as error:
             # An error while reading an intact file is a bug of this package.
-            damage = _one_line(error) if _is_read_error(error) else next(_damage(file), "")
+            damage = _one_line(error) if _is_read_error(error) else next(_faults(file), "")
             if not damage:
                 raise
             raise ArchiveError(f"{path} is damaged: {damage.rstrip('.')}.") from error
@@ -114,11 +114,19 @@ def _damage(file: Any) -> Iterator[str]:
         yield f"its checksums cannot be checked, {_one_line(error)}."
 
 
+def _faults(file: Any) -> Iterator[str]:
+    """What is not as it was written, or not as gaitsweep writes it; an archive need not be complete."""
+    from pipeline.archive import structure  # whose tables of the registry only a fault needs
+
+    yield from _damage(file)
+    yield from (misfit for misfit in structure.misfits(file) if "not_attempted" not in misfit)
+
+
 def damage(path: Path) -> str:
-    """What is not as it was written in an archive, in a sentence; empty if nothing is."""
+    """What is not as it was written in an archive, or not as gaitsweep writes it; empty if nothing is."""
     try:
         with open_netcdf(path) as file:
-            return next(_damage(file), "")
+            return next(_faults(file), "")
     except (OSError, RuntimeError) as error:
         return _one_line(error)
 
