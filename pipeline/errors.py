@@ -1,8 +1,10 @@
 """One tree of exceptions: each branch is one exit code of the command line."""
 
 import errno
+import os
 from pathlib import Path
 
+_LITTLE = 1 << 20  # what a disk that is not full has room for [byte]
 #: Errors of a process that gets no more files, processes or memory, whatever file it was about to open.
 _LIMITS = (errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM)
 
@@ -40,6 +42,40 @@ class DiskFullError(GaitsweepError):
 def is_disk_full(error: BaseException) -> bool:
     """Whether the operating system reports a full disk or an exhausted quota."""
     return getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
+
+
+def reached_limit(error: BaseException) -> OSError | None:
+    """The error of the system if `error` says that there are no more threads or no more memory."""
+    if isinstance(error, MemoryError):
+        return OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+    if isinstance(error, RuntimeError) and "start new thread" in str(error):
+        return OSError(errno.EAGAIN, "no more threads can be started")
+    return None
+
+
+def shortage(error: BaseException, folder: Path) -> OSError | None:
+    """The error of the system for want of space, files, threads or memory behind `error`, if that is its cause.
+
+    Libraries do not say why they cannot write, and free space does not show quotas: a MiB is written to the folder.
+    """
+    import tempfile
+
+    if isinstance(error, OSError) and is_shortage(error):
+        return error
+    if limit := reached_limit(error):
+        return limit
+    try:
+        with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
+            while (n := file.tell()) < _LITTLE:
+                file.write(bytes(_LITTLE - n))
+    except OSError as found:
+        return found if is_shortage(found) else None
+    return None
+
+
+def is_shortage(error: OSError) -> bool:
+    """Whether the operating system reports a want of space, files, processes or memory."""
+    return is_disk_full(error) or error.errno in _LIMITS
 
 
 def unwritten(path: Path, error: OSError) -> GaitsweepError:

@@ -2,12 +2,15 @@
 
 import functools
 import gc
+import hashlib
+import json
 import os
 import re
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -124,6 +127,40 @@ def tell(request: pytest.FixtureRequest) -> Callable[[str], None]:
     if not request.node.get_closest_marker("soak"):
         return lambda found: None
     return lambda found: request.config.stash[TOLD].append((name, found, time.monotonic() - began))
+
+
+class Resumed:
+    """Cases of a long test, from where an earlier run of it with this code ended, until its share of time is over."""
+
+    def __init__(self, name: str):
+        self.found: Counter[str] = Counter()
+        self.done = self.cases = 0
+        self._file = ROOT / "soak" / f"{name}.json"
+
+    def __call__(self, cases: int) -> Iterator[int]:
+        """Numbers of cases, of so many; what the test counts in `found` is kept too."""
+        self.cases = cases
+        code = hashlib.sha256(b"".join(file.read_bytes() for file in sorted(ROOT.glob("[pt]*/**/*.py")))).hexdigest()
+        kept = json.loads(self._file.read_text()) if self._file.exists() else {}
+        if kept.get("code") == code and kept["done"] < cases:
+            self.done, self.found = kept["done"], Counter(kept["found"])
+        end = time.monotonic() + float(os.environ.get("SOAK_SECONDS", "1200"))
+        self._file.parent.mkdir(exist_ok=True)
+        try:
+            while self.done < cases and time.monotonic() < end:
+                yield self.done
+                self.done += 1
+        finally:
+            self._file.write_text(json.dumps({"code": code, "done": self.done, "found": self.found}))
+
+    @property
+    def state(self) -> str:
+        return f"{self.done:,} of {self.cases:,}"
+
+
+@pytest.fixture
+def resumed(request: pytest.FixtureRequest) -> Resumed:
+    return Resumed(re.sub(r"\W+", "-", request.node.name).strip("-"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

@@ -61,7 +61,7 @@ def load(archive: str | Path, table: str | None = None) -> Any:
             frame = unfolded(columns, xr.load_dataset(path, engine="netcdf4"))
         else:
             frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
-    frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}
+        frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}
     return frame
 
 

@@ -11,18 +11,43 @@ import sys
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.archive import layout
-from pipeline.errors import ArchiveError, GaitsweepError, WorkerError
+from pipeline.errors import ArchiveError, GaitsweepError, WorkerError, is_shortage, unwritten
 
 SCHEMA = 2
 _READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
 _TIMEOUT, _MIN_SPEED = 30.0, 5e6  # time [s] and speed [byte/s] allowed to read an archive
 _MAX_VALUES = 1 << 20  # values read at a time
 _MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
+
+
+@contextlib.contextmanager
+def open_netcdf(path: Path, mode: Literal["r", "w", "a"] = "r") -> Iterator[Any]:
+    """Open a netCDF-4 file.
+
+    Raises
+    ------
+    OSError, RuntimeError, ValueError
+        If the library cannot open or close it.
+    """
+    import netCDF4
+
+    file = netCDF4.Dataset(path, mode)
+    try:
+        yield file
+        if mode != "r":
+            file.sync()
+    except BaseException:
+        if mode != "r":
+            file._isopen = 0  # the library crashes when it closes a file that it cannot write; it is left open
+        raise
+    finally:
+        if file.isopen():
+            file.close()
 
 
 @contextlib.contextmanager
@@ -34,13 +59,13 @@ def open_archive(path: Path) -> Iterator[Any]:
     ArchiveError
         If it cannot be read or is not an archive of gaitsweep.
     """
-    import netCDF4
-
     if not path.is_file():
         raise ArchiveError(f"There is no archive {path}.")
+    opened = open_netcdf(path)
     try:
-        file = netCDF4.Dataset(path)
+        file = opened.__enter__()
     except (OSError, RuntimeError, ValueError) as error:
+        _check_limits(path)
         raise ArchiveError(f"{path} is no netCDF file that can be read.") from error
     try:
         schema = getattr(file, "gaitsweep_schema", None)
@@ -52,13 +77,22 @@ def open_archive(path: Path) -> Iterator[Any]:
             raise
         except Exception as error:
             # An error while reading an intact file is a bug of this package.
-            damage = _one_line(error) if _is_read_error(error) else next(_damage(file), "")
+            damage = _one_line(error) if _is_read_error(error) else next(_faults(file), "")
             if not damage:
                 raise
             raise ArchiveError(f"{path} is damaged: {damage.rstrip('.')}.") from error
     finally:
         with contextlib.suppress(RuntimeError):
-            file.close()
+            opened.__exit__(None, None, None)
+
+
+def _check_limits(path: Path) -> None:
+    """Raise an error if it is the system that opens no file any more; the netCDF library does not say so."""
+    try:
+        open(path, "rb").close()
+    except OSError as error:
+        if is_shortage(error):
+            raise unwritten(path, error) from error
 
 
 def _is_read_error(error: Exception) -> bool:
@@ -80,13 +114,19 @@ def _damage(file: Any) -> Iterator[str]:
         yield f"its checksums cannot be checked, {_one_line(error)}."
 
 
-def damage(path: Path) -> str:
-    """What is not as it was written in an archive, in a sentence; empty if nothing is."""
-    import netCDF4
+def _faults(file: Any) -> Iterator[str]:
+    """What is not as it was written, or not as gaitsweep writes it; an archive need not be complete."""
+    from pipeline.archive import structure  # whose tables of the registry only a fault needs
 
+    yield from _damage(file)
+    yield from (misfit for misfit in structure.misfits(file) if "not_attempted" not in misfit)
+
+
+def damage(path: Path) -> str:
+    """What is not as it was written in an archive, or not as gaitsweep writes it; empty if nothing is."""
     try:
-        with netCDF4.Dataset(path) as file:
-            return next(_damage(file), "")
+        with open_netcdf(path) as file:
+            return next(_faults(file), "")
     except (OSError, RuntimeError) as error:
         return _one_line(error)
 

@@ -21,7 +21,7 @@ from pipeline.archive.points import PointWriter
 from pipeline.archive.provenance import provenance
 from pipeline.archive.read import SCHEMA
 from pipeline.archive.written import Written, line_description, write_strings
-from pipeline.errors import ArchiveError, DiskFullError, is_disk_full
+from pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
 from pipeline.plan.missing import Plan
 from pipeline.statuses import ALL_STATUSES, ANSWERS
 from pipeline.store import lines
@@ -49,7 +49,7 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
 
     Raises
     ------
-    ArchiveError, DiskFullError
+    ArchiveError, DiskFullError, WorkerError
         If it cannot be written. An earlier archive at `path` is kept.
     """
     target = path.resolve()  # replace the target of a link, not the link
@@ -62,10 +62,12 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
         folder = os.open(target.parent, os.O_RDONLY)
         os.fsync(folder)
         os.close(folder)
-    except (OSError, RuntimeError) as error:
-        free = os.statvfs(target.parent)
-        if is_disk_full(error) or free.f_bavail * free.f_frsize < 1 << 20:
+    except (OSError, RuntimeError, MemoryError) as error:
+        cause = shortage(error, target.parent)
+        if cause and is_disk_full(cause):
             raise DiskFullError(f"The disk is full: {path} is unchanged; finished results are kept.") from error
+        if cause:
+            raise unwritten(path, cause) from error
         raise ArchiveError(f"{path} cannot be written: {error}.") from error
     finally:
         paths.discard(target)
@@ -73,17 +75,15 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
 
 
 def _write(plan: Plan, draft: Path, threads: int) -> Written:
-    import netCDF4
-
     writer = PointWriter(plan) if plan.study.kind == "grid" else _LineWriter(plan)
-    with netCDF4.Dataset(draft, "w", format="NETCDF4") as file:
+    with read.open_netcdf(draft, "w") as file:
         _write_header(file, plan, writer)
         writer.define(file)
         result_tables.write(file, plan)
     writer.fill(draft, threads)
-    with netCDF4.Dataset(draft, "a") as file:
+    with read.open_netcdf(draft, "a") as file:
         _write_checksums(file, writer)
-    with netCDF4.Dataset(draft) as file:
+    with read.open_netcdf(draft) as file:
         if "status" not in file.variables or file.variables["status"].dimensions != (*writer.dims,):
             raise ArchiveError(f"{draft} does not read back.")
         file.variables["status"][(-1,) * len(writer.dims)]

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 from pipeline import terminal
 from pipeline.cli import kinds
-from pipeline.errors import DiskFullError, GaitsweepError, StudyError, is_disk_full, unwritten
+from pipeline.errors import DiskFullError, GaitsweepError, StudyError, is_disk_full, reached_limit, unwritten
 
 #: Exit codes of several studies, gravest first: the gravest is that of all.
 _EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
@@ -188,6 +188,10 @@ def _report_errors(codes: list[int], debug: bool) -> Iterator[None]:
             terminal.silence(1)
             terminal.say("gaitsweep: The disk is full; not everything could be printed.")
             codes.append(DiskFullError.exit_code)
+            return
+        if limit := reached_limit(error):
+            terminal.say(f"gaitsweep: {(known := unwritten(Path(), limit))}")
+            codes.append(known.exit_code)
             return
         message = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
         terminal.say(f"gaitsweep: Internal error, {message}; --debug shows where.")

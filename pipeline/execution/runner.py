@@ -16,7 +16,7 @@ from typing import Any
 from pipeline import paths, terminal
 from pipeline.archive import read, write
 from pipeline.archive.provenance import code_digest, cpu_features, version
-from pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, unwritten
+from pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, reached_limit, unwritten
 from pipeline.execution import worker_process
 from pipeline.execution.account import Account
 from pipeline.execution.executors import Engine
@@ -255,8 +255,8 @@ class StudyRun:
     def end(self, error: Exception | None, quietly: bool = False) -> None:
         """Write the record of the run and unlock the archive."""
         self.pause()
-        if isinstance(error, OSError):
-            error = unwritten(self.path.parent, error)
+        if error and (system := error if isinstance(error, OSError) else reached_limit(error)):
+            error = unwritten(self.path.parent, system)
         if error:
             self.code = getattr(error, "exit_code", StudyError.exit_code)
             self._record["error"] = str(error)
@@ -266,7 +266,8 @@ class StudyRun:
             try:
                 _write_record(record, self._record)
             except OSError as failure:
-                terminal.say(f"gaitsweep: {unwritten(record, failure)}")
+                if not error:  # one line is enough, and this is the lesser matter
+                    terminal.say(f"gaitsweep: {unwritten(record, failure)}")
         self.is_open = False
         self._resources.close()
         if error and not quietly:

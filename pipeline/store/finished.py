@@ -131,6 +131,8 @@ class Head:
 
     def __init__(self, data: bytes):
         head: dict[str, Any] = serialize.load(data)
+        if (head["columns"] < 0).any() or 1 + head["columns"].sum() != len(head["sizes"]):
+            raise ValueError("not the head of a chunk")
         self.points, self.extent, self.multipliers = head["points"], head["extent"], head["multipliers"]
         self.low, self.high, self.digest = head["low"], head["high"], bytes.fromhex(head["digest"])
         self.sentences: list[str] = head["sentences"].tolist()

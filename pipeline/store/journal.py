@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import serialize
+from pipeline.statuses import ENDINGS
 from pipeline.store import journal_file, rows
 from pipeline.store.finished import FinishedChunk, Head
 from pipeline.store.journal_file import CorruptJournalError
@@ -65,7 +66,9 @@ class Journal:
     def _open_segment(self, write: bool) -> None:
         try:
             end = self._read("SELECT ifnull(max(start + length), 0) FROM points WHERE length > 0")[0][0]
-            last = self._read("SELECT start, length, data_sum FROM points WHERE length > 0 ORDER BY id DESC LIMIT 1")
+            last = [rows.place("points", row) for row in self._rows("points", "length > 0 ORDER BY id DESC LIMIT 1")]
+            if not isinstance(end, int):
+                raise CorruptJournalError(self.path)
             journal_file.check_segment(self.path, self._segment, end, last[0] if last else None)
             if write:
                 self._segment.resume(end)
@@ -187,6 +190,8 @@ class Journal:
 
     def _latest(self, key: str) -> tuple[Any, ...] | None:
         latest = self._rows("results", "key = ? ORDER BY id DESC LIMIT 1", key)
+        if latest and latest[0][3] not in ("ok", *ENDINGS):
+            raise CorruptJournalError(self.path)
         return latest[0] if latest else None
 
     def result(self, key: str) -> Result | None:
@@ -195,7 +200,11 @@ class Journal:
         if not latest:
             return None
         number, _, _, outcome, reason, seen, *_ = latest
-        return Result(outcome, reason, seen, self._data("results", number))
+        data = self._data("results", number)
+        with self._unpacking():
+            if outcome == "ok":
+                serialize.load(data)
+        return Result(outcome, reason, seen, data)
 
     def outcome(self, key: str) -> Outcome | None:
         """How the latest result of that key ended."""
@@ -218,7 +227,8 @@ class Journal:
         """
         found = self._read("SELECT id, low, high FROM points WHERE line = ? ORDER BY id", line)
         numbers, low, high = zip(*found, strict=True) if found else ((), (), ())
-        return np.array(numbers, int), np.array(low, float), np.array(high, float)
+        with self._unpacking():
+            return np.array(numbers, int), np.array(low, float), np.array(high, float)
 
     def block(self, number: int, line: str | None = None) -> Block:
         """The block of that number, and key."""
@@ -228,11 +238,20 @@ class Journal:
         row = rows_found[0]
         variables, (slopes, states) = _split_words(row[3]), row[-2:]
         place = rows.place("points", row)
-        if place[1]:
-            chunk = FinishedChunk(Head(states), lambda: self._payload(*place))
-            return Block(number, variables, chunk, chunk.contents)
-        contents = np.frombuffer(slopes), serialize.load(states)
+        with self._unpacking():
+            if place[1]:
+                chunk = FinishedChunk(Head(states), lambda: self._payload(*place))
+                return Block(number, variables, chunk, chunk.contents)
+            contents = np.frombuffer(slopes), serialize.load(states)
         return Block(number, variables, None, lambda: contents)
+
+    @contextlib.contextmanager
+    def _unpacking(self) -> Iterator[None]:
+        """Bytes that were never packed, whatever their checksum, are a damage."""
+        try:
+            yield
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+            raise CorruptJournalError(self.path) from error
 
     def _payload(self, start: int, length: int, checksum: int) -> bytes:
         payload = self._segment.read(start, length)
@@ -257,7 +276,8 @@ class Journal:
                 self._recent.move_to_end(block)
             else:
                 chunk = self.block(block).finished
-                self._recent[block] = serialize.load(self._data("points", block)) if chunk is None else chunk
+                with self._unpacking():
+                    self._recent[block] = serialize.load(self._data("points", block)) if chunk is None else chunk
                 while len(self._recent) > 2:
                     self._recent.popitem(last=False)
             return self._recent[block]
@@ -281,7 +301,7 @@ class Journal:
         """Mean cost of a point in the latest thousand blocks [s]; None if there is none."""
         latest = "SELECT n, seconds FROM points ORDER BY id DESC LIMIT 1000"
         n, seconds = self._read(f"SELECT sum(n), sum(seconds) FROM ({latest})")[0]
-        return seconds / n if n else None
+        return seconds / n if n and isinstance(seconds, float) else None
 
     def small_lines(self) -> list[str]:
         """Keys of lines stored in many blocks of few points."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import sqlite3
 import zlib
 from collections.abc import Iterator
@@ -16,14 +15,13 @@ from typing import Any, NoReturn
 from urllib.parse import quote
 
 from pipeline import paths
-from pipeline.errors import ArchiveError, DiskFullError, is_disk_full
+from pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
 from pipeline.store import rows, salvage
 from pipeline.store.segment import SUFFIX, Segment
 
 _APPLICATION_ID = 0x67735733  # in the header of a journal of this format
 _EARLIER_IDS = (0x67735732,)
 PAGE, LARGE_PAGE = 4096, 32768  # page sizes [byte]
-_LITTLE = 1 << 20  # free space [byte] with which a disk counts as full
 #: SQLite errors that do not mean a damaged file; others but those of a full disk do.
 _HARMLESS = ("PERM", "BUSY", "LOCKED", "NOMEM", "READONLY", "PROTOCOL", "CANTOPEN", "AUTH")
 _NOT_THE_FILE = tuple(getattr(sqlite3, f"SQLITE_{name}") for name in _HARMLESS)
@@ -173,7 +171,7 @@ def repair(path: Path) -> None:
             for table, row in _intact_rows(path):
                 place = rows.place(table, row)
                 is_named |= bool(place[1])
-                if place[1] and not _is_whole(segment, *place):
+                if (place[1] and not _is_whole(segment, *place)) or not rows.is_readable(table, row):
                     continue
                 if table == "points":  # a compacted block has the number of its last part, and more points
                     journal.execute("DELETE FROM points WHERE id = ? AND n < ?", (row[0], row[6]))
@@ -195,21 +193,21 @@ def raise_for(error: Exception, path: Path) -> NoReturn:
 
     Raises
     ------
-    ArchiveError, DiskFullError
-        If the file cannot be used or cannot grow; CorruptJournalError if it is damaged.
+    ArchiveError, DiskFullError, WorkerError
+        If the file cannot be used or cannot grow, or a limit of the system is reached; CorruptJournalError if it is
+        damaged.
     """
     if isinstance(error, sqlite3.ProgrammingError):
         raise error
     code = getattr(error, "sqlite_errorcode", 0)
     # SQLite reports a full disk as an error of input or output, too, but so it does a folder in the place of its log.
     is_output_error = code & 0xFF == sqlite3.SQLITE_IOERR and code not in _READ_ERRORS
-    if code == sqlite3.SQLITE_FULL or is_disk_full(error) or (is_output_error and _free(path) < _LITTLE):
+    cannot_open = code & 0xFF == sqlite3.SQLITE_CANTOPEN
+    cause = shortage(error, path.parent) if is_output_error or cannot_open or isinstance(error, OSError) else None
+    if code == sqlite3.SQLITE_FULL or (cause and is_disk_full(cause)):
         raise DiskFullError(f"The disk is full: {path} cannot grow; finished results are kept.") from error
+    if cause:
+        raise unwritten(path, cause) from error
     if is_output_error or code & 0xFF in _NOT_THE_FILE or isinstance(error, OSError):
         raise ArchiveError(f"{path} cannot be used: {error}.") from error
     raise CorruptJournalError(path) from error
-
-
-def _free(path: Path) -> int:
-    """Free space of the disk of a file [byte]."""
-    return shutil.disk_usage(path.parent).free

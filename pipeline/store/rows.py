@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.store.finished import FinishedChunk
+from pipeline import serialize
+from pipeline.statuses import ENDINGS
+from pipeline.store.finished import FinishedChunk, Head
 
 SCHEMA = (
     "CREATE TABLE points (id INTEGER PRIMARY KEY, line TEXT, kin TEXT, variables TEXT, low REAL, high REAL,"
@@ -31,6 +33,11 @@ SCHEMA = (
 COLUMNS = {
     table: tuple(re.findall(r"(\w+) (?:TEXT|REAL|INTEGER|BLOB)", statement)[1:])
     for table, statement in zip(("points", "results"), SCHEMA, strict=False)
+}
+_TYPES = {
+    table: tuple({"TEXT": str, "REAL": float, "INTEGER": int, "BLOB": bytes}[word] for word in types)
+    for table, statement in zip(("points", "results"), SCHEMA, strict=False)
+    if (types := re.findall(r"\w+ (TEXT|REAL|INTEGER|BLOB)\b", statement)[1:])
 }
 #: First word of the keys of blocks of lines; other keys of points are of one line.
 BLOCK = "block"
@@ -117,9 +124,22 @@ def _sum(head: tuple[Any, ...], blobs: Iterable[bytes]) -> int:
 
 
 def is_intact(table: str, row: tuple[Any, ...]) -> bool:
-    """Whether the checksum of a row without its data is right."""
+    """Whether the values of a row without its data are of their types, and its checksum is right."""
     k = 1 + COLUMNS[table].index("sum")
-    return all(isinstance(blob, bytes) for blob in row[k + 1 :]) and row[k] == _sum(row[:k], row[k + 1 :])
+    return all(map(isinstance, row[1:], _TYPES[table])) and row[k] == _sum(row[:k], row[k + 1 :])
+
+
+def is_readable(table: str, row: tuple[Any, ...]) -> bool:
+    """Whether what a row holds can be unpacked; only somebody who knows the checksums can write one that cannot."""
+    try:
+        if table == "results":
+            return row[3] in ("ok", *ENDINGS) and (row[3] != "ok" or serialize.load(row[-1]) is not None)
+        if place(table, row)[1]:
+            return Head(row[-2]).size == place(table, row)[1]
+        states, n = serialize.load(row[-2]), len(np.frombuffer(row[-3]))
+        return len(states["status"]) == len(states["reason"]) == n and isinstance(serialize.load(row[-1]), dict)
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError):
+        return False
 
 
 def parse(number: int, values: list[Any]) -> tuple[str, tuple[Any, ...]] | None:

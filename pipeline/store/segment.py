@@ -66,8 +66,8 @@ class Segment:
 
     def read(self, start: int, length: int) -> bytes:
         """Read a payload; it is shorter, or empty, where the file is."""
-        with contextlib.suppress(OSError):
-            return os.pread(self._open(), length, start)
+        with contextlib.suppress(OSError, OverflowError):
+            return os.pread(self._open(), max(0, min(length, self.size - start)), start)
         return b""
 
     def restore_magic(self) -> None:

@@ -31,13 +31,15 @@ NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
 #: Bounds on the size of a number other than 0, and on a length over the leg: squares and quotients of them do not
 #: overflow.
 MIN_SIZE, MAX_SIZE, MAX_LEGS = 1e-50, 1e50, 1e4
+_MAX_SHOWN = 60  # characters of a wrong value in an error
 
 
 class WalkerError(ValueError):
     """A walker that cannot be: the key, its value and the bound it breaks."""
 
     def __init__(self, key: str, value: object, bound: str):
-        super().__init__(f"`{key}` {bound}; got {value}.")
+        shown = str(value)
+        super().__init__(f"`{key}` {bound}; got {shown if len(shown) <= _MAX_SHOWN else shown[:_MAX_SHOWN] + '...'}.")
         self.key, self.value, self.bound = key, value, bound
 
 

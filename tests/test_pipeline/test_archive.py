@@ -4,7 +4,6 @@ import contextlib
 import errno
 import json
 import multiprocessing
-import os
 import random
 import resource
 import shutil
@@ -93,14 +92,14 @@ def test_an_archive_of_lines_says_how_each_ended(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("failure", "blocks", "error"),
+    ("failure", "full", "error"),
     [
-        (OSError(errno.ENOSPC, "full"), 1 << 20, DiskFullError),
-        (RuntimeError("NetCDF: HDF error"), 255, DiskFullError),
-        (RuntimeError("NetCDF: HDF error"), 256, ArchiveError),
+        (OSError(errno.ENOSPC, "full"), True, DiskFullError),
+        (RuntimeError("NetCDF: HDF error"), True, DiskFullError),
+        (RuntimeError("NetCDF: HDF error"), False, ArchiveError),
     ],
 )
-def test_a_failed_write_is_a_full_disk_where_less_than_a_mebibyte_is_left(copy, monkeypatch, failure, blocks, error):
+def test_a_failed_write_is_a_full_disk_where_nothing_more_can_be_written(copy, monkeypatch, failure, full, error):
     """The netCDF library does not say why it cannot write."""
 
     def fail(plan, draft, threads):
@@ -109,7 +108,7 @@ def test_a_failed_write_is_a_full_disk_where_less_than_a_mebibyte_is_left(copy, 
 
     before = copy.read_bytes()
     monkeypatch.setattr(write, "_write", fail)
-    monkeypatch.setattr(os, "statvfs", lambda folder: SimpleNamespace(f_bavail=blocks, f_frsize=4096))
+    monkeypatch.setattr(write, "shortage", lambda error, folder: OSError(errno.ENOSPC, "full") if full else None)
     with pytest.raises((ArchiveError, DiskFullError)) as raised:
         write.write(None, copy)
     assert raised.type is error

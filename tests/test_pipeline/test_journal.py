@@ -6,14 +6,13 @@ import os
 import random
 import shutil
 import sqlite3
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pipeline import serialize
 from pipeline.errors import ArchiveError, DiskFullError
-from pipeline.store import lines
+from pipeline.store import journal_file, lines
 from pipeline.store.compact import compact
 from pipeline.store.journal import Journal
 from pipeline.store.journal_file import CorruptJournalError, repair
@@ -21,6 +20,7 @@ from pipeline.store.rows import Result
 from processes import damaged
 
 WANT = lines.needed(["stance_angle"], ["long"])
+PACKED = serialize.dump({"x": 1})
 
 
 def row(slopes, value, status=0):
@@ -81,7 +81,7 @@ def test_the_cost_of_a_point_is_the_mean_over_all_blocks(journal):
 
 
 def test_results_are_kept_by_key_and_kin(journal):
-    journal.add_result("a-1", "a", Result("ok", "", 0, b"x"), 0.1)
+    journal.add_result("a-1", "a", Result("ok", "", 0, PACKED), 0.1)
     journal.add_result("a-1", "a", Result("raised", "It raised.", 3, b""), 0.1)
     assert journal.result("a-1") == Result("raised", "It raised.", 3, b"")
     assert journal.outcome("a-1") == ("raised", "It raised.", 3)
@@ -198,7 +198,7 @@ def test_whatever_is_damaged_in_a_row_costs_that_row_alone(tmp_path, table, colu
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
         for k in range(3):
             journal.add_points("L", "k", WANT, row(slopes[k::3], float(k)), 0.1)
-            journal.add_result(f"r{k}", "r", Result("ok", "none", k, b"data"), 0.1)
+            journal.add_result(f"r{k}", "r", Result("ok", "none", k, PACKED), 0.1)
     sql(tmp_path / "j", f"UPDATE {table} SET {column} = {OTHER[column]} WHERE id = 2")
 
     def read(journal):
@@ -212,7 +212,7 @@ def test_whatever_is_damaged_in_a_row_costs_that_row_alone(tmp_path, table, colu
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
         rest, lost, results = read(journal)
     assert rest == [0, 2] and lost == (table == "points")
-    assert results == [Result("ok", "none", k, b"data") if k != 1 or table == "points" else None for k in range(3)]
+    assert results == [Result("ok", "none", k, PACKED) if k != 1 or table == "points" else None for k in range(3)]
 
 
 def test_mending_keeps_every_whole_row_whatever_gaps_there_are(tmp_path):
@@ -220,7 +220,7 @@ def test_mending_keeps_every_whole_row_whatever_gaps_there_are(tmp_path):
     with contextlib.closing(Journal(tmp_path / "j")) as journal:
         for k in range(5200):
             journal.add_points("L", "k", WANT, row(slopes[k : k + 1], float(k)), 0.1)
-        journal.add_result("a", "a", Result("ok", "", 0, b"x"), 0.1)
+        journal.add_result("a", "a", Result("ok", "", 0, PACKED), 0.1)
         compact(journal)
         assert journal.last_block("L") == 5200
     sql(tmp_path / "j", "UPDATE results SET data = x'00'")
@@ -323,11 +323,11 @@ def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypat
         assert not len(lines.missing(journal, "L", WANT, slopes))
 
 
-@pytest.mark.parametrize(("free", "error"), [(1 << 30, ArchiveError), (1 << 10, DiskFullError)])
-def test_a_log_that_cannot_be_written_is_a_full_disk_only_where_little_is_left(tmp_path, monkeypatch, free, error):
+@pytest.mark.parametrize(("full", "error"), [(False, ArchiveError), (True, DiskFullError)])
+def test_a_log_that_cannot_be_written_is_a_full_disk_only_if_it_is_one(tmp_path, monkeypatch, full, error):
     """A folder in its place, say."""
     (tmp_path / "j-wal").mkdir()
-    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
+    monkeypatch.setattr(journal_file, "shortage", lambda *_: OSError(errno.ENOSPC, "full") if full else None)
     with pytest.raises((ArchiveError, DiskFullError)) as raised:
         Journal(tmp_path / "j")
     assert raised.type is error

@@ -1,0 +1,107 @@
+"""Whether an archive is laid out as gaitsweep does it, whoever wrote it: attributes, dimensions, types and codes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from pipeline.statuses import ALL_STATUSES
+from tasks.accuracy import always
+from tasks.registry import GAITS, VARIABLES
+
+_CF_ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references")
+_ATTRIBUTES = (*_CF_ATTRIBUTES, "provenance", "study", "kind", "checksums")
+_FLAGS = {"status": "flag_values", "violations": "flag_masks"}
+#: What a check meets in a file of which nothing can be taken for granted.
+_UNEXPECTED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+
+
+def misfits(file: Any) -> Iterator[str]:
+    """What in an open archive is laid out in another way than gaitsweep does it, one sentence each."""
+    for check in (_attributes, _dimensions, _types, _states, _groups):
+        try:
+            yield from check(file)
+        except _UNEXPECTED as error:
+            yield f"Its {check.__name__.strip('_')} are not those of an archive ({type(error).__name__})."
+
+
+def _attributes(file: Any) -> Iterator[str]:
+    for name in _ATTRIBUTES:
+        if not isinstance(getattr(file, name, None), str):
+            yield f"The attribute `{name}` is missing."
+    for name in ("provenance", "checksums"):
+        try:
+            if not isinstance(json.loads(getattr(file, name)), dict):
+                raise ValueError
+        except (AttributeError, TypeError, ValueError, RecursionError):
+            yield f"`{name}` is not JSON."
+    for name in (*_required(file), "reason_text"):
+        if name not in file.variables:
+            yield f"`{name}` is missing."
+
+
+def _required(file: Any) -> tuple[str, ...]:
+    """Variables that an archive of its kind and accuracy holds, whatever was wanted."""
+    is_grid = getattr(file, "kind", "grid") == "grid"
+    return always(getattr(file, "accuracy", 0.0)) if is_grid else ("status", "reason")
+
+
+def _dimensions(file: Any) -> Iterator[str]:
+    order = list(file.dimensions)
+    for name, variable in file.variables.items():
+        if [order.index(d) for d in variable.dimensions] != sorted({order.index(d) for d in variable.dimensions}):
+            yield f"`{name}` has its dimensions in another order."
+    for name in file.dimensions:
+        if name not in file.variables and name != "reason_index":
+            yield f"The dimension `{name}` has no coordinate."
+        elif name in file.variables and file.variables[name].dimensions != (name,):
+            yield f"The coordinate `{name}` has other dimensions."
+
+
+def _types(file: Any) -> Iterator[str]:
+    """Dimensions and types of variables, and their units, long names and flags."""
+    grid = file.variables["status"].dimensions
+    for name, variable in file.variables.items():
+        yield from _described(variable, name)
+        about = VARIABLES.get(name)
+        if not about:
+            continue
+        dims = (*(d for d in grid if d != "gait"), *about.dims) if "gait" in grid else grid
+        if variable.dimensions != dims or np.dtype(variable.dtype).kind != np.dtype(about.dtype).kind:
+            yield f"`{name}` has another type or other dimensions."
+        flags = _FLAGS.get(name)
+        if flags and len(np.atleast_1d(getattr(variable, flags))) != len(variable.flag_meanings.split()):
+            yield f"The flags of `{name}` have other meanings."
+    sentences = file.variables["reason_text"]
+    if sentences.dimensions != ("reason_index",) or sentences.dtype is not str:
+        yield "`reason_text` is no table of sentences."
+
+
+def _described(variable: Any, name: str) -> Iterator[str]:
+    for attribute in ("long_name", "units"):
+        if not isinstance(getattr(variable, attribute, None), str):
+            yield f"`{name}` has no {attribute}."
+
+
+def _states(file: Any) -> Iterator[str]:
+    status, reason = np.asarray(file.variables["status"][...]), np.asarray(file.variables["reason"][...])
+    if not np.isin(status, list(ALL_STATUSES.values())).all():
+        yield "`status` holds values without a meaning."
+    if reason.size and not (reason.min() >= 0 and reason.max() < len(file.dimensions["reason_index"])):
+        yield "`reason` points outside its table."
+    left = int(np.count_nonzero(status == ALL_STATUSES["not_attempted"]))
+    if left:
+        yield f"It is not complete: {left:,} values of `status` are not_attempted."
+    if "gait" in file.variables and not set(file.variables["gait"][...].tolist()) <= set(GAITS):
+        yield "`gait` holds unknown names."
+
+
+def _groups(parent: Any, path: str = "") -> Iterator[str]:
+    for name, group in parent.groups.items():
+        for column, variable in group.variables.items():
+            if any(_described(variable, column)):
+                yield f"`{path}/{name}/{column}` has no units or long_name."
+        yield from _groups(group, f"{path}/{name}")

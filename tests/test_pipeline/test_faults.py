@@ -1,0 +1,153 @@
+"""Each call of the C library fails, once or from then on: one line, the right exit code, and the next run mends all."""
+
+import errno
+import hashlib
+import shutil
+from dataclasses import dataclass
+
+import pytest
+
+from faults import Faults, compiled, started
+
+STUDY = """name = "s"
+walker = "D"
+[axes]
+slope = { from = 0.005, to = 0.01, n = 6 }
+[want]
+variables = ["stance_angle", "period"]
+"""
+#: Of twelve slopes six are in the journal; the workers finish chunks of six.
+LONGER = STUDY.replace("to = 0.01, n = 6", "to = 0.016, n = 12")
+RUN = ("run", "s.toml", "--quiet", "--jobs", "1")
+FOREVER = 1 << 60
+FILES = "write truncate create mkdir sync rename unlink open read lock map"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Calls of these kinds fail, so many times; `codes` are right. One of `part` calls is tried."""
+
+    kinds: str
+    times: int
+    error: int
+    codes: tuple[int, ...]
+    part: int = 1
+
+
+FAULTS = (
+    Fault("write truncate create mkdir", FOREVER, errno.ENOSPC, (0, 4)),
+    Fault("write truncate create mkdir rename", 1, errno.ENOSPC, (0, 2, 4)),
+    Fault("write truncate create mkdir", FOREVER, errno.EDQUOT, (0, 4)),
+    Fault(FILES, 1, errno.EIO, (0, 2)),
+    Fault("write sync", FOREVER, errno.EIO, (0, 2)),
+    Fault("create mkdir rename unlink", FOREVER, errno.EACCES, (0, 2)),
+    Fault("open create", 1, errno.EMFILE, (0, 2, 3)),
+    Fault("open create", FOREVER, errno.EMFILE, (0, 2, 3)),
+    Fault("map", 1, errno.ENOMEM, (0, 2, 3)),
+    Fault("fork", 1, errno.EAGAIN, (0, 3)),
+    Fault("thread", 1, errno.EAGAIN, (0, 3)),
+    # Where a library ends its process for want of memory, only the next run is promised to mend it.
+    Fault("pages malloc", 1, errno.ENOMEM, (0, 1, 2, 3, -6, -11), 1000),
+    Fault("pages malloc", FOREVER, errno.ENOMEM, (0, 1, 2, 3, -6, -11), 10_000),
+)
+
+
+class Trials:
+    """A tiny study computed, computed further and reported, undisturbed, and again with faults."""
+
+    def __init__(self, faults: Faults):
+        self.faults, self.folder = faults, faults.folder
+        self.commands = {"first": RUN, "further": RUN, "report": ("report", "data/archive/s.nc")}
+        self.wanted: dict[str, dict[str, bytes]] = {}
+        self.before: dict[str, dict[str, bytes]] = {}
+        self.counts: dict[str, dict[str, int]] = {}
+        self._starts = {name: faults.folder.with_name(name) for name in self.commands}
+        self.folder.mkdir(exist_ok=True)
+        (self.folder / "s.toml").write_text(STUDY)
+        for name, command in self.commands.items():
+            shutil.copytree(self.folder, self._starts[name])
+            if name == "first":  # the compiled code is not yet cached
+                self._run(name)
+                self._restore(name)
+            self.before[name] = self._outputs()
+            self._run(name)
+            self.counts[name] = faults(*command).counts if name == "report" else self._run_again(name)
+            self.wanted[name] = self._outputs()
+            if name == "first":
+                (self.folder / "s.toml").write_text(LONGER)
+
+    def _run(self, name: str) -> dict[str, int]:
+        ended = self.faults(*self.commands[name])
+        assert (ended.code, ended.err) == (0, ""), ended
+        return ended.counts
+
+    def _run_again(self, name: str) -> dict[str, int]:
+        self._restore(name)
+        return self._run(name)
+
+    def _restore(self, name: str) -> None:
+        shutil.rmtree(self.folder)
+        shutil.copytree(self._starts[name], self.folder)
+
+    def _outputs(self) -> dict[str, bytes]:
+        files = [*self.folder.glob("data/archive/*.nc"), *self.folder.glob("reports/*")]
+        return {file.name: file.read_bytes() for file in files if not file.name.startswith(".")}
+
+    def cases(self) -> list[tuple[str, Fault, int]]:
+        """Command, fault, and which call of its kinds is the first to fail, in an order drawn by hash."""
+        found = [
+            (name, fault, k)
+            for name, counts in self.counts.items()
+            for fault in FAULTS
+            for k in range(1, 1 + sum(counts[kind] for kind in fault.kinds.split()), fault.part)
+        ]
+        return sorted(found, key=lambda case: hashlib.sha256(repr(case).encode()).digest())
+
+    def problems(self, name: str, fault: Fault, first: int) -> tuple[list[str], str]:
+        """What is wrong after a fault and after the same command again; and how the fault ended."""
+        self._restore(name)
+        ended = self.faults(*self.commands[name], kinds=fault.kinds, first=first, times=fault.times, error=fault.error)
+        found, lines = [], ended.err.splitlines()
+        if ended.code not in fault.codes:
+            found.append(f"exit {ended.code}")
+        is_said = len(lines) <= 1 and "Traceback" not in ended.err and bool(lines) >= (ended.code > 0)
+        if not is_said and "malloc" not in fault.kinds:
+            found.append(f"standard error is {ended.err!r}")
+        if ended.left:
+            found.append("processes are left")
+        kept = {file: data for file, data in self._outputs().items() if file.endswith(".nc")}
+        whole = [{f: d for f, d in each[name].items() if f.endswith(".nc")} for each in (self.before, self.wanted)]
+        if kept not in whole:
+            found.append(f"archives are neither old nor new: {list(kept)}")
+        again = self.faults(*self.commands[name])
+        if again.code or again.err:
+            found.append(f"again: exit {again.code}, {again.err!r}")
+        elif self._outputs() != self.wanted[name]:
+            found.append("again: other bytes")
+        drafts = [str(file) for file in self.folder.rglob(".*") if file.name != ".lock"]
+        if drafts:
+            found.append(f"again: drafts {drafts}")
+        how = f"{errno.errorcode[fault.error]} {ended.what.split()[0] if ended.what else 'none'} {ended.code}"
+        return found, f"{how}: {ended.what} {ended.err.strip()}"
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("faults")
+    library = compiled(folder)
+    if not library:
+        pytest.skip("there is no C compiler, or this is not Linux")
+    with started(folder / "run", library, GAITSWEEP_CACHE=str(folder / "cache")) as faults:
+        yield Trials(faults)
+
+
+@pytest.mark.parametrize("n", [8, pytest.param(None, marks=pytest.mark.soak)])
+def test_whatever_call_fails_the_same_command_again_gives_the_same_bytes(trials, tell, resumed, n):
+    cases = trials.cases()
+    for k in range(n) if n else resumed(len(cases)):
+        found, how = trials.problems(*cases[k])
+        assert not found, (cases[k], how)
+        resumed.found[how.split(":")[0]] += 1
+    tell(
+        f"{resumed.state}, each with the bytes of an undisturbed run afterwards: {dict(sorted(resumed.found.items()))}"
+    )

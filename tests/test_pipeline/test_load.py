@@ -1,0 +1,69 @@
+"""A long run of very many small jobs, killed again and again: memory and open files stay as they are."""
+
+import contextlib
+import os
+import random
+import signal
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from processes import alive, descendants, sidecar_path
+
+STUDY = """name = "toy"
+walker = "E"
+[axes]
+slope = {{ from = 0.01, to = 0.2, n = {n} }}
+w_t = [0.0, 0.25]
+[want]
+variables = ["stance_angle"]
+"""
+WARM = 50_000  # of the log of events before memory and files are looked at [byte]
+#: Growth of the parent over a run [byte]: the libraries that write the archive, and what a job may leave behind.
+MEMORY, BYTES_A_JOB = 64 << 20, 100
+
+
+def _held(pid):
+    """Open files of a process and its resident memory [byte]; None once it is gone."""
+    with contextlib.suppress(OSError):
+        resident = int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        return len(os.listdir(f"/proc/{pid}/fd")), resident
+    return None
+
+
+@pytest.mark.parametrize(("n", "kills"), [(2000, 2), pytest.param(500_000, 200, marks=pytest.mark.soak)])
+def test_a_million_small_jobs_and_two_hundred_kills(toy, tell, n, kills):
+    """Each job is one point. The same command is given until the run ends; its ends are drawn by lot."""
+    toy.write(STUDY.format(n=n))
+    dice, ends, end = random.Random(kills), Counter(), time.monotonic() + float(os.environ.get("SOAK_SECONDS", "1200"))
+    files, growth, jobs = set(), 0, 0
+    log = sidecar_path(toy, ".events.jsonl")
+    while True:
+        process = toy.start("run", "toy.toml", "--chunk", 1, "--quiet", "--snapshot", 30)
+        stop = time.monotonic() + (dice.uniform(0.5, 4) if ends.total() < kills else max(30, end - time.monotonic()))
+        base, began = None, log.stat().st_size if log.exists() else 0
+        while process.poll() is None and time.monotonic() < stop:
+            time.sleep(0.05)
+            held = _held(process.pid)
+            if held and log.exists() and log.stat().st_size > began + WARM:  # everything is imported
+                base = base or held
+                files.add(held[0])
+                growth = max(growth, held[1] - base[1])
+        below = descendants(process.pid)
+        signum = dice.choice([signal.SIGKILL, signal.SIGTERM])
+        if process.poll() is None:
+            os.kill(process.pid, signum)
+        _, err = process.communicate(timeout=120)
+        assert "Traceback" not in err, err
+        assert not alive(below)
+        ends[process.returncode] += 1
+        jobs = log.read_text().count('"chunk"')
+        if process.returncode == 0 or time.monotonic() > end:
+            break
+    assert files and max(files) < 60 and growth < MEMORY + BYTES_A_JOB * jobs, (files, growth, jobs)
+    tell(
+        f"{jobs:,} jobs of {2 * n:,} points, ended {dict(ends)}: at most {max(files)} files open,"
+        f" memory grew by {growth / 1e6:.0f} MB"
+    )
