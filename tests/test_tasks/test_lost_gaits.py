@@ -8,14 +8,12 @@ import pytest
 from lines import FAILURES, branches, of_label, repeats, solved
 from oracle import Oracle, StepFailed
 from pipeline.bench.bounds import compared
-from pipeline.bench.missed import missed, neighbour
-from tasks.continuation.atlas import from_arrays
+from pipeline.bench.missed import missed
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.polish import UNKNOWN, settle, unmeasured
 from tasks.fixed_points.step_check import verify_steps
 from tasks.registry import GAITS, STATUSES
-from tasks.solve_points import atlas, points
 from tasks.step.verify_step import strike_distance
 
 GAP = {
@@ -311,28 +309,3 @@ def test_a_gait_missing_from_a_survey_is_counted(monkeypatch):
     outcome = missed(4)
     assert outcome.lacking == outcome.gaits and len(outcome.each) == outcome.gaits.total() > 0
     assert outcome.rows()[-1]["missed"] == outcome.gaits.total()
-
-
-def beside_special_points(branches, random):
-    """Slopes at relative distances from 1e-12 to 1e-2 from folds and ends of a line's branches, on either side."""
-    places = [(b, at) for b in branches for at in (0, *(f for f, _ in b.pieces()[1:]), -1)]
-    for branch, at in [places[i] for i in random.integers(len(places), size=40)] if places else []:
-        distance = random.choice([-1, 1]) * 10 ** random.uniform(-12, -2)
-        if np.log(1e-6) < branch.q[at] < np.log(0.69):
-            yield float(np.exp(branch.q[at]) * (1 + distance))
-
-
-@pytest.mark.parametrize("count", [5, pytest.param(2000, marks=pytest.mark.soak)])
-def test_no_point_beside_a_fold_or_an_end_of_a_random_line_fails(count):
-    """Walkers off by up to 30 %, or detuned from -0.5 to 2; 54 slopes each."""
-    failed = []
-    for k in range(count):
-        walker, overrides, _ = neighbour(k)
-        random, line = np.random.default_rng(k), {"walker": walker, "set": overrides}
-        surveyed = atlas({"line": line, "coarse": True}, [])
-        slope = [*np.exp(random.uniform(np.log(1e-3), np.log(0.15), 14))]
-        slope += beside_special_points(from_arrays(surveyed), random)
-        out = points({"line": line, "slope": np.array(slope), "want": ("stance_angle", "status", "reason")}, [surveyed])
-        for i, g in np.argwhere(np.isin(out["status"], FAILURES)):
-            failed.append((walker, overrides, slope[i], out["reasons"][out["reason"][i, g]]))
-    assert not failed
