@@ -27,8 +27,8 @@ _DISTANCES, _RANGE = (-12, -2), (1e-6, 0.69)
 _IN_OTHER_UNITS, _UNITS = 7, {"length": 0.3048, "mass": 7.3, "acceleration": 1.62}
 #: By how much a walker's keys, rounded in other units, may move a slope or a gait, relatively.
 _ROUNDED = 1e-9
-#: Points of a segment, the nearest of which to a special point is where Newton's method begins.
-_PLACES = 8
+#: A special point farther than this from where Newton's method began, in ln slope, is another one.
+_ANOTHER = 1e-3
 _WANT = ("stance_angle", "stance_rate", "period", "error_bound", "status", "reason")
 _ANSWERS = [STATUSES["converged"], STATUSES["no_gait"]]
 
@@ -46,7 +46,7 @@ class WholeLines:
     branches, lost : int
         Branches, and ends at which they could be continued no further or failed a check.
     special, confirmed : int
-        Special points asked for in other units, and those that Newton's method found there.
+        Special points whose equations were solved in other units, and those to which Newton's method converged.
     farthest_error, farthest_special, farthest_gait : float
         Largest error over its bound; largest relative difference of the slope of a special point in other units,
         and of a gait.
@@ -174,7 +174,7 @@ def _check_in_other_units(
             guess = _nearest(branch, np.log([found["stance_angle"], at]))
             solved = defining.solve(other, kind, guess[:, None])
             off = abs(float(np.expm1(solved.Z[branch.m, 0] - np.log(at))))
-            if not solved.ok[0]:
+            if not solved.ok[0] or off > _ANOTHER:
                 continue
             outcome.confirmed += 1
             outcome.farthest_special = max(outcome.farthest_special, off)
@@ -198,7 +198,6 @@ def _check_in_other_units(
 
 
 def _nearest(branch: Branch, place: np.ndarray) -> np.ndarray:
-    """Point of a branch, (m + 1 + k,), near a place (ln angle, ln slope)."""
-    n = len(branch.Z) - 1
-    rows = branch.at(np.linspace(0, n, _PLACES * n + 1)[:-1] + 0.5 / _PLACES)
+    """Point of a branch's polynomials, or node of it, (m + 1 + k,), next to a place (ln angle, ln slope)."""
+    rows = np.vstack([branch.Z, *(Z for _, Z, _ in branch.guesses(place[1:]))])
     return np.asarray(rows[np.abs(rows[:, [0, branch.m]] - place).max(axis=1).argmin()])

@@ -1,4 +1,4 @@
-"""Patches and lines give the same gaits, and those of 113 bits, at random points of six families and in random cells."""
+"""Patches and lines give the same gaits, and those of 113 bits, in six families and in random cells."""
 
 import copy
 from dataclasses import dataclass, field

@@ -13,8 +13,10 @@ from tasks.continuation.special_points import special_points
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.polish import UNKNOWN, settle, unmeasured
 from tasks.fixed_points.step_check import verify_steps
+from tasks.mechanics.small_angles import exchange_periods
 from tasks.registry import GAITS, STATUSES
 from tasks.step.verify_step import strike_distance
+from tasks.walkers.resolve import resolve
 
 GAP = {
     "m_t": 2.39806,
@@ -201,6 +203,17 @@ def test_a_gap_between_two_nodes_is_found():
     assert [b.why for b in run(problem, atlas._without_gaps(joined, FINE))] == [low.why, high.why]
 
 
+def test_a_gap_where_the_released_knee_turns_is_found():
+    """It strikes at once there, while at the nodes on both sides its flexion has no extremum."""
+    problem, found = branches("C", detuning=-0.322324752034447)
+    ends = sorted(p["slope"] for b in found for p in special_points(problem, b) if p["kind"] == "end_earlier_strike")
+    assert ends == [pytest.approx(0.14243031, rel=1e-6), pytest.approx(0.14333601, rel=1e-6)]
+    out = solved("C", [0.1424, 0.1425, 0.14329072, 0.1433, 0.1434], detuning=-0.322324752034447)
+    assert not np.isin(out["status"], FAILURES).any()
+    larger = np.nan_to_num(out["stance_angle"]).max(axis=1)  # the smaller gait has no gap
+    np.testing.assert_array_equal(larger > 0.55, [True, False, False, False, True])
+
+
 def test_the_distance_from_an_earlier_strike_vanishes_where_one_cuts_in():
     problem, found = branches("C", **GAP)
     (branch,) = [b for b in found if b.why[1] == "end_earlier_strike"]
@@ -295,6 +308,26 @@ def test_a_kept_point_is_a_step_by_its_own_motion():
     for branch in found:
         inner = np.delete(branch.Z[1:-1], branch.m, axis=1).T
         assert verify_steps(problem, inner, branch.q[1:-1])[1].step.all()
+
+
+@pytest.mark.parametrize("ratio", [0.4487670699198065, 0.44608828041136744])
+def test_long_gaits_of_heavy_point_feet_are_found(ratio):
+    """Newton's method finds them from a period in which both legs exchange places only."""
+    slope = [1e-4, 0.0102, 0.0318]
+    out = solved("E", slope, foot_mass_ratio=ratio)
+    assert (out["status"][:, :2] == STATUSES["converged"]).all()
+    assert (out["period"][:, 0] > 1.8 * out["period"][:, 1]).all()
+    found = {name: value[1, 0] for name, value in out.items() if name != "reasons"}
+    assert repeats("E", {"foot_mass_ratio": ratio}, slope[1], found) < 1e-6
+
+
+@pytest.mark.parametrize("ratio", [0.02, 0.2, 0.44])
+def test_point_feet_exchange_places_in_the_periods_of_gaits_of_small_angles(ratio):
+    out, slope = solved("E", [1e-7], foot_mass_ratio=ratio), np.array([1e-7])
+    for label, place in (("short", 0), ("long", 1)):
+        found = of_label(out, label)
+        periods = exchange_periods(resolve("E", {"foot_mass_ratio": ratio}), found["stance_angle"][None], slope)
+        assert periods[place, 0] == pytest.approx(found["period"], rel=1e-3)
 
 
 @pytest.mark.parametrize(("count", "rate"), [(6, 0.0), pytest.param(1000, 0.01, marks=pytest.mark.soak)])
