@@ -70,6 +70,7 @@ class Hunted:
     wrong: list[tuple[str, Input]] = field(default_factory=list)
     lines: int = 0
     gaits: int = 0
+    compared: int = 0
 
     def add(self, other: Hunted) -> None:
         """Merge another hunt; of the gaits of one walker only the worst is kept."""
@@ -81,6 +82,7 @@ class Hunted:
         self.wrong += other.wrong
         self.lines += other.lines
         self.gaits += other.gaits
+        self.compared += other.compared
 
     def rows(self) -> list[dict[str, float | str]]:
         """Rows of the table: the worst of each measure, then what is wrong."""
@@ -199,7 +201,7 @@ def _evaluated(where: Range, unit: np.ndarray) -> tuple[dict[str, np.ndarray], H
     for numbers, problem, surveyed in survey_walkers([walker for *_, walker in lines]):
         for lane, (number, branches) in enumerate(zip(numbers, surveyed, strict=True)):
             i, keys, _ = lines[number]
-            hunted = _hardest(where.walker, keys, problem.alone(lane), branches, _slopes_of(branches, unit[i, -2:]))
+            hunted = hardest(where.walker, keys, problem.alone(lane), branches, _slopes_of(branches, unit[i, -2:]))
             for name, worst in hunted.worst.items():
                 values[name][i] = worst[0].value if worst else -np.inf
             outcome.add(hunted)
@@ -226,9 +228,7 @@ def _slopes_of(branches: list[Branch], share: np.ndarray) -> np.ndarray:
     return np.unique(np.append(beside[(beside > MIN_SLOPE) & (beside < MAX_SLOPE)], slope))
 
 
-def _hardest(
-    walker: str, keys: dict[str, float], problem: Problem, branches: list[Branch], slope: np.ndarray
-) -> Hunted:
+def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: list[Branch], slope: np.ndarray) -> Hunted:
     """Solve the gaits of a line at some slopes, and find the worst by every measure.
 
     Parameters
@@ -268,6 +268,7 @@ def _hardest(
     hard = hard[settled[hard]]
     ratio = values["true error over bound"] = np.full(len(angle), -np.inf)
     compared_gaits = [(k, *row) for k in hard for row in compared(problem, lanes_of(guesses, np.array([k])))]
+    outcome.compared = len(compared_gaits)
     for k, _, bound, error, _, _ in compared_gaits:
         ratio[k] = error / bound
     outcome.wrong += [("true error over bound", gait(k, float(ratio[k]))) for k in np.flatnonzero(ratio > 1).tolist()]

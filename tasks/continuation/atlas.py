@@ -131,9 +131,10 @@ def _is_no_step(point: Point) -> Procedure[bool]:
 
 def _without_gaps(branch: Branch, tolerance: float) -> Procedure[list[Branch]]:
     """Measure the branch; where an earlier strike interrupts it, keep the parts on either side."""
-    distance, steps = yield from measure(branch, tolerance)
+    distance, check = yield from measure(branch, tolerance)
+    steps = check.step
     steps[[0, -1]] = True
-    gaps = yield from locate_gaps(branch, distance, steps)
+    gaps = yield from locate_gaps(branch, distance, check)
     if steps.all() and not gaps:
         return [branch]
     for place in sorted(gaps, reverse=True):

@@ -15,7 +15,7 @@ from tasks.fixed_points.newton import lipschitz
 from tasks.fixed_points.rounding import rounding, rounding_std
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.step_map import SAMPLES
-from tasks.step.verify_step import verify
+from tasks.step.verify_step import StepCheck, verify
 
 #: Largest change Newton may still make at a segment's middle before the segment is split: in a fine atlas points take
 #: one step each, and what their bounds need is measured at the nodes; in a coarse one, for few points, at each of them.
@@ -98,46 +98,76 @@ def without_jumps(branch: Branch) -> Procedure[Branch]:
     return branch.part(max(np.split(np.arange(len(side)), np.flatnonzero(jumps) + 1), key=len))
 
 
-def locate_gaps(branch: Branch, distance: np.ndarray, steps: np.ndarray) -> Procedure[list[float]]:
+def locate_gaps(branch: Branch, distance: np.ndarray, check: StepCheck) -> Procedure[list[float]]:
     """Places of a branch, segment plus fraction, where an earlier strike occurs between nodes that are steps.
 
     Parameters
     ----------
-    distance, steps : ndarray, shape (n,)
-        Distances of the nodes from an earlier strike, and whether they are steps: `measure`.
+    distance : ndarray, shape (n,)
+        Distances of the nodes from an earlier strike.
+    check : StepCheck
+        Of the nodes: `measure`.
     """
-    m, gaps = branch.m, []
+    gaps: list[float] = []
     with np.errstate(invalid="ignore"):
         bend = distance[:-2] - 2 * distance[1:-1] + distance[2:]
-        distance = np.where(steps, distance, np.nan)
+        distance = np.where(check.step, distance, np.nan)
         inner = distance[1:-1]
         least = (inner <= distance[:-2]) & (inner <= distance[2:]) & ~(inner > bend)
     for i in np.nonzero(least & np.isfinite(inner) & ~(branch.safe[:-2] & branch.safe[1:-1]))[0] + 1:
         low, high = i - 1.0, i + 1.0
         for _ in range(_MAX_ROUNDS):
             place = np.linspace(low, high, 9)
-            rows = branch.at(place)
-            X, times = rows[:, : m + 1].T, rows[:, m + 1 :].T
-            fine = yield Call(strike_distances, (X, times), (("samples", 8 * SAMPLES),))
+            fine = yield Call(strike_distances, _at(branch, place), _FINER)
             k = int(np.argmin(fine[1:-1])) + 1
-            if fine[k] < 0:
-                check = yield Call(check_steps, (X[:, k : k + 1], times[:, k : k + 1]))
-                if not check.step[0]:
-                    gaps.append(float(place[k]))
-                    break
+            if (yield from _is_interrupted(branch, place[k], fine[k])):
+                gaps.append(float(place[k]))
+                break
             if fine[k] > max(fine[k - 1], fine[k + 1]) - fine[k]:
                 break
             low, high = place[k - 1], place[k + 1]
-    return gaps
+    # Where the released knee begins to move against its stop it may strike at once, though at neither node its guard
+    # has an extremum from which that could be seen.
+    for i in np.flatnonzero(np.diff(check.hyperextends) & check.step[1:] & check.step[:-1]):
+        low, high = i + 0.0, i + 1.0
+        for _ in range(_MAX_ROUNDS):
+            place = np.linspace(low, high, 9)
+            stride, fine = yield Call(sampled_steps, _at(branch, place), _FINER)
+            k = int(np.argmin(fine))
+            if (yield from _is_interrupted(branch, place[k], fine[k])):
+                gaps.append(float(place[k]))
+                break
+            k = int(np.diff(stride.motion[0][0, 4] < stride.motion[0][0, 5]).argmax())
+            low, high = place[k], place[k + 1]
+    return sorted(set(gaps))
 
 
-def measure(branch: Branch, tolerance: float) -> Procedure[tuple[np.ndarray, np.ndarray]]:
+_FINER = (("samples", 8 * SAMPLES),)
+
+
+def _at(branch: Branch, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """X (m + 1, n) and event times (k, n) of places along a branch, shape (n,)."""
+    rows = branch.at(place)
+    return rows[:, : branch.m + 1].T, rows[:, branch.m + 1 :].T
+
+
+def _is_interrupted(branch: Branch, place: float, distance: float) -> Procedure[bool]:
+    """Whether a place, at a distance from an earlier strike, is no step."""
+    if not distance < 0:
+        return False
+    check = yield Call(check_steps, _at(branch, np.array([place])))
+    return not check.step[0]
+
+
+def measure(branch: Branch, tolerance: float) -> Procedure[tuple[np.ndarray, StepCheck]]:
     """Set gait ratios, where every gait is a step, and in a fine atlas Lipschitz estimates and rounding.
 
     Returns
     -------
-    distance, steps : ndarray, shape (n,)
-        Distances of the nodes from an earlier strike (`strike_distance`), and whether they are steps.
+    distance : ndarray, shape (n,)
+        Distances of the nodes from an earlier strike (`strike_distance`).
+    check : StepCheck
+        Whether they are steps.
     """
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
@@ -147,7 +177,7 @@ def measure(branch: Branch, tolerance: float) -> Procedure[tuple[np.ndarray, np.
     else:
         branch.lipschitz = np.full(len(X.T), np.nan)
         branch.rounding_std = np.full((len(X.T), 3 + len(times)), np.nan)
-    stride, distance = yield Call(sampled_steps, (X, times), (("samples", 8 * SAMPLES),))
+    stride, distance = yield Call(sampled_steps, (X, times), _FINER)
     branch.ratio = gait_ratio(stride)
     motion = stride.scaled_motion()
     n = len(branch.Z)
@@ -160,7 +190,7 @@ def measure(branch: Branch, tolerance: float) -> Procedure[tuple[np.ndarray, np.
     clear = check.step & ~check.doubt
     branch.leg_passes = check.leg_passes
     branch.safe = np.append(clear[1:] & clear[:-1] & (check.leg_passes[1:] == check.leg_passes[:-1]), False)
-    return distance, check.step
+    return distance, check
 
 
 def _roughness(X: np.ndarray, times: np.ndarray, folds: np.ndarray) -> Procedure[tuple[np.ndarray, np.ndarray]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.step_check import verify_steps
-from tasks.mechanics.small_angles import exchange_rates
+from tasks.mechanics.small_angles import exchange_periods, exchange_rates
 from tasks.step.problem import Lanes, Problem
 from tasks.step.step_map import Stride
 from tasks.step.verify_step import StepCheck
@@ -20,6 +20,8 @@ from tasks.walkers.walker import Walker
 _MAX_STEP_BY_ITERATION = {1: (20.0, 20.0, 10.0, 6.0), 2: (20.0, 6.0, 4.0, 3.0)}
 #: Guesses in one cell of this size after three steps converge to one gait: the nearest to it continues.
 _MERGE_CELL = 0.1
+#: Periods of the lattice in whose place those come in which point feet exchange places.
+_EXCHANGED = (1, 2)
 #: Largest rate over angle of a guess.
 _MAX_RATE = 20.0
 
@@ -42,9 +44,10 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
     Notes
     -----
     Stance angles run from the linear (slope) to the cube-root scaling. Straight legs have the rates with which, to
-    first order in the angles, they exchange places in the period. Of kneed walkers the stance rate is that of an
-    inverted pendulum which crosses from +angle to -angle in the period, with several swing rates and times of
-    kneestrike.
+    first order in the angles, they exchange places in the period. With point feet heelstrike fixes the ratio of the
+    rates, so that both legs do so in certain periods only: the two shortest take the place of two of the lattice. Of
+    kneed walkers the stance rate is that of an inverted pendulum which crosses from +angle to -angle in the period,
+    with several swing rates and times of kneestrike.
     """
     if walker.knees:
         angles, others = 7, [(2.0, 2.7, 3.4, 4.3), (-0.7, 0.1), (0.55, 0.75)]
@@ -64,6 +67,10 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
         rows = [log_angle, rate, -ratio * rate, fraction * period, period]
     else:
         angle = np.exp(log_angle)
+        if walker.point_foot:
+            exchanged = exchange_periods(walker, angle, np.repeat(slopes, counts))
+            for place, own in zip(_EXCHANGED, exchanged, strict=True):
+                period = np.where((period == others[0][place]) & np.isfinite(own), own, period)
         rates = exchange_rates(walker, angle, period, np.repeat(slopes, counts))
         # Heelstrike itself sets the swing leg's rate where its mass is at the foot.
         free = rates[:1] if walker.point_foot else rates

@@ -7,6 +7,9 @@ import numpy as np
 from tasks.mechanics.lumped import lump
 from tasks.walkers.walker import Walker
 
+#: Periods among which those are sought in which both legs exchange places [sqrt(leg/g)].
+_PERIODS = np.linspace(1.0, 6.0, 101)
+
 
 def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Rates just after heelstrike with which straight legs exchange places in a given time.
@@ -22,6 +25,49 @@ def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope:
     ndarray, shape (2, n) [rad/sqrt(leg/g)]
         Of the stance and of the swing leg. A leg whose mass is all at the foot starts with the rate that heelstrike
         gives it; then only the stance leg reaches the other's place.
+    """
+    lack, by_rates = _exchange(walker, angle, period, slope)
+    if walker.point_foot:
+        along = _rates_along(angle)
+        return along * lack[0] / np.einsum("nj,jn->n", by_rates[:, 0], along)
+    return np.linalg.solve(by_rates, lack.T[:, :, None])[:, :, 0].T
+
+
+def exchange_periods(walker: Walker, angle: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """Periods in which both legs exchange places, where their masses are at the feet.
+
+    Parameters
+    ----------
+    walker : Walker
+        With point feet.
+    angle, slope : ndarray, shape (n,) [rad]
+
+    Returns
+    -------
+    ndarray, shape (2, n) [sqrt(leg/g)]
+        The two shortest; NaN where there are fewer.
+    """
+    n, number = len(angle), len(_PERIODS)
+    angles = np.tile(angle, number)
+    lack, by_rates = _exchange(walker, angles, np.repeat(_PERIODS, n), np.tile(slope, number))
+    by_rate = np.einsum("nij,jn->in", by_rates, _rates_along(angles))
+    # Of the swing leg, with the rates of the stance leg.
+    off = (lack[1] * by_rate[0] - lack[0] * by_rate[1]).reshape(number, n)
+    crosses = np.diff(np.sign(off), axis=0) != 0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        roots = _PERIODS[:-1, None] - off[:-1] * np.diff(_PERIODS)[:, None] / np.diff(off, axis=0)
+    return np.sort(np.where(crosses, roots, np.nan), axis=0)[:2]
+
+
+def _rates_along(angle: np.ndarray) -> np.ndarray:
+    """Rates just after heelstrike over the stance leg's, where the masses are at the feet, shape (2, n)."""
+    return np.array([np.ones_like(angle), np.cos(2 * angle)])
+
+
+def _exchange(
+    walker: Walker, angle: np.ndarray, period: np.ndarray, slope: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What is lacking (2, n) from the places of the legs exchanged, after a period without rates, and what rates add.
 
     Notes
     -----
@@ -44,7 +90,4 @@ def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope:
     by_angles, by_rates = propagator(np.cosh(growth * period)), propagator(np.sinh(growth * period) / growth)
     start = np.array([angle, -angle])
     lack = -start - rest - np.einsum("nij,jn->in", by_angles, start - rest)
-    if walker.point_foot:
-        along = np.array([np.ones_like(angle), np.cos(2 * angle)])
-        return along * lack[0] / np.einsum("nj,jn->n", by_rates[:, 0], along)
-    return np.linalg.solve(by_rates, lack.T[:, :, None])[:, :, 0].T
+    return lack, by_rates

@@ -1,13 +1,16 @@
-"""Patches and lines give the same gaits at random points of six families, and those of 113 bits."""
+"""Patches and lines give the same gaits, and those of 113 bits, in six families and in random cells."""
 
 import copy
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import mpmath as mp
 import numpy as np
 import pytest
 
 import extended
+from lines import FAILURES
+from pipeline.bench.missed import neighbour
 from tasks.continuation.atlas import from_arrays
 from tasks.families.box import Box
 from tasks.families.cell import PANEL, Family, Refused, _Maker, make
@@ -16,6 +19,7 @@ from tasks.solve_planes import lines, solve
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.solve_points import points
 from tasks.walkers.resolve import resolve
+from tasks.walkers.walker import KEYS, WalkerError
 
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
 VALUES = ("stance_angle", *RATES, "period")
@@ -47,6 +51,13 @@ class Outcome:
     worst_exact: float = 0.0
     wrong: list = field(default_factory=list)
 
+    def __str__(self):
+        return (
+            f"{self.points} points, {self.gaits} gaits; {self.by_patch} points by patches, of these {self.near}"
+            f" near folds and ends; {self.checked} checked with 113 bits; differences up to {self.worst:.2f} of the"
+            f" sum of both bounds, errors up to {self.worst_exact:.2f} of their bound; {len(self.wrong)} wrong"
+        )
+
 
 def slopes(random, branches, inside):
     """Slopes of a line: in a panel, and near folds and ends of its branches that lie in it; the number of these."""
@@ -70,14 +81,18 @@ def off(one, other, bounded_by):
     return np.max(each, axis=0) / bounded_by
 
 
-def compare(outcome, name, count, exact, seed=0):
-    """Compare both roads on some lines of a family, and some of their gaits with those of 113 bits."""
-    walker, keys, panels = FAMILIES[name]
+def compare(outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, each=30):
+    """Compare both roads on some lines of a family, and some of their gaits with those of 113 bits.
+
+    The plane has as many values of `each` key, and other keys are `fixed`.
+    """
+    walker, keys, panels = family
     random = np.random.default_rng(seed)
     drawn = [{key: float(random.uniform(*side)) for key, side in keys.items()} for _ in range(count)]
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
-    cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
-    every = [{"walker": walker, "set": one} for one in drawn]
+    values = [np.linspace(*side, each) for side in keys.values()]
+    cell = {"keys": list(keys), "low": low, "high": high, "values": values}
+    every = [{"walker": walker, "set": {**fixed, **one}} for one in drawn]
     surveyed = []
     for k in range(0, count, 24):
         surveyed += lines_side_by_side({"lines": every[k : k + 24], "slope": [panels[0]], "want": ALWAYS}, [])
@@ -91,10 +106,12 @@ def compare(outcome, name, count, exact, seed=0):
         outcome.points += EACH
         outcome.near += near * by_patch
         outcome.by_patch += EACH * by_patch
+        if np.isin([one["status"], other["status"]], FAILURES).any():
+            outcome.wrong.append(("a point fails", line, by_patch, slope))
         if not np.array_equal(one["status"], other["status"]):
             at = np.argwhere(one["status"] != other["status"]).tolist()
             said = [(slope[i], GAITS[g], int(one["status"][i, g]), int(other["status"][i, g])) for i, g in at]
-            outcome.wrong.append((name, line["set"], by_patch, said))
+            outcome.wrong.append((walker, line["set"], by_patch, said))
             continue
         there = other["status"] == 0
         outcome.gaits += there.sum()
@@ -104,7 +121,7 @@ def compare(outcome, name, count, exact, seed=0):
         share = np.maximum(share, np.abs(one["spectral_radius"] - other["spectral_radius"]) / bound)
         outcome.worst = max(outcome.worst, share.max(initial=0))
         if share.max(initial=0) > 1 or not np.array_equal(np.isnan(one["period"]), np.isnan(other["period"])):
-            outcome.wrong.append((name, line["set"], by_patch, share.max()))
+            outcome.wrong.append((walker, line["set"], by_patch, share.max()))
         at_slope = np.nonzero(there)[0]
         found += [
             (line, slope[at_slope[i]], {key: float(v[i]) for key, v in one.items()})
@@ -138,15 +155,49 @@ def test_both_roads_agree(count, tell):
     """The short test takes the families whose lines are cheap, the long one 10,080 points and 300 references."""
     outcome = Outcome()
     for name in FAMILIES if count > 3 else ("B", "E", "E with offset"):
-        compare(outcome, name, count, exact=50 if count > 3 else 1)
-    tell(
-        f"{outcome.points} points, {outcome.gaits} gaits; {outcome.by_patch} points by patches, of these {outcome.near}"
-        f" near folds and ends; {outcome.checked} checked with 113 bits; differences up to {outcome.worst:.2f} of the"
-        f" sum of both bounds, errors up to {outcome.worst_exact:.2f} of their bound"
-    )
+        compare(outcome, FAMILIES[name], count, exact=50 if count > 3 else 1)
+    tell(str(outcome))
     assert not outcome.wrong
     assert outcome.by_patch > 0.8 * outcome.points and outcome.near >= 5 * (count > 3)
     assert outcome.worst_exact <= 1 and outcome.checked == (300 if count > 3 else 3)
+
+
+def drawn_cell(seed):
+    """A walker off by up to 30 %, or detuned, with one or two keys free over part of a cell: its family, other keys."""
+    random, (walker, fixed, slope) = np.random.default_rng(seed), neighbour(seed)
+    table = resolve(walker, fixed).table()
+    sizes = {"mass": resolve(walker, fixed).total_mass, "length": resolve(walker, fixed).leg}
+    derived = [key for key in fixed if key in WIDEST]
+    # What a derived key does not own, and is not at the border of its range.
+    others = [key for key in OTHERS if table[key] and not (derived == ["foot_mass_ratio"] and KEYS[key] == "mass")]
+    others += ["m_h"] * ("foot_mass_ratio" not in fixed)
+    keys = {}
+    for key in (derived + random.permutation(others).tolist())[: int(random.integers(1, 3))]:
+        low = fixed.get(key, table.get(key))
+        widest = WIDEST[key] if key in WIDEST else sizes[KEYS[key]] / 8
+        keys[key] = (low, low + widest * float(random.uniform(0.05, 1.0)))
+    return (walker, keys, (slope,)), {key: value for key, value in fixed.items() if key not in keys}
+
+
+#: Width of the widest cell of derived keys, and keys that no derived key owns where they are not masses.
+WIDEST, OTHERS = {"detuning": 0.5, "foot_mass_ratio": 0.125}, ("m_t", "m_s", "R", "l_t", "l_s")
+CELLS = [range(k, k + 50) for k in range(0, 1000, 50)]
+
+
+@pytest.mark.parametrize("seeds", [range(2, 3), *(pytest.param(each, marks=pytest.mark.soak) for each in CELLS)])
+def test_nothing_is_wrong_in_random_cells(seeds, tell):
+    """Lines of cells of 64, with points near folds and ends; one gait of every tenth cell in 113 bits."""
+    outcome, drawn = Outcome(), 0
+    for seed in seeds:
+        try:
+            family, fixed = drawn_cell(seed)
+            compare(outcome, family, 4, int(seed % 10 == 0), fixed, seed, 64 if len(family[1]) == 1 else 8)
+        except WalkerError:  # some walker of the cell cannot be
+            continue
+        drawn += 1
+    tell(f"{drawn} cells: {outcome}")
+    assert not outcome.wrong, outcome.wrong[:3]
+    assert outcome.worst_exact <= 1 and drawn > 0.9 * len(seeds)
 
 
 LONG = [pytest.param(name, marks=pytest.mark.soak) for name in FAMILIES if name not in ("B", "E")]

@@ -17,6 +17,7 @@ from tasks.fixed_points.search import search
 from tasks.measures.losses import heelstrike_losses
 from tasks.registry import ALWAYS, GAITS
 from tasks.solve_points import points
+from tasks.step import extended_precision
 from tasks.step.problem import Problem
 from tasks.step.verify_step import verify
 from tasks.walkers.resolve import resolve
@@ -55,6 +56,22 @@ def test_vanishing_slopes_keep_their_digits():
         # The next term of the series is of order slope^(2/3).
         assert found["stance_angle"] / 1e-4 == pytest.approx(np.tanh(period / 2) ** (2 / 3), rel=3e-8)
         assert found["period"] == pytest.approx(period, rel=3e-8)
+
+
+def test_more_digits_are_used_where_newton_does_not_halve_its_steps():
+    """With a derivative that is off by a factor, long double has none other and says so; 128 bits form their own."""
+    problem, slope = Problem(resolve("E")), np.array([0.01])
+    w, _, _ = search(problem, 0.01)
+    exact = polish.settle(problem, polish.unmeasured(problem, w[:, :1], slope))
+    stride = exact.stride
+    stride.inverse = 0.3 * stride.inverse
+    off = exact.y[:, 0] * (1 + 1e-6)
+    start = (problem, 0, stride, off, exact.times[:, 0], float(slope[0]), float(exact.scale[0]))
+    assert extended_precision.solved(*start, 0).last_step == np.inf
+    assert extended_precision.solved(*start, 1).last_step < 1e-15
+    refined = extended_precision.refine(*start, 1e-11)
+    assert refined.last_step < 1e-15
+    np.testing.assert_allclose(refined.y, exact.y[:, 0], rtol=1e-13)
 
 
 def test_zero_multipliers_are_exact():

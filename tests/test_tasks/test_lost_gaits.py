@@ -8,15 +8,15 @@ import pytest
 from lines import FAILURES, branches, of_label, repeats, solved
 from oracle import Oracle, StepFailed
 from pipeline.bench.bounds import compared
-from pipeline.bench.missed import missed, neighbour
-from tasks.continuation.atlas import from_arrays
+from pipeline.bench.missed import missed
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.polish import UNKNOWN, settle, unmeasured
 from tasks.fixed_points.step_check import verify_steps
+from tasks.mechanics.small_angles import exchange_periods
 from tasks.registry import GAITS, STATUSES
-from tasks.solve_points import atlas, points
 from tasks.step.verify_step import strike_distance
+from tasks.walkers.resolve import resolve
 
 GAP = {
     "m_t": 2.39806,
@@ -203,6 +203,17 @@ def test_a_gap_between_two_nodes_is_found():
     assert [b.why for b in run(problem, atlas._without_gaps(joined, FINE))] == [low.why, high.why]
 
 
+def test_a_gap_where_the_released_knee_turns_is_found():
+    """It strikes at once there, while at the nodes on both sides its flexion has no extremum."""
+    problem, found = branches("C", detuning=-0.322324752034447)
+    ends = sorted(p["slope"] for b in found for p in special_points(problem, b) if p["kind"] == "end_earlier_strike")
+    assert ends == [pytest.approx(0.14243031, rel=1e-6), pytest.approx(0.14333601, rel=1e-6)]
+    out = solved("C", [0.1424, 0.1425, 0.14329072, 0.1433, 0.1434], detuning=-0.322324752034447)
+    assert not np.isin(out["status"], FAILURES).any()
+    larger = np.nan_to_num(out["stance_angle"]).max(axis=1)  # the smaller gait has no gap
+    np.testing.assert_array_equal(larger > 0.55, [True, False, False, False, True])
+
+
 def test_the_distance_from_an_earlier_strike_vanishes_where_one_cuts_in():
     problem, found = branches("C", **GAP)
     (branch,) = [b for b in found if b.why[1] == "end_earlier_strike"]
@@ -299,6 +310,26 @@ def test_a_kept_point_is_a_step_by_its_own_motion():
         assert verify_steps(problem, inner, branch.q[1:-1])[1].step.all()
 
 
+@pytest.mark.parametrize("ratio", [0.4487670699198065, 0.44608828041136744])
+def test_long_gaits_of_heavy_point_feet_are_found(ratio):
+    """Newton's method finds them from a period in which both legs exchange places only."""
+    slope = [1e-4, 0.0102, 0.0318]
+    out = solved("E", slope, foot_mass_ratio=ratio)
+    assert (out["status"][:, :2] == STATUSES["converged"]).all()
+    assert (out["period"][:, 0] > 1.8 * out["period"][:, 1]).all()
+    found = {name: value[1, 0] for name, value in out.items() if name != "reasons"}
+    assert repeats("E", {"foot_mass_ratio": ratio}, slope[1], found) < 1e-6
+
+
+@pytest.mark.parametrize("ratio", [0.02, 0.2, 0.44])
+def test_point_feet_exchange_places_in_the_periods_of_gaits_of_small_angles(ratio):
+    out, slope = solved("E", [1e-7], foot_mass_ratio=ratio), np.array([1e-7])
+    for label, place in (("short", 0), ("long", 1)):
+        found = of_label(out, label)
+        periods = exchange_periods(resolve("E", {"foot_mass_ratio": ratio}), found["stance_angle"][None], slope)
+        assert periods[place, 0] == pytest.approx(found["period"], rel=1e-3)
+
+
 @pytest.mark.parametrize(("count", "rate"), [(6, 0.0), pytest.param(1000, 0.01, marks=pytest.mark.soak)])
 def test_a_survey_misses_few_gaits_that_a_dense_search_finds(count, rate):
     outcome = missed(count)
@@ -311,28 +342,3 @@ def test_a_gait_missing_from_a_survey_is_counted(monkeypatch):
     outcome = missed(4)
     assert outcome.lacking == outcome.gaits and len(outcome.each) == outcome.gaits.total() > 0
     assert outcome.rows()[-1]["missed"] == outcome.gaits.total()
-
-
-def beside_special_points(branches, random):
-    """Slopes at relative distances from 1e-12 to 1e-2 from folds and ends of a line's branches, on either side."""
-    places = [(b, at) for b in branches for at in (0, *(f for f, _ in b.pieces()[1:]), -1)]
-    for branch, at in [places[i] for i in random.integers(len(places), size=40)] if places else []:
-        distance = random.choice([-1, 1]) * 10 ** random.uniform(-12, -2)
-        if np.log(1e-6) < branch.q[at] < np.log(0.69):
-            yield float(np.exp(branch.q[at]) * (1 + distance))
-
-
-@pytest.mark.parametrize("count", [5, pytest.param(2000, marks=pytest.mark.soak)])
-def test_no_point_beside_a_fold_or_an_end_of_a_random_line_fails(count):
-    """Walkers off by up to 30 %, or detuned from -0.5 to 2; 54 slopes each."""
-    failed = []
-    for k in range(count):
-        walker, overrides, _ = neighbour(k)
-        random, line = np.random.default_rng(k), {"walker": walker, "set": overrides}
-        surveyed = atlas({"line": line, "coarse": True}, [])
-        slope = [*np.exp(random.uniform(np.log(1e-3), np.log(0.15), 14))]
-        slope += beside_special_points(from_arrays(surveyed), random)
-        out = points({"line": line, "slope": np.array(slope), "want": ("stance_angle", "status", "reason")}, [surveyed])
-        for i, g in np.argwhere(np.isin(out["status"], FAILURES)):
-            failed.append((walker, overrides, slope[i], out["reasons"][out["reason"][i, g]]))
-    assert not failed
