@@ -211,7 +211,7 @@ TASKS = {
         Task(
             "atlas",
             "tasks.solve_points:atlas",
-            17,
+            18,
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),
@@ -222,7 +222,7 @@ TASKS = {
         Task("cascade", "tasks.locate_cascade:cascade", 7, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 5, needs=("atlas",)),
         Task("curve", "tasks.follow_curves:curve", 5, needs=("atlas",)),
-        Task("design", "tasks.map_designs:design", 7),
+        Task("design", "tasks.map_designs:design", 8),
         Task("census", "tasks.count_gaits:census", 5),
         Task("scaling", "tasks.fit_laws:scaling", 2, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 3, needs=("points",)),

@@ -31,6 +31,7 @@ from tasks.continuation.locate import (
 from tasks.continuation.lockstep import Call, Procedure, side_by_side
 from tasks.continuation.refine import FINE, densify, locate_gaps, measure, without_jumps
 from tasks.continuation.tracking import (
+    CLOSED,
     MIN_SLOPE,
     Point,
     Track,
@@ -69,18 +70,56 @@ def _from_tracks(m: int, down: Track, up: Track, tolerance: float) -> Procedure[
     if len(raw.Z) < 4:
         return []
     check = yield Call(check_steps, (raw.Z[:, : m + 1].T, raw.Z[:, m + 1 :].T))
-    if not check.step[start]:
+    steps = check.step
+    if not steps[start]:
         return []
+    if is_closed := down.stop_reason == CLOSED:
+        order = _loop(len(down.Z), steps, raw.tangent[:, m])
+        # A loop that consists of steps is cut at a fold, between which and itself it lies; another where there is none.
+        raw, steps = Branch(m, raw.Z[order], raw.tangent[order], np.zeros(len(order)), ("", "")), steps[order]
     branches: list[Branch] = []
-    for first, last in _runs(check.step):
+    for first, last in _runs(steps):
         branch = yield from _with_ends(raw, first, last)
         if branch is not None:
             branch = yield from _with_folds(branch)
+            if is_closed and steps.all():
+                branch = _cut_at_fold(branch)
             branch = yield from densify(branch, tolerance)
             branch = yield from without_jumps(branch.in_order())
             branch = yield from checked(branch)
             branches += yield from _without_gaps(branch, tolerance)
     return branches
+
+
+def _loop(n: int, steps: np.ndarray, slope_rate: np.ndarray) -> np.ndarray:
+    """Order of the nodes of a closed branch, from one that is no step and back to it, or from just before a fold.
+
+    Parameters
+    ----------
+    n : int
+        Number of points of the track down, of which the last lies beyond the first.
+    steps : ndarray of bool, shape (k,)
+        Whether the nodes of both tracks, joined, are steps.
+    slope_rate : ndarray, shape (k,)
+        Derivatives of ln slope along the branch.
+
+    Returns
+    -------
+    ndarray of int
+    """
+    # The track down is joined in reverse; its last point, the first of all, lies beyond its start, the n-th.
+    own, count = np.arange(1, n), n - 1
+    turns = np.flatnonzero(np.diff(np.sign(slope_rate[own])) != 0)
+    outside = np.flatnonzero(~steps[own])
+    first = int(outside[0] if len(outside) else turns[0])
+    return own[(first + np.arange(count + (1 if len(outside) else 2))) % count]
+
+
+def _cut_at_fold(branch: Branch) -> Branch:
+    """A closed branch, which overlaps itself beside a fold, from that fold around to it."""
+    folds = branch.folds()
+    cut = branch.part(np.arange(folds[0], folds[-1] + 1))
+    return replace(cut, why=("fold", "fold"))
 
 
 def _runs(true: np.ndarray) -> list[tuple[int, int]]:

@@ -33,7 +33,7 @@ class Branch:
     lipschitz : ndarray, shape (n,)
         Lipschitz estimates of the Newton map.
     why : tuple of str
-        Kind of either end.
+        Kind of either end; `fold` and `fold` if the branch is closed: it is cut at one of its folds.
     end_errors : tuple of float
         Error of ln slope at either end, beyond rounding.
     rounding_std : ndarray, shape (n, o)
@@ -236,6 +236,16 @@ class Branch:
         cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
         return list(itertools.pairwise(cuts))
 
+    def folds(self) -> np.ndarray:
+        """Return the nodes that are folds; that at which a closed branch is cut is its first and its last.
+
+        Returns
+        -------
+        ndarray of int, shape (k,)
+        """
+        ends = [i for i, why in zip((0, len(self.Z) - 1), self.why, strict=True) if why == "fold"]
+        return np.array(sorted([*ends, *(first for first, _ in self.pieces()[1:])]), int)
+
     def distance_from_fold(self) -> np.ndarray:
         """Return how far each segment is from the branch's nearest fold in ln slope.
 
@@ -244,8 +254,7 @@ class Branch:
         ndarray, shape (n - 1,)
             Infinite without a fold.
         """
-        folds = np.array([first for first, _ in self.pieces()[1:]], int)
-        apart = np.abs(self.q[:, None] - self.q[folds]).min(axis=1, initial=np.inf)
+        apart = np.abs(self.q[:, None] - self.q[self.folds()]).min(axis=1, initial=np.inf)
         return np.minimum(apart[1:], apart[:-1])
 
     def piece(self, segment: np.ndarray) -> np.ndarray:

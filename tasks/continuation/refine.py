@@ -171,7 +171,7 @@ def measure(branch: Branch, tolerance: float) -> Procedure[tuple[np.ndarray, Ste
     """
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
-    folds = np.array([first for first, _ in branch.pieces()[1:]], int)
+    folds = branch.folds()
     if tolerance == FINE:
         branch.lipschitz, branch.rounding_std = yield from _roughness(X, times, folds)
     else:
@@ -202,7 +202,8 @@ def _roughness(X: np.ndarray, times: np.ndarray, folds: np.ndarray) -> Procedure
     """
     m, n = len(X) - 1, X.shape[1]
     # At the branch's ends they may change by orders of magnitude from node to node.
-    nodes = np.unique(np.r_[0 : min(n, 4), 0:n:2, max(0, n - 4) : n, folds - 1, folds + 1])
+    beside = np.clip(np.r_[folds - 1, folds + 1], 0, n - 1)
+    nodes = np.unique(np.r_[0 : min(n, 4), 0:n:2, max(0, n - 4) : n, beside])
     estimates = np.full(n, -np.inf)
     estimates[nodes] = yield Call(lipschitz, (X[:, nodes], times[:, nodes]))
     estimates[folds] = np.inf

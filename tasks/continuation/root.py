@@ -72,20 +72,26 @@ def root_search(a: float, b: float, tolerance: float = 0.0) -> Generator[float, 
 
 
 def hermite(
-    a: np.ndarray, a_tangent: np.ndarray, b: np.ndarray, b_tangent: np.ndarray, length: float, h: float
+    a: np.ndarray,
+    a_tangent: np.ndarray,
+    b: np.ndarray,
+    b_tangent: np.ndarray,
+    length: float | np.ndarray,
+    h: float | np.ndarray,
 ) -> np.ndarray:
     """Point at the fraction h of the cubic Hermite polynomial between two points of a curve.
 
     Parameters
     ----------
-    a, b, a_tangent, b_tangent : ndarray, shape (n,)
+    a, b, a_tangent, b_tangent : ndarray, shape (n,) or (n, k)
         The points, and the curve's unit tangents there.
-    length : float
+    length : float or ndarray, shape (k,)
         Distance of the points.
+    h : float or ndarray, shape (k,)
 
     Returns
     -------
-    ndarray, shape (n,)
+    ndarray, shape (n,) or (n, k)
     """
     return (
         a * (1 + 2 * h) * (1 - h) ** 2

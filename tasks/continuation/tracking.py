@@ -16,6 +16,7 @@ import numpy as np
 
 from tasks.continuation.joint import joint, joint_by_X, rounding_step
 from tasks.continuation.pseudo_arclength import Linearisation, Newton, StepControl, Tracks, bordered_newton
+from tasks.continuation.root import hermite
 from tasks.fixed_points.newton import LONGEST_PERIOD
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Problem
@@ -45,6 +46,8 @@ _MAX_NODES = 1500
 MAX_CROSSING_STEP = 1e-4
 #: Number of points after which it is checked that a branch still consists of steps.
 _CHECK_EVERY = 12
+#: A track has closed if between its last points it passes its start no farther from it than this share of the step.
+_CLOSED_WITHIN = 1e-2
 
 
 @dataclass
@@ -154,6 +157,8 @@ def _stop_reasons(X: np.ndarray, times: np.ndarray, count: np.ndarray) -> np.nda
     return np.select(tests, [1, 2, 3, 2, 4, 5], 0)
 
 
+#: Why a track stops that has come back to where it began.
+CLOSED = "closed"
 _STOP_REASONS = (
     "",
     "end of the window",
@@ -164,6 +169,7 @@ _STOP_REASONS = (
     "not a step",
     "no further point",
     "no start",
+    CLOSED,
 )
 
 
@@ -230,11 +236,14 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple
             side[:] = np.sign(branch_point_determinant(point, border))
             return fair & ((tracks.side[active] * side >= 0) | (tracks.step[active] <= MAX_CROSSING_STEP)), error
 
+        before = tracks.Z[:, active], tracks.tangent[:, active]
         point, fair = tracks.advance(active, correct_active, judge)
         new, refused = active[fair], active[~fair]
         tracks.side[new] = side[fair]
         tracks.record(new)
         tracks.stop[new] = _stop_reasons(point.X[:, fair], point.times[:, fair], tracks.count[new])
+        closed = tracks.pass_start(new, *(each[:, fair] for each in before))
+        tracks.stop[new[closed]] = _STOP_REASONS.index(CLOSED)
         tracks.stop[refused[tracks.step[refused] < _CONTROL.shortest]] = _STOP_REASONS.index("no further point")
         checked = new[(tracks.stop[new] == 0) & (tracks.count[new] % _CHECK_EVERY == 0)]
         if len(checked):
@@ -249,7 +258,7 @@ class _Branches(Tracks):
         tangent = first.direction[:, lanes]
         tangent = np.where((tangent * orientation).sum(axis=0) >= 0, tangent, -tangent)
         super().__init__(_CONTROL, first.Z[:, lanes], tangent, 0.05)
-        n = len(lanes)
+        n, self.first = len(lanes), (self.Z.copy(), self.tangent.copy())
         self.count, self.side, self.stop = np.zeros(n, int), np.zeros(n), np.zeros(n, int)
         self.recent = np.zeros((_CHECK_EVERY // 3, *self.Z.shape))
         self.log: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
@@ -261,6 +270,29 @@ class _Branches(Tracks):
         self.recent[self.count[tracks] % len(self.recent), :, tracks] = Z.T
         self.count[tracks] += 1
         self.log.append((tracks, Z, self.tangent[:, tracks]))
+
+    def pass_start(self, tracks: np.ndarray, Z: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+        """Whether tracks pass their own starts, in their directions there, on their last steps.
+
+        Parameters
+        ----------
+        tracks : ndarray of int, shape (j,)
+        Z, tangent : ndarray, shape (c, j)
+            The points before the last ones, and the tangents there.
+
+        Returns
+        -------
+        ndarray of bool, shape (j,)
+        """
+        (start, ahead), chord = (each[:, tracks] for each in self.first), self.Z[:, tracks] - Z
+        length = np.linalg.norm(chord, axis=0)
+        share = ((start - Z) * chord).sum(axis=0) / length**2
+        off = np.linalg.norm(
+            hermite(Z, tangent, self.Z[:, tracks], self.tangent[:, tracks], length, share) - start, axis=0
+        )
+        is_ahead = (ahead * chord).sum(axis=0) > 0.5 * length
+        passes = (share > 0) & (share <= 1) & (off < _CLOSED_WITHIN * length) & is_ahead
+        return np.asarray(passes & (self.count[tracks] > 3))
 
     def pairs(self) -> list[tuple[Track, Track]]:
         """Tracks down and up of each gait."""

@@ -158,9 +158,18 @@ class Refused(Exception):
 
 
 Part = TypeVar("Part")
+#: How many times more often a box may be halved along one key than along another: what changes in it may lie along a
+#: curve that no halves along one key leave.
+_MOST_UNEVEN = 2
 
 
-def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box], bool], splits: int) -> list[Part]:
+def divide(
+    box: Box,
+    make: Callable[[Box, str], Part],
+    is_worth: Callable[[Box], bool],
+    splits: int,
+    halved: tuple[int, ...] = (),
+) -> list[Part]:
     """Make the parts into which a box must be divided.
 
     Parameters
@@ -172,6 +181,8 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
         Whether a box is worth its making.
     splits : int
         How often the box may be halved.
+    halved : tuple of int, optional
+        How often it was, along each key.
 
     Returns
     -------
@@ -184,5 +195,8 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
     except Refused as refused:
         if not splits:
             return [make(box, str(refused))]
-        halves = box.halves(refused.axis)
-    return [part for half in halves for part in divide(half, make, is_worth, splits - 1)]
+        so_far = np.array(halved or [0] * len(box.keys))
+        axis = refused.axis if so_far[refused.axis] < so_far.min() + _MOST_UNEVEN else int(so_far.argmin())
+        so_far[axis] += 1
+        halves = box.halves(axis)
+    return [part for half in halves for part in divide(half, make, is_worth, splits - 1, tuple(so_far.tolist()))]

@@ -19,6 +19,7 @@ from tasks.families.patch import Patch, along, basis, fit, side_of_fold, tails
 from tasks.families.pieces import Piece, match, pieces_of
 from tasks.fixed_points.newton import lipschitz, newton, newton_step
 from tasks.fixed_points.rounding import rounding_std
+from tasks.fixed_points.step_check import verify_steps
 from tasks.mechanics.lumped import Structure, common_structure
 from tasks.step.problem import Lanes
 from tasks.walkers.resolve import resolve_many
@@ -103,8 +104,8 @@ def make(family: Family, box: Box, low: float, count: Callable[[Box], int], spli
 
 @functools.lru_cache(64)
 def _survey(family: Family, box: Box, structure: Structure, n: int) -> tuple[list[Branch], ...]:
-    """Branches of n^d node lines, or with n = 0 of one line drawn by lot, the same for all panels."""
-    points = box.nodes(n) if n else box.at(_lot(box))
+    """Branches of n^d node lines, the same for all panels; after the few lines that of one drawn by lot."""
+    points = np.vstack([box.nodes(n), box.at(_lot(box))]) if n == _FEW else box.nodes(n)
     return tuple(survey_lines(Lanes(family.walkers(points), structure), COARSE))
 
 
@@ -125,17 +126,44 @@ class _Maker:
         return Lanes(self.family.walkers(points), self.structure)
 
     def patches(self) -> list[Patch]:
-        patches, groups = [], self.groups(_FEW)
-        if any(np.isnan(self.cuts(group)).any() for group in groups):
-            groups = self.groups(_MANY)
-        for group in groups:
-            patches.append(self.with_events(group) if np.isnan(self.cuts(group)).any() else self.regular(group))
+        patches = self.of_few_lines()
+        if patches is None:
+            patches = []
+            for group in self.groups(_MANY):
+                cuts = self.cuts(group)
+                patches.append(self.with_events(group) if np.isnan(cuts).any() else self.regular(group, cuts))
         self.check(patches)
         return patches
 
+    def of_few_lines(self) -> list[Patch] | None:
+        """Patches of pieces that end near the panel nowhere in the box, by a few lines; None if more are needed."""
+        groups = self.groups(_FEW)
+        cuts = [self.cuts(group) for group in groups]
+        if not np.isnan(cuts).any():
+            return [self.regular(group, cut) for group, cut in zip(groups, cuts, strict=True)]
+        # A polynomial of a few ends may have one near the panel that is not: gaits at the edges of the box show it.
+        cuts = [self.cuts(group, between=False) for group in groups]
+        if np.isnan(cuts).any():
+            return None
+        try:
+            patches = [self.regular(group, cut) for group, cut in zip(groups, cuts, strict=True)]
+        except Refused:
+            return None
+        return patches if all(map(self.is_whole, patches)) else None
+
+    def is_whole(self, patch: Patch) -> bool:
+        """Whether gaits at both ends of a patch are steps, in the middle, the corners and on the edges of the box."""
+        unit = np.repeat(list(itertools.product((-1.0, 0.0, 1.0), repeat=self.d)), 2, axis=0)
+        ends = patch.ends_at(unit)
+        q = ends[np.arange(len(unit)), np.arange(len(unit)) % 2]
+        w, _ = patch.predict(unit, q, ends)
+        _, check = verify_steps(self.problem(self.box.at(unit)), w, q)
+        return bool(check.step.all())
+
     def groups(self, n: int) -> list[list[Piece]]:
         """Pieces that come near the panel on any of n^d node lines, each on all of them."""
-        lines = [pieces_of(branches) for branches in _survey(self.family, self.box, self.structure, n)]
+        surveyed = _survey(self.family, self.box, self.structure, n)[: n**self.d]
+        lines = [pieces_of(branches) for branches in surveyed]
         groups: list[list[Piece]] = []
         for group in match(lines, _neighbours(n, self.d), self.low - _CLEAR, self.high + _CLEAR):
             known = [piece for piece in group if piece is not None]
@@ -152,7 +180,8 @@ class _Maker:
     def reach(self, known: list[Piece], n: int) -> np.ndarray:
         """Least and largest ln slope of the lower and of the upper end of a piece in the box: (2, 2), ends first.
 
-        By their values on node lines; if the piece is on all n^d, by their polynomial too, up to the edges of the box.
+        By their values on node lines; if the piece is on all n^d, by their polynomial too, up to the edges of the box;
+        with n = 0 by their values alone.
         """
         q = np.clip([piece.q for piece in known], self.low - _FAR, self.high + _FAR)
         extremes = np.array([q.min(axis=0), q.max(axis=0)])
@@ -162,16 +191,19 @@ class _Maker:
             extremes = np.array([np.minimum(extremes[0], q.min(axis=0)), np.maximum(extremes[1], q.max(axis=0))])
         return np.asarray(extremes.T)
 
-    def cuts(self, group: list[Piece]) -> np.ndarray:
-        """Ln slopes at which a piece is cut, shape (2,); NaN where it ends near the panel somewhere in the box."""
-        ends = self.reach(group, round(len(group) ** (1 / self.d)))
+    def cuts(self, group: list[Piece], between: bool = True) -> np.ndarray:
+        """Ln slopes at which a piece is cut, shape (2,); NaN where it ends near the panel.
+
+        On a line of its group, or, with `between`, by the polynomial of its ends anywhere in the box.
+        """
+        ends = self.reach(group, round(len(group) ** (1 / self.d)) if between else 0)
         beyond = np.array([self.low - ends[0, 1], ends[1, 0] - self.high])
         off = np.where(beyond > _CLEAR, np.minimum(2 * _CLEAR, 0.5 * beyond), np.nan)
         return np.array([self.low - off[0], self.high + off[1]])
 
-    def regular(self, group: list[Piece]) -> Patch:
-        """A patch that no piece ends on: at more keys gaits follow from those of the surveyed lines."""
-        cut, n = self.cuts(group), round(len(group) ** (1 / self.d))
+    def regular(self, group: list[Piece], cut: np.ndarray) -> Patch:
+        """A patch between two ln slopes, on which no piece ends: at more keys gaits follow from those of the lines."""
+        n = round(len(group) ** (1 / self.d))
         sizes: tuple[int, ...] = (_FIRST, *[n] * self.d)
         q = np.broadcast_to(cut, (len(group), 2))
         patch = self.patch(group, (False, False), (False, False), sizes, q, self.gaits_of(group, q, sizes))
@@ -317,7 +349,7 @@ class _Maker:
     def check(self, patches: list[Patch]) -> None:
         """Survey a line drawn by lot: it must have these pieces and no others; it shows the errors of their ends."""
         unit = _lot(self.box)
-        (branches,) = _survey(self.family, self.box, self.structure, 0)
+        branches = _survey(self.family, self.box, self.structure, _FEW)[-1]
         pieces = [p for p in pieces_of(branches) if p.q[1] > self.low - _CLEAR and p.q[0] < self.high + _CLEAR]
         for patch in patches:
             ends = patch.ends_at(unit)

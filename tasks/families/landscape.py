@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -42,10 +42,12 @@ _RIVALS = ("fold", "flip")
 _RIVAL = {"smallest_slope": 0.05, "largest_stable_slope": 0.1, "fastest_stable_speed": 0.05, "least_cost": 0.0}
 #: Rounds in which lines are surveyed and manifolds added, and lines of each.
 _ROUNDS, _MOST_LINES = 6, 8
+#: Share of the lattice whose designs are left to lines rather than the box is halved.
+_RARE = 0.02
 #: Points nearer than this are one.
 _SAME = 1e-6
 #: Boxes of fewer designs than this are left to lines; a box is halved so often.
-_LEAST_DESIGNS, _MOST_SPLITS = 64, 5
+_LEAST_DESIGNS, _MOST_SPLITS = 64, 8
 
 
 @dataclass
@@ -167,20 +169,24 @@ class _Surveyor:
         self.points: list[Points] = []
         self.manifolds: list[Manifold] = []
         self.tried: set[tuple[str, int, str]] = set()
+        #: For each line the share of the lattice that it stands for; lines whose designs are left to be surveyed.
+        self.shares: list[float] = []
+        self.left: set[int] = set()
         # Evenly in the keys, and in their logarithms too where these are the coordinates.
         even = np.tile(np.linspace(-1, 1, _LATTICE)[:, None], (1, self.d))
         both = np.vstack([even, box.unit(Box(box.keys, box.low, box.high).at(even))]).round(9)
         axes = [np.unique(both[:, k]) for k in range(self.d)]
         self.lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.d)
 
-    def survey(self, unit: np.ndarray) -> None:
-        """Survey lines, and locate their points."""
+    def survey(self, unit: np.ndarray, shares: Sequence[float] = ()) -> None:
+        """Survey lines, which stand for shares of the lattice, all of it where none are given; locate their points."""
         problem = self.maker.problem(unit)
         points = find(problem, survey_lines(problem, COARSE), self.window, self.log_speed)
         for i in range(len(unit)):
             self.points.append(points.some(points.line == i))
             self.points[-1].line = np.zeros(len(self.points[-1].line), int)
         self.unit = np.vstack([self.unit, unit])
+        self.shares += shares or [1.0] * len(unit)
 
     def landscape(self) -> Landscape:
         """Survey lines and add manifolds until the lattice holds nothing that no line has."""
@@ -191,10 +197,10 @@ class _Surveyor:
                 pass
             self.missing(rivals=True)
             patterns = self.patterns()
-            new = self.unknown(patterns)
+            new, shares = self.unknown(patterns)
             if not len(new):
                 break
-            self.survey(new)
+            self.survey(new, shares)
         vanishing = [ANY_SLOPE in points.kind[points.walks] for points in self.points]
         if len(set(vanishing)) > 1:
             raise Refused("some designs walk at any slope", self.roughest())
@@ -205,7 +211,7 @@ class _Surveyor:
         own = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)[0]
         for i, points in enumerate(self.points):
             for name, (number,) in best(points, 1, self.window).items():
-                if number < 0 or points.kind[number] == ANY_SLOPE:
+                if number < 0 or points.kind[number] == ANY_SLOPE or i in self.left:
                     continue
                 value = values(name, points.log_slope, points.log_froude)
                 near = roles(points, self.window)[name] & (value < value[number] + _RIVAL[name] * rivals)
@@ -223,8 +229,10 @@ class _Surveyor:
                     try:
                         self.manifolds.append(self.maker.manifold(kind, self.unit[i], points.Z[:, k], target))
                     except Refused:
-                        if not rivals:
+                        if not rivals and self.shares[i] > _RARE:
                             raise
+                        if not rivals:
+                            self.left.add(i)
                         continue
                     if not rivals:
                         return True
@@ -233,33 +241,37 @@ class _Surveyor:
         return False
 
     def patterns(self) -> set[bytes]:
-        """Flags of the manifolds on lines whose extremes they reproduce."""
+        """Flags of the manifolds on lines whose extremes they reproduce, and on none whose extremes they do not."""
         own, near, flags = points_at(self.maker, self.manifolds, self.unit, self.window, every=True)
-        chosen, patterns = best(own, len(self.unit), self.window), set()
+        chosen = best(own, len(self.unit), self.window)
+        patterns: set[bytes] = set()
+        others: set[bytes] = set()
         for i, points in enumerate(self.points):
-            agrees = bool(near[i])
+            agrees = True
             for name, (number,) in best(points, 1, self.window).items():
                 if number >= 0 and points.kind[number] == ANY_SLOPE:
                     continue
                 j = chosen[name][i]
                 agrees &= (number < 0) == (j < 0) and (number < 0 or _is_same(points, number, own, j))
-            if agrees:
-                patterns.add(flags[i].tobytes())
-        return patterns
+            if near[i]:
+                (patterns if agrees else others).add(flags[i].tobytes())
+        return patterns - others
 
-    def unknown(self, patterns: set[bytes]) -> np.ndarray:
-        """Designs (n, d) of the lattice with flags as on no line so far, one for each of them."""
+    def unknown(self, patterns: set[bytes]) -> tuple[np.ndarray, list[float]]:
+        """Designs (n, d) of the lattice with flags as on no line so far, one for each, and what share has these."""
         _, near, flags = points_at(self.maker, self.manifolds, self.lattice, self.window, every=True)
         every: dict[bytes, list[int]] = {}
         for i in np.flatnonzero(near).tolist():
             every.setdefault(flags[i].tobytes(), []).append(i)
-        places = []
-        for pattern, members in sorted(every.items(), key=lambda item: (-len(item[1]), item[1][0])):
-            if pattern not in patterns:
-                of = self.lattice[members]
-                places.append(of[np.abs(of - of.mean(axis=0)).max(axis=1).argmin()])
         known = {row.tobytes() for row in self.unit}
-        return np.array([place for place in places if place.tobytes() not in known][:_MOST_LINES]).reshape(-1, self.d)
+        places, shares = [], []
+        for pattern, members in sorted(every.items(), key=lambda item: (-len(item[1]), item[1][0])):
+            of = self.lattice[members]
+            place = of[np.abs(of - of.mean(axis=0)).max(axis=1).argmin()]
+            if pattern not in patterns and place.tobytes() not in known:
+                places.append(place)
+                shares.append(len(members) / len(self.lattice))
+        return np.array(places[:_MOST_LINES]).reshape(-1, self.d), shares[:_MOST_LINES]
 
     def roughest(self) -> int:
         """The key along which what the surveyed lines have changes most, or else the widest."""

@@ -22,8 +22,8 @@ LEAST = 1e-9
 _GOAL = 1e-10
 #: Distance from an end at which its gaits must be steps.
 _INSIDE = 1e-3
-#: Share of the way to a turn within which designs are surveyed.
-_AT_TURN = 1e-5
+#: Share of the way to a turn within which designs are surveyed, and the least that counts.
+_AT_TURN, _LEAST_SHARE = 1e-5, 1e-12
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,39 @@ class Cut:
         Chebyshev coefficients of the coordinate at which it ends over that of the other key.
     turns : bool
         Whether two sheets meet there: beside it points depend on the root of the distance.
+    powers : tuple of float
+        Where steps vanish there: the powers of the root of the distance with which the exponentials of the coordinates
+        of a point grow, and after them that of the derivatives of its scalar.
     """
 
     axis: int
     side: int
     coefficients: np.ndarray
     turns: bool
+    powers: tuple[float, ...] = ()
+
+    @property
+    def is_root(self) -> bool:
+        """Whether points depend on the root of the distance."""
+        return self.turns or bool(self.powers)
+
+    def growth(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what is known of points where steps vanish at the curve.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        Z : ndarray, shape (c, n)
+            To be added to what is smooth of the points.
+        factor : ndarray, shape (n,)
+            By which what is smooth of the derivatives of the scalar is to be multiplied.
+        """
+        log_root = 0.5 * np.log(np.maximum(1 - self.share(unit), _LEAST_SHARE))
+        return np.multiply.outer(np.array(self.powers[:-1]), log_root), np.exp(self.powers[-1] * log_root)
 
     def at(self, unit: np.ndarray) -> np.ndarray:
         """Return the coordinates at which the manifold ends.
@@ -75,7 +102,7 @@ class Cut:
         ndarray, shape (n, d)
         """
         own, share = unit.copy(), self.share(unit)
-        if self.turns:
+        if self.is_root:
             share = 1 - np.sqrt(np.maximum(1 - share, 0.0))
         own[:, self.axis] = self.side * (2 * share - 1)
         return own
@@ -93,7 +120,7 @@ class Cut:
         ndarray, shape (n, d)
         """
         unit, share = own.copy(), 0.5 * (1 + self.side * own[:, self.axis])
-        if self.turns:
+        if self.is_root:
             share = 1 - (1 - share) ** 2
         unit[:, self.axis] = self.side * (share * (1 + self.side * self.at(own)) - 1)
         return unit
@@ -162,6 +189,21 @@ class Coordinates:
             own = np.where(r == 1, own, 2 * np.log(1 + 0.5 * (r - 1) * (1 + own)) / np.log(r) - 1)
         return self.cut.unit(own) if self.cut else own
 
+    def growth(self, unit: np.ndarray) -> tuple[np.ndarray | float, np.ndarray | float]:
+        """Return what `Cut.growth` does; where steps vanish nowhere, 0 and 1.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        Z : ndarray, shape (c, n), or float
+        factor : ndarray, shape (n,), or float
+        """
+        return self.cut.growth(unit) if self.cut and self.cut.powers else (0.0, 1.0)
+
 
 @dataclass(frozen=True)
 class Manifold:
@@ -205,7 +247,8 @@ class Manifold:
         Z, rows : ndarray, shape (c, n)
         """
         both = evaluate(self.coordinates.own(unit), self.sizes, self.coefficients).T
-        return both[: len(both) // 2], both[len(both) // 2 :]
+        growth, factor = self.coordinates.growth(unit)
+        return both[: len(both) // 2] + growth, both[len(both) // 2 :] * factor
 
     def there(self, unit: np.ndarray) -> np.ndarray:
         """Return whether designs have a point of the manifold.
@@ -223,7 +266,7 @@ class Manifold:
         return cut.share(unit) <= 1 if cut else np.ones(len(unit), bool)
 
     def unsure(self, unit: np.ndarray) -> np.ndarray:
-        """Return whether designs lie too near the turn at which two sheets of the manifold meet.
+        """Return whether designs lie too near a curve at which two sheets of the manifold meet, or steps vanish.
 
         Parameters
         ----------
@@ -235,7 +278,7 @@ class Manifold:
         ndarray of bool, shape (n,)
         """
         cut = self.coordinates.cut
-        return np.abs(cut.share(unit) - 1) < _AT_TURN if cut and cut.turns else np.zeros(len(unit), bool)
+        return np.abs(cut.share(unit) - 1) < _AT_TURN if cut and cut.is_root else np.zeros(len(unit), bool)
 
     def polish(self, problem: Lanes, unit: np.ndarray) -> tuple[Points, np.ndarray]:
         """Solve the points of designs that are `there`, by a Newton step from their predictions.

@@ -15,6 +15,7 @@ from tasks.families.patch import fit, tails
 from tasks.fixed_points.multipliers import other_multipliers
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Lanes
+from tasks.walkers.tuning import leg_moment
 
 #: Nodes along each key, those with which coordinates are compared, and the error of predictions below which no more are
 #: taken.
@@ -32,6 +33,9 @@ _DISPLACED = 1e-4
 _FARTHEST, _BEYOND, _PLACES, _DEGREE = 3.0, 0.1, (13, 21), 4
 #: Newton steps to a turn, and largest last coefficient of the curve of turns.
 _TURNS, _SMOOTH = 12, 1e-6
+#: Coefficients of a curve on which steps vanish, largest distance from it of points that do so there, how much farther
+#: points are whose growth shows with which powers, and how far these may be from whole numbers.
+_VANISHING, _BESIDE, _FARTHER, _IRREGULAR = 33, 0.01, 0.1, 0.2
 
 
 class Maker:
@@ -59,6 +63,20 @@ class Maker:
         """
         return Lanes(self.family.walkers(self.box.at(unit)), self.structure)
 
+    def static_moment(self, unit: np.ndarray) -> np.ndarray:
+        """Return what vanishes where the smallest slope of straight legs does: the moment of a leg about the hip.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n, d)
+            Coordinates of keys.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
+        return np.broadcast_to(leg_moment(self.family.walkers(self.box.at(unit))).real, len(unit))
+
     def manifold(self, kind: str, unit: np.ndarray, Z: np.ndarray, target: float = 0.0) -> Manifold:
         """Return the manifold through a point.
 
@@ -82,7 +100,7 @@ class _Extension:
     """The extension of a point over a box: its manifold, and where that ends."""
 
     def __init__(self, maker: Maker, kind: str, target: float, unit: np.ndarray, Z: np.ndarray):
-        self.problem, self.box, self.d = maker.problem, maker.box, maker.d
+        self.problem, self.box, self.d, self.maker = maker.problem, maker.box, maker.d, maker
         self.kind, self.target, self.unit, self.Z = kind, target, unit, Z
 
     def manifold(self) -> Manifold:
@@ -129,47 +147,60 @@ class _Extension:
             solved = solve(self.problem(nodes), self.kind, guess, self.target, rows)
             Z, ok = solved.Z, solved.ok & (np.abs(solved.Z - guess).max(axis=0) < _MAX_STRIDE_ERROR)
         if not ok.all():
-            Z[:, ~ok], ok[~ok] = self.carried(nodes[~ok])
+            Z[:, ~ok], ok[~ok] = self.carried(nodes[~ok], coordinates)
         if not ok.all():
             lost = nodes[~ok] - self.unit
             why = f"a {self.kind} is lost on its way to {len(lost)} nodes"
             raise Refused(why, int(np.abs(lost).sum(axis=0).argmax()))
-        values = np.vstack([Z, gradient(self.problem(nodes), self.kind, Z)])
+        growth, factor = coordinates.growth(nodes)
+        values = np.vstack([Z - growth, gradient(self.problem(nodes), self.kind, Z) / factor])
         return self.measured(Manifold(self.kind, self.target, coordinates, sizes, fit(values.T, sizes)))
 
-    def carried(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Carry the point to other designs, by continuation along straight lines between the designs.
+    def carried(self, nodes: np.ndarray, coordinates: Coordinates | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Carry the point to other designs, by continuation along straight lines in the box's or other coordinates.
 
         Returns
         -------
         Z : ndarray, shape (c, n)
         ok : ndarray of bool, shape (n,)
         """
-        n = len(nodes)
+        own = coordinates or Coordinates()
+        n, start, ends = len(nodes), own.own(self.unit[None]), own.own(nodes)
         here, rows = np.repeat(self.Z[:, None], n, axis=1), np.zeros((len(self.Z), n))
         rows[:] = gradient(self.problem(self.unit[None]), self.kind, self.Z[:, None])
+        here -= own.growth(self.unit[None])[0]
         rate, share, stride = np.zeros_like(here), np.zeros(n), np.full(n, _STRIDE)
         active = np.arange(n)
         while len(active):
             step = np.minimum(stride[active], 1 - share[active])
-            problem = self.problem(self.unit + (share[active] + step)[:, None] * (nodes[active] - self.unit))
+            unit = own.unit(start + (share[active] + step)[:, None] * (ends[active] - start))
             guess = here[:, active] + step * rate[:, active]
-            solved = solve(problem, self.kind, guess, self.target, rows[:, active])
-            off = np.abs(solved.Z - guess).max(axis=0)
+            growth, _ = own.growth(unit)
+            solved = solve(self.problem(unit), self.kind, guess + growth, self.target, rows[:, active])
+            off = np.abs(solved.Z - growth - guess).max(axis=0)
             fair = solved.ok & (off < _MAX_STRIDE_ERROR)
-            new = active[fair]
-            rate[:, new] = (solved.Z[:, fair] - here[:, new]) / step[fair]
-            here[:, new], rows[:, new] = solved.Z[:, fair], solved.rows[:, fair]
+            new, Z = active[fair], (solved.Z - growth)[:, fair]
+            rate[:, new] = (Z - here[:, new]) / step[fair]
+            here[:, new], rows[:, new] = Z, solved.rows[:, fair]
             share[new] += step[fair]
             stride[new] *= 1.5
             stride[active[~fair]] *= 0.5
             active = active[(share[active] < 1 - 1e-12) & (stride[active] > _LEAST_STRIDE)]
-        return here, share >= 1 - 1e-12
+        return here + own.growth(nodes)[0], share >= 1 - 1e-12
 
     def cut(self, lost: np.ndarray) -> Cut:
         """The curve at which the manifold is cut, which does not extend to some designs, `lost` (n, d)."""
-        axis = int(np.abs(np.mean(lost - self.unit, axis=0)).argmax())
-        side = 1 if np.mean(lost[:, axis]) > self.unit[axis] else -1
+        mean = np.mean(lost - self.unit, axis=0)
+        refused = []
+        for axis in np.argsort(-np.abs(mean)).tolist():
+            try:
+                return self.smooth_cut(axis, 1 if mean[axis] > 0 else -1)
+            except Refused as why:
+                refused.append(why)
+        raise refused[0]
+
+    def smooth_cut(self, axis: int, side: int) -> Cut:
+        """The curve at which the manifold is cut towards one side of a key, smooth over the other."""
         for places in _PLACES if self.d == 2 else (1,):
             cut = self.cut_along(axis, side, places)
             if not cut.turns or self.d == 1 or np.abs(cut.coefficients[-2:]).max() < _SMOOTH:
@@ -190,6 +221,13 @@ class _Extension:
             raise Refused(f"a {self.kind} is lost on its way to {(~ok).sum()} designs", across)
         ends, where, turned = self.followed(here, start, axis, side)
         if turned.all():
+            if powers := self.powers(where, start, ends, axis, side):
+                own = np.zeros((_VANISHING, self.d))
+                own[:, across] = roots(_VANISHING)
+                own[:, axis] = chebval(own[:, across], chebfit(start[:, across], ends, len(ends) - 1))
+                return Cut(
+                    axis, side, chebfit(own[:, across], self.vanishing(own, axis), _VANISHING - 1), False, powers
+                )
             ends = self.turns(where, start, ends, axis)
             return Cut(axis, side, chebfit(start[:, across], ends, len(ends) - 1), True)
         if turned.any():
@@ -236,6 +274,36 @@ class _Extension:
                 raise Refused(f"a {self.kind} counts far beyond the box", self.across(axis))
             active = active[~ended[active] & ~turned[active]]
         return u, here, turned
+
+    def vanishing(self, unit: np.ndarray, axis: int) -> np.ndarray:
+        """Coordinates (n,) of a key at which the smallest slope vanishes, by Newton's method from designs near them."""
+        at, h = unit.copy(), np.zeros(self.d)
+        h[axis] = 1e-6
+        for _ in range(_TURNS):
+            rate = (self.maker.static_moment(at + h) - self.maker.static_moment(at - h)) / 2e-6
+            with np.errstate(invalid="ignore", divide="ignore"):
+                at[:, axis] -= self.maker.static_moment(at) / rate
+        return at[:, axis]
+
+    def powers(self, Z: np.ndarray, start: np.ndarray, u: np.ndarray, axis: int, side: int) -> tuple[float, ...]:
+        """Powers of the root of the distance to a curve on which steps vanish, as `Cut` has them, if there is one.
+
+        Of points Z (c, n) beside it, at coordinates u (n,) of one key.
+        """
+        unit = start.copy()
+        unit[:, axis] = u
+        off = side * (self.vanishing(unit, axis) - u) if not self.maker.structure.kneed else np.full(len(u), np.nan)
+        if not ((off > 0) & (off < _BESIDE)).all():
+            return ()
+        sizes = np.log(np.linalg.norm(gradient(self.problem(unit), self.kind, Z), axis=0))
+        unit[:, axis] -= _FARTHER * side * off
+        solved = solve(self.problem(unit), self.kind, Z, self.target)
+        farther = np.log(np.linalg.norm(gradient(self.problem(unit), self.kind, solved.Z), axis=0))
+        growth = np.vstack([solved.Z - Z, farther - sizes]) / (0.5 * np.log1p(_FARTHER))
+        powers = np.round(np.median(growth, axis=1))
+        if not solved.ok.all() or np.abs(growth - powers[:, None]).max() > _IRREGULAR or not powers[:-1].any():
+            return ()
+        return tuple(powers.tolist())
 
     def turns(self, Z: np.ndarray, start: np.ndarray, u: np.ndarray, axis: int) -> np.ndarray:
         """Coordinates of a key (n,) at which two sheets of the manifold meet, from points nearby.

@@ -28,10 +28,14 @@ def statics(walker: Walker) -> dict[str, float]:
     -----
     Paper, section 5.1.
     """
-    leg = walker.m_t * walker.thigh_centre + walker.m_s * (walker.knee + walker.shank_centre)
     mass = walker.m_t + walker.m_s
-    leg_offset = {"leg_offset": -leg.real / mass if mass else 0.0}
+    leg_offset = {"leg_offset": -leg_moment(walker).real / mass if mass else 0.0}
     return leg_offset | ({"shank_offset": -walker.shank_centre.real} if walker.knees else {})
+
+
+def leg_moment(walker: Walker) -> Any:
+    """Return the first moment of the extended leg's mass about the hip, x forward + i y up, of one walker or many."""
+    return walker.m_t * walker.thigh_centre + walker.m_s * (walker.knee + walker.shank_centre)
 
 
 def is_tuned(walker: Walker) -> bool:

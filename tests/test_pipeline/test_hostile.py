@@ -326,7 +326,7 @@ def _memory():
 
 
 def _is_ours(event, arguments, folder):
-    """Whether a file of this program or of a library is executed, as on import, or the names of a table are a tuple's."""
+    """Whether a file of this program or of a library is executed, as on import, or the names of a table are built."""
     if event != "exec":
         return False
     code = arguments[0]

@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from tasks.continuation.atlas import survey_lines
 from tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude, scalar, solve
 from tasks.continuation.extremes import find
 from tasks.continuation.refine import COARSE
 from tasks.families import landscape as landscapes
-from tasks.families.box import Box, Refused
+from tasks.families.box import Box, Refused, divide
 from tasks.families.cell import Family
 from tasks.families.landscape import _Surveyor, is_known, make
 from tasks.families.manifold import Cut
@@ -19,17 +20,19 @@ from tasks.families.manifold_maker import Maker
 from tasks.map_designs import _Rows, _solve, design
 from tasks.mechanics.lumped import common_structure
 from tasks.step.problem import Lanes
-from tasks.walkers.resolve import resolve_many
+from tasks.walkers.resolve import resolve, resolve_many
+from tasks.walkers.tuning import statics
 
 QUANTITIES = ("smallest_slope", "largest_stable_slope", "fastest_stable_speed")
 SLOPE = np.array([1e-6, 0.45])
 WINDOW = (float(np.log(1e-6)), float(np.log(0.45)))
 #: Walker, and ranges of keys: beside a curve on which two flips meet; where fold and flip compete for the largest
-#: speed; where gaits continue to vanishing slopes.
+#: speed; where gaits continue to vanishing slopes; across a curve on which the smallest slope vanishes.
 PLANES = {
     "A": ("A", {"detuning": (0.45, 0.65), "m_h": (0.0, 1.0)}),
     "C": ("C", {"detuning": (0.85, 1.0), "m_h": (0.0, 1.0)}),
     "B": ("B", {"R": (0.0, 0.1), "m_s": (0.03, 0.06)}),
+    "tuned": ("A", {"R": (0.25, 0.32), "detuning": (0.15, 0.25)}),
 }
 
 
@@ -89,6 +92,7 @@ def test_the_planes_hold_what_they_are_chosen_for():
     faster = kinds["C"]["fastest_slope"] < 0.9 * kinds["C"]["largest_stable_slope"]
     assert 0 < faster.sum() < 24  # a fold's gait is faster than the flip's
     assert set(kinds["B"]["smallest_at"]) == {"any slope"}
+    assert set(kinds["tuned"]["smallest_at"]) == {"fold"}
 
 
 def test_a_design_does_not_depend_on_its_company():
@@ -184,6 +188,45 @@ def test_stability_ends_where_two_flips_meet(made):
         assert both["stability_lost_by"].tolist() == ["flip", "never stable"]
 
 
+def tuned_at(detuning):
+    """Foot radius at which a leg's centre of mass lies on the line from hip to foot centre."""
+    return brentq(lambda R: statics(resolve("A", {"R": R, "detuning": detuning}))["leg_offset"], 0.2, 0.4, xtol=1e-15)
+
+
+def test_the_smallest_slope_vanishes_where_the_leg_is_tuned(made):
+    """Of a leg whose centre of mass is off by d, a step of angle a loses a^4 and d^2: the slope that pays for it, over
+    the step's length, is least where a is of the order of d^(1/2), the slope of d^(3/2)."""
+    _, landscape = made("tuned")
+    cuts = [m.coordinates.cut for m in landscape.manifolds if m.coordinates.cut]
+    assert sorted(cut.side for cut in cuts) == [-1, 1]
+    for cut in cuts:
+        assert cut.powers[:5] == (1, 0, 0, 3, 0)
+        for detuning in (0.16, 0.21, 0.249):
+            at = landscape.box.unit(np.array([[tuned_at(detuning), detuning]]))
+            assert at[0, 0] == pytest.approx(cut.at(at)[0], abs=1e-9)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_designs_beside_vanishing_slopes_are_those_of_lines(made, side):
+    family, landscape = made("tuned")
+    away = np.array([1e-8, 1e-4, 1e-3, 1e-2])
+    keys = np.array([[tuned_at(0.2) + side * d, 0.2] for d in away])
+    rows, accepted = solved(family, landscape, keys)
+    # Nearest to the curve the smallest slope lies below the window.
+    assert accepted.tolist() == [False, False, True, True] or accepted.tolist() == [False, True, True, True]
+    line = {"walker": "A", "set": {"R": keys[2:, 0], "detuning": keys[2:, 1]}}
+    lines = computed({"line": line, "slope": SLOPE})
+    off = np.abs(np.exp(rows.value["smallest_slope"][2:]) / lines["smallest_slope"] - 1)
+    assert (off <= rows.error["smallest_slope"][2:] + lines["smallest_slope_error"]).all()
+    # By another power of the root of the distance no prediction is near enough.
+    wrong = copy.deepcopy(landscape)
+    for k, m in enumerate(wrong.manifolds):
+        if cut := m.coordinates.cut:
+            other = replace(cut, powers=(1.001, *cut.powers[1:]))
+            wrong.manifolds[k] = replace(m, coordinates=replace(m.coordinates, cut=other))
+    assert not solved(family, wrong, keys)[1].any()
+
+
 @pytest.mark.parametrize("turns", [False, True])
 @pytest.mark.parametrize("side", [-1, 1])
 def test_coordinates_of_a_part_are_inverse(turns, side):
@@ -216,6 +259,21 @@ def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
     parts = make(family, box, WINDOW, lambda part: 1000, splits=1)
     assert [part.why for part in parts] == ["no reason", "no reason"]
     assert parts[0].box.high[1] == parts[1].box.low[1]
+
+
+def test_a_box_is_halved_along_both_keys():
+    """Halves along one key alone never leave a diagonal."""
+
+    def make_part(box, why):
+        if not why and box.low[0] < box.high[1] and box.low[1] < box.high[0]:
+            raise Refused("on the diagonal", 0)
+        return box
+
+    parts = divide(Box(("a", "b"), (0.0, 0.0), (1.0, 1.0)), make_part, lambda box: True, 8)
+    on = [box for box in parts if box.low[0] < box.high[1] and box.low[1] < box.high[0]]
+    area = sum((b.high[0] - b.low[0]) * (b.high[1] - b.low[1]) for b in on)
+    assert area < 0.2
+    assert max((b.high[1] - b.low[1]) / (b.high[0] - b.low[0]) for b in parts) <= 4
 
 
 def lanes(walker, **keys):

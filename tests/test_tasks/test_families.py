@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tasks import interpolate_planes, solve_planes
+from tasks.families import cell as cells
 from tasks.families import panels
 from tasks.families.box import Box, Refused, roots
 from tasks.families.cell import PANEL, Family, _Maker, make
@@ -187,6 +188,27 @@ def test_ends_are_looked_for_up_to_the_edges_of_a_box(cell):
     assert maker.reach(pieces, 3)[1] == pytest.approx([-4.625 - 0.105, -4.625 + 0.005], abs=1e-12)
     assert maker.reach(pieces, 3)[0] == pytest.approx([-5.625, -5.625])  # as good as there
     assert maker.reach(pieces[:5], 3)[1, 1] == max(piece.q[1] for piece in pieces[:5])
+
+
+def test_few_lines_serve_where_only_their_polynomial_ends_near_the_panel(monkeypatch):
+    """Where branches of C touch, their ends jump: a parabola through three of them dips to the panel, no end does."""
+    keys = {"detuning": (0.5, 1.0), "m_h": (0.0, 0.75)}
+    family = Family.of({"walker": "C", "set": {}}, tuple(keys))
+    box = Box(tuple(keys), (0.5, 0.0), (1.0, 0.75))
+    maker = _Maker(family, box, float(np.floor(np.log(0.04) / PANEL) * PANEL))
+    assert any(np.isnan(maker.cuts(group)).any() for group in maker.groups(3))
+    patches = maker.of_few_lines()
+    assert len(patches) == 2
+    assert not any(any(patch.events) for patch in patches)
+    verified = cells.verify_steps
+
+    def one_ends(*args):
+        stride, check = verified(*args)
+        check.step[3] = False
+        return stride, check
+
+    monkeypatch.setattr(cells, "verify_steps", one_ends)
+    assert maker.of_few_lines() is None
 
 
 def test_a_box_of_few_lines_is_left_to_lines():
