@@ -29,7 +29,7 @@ test: $(READY)
 bench: $(READY)
 	$(BIN)/gaitsweep bench -o reports
 
-# All tests, the long ones too, and the branches of the code that they reach.
+# All tests, the long ones too, and the branches of the code that they reach. The longest resume, SOAK_SECONDS at a time each.
 soak: $(READY)
 	$(BIN)/python -m coverage run -m pytest -m "soak or not soak" --timeout=3600
 	$(BIN)/python -m coverage combine --quiet

@@ -37,7 +37,7 @@ def lock_archive(path: Path) -> Iterator[None]:
                 time.sleep(_PAUSE)
             else:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+        except (BlockingIOError, PermissionError) as error:
             holder = _holder(file)
             name = "its process is not known yet."
             if {"pid", "host", "started"} <= holder.keys():

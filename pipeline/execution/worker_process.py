@@ -238,7 +238,7 @@ def run(request: Request) -> dict[str, Any]:
         answer = dict(_run_lines(request, 0, len(request.params["lines"])))
     else:
         outcome, parts = _ask(request, request.params)
-        if outcome == "worker_died":  # it may have been killed from outside; a second death has another cause
+        if outcome in ("worker_died", "out_of_memory"):  # which may have had a cause outside; a second time it has not
             outcome, parts = _ask(request, request.params)
         is_ok = outcome == "ok"
         answer = {"outcome": outcome, "data": parts[1] if is_ok else b"", "reason": "" if is_ok else parts}
@@ -272,7 +272,7 @@ def _divide(request: Request, slopes: np.ndarray, outcome: str, parts: Any) -> l
     if len(slopes) > 1:
         pieces = np.array_split(slopes, min(_PIECES, len(slopes)))
         return [row for piece in pieces for row in _run_block(request, piece)]
-    if outcome in ("worker_died", "timed_out"):  # both may have had a cause outside
+    if outcome in ("worker_died", "timed_out", "out_of_memory"):  # which may have had a cause outside
         outcome, parts = _ask(request, {**request.params, "slope": slopes})
         if outcome == "ok":
             return [(slopes.tobytes(), parts[1], parts[2])]

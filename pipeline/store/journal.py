@@ -60,7 +60,7 @@ class Journal:
             self._db = journal_file.connect(path if exists or write else None, write, page)
             if exists or write:
                 self._open_segment(write)
-        except (sqlite3.Error, OSError) as error:
+        except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
             journal_file.raise_for(error, path)
 
     def _open_segment(self, write: bool) -> None:
@@ -89,7 +89,7 @@ class Journal:
         try:
             with self._lock:
                 return self._db.execute(sql, values).fetchall()
-        except (sqlite3.Error, OverflowError) as error:
+        except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
             journal_file.raise_for(error, self.path)
 
     def _rows(self, table: str, condition: str, *values: Any) -> list[tuple[Any, ...]]:

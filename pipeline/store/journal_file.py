@@ -99,7 +99,10 @@ def _mark(path: Path) -> int:
 
 def _cost(path: Path) -> str:
     """What the results of an earlier version's journal cost, as the end of a sentence."""
-    with contextlib.suppress(sqlite3.Error), contextlib.closing(connect(path, write=False, check=False)) as db:
+    with (
+        contextlib.suppress(sqlite3.Error, UnicodeDecodeError),
+        contextlib.closing(connect(path, write=False, check=False)) as db,
+    ):
         n, seconds = db.execute("SELECT sum(n), sum(seconds) FROM points").fetchone()
         if n:
             return f" and computes its {n:,} points again, which took {seconds:,.0f} s of processor time"

@@ -12,6 +12,7 @@ from typing import Any
 import heyoka as hy
 import numpy as np
 
+from tasks.mechanics import compile_cache
 from tasks.mechanics.equations import system
 from tasks.mechanics.lumped import Structure
 
@@ -38,10 +39,7 @@ def prepare_compiler() -> None:
     named = os.environ.get("GAITSWEEP_CACHE")
     with contextlib.suppress(*() if named else (OSError, RuntimeError)):
         folder = Path(named or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep")).expanduser()
-        folder.mkdir(parents=True, exist_ok=True)
-        hy.llvm_state.set_diskcache_path(str(folder))
-        hy.llvm_state.set_diskcache_limit(256 << 20)
-    hy.llvm_state.set_diskcache_enabled(True)
+        compile_cache.use(folder)
     hy.set_nthreads(1)
 
 
