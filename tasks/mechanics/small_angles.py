@@ -8,7 +8,7 @@ from tasks.mechanics.lumped import lump
 from tasks.walkers.walker import Walker
 
 #: Periods among which those are sought in which both legs exchange places [sqrt(leg/g)].
-_PERIODS = np.linspace(1.0, 6.0, 101)
+_PERIODS = np.linspace(1.0, 6.0, 51)
 
 
 def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -26,7 +26,8 @@ def exchange_rates(walker: Walker, angle: np.ndarray, period: np.ndarray, slope:
         Of the stance and of the swing leg. A leg whose mass is all at the foot starts with the rate that heelstrike
         gives it; then only the stance leg reaches the other's place.
     """
-    lack, by_rates = _exchange(walker, angle, period, slope)
+    by_angles, by_rates, start, rest = _exchange(walker, angle, period, slope)
+    lack = -start - rest - np.einsum("nij,jn->in", by_angles, start - rest)
     if walker.point_foot:
         along = _rates_along(angle)
         return along * lack[0] / np.einsum("nj,jn->n", by_rates[:, 0], along)
@@ -45,14 +46,13 @@ def exchange_periods(walker: Walker, angle: np.ndarray, slope: np.ndarray) -> np
     Returns
     -------
     ndarray, shape (2, n) [sqrt(leg/g)]
-        The two shortest; NaN where there are fewer.
+        The two shortest, by linear interpolation between periods 0.1 apart; NaN where there are fewer.
     """
-    n, number = len(angle), len(_PERIODS)
-    angles = np.tile(angle, number)
-    lack, by_rates = _exchange(walker, angles, np.repeat(_PERIODS, n), np.tile(slope, number))
-    by_rate = np.einsum("nij,jn->in", by_rates, _rates_along(angles))
-    # Of the swing leg, with the rates of the stance leg.
-    off = (lack[1] * by_rate[0] - lack[0] * by_rate[1]).reshape(number, n)
+    by_angles, by_rates, start, rest = _exchange(walker, angle, _PERIODS, slope)
+    # Of both legs, (2, periods, n): what they lack, and what a rate of the stance leg adds.
+    lack = (-start - rest)[:, None] - np.tensordot(by_angles, start - rest, 1).transpose(1, 0, 2)
+    by_rate = np.tensordot(by_rates, _rates_along(angle), 1).transpose(1, 0, 2)
+    off = lack[1] * by_rate[0] - lack[0] * by_rate[1]
     crosses = np.diff(np.sign(off), axis=0) != 0
     with np.errstate(invalid="ignore", divide="ignore"):
         roots = _PERIODS[:-1, None] - off[:-1] * np.diff(_PERIODS)[:, None] / np.diff(off, axis=0)
@@ -66,8 +66,8 @@ def _rates_along(angle: np.ndarray) -> np.ndarray:
 
 def _exchange(
     walker: Walker, angle: np.ndarray, period: np.ndarray, slope: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """What is lacking (2, n) from the places of the legs exchanged, after a period without rates, and what rates add.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Linear motion in certain periods, (n, 2, 2), by angles and by rates; the first angles, and those at rest, (2, n).
 
     Notes
     -----
@@ -88,6 +88,4 @@ def _exchange(
         return np.einsum("ik,kn,kj->nij", modes, by_mode, inverse).real
 
     by_angles, by_rates = propagator(np.cosh(growth * period)), propagator(np.sinh(growth * period) / growth)
-    start = np.array([angle, -angle])
-    lack = -start - rest - np.einsum("nij,jn->in", by_angles, start - rest)
-    return lack, by_rates
+    return by_angles, by_rates, np.array([angle, -angle]), rest
