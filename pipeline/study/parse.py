@@ -120,8 +120,10 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
         accuracy=asked,
         **want,
     )
-    if study.points > MAX_POINTS:
-        raise top.at("axes").error(f"The grid has {study.points:.3g} points, more than {MAX_POINTS:.0e}")
+    # The slopes of designs are a window.
+    count = study.lines if kind == "design" else study.points
+    if count > MAX_POINTS:
+        raise top.at("axes").error(f"The grid has {count:.3g} points, more than {MAX_POINTS:.0e}")
     _check_walkers(study, top)
     if study.steps > 1:
         _check_of_one_step(study, top)

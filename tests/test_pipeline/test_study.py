@@ -1,6 +1,7 @@
 """A study is checked whole before anything runs, and every mistake gets one line that helps."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -326,3 +327,12 @@ def test_a_hundred_thousand_tables(tmp_path, table):
 def test_an_option_is_read_by_its_former_name(write):
     text = 'name = "s"\nkind = "orbit"\nwalker = "D"\n[axes]\nslope = [0.01]\n[options]\n{} = 30\n'
     assert parse.read(write(text.format("strides"))).options == parse.read(write(text.format("steps"))).options
+
+
+def test_a_study_has_at_most_a_trillion_points_or_designs():
+    """The slopes of designs are a window: they do not count."""
+    million = {"from": 0.1, "to": 0.2, "n": 1_000_000}
+    table = {"name": "large", "walker": "B", "axes": {"slope": [0.01, 0.02], "m_s": million, "R": million}}
+    with pytest.raises(StudyError, match=r"2e\+12 points, more than 1e\+12"):
+        parse.parse(table, "", Path("large.toml"))
+    assert parse.parse({**table, "kind": "design"}, "", Path("large.toml")).lines == 10**12
