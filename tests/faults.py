@@ -25,7 +25,7 @@ KINDS = (
     *("write", "truncate", "create", "mkdir", "sync", "rename", "unlink", "open", "read", "lock", "map"),
     *("fork", "thread", "pages", "malloc"),
 )
-_HEAD = struct.Struct(f"7Q{len(KINDS)}Q512s600s")
+_HEAD = struct.Struct(f"8Q{len(KINDS)}Q512s600s")
 #: What commands import when they first need it.
 _IMPORTED = (
     *("charset_normalizer", "joblib", "netCDF4", "dask.array", "scipy.sparse"),
@@ -78,10 +78,10 @@ class Faults:
         """Run a command in which calls of some kinds fail, from the `first` on so many times."""
         mask = sum(1 << KINDS.index(kind) for kind in kinds.split())
         root, n = bytes(f"{self.folder}/", "utf-8"), len(KINDS)
-        self._control[:] = _HEAD.pack(0, mask, first, times, error, 0, 0, *[0] * n, root, b"")
+        self._control[:] = _HEAD.pack(0, mask, first, times, error, self._process.pid, 0, 0, *[0] * n, root, b"")
         print(json.dumps([str(self.folder), *map(str, command)]), file=self._process.stdin, flush=True)
         code, left = json.loads(self._process.stdout.readline())
-        _, _, _, _, _, _, fired, *counts, _, what = _HEAD.unpack(self._control[:])
+        _, _, _, _, _, _, _, fired, *counts, _, what = _HEAD.unpack(self._control[:])
         kind, _, file = what.split(b"\0")[0].decode().partition(" ")
         err = self.folder.with_name(f"{self.folder.name}.err").read_text()
         called = dict(zip(KINDS, counts, strict=True))

@@ -27,16 +27,14 @@ def compact(journal: Journal) -> None:
 def _groups(journal: Journal, line: str) -> Iterator[list[Block]]:
     """Runs of blocks with the same variables and at most `_MAX` points altogether; none is a finished chunk."""
     group: list[Block] = []
+    points = 0
     for block in journal.blocks(line):
-        if group and (
-            block.finished
-            or block.variables != group[0].variables
-            or sum(len(b.slopes) for b in group) + len(block.slopes) > _MAX
-        ):
+        if group and (block.finished or block.variables != group[0].variables or points + len(block.slopes) > _MAX):
             yield group
-            group = []
+            group, points = [], 0
         if not block.finished:
             group.append(block)
+            points += len(block.slopes)
     if group:
         yield group
 

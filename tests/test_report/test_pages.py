@@ -456,6 +456,11 @@ def test_a_failure_over_a_damaged_archive_names_the_damage_and_any_other_is_a_bu
         raise IndexError("out of bounds")
 
     monkeypatch.setattr(pages, "_page", stumble)
+    with pytest.raises(
+        ArchiveError, match=r"s\.nc is damaged: its checksums cannot be checked"
+    ):  # laid out for the pages only
+        pages.write([path], tmp_path / "out")
+    monkeypatch.setattr("pipeline.archive.structure.misfits", lambda file: iter(()))
     with netCDF4.Dataset(path, "a") as file:
         sums = {"stance_angle": archive_reader._checksum(file["stance_angle"])}
         file.checksums = json.dumps(sums)
