@@ -42,7 +42,7 @@ _RIVALS = ("fold", "flip")
 _RIVAL = {"smallest_slope": 0.05, "largest_stable_slope": 0.1, "fastest_stable_speed": 0.05, "least_cost": 0.0}
 #: Rounds in which lines are surveyed and manifolds added, and lines of each.
 _ROUNDS, _MOST_LINES = 6, 8
-#: Share of the lattice whose designs are left to lines rather than the box is halved.
+#: Share of the lattice whose designs are left to lines rather than the box is halved, as a single one is.
 _RARE = 0.02
 #: Points nearer than this are one.
 _SAME = 1e-6
@@ -229,7 +229,7 @@ class _Surveyor:
                     try:
                         self.manifolds.append(self.maker.manifold(kind, self.unit[i], points.Z[:, k], target))
                     except Refused:
-                        if not rivals and self.shares[i] > _RARE:
+                        if not rivals and self.shares[i] > max(_RARE, 1 / len(self.lattice)):
                             raise
                         if not rivals:
                             self.left.add(i)

@@ -33,9 +33,10 @@ _DISPLACED = 1e-4
 _FARTHEST, _BEYOND, _PLACES, _DEGREE = 3.0, 0.1, (13, 21), 4
 #: Newton steps to a turn, and largest last coefficient of the curve of turns.
 _TURNS, _SMOOTH = 12, 1e-6
-#: Coefficients of a curve on which steps vanish, largest distance from it of points that do so there, how much farther
-#: points are whose growth shows with which powers, and how far these may be from whole numbers.
-_VANISHING, _BESIDE, _FARTHER, _IRREGULAR = 33, 0.01, 0.1, 0.2
+#: Coefficients of a curve on which steps vanish, largest Newton step to it, largest distance from it of points that do
+#: so there, how much farther points are whose growth shows with which powers, and how far these may be from whole
+#: numbers.
+_VANISHING, _NEAR, _BESIDE, _FARTHER, _IRREGULAR = 33, 0.1, 0.01, 0.1, 0.2
 
 
 class Maker:
@@ -222,12 +223,13 @@ class _Extension:
         ends, where, turned = self.followed(here, start, axis, side)
         if turned.all():
             if powers := self.powers(where, start, ends, axis, side):
-                own = np.zeros((_VANISHING, self.d))
-                own[:, across] = roots(_VANISHING)
-                own[:, axis] = chebval(own[:, across], chebfit(start[:, across], ends, len(ends) - 1))
-                return Cut(
-                    axis, side, chebfit(own[:, across], self.vanishing(own, axis), _VANISHING - 1), False, powers
-                )
+                other = roots(_VANISHING if self.d == 2 else 1)
+                own = np.repeat(other[:, None], self.d, axis=1)
+                own[:, axis] = chebval(other, chebfit(start[:, across], ends, len(ends) - 1) if self.d == 2 else ends)
+                curve = self.vanishing(own, axis)
+                if not np.isfinite(curve).all():
+                    raise Refused(f"a {self.kind} vanishes along a curve that is not smooth", across)
+                return Cut(axis, side, chebfit(other, curve, len(other) - 1), False, powers)
             ends = self.turns(where, start, ends, axis)
             return Cut(axis, side, chebfit(start[:, across], ends, len(ends) - 1), True)
         if turned.any():
@@ -276,13 +278,20 @@ class _Extension:
         return u, here, turned
 
     def vanishing(self, unit: np.ndarray, axis: int) -> np.ndarray:
-        """Coordinates (n,) of a key at which the smallest slope vanishes, by Newton's method from designs near them."""
+        """Coordinates (n,) of a key at which the smallest slope vanishes, by Newton's method from designs near them.
+
+        NaN where they are not near.
+        """
         at, h = unit.copy(), np.zeros(self.d)
         h[axis] = 1e-6
         for _ in range(_TURNS):
             rate = (self.maker.static_moment(at + h) - self.maker.static_moment(at - h)) / 2e-6
+            # Where the moment does not depend on the key, or vanishes everywhere, there is none.
             with np.errstate(invalid="ignore", divide="ignore"):
-                at[:, axis] -= self.maker.static_moment(at) / rate
+                change = self.maker.static_moment(at) / rate
+            if not (np.abs(change) < _NEAR).all():
+                return np.full(len(at), np.nan)
+            at[:, axis] -= change
         return at[:, axis]
 
     def powers(self, Z: np.ndarray, start: np.ndarray, u: np.ndarray, axis: int, side: int) -> tuple[float, ...]:

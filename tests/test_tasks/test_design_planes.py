@@ -16,7 +16,7 @@ from tasks.families.box import Box, Refused, divide
 from tasks.families.cell import Family
 from tasks.families.landscape import _Surveyor, is_known, make
 from tasks.families.manifold import Cut
-from tasks.families.manifold_maker import Maker
+from tasks.families.manifold_maker import Maker, _Extension
 from tasks.map_designs import _Rows, _solve, design
 from tasks.mechanics.lumped import common_structure
 from tasks.step.problem import Lanes
@@ -206,6 +206,15 @@ def test_the_smallest_slope_vanishes_where_the_leg_is_tuned(made):
             assert at[0, 0] == pytest.approx(cut.at(at)[0], abs=1e-9)
 
 
+def test_the_smallest_slope_over_one_key_vanishes_at_a_value_of_it():
+    family, box = Family.of({"walker": "A", "set": {"detuning": 0.2}}, ("R",)), Box(("R",), (0.27,), (0.3,))
+    (landscape,) = make(family, box, WINDOW, lambda part: 1000)
+    cuts = [m.coordinates.cut for m in landscape.manifolds if m.coordinates.cut]
+    assert [cut.powers[:5] for cut in cuts] == [(1, 0, 0, 3, 0)] * 2
+    for cut in cuts:
+        assert box.at(cut.at(np.zeros((1, 1)))[:, None])[0, 0] == pytest.approx(tuned_at(0.2), rel=1e-12)
+
+
 @pytest.mark.parametrize("side", [-1, 1])
 def test_designs_beside_vanishing_slopes_are_those_of_lines(made, side):
     family, landscape = made("tuned")
@@ -259,6 +268,16 @@ def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
     parts = make(family, box, WINDOW, lambda part: 1000, splits=1)
     assert [part.why for part in parts] == ["no reason", "no reason"]
     assert parts[0].box.high[1] == parts[1].box.low[1]
+
+
+@pytest.mark.parametrize(("walker", "keys", "axis"), [("B", ("R", "m_s"), 0), ("A", ("detuning", "m_h"), 1)])
+def test_there_is_no_curve_of_vanishing_slopes_that_no_key_reaches(walker, keys, axis):
+    """Legs of B are tuned whatever their keys; a mass at the hip does not tune those of A."""
+    family, box = Family.of({"walker": walker, "set": {}}, keys), Box(keys, (0.05, 0.05), (0.2, 0.1))
+    maker = Maker(family, box, common_structure(family.walkers(box.nodes(3))))
+    extension = _Extension(maker, "fold", 0.0, np.zeros(2), np.zeros(5))
+    assert not np.isfinite(extension.vanishing(np.zeros((3, 2)), axis)).any()
+    assert extension.powers(np.zeros((5, 3)), np.zeros((3, 2)), np.zeros(3), axis, 1) == ()
 
 
 def test_a_box_is_halved_along_both_keys():
