@@ -183,7 +183,7 @@ def test_points_that_were_seen_are_not_solved_again(monkeypatch):
 
 
 def test_what_is_remembered_changes_time_only(monkeypatch):
-    memory = in_memory.Memory(100_000)
+    memory = in_memory.Memory(50_000)
     monkeypatch.setattr(in_memory, "_ATLASES", memory)
     radii = [0.1, 0.15, 0.2, 0.25, 0.3]
     first = pipeline.gaits("E", 0.01, R=radii)
