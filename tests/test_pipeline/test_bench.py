@@ -72,7 +72,7 @@ def test_one_run_writes_an_archive_and_a_page(tmp_path, monkeypatch, capsys):
     with xr.open_dataset(tmp_path / "out" / "bench.nc", group="counts") as counts:
         # A point leaves the atlas by one Newton step, seldom by two.
         assert 1 <= float(counts.strides_a_gait[0]) < 1.5
-        assert 0 < float(counts.share_in_compiled_code[0]) < 1
+        assert 0 < float(counts.share_in_flows_and_maps[0]) < 1
     with xr.open_dataset(tmp_path / "out" / "bench.nc", group="missed") as found:
         assert list(found.walker.values)[-1] == "all" and float(found.gaits[-1]) > float(found.missed[-1])
     page = (tmp_path / "out" / "bench.html").read_text(encoding="utf-8")
