@@ -184,6 +184,20 @@ WIDEST, OTHERS = {"detuning": 0.5, "foot_mass_ratio": 0.125}, ("m_t", "m_s", "R"
 CELLS = [range(k, k + 50) for k in range(0, 1000, 50)]
 
 
+def test_bounds_hold_where_steps_nearly_vanish():
+    """Rounding grows over the size of the steps, by orders of magnitude between the nodes of a patch."""
+    walker, keys, _ = FAMILIES["A"]
+    low, high = ([side[i] for side in keys.values()] for i in (0, 1))
+    cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
+    line = {"walker": walker, "set": {"detuning": 0.8915702140413136, "m_h": 1.063408551130624}}
+    slope = 0.01527403951198892
+    ((_, one),) = lines({"lines": [line], "cell": cell, "slope": np.array([slope]), "want": WANT}, [])
+    shortest = int(np.nanargmin(one["stance_angle"][0]))
+    gait = {key: float(value[0, shortest]) for key, value in one.items() if key in WANT}
+    assert int(one["reason"].max()) < 6 and gait["stance_angle"] < 3e-4
+    assert error_of(line, slope, gait) < 0.5
+
+
 @pytest.mark.parametrize("seeds", [range(2, 3), *(pytest.param(each, marks=pytest.mark.soak) for each in CELLS)])
 def test_nothing_is_wrong_in_random_cells(seeds, tell):
     """Lines of cells of 64, with points near folds and ends; one gait of every tenth cell in 113 bits."""
