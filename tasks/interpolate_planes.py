@@ -41,8 +41,6 @@ def patch_guesses(patch: Patch, w: np.ndarray, node: np.ndarray, slope: np.ndarr
     around = [np.clip(node + i, 0, last) for i in (-1, 0, 1)]
     lipschitz = _LIPSCHITZ_SAFETY * np.max([patch.lipschitz[k] for k in around], axis=0)
     std = np.max([patch.rounding_std[k] for k in around], axis=0).T
-    if any(patch.vanishing):  # where steps vanish, rounding grows over their size from node to node: it is measured
-        std = np.full_like(std, np.nan)
     return Guesses(w, slope, lipschitz, std, np.full(len(slope), UNKNOWN))
 
 

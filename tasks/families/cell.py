@@ -342,6 +342,9 @@ class _Maker:
         w, _ = patch.predict(unit, q, patch.ends_at(unit))
         problem = self.problem(keys)
         patch.lipschitz = lipschitz(problem, np.vstack([w[:m], q]), w[m:]).reshape(sizes[0], -1).max(axis=1)
+        if any(patch.vanishing):  # rounding grows over the size of steps from node to node: each gait's is measured
+            patch.rounding_std = np.full((sizes[0], 2 + problem.map.start_size // 2), np.nan)
+            return patch
         std = rounding_std(problem, w, q)
         patch.rounding_std = np.sqrt((std.reshape(len(std), sizes[0], -1) ** 2).mean(axis=-1)).T
         return patch
