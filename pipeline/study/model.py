@@ -113,7 +113,7 @@ class Study:
         """Steps after which the gaits of a grid or of branches repeat."""
         return int(self.options.get("steps", 1)) if self.kind in ("grid", "branch") else 1
 
-    @property
+    @functools.cached_property
     def line_axes(self) -> tuple[Axis, ...]:
         """Every axis but the slope."""
         return tuple(a for a in self.axes if a.name != "slope")
@@ -135,11 +135,11 @@ class Study:
 
     def line(self, number: int) -> dict[str, Any]:
         """Walker and parameters of a line, numbered in C order of `line_shape`."""
-        values = {}
+        values: dict[str, float] = {}
         for axis in reversed(self.line_axes):
-            number, k = divmod(number, len(axis))
+            number, k = divmod(number, len(axis.values))
             values[axis.name] = float(axis.values[k])
-        return {"walker": self.walkers[number], "set": {a.name: values[a.name] for a in self.line_axes}}
+        return {"walker": self.walkers[number], "set": dict(reversed(values.items()))}
 
     @functools.cached_property
     def plane(self) -> Plane | None:

@@ -208,7 +208,10 @@ def _polish(
     """
     q = np.log(slope)
     w, before = w.copy(), np.full(len(q), np.inf)
-    stride, scale = problem.stride(w, q, samples=samples)
+    stride, scale = problem.stride(w, q)
+    if samples:
+        # Few guesses are gaits already; those that are leave a doubt about their motion, and are integrated again.
+        stride.motion = [np.full((samples + 1, *phase.shape[1:]), np.nan) for phase in stride.motion]
     for _ in range(MAX_STEPS):
         step = newton_step(stride, w)
         eta = np.abs(step).max(axis=0)

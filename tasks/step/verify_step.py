@@ -188,7 +188,8 @@ def verify(
     Parameters
     ----------
     motion : list of ndarray, shape (samples + 1, angles, n)
-        Each phase's angles and rates at equal times; three links before two.
+        Each phase's angles and rates at equal times; three links before two. NaN where they are not known, which
+        leaves a doubt.
     closing : ndarray, shape (k, n)
         Rates of the guards at the solved times.
     times : ndarray, shape (k, n) [sqrt(leg/g)]
@@ -222,7 +223,7 @@ def verify(
     falls[-1] = False
     # A guard that falls to zero was positive just before.
     step = strikes_fall_in_order(closing, times, touch) & ~falls.any(axis=0) & (a[-1] < 0)
-    doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0) | late
+    doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0) | late | np.isnan(a[0])
     leg_passes, hyperextends = np.zeros(n, int), np.zeros(n, bool)
     for phase in motion:
         half = phase.shape[1] // 2

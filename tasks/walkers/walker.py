@@ -38,9 +38,12 @@ class WalkerError(ValueError):
     """A walker that cannot be: the key, its value and the bound it breaks."""
 
     def __init__(self, key: str, value: object, bound: str):
-        shown = str(value)
-        super().__init__(f"`{key}` {bound}; got {shown if len(shown) <= _MAX_SHOWN else shown[:_MAX_SHOWN] + '...'}.")
+        super().__init__(f"`{_clip(key)}` {bound}; got {_clip(str(value))}.")
         self.key, self.value, self.bound = key, value, bound
+
+
+def _clip(text: str) -> str:
+    return text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "..."
 
 
 def _check_number(key: str, value: object) -> None:

@@ -14,6 +14,7 @@ from tasks.continuation.special_points import special_points
 from tasks.fixed_points import polish
 from tasks.fixed_points.rounding import rounding
 from tasks.fixed_points.search import search
+from tasks.interpolate_planes import similarity
 from tasks.measures.losses import heelstrike_losses
 from tasks.registry import ALWAYS, GAITS
 from tasks.solve_points import points
@@ -72,6 +73,21 @@ def test_more_digits_are_used_where_newton_does_not_halve_its_steps():
     refined = extended_precision.refine(*start, 1e-11)
     assert refined.last_step < 1e-15
     np.testing.assert_allclose(refined.y, exact.y[:, 0], rtol=1e-13)
+
+
+@pytest.mark.parametrize("walker", ["E", "C"])
+def test_guesses_that_are_gaits_already_are_verified_as_others_are(walker):
+    """Their motion is not sampled on the way."""
+    problem, slopes = Problem(resolve(walker)), np.array([0.03, 0.03])
+    w, _, _ = search(problem, 0.03)
+    far = np.stack([w[:, 0], w[:, 0] * (1 + 1e-7)], axis=1)
+    first = polish.settle(problem, polish.unmeasured(problem, far, slopes), sampled=True)
+    exact = similarity(first)
+    polished = polish._polish(problem, exact, slopes, np.zeros(2), 16)[0]
+    assert np.isnan(polished.motion[-1]).all()
+    again = polish.settle(problem, polish.unmeasured(problem, exact, slopes), sampled=True)
+    for at in (first, again):
+        assert at.step.all() and at.converged.all() and (at.leg_passes == first.leg_passes[0]).all()
 
 
 def test_zero_multipliers_are_exact():

@@ -140,6 +140,7 @@ def test_the_papers_infinite_hip_is_the_limit():
     ("table", "message"),
     [
         ({"base": "C", "eps_t": 0.1}, r"`eps_t` is not a walker key \(did you mean `eps_T`\?\); got 0.1"),
+        ({"base": "C", "x" * 9999: "y" * 9999}, r"^`x{60}\.{3}` is not a walker key; got y{60}\.{3}\.$"),
         ({"base": "C", "m_s": -1.0}, r"`m_s` must be >= 0; got -1.0"),
         ({"base": "C", "eps_T": 0.9}, r"`eps_T` must satisfy \|l_t sin eps_T\| <= \|l_s - R\| = 0.26"),
         ({"base": "E", "R": 1.0}, r"`R` must leave the hip above the foot's centre"),
