@@ -22,22 +22,17 @@ _DAMAGES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
 
 
 def use(folder: Path) -> None:
-    """Keep compiled code in a folder, if it can be used; otherwise it is compiled in each process.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be made.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    if not _is_intact(folder):
-        _remove(folder)
-    hy.llvm_state.set_diskcache_path(str(folder))
-    hy.llvm_state.set_diskcache_limit(_LIMIT)
-    hy.llvm_state.set_diskcache_enabled(True)
+    """Keep compiled code in a folder; where that cannot be used, every process compiles its own."""
+    hy.set_logger_level_error()  # a warning says that an entry could not be kept
     try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not _is_intact(folder):
+            _remove(folder)
+        hy.llvm_state.set_diskcache_path(str(folder))
+        hy.llvm_state.set_diskcache_limit(_LIMIT)
+        hy.llvm_state.set_diskcache_enabled(True)
         hy.llvm_state.get_diskcache_size()  # opens it
-    except RuntimeError:
+    except (OSError, RuntimeError):
         hy.llvm_state.set_diskcache_enabled(False)
 
 

@@ -37,9 +37,10 @@ def prepare_compiler() -> None:
     shared with all users of heyoka. On a network disk it is slower than compiling; `GAITSWEEP_CACHE` names a local one.
     """
     named = os.environ.get("GAITSWEEP_CACHE")
-    with contextlib.suppress(*() if named else (OSError, RuntimeError)):
-        folder = Path(named or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep")).expanduser()
-        compile_cache.use(folder)
+    folder = Path(named or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
+    with contextlib.suppress(RuntimeError):  # there is no home
+        folder = folder.expanduser()
+    compile_cache.use(folder)
     hy.set_nthreads(1)
 
 

@@ -5,7 +5,9 @@ import errno
 import hashlib
 import os
 import random
+import resource
 import shutil
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -171,15 +173,21 @@ SOLVE = (
 )
 
 
-def _solving(cache):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "GAITSWEEP_CACHE": str(cache)}
+def _solving(cache, largest):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "GAITSWEEP_CACHE": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen([sys.executable, "-W", "ignore", "-c", SOLVE], env=environment, text=True, **pipes)
+
+    def limit():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+
+    command = [sys.executable, "-W", "ignore", "-c", SOLVE]
+    return subprocess.Popen(command, env=environment, text=True, preexec_fn=limit, **pipes)
 
 
-def _solved(cache, n=1):
-    """What so many processes that share a compile cache give, of which all give the same."""
-    processes = [_solving(cache) for _ in range(n)]
+def _solved(cache, n=1, largest=resource.RLIM_INFINITY):
+    """What so many processes that share a compile cache give, of which all give the same; its files end at a size."""
+    processes = [_solving(cache, largest) for _ in range(n)]
     ends = {(*process.communicate(timeout=900), process.returncode) for process in processes}
     ((out, err, code),) = ends
     assert not err and not code, err
@@ -211,3 +219,21 @@ def test_a_compile_cache_changes_no_number(tmp_path, tell, n, damages):
                 db.commit()
         assert _solved(cache) == wanted, k
     tell(f"{n} processes share a cold cache; {damages} damaged: the same numbers")
+
+
+@pytest.mark.parametrize("sizes", [(200_000,), pytest.param((0, 1, 4096, 50_000, 300_000), marks=pytest.mark.soak)])
+def test_a_compile_cache_that_cannot_be_written_changes_nothing_but_time(tmp_path, tell, sizes):
+    """Its disk is full at several sizes, also of one that was filled before; its folder is a file, or read only."""
+    cache, file = tmp_path / "cache", tmp_path / "file"
+    wanted = _solved(cache)
+    file.write_text("x")
+    for size in sizes:
+        full = tmp_path / f"full at {size}"
+        assert _solved(full, largest=size) == wanted, size
+        assert _solved(full) == wanted, size
+    assert _solved(file) == wanted and file.read_text() == "x"
+    if len(sizes) > 1:
+        assert _solved(cache, largest=0) == _solved("/proc/self") == _solved("/proc/none") == wanted
+        (tmp_path / "folders" / "cache.db").mkdir(parents=True)
+        assert _solved(tmp_path / "folders") == wanted
+    tell(f"full at {len(sizes)} sizes, a file or folder in its place, a folder read only: the same numbers")
