@@ -97,4 +97,4 @@ class PointQueue:
 def _joined(jobs: list[Job]) -> np.ndarray:
     """Indices of all points of jobs of one line, in ascending order."""
     parts = sorted((job.indices for job in jobs if job.indices is not None), key=lambda indices: int(indices[0]))
-    return np.concatenate(parts)
+    return np.sort(np.concatenate(parts), kind="stable")  # a part may lie in a gap of another

@@ -111,7 +111,7 @@ class StudyJobs:
         self._alone: set[int] = set()  # numbers of lines of blocks that are computed by themselves
         self._open: deque[int] = deque()  # numbers of lines whose jobs beside the atlas are due
         self._queue = PointQueue(self.costs, self.chunks, self.chunk_size)  # points of open lines
-        self._to_probe: deque[LineWork] = deque()
+        self._to_probe: dict[int, LineWork] = {}
 
     @property
     def is_over(self) -> bool:
@@ -228,7 +228,7 @@ class StudyJobs:
                 if len(work.missing):
                     self._open_line(work, inputs)
             while self._to_probe:
-                self._queue.probe(self._to_probe.popleft())
+                self._queue.probe(self._to_probe.popitem()[1])
             if self._queue.jobs:
                 job, n = self._queue.take()
                 yield dataclasses.replace(job, seconds=n * self.cost)
@@ -355,7 +355,7 @@ class StudyJobs:
         self._measure(work.number, indices, result["seconds"], job.probe)
         is_long = not self._is_even and self.costs.seconds_left(work.number) > _PROBED_SECONDS
         if is_long and work.number not in self.costs.probed:
-            self._to_probe.append(work)
+            self._to_probe[work.number] = work  # workers may return several of its jobs before that is done
         self.listen("chunk", {**_event(job, result), "points": len(indices), "counts": dict(counts)})
 
 

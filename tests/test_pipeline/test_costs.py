@@ -1,6 +1,7 @@
 """How long a run will take is told by what its regions cost, not by how many points are left."""
 
 import contextlib
+import itertools
 import json
 import time
 from pathlib import Path
@@ -43,14 +44,18 @@ UNEVEN = {
 class Simulated(Engine):
     """An engine of two workers whose time is counted, not spent."""
 
-    def __init__(self, cost, overhead=0.01):
+    def __init__(self, cost, overhead=0.01, ahead=1):
         super().__init__()
-        self.cost, self.overhead, self.spent, self.finished = cost, overhead, 0.0, 0
+        self.cost, self.overhead, self.ahead, self.spent, self.finished = cost, overhead, ahead, 0.0, 0
 
     @contextlib.contextmanager
     def parallel(self):
+        def several(jobs):
+            while some := list(itertools.islice(jobs, self.ahead)):
+                yield from some
+
         def parallel(jobs):
-            for number, job in jobs:
+            for number, job in several(jobs):
                 took = self.overhead
                 result = {"outcome": "ok", "reason": "", "data": serialize.dump({})}
                 if job.divided == "slope":
@@ -101,6 +106,22 @@ def test_cheap_points_are_finished_by_workers_however_long_a_job_takes_to_begin(
     with contextlib.closing(Journal(tmp_path / "j", points=study.points)) as journal:
         Scheduler([StudyJobs(Plan(study, journal), engine, lambda *_: None, study.points)], engine).run()
     assert engine.finished > 0.9 * study.points
+
+
+@pytest.mark.parametrize("cost", [1e-4, 2e-6])
+def test_a_line_whose_jobs_end_together_is_probed_once_and_loses_no_point(tmp_path, cost):
+    """Results that come before a line is probed ask for it again."""
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "E"\n[axes]\n' + PEAK.replace("40000", "400000"))
+    study, probed = parse.read(tmp_path / "s.toml"), []
+    engine = Simulated(lambda line, slope: np.where(slope < 0.011, 1e-3, cost), ahead=4)
+    with contextlib.closing(Journal(tmp_path / "j", points=study.points)) as journal:
+        plan = Plan(study, journal)
+        jobs = StudyJobs(plan, engine, lambda *_: None, study.points)
+        probes = jobs.costs.probes
+        jobs.costs.probes = lambda *asked: probed.append(asked[0]) or probes(*asked)
+        Scheduler([jobs], engine).run()
+        assert probed == [0]
+        assert not len(plan.line(0).missing)
 
 
 @pytest.mark.soak

@@ -290,7 +290,7 @@ def stored(folder, dice):
             return
         except CorruptJournalError:
             repair(path)
-        except (ArithmeticError, LookupError, SystemError, TypeError, ValueError):
+        except (ArithmeticError, LookupError, SystemError, TypeError, ValueError, zlib.error):
             if not is_made:
                 raise
         finally:

@@ -1,4 +1,4 @@
-"""A long run of very many small jobs, killed again and again: memory and open files stay as they are."""
+"""Very many small jobs, killed again and again, and very many points: memory and open files stay as they are."""
 
 import contextlib
 import os
@@ -41,8 +41,8 @@ def test_a_million_small_jobs_and_two_hundred_kills(toy, tell, n, kills):
     files, growth, jobs = set(), 0, 0
     log = sidecar_path(toy, ".events.jsonl")
     while True:
-        process = toy.start("run", "toy.toml", "--chunk", 1, "--quiet", "--snapshot", 30)
-        stop = time.monotonic() + (dice.uniform(0.5, 4) if ends.total() < kills else max(30, end - time.monotonic()))
+        process = toy.start("run", "toy.toml", "--chunk", 1, "--quiet", "--snapshot", 300)
+        stop = time.monotonic() + (dice.uniform(0.5, 8) if ends.total() < kills else max(30, end - time.monotonic()))
         base, began = None, log.stat().st_size if log.exists() else 0
         while process.poll() is None and time.monotonic() < stop:
             time.sleep(0.05)
@@ -67,3 +67,22 @@ def test_a_million_small_jobs_and_two_hundred_kills(toy, tell, n, kills):
         f"{jobs:,} jobs of {50 * n:,} points, ended {dict(ends)}: at most {max(files)} files open,"
         f" memory grew by {growth / 1e6:.0f} MB"
     )
+
+
+@pytest.mark.parametrize(("slopes", "lines"), [(50_000, 4), pytest.param(10_000_000, 100, marks=pytest.mark.soak)])
+def test_a_journal_of_a_billion_points(toy, tell, slopes, lines):
+    """Points of long lines, as fast as the parent takes them; what it holds is that of a line, not of all."""
+    toy.write(STUDY.format(n=lines).replace("n = 50 ", f"n = {slopes} "))
+    process = toy.start("run", "toy.toml", "--quiet", TOY_DIGITS="2")
+    log, base, growth, files = sidecar_path(toy, ".events.jsonl"), None, 0, 0
+    while process.poll() is None:
+        time.sleep(0.05)
+        held = _held(process.pid)
+        if held and log.exists() and log.stat().st_size > 10 * WARM:
+            base = base or held
+            files, growth = max(files, held[0]), max(growth, held[1] - base[1])
+    out, err = process.communicate()
+    assert (process.returncode, err) == (0, ""), out + err
+    assert log.read_text().count('"begin"') == 1 and files < 60 and growth < MEMORY + 16 * slopes
+    size = (toy.folder / "data" / "archive" / "toy.nc").stat().st_size
+    tell(f"{slopes * lines:,} points: {files} files open, memory grew by {growth / 1e6:.0f} MB; {size / 1e9:.1f} GB")

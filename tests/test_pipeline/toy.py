@@ -25,6 +25,9 @@ def points(params, inputs):
         _trouble(float(s), os.environ.get("TOY_TROUBLE", ""))
     low, high, dear = map(float, os.environ.get("TOY_COSTLY", "0 0 0").split())
     time.sleep(len(slope) * float(os.environ.get("TOY_SECONDS", "0")) + dear * np.sum((slope > low) & (slope < high)))
+    values_of_long, digits = np.cbrt(slope) * scale, os.environ.get("TOY_DIGITS")
+    if digits:  # so that much fits on a disk
+        values_of_long = np.round(values_of_long, int(digits))
     n, g = len(slope), len(GAITS)
     status = np.full((n, g), 1, np.int8)
     status[:, 0] = 0
@@ -44,7 +47,7 @@ def points(params, inputs):
         if about.dtype == "f8":
             for k in range(2):
                 there = status[:, k] == 0
-                values[there, k] = (np.cbrt(slope) * scale * (k + 1))[there].reshape((-1,) + (1,) * (values.ndim - 2))
+                values[there, k] = (values_of_long * (k + 1))[there].reshape((-1,) + (1,) * (values.ndim - 2))
         if name == "branch":
             values[:] = np.where(status == 0, np.arange(g), -1)
         found[name] = values
