@@ -24,7 +24,11 @@ from mutmut.workers.isolation import get_mutant_runner
 HERE = Path(__file__).parent
 AT_A_TIME = 2
 #: Tests of what runs in processes of its own, where no call is recorded.
-BESIDE = {"pipeline.archive": ("archive", "cf", "isolation"), "pipeline.store": ("journal", "archive", "isolation")}
+BESIDE = {
+    "pipeline.archive": ("archive", "cf", "isolation"),
+    "pipeline.execution": ("run", "scheduler", "isolation", "kills", "blocks"),
+    "pipeline.store": ("journal", "archive", "isolation"),
+}
 #: How a mutant can end that has been noticed. A loop without end fails its test in time; what takes longer than all
 #: tests together may do so because the machine is busy.
 NOTICED = ("killed", "segfault", "suspicious")
