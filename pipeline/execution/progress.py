@@ -239,7 +239,7 @@ def duration(seconds: float) -> str:
         return f"{seconds:.3g} s"
     if seconds < 7200:
         return f"{seconds / 60:.3g} min"
-    return f"{seconds / 3600:.3g} h"
+    return f"{float(f'{seconds / 3600:.3g}'):,.10g} h"
 
 
 def last_state(log: Path) -> dict[str, Any] | None:

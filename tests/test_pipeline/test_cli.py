@@ -23,6 +23,7 @@ from pipeline.archive import read, write
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError, unwritten
 from pipeline.execution import locks, study_jobs
+from pipeline.execution.progress import duration
 from processes import sidecar_path
 
 
@@ -622,3 +623,15 @@ def test_verify_answers_machines(tmp_path, capsys):
         file["period"][0, 0] = 1.0
     assert commands.main(["verify", str(path), "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["problems"] == ["`period` is not as it was written."]
+
+
+def test_times_are_told_in_the_unit_that_people_use():
+    told = {
+        0.0123: "0.0123 s",
+        119: "119 s",
+        121: "2.02 min",
+        7300: "2.03 h",
+        99.9e6: "27,800 h",
+        3.6e12: "1,000,000,000 h",
+    }
+    assert {seconds: duration(seconds) for seconds in told} == told
