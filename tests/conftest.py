@@ -4,6 +4,7 @@ import functools
 import gc
 import hashlib
 import json
+import math
 import os
 import re
 import signal
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -108,50 +109,88 @@ def _compute_everything_anew(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(sys.modules["tasks.solve_points"], "_MAX_SURVEYED", 0)
 
 
-TOLD = pytest.StashKey[list[tuple[str, str, float]]]()
 RECORDING = pytest.StashKey[bool]()
+SHARE = 1200.0  # of the time of all, that one test of many cases takes at a time [s]
+
+
+class Soak:
+    """What the long tests found: kept, with `SOAK_SECONDS`, until code changes, and not found again.
+
+    `make soak` sets how long they may take together; begun again, it goes on where it stopped. Without it, a test that is
+    asked for by name runs to its end.
+    """
+
+    def __init__(self) -> None:
+        self.told: dict[str, tuple[str, float]] = {}
+        self.begun: dict[str, tuple[int, dict[str, int]]] = {}
+        self.passed: list[str] = []
+        limit = os.environ.get("SOAK_SECONDS")
+        self.end = time.monotonic() + float(limit or "inf")
+        self.file = ROOT / "soak.json" if limit else None
+        sources = sorted(file for folder in ("pipeline", "tasks", "tests") for file in (ROOT / folder).rglob("*.py"))
+        self.code = hashlib.sha256(b"".join(file.read_bytes() for file in sources)).hexdigest()
+        if self.file and self.file.exists():
+            kept = json.loads(self.file.read_text())
+            if kept.pop("code") == self.code:
+                vars(self).update(kept)
+
+    @property
+    def left(self) -> float:
+        """Time left for all long tests [s]."""
+        return self.end - time.monotonic()
+
+    def keep(self) -> None:
+        if self.file:
+            kept = {name: getattr(self, name) for name in ("code", "told", "begun", "passed")}
+            self.file.write_text(json.dumps(kept))
+
+
+SOAK = pytest.StashKey[Soak]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.stash[TOLD] = []
+    config.stash[SOAK] = Soak()
     # mutmut records calls in this process alone; others started from here run as ever.
     config.stash[RECORDING] = os.environ.get("MUTANT_UNDER_TEST") == "stats"
     if config.stash[RECORDING]:
         del os.environ["MUTANT_UNDER_TEST"]
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    soak = item.config.stash[SOAK]
+    if item.get_closest_marker("soak"):
+        if item.nodeid in soak.passed:
+            pytest.skip("passed before")
+        if soak.left < 0:
+            pytest.skip("time is over: `make soak` goes on here")
+
+
 @pytest.fixture
 def tell(request: pytest.FixtureRequest) -> Callable[[str], None]:
     """Put what a long test found into the table at the end of the run; a short one is silent."""
-    began, name = time.monotonic(), request.node.name
+    began, name, soak = time.monotonic(), request.node.name, request.config.stash[SOAK]
     if not request.node.get_closest_marker("soak"):
         return lambda found: None
-    return lambda found: request.config.stash[TOLD].append((name, found, time.monotonic() - began))
+    return lambda found: soak.told.update({name: (found, time.monotonic() - began)})
 
 
 class Resumed:
     """Cases of a long test, from where an earlier run of it with this code ended, until its share of time is over."""
 
-    def __init__(self, name: str):
-        self.found: Counter[str] = Counter()
-        self.done = self.cases = 0
-        self._file = ROOT / "soak" / f"{name}.json"
+    def __init__(self, soak: Soak, name: str):
+        self.soak, self.name, self.cases = soak, name, 0
+        self.done, found = soak.begun.get(name, (0, {}))
+        self.found = Counter(found)
 
     def __call__(self, cases: int) -> Iterator[int]:
         """Numbers of cases, of so many; what the test counts in `found` is kept too."""
         self.cases = cases
-        code = hashlib.sha256(b"".join(file.read_bytes() for file in sorted(ROOT.glob("[pt]*/**/*.py")))).hexdigest()
-        kept = json.loads(self._file.read_text()) if self._file.exists() else {}
-        if kept.get("code") == code and kept["done"] < cases:
-            self.done, self.found = kept["done"], Counter(kept["found"])
-        end = time.monotonic() + float(os.environ.get("SOAK_SECONDS", "1200"))
-        self._file.parent.mkdir(exist_ok=True)
-        try:
-            while self.done < cases and time.monotonic() < end:
-                yield self.done
-                self.done += 1
-        finally:
-            self._file.write_text(json.dumps({"code": code, "done": self.done, "found": self.found}))
+        end = time.monotonic() + (min(SHARE, self.soak.left) if self.soak.file else math.inf)
+        while self.done < cases and time.monotonic() < end:
+            yield self.done
+            self.done += 1
+            self.soak.begun[self.name] = self.done, dict(self.found)
+            self.soak.keep()
 
     @property
     def state(self) -> str:
@@ -160,15 +199,26 @@ class Resumed:
 
 @pytest.fixture
 def resumed(request: pytest.FixtureRequest) -> Resumed:
-    return Resumed(re.sub(r"\W+", "-", request.node.name).strip("-"))
+    return Resumed(request.config.stash[SOAK], request.node.nodeid)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    if report.when == "call" and item.get_closest_marker("soak"):
+        soak, resumed = item.config.stash[SOAK], getattr(item, "funcargs", {}).get("resumed")
+        if report.passed and not (resumed and resumed.done < resumed.cases):
+            soak.passed.append(item.nodeid)
+        soak.keep()
+    return report
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    told = config.stash[TOLD]
+    told = config.stash[SOAK].told
     if told:
         terminalreporter.section("what the long tests found")
-        width = max(len(name) for name, _, _ in told)
-        for name, found, seconds in told:
+        width = max(map(len, told))
+        for name, (found, seconds) in told.items():
             terminalreporter.write_line(f"{name:<{width}}  {seconds:7.1f} s  {found}")
 
 
