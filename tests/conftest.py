@@ -116,8 +116,8 @@ SHARE = 1200.0  # of the time of all, that one test of many cases takes at a tim
 class Soak:
     """What the long tests found: kept, with `SOAK_SECONDS`, until code changes, and not found again.
 
-    `make soak` sets how long they may take together; begun again, it goes on where it stopped. Without it, a test that is
-    asked for by name runs to its end.
+    `make soak` sets how long they may take together; begun again, it goes on where it stopped. Without it, a test
+    that is asked for by name runs to its end.
     """
 
     def __init__(self) -> None:
