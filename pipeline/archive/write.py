@@ -80,14 +80,30 @@ def _write(plan: Plan, draft: Path, threads: int) -> Written:
         _write_header(file, plan, writer)
         writer.define(file)
         result_tables.write(file, plan)
+        wanted = _described(file)
     writer.fill(draft, threads)
     with read.open_netcdf(draft, "a") as file:
-        _write_checksums(file, writer)
+        wanted["attributes"] |= _write_checksums(file, writer)
+    # Where memory is short HDF5 may leave out an attribute and report nothing.
     with read.open_netcdf(draft) as file:
-        if "status" not in file.variables or file.variables["status"].dimensions != (*writer.dims,):
-            raise ArchiveError(f"{draft} does not read back.")
+        if _described(file) != wanted:
+            raise RuntimeError("it does not read back")
         file.variables["status"][(-1,) * len(writer.dims)]
     return writer.written
+
+
+def _described(group: Any) -> dict[str, Any]:
+    """Dimensions, attributes, variables and groups of an open group, all but the values of its variables."""
+    return {
+        "attributes": _attributes(group),
+        "dimensions": {name: len(dimension) for name, dimension in group.dimensions.items()},
+        "variables": {n: (str(v.dtype), v.dimensions, _attributes(v)) for n, v in group.variables.items()},
+        "groups": {name: _described(below) for name, below in group.groups.items()},
+    }
+
+
+def _attributes(owner: Any) -> dict[str, str]:
+    return {name: repr(owner.getncattr(name)) for name in owner.ncattrs()}
 
 
 def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> None:
@@ -131,8 +147,14 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
     write_strings(file, "reason_text", "reason_index", writer.sentences, "sentences that `reason` counts from 0")
 
 
-def _write_checksums(file: Any, writer: PointWriter | _LineWriter) -> None:
-    """Write the checksum of every variable, and the shape of the chunks whose sums are those of large variables."""
+def _write_checksums(file: Any, writer: PointWriter | _LineWriter) -> dict[str, str]:
+    """Write the checksum of every variable, and the shape of the chunks whose sums are those of large variables.
+
+    Returns
+    -------
+    dict of str
+        These attributes, as `_attributes` has them.
+    """
     sums = writer.sums
     file.set_auto_mask(False)  # a mask is as long as a line
     small = [name for name in (*file.variables, *read.columns(file)) if name not in sums]
@@ -140,6 +162,7 @@ def _write_checksums(file: Any, writer: PointWriter | _LineWriter) -> None:
     if isinstance(writer, PointWriter):
         file.checksum_chunk = np.array(writer.chunk, np.int64)
     file.checksums = json.dumps({name: n % 2**32 for name, n in {**checksums, **sums}.items()}, sort_keys=True)
+    return {name: value for name, value in _attributes(file).items() if name.startswith("checksum")}
 
 
 class _LineWriter:

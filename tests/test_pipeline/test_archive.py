@@ -22,9 +22,13 @@ import xarray as xr
 from conftest import STUDY, Toy
 from pipeline.api.studies import load
 from pipeline.archive import diff, layout, read, verify, write
+from pipeline.archive.points import PointWriter
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
+from pipeline.plan.missing import Plan
 from pipeline.statuses import ALL_STATUSES as STATUS
+from pipeline.store.journal import Journal
+from pipeline.study import parse
 
 EVERYTHING = STUDY.replace('"multipliers"', '"multipliers", "energy", "violations"')
 
@@ -113,6 +117,32 @@ def test_a_failed_write_is_a_full_disk_where_nothing_more_can_be_written(copy, m
         write.write(None, copy)
     assert raised.type is error
     assert copy.read_bytes() == before and list(copy.parent.iterdir()) == [copy]
+
+
+def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
+    """HDF5 may leave out an attribute where memory is short, and report nothing."""
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.01]\n[want]\nfits = ["scaling"]\n')
+    path, fill, lost = tmp_path / "s.nc", PointWriter.fill, []
+    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    before = path.read_bytes()
+
+    def lose(writer, draft, threads):
+        fill(writer, draft, threads)
+        with netCDF4.Dataset(draft, "a") as file:
+            place, name = lost[-1]
+            (file[place] if place else file).delncattr(name)
+
+    study = parse.read(tmp_path / "s.toml")
+    with contextlib.closing(Journal(tmp_path / "s.journal", write=False)) as journal:
+        for attribute in (("", "title"), ("status", "units"), ("fits/scaling/exponent", "long_name")):
+            lost.append(attribute)
+            monkeypatch.setattr(PointWriter, "fill", lose)
+            with pytest.raises(ArchiveError, match=r"s\.nc cannot be written: it does not read back\.$"):
+                write.write(Plan(study, journal), path)
+            assert path.read_bytes() == before
+        monkeypatch.setattr(PointWriter, "fill", fill)
+        write.write(Plan(study, journal), path)
+    assert path.read_bytes() == before
 
 
 def test_verify_finds_nothing_wrong_with_a_whole_one(made):
