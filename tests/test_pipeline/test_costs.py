@@ -11,11 +11,14 @@ import pytest
 
 from conftest import STUDY
 from pipeline import serialize
+from pipeline.execution.archive_chunks import ArchiveChunks
 from pipeline.execution.estimates import Costs
 from pipeline.execution.executors import Engine
+from pipeline.execution.job import Job
+from pipeline.execution.point_queue import PointQueue
 from pipeline.execution.scheduler import Scheduler
 from pipeline.execution.study_jobs import StudyJobs
-from pipeline.plan.missing import Plan
+from pipeline.plan.missing import LineWork, Plan
 from pipeline.store.journal import Journal
 from pipeline.study import parse
 from processes import sidecar_path
@@ -122,6 +125,21 @@ def test_a_line_whose_jobs_end_together_is_probed_once_and_loses_no_point(tmp_pa
         Scheduler([jobs], engine).run()
         assert probed == [0]
         assert not len(plan.line(0).missing)
+
+
+def test_jobs_of_a_line_hold_each_point_once_in_order_however_often_they_are_divided():
+    """A part of a probe that was taken lies in the gap that the probe left in another job."""
+    costs, work = Costs(64_000, 64_000, 1e-3), LineWork(0, {}, {}, {}, np.arange(0))
+    costs.open_line(0, np.arange(64_000))
+    queue = PointQueue(costs, ArchiveChunks(64_000, 1000), lambda job: 5)
+    queue.open(Job(None, "points", ("", ""), {}, work), np.arange(64_000), 100)
+    taken = [queue.take()[0].indices for _ in range(2)]
+    for _ in range(2):
+        queue.probe(work)
+        taken.append(queue.take()[0].indices)
+        left = [job.indices for job in queue.jobs]
+        assert all((np.diff(indices) > 0).all() for indices in left)
+        assert np.array_equal(np.sort(np.concatenate([*taken, *left])), np.arange(64_000))
 
 
 @pytest.mark.soak
