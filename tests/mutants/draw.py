@@ -26,7 +26,7 @@ AT_A_TIME = 2
 #: Tests of what runs in processes of its own, where no call is recorded.
 BESIDE = {
     "pipeline.archive": ("archive", "cf", "isolation"),
-    "pipeline.execution": ("run", "scheduler", "isolation", "kills", "blocks"),
+    "pipeline.execution": ("run", "scheduler", "isolation", "kills"),
     "pipeline.store": ("journal", "archive", "isolation"),
 }
 #: How a mutant can end that has been noticed. A loop without end fails its test in time; what takes longer than all
