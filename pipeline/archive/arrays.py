@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.archive import layout
+from pipeline.archive.attributes import put
 from pipeline.plan.missing import Plan
 
 Columns = Mapping[str, np.ndarray]
@@ -126,5 +127,5 @@ def _variable(group: Any, name: str, dims: tuple[str, ...], values: np.ndarray, 
     fill = np.nan if values.dtype.kind == "f" and name not in dims else False
     filters = _FILTERS if values.size and dims else {}
     variable = group.createVariable(name, values.dtype, dims, fill_value=fill, **filters)
-    variable.setncatts(attributes)
+    put(variable, attributes)
     variable[...] = values

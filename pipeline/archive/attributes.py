@@ -17,6 +17,19 @@ _LONG_NAMES = {
 }
 
 
+def put(owner: Any, values: dict[str, Any]) -> None:
+    """Set attributes of an open file, group or variable.
+
+    Raises
+    ------
+    RuntimeError
+        If it does not have them then: where memory is short the library may lose them and report nothing.
+    """
+    owner.setncatts(values)
+    if not set(values) <= set(owner.ncattrs()):
+        raise RuntimeError("attributes are lost")
+
+
 def of_axis(name: str, is_si: bool) -> dict[str, str]:
     """CF attributes of an axis, for walkers in SI (`is_si`) or in consistent units."""
     return {"long_name": _LONG_NAMES.get(name, f"walker's {name}"), "units": units.axis_units(name, is_si)}

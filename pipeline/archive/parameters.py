@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import dispatch
+from pipeline.archive.attributes import put
 from pipeline.study import units
 from pipeline.study.model import Study
 from tasks.registry import SI_UNITS
@@ -44,14 +45,14 @@ def write(file: Any, study: Study) -> None:
                 moved[axis] = [[_table(w, axis, v) for v in axes[axis].tolist()] for w in study.walkers]
             values = np.array([[table[key] for table in line] for line in moved[axis]], float)
         if not dims:
-            file.setncattr(key, float(values.ravel()[0]))
+            put(file, {key: float(values.ravel()[0])})
             continue
         shape = [len(study.walkers) if d == "walker" else len(axes[d]) for d in dims]
         variable = file.createVariable(key, "f8", dims, fill_value=False)
         unit = SI_UNITS[kinds[key]] if is_si or kinds[key] == "angle" else "1"
-        variable.setncatts({"long_name": f"walker's {key}", "units": unit})
+        put(variable, {"long_name": f"walker's {key}", "units": unit})
         if not is_si and kinds[key] not in ("angle", "number") and any(check["si"] for check in study.checks):
-            variable.comment = "in the units of each walker: see walker_units"
+            put(variable, {"comment": "in the units of each walker: see walker_units"})
         variable[...] = values.reshape(shape)
 
 

@@ -133,7 +133,7 @@ class PointWriter:
         if any("multiplier" in VARIABLES[n].dims for n in names):
             file.createDimension("multiplier", self.multipliers)
             multiplier = file.createVariable("multiplier", "i4", ("multiplier",), fill_value=False)
-            multiplier.setncatts({"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"})
+            attributes.put(multiplier, {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"})
             multiplier[:] = np.arange(self.multipliers)
         is_si, is_mixed = units.is_si(self.study), len({c["si"] for c in self.study.checks}) > 1
         for name in names:
@@ -150,7 +150,7 @@ class PointWriter:
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
             self.shapes[name], self.dtypes[name] = tuple(variable.chunking()), variable.dtype
-            variable.setncatts(attributes.of_variable(description, is_si, is_mixed, self.study.steps))
+            attributes.put(variable, attributes.of_variable(description, is_si, is_mixed, self.study.steps))
 
     def fill(self, draft: Path, threads: int) -> None:
         """Write values box by box; while one box is packed the next is assembled."""

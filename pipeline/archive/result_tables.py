@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline import serialize
 from pipeline.archive import arrays
-from pipeline.archive.attributes import over_steps
+from pipeline.archive.attributes import over_steps, put
 from pipeline.dispatch import resolve
 from pipeline.plan.missing import Plan
 from pipeline.study import units
@@ -116,7 +116,7 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
         options = {} if text else {"fill_value": fill_value, **filters}
         dtype = str if text else values.dtype.newbyteorder("=")
         variable = netcdf_group.createVariable(name, dtype, ("row",), **options)
-        variable.setncatts(_attributes(plan, group, name))
+        put(variable, _attributes(plan, group, name))
         variable[:] = values.astype(object) if text else values
 
 

@@ -108,7 +108,8 @@ def _attributes(owner: Any) -> dict[str, str]:
 
 def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> None:
     study = plan.study
-    file.setncatts(
+    attributes.put(
+        file,
         {
             "Conventions": "CF-1.11",
             "title": f"gaitsweep study {study.name}",
@@ -124,7 +125,7 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
             "provenance": provenance(plan),
             **({"accuracy": study.accuracy} if study.accuracy else {}),
             **attributes.of_steps(study.steps),
-        }
+        },
     )
     for name, size in writer.grid.sizes.items():
         file.createDimension(name, size)
@@ -140,7 +141,7 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
             continue
         axis = next(a for a in study.axes if a.name == name)
         variable = file.createVariable(name, "f8", (name,), fill_value=False, fletcher32=True)
-        variable.setncatts(attributes.of_axis(name, units.is_si(study)))
+        attributes.put(variable, attributes.of_axis(name, units.is_si(study)))
         variable[:] = axis.values
     parameters.write(file, study)
     file.createDimension("reason_index", len(writer.sentences))
@@ -202,7 +203,7 @@ class _LineWriter:
         """Create and write every variable."""
         for name, values in (("status", self.status), ("reason", self.reason)):
             variable = file.createVariable(name, values.dtype, self.dims, fill_value=False)
-            variable.setncatts(attributes.of_variable(VARIABLES[name], True))
+            attributes.put(variable, attributes.of_variable(VARIABLES[name], True))
             variable[...] = values
 
     def fill(self, draft: Path, threads: int) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.archive.attributes import put
 from pipeline.study.model import Study
 
 
@@ -28,7 +29,7 @@ class Written:
 def write_strings(file: Any, name: str, dim: str, values: list[str], long_name: str) -> None:
     """Write a variable of strings."""
     variable = file.createVariable(name, str, (dim,))
-    variable.setncatts({"long_name": long_name, "units": "1"})
+    put(variable, {"long_name": long_name, "units": "1"})
     variable[:] = np.array(values, object)
 
 

@@ -21,7 +21,7 @@ import xarray as xr
 
 from conftest import STUDY, Toy
 from pipeline.api.studies import load
-from pipeline.archive import diff, layout, read, verify, write
+from pipeline.archive import attributes, diff, layout, read, verify, write
 from pipeline.archive.points import PointWriter
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
@@ -143,6 +143,13 @@ def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
         monkeypatch.setattr(PointWriter, "fill", fill)
         write.write(Plan(study, journal), path)
     assert path.read_bytes() == before
+
+
+def test_attributes_that_the_library_loses_at_once_are_missed():
+    kept = {"units": "1"}
+    attributes.put(SimpleNamespace(setncatts=lambda values: None, ncattrs=lambda: [*kept, "long_name"]), kept)
+    with pytest.raises(RuntimeError, match="attributes are lost"):
+        attributes.put(SimpleNamespace(setncatts=lambda values: None, ncattrs=lambda: ["long_name"]), kept)
 
 
 def test_verify_finds_nothing_wrong_with_a_whole_one(made):
