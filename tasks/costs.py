@@ -29,7 +29,7 @@ _STEPS = "transient+steps"
 COSTS = {
     "atlas": (Cost(0.13, 0.55), Cost(1.3, 3.0, ("searches",))),
     "atlas side by side": (Cost(0.05, 0.16),),
-    "cell": (Cost(1.0, 5.0),),
+    "cell": (Cost(0.7, 4.2),),
     "trace": (Cost(0.05, 0.15),),
     "branch": (Cost(0.04, 0.15),),
     "orbit": (Cost(1.3e-3, 2e-3, (_STEPS,)), Cost(4e-6, 2.1e-5, ("slopes", "starts", _STEPS))),
@@ -52,7 +52,7 @@ COSTS = {
 POINTS = {
     "long": Cost(1.8e-5, 7e-5, ("points",)),
     "interpolated": Cost(1.3e-6, 1.3e-6, ("points",)),
-    "plane": Cost(1e-4, 3e-4, ("points",)),
+    "plane": Cost(7e-5, 2.3e-4, ("points",)),
     "short": Cost(2e-4, 1e-3, ("points",)),
     "cycles": Cost(2e-3, 3e-3, ("points", "gait_steps")),
     "violations": Cost(1.4e-4, 4.4e-4, ("points",)),

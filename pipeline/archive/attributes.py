@@ -23,10 +23,14 @@ def put(owner: Any, values: dict[str, Any]) -> None:
     Raises
     ------
     RuntimeError
-        If it does not have them then: where memory is short the library may lose them and report nothing.
+        If it cannot, or does not have them then: where memory is short the library may lose them and report nothing.
     """
-    owner.setncatts(values)
-    if not set(values) <= set(owner.ncattrs()):
+    try:
+        owner.setncatts(values)
+        kept = set(owner.ncattrs())
+    except AttributeError as error:  # what netCDF4 raises, whatever the library says
+        raise RuntimeError(str(error)) from error
+    if not kept.issuperset(values):
         raise RuntimeError("attributes are lost")
 
 

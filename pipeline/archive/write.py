@@ -103,7 +103,9 @@ def _described(group: Any) -> dict[str, Any]:
 
 
 def _attributes(owner: Any) -> dict[str, str]:
-    return {name: repr(owner.getncattr(name)) for name in owner.ncattrs()}
+    # netCDF notes how it rounded values, when it closes the file.
+    own = (name for name in owner.ncattrs() if not name.startswith("_Quantize"))
+    return {name: repr(owner.getncattr(name)) for name in own}
 
 
 def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> None:

@@ -150,6 +150,9 @@ def test_attributes_that_the_library_loses_at_once_are_missed():
     attributes.put(SimpleNamespace(setncatts=lambda values: None, ncattrs=lambda: [*kept, "long_name"]), kept)
     with pytest.raises(RuntimeError, match="attributes are lost"):
         attributes.put(SimpleNamespace(setncatts=lambda values: None, ncattrs=lambda: ["long_name"]), kept)
+    failing = Mock(setncatts=Mock(side_effect=AttributeError("NetCDF: Memory allocation (malloc) failure")))
+    with pytest.raises(RuntimeError, match="Memory allocation"):
+        attributes.put(failing, kept)
 
 
 def test_verify_finds_nothing_wrong_with_a_whole_one(made):
