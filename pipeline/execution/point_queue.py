@@ -96,5 +96,5 @@ class PointQueue:
 
 def _joined(jobs: list[Job]) -> np.ndarray:
     """Indices of all points of jobs of one line, in ascending order."""
-    parts = sorted((job.indices for job in jobs if job.indices is not None), key=lambda indices: int(indices[0]))
+    parts = [job.indices for job in jobs if job.indices is not None]
     return np.sort(np.concatenate(parts), kind="stable")  # a part may lie in a gap of another
