@@ -127,9 +127,11 @@ class Soak:
         limit = os.environ.get("SOAK_SECONDS")
         self.end = time.monotonic() + float(limit or "inf")
         self.file = ROOT / "soak.json" if limit else None
+        if not self.file:
+            return
         sources = sorted(file for folder in ("pipeline", "tasks", "tests") for file in (ROOT / folder).rglob("*.py"))
         self.code = hashlib.sha256(b"".join(file.read_bytes() for file in sources)).hexdigest()
-        if self.file and self.file.exists():
+        if self.file.exists():
             kept = json.loads(self.file.read_text())
             if kept.pop("code") == self.code:
                 vars(self).update(kept)

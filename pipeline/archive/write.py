@@ -162,9 +162,9 @@ def _write_checksums(file: Any, writer: PointWriter | _LineWriter) -> dict[str, 
     file.set_auto_mask(False)  # a mask is as long as a line
     small = [name for name in (*file.variables, *read.columns(file)) if name not in sums]
     checksums = {name: layout.checksum(np.ma.getdata(file[name][...])) for name in small}
-    if isinstance(writer, PointWriter):
-        file.checksum_chunk = np.array(writer.chunk, np.int64)
-    file.checksums = json.dumps({name: n % 2**32 for name, n in {**checksums, **sums}.items()}, sort_keys=True)
+    chunk = {"checksum_chunk": np.array(writer.chunk, np.int64)} if isinstance(writer, PointWriter) else {}
+    modulo = {name: n % 2**32 for name, n in {**checksums, **sums}.items()}
+    attributes.put(file, {**chunk, "checksums": json.dumps(modulo, sort_keys=True)})
     return {name: value for name, value in _attributes(file).items() if name.startswith("checksum")}
 
 
