@@ -1,7 +1,5 @@
 """What several test folders share: the command line over toy tasks, in processes of its own."""
 
-import functools
-import gc
 import hashlib
 import json
 import math
@@ -85,15 +83,6 @@ class Toy:
         return re.sub(rb'"commit": "[0-9a-f]{40}"', b'"commit": ""', archive)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def forgetting(pytestconfig: pytest.Config) -> None:
-    """While it is recorded which tests reach a function, no file of tests leans on what another left in memory."""
-    if pytestconfig.stash[RECORDING]:
-        for kept in gc.get_objects():
-            if isinstance(kept, functools._lru_cache_wrapper) and kept.__module__.startswith(("tasks", "lines")):
-                kept.cache_clear()
-
-
 @pytest.fixture
 def toy(tmp_path: Path) -> Iterator[Toy]:
     found = Toy(tmp_path)
@@ -109,7 +98,6 @@ def _compute_everything_anew(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(sys.modules["tasks.solve_points"], "_MAX_SURVEYED", 0)
 
 
-RECORDING = pytest.StashKey[bool]()
 SHARE = 1200.0  # of the time of all, that one test of many cases takes at a time [s]
 
 
@@ -152,10 +140,6 @@ SOAK = pytest.StashKey[Soak]()
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[SOAK] = Soak()
-    # mutmut records calls in this process alone; others started from here run as ever.
-    config.stash[RECORDING] = os.environ.get("MUTANT_UNDER_TEST") == "stats"
-    if config.stash[RECORDING]:
-        del os.environ["MUTANT_UNDER_TEST"]
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -15,6 +15,7 @@ import tasks
 if TYPE_CHECKING:
     from pipeline.plan.missing import Plan
 
+_ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("gaitsweep", "heyoka", "joblib", "netCDF4", "numpy", "scipy")
 #: Processor features that determine the instructions of compiled code, and so the last bits of results.
 _FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "avx512dq", "avx512bw", "avx512vl", "asimd", "sve")
@@ -65,9 +66,9 @@ def cpu_features() -> list[str]:
     return [platform.machine(), *(f for f in _FEATURES if f in flags)]
 
 
-def commit() -> str:
+def commit(root: Path = _ROOT) -> str:
     """Commit of the working tree of this package; empty if there is none."""
-    git = Path(__file__).resolve().parent.parent / ".git"
+    git = root / ".git"
     try:
         head = (git / "HEAD").read_text().strip()
         if not head.startswith("ref: "):

@@ -220,7 +220,6 @@ def verify(
     touch = np.maximum(_TOUCH, 8 * off)
     falls = (guard[1:] < -touch) & (guard[:-1] >= -touch)
     falls, late = _behind(falls, guard, a)
-    falls[-1] = False
     # A guard that falls to zero was positive just before.
     step = strikes_fall_in_order(closing, times, touch) & ~falls.any(axis=0) & (a[-1] < 0)
     doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0) | late | np.isnan(a[0])

@@ -1,121 +1,208 @@
 """Draw mutants of the core by lot, see which of them the tests notice, and show those they do not.
 
     python tests/mutants/draw.py 1 300          # draw, number: goes on where it stopped, for its state is in `mutants/`
-    python tests/mutants/draw.py 1 300 again    # tries survivors and timeouts once more
+    python tests/mutants/draw.py 1 300 again    # tries survivors once more, with every test that reaches them
 
-Mutants of `equivalent.toml` are left out of the count.
+mutmut makes the mutants. Each is written into a copy of the project and tried by the tests that reach its line, the
+quickest files first. Mutants of `equivalent.toml` are left out of the count.
 """
 
+import ast
+import contextlib
+import difflib
+import hashlib
+import json
+import multiprocessing
 import os
+import queue
 import random
-import shutil
-import sqlite3
+import re
 import sys
+import time
 import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
-from mutmut import __main__ as mutmut
-from mutmut.mutation.diff_apply import get_diff_for_mutant
-from mutmut.state import state
-from mutmut.stats import status_by_exit_code
-from mutmut.utils.format_utils import mangled_name_from_mutant_name
-from mutmut.workers.isolation import get_mutant_runner
+from recording import HERE, PYTEST, ROOT, STATE, Reach, copy_project, environment, lend_cache, record
 
-HERE = Path(__file__).parent
+CORE = ("tasks", "pipeline/archive", "pipeline/execution", "pipeline/store")
 AT_A_TIME = 2
-#: Tests of what runs in processes of its own, where no call is recorded.
-BESIDE = {
-    "pipeline.archive": ("archive", "cf", "isolation"),
-    "pipeline.execution": ("run", "scheduler", "isolation", "kills"),
-    "pipeline.store": ("journal", "archive", "isolation"),
-}
-#: How a mutant can end that has been noticed. A loop without end fails its test in time; what takes longer than all
-#: tests together may do so because the machine is busy.
-NOTICED = ("killed", "segfault", "suspicious")
-#: Exit code of a mutant with which the tests cannot even be imported.
-_NO_IMPORT = 255
+#: A mutant not noticed after so long counts as a survivor; `again` takes every test that reaches it [s].
+PATIENCE = 25.0
 
 
-def lend_cache() -> None:
-    """Give the mutants a copy of the compiled flows, so theirs do not fill the user's."""
-    own = Path(os.environ.get("GAITSWEEP_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
-    lent = Path("mutants/cache").absolute()
-    shutil.rmtree(lent, ignore_errors=True)
-    lent.mkdir(parents=True)
-    source = own.expanduser() / "cache.db"
-    if source.exists():
-        with sqlite3.connect(source) as old, sqlite3.connect(lent / "cache.db") as new:
-            old.backup(new)
-    os.environ["GAITSWEEP_CACHE"] = str(lent)
+@dataclass(frozen=True)
+class Mutant:
+    """A function with one change."""
+
+    name: str
+    function: str
+    path: Path
+    lines: tuple[int, ...]  # if one of them is run, so is the changed statement
+    code: str
+    diff: str
+
+    @property
+    def line(self) -> str:
+        """What the change puts in."""
+        return next((line[1:].strip() for line in self.diff.splitlines() if line.startswith("+")), "")
+
+    @property
+    def asserts_less(self) -> bool:
+        """Whether it only no longer asserts that lengths are equal."""
+        said = [re.sub(r"(, )?strict=\w+|, (?=\))", "", line[1:]) for line in self.diff.splitlines()[1:]]
+        return len(said) == 2 and said[0] == said[1]
 
 
-def prepare() -> list[str]:
-    """Write the mutants, record which tests reach which function, and return the mutants' names."""
-    mutmut.set_mutant_under_test("mutant_generation")
-    mutmut.copy_src_dir()
-    mutmut.copy_also_copy_files()
-    mutmut.setup_source_paths()
-    mutmut.create_mutants(AT_A_TIME)
-    mutmut.collect_or_load_stats(get_mutant_runner(AT_A_TIME), apply_config_invalidation=True)
-    # Tests of a file share what one of them has solved: what one reaches, all may notice.
-    of_file: dict[str, set[str]] = {}
-    for test in state().duration_by_test:
-        of_file.setdefault(test.split("::")[0], set()).add(test)
-    for function, tests in state().tests_by_mangled_function_name.items():
-        for file in {test.split("::")[0] for test in tests}:
-            state().tests_by_mangled_function_name[function] |= of_file[file]
-    names = sorted(name for _, name, _ in mutmut.collect_source_file_mutation_data(mutant_names=())[0])
-    for name in names:
-        for file in BESIDE.get(".".join(name.split(".")[:2]), ()):
-            function = mangled_name_from_mutant_name(name)
-            state().tests_by_mangled_function_name[function] |= of_file[f"tests/test_pipeline/test_{file}.py"]
-    mutmut.save_stats()
-    return names
+def statement_lines(node: ast.stmt, line: int) -> tuple[int, ...]:
+    """Lines of the innermost statement at a line, without what it holds; of a function's head, those of its body."""
+    inner = [
+        each
+        for each in ast.walk(node)
+        if isinstance(each, ast.stmt) and each.lineno <= line <= (each.end_lineno or each.lineno)
+    ]
+    found = max(inner, key=lambda each: (each.lineno, -(each.end_lineno or 0)))
+    end, body = found.end_lineno or found.lineno, getattr(found, "body", None)
+    if isinstance(found, ast.FunctionDef):
+        return tuple(range(found.body[0].lineno, end + 1))
+    return tuple(range(found.lineno, max(found.lineno, body[0].lineno - 1 if body else end) + 1))
 
 
-def results(names: list[str]) -> dict[str, tuple[str, Path]]:
-    """Status and file of each mutant."""
-    found = mutmut.collect_source_file_mutation_data(mutant_names=())[0]
-    wanted = set(names)
-    return {
-        name: ("killed" if code == _NO_IMPORT else status_by_exit_code[code], data.path)
-        for data, name, code in found
-        if name in wanted
+def functions(within: str, node: ast.Module | ast.ClassDef) -> Iterator[tuple[str, ast.FunctionDef]]:
+    """Functions and methods with their full names."""
+    for child in node.body:
+        if isinstance(child, ast.FunctionDef):
+            yield f"{within}.{child.name}", child
+        elif isinstance(child, ast.ClassDef):
+            yield from functions(f"{within}.{child.name}", child)
+
+
+def mutants(path: Path) -> Iterator[tuple[str, Callable[[], Mutant]]]:
+    """Name of every mutant of a file, and what makes it. A name holds as long as its function stays as it is."""
+    from libcst import FunctionDef
+    from libcst.metadata import MetadataWrapper, PositionProvider
+    from mutmut.mutation.file_mutation import create_mutations, deep_replace
+
+    source = (ROOT / path).read_text()
+    lines = source.splitlines()
+    module, mutations, _, _ = create_mutations(str(path), source)
+    positions = MetadataWrapper(module, unsafe_skip_copy=True).resolve(PositionProvider)
+    named = {
+        node.lineno: (function, node)
+        for function, node in functions(".".join(path.with_suffix("").parts), ast.parse(source))
     }
+    count: Counter[str] = Counter()
+    for each in mutations:
+        if not isinstance(each.contained_by_top_level_function, FunctionDef):
+            continue
+        function, node = named[positions[each.contained_by_top_level_function].start.line]
+        count[function] += 1
+        text = "\n".join(lines[node.lineno - 1 : node.end_lineno])
+        name = f"{function}#{count[function]}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+        def make(each=each, name=name, function=function, node=node) -> Mutant:
+            code = deep_replace(module, each.original_node, each.mutated_node).code
+            diff = list(difflib.unified_diff(lines, code.splitlines(), lineterm="", n=0))[2:]
+            at = positions[each.original_node].start.line
+            return Mutant(name, function, path, statement_lines(node, at), code, "\n".join(diff))
+
+        yield name, make
 
 
-def argued() -> set[tuple[str, str]]:
-    """Functions and lines of mutants that change nothing."""
-    known = tomllib.loads((HERE / "equivalent.toml").read_text())["mutant"]
-    return {(each["function"], each["line"]) for each in known}
+def _try(tree: Path, tests: list[str], longest: dict[str, float]) -> None:
+    """Run tests in a copy of the project and in a process that has run none; its exit code is pytest's."""
+    import pytest
+
+    class Quick:
+        """Each test may take a multiple of its time: what hangs is noticed."""
+
+        @staticmethod
+        def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+            for item in items:
+                item.add_marker(pytest.mark.timeout(30 + 5 * longest.get(item.nodeid, 0.0)))
+
+    os.setsid()
+    os.chdir(tree)
+    os.environ.update(environment(tree), PYTHONDONTWRITEBYTECODE="1")
+    sys.dont_write_bytecode = True
+    sys.path[:0] = [str(tree)]
+    with open(tree / "said.txt", "w") as said, contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        os.dup2(said.fileno(), 1)
+        os.dup2(said.fileno(), 2)
+        code = pytest.main([*PYTEST, "-x", "-rfE", *tests], plugins=[Quick()])
+        said.flush()
+    os._exit(int(code))
+
+
+def outcome(tree: Path, mutant: Mutant, tests: list[str], took: dict[str, float], patience: float) -> str:
+    """Try a mutant, and say what noticed it, or that it survives."""
+    if not tests:
+        return "survives: no test reaches it"
+    original = (tree / mutant.path).read_text()
+    (tree / mutant.path).write_text(mutant.code)
+    process = multiprocessing.get_context("forkserver").Process(target=_try, args=(tree, tests, took))
+    try:
+        process.start()
+        process.join(patience)
+        if process.exitcode is None:
+            return f"survives {patience:.0f} s of {sum(took[test] for test in tests):.0f}"
+        said = (tree / "said.txt").read_text()
+        by = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+        return "survives" if process.exitcode == 0 else f"noticed: {by[1] if by else f'exit {process.exitcode}'}"
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, 9)
+        process.join()
+        (tree / mutant.path).write_text(original)
 
 
 def main(draw: int, number: int, again: bool) -> int:
-    Path("mutants").mkdir(exist_ok=True)
+    STATE.mkdir(exist_ok=True)
     lend_cache()
-    names = prepare()
+    reach = Reach(record())
+    every = [
+        each
+        for part in CORE
+        for file in sorted((ROOT / part).rglob("*.py"))
+        for each in mutants(file.relative_to(ROOT))
+    ]
     # A longer draw begins with the shorter, and a change of the source leaves the mutants of other functions drawn.
-    names.sort(key=lambda name: random.Random(f"{draw} {name}").random())
-    drawn = names[:number]
-    wanted = ("not checked", "survived", "no tests", "timeout") if again else ("not checked",)
-    left = [name for name, (status, _) in results(drawn).items() if status in wanted]
-    if left:
-        mutmut._run(left, AT_A_TIME)
-    equivalent, noticed, survivors = argued(), 0, []
-    for name, (status, path) in sorted(results(drawn).items()):
-        diff = get_diff_for_mutant(name, path=path)
-        function = name.rpartition("__mutmut_")[0]
-        if status in NOTICED:
-            noticed += 1
-        elif not any((function, line[1:].strip()) in equivalent for line in diff.splitlines() if line.startswith("+")):
-            survivors.append(f"{name}: {status}\n{diff}\n")
-    print("\n".join(survivors))
-    counted = noticed + len(survivors)
-    print(
-        f"draw {draw}: {noticed} of {counted} mutants noticed ({noticed / counted:.1%}), {len(survivors)} survive; "
-        f"{len(drawn) - counted} more cannot be told from the code"
+    every.sort(key=lambda each: random.Random(f"{draw} {each[0]}").random())
+    drawn = [make() for _, make in every[:number]]
+    kept = STATE / "outcomes.json"
+    outcomes: dict[str, str] = json.loads(kept.read_text()) if kept.exists() else {}
+    left = [each for each in drawn if each.name not in outcomes or (again and outcomes[each.name].startswith("surv"))]
+    multiprocessing.get_context("forkserver").set_forkserver_preload(
+        [line for line in (HERE / "preload.txt").read_text().splitlines() if not line.startswith("#")]
     )
-    return noticed < 0.9 * counted
+    trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
+    for slot in range(AT_A_TIME):
+        trees.put(copy_project(f"copy{slot}"))
+
+    def attempt(mutant: Mutant) -> None:
+        tree, began = trees.get(), time.monotonic()
+        found = outcome(tree, mutant, reach.tests(mutant.path, mutant.lines), reach.took, 1e9 if again else PATIENCE)
+        trees.put(tree)
+        outcomes[mutant.name] = found
+        kept.write_text(json.dumps(outcomes, indent=0))
+        print(f"{len(outcomes)} {mutant.name} {time.monotonic() - began:.0f} s {found}", flush=True)
+
+    with ThreadPoolExecutor(AT_A_TIME) as pool:
+        list(pool.map(attempt, left))
+    known = tomllib.loads((HERE / "equivalent.toml").read_text())["mutant"]
+    equivalent = {(each["function"], each["line"]) for each in known}
+    counted = [each for each in drawn if not each.asserts_less and (each.function, each.line) not in equivalent]
+    survivors = [each for each in counted if outcomes[each.name].startswith("survives")]
+    print(*(f"{each.name}: {outcomes[each.name]}\n{each.diff}\n" for each in survivors), sep="\n")
+    noticed = len(counted) - len(survivors)
+    print(
+        f"draw {draw}: {noticed} of {len(counted)} mutants noticed ({noticed / len(counted):.1%}), {len(survivors)} "
+        f"survive; {number - len(counted)} more cannot be told from the code"
+    )
+    return noticed < 0.95 * len(counted)
 
 
 if __name__ == "__main__":

@@ -19,10 +19,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from conftest import STUDY, Toy
+from conftest import ROOT, STUDY, Toy
 from pipeline.api.studies import load
 from pipeline.archive import attributes, diff, layout, read, verify, write
 from pipeline.archive.points import PointWriter
+from pipeline.archive.provenance import commit
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.plan.missing import Plan
@@ -79,6 +80,21 @@ def test_everything_is_described(made):
         about = json.loads(file.provenance)
         assert about["study"].startswith('name = "toy"') and about["walkers"][0]["l_t"] and about["cpu"]
         assert not any(word in file.provenance for word in ("/tmp", "/home", "jobs"))
+
+
+def test_the_commit_is_that_of_the_working_tree(tmp_path):
+    assert bool(commit()) == (ROOT / ".git").is_dir()
+    assert commit(tmp_path) == ""
+    git, ref = tmp_path / ".git", tmp_path / ".git" / "refs" / "heads" / "main"
+    ref.parent.mkdir(parents=True)
+    (git / "HEAD").write_text("ref: refs/heads/main\n")
+    assert commit(tmp_path) == ""
+    (git / "packed-refs").write_text("# pack-refs\n00 refs/heads/other\n01 refs/heads/main\n")
+    assert commit(tmp_path) == "01"
+    ref.write_text("02\n")
+    assert commit(tmp_path) == "02"
+    (git / "HEAD").write_text("03\n")
+    assert commit(tmp_path) == "03"
 
 
 def test_an_archive_of_lines_says_how_each_ended(tmp_path):

@@ -48,6 +48,7 @@ def test_blocks_give_the_bytes_of_lines(toy, apart, text, jobs):
     toy("run", "toy.toml", "--jobs", jobs, **BLOCKS)
     assert toy.bytes() == apart[text]
     assert sum(event["points"] for event in chunks(toy)) == 151 * 8 and len(chunks(toy)) < 12
+    assert {event["task"] for event in chunks(toy)} == {"points"}
     plan = toy("plan", "toy.toml", **BLOCKS).stdout
     assert "per line: 151 cached" in plan and "per point: 1,208 cached" in plan
     toy("run", "toy.toml", **BLOCKS)

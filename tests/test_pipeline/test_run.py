@@ -1,8 +1,10 @@
 """A run survives what ends it, and gives the same bytes however it went."""
 
 import contextlib
+import importlib.metadata
 import json
 import os
+import platform
 import random
 import re
 import signal
@@ -131,6 +133,27 @@ def test_a_bumped_version_reruns_its_dependents_only(toy):
     assert "per line: 2 cached" in plan and "400 changed" in plan and "per study: 1" in plan
     plan = toy("plan", "toy.toml", TOY_VERSIONS="atlas=2").stdout
     assert "per line: 2 changed" in plan and "400 changed" in plan
+
+
+def test_a_run_says_what_it_did_and_that_code_changed(toy):
+    def told(**environment):
+        done = toy("run", "toy.toml", "--jobs", 1, **environment)
+        return done.stdout + done.stderr
+
+    def change_code():
+        with contextlib.closing(sqlite3.connect(journal(toy))) as db, db:
+            assert db.execute("UPDATE notes SET value = 'other' WHERE key = 'code'").rowcount == 1
+
+    changed = "has changed since some of these results were stored"
+    first = told()
+    assert "toy: 400 points (" in first and changed not in first
+    record = json.loads(journal(toy, ".run.json").read_text())
+    said = ("toy", "toy.nc", 1, None, importlib.metadata.version("gaitsweep"), platform.node())
+    assert tuple(record[name] for name in ("study", "archive", "jobs", "cluster", "version", "host")) == said
+    change_code()
+    assert changed in told() and changed not in told()
+    change_code()
+    assert changed not in told(TOY_VERSIONS="scaling=2")
 
 
 def test_a_plan_equals_what_runs(toy):

@@ -17,6 +17,7 @@ def test_a_reproduced_number_with_a_certificate_is_proved(name, value):
     found = backed(name, ClaimResult("computed", "reproduced", value))
     assert found.verdict == "proved"
     assert found.computed.startswith("computed; proved: ")
+    assert {"D2": "a multiplier passes -1 at 0.01508", "P1": "the branch turns back at 0.01912"}[name] in found.computed
 
 
 @pytest.mark.parametrize(

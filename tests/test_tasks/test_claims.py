@@ -311,6 +311,25 @@ def test_feet_too_heavy_for_a_stable_gait_come_to_chaos_all_the_same():
     assert "period 2 from 0.0055" in said
 
 
+def test_the_corners_of_a_rounding_move_every_key_the_way_that_moves_the_flip(monkeypatch):
+    asked = []
+
+    def lost(params, atlases):
+        asked.append(params)
+        return {"lost/low": np.array([0.1 * len(asked)]), "lost/high": np.array([0.1 * len(asked) + 0.01])}
+
+    monkeypatch.setattr(kneed_chaos, "cascade", lost)
+    monkeypatch.setattr(kneed_chaos, "atlas", lambda params, _: {})
+    monkeypatch.setattr(kneed_chaos, "table", lambda _group, _walker, make: {k[8:]: v for k, v in make().items()})
+    assert np.allclose(kneed_chaos.corner_crises("C-printed"), [(0.1, 0.11), (0.2, 0.21)])
+    sensitivity = interval("C-printed flip").sensitivity
+    lower, upper = (each["line"]["walker"] for each in asked)
+    for key, half in HALF_UNITS["C-printed"].items():
+        sign = np.sign(sensitivity[key])
+        printed = getattr(CATALOGUE["C-printed"], key)
+        assert (lower[key], upper[key]) == pytest.approx((printed - sign * half, printed + sign * half), abs=1e-15)
+
+
 def test_what_is_said_of_chaos_is_not_said_of_a_stable_gait():
     value, error, slope = kneed_chaos.exponent("D", np.array([0.012, 0.016]), 4)
     assert value < -4 * error

@@ -13,6 +13,7 @@ from tasks.continuation.cycles import Cycle, at_slope
 from tasks.follow_cycles import CycleBranch, _at_flip, _end, cubic, cycle_branches, from_arrays, to_arrays
 from tasks.solve_cycles import _beside_flip, _keeps_apart, _worst, cycle_points, solve_cycle
 from tasks.status import NOT_CONVERGED
+from tasks.walkers.catalogue import CATALOGUE
 
 STATE = ("stance_angle", "stance_rate", "thigh_rate")
 #: Walkers, slopes and periods that have a gait, and its least magnitude of the largest multiplier.
@@ -58,6 +59,22 @@ def test_the_multipliers_are_those_of_the_product_of_its_steps(walker, slope, n)
     for name, loss in zip(("loss_normal", "loss_tangential", "loss_kneestrike"), losses, strict=True):
         assert np.nan_to_num(gait[name].item()) == pytest.approx(loss, rel=1e-10)
     assert abs(gait.energy_imbalance) < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("walker", "slope", "n"), [*CASES, ("C", 0.05, None), ("B", 0.01, None), ("physical", 0.04, None)]
+)
+def test_speed_power_and_cost_are_those_of_distance_and_losses(walker, slope, n):
+    """The contact rolls along the slope, and what is lost per step is drawn from gravity."""
+    gait, w = first(walker, slope, n) if n else pipeline.gaits(walker, slope).sel(gait="long"), CATALOGUE[walker]
+    angles = pipeline.simulate(walker, slope, state_of(gait), n).stance_angle.values[:n] if n else [gait.stance_angle]
+    length = sum(2 * (w.leg - w.R) * np.sin(angle) + 2 * w.R * angle for angle in np.array(angles))
+    lost = np.nansum([gait[f"loss_{name}"] for name in ("normal", "tangential", "kneestrike")])
+    weight = (2 * (w.m_t + w.m_s) + w.m_h) * w.g
+    assert gait.speed.item() == pytest.approx(length / gait.period.item(), rel=1e-11)
+    assert gait.froude_speed.item() == pytest.approx(gait.speed.item() / np.sqrt(w.g * w.leg), rel=1e-14)
+    assert gait.power.item() == pytest.approx(lost / gait.period.item(), rel=1e-11)
+    assert gait.cost_of_transport.item() == pytest.approx(lost / (weight * length), rel=1e-11)
 
 
 def test_orbits_of_the_simplest_walker_settle_on_its_stable_gaits():

@@ -109,6 +109,7 @@ def test_the_shortest_orbit_with_exponents_has_them():
     found = walked([0.009], steps=24)
     assert found["lyapunov/exponent"].sum() / 2 == pytest.approx(np.log(0.5891), abs=0.01)
     assert (found["lyapunov/strides"] == 32).all() and set(found["lyapunov/reason"]) == {""}
+    assert found["falls/cause"].dtype.kind == "U" and len(found["falls/cause"]) == 0
 
 
 def test_periods_double_and_walking_ends():

@@ -1,0 +1,42 @@
+"""The whole ledger is, claim by claim, the one kept: `gaitsweep claims --json | python -m json.tool --indent 1`."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tasks.check_claims import claims
+
+KEPT = Path(__file__).parents[2] / "data" / "reference" / "ledger.json"
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
+# The search for gaits lets lanes that go astray overflow.
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+
+def told(sentence):
+    """The words of a sentence and its numbers."""
+    return NUMBER.sub("#", sentence), [float(x) for x in NUMBER.findall(sentence)]
+
+
+def test_every_claim_is_computed_as_the_ledger_has_it():
+    """What is rounding of zero may be other rounding; Lyapunov exponents depend on the processor."""
+    kept = json.loads(KEPT.read_text(encoding="utf-8"))
+    table = claims({"lines": [], "ids": [each["id"] for each in kept]}, [])
+    off = []
+    for k, each in enumerate(kept):
+        words, numbers = told(each["computed"])
+        found, others = told(str(table["claims/computed"][k]))
+        told_of = ("value", "interval_low", "interval_high")
+        values = [float(table[f"claims/{name}"][k]) for name in told_of]
+        wanted = [np.nan if each[name] is None else each[name] for name in told_of]
+        same = (
+            table["claims/verdict"][k] == each["verdict"]
+            and found == words
+            and np.allclose(others, numbers, rtol=0.05, atol=1e-11)
+            and np.allclose(values, wanted, 1e-6, 1e-11, equal_nan=True)
+        )
+        if not same:
+            off.append((each["id"], values, str(table["claims/verdict"][k]), str(table["claims/computed"][k])))
+    assert not off
