@@ -82,6 +82,11 @@ def test_everything_is_described(made):
         assert not any(word in file.provenance for word in ("/tmp", "/home", "jobs"))
 
 
+def test_the_checksum_of_a_chunk_is_that_of_its_corner_and_its_values_checksum():
+    values = zlib.crc32(b"values")
+    assert layout.chunk_checksum(values, (3, 64)) == zlib.crc32(b"3,64" + values.to_bytes(4, "little"))
+
+
 def test_the_commit_is_that_of_the_working_tree(tmp_path):
     assert bool(commit()) == (ROOT / ".git").is_dir()
     assert commit(tmp_path) == ""

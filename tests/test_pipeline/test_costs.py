@@ -170,3 +170,13 @@ def test_points_too_cheap_to_be_measured_cost_what_their_job_took():
     costs.overhead = 1.0
     costs.add(0, np.arange(200, 400), 0.5, False)
     assert costs.cost_per_point(0)[[2, 3]] == pytest.approx(0.5 / 200) and np.isfinite(costs.seconds_left())
+
+
+@pytest.mark.parametrize(("slopes", "parts"), [(6400, 1), (6400, 3), (1000, 1), (40, 1)])
+def test_slopes_are_divided_where_the_region_changes_and_nowhere_else(slopes, parts):
+    costs = Costs(slopes, slopes, 1e-3)
+    left = np.flatnonzero(np.arange(slopes) % 7 < 5)
+    pieces = costs.by_region(left, parts)
+    np.testing.assert_array_equal(np.concatenate(pieces), left)
+    regions = [set((piece * parts * 64 // slopes).tolist()) for piece in pieces]
+    assert all(len(each) == 1 for each in regions) and len(set.union(*regions)) == len(regions)

@@ -15,7 +15,7 @@ from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.store import journal_file, lines
 from pipeline.store.compact import compact
 from pipeline.store.journal import Journal
-from pipeline.store.journal_file import CorruptJournalError, repair
+from pipeline.store.journal_file import CorruptJournalError, forget, repair
 from pipeline.store.rows import Result
 from processes import damaged
 
@@ -64,6 +64,23 @@ def test_points_are_found_whatever_the_blocks_and_the_latest_counts(journal):
     status, found = values(journal, slopes[::-1])
     np.testing.assert_array_equal(found, [np.nan, 1, np.nan, 2, np.nan, 1, np.nan])
     np.testing.assert_array_equal(status, [7, 0, 7, 0, 7, 0, 7])
+
+
+def test_a_journal_is_forgotten_with_all_its_files_and_another_file_is_not(tmp_path):
+    path, other = tmp_path / "j", tmp_path / "other"
+    Journal(path).close()
+    assert path.exists()
+    forget(path)
+    assert not list(tmp_path.iterdir())
+    other.write_text("not ours")
+    with pytest.raises(ArchiveError, match="move it away"):
+        forget(other)
+    assert other.read_text() == "not ours"
+
+
+def test_a_line_without_blocks_has_no_ranges(journal):
+    numbers, low, high = journal.ranges("none")
+    assert numbers.dtype == int and len(numbers) == len(low) == len(high) == 0
 
 
 def test_failed_points_are_missing_only_to_a_retry(journal):

@@ -218,14 +218,14 @@ def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
         costs=types.SimpleNamespace(seconds_left=lambda: 30.0), engine=types.SimpleNamespace(jobs=3, address=None)
     )
     for _ in range(2):
-        shown("task", {"task": "atlas", "seconds": 5.0})
+        shown("task", {"task": "atlas", "seconds": 5.25})
     shown("chunk", {"task": "points", "seconds": 1.0, "points": 100, "counts": {"converged": 90}})
     shown("chunk", {"task": "points", "seconds": 1.0, "points": 0, "lost": 10, "outcome": "timed_out"})
     state = shown.state()
     shown.file.close()
     assert (state["done"], state["counts"]) == (110, {"converged": 90, "timed_out": 10})
-    assert {name: stage["eta"] for name, stage in state["stages"].items()} == {"atlas": 10.0, "points": 10.0}
-    assert state["eta"] == 20.0
+    assert {name: stage["eta"] for name, stage in state["stages"].items()} == {"atlas": 10.5, "points": 10.0}
+    assert state["eta"] == 20.5
 
 
 def test_a_terminal_has_no_bar_of_a_notebook(monkeypatch):

@@ -114,3 +114,10 @@ def test_nonsense_is_refused_in_one_line(slope, more, said, tmp_path):
     with pytest.raises(StudyError, match=said) as refused:
         parse(table(slope, **more), "", tmp_path / "one.toml")
     assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("least", [2, 50, 1000])
+def test_a_branch_has_as_many_points_as_asked_for_and_no_more_than_that_takes(least):
+    _, (one, *_) = branches("E")
+    rows, nodes = (len(_dense(one, 1e-3, 0.1, n)) for n in (least, 0))
+    assert least <= rows <= max(nodes, 2 * least + 2)

@@ -28,6 +28,26 @@ def test_a_sound_branch_passes_unchanged(name):
         assert run(problem, checked(branch)) is branch
 
 
+def test_a_part_of_a_branch_keeps_what_is_known_of_the_end_it_has():
+    branch = replace(branches("C")[1][0], end_errors=(0.25, 0.5))
+    n = len(branch.Z)
+    first, last = branch.part(np.arange(n - 1)), branch.part(np.arange(1, n))
+    assert branch.part(np.arange(n)).end_errors == (0.25, 0.5)
+    assert (first.end_errors, last.end_errors) == ((0.25, 0), (0, 0.5))
+    assert (first.why, last.why) == ((branch.why[0], "no further point"), ("no further point", branch.why[1]))
+
+
+def test_both_segments_beside_a_fold_fail_where_the_slope_does_not_turn():
+    problem, found = branches("physical")
+    branch = plain(next(b for b in found if len(b.pieces()) > 1))
+    fold = branch.pieces()[1][0]
+    assert not run(problem, checks._failing(branch))[[fold - 1, fold]].any()
+    tangent = branch.tangent.copy()
+    tangent[fold + 1] *= np.sign(tangent[fold + 1, branch.m] * tangent[fold - 1, branch.m])
+    failing = run(problem, checks._failing(replace(branch, tangent=tangent)))
+    assert failing[[fold - 1, fold]].all() and not failing[fold + 1]
+
+
 def test_a_branch_of_few_nodes_is_mended():
     problem, found = branches("B")
     branch = max(found, key=lambda b: len(b.Z))

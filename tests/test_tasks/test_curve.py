@@ -1,6 +1,7 @@
 """Curves in two parameters: against points located line by line, and where two branches re-pair."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ import pytest
 from lines import _atlas, branches
 from tasks.continuation import codimension_one
 from tasks.continuation.codimension_one import Curve, follow, turning
+from tasks.continuation.joint import rounding_step
 from tasks.continuation.special_points import special_points
-from tasks.follow_curves import curve
+from tasks.follow_curves import _is_ordinary, curve
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import WalkerError
 
@@ -147,6 +149,14 @@ def test_a_curve_begins_where_it_can(walker, key, low, high, slopes):
     assert at(near, value, slope) == pytest.approx(there, rel=1e-6)
 
 
+def test_a_curve_begins_where_neighbouring_walkers_have_its_equations():
+    def walker_at(ratio):
+        return resolve("E", {"foot_mass_ratio": ratio})
+
+    assert _is_ordinary(walker_at, 0.1, 0.2, 1e-4)
+    assert not _is_ordinary(walker_at, 0.0, 0.2, 1e-4)
+
+
 def flips(walker, **overrides):
     """Flips located on the branches of one line."""
     problem, found = branches(walker, **overrides)
@@ -161,3 +171,18 @@ def test_periods_along_a_curve_are_in_the_walkers_time():
     )
     tempo = found["curves/period"] * np.sqrt(found["curves/value"])
     assert np.ptp(found["curves/value"]) > 8 and np.ptp(tempo) < 1e-9
+
+
+def test_the_step_that_rounding_makes_counts_every_row_and_direction():
+    dice = np.random.default_rng(3)
+    m, n, size = 3, 4, 6
+    matrix = dice.normal(size=(n, size, size))
+    y, derivative = dice.uniform(0.1, 1.0, (m, n)), dice.normal(size=(size - 1, size - 1, n))
+    found = rounding_step(matrix, SimpleNamespace(y=y, derivative=derivative)) / np.finfo(float).eps
+    for lane in range(n):
+        share = y[:, lane] / y[0, lane]
+        inverse = np.linalg.inv(matrix[lane])[: m + 1]
+        error = np.abs(inverse) @ np.r_[share, np.ones(size - m)]
+        for k in range(m):
+            error += np.abs(inverse[:, :-1] @ (derivative[:, k, lane] + np.eye(size - 1)[k])) * share[k]
+        assert found[lane] == pytest.approx(6 * error.max(), rel=1e-9)

@@ -17,6 +17,7 @@ from tasks.families.cell import Family
 from tasks.families.landscape import _Surveyor, is_known, make
 from tasks.families.manifold import Cut
 from tasks.families.manifold_maker import Maker, _Extension
+from tasks.fixed_points.step_check import gait_ratio
 from tasks.map_designs import _Rows, _solve, design
 from tasks.mechanics.lumped import common_structure
 from tasks.step.problem import Lanes
@@ -297,6 +298,27 @@ def test_a_box_is_halved_along_both_keys():
 
 def lanes(walker, **keys):
     return Lanes(resolve_many(walker, {key: np.array([value]) for key, value in keys.items()}))
+
+
+@pytest.mark.parametrize(
+    ("walker", "keys", "kinds"),
+    [
+        ("C", {"detuning": 0.85, "m_h": 0.0}, "flip neimark_sacker fastest fold end_kneestrike_at_heelstrike"),
+        ("A", {"detuning": 0.3}, "flip fold end_zero_step"),
+        ("E", {"foot_mass_ratio": 0.3}, "flip neimark_sacker"),
+    ],
+)
+def test_every_kind_of_point_is_found_under_its_name(walker, keys, kinds):
+    problem = lanes(walker, **keys)
+    surveyed = survey_lines(problem, COARSE)
+    points = find(problem, surveyed, WINDOW)
+    ends = "any slope" if walker == "E" else "end_tangential_heelstrike"
+    assert set(points.kind) == {*kinds.split(), "label", "window", ends}
+    changes = sum(int(((branch.ratio[1:] - 0.5) * (branch.ratio[:-1] - 0.5) < 0).sum()) for branch in surveyed[0])
+    assert (points.kind == "label").sum() == changes
+    # Where the ratio has a pole its sign changes too, but no step's label.
+    for Z in points.Z[:, (points.kind == "label") & points.walks].T:
+        assert gait_ratio(evaluate(problem, Z[:, None]).stride)[0] == pytest.approx(0.5, abs=1e-9)
 
 
 def test_the_scalars_vanish_at_points_known_otherwise():

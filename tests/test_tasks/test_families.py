@@ -301,3 +301,13 @@ def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):
         np.testing.assert_allclose(one["stance_angle"], other["stance_angle"], rtol=1e-5)
     assert set(integrated) == {12}
     solve_planes._sheets.cache_clear()
+
+
+def test_points_that_a_box_holds_out_fill_its_cube_and_depend_on_their_purpose():
+    box = Box(("a", "b"), (0.0, 1.0), (1.0, 2.0))
+    points = box.draw(4000, 3, "one")
+    np.testing.assert_array_equal(points, box.draw(4000, 3, "one"))
+    assert np.abs(points).max() <= 1 and np.abs(points.mean(axis=0)).max() < 0.05
+    np.testing.assert_allclose(points.var(axis=0), 1 / 3, rtol=0.05)
+    for other in (box.draw(4000, 3, "other"), Box(("a", "b"), (0.0, 1.0), (1.0, 2.5)).draw(4000, 3, "one")):
+        assert np.abs(np.corrcoef(points.T, other.T)[:3, 3:]).max() < 0.06

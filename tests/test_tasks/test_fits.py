@@ -107,6 +107,9 @@ def test_a_transition_is_read_from_the_curve_that_comes_to_the_smallest_slope():
     out = solved("E", slope, want=("stance_angle",))
     lines, known = [{"walker": "E", "set": {}}], {k: out[k] for k in ("stance_angle", "branch", "piece")}
     whole = transition_table({"lines": lines}, [{"slope": slope, **known}])
+    assert whole["fits/transition/foot_mass_ratio"] == [0.1]
+    other = transition_table({"lines": [{"walker": "F", "set": {}}]}, [{"slope": slope, **known}])
+    assert other["fits/transition/foot_mass_ratio"] == [0.05]
     # From 0.02 on the label goes to another branch.
     beyond = slope > 0.02
     jumps = {

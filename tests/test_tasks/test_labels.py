@@ -129,20 +129,26 @@ def test_the_stable_gait_of_the_docs_walker_is_one_curve_under_one_label():
     assert {tuple(p) for p in np.stack([found["branch"][:, 0], found["piece"][:, 0]], axis=1)} == {(-1, -1), (0, 1)}
 
 
-def test_followed_branches_have_the_numbers_of_the_grid():
+@pytest.mark.parametrize("walker", ["A", "C"])
+def test_followed_branches_have_the_numbers_and_gaits_of_the_grid(walker):
     found = follow(
-        {"line": {"walker": "A", "set": {"detuning": 0.1}}, "slope_from": 0.002, "slope_to": 0.1, "n": 20},
-        [_atlas("A", (("detuning", 0.1),))],
+        {"line": {"walker": walker, "set": {"detuning": 0.1}}, "slope_from": 0.002, "slope_to": 0.1, "n": 20},
+        [_atlas(walker, (("detuning", 0.1),))],
     )
     slopes = found["branches/slope"]
     inner = (slopes > 0.0051) & (slopes < 0.09)
-    grid = solved("A", slopes[inner], detuning=0.1)
+    grid = solved(walker, slopes[inner], detuning=0.1)
     gap = np.abs(np.log(grid["stance_angle"] / found["branches/stance_angle"][inner, None]))
     g = np.nanargmin(gap, axis=1)
     rows = np.arange(len(g))
     assert gap[rows, g].max() < 1e-9
     np.testing.assert_array_equal(grid["branch"][rows, g], found["branches/branch"][inner])
     assert set(grid["branch"][rows, g].tolist()) == {0, 1}
+    for name in ("stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time", "spectral_radius"):
+        np.testing.assert_allclose(found[f"branches/{name}"][inner], grid[name][rows, g], rtol=1e-7)
+    np.testing.assert_array_equal(found["branches/stable"][inner], grid["spectral_radius"][rows, g] < 1)
+    long = grid["heelstrike_rate_ratio"][rows, g] < 0.5
+    np.testing.assert_array_equal(found["branches/gait"][inner], np.where(long, "long", "short"))
 
 
 def test_orbits_and_traces_take_the_gaits_that_have_the_labels():
