@@ -361,6 +361,14 @@ def test_tables_are_compared_on_the_lines_both_archives_have(tmp_path):
     assert diff.diff(a, b)[1:] == ["`orbits/period`: 1 of 4 differ, by up to 1 of their size"]
 
 
+def test_a_dimension_that_one_archive_has_is_told(made, tmp_path):
+    toy = Toy(tmp_path)
+    toy.write(EVERYTHING.replace("w_t = [0.0, 0.25]", "w_s = [0.0]"))
+    toy("run", "toy.toml")
+    found = diff.diff(made, other := tmp_path / "data" / "archive" / "toy.nc")
+    assert {f"the dimension `w_t` is only in {made}", f"the dimension `w_s` is only in {other}"} <= set(found)
+
+
 def test_diff_aligns_by_coordinates(made, tmp_path):
     toy = Toy(tmp_path)
     toy.write(EVERYTHING.replace("[0.0, 0.25]", "[0.5, 0.25]"))

@@ -110,6 +110,10 @@ def test_a_transition_is_read_from_the_curve_that_comes_to_the_smallest_slope():
     assert whole["fits/transition/foot_mass_ratio"] == [0.1]
     other = transition_table({"lines": [{"walker": "F", "set": {}}]}, [{"slope": slope, **known}])
     assert other["fits/transition/foot_mass_ratio"] == [0.05]
+    # Of equal angles the ratio is one; the law of the paper says 2^(3/2).
+    both = transition_table({"lines": [*lines, {"walker": "F", "set": {}}]}, [{"slope": slope, **known}] * 2)
+    names = ("predicted", "exact_asymptotes", "fitted_lines")
+    assert [both[f"fits/transition_ratio/{name}"][0] for name in names] == [2**1.5, 1, 1]
     # From 0.02 on the label goes to another branch.
     beyond = slope > 0.02
     jumps = {

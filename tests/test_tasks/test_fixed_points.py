@@ -12,7 +12,7 @@ from oracle import Oracle, StepFailed
 from tasks.continuation.atlas import to_arrays
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points import polish
-from tasks.fixed_points.multipliers import _adjugate_norms
+from tasks.fixed_points.multipliers import _adjugate_norms, multipliers
 from tasks.fixed_points.rounding import rounding
 from tasks.fixed_points.search import search
 from tasks.interpolate_planes import similarity
@@ -276,3 +276,9 @@ def test_norms_of_adjugates_are_those_of_their_cofactors(m):
         matrix = values[z, k] * np.eye(m) - jacobian[..., k]
         minors = [np.linalg.det(np.delete(np.delete(matrix, i, 0), j, 1)) for i, j in np.ndindex(m, m)]
         assert _adjugate_norms(jacobian, values)[z, k] == pytest.approx(np.linalg.norm(minors), rel=1e-6)
+
+
+@pytest.mark.parametrize("large", [0.7, -0.7, 1.8, -1.8])
+def test_a_multiplier_near_zero_loses_no_digits(large):
+    found = multipliers(np.array([[large, 0.0], [1.0, 1e-13]])[..., None], 2)[0]
+    np.testing.assert_allclose(found.real, [large, 1e-13], rtol=1e-14)

@@ -8,6 +8,7 @@ from tasks.mechanics.kernel import integrating_seconds
 from tasks.step import simulate
 from tasks.step.problem import Problem
 from tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
+from tasks.step.verify_step import _unclear
 from tasks.walkers.resolve import resolve
 
 LONG_D = np.array([[0.2003109005442470894], [-0.1998324730049523546]])
@@ -123,3 +124,16 @@ def test_a_knee_that_bends_again_before_it_is_straight_has_not_struck():
     slow = Oracle(walker.table())
     with pytest.raises(StepFailed):
         slow.step(begin[0], begin[3:6] / slow.time_unit, slope[0])
+
+
+def test_a_guard_that_may_touch_zero_between_samples_is_in_doubt():
+    x = np.linspace(0, 1, 33)[:, None] + 1e-3
+    early = np.maximum(0.15 - x, 0)  # its rate is negative at first, whatever it does later
+    for sign in (1, -1):
+        g = sign * (10 * early**2 - (x - 0.6) ** 2) - 1e-5 * sign
+        rate = sign * (-20 * early - 2 * (x - 0.6))
+        doubtful = np.flatnonzero(_unclear(g, rate, 1e-6)[:, 0])
+        assert ((x[doubtful, 0] < 0.6) & (x[doubtful + 1, 0] > 0.6)).sum() == 1
+        # Where it passes through zero the samples show it.
+        g, rate = sign * (x - 0.3), sign * np.ones_like(x)
+        assert not _unclear(g, rate, 1e-6).any()
