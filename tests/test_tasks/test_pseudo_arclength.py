@@ -11,6 +11,7 @@ from tasks.continuation.pseudo_arclength import (
     bordered_newton,
     root_between,
 )
+from tasks.continuation.root import hermite
 
 #: Squares of the radii of the circles x^2 + y^2 = r^2 of three lanes, with a time t = x y beside them.
 SQUARES = np.array([1.0, 4.0, 0.25])
@@ -82,3 +83,12 @@ def test_a_root_is_located_between_two_points():
     ends = [(np.array([np.cos(a), np.sin(a), 0.0]), np.array([-np.sin(a), np.cos(a), 0.0])) for a in (0.2, 0.9)]
     at = root_between(*ends, 2, correct, lambda Z: Z[1] - Z[0], 1e-14)
     assert at[:2] == pytest.approx(np.sqrt([0.5, 0.5]), abs=1e-13)
+
+
+def test_hermites_polynomial_is_the_cubic_through_both_points_and_tangents():
+    cubic = np.polynomial.Polynomial([0.3, -1.0, 0.7, 0.4])
+    a, length = 0.2, 1.7
+    rate = cubic.deriv()
+    h = np.linspace(0, 1, 9)
+    found = hermite(cubic(a) + 0 * h, rate(a) + 0 * h, cubic(a + length) + 0 * h, rate(a + length) + 0 * h, length, h)
+    np.testing.assert_allclose(found, cubic(a + length * h), atol=1e-14)
