@@ -39,7 +39,7 @@ soak: $(READY)
 prove: $(READY)
 	$(BIN)/python -m pipeline.cli.prove data/reference/proofs
 
-# Mutants of the core drawn by lot, two at a time; the same command resumes, AGAIN=again retries survivors and timeouts.
+# Mutants of the core drawn by lot, two at a time; the same command resumes, AGAIN=again retries survivors.
 mutants: $(READY)
 	$(BIN)/python tests/mutants/draw.py $(DRAW) $(N) $(AGAIN)
 
