@@ -18,6 +18,7 @@ import queue
 import random
 import re
 import sys
+import threading
 import time
 import tomllib
 from collections import Counter
@@ -178,7 +179,7 @@ def main(draw: int, number: int, again: bool) -> int:
     multiprocessing.get_context("forkserver").set_forkserver_preload(
         [line for line in (HERE / "preload.txt").read_text().splitlines() if not line.startswith("#")]
     )
-    trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
+    lock, trees = threading.Lock(), queue.SimpleQueue[Path]()
     for slot in range(AT_A_TIME):
         trees.put(copy_project(f"copy{slot}"))
 
@@ -186,9 +187,10 @@ def main(draw: int, number: int, again: bool) -> int:
         tree, began = trees.get(), time.monotonic()
         found = outcome(tree, mutant, reach.tests(mutant.path, mutant.lines), reach.took, 1e9 if again else PATIENCE)
         trees.put(tree)
-        outcomes[mutant.name] = found
-        kept.write_text(json.dumps(outcomes, indent=0))
-        print(f"{len(outcomes)} {mutant.name} {time.monotonic() - began:.0f} s {found}", flush=True)
+        with lock:
+            outcomes[mutant.name] = found
+            kept.write_text(json.dumps(outcomes, indent=0))
+            print(f"{len(outcomes)} {mutant.name} {time.monotonic() - began:.0f} s {found}", flush=True)
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         list(pool.map(attempt, left))
