@@ -9,6 +9,7 @@ import pytest
 from lines import WANT, branches, solved
 from tasks import interpolate_points, status
 from tasks.accuracy import OF_INTEGRATION, is_interpolated, nodes_for, significant_bits
+from tasks.families.box import roots
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
 from tasks.fixed_points.newton import lipschitz
@@ -144,8 +145,8 @@ def test_panels_of_a_known_function(folds):
 
     both = folds == (True, True)
     asked = np.linspace(-3.7, -1.2, 4001)[1:-1]
-    roots = panels_over(0, -3.7, -1.2, (folds[0], folds[1] and not both), asked)
-    panels = fit_panels(roots, 10, 1e-9, solve, lambda panel: True)
+    asked_panels = panels_over(0, -3.7, -1.2, (folds[0], folds[1] and not both), asked)
+    panels = fit_panels(asked_panels, 10, 1e-9, solve, lambda panel: True)
     assert all(len(panel.coefficients) for panel in panels)
     edges = [panel.bounds for panel in panels]
     assert edges[0][0] == pytest.approx(-3.7)
@@ -424,3 +425,16 @@ def test_bounds_hold_at_every_accuracy_against_more_digits(walker, tell):
         ratio = (np.max(off, axis=0) / (out["error_bound"] + exact["error_bound"]))[there]
         tell(f"{walker} {accuracy:g}: {there.sum()} gaits, largest error over bound {ratio.max():.2f}")
         assert (ratio <= 1).all()
+
+
+def test_samples_of_a_panel_lie_in_every_gap_between_its_nodes_but_not_on_its_ends():
+    nodes, places = 12, []
+    for k in range(200):
+        samples = Panel(0, -3.0 - 0.01 * k, -2.0, (False, False)).samples(nodes)
+        np.testing.assert_allclose(samples[:nodes], roots(nodes))
+        places.append(nodes / np.pi * np.arccos(-samples[nodes:]) - np.arange(nodes + 1))
+    places = np.array(places)
+    low, high = np.full((2, nodes + 1), [[-0.5], [0.5]])
+    low[0], high[-1] = 0.1, -0.1
+    assert (places > low - 1e-9).all() and (places < high + 1e-9).all()
+    assert (np.ptp(places, axis=0) > 0.9 * (high - low)).all()

@@ -8,7 +8,7 @@ from tasks.mechanics.kernel import integrating_seconds
 from tasks.step import simulate
 from tasks.step.problem import Problem
 from tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
-from tasks.step.verify_step import _unclear
+from tasks.step.verify_step import _extrema, _unclear
 from tasks.walkers.resolve import resolve
 
 LONG_D = np.array([[0.2003109005442470894], [-0.1998324730049523546]])
@@ -137,3 +137,16 @@ def test_a_guard_that_may_touch_zero_between_samples_is_in_doubt():
         # Where it passes through zero the samples show it.
         g, rate = sign * (x - 0.3), sign * np.ones_like(x)
         assert not _unclear(g, rate, 1e-6).any()
+
+
+def test_extrema_between_samples_are_those_of_the_cubic_between_them():
+    cubic = np.polynomial.Polynomial([0.2, -1.1, 0.3, 1.0])
+    rate, x = cubic.deriv(), np.linspace(-1.2, 1.2, 9)[:, None]
+    h = x[1] - x[0]
+    for sign in (1, -1):
+        low, high = (values[:, 0] for values in _extrema(sign * cubic(x), sign * h * rate(x)))
+        turns = np.sort(rate.roots())
+        for value, at in zip((high, low)[::sign], turns, strict=True):
+            inside = (x[:-1, 0] < at) & (at < x[1:, 0])
+            np.testing.assert_allclose(value[inside], sign * cubic(at), rtol=1e-12)
+        assert np.isposinf(low).sum() == np.isneginf(high).sum() == len(low) - 1
