@@ -199,7 +199,11 @@ def test_a_compile_cache_changes_no_number(tmp_path, tell, n, damages):
     """Cold and shared by processes, then with a bit of its machine code flipped, or torn and damaged anyhow."""
     cache = tmp_path / "cache"
     wanted = _solved(cache, n)
+    with contextlib.closing(sqlite3.connect(cache / "cache.db")) as db:
+        db.execute("CREATE TABLE here (x)")
     assert _solved(cache) == wanted and (cache / "checksums.db").stat().st_size
+    with contextlib.closing(sqlite3.connect(cache / "cache.db")) as db:
+        db.execute("DROP TABLE here")  # so entries that are new have not been taken for damaged
     files = {file: file.read_bytes() for file in cache.iterdir() if not file.name.endswith("-shm")}
     for k in range(damages):
         shutil.rmtree(cache)

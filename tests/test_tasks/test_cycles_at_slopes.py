@@ -151,7 +151,11 @@ def test_a_gait_on_two_branches_is_listed_once():
     problem, known = atlas_of("D")
     branches = cycle_branches(problem, known, 2) * 2
     asked = {"steps": 2, "slope": np.array([0.016]), "want": ("period",)}
-    assert cycle_points(problem, branches, asked)["status"].tolist() == [[0, 1, 1, 1]]
+    found, coarse = (cycle_points(problem, branches, {**asked, **more}) for more in ({}, {"accuracy": 1e-4}))
+    assert found["status"].tolist() == coarse["status"].tolist() == [[0, 1, 1, 1]]
+    # Without an accuracy all digits are kept.
+    assert found["error_bound"][0, 0] < 1e-11 < 1e-6 < coarse["error_bound"][0, 0] <= 1e-4
+    assert found["period"][0, 0] != coarse["period"][0, 0] == pytest.approx(found["period"][0, 0], rel=1e-4)
 
 
 def test_a_walker_without_flips_has_no_doubled_gaits():
