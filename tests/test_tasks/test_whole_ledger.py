@@ -1,4 +1,7 @@
-"""The whole ledger is, claim by claim, the one kept: `gaitsweep claims --json | python -m json.tool --indent 1`."""
+"""The whole ledger is, claim by claim, the one kept.
+
+That is written by `gaitsweep claims --json | python -m json.tool --no-ensure-ascii --indent 1`.
+"""
 
 import json
 import re
