@@ -27,6 +27,15 @@ _FINE = 1.75e-15
 _COARSE = 1e-7
 
 
+def cache_folder() -> Path:
+    """Folder of the compile cache, which `GAITSWEEP_CACHE` may name; on a network disk it is slower than compiling."""
+    named = os.environ.get("GAITSWEEP_CACHE")
+    folder = Path(named or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
+    with contextlib.suppress(RuntimeError):  # there is no home
+        folder = folder.expanduser()
+    return folder
+
+
 @functools.cache
 def prepare_compiler() -> None:
     """Set heyoka's compile cache and threads for this process; every factory of compiled code calls it first.
@@ -34,13 +43,9 @@ def prepare_compiler() -> None:
     Notes
     -----
     heyoka reads its whole cache when it opens it: a small one of this program's own opens ten times as fast as one
-    shared with all users of heyoka. On a network disk it is slower than compiling; `GAITSWEEP_CACHE` names a local one.
+    shared with all users of heyoka.
     """
-    named = os.environ.get("GAITSWEEP_CACHE")
-    folder = Path(named or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
-    with contextlib.suppress(RuntimeError):  # there is no home
-        folder = folder.expanduser()
-    compile_cache.use(folder)
+    compile_cache.use(cache_folder())
     hy.set_nthreads(1)
 
 

@@ -52,11 +52,13 @@ def environment(tree: Path) -> dict[str, str]:
 
 def lend_cache() -> None:
     """Copy the compiled flows, so those of mutants do not fill the user's."""
-    own = Path(os.environ.get("GAITSWEEP_CACHE") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
+    # Not above: a process that tries a mutant imports this file, but `tasks` from its copy.
+    from tasks.mechanics.kernel import cache_folder
+
     lent = STATE / "cache"
     shutil.rmtree(lent, ignore_errors=True)
     lent.mkdir(parents=True)
-    source = own.expanduser() / "cache.db"
+    source = cache_folder() / "cache.db"
     if source.exists():
         with sqlite3.connect(source) as old, sqlite3.connect(lent / "cache.db") as new:
             old.backup(new)
