@@ -6,12 +6,16 @@ import itertools
 import math
 import zlib
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from pipeline.study.model import Study
 
 CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box assembled in memory
+#: Dimensions of the characters of strings are called by this and their length.
+STRING = "string"
+FILTERS = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 Box = tuple[slice, ...]
 
 
@@ -50,6 +54,16 @@ def line_extent(sizes: Mapping[str, int]) -> int:
     shape = grid_chunk(sizes)
     slopes = shape[list(sizes).index("slope")]
     return slopes if math.prod(shape) == slopes else 0
+
+
+def is_of_characters(dim: str) -> bool:
+    """Whether a dimension is that of the characters of strings."""
+    return dim.startswith(STRING) and dim.removeprefix(STRING).isdigit()
+
+
+def dims(variable: Any) -> tuple[str, ...]:
+    """Dimensions of a variable as it is read: strings have none of their characters."""
+    return tuple(dim for dim in variable.dimensions if not is_of_characters(dim))
 
 
 def regions(sizes: Mapping[str, int], shape: tuple[int, ...], points: int = 0) -> Iterator[Box]:
@@ -114,10 +128,10 @@ def checksum(values: np.ndarray, box: Box = ()) -> int:
     int
     """
     corner = ",".join(str(s.start) for s in box)
-    is_text = values.dtype.kind == "O"
-    data = (
-        "\0".join(values.ravel()).encode() if is_text else np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
-    )
+    if values.dtype.kind in "OU":
+        data: bytes | memoryview = "\0".join(values.ravel().tolist()).encode()
+    else:
+        data = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
     return zlib.crc32(data, zlib.crc32(corner.encode()))
 
 

@@ -27,7 +27,6 @@ from pipeline.study import units
 from tasks.accuracy import MANTISSA, significant_bits
 from tasks.registry import GAITS, STATUSES, VARIABLES, Variable
 
-_FILTERS = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
 #: Name of a variable, start of a chunk in it, and what gives the chunk.
 _Piece = tuple[str, tuple[int, ...], Callable[[], Packed]]
 
@@ -128,7 +127,8 @@ class PointWriter:
     def define(self, file: Any) -> None:
         """Create every variable, without values."""
         file.createDimension("gait", len(self.columns))
-        write_strings(file, "gait", "gait", [GAITS[c] for c in self.columns], "gait by its character")
+        about = {"long_name": "gait by its character", "units": "1"}
+        write_strings(file, "gait", "gait", [GAITS[c] for c in self.columns], about)
         names = self.plan.variables
         if any("multiplier" in VARIABLES[n].dims for n in names):
             file.createDimension("multiplier", self.multipliers)
@@ -143,7 +143,7 @@ class PointWriter:
                 name,
                 "i4" if is_wide else description.dtype,
                 (*self.grid.sizes, *description.dims),
-                **_FILTERS,
+                **layout.FILTERS,
                 **_quantization(description, self.study.accuracy),
                 # Of one gait: trailing gaits that nobody has are known only when all points are.
                 chunksizes=(*self.chunk, *(1, self.multipliers)[: len(description.dims)]),

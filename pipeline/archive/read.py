@@ -140,7 +140,7 @@ def _checksum(variable: Any) -> int:
 
 def is_over_grid(variable: Any) -> bool:
     """Whether a variable is one of points, by gait."""
-    return "gait" in variable.dimensions and len(variable.dimensions) > 1
+    return "gait" in variable.dimensions and variable.name != "gait"
 
 
 def boxes(variable: Any) -> Iterator[layout.Box]:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from pipeline import serialize
-from pipeline.archive import arrays
+from pipeline.archive import arrays, layout
 from pipeline.archive.attributes import over_steps, put
+from pipeline.archive.written import write_strings
 from pipeline.dispatch import resolve
 from pipeline.plan.missing import Plan
 from pipeline.study import units
@@ -110,14 +111,15 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
     netcdf_group = file.createGroup(group)
     netcdf_group.createDimension("row", len(next(iter(columns.values()))))
     for name, values in columns.items():
-        text = values.dtype.kind == "U"
+        attributes = _attributes(plan, group, name)
+        if values.dtype.kind == "U":
+            write_strings(netcdf_group, name, "row", values.tolist(), attributes)
+            continue
         fill_value = np.nan if values.dtype.kind == "f" else False
-        filters = {"fletcher32": len(values) > 0, "zlib": True, "complevel": 1, "shuffle": True}
-        options = {} if text else {"fill_value": fill_value, **filters}
-        dtype = str if text else values.dtype.newbyteorder("=")
-        variable = netcdf_group.createVariable(name, dtype, ("row",), **options)
-        put(variable, _attributes(plan, group, name))
-        variable[:] = values.astype(object) if text else values
+        dtype, filters = values.dtype.newbyteorder("="), {**layout.FILTERS, "fletcher32": len(values) > 0}
+        variable = netcdf_group.createVariable(name, dtype, ("row",), fill_value=fill_value, **filters)
+        put(variable, attributes)
+        variable[:] = values
 
 
 def _attributes(plan: Plan, group: str, name: str) -> dict[str, str]:

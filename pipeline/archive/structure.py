@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.archive import layout
 from pipeline.statuses import ALL_STATUSES
 from tasks.accuracy import always
 from tasks.registry import GAITS, VARIABLES
@@ -55,9 +56,9 @@ def _dimensions(file: Any) -> Iterator[str]:
         if [order.index(d) for d in variable.dimensions] != sorted({order.index(d) for d in variable.dimensions}):
             yield f"`{name}` has its dimensions in another order."
     for name in file.dimensions:
-        if name not in file.variables and name != "reason_index":
+        if name not in file.variables and name != "reason_index" and not layout.is_of_characters(name):
             yield f"The dimension `{name}` has no coordinate."
-        elif name in file.variables and file.variables[name].dimensions != (name,):
+        elif name in file.variables and layout.dims(file.variables[name]) != (name,):
             yield f"The coordinate `{name}` has other dimensions."
 
 
@@ -76,7 +77,7 @@ def _types(file: Any) -> Iterator[str]:
         if flags and len(np.atleast_1d(getattr(variable, flags))) != len(variable.flag_meanings.split()):
             yield f"The flags of `{name}` have other meanings."
     sentences = file.variables["reason_text"]
-    if sentences.dimensions != ("reason_index",) or sentences.dtype is not str:
+    if layout.dims(sentences) != ("reason_index",) or sentences[:0].dtype.kind not in "OU":
         yield "`reason_text` is no table of sentences."
 
 

@@ -132,14 +132,10 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
     for name, size in writer.grid.sizes.items():
         file.createDimension(name, size)
         if name == "walker":
-            write_strings(file, name, name, list(study.names), "walker")
-            write_strings(
-                file,
-                "walker_units",
-                name,
-                ["SI" if c["si"] else "1" for c in study.checks],
-                "units of each walker: SI, or 1 for any consistent ones",
-            )
+            write_strings(file, name, name, study.names, {"long_name": "walker", "units": "1"})
+            known = ["SI" if c["si"] else "1" for c in study.checks]
+            about = {"long_name": "units of each walker: SI, or 1 for any consistent ones", "units": "1"}
+            write_strings(file, "walker_units", name, known, about)
             continue
         axis = next(a for a in study.axes if a.name == name)
         variable = file.createVariable(name, "f8", (name,), fill_value=False, fletcher32=True)
@@ -147,7 +143,8 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
         variable[:] = axis.values
     parameters.write(file, study)
     file.createDimension("reason_index", len(writer.sentences))
-    write_strings(file, "reason_text", "reason_index", writer.sentences, "sentences that `reason` counts from 0")
+    about = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
+    write_strings(file, "reason_text", "reason_index", writer.sentences, about)
 
 
 def _write_checksums(file: Any, writer: PointWriter | _LineWriter) -> dict[str, str]:

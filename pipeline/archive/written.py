@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from pipeline.archive import layout
 from pipeline.archive.attributes import put
 from pipeline.study.model import Study
 
@@ -26,11 +28,21 @@ class Written:
         self.examples.setdefault(reason, example)
 
 
-def write_strings(file: Any, name: str, dim: str, values: list[str], long_name: str) -> None:
-    """Write a variable of strings."""
-    variable = file.createVariable(name, str, (dim,))
-    put(variable, {"long_name": long_name, "units": "1"})
-    variable[:] = np.array(values, object)
+def write_strings(group: Any, name: str, dim: str, values: Iterable[str], attributes: dict[str, str]) -> None:
+    """Write a variable of strings as characters, which netCDF4 and xarray read as strings.
+
+    HDF5 crashes where strings of varying length are read of a file that the same process has opened several times.
+    """
+    encoded = [value.encode() for value in values]
+    length = max(map(len, encoded), default=0) or 1
+    dims = dim, f"{layout.STRING}{length}"
+    if dims[1] not in group.dimensions:
+        group.createDimension(dims[1], length)
+    variable = group.createVariable(name, "S1", dims, **{**layout.FILTERS, "fletcher32": len(encoded) > 0})
+    put(variable, {**attributes, "_Encoding": "utf-8"})
+    variable.set_auto_chartostring(False)
+    variable[:] = np.array(encoded, f"S{length}").view("S1").reshape(-1, length)
+    variable.set_auto_chartostring(True)
 
 
 def line_description(study: Study, number: int) -> str:

@@ -8,6 +8,8 @@ import random
 import resource
 import shutil
 import signal
+import subprocess
+import sys
 import zlib
 from collections import Counter
 from pathlib import Path
@@ -24,6 +26,7 @@ from pipeline.api.studies import load
 from pipeline.archive import attributes, diff, layout, read, verify, write
 from pipeline.archive.points import PointWriter
 from pipeline.archive.provenance import commit
+from pipeline.archive.written import write_strings
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.plan.missing import Plan
@@ -46,6 +49,32 @@ def made(tmp_path_factory):
 def copy(made, tmp_path):
     shutil.copy(made, tmp_path / "copy.nc")
     return tmp_path / "copy.nc"
+
+
+def test_it_can_be_loaded_while_it_is_open(made):
+    """In a process of its own, which the netCDF library ends where strings are read of a file opened three times."""
+    script = (
+        "import sys, xarray as xr; from pipeline.api.studies import load; path = sys.argv[1];"
+        "held = xr.open_dataset(path), xr.open_datatree(path);"
+        "one, other, _ = [load(path) for _ in range(3)]; tables = [load(path, 'fits/scaling') for _ in range(2)];"
+        "print(one.identical(other), tables[0].equals(tables[1]), held[0].stance_angle.equals(one.stance_angle))"
+    )
+    ended = subprocess.run([sys.executable, "-c", script, made], cwd=ROOT, capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "True True True\n", "")
+
+
+@pytest.mark.parametrize("values", [["long", "", "à 30 °", "a_b c"], [""], []])
+def test_strings_are_those_that_were_written(tmp_path, values):
+    with netCDF4.Dataset(tmp_path / "s.nc", "w") as file:
+        file.createDimension("row", len(values))
+        for name in ("one", "other"):
+            write_strings(file, name, "row", values, {"long_name": "some words", "units": "1"})
+    with netCDF4.Dataset(tmp_path / "s.nc") as file:
+        assert file["one"][...].tolist() == file["other"][...].tolist() == values
+        assert len(file.dimensions) == 2 and layout.dims(file["one"]) == ("row",)
+        assert layout.checksum(file["one"][...]) == layout.checksum(np.array(values, object))
+    with xr.open_dataset(tmp_path / "s.nc") as found:
+        assert found.one.values.tolist() == values and found.one.attrs == {"long_name": "some words", "units": "1"}
 
 
 def test_plain_xarray_opens_it(made):

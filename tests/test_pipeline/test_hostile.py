@@ -205,8 +205,10 @@ def crafted(folder, dice):
     original = folder / "data" / "archive" / f"{name}.nc"
     shutil.copy(original, path)
     with read.open_netcdf(path, "a") as file:
+        file.set_auto_chartostring(False)
         for _ in range(dice.choice([1, 1, 2, 4])):
             _craft(file, dice)
+        file.set_auto_chartostring(True)
         if dice.random() < 0.9:
             with contextlib.suppress(Exception):
                 _mend_checksums(file)
@@ -242,16 +244,15 @@ def _craft(file, dice):
         elif how == 2:
             variable = dice.choice(variables)
             here = tuple(dice.randrange(n) for n in variable.shape)
+            is_text = variable.dtype == "S1"
             variable[here] = (
-                str(value) if variable.dtype is str else dice.choice([-1, 0, 7, 127, 1e300, np.nan, -np.inf])
+                str(value)[:1].encode() if is_text else dice.choice([-1, 0, 7, 127, 1e300, np.nan, -np.inf])
             )
         elif how == 3:
             group.renameVariable(dice.choice([*group.variables]), dice.choice(["x", "slope2", "status", "a/b", "💥"]))
         elif how == 4:
             variable = dice.choice(variables)
-            variable[...] = (
-                np.full(variable.shape, str(value), object) if variable.dtype is str else dice.choice([-1, 0, 99])
-            )
+            variable[...] = str(value)[:1].encode() if variable.dtype == "S1" else dice.choice([-1, 0, 99])
         else:
             group.createVariable(dice.choice(["y", "stance_angle2", "status"]), dice.choice(["f8", "i1", str]), ())
 

@@ -58,7 +58,7 @@ def _rows(frame: pd.DataFrame, at: dict[str, Any]) -> pd.DataFrame:
     """Rows of measurements on one line."""
     for column, value in at.items():
         if column in frame:
-            same = frame[column] == value if frame[column].dtype == object else np.isclose(frame[column], value)
+            same = frame[column] == value if isinstance(value, str) else np.isclose(frame[column], value)
             frame = frame[same]
     return frame
 
