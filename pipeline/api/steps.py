@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from pipeline import dispatch
+from pipeline.api.threads import in_turn
 from pipeline.archive import attributes
 from pipeline.errors import StudyError
 from pipeline.study.broadcast import changes, definition, number, whole_number
@@ -73,6 +74,7 @@ class StepMap:
     losses: Losses
 
 
+@in_turn
 def step_map(walker: str | Path | Mapping[str, Any], slope: float, state: Sequence[float], **keys: float) -> StepMap:
     """Evaluate the step map and its derivatives at a state.
 
@@ -104,6 +106,7 @@ def step_map(walker: str | Path | Mapping[str, Any], slope: float, state: Sequen
     return StepMap(**arrays, times=Times(*times), losses=Losses(*losses))
 
 
+@in_turn
 def simulate(
     walker: str | Path | Mapping[str, Any],
     slope: float,

@@ -14,6 +14,7 @@ import pandas as pd
 import xarray as xr
 
 from pipeline.api import in_memory
+from pipeline.api.threads import in_turn
 from pipeline.archive import read
 from pipeline.archive.unfold import unfolded
 from pipeline.errors import ArchiveError, StudyError
@@ -23,6 +24,7 @@ from pipeline.study.location import Location
 from tasks.registry import MAX_STEPS
 
 
+@in_turn
 def load(archive: str | Path, table: str | None = None) -> Any:
     """Read an archive, or one of its tables.
 
@@ -46,6 +48,8 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     ArchiveError
         If the file is not an archive of gaitsweep, or does not have the table.
     """
+    if not isinstance(archive, str | Path):
+        raise ArchiveError(f"An archive must be a file; got {type(archive).__name__}.")
     path = Path(archive)
     if path.is_file():
         read.probe_once(path.resolve(), path.stat().st_mtime_ns)
@@ -141,6 +145,7 @@ def run(
     GaitsweepError
         If the run cannot start or continue; finished results are kept.
     """
+    jobs = broadcast.whole_number("jobs", jobs, 1)
     study = _study(wanted, accuracy)
     path = Path(archive) if archive else Path("data", "archive", f"{study.name}.nc")
     runner.run([(study, path)], runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))
@@ -150,6 +155,8 @@ def run(
 def _study(wanted: str | Path | Mapping[str, Any], accuracy: float | None = None) -> model.Study:
     if isinstance(wanted, Mapping):
         wanted = "".join(f"{key} = {_to_toml(value, key)}\n" for key, value in wanted.items())
+    elif not isinstance(wanted, str | Path):
+        raise StudyError(f"A study must be a file, a text or a mapping; got {type(wanted).__name__}.")
     elif isinstance(wanted, Path) or "=" not in wanted or ("\n" not in wanted and wanted.endswith(".toml")):
         return parse.read(wanted, accuracy)
     try:
@@ -161,8 +168,8 @@ def _study(wanted: str | Path | Mapping[str, Any], accuracy: float | None = None
 
 def _to_toml(value: Any, key: str) -> str:
     """Format a value as TOML; mappings become inline tables."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
+    if isinstance(value, np.ndarray | np.generic | xr.DataArray | pd.Series):
+        value = np.asarray(value).tolist()
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_to_toml(str(k), key)} = {_to_toml(v, key)}" for k, v in value.items()) + " }"
     if isinstance(value, list | tuple | range):
@@ -176,6 +183,7 @@ def _to_toml(value: Any, key: str) -> str:
     raise StudyError(f"`{key}` must be a number, a text, a list or a mapping; got {type(value).__name__}.")
 
 
+@in_turn
 def gaits(
     walker: str | Path | Mapping[str, Any],
     slope: Any,
@@ -234,6 +242,7 @@ def gaits(
     return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys}, steps, asked)
 
 
+@in_turn
 def solve(
     walker: str | Path | Mapping[str, Any],
     slope: float,

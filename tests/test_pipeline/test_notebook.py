@@ -2,9 +2,12 @@
 
 import json
 import sys
+import time
 import types
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -123,6 +126,8 @@ def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
             str(tmp_path / "a=b.toml"),
             text,
             {"name": "s", "walker": "E", "axes": {"slope": np.array([0.01, 0.02])}},
+            {"name": "s", "walker": "E", "axes": {"slope": xr.DataArray([0.01, 0.02])}},
+            {"name": "s", "walker": "E", "axes": {"slope": pd.Series([0.01, 0.02], index=[7, 3])}},
         )
     ]
     assert len({(one.name, one.walkers, tuple(one.slope), one.variables) for one in read}) == 1
@@ -141,6 +146,8 @@ def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
         ),
         ("name = ", "The study cannot be read: Invalid value"),
         ("none.toml", "There is no file none.toml"),
+        (None, "A study must be a file, a text or a mapping; got NoneType"),
+        (b"name = 1", "A study must be a file, a text or a mapping; got bytes"),
     ],
 )
 def test_a_wrong_study_is_one_sentence(wanted, said):
@@ -160,6 +167,41 @@ def test_a_wrong_study_is_one_sentence(wanted, said):
 def test_a_wrong_point_is_one_sentence(arguments, keys, said):
     with pytest.raises(StudyError, match=said):
         pipeline.solve(*arguments, **keys)
+
+
+@pytest.mark.parametrize("jobs", [0, -1, "2", None, True])
+def test_a_wrong_number_of_workers_is_one_sentence(jobs):
+    with pytest.raises(StudyError, match=f"`jobs` must be a whole number from 1; got {jobs!r}"):
+        pipeline.run(STUDY, jobs=jobs)
+
+
+def test_no_path_is_one_sentence():
+    with pytest.raises(ArchiveError, match="An archive must be a file; got NoneType"):
+        pipeline.load(None)
+
+
+def test_calls_from_threads_take_turns(monkeypatch):
+    """Compiled integrators hold one state, and so does the HDF5 library."""
+    inside, most = [], []
+
+    def slow(*_):
+        inside.append(1)
+        most.append(len(inside))
+        time.sleep(0.05)
+        inside.pop()
+        raise StudyError("Enough.")
+
+    walker = type("Slow", (dict,), {"items": slow})()
+    monkeypatch.setattr("pipeline.archive.read.probe_once", slow)
+    with ThreadPoolExecutor(8) as pool:
+        calls = [
+            *(pool.submit(function, walker, 0.01) for function in (pipeline.gaits, pipeline.solve) * 2),
+            *(pool.submit(pipeline.step_map, walker, 0.01, (0.1, 0, 0)) for _ in range(2)),
+            *(pool.submit(pipeline.simulate, walker, 0.01, (0.1, 0, 0), 2) for _ in range(2)),
+            *(pool.submit(pipeline.load, __file__) for _ in range(2)),
+        ]
+        assert {str(call.exception()) for call in calls} == {"Enough."}
+    assert most == [1] * 10
 
 
 class _Handle:
