@@ -62,6 +62,8 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
             for what in ("kind",)
             if getattr(left, what, None) != getattr(right, what, None)
         ]
+        for name in sorted(_parameters(left).keys() & _parameters(right).keys()):
+            differences += _compare_values(name, _parameters(left)[name], _parameters(right)[name], tolerance)
         places: dict[str, _Pair] = {}
         for name in sorted(set(left.dimensions) | set(right.dimensions)):
             if not any(name in file.variables for file in (left, right)):
@@ -87,6 +89,12 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
         return differences
 
 
+def _parameters(file: Any) -> dict[str, np.ndarray]:
+    """Parameters that all walkers of an archive share, shape (1,) each."""
+    attributes = {name: file.getncattr(name) for name in file.ncattrs() if name != "accuracy"}
+    return {name: np.array([value]) for name, value in attributes.items() if isinstance(value, float)}
+
+
 def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[_Pair, list[str]]:
     """Indices of the coordinate values that both have, and sentences on those that only one has."""
     x, y = np.ma.getdata(left.variables[name][...]), np.ma.getdata(right.variables[name][...])
@@ -104,13 +112,13 @@ def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[_Pair,
 
 def _compare(name: str, left: Any, right: Any, places: dict[str, _Pair], tolerance: Tolerance) -> list[str]:
     dims = layout.dims(left.variables[name])
-    if layout.dims(right.variables[name]) != dims:
+    if set(layout.dims(right.variables[name])) != set(dims):
         return [f"`{name}` has other dimensions"]
     units = [getattr(file.variables[name], "units", None) for file in (left, right)]
     if units[0] != units[1]:
         return [f"`{name}` is in {units[0]} and in {units[1]}"]
     x, y = (
-        np.ma.getdata(file.variables[name][...])[np.ix_(*(places[d][k] for d in dims))]
+        _along(dims, file.variables[name])[np.ix_(*(places[d][k] for d in dims))]
         for k, file in enumerate((left, right))
     )
     x, y = np.atleast_1d(x), np.atleast_1d(y)  # scalars of a single line
@@ -123,6 +131,12 @@ def _compare(name: str, left: Any, right: Any, places: dict[str, _Pair], toleran
         real, imag = (np.ma.getdata(left.variables[f"multiplier_{part}"][...]) for part in ("real", "imag"))
         scale = np.hypot(real, imag)[np.ix_(*(places[d][0] for d in dims))]
     return _compare_values(name, x, y, tolerance, scale)
+
+
+def _along(dims: tuple[str, ...], variable: Any) -> np.ndarray:
+    """Values of a variable, its dimensions in that order."""
+    own = layout.dims(variable)
+    return np.ma.getdata(variable[...]).transpose([own.index(d) for d in dims])
 
 
 def _compare_status(x: np.ndarray, y: np.ndarray) -> list[str]:

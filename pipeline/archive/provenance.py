@@ -70,9 +70,13 @@ def commit(root: Path = _ROOT) -> str:
     """Commit of the working tree of this package; empty if there is none."""
     git = root / ".git"
     try:
+        if git.is_file():  # of a linked working tree
+            git = root / git.read_text().removeprefix("gitdir: ").strip()
         head = (git / "HEAD").read_text().strip()
         if not head.startswith("ref: "):
             return head
+        shared = git / "commondir"
+        git = git / shared.read_text().strip() if shared.is_file() else git
         ref = git / head[5:]
         if ref.is_file():
             return ref.read_text().strip()

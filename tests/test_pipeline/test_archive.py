@@ -117,7 +117,7 @@ def test_the_checksum_of_a_chunk_is_that_of_its_corner_and_its_values_checksum()
 
 
 def test_the_commit_is_that_of_the_working_tree(tmp_path):
-    assert bool(commit()) == (ROOT / ".git").is_dir()
+    assert bool(commit()) == (ROOT / ".git").exists()
     assert commit(tmp_path) == ""
     git, ref = tmp_path / ".git", tmp_path / ".git" / "refs" / "heads" / "main"
     ref.parent.mkdir(parents=True)
@@ -127,8 +127,15 @@ def test_the_commit_is_that_of_the_working_tree(tmp_path):
     assert commit(tmp_path) == "01"
     ref.write_text("02\n")
     assert commit(tmp_path) == "02"
+    linked, own = tmp_path / "linked", git / "worktrees" / "linked"
+    linked.mkdir()
+    own.mkdir(parents=True)
+    (linked / ".git").write_text(f"gitdir: {own}\n")
+    (own / "commondir").write_text("../..\n")
+    (own / "HEAD").write_text("ref: refs/heads/main\n")
+    assert commit(linked) == "02"
     (git / "HEAD").write_text("03\n")
-    assert commit(tmp_path) == "03"
+    assert commit(tmp_path) == "03" and commit(linked) == "02"
 
 
 def test_an_archive_of_lines_says_how_each_ended(tmp_path):
@@ -318,6 +325,15 @@ def test_equal_archives_do_not_differ(made, copy):
     assert diff.diff(made, copy) == ["`stance_angle` is in rad and in degree"]
 
 
+def test_walkers_that_differ_differ(made, copy):
+    """A parameter that all walkers share is an attribute."""
+    with netCDF4.Dataset(copy, "a") as file:
+        file.g *= 1 + 1e-9
+        file.accuracy = 1e-6
+    assert diff.diff(made, copy, rtol=1e-8) == []
+    assert diff.diff(made, copy) == ["`g`: 1 of 1 differ, by up to 1e-09 of their size"]
+
+
 def test_diff_tells_variables_and_statuses_apart(made, copy):
     def change(file):
         file["stance_angle"][3, 1, 0] *= 1 + 1e-9
@@ -388,6 +404,23 @@ def test_tables_are_compared_on_the_lines_both_archives_have(tmp_path):
     assert diff.diff(a, b) == [f"1 of 3 values of `w_t` are only in {b}"]
     _edit(b, lambda file: file["orbits/period"].__setitem__(5, 9.0))
     assert diff.diff(a, b)[1:] == ["`orbits/period`: 1 of 4 differ, by up to 1 of their size"]
+
+
+def test_axes_may_have_another_order(tmp_path):
+    toy = Toy(tmp_path)
+    for name, axes in (
+        ("a", ("w_t = [0.0, 0.1, 0.2]", "w_s = [0.3, 0.4]")),
+        ("b", ("w_s = [0.3, 0.4]", "w_t = [0.0, 0.1, 0.2]")),
+    ):
+        toy.write("\n".join([f'name = "{name}"\nwalker = "E"\n[axes]\nslope = [0.1, 0.2]', *axes]))
+        toy("run", "toy.toml")
+    a, b = (tmp_path / "data" / "archive" / f"{name}.nc" for name in "ab")
+    with xr.open_dataset(a) as one, xr.open_dataset(b) as other:
+        assert one.stance_angle.dims != other.stance_angle.dims
+    assert diff.diff(a, b) == []
+    _edit(b, lambda file: file["period"].__setitem__((0, 0, 1, 0), 9.0))
+    (found,) = diff.diff(a, b)
+    assert found.startswith("`period`: 1 of 24 differ")
 
 
 def test_a_dimension_that_one_archive_has_is_told(made, tmp_path):
