@@ -258,9 +258,9 @@ def _plan(options: argparse.Namespace) -> int:
 def _status(options: argparse.Namespace) -> int:
     from pipeline.cli import text
 
-    archives = [path for _, path in _archives(options)] or sorted(
-        p.with_name(p.name.removesuffix(".events.jsonl") + ".nc") for p in Path("data/archive").glob("*.events.jsonl")
-    )
+    logs = sorted(Path("data/archive").glob("*.events.jsonl"))
+    every = [options.archive] if options.archive else [log.with_name(log.name[:-13] + ".nc") for log in logs]
+    archives = [path for _, path in _archives(options)] or every
     states = {path: text.state(path) for path in archives}
     if options.json:
         print(json.dumps([{"archive": str(path), **(state or {})} for path, state in states.items()]))

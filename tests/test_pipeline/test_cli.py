@@ -212,6 +212,9 @@ def test_status_tells_what_happened_to_people_and_machines(toy):
     text = toy("status").stdout
     assert "finished; 400 of 400 points (100 %)" in text and "converged 400" in text
     (found,) = json.loads(toy("status", "--json").stdout)
+    assert json.loads(toy("status", "--json", "--archive", found["archive"]).stdout) == [found]
+    (none,) = json.loads(toy("status", "--json", "--archive", "other.nc").stdout)
+    assert none == {"archive": "other.nc"}
     assert found["done"] == 400 and found["running"] is False
 
 
