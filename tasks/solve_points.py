@@ -13,6 +13,7 @@ from tasks import status
 from tasks.accuracy import always
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
+from tasks.continuation.locate import settle_on_branches
 from tasks.continuation.lockstep import lanes_of
 from tasks.continuation.refine import COARSE, FINE
 from tasks.fixed_points.polish import Guesses, join, settle
@@ -174,7 +175,8 @@ def _solve_lines(
         guesses = [join([piece.guesses for piece in pieces[i]]) for i in here]
         counts = [len(each.slope) for each in guesses]
         if here:
-            at = settle(problem.some(np.repeat(here, counts)), join(guesses), accuracy=accuracy)
+            places = [(problems[i], piece.branch, piece.segment) for i in here for piece in pieces[i]]
+            at = settle_on_branches(problem.some(np.repeat(here, counts)), join(guesses), places, accuracy)
         for i, each, count, end in zip(here, guesses, counts, np.cumsum(counts).tolist(), strict=True):
             gaits = describe(
                 problems[i],

@@ -14,10 +14,11 @@ from scipy.optimize import differential_evolution, minimize
 from pipeline.bench.bounds import compared
 from pipeline.bench.missed import DERIVED, KEYS, SPREAD, WALKERS, survey_walkers
 from tasks.continuation.branch import Branch
+from tasks.continuation.locate import settle_on_branches
 from tasks.continuation.lockstep import lanes_of
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import newton_step
-from tasks.fixed_points.polish import Guesses, Polished, join, settle
+from tasks.fixed_points.polish import Guesses, Polished, join
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
@@ -243,16 +244,12 @@ def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: lis
     slope : ndarray, shape (n,) [rad]
     """
     outcome = Hunted(lines=1)
-    parts = [
-        branch.known_guesses(Z, segment, slope[index])
-        for branch in branches
-        for index, Z, segment in branch.guesses(np.log(slope))
-    ]
-    if not parts:
+    found = [(branch, *each) for branch in branches for each in branch.guesses(np.log(slope))]
+    if not found:
         return outcome
-    guesses = join(parts)
+    guesses = join([branch.known_guesses(Z, segment, slope[index]) for branch, index, Z, segment in found])
     start = time.process_time()
-    at = settle(problem, guesses)
+    at = settle_on_branches(problem, guesses, [(problem, branch, segment) for branch, _, _, segment in found])
     seconds = (time.process_time() - start) / len(guesses.slope)
     angle, settled = at.y[0] * at.scale, at.converged & at.step
     outcome.gaits = len(angle)

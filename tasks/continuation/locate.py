@@ -5,16 +5,18 @@ All are procedures, which run side by side (`tasks.continuation.lockstep`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+import functools
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.lockstep import Call, Procedure
+from tasks.continuation.lockstep import Call, Procedure, run
 from tasks.continuation.root import root_search
 from tasks.continuation.tracking import Point, correct
+from tasks.fixed_points.polish import Guesses, Polished, settle
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step import extended_precision
 from tasks.step.problem import EPS, Problem
@@ -108,6 +110,41 @@ def locate_root(branch: Branch, segment: int, test: TestFunction) -> Procedure[t
         at_a, at_b = (yield from correct_at(branch, segment, a)), (yield from correct_at(branch, segment, b))
         root = a if abs(test(*at_a)) < abs(test(*at_b)) else b
     return (yield from correct_at(branch, segment, root))
+
+
+def settle_on_branches(
+    problem: Problem, guesses: Guesses, places: Sequence[tuple[Problem, Branch, np.ndarray]], accuracy: float = 0.0
+) -> Polished:
+    """Settle guesses that lie on branches; those that Newton's method loses are first located along their branches.
+
+    Steps that almost end in a fall make so much of a guess's error that at a fixed slope Newton's method diverges.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the lanes of all guesses.
+    guesses : Guesses
+    places : sequence of (Problem, Branch, ndarray of int)
+        Walkers, branches and the segments of their guesses, one after another.
+    accuracy : float
+        As for `settle`.
+    """
+    at = settle(problem, guesses, accuracy=accuracy)
+    if at.converged.all():
+        return at
+    w, ends = guesses.w.copy(), np.cumsum([len(segment) for *_, segment in places])
+    for lane in np.flatnonzero(~at.converged).tolist():
+        number = int(np.searchsorted(ends, lane, side="right"))
+        walker, branch, segment = places[number]
+        beyond = functools.partial(_beyond, np.log(guesses.slope[lane]))
+        located = locate_root(branch, int(segment[lane - ends[number] + len(segment)]), beyond)
+        point, _ = run(walker, located)
+        w[:, lane] = np.concatenate([point.X[:-1, 0], point.times[:, 0]])
+    return settle(problem, replace(guesses, w=w), accuracy=accuracy)
+
+
+def _beyond(q: float, point: Point, _: np.ndarray) -> float:
+    return float(point.X[-1, 0]) - q
 
 
 def row(point: Point) -> np.ndarray:

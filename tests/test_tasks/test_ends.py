@@ -9,8 +9,9 @@ import pytest
 
 from lines import FAILURES, branches, of_label, repeats, solved
 from pipeline.bench.bounds import compared
+from tasks.continuation.locate import settle_on_branches
 from tasks.continuation.special_points import special_points
-from tasks.fixed_points.polish import UNKNOWN, settle
+from tasks.fixed_points.polish import UNKNOWN, join, settle
 from tasks.mechanics.lumped import lump
 from tasks.registry import GAITS, STATUSES
 from tasks.solve_points import lines
@@ -32,6 +33,26 @@ def guesses(name):
     angle = of_label(solved(walker, slope, **overrides), label)["stance_angle"]
     each = [b.known_guesses(Z, s, np.array([slope])) for b in found for _, Z, s in b.guesses(np.log([slope]))]
     return problem, min(each, key=lambda g: abs(np.exp(g.w[0, 0]) - angle))
+
+
+def test_a_guess_that_newton_loses_is_located_on_its_branch():
+    """If its slope lies on its segment; elsewhere it stays lost."""
+    problem, found = branches("D")
+    branch = found[0]
+    segment = len(branch.q) // 2
+    q = branch.q[segment : segment + 2] @ [0.3, 0.7]
+    ((_, Z, at),) = [each for each in branch.guesses(np.array([q])) if segment in each[2]]
+    good = branch.known_guesses(Z, at, np.exp([q]))
+    bad = replace(good, w=good.w + 2.0)
+    wanted = settle(problem, good)
+    assert wanted.converged.all() and not settle(problem, bad).converged.any()
+    settled = settle_on_branches(problem, bad, [(problem, branch, at)])
+    assert settled.converged.all()
+    np.testing.assert_allclose(settled.y * settled.scale, wanted.y * wanted.scale, rtol=2e-15)
+    both = [join([bad, good, bad]), [(problem, branch, np.append(at, at)), (problem, branch, at)]]
+    assert np.array_equal(settle_on_branches(problem, *both).y, np.hstack([settled.y, wanted.y, settled.y]))
+    away = settle_on_branches(problem, replace(bad, slope=3 * bad.slope), [(problem, branch, at)])
+    assert not away.converged.any()
 
 
 @pytest.mark.parametrize("name", POINTS)
