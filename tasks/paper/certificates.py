@@ -1,4 +1,4 @@
-"""Claims whose number is proved: certificates that back a verdict, and what they say in a sentence."""
+"""Claims whose number is proved: certificates that back it, and what they say in a sentence."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROUNDING = 1e-12
 
 
 def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResult:
-    """A finding, `proved` where it is reproduced or consistent within rounding and its certificates hold its number.
+    """A finding with what its certificates say, `proved` where it is reproduced and they hold its number.
 
     Parameters
     ----------
@@ -33,6 +33,10 @@ def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResul
     Returns
     -------
     ClaimResult
+
+    Notes
+    -----
+    A finding that is consistent within rounding stays so: certificates hold the computed number, not the printed one.
     """
     kept = [path for certificate in BACKED.get(name, ()) if (path := folder / f"{certificate}.json").is_file()]
     if (
@@ -47,8 +51,8 @@ def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResul
     if abs(Fraction(finding.value) - middle) > radius + Fraction(ROUNDING) * middle:
         return finding
     said = "; ".join(part for certificate in certificates for part in _said(certificate))
-    noted = f"; {CONSISTENT}" if finding.verdict == CONSISTENT else ""
-    return replace(finding, verdict=PROVED, computed=f"{finding.computed}{noted}; proved: {said}")
+    verdict = PROVED if finding.verdict == REPRODUCED else finding.verdict
+    return replace(finding, verdict=verdict, computed=f"{finding.computed}; proved: {said}")
 
 
 def _said(certificate: Mapping[str, Any]) -> Iterator[str]:

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 #: The verdicts on a claim. It is reproduced where it holds and the computed number rounds to the printed one;
-#: consistent within rounding where it does not, but the rounding of the printed parameters allows the printed number;
-#: and proved where it is either and the number that decides it has a certificate.
+#: proved where it is reproduced and the number that decides it has a certificate; and consistent within rounding where
+#: the computed number does not round to the printed one, but the rounding of the printed parameters allows that.
 PROVED = "proved"
 REPRODUCED, CONSISTENT, APPROXIMATE = "reproduced", "consistent within rounding", "approximate"
 NOT_REPRODUCED, NOT_CHECKABLE = "not reproduced", "not checkable"
