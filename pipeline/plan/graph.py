@@ -81,8 +81,11 @@ def variables(study: Study) -> tuple[str, ...]:
 
 
 def is_short(study: Study) -> bool:
-    """Whether the lines of a study are short: its atlases are coarse, and lines are computed side by side."""
-    is_grid = study.kind == "grid" and study.steps == 1
+    """Whether the lines of a study are short: its atlases are coarse, and lines are computed side by side.
+
+    Claims read the nodes of atlases: theirs are those that `gaitsweep claims` computes, whatever the study's slopes.
+    """
+    is_grid = study.kind == "grid" and study.steps == 1 and not study.claims
     return is_grid and len(study.slope) <= SHORT_LINE and bool(TASKS["atlas"].side_by_side)
 
 
@@ -98,7 +101,7 @@ def over_plane(study: Study) -> bool:
 
 def is_interpolated(study: Study) -> bool:
     """Whether the gaits of long lines come from polynomials where these are accurate enough."""
-    is_grid = study.kind == "grid" and study.steps == 1
+    is_grid = study.kind == "grid" and study.steps == 1 and not study.claims
     return is_grid and not is_short(study) and accuracy.is_interpolated(variables(study), study.accuracy)
 
 

@@ -11,6 +11,8 @@ from pipeline.plan import costs, graph
 from pipeline.study import parse
 from tasks import registry
 
+ROOT = Path(__file__).parents[2]
+
 
 @pytest.fixture
 def make():
@@ -43,6 +45,26 @@ def test_what_depends_on_a_task_is_in_its_depth_and_urgency(make):
 def test_claims_wait_for_the_task_of_their_study_though_that_needs_no_atlas(make):
     layers = graph.layers(make(kind="census", walker="D", axes={"slope": [0.01]}, want={"claims": ["G1"]}))
     assert graph.depths(layers) == {"census": 1, "claims": 2}
+
+
+PAPER = [path for path in sorted((ROOT / "data" / "studies" / "paper").glob("*.toml")) if "claims" in path.read_text()]
+
+
+@pytest.mark.parametrize("path", PAPER, ids=lambda path: path.stem)
+def test_the_atlases_of_claims_are_those_that_they_compute_without_a_study(path):
+    study = parse.read(path)
+    atlases = [parameters for task, parameters, _ in graph.expand(study).values() if task == "atlas"]
+    assert study.claims and (atlases or study.kind == "census")
+    assert not any(parameters["coarse"] for parameters in atlases)
+    without = dataclasses.replace(study, claims=())
+    assert graph.is_short(without) == (study.kind == "grid")
+
+
+def test_claims_want_atlases_that_are_not_coarse_whatever_the_accuracy(make):
+    long = make(slope=np.geomspace(0.01, 0.02, 300), accuracy=1e-6)
+    assert graph.line_params(long, "atlas", long.line(0))["coarse"]
+    claimed = dataclasses.replace(long, claims=("E2",))
+    assert not graph.line_params(claimed, "atlas", claimed.line(0))["coarse"]
 
 
 def test_the_loss_of_walking_is_located_once_for_studies_of_different_kinds(make):
