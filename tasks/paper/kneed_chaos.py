@@ -29,7 +29,7 @@ WINDOWS: dict[str, tuple[float, float, int, tuple[int, ...]]] = {
     "F": (5e-3, 0.05, 2, (1,)),
     "C": (0.07, 0.1, 2, (1,)),
     "C-printed": (0.07, 0.1, 2, (1,)),
-    "D": (0.01, 0.0195, 20, (1, 3)),
+    "D": (0.01, 0.0195, 20, (1, 3, 4)),
 }
 WALKERS = ("A", "B", "C", "D", "E", "F", "physical", "physical-straight")
 #: Window of slopes [rad] that holds the doublings and the loss of walking of kneed walkers within their rounding.
@@ -39,7 +39,8 @@ CORNER = (0.06, 0.12)
 def _compute_cascade(walker: str, families: tuple[int, ...], **options: int) -> Arrays:
     low, high, n, _ = WINDOWS[walker]
     own = line(walker)
-    return cascade({**own.params, "slope": np.linspace(low, high, n), "families": families, **options}, [own.arrays])
+    slopes = np.round(np.linspace(low, high, n), 12)  # as a study's axis has them
+    return cascade({**own.params, "slope": slopes, "families": families, **options}, [own.arrays])
 
 
 def _doublings(walker: str, family: str, group: str = "cascade") -> Arrays:
@@ -133,6 +134,7 @@ def period_three() -> ClaimResult:
     events, limit = _doublings("D", "3"), _doublings("D", "3", "accumulation")
     fold, at = float(events["slope"][events["kind"] == "fold"][0]), _flips("D", "3")
     low, high = crisis("D", "3")
+    middle = 0.5 * (fold + float(at[0]))
     chaos_1 = (_doublings("D", "1", "accumulation")["slope"][0], crisis("D", "1")[0])
     coexists = at[0] < _flips("D", "1")[0]
     four, four_at = _doublings("D", "4"), _flips("D", "4")
@@ -144,12 +146,13 @@ def period_three() -> ClaimResult:
     )
     separate = limit["slope"][0] < high < chaos_1[0] < chaos_1[1]
     return ClaimResult(
-        f"stable from its fold at slope {fold:.10f} to its flip at {at[0]:.10f}, where the period-one gait is stable "
-        f"too; further doublings at {', '.join(f'{s:.9f}' for s in at[1:])}, accumulating at "
-        f"{limit['slope'][0]:.9f}; its chaos ends between {low:.6f} and {high:.6f}; chaos of the period-one family "
-        f"from {chaos_1[0]:.7f} to {chaos_1[1]:.5f}{more}",
+        f"stable from its fold at slope {fold:.10f} to its flip at {at[0]:.10f} (the middle of that range, "
+        f"{middle:.7f}, is compared with the printed slope), where the period-one gait is stable too; further "
+        f"doublings at {', '.join(f'{s:.9f}' for s in at[1:])}, accumulating at {limit['slope'][0]:.9f}; its chaos "
+        f"ends between {low:.6f} and {high:.6f}; chaos of the period-one family from {chaos_1[0]:.7f} to "
+        f"{chaos_1[1]:.5f}{more}",
         verdict(fold < 0.0125 < at[0] and coexists and separate and len(at) > 2),
-        0.5 * (fold + at[0]),
+        middle,
         printed=0.0125,
         half_unit=5e-5,
     )
