@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from tasks.continuation.branch import Branch
 from tasks.continuation.special_points import special_points
 from tasks.paper.claim import ClaimResult, claim, verdict
-from tasks.paper.lines import LONG, SHORT, line, memoize, numbers
+from tasks.paper.lines import LONG, SHORT, Line, line, memoize, numbers
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.tuning import is_tuned, statics
 from tasks.walkers.walker import Walker
@@ -146,21 +148,28 @@ def cusp_breaks() -> ClaimResult:
 )
 def short_end() -> ClaimResult:
     """Locate the end of the short step at each detuning."""
-    ends = {f"{d:g}": line("C", detuning=d).special_of("end_kneestrike_at_heelstrike")[0] for d in PANELS[1:]}
-    ends["1"] = line("physical").special_of("end_kneestrike_at_heelstrike")[0]
+    walkers = {f"{d:g}": line("C", detuning=d) for d in PANELS} | {"1": line("physical")}
+    ends = {k: _short_end(gaits) for k, gaits in walkers.items()}
     slopes, angles = {k: p["slope"] for k, p in ends.items()}, {k: p["stance_angle"] for k, p in ends.items()}
-    first = line("C", detuning=PANELS[0]).special_of("end_tangential_heelstrike")
-    other = (
-        f"; at {PANELS[0]:g} the short step ends as heelstrike becomes tangential, at slope {first[-1]['slope']:.4g}"
-        if first
-        else ""
+    shares = {k: walkers[k].curve(p["branch"])["knee_share"][int(p["place"])] for k, p in ends.items()}
+    others = "".join(
+        f"; at detuning {k} the foot meets the ground at kneestrike, at {100 * shares[k]:.2f} % of the step, and rises "
+        f"again before heelstrike"
+        for k, p in ends.items()
+        if p["kind"] == "end_earlier_strike"
     )
     rises = all(np.all(np.diff(list(x.values())) > 0) for x in (slopes, angles))
     return ClaimResult(
-        f"slope of the end, by detuning: {numbers(slopes)}; its stance angle: {numbers(angles)}{other}",
+        f"slope of the end, by detuning: {numbers(slopes)}; its stance angle: {numbers(angles)}{others}",
         verdict(rises),
         slopes["0.2"],
     )
+
+
+def _short_end(gaits: Line) -> dict[str, Any]:
+    """The special point at small slopes where short steps end; long steps end with a tangential heelstrike."""
+    kinds = ("end_kneestrike_at_heelstrike", "end_earlier_strike")
+    return min((p for kind in kinds for p in gaits.special_of(kind)), key=lambda p: p["slope"])
 
 
 @memoize
