@@ -51,7 +51,8 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
     Returns
     -------
     list of dict
-        `kind`, `slope` [rad], `stance_angle` [rad], `period` [sqrt(leg/g)], `error_bound` (relative, of the slope).
+        `kind`, `slope` [rad], `stance_angle` [rad], `period` [sqrt(leg/g)], `error_bound` (relative, of the slope), and
+        `place`: the number of its node, or a number between those of its neighbours.
     """
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
@@ -97,7 +98,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
         if kind == "zero step length":
             record |= _limit_of_short_steps(branch, index)
         records.append((float(index), record))
-    return [record for _, record in sorted(records, key=lambda entry: entry[0])]
+    return [{**record, "place": place} for place, record in sorted(records, key=lambda entry: entry[0])]
 
 
 #: Names among special points of the reasons for which a branch is followed no further.

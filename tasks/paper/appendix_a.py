@@ -112,8 +112,8 @@ def hyperextension() -> ClaimResult:
     deep = _measure("C", (1e-4,))["hyperextension"][0]
     limits = ", ".join(f"{k} step below slope {s:.7g}" for k, s in sorted(tuned.items()))
     return ClaimResult(
-        f"the physical walker hyperextends below stance angle {release[0]['stance_angle']:.5f} (point 3, slope "
-        f"{release[0]['slope']:.6f}), as does the tuned walker C: {limits}; at slope 1e-4 by "
+        f"the physical walker hyperextends beyond point 3 (slope {release[0]['slope']:.6f}, stance angle "
+        f"{release[0]['stance_angle']:.5f}), as does the tuned walker C: {limits}; at slope 1e-4 by "
         f"{deep[LONG]:.2g} rad (long) and {deep[SHORT]:.2g} rad (short)",
         verdict(bool(release)),
         release[0]["slope"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, cast
 
@@ -27,6 +28,8 @@ Arrays = dict[str, np.ndarray]
 LONG, SHORT = GAITS.index("long"), GAITS.index("short")
 #: Variables that a look-up returns by default.
 _USUAL = tuple(v for v in VARIABLES if VARIABLES[v].group not in COSTLY)
+#: Special points at which stability may change.
+_EXCHANGES = ("fold", "flip", "neimark_sacker", "branch_point")
 #: The walkers that meet the static conditions exactly.
 TUNED = ("A", "B", "C", "D", "E", "F")
 
@@ -117,6 +120,32 @@ class Line:
     def special_of(self, kind: str) -> list[dict[str, Any]]:
         """Special points of a kind, by slope."""
         return sorted((p for p in self.special if p["kind"] == kind), key=lambda p: p["slope"])
+
+    def stable(self) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+        """Find the parts of branches whose gaits are stable.
+
+        Returns
+        -------
+        list of tuple
+            The special points between which each part lies, by slope.
+
+        Raises
+        ------
+        ValueError
+            If stability changes where no special point is.
+        """
+        parts = []
+        for k in range(len(self.branches)):
+            radius = self.curve(k)["spectral_radius"]
+            points = [p for p in self.special if p["branch"] == k]
+            bounds = [p for p in points if p["kind"] in _EXCHANGES or p in (points[0], points[-1])]
+            for a, b in itertools.pairwise(bounds):
+                between = radius[int(np.floor(a["place"])) + 1 : int(np.ceil(b["place"]))] < 1
+                if between.any():
+                    if not between.all():
+                        raise ValueError(f"gaits between slopes {a['slope']:g} and {b['slope']:g} differ in stability")
+                    parts.append((a, b) if a["slope"] < b["slope"] else (b, a))
+        return sorted(parts, key=lambda part: part[0]["slope"])
 
     def curve(self, branch: int = 0) -> Arrays:
         """Gaits at the nodes of a branch, in its own order.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from tasks.measures.kinematics import travel
 from tasks.paper.claim import VERDICTS, ClaimResult, claim, compare, verdict
-from tasks.paper.lines import line
-from tasks.paper.rounding_intervals import Interval, interval
+from tasks.paper.lines import Arrays, line
+from tasks.paper.rounding_intervals import LANDMARKS, Interval, interval, place
 
 
 def _format(mark: Interval) -> str:
@@ -46,15 +49,14 @@ def stability() -> ClaimResult:
     straight = [line("physical-straight").curve(k) for k in range(len(line("physical-straight").branches))]
     shown = [c["spectral_radius"][c["slope"] < 0.1] for c in straight]
     least = min(float(r.min()) for r in shown if len(r))
-    kneed = line("physical").curve(0)
-    stable = kneed["spectral_radius"] < 1
-    slopes = kneed["slope"][stable]
-    flips = [f"{p['slope']:.7f}" for p in line("physical").special_of("flip")]
+    stable = line("physical").stable()
+    kneed = " and ".join(
+        f"from the {a['kind']} at slope {a['slope']:.7g} to the {b['kind']} at {b['slope']:.7g}" for a, b in stable
+    )
     return ClaimResult(
-        f"straight-legged: spectral radius at least {least:.3f} below slope 0.1; kneed: stable from slope "
-        f"{slopes.min():.5f} to {slopes.max():.5f} (flips at {', '.join(flips)})",
-        verdict(least > 1 and bool(stable.any()) and not stable.all()),
-        float(slopes.max()),
+        f"straight-legged: spectral radius at least {least:.3f} below slope 0.1; kneed: stable {kneed or 'nowhere'}",
+        verdict(least > 1 and bool(stable)),
+        stable[0][1]["slope"] if stable else math.nan,
     )
 
 
@@ -128,9 +130,9 @@ def points_3_4() -> ClaimResult:
     end = line("physical").special_of("end_tangential_heelstrike")
     beyond = f"; the branch continues, flagged, to slope {end[0]['slope']:.5f}" if end else ""
     return ClaimResult(
-        f"point 4 at slope {fourth['slope']:.6g}, stance angle {fourth['stance_angle']:.1e}; point 3, where the "
-        f"released knee first moves against its stop, at slope {_format(third)}, stance angle "
-        f"{third.angle:.6g}{beyond}",
+        f"point 4, where steps vanish (followed to stance angle {fourth['stance_angle']:.0e}), at slope "
+        f"{fourth['slope']:.7g}; point 3, where the released knee first moves against its stop, at slope "
+        f"{_format(third)}, stance angle {third.angle:.6g}{beyond}",
         verdict(fourth["stance_angle"] < 1e-4),
         third.value,
         third.low,
@@ -145,19 +147,25 @@ def points_3_4() -> ClaimResult:
     "figure6/locus",
 )
 def slowest() -> ClaimResult:
-    """Locate the slowest gait of each curve."""
-    sentences, agrees = [], []
-    for name, end in (("physical", interval("point 3").angle), ("physical-straight", 0.0)):
-        gaits = line(name).curve(0)
-        shown = gaits["stance_angle"] >= end
-        slope, speed = gaits["slope"][shown], gaits["speed"][shown]
-        slow, small = int(np.argmin(speed)), int(np.argmin(slope))
-        sentences.append(
-            f"{name}: slowest gait {speed[slow]:.3g} m/s at slope {slope[slow]:.5f}, and {speed[small]:.3g} m/s at "
-            f"the smallest slope {slope[small]:.5f}"
-        )
-        agrees.append(speed[slow] < 0.5 * speed[small])
-    return ClaimResult("; ".join(sentences), verdict(all(agrees)), float(speed[small]))
+    """Compare the speeds at the curves' ends and smallest slopes with those of all their gaits."""
+    kneed, straight = _from_point_3(), line("physical-straight").curve(0)
+    fourth = line("physical-straight").special_of("end_zero_step")[0]
+    least = [int(np.argmin(gaits["slope"])) for gaits in (kneed, straight)]
+    knees, locked = (float(gaits["speed"][k]) for gaits, k in zip((kneed, straight), least, strict=True))
+    slowest, vanishing = float(kneed["speed"][0]), float(straight["speed"][int(fourth["place"])])
+    return ClaimResult(
+        f"physical: slowest gait that is not flagged {slowest:.4g} m/s, at point 3, slope {kneed['slope'][0]:.7g}, and "
+        f"{knees:.4g} m/s at the smallest slope {kneed['slope'][least[0]]:.7g}; physical-straight: the speed vanishes "
+        f"at point 4, slope {fourth['slope']:.7g}, and is {locked:.4g} m/s at the smallest slope "
+        f"{straight['slope'][least[1]]:.7g}",
+        verdict(
+            slowest == kneed["speed"].min()
+            and vanishing == straight["speed"].min()
+            and vanishing < 1e-4 * locked
+            and slowest < 0.5 * knees
+        ),
+        slowest,
+    )
 
 
 @claim(
@@ -168,15 +176,31 @@ def slowest() -> ClaimResult:
 )
 def later_kneestrike() -> ClaimResult:
     """Follow the time of kneestrike along the kneed curve."""
-    gaits = line("physical").curve(0)
-    share, angle = gaits["knee_share"], gaits["stance_angle"]
-    if share[-1] <= share[0]:
-        share, angle = share[::-1], angle[::-1]
-    first = int(np.argmin(np.abs(np.log(angle[: len(angle) // 2] / interval("point 3").angle))))
-    falls = float(np.minimum(np.diff(share[first:]), 0).sum())
+    share = _from_point_3()["knee_share"]
+    falls = float(np.minimum(np.diff(share), 0).sum())
     return ClaimResult(
-        f"from {100 * share[first]:.2f} % of the step at point 3 to {100 * share[-1]:.2f} % at point 1, "
+        f"from {100 * share[0]:.2f} % of the step at point 3 to {100 * share[-1]:.2f} % at point 1, "
         + ("rising throughout" if falls == 0 else f"with decreases of {-100 * falls:.2f} % in total"),
         verdict(falls == 0, -falls < 0.02),
-        float(share[first]),
+        float(share[0]),
     )
+
+
+def _from_point_3() -> Arrays:
+    """Gaits of the kneed curve from point 3, itself the first, along its nodes to point 1.
+
+    Returns
+    -------
+    dict of ndarray, shape (n,)
+        slope, knee_share and speed, as from `Line.curve`.
+    """
+    kneed = line("physical")
+    third, first = (kneed.special_of(k)[0] for k in ("release_hyperextension", "end_kneestrike_at_heelstrike"))
+    X, times = place(kneed, LANDMARKS["point 3"])
+    slope, angle = np.exp(X[-1:]), np.exp(X[:1])
+    speed = travel(kneed.walker, slope, angle, times[-1:] * np.sqrt(kneed.walker.leg / kneed.walker.g))["speed"]
+    at = {"slope": slope, "knee_share": times[:1] / times[-1:], "speed": speed}
+    nodes = kneed.curve(third["branch"])
+    rises = third["place"] < first["place"]
+    beyond = slice(int(np.ceil(third["place"])), None) if rises else slice(int(np.floor(third["place"])), None, -1)
+    return {name: np.append(value, nodes[name][beyond]) for name, value in at.items()}

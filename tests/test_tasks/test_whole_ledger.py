@@ -23,6 +23,8 @@ def told(sentence):
     return NUMBER.sub("#", sentence), [float(x) for x in NUMBER.findall(sentence)]
 
 
+# Three and a half minutes of processor time, on a machine that may do other things.
+@pytest.mark.timeout(1200)
 def test_every_claim_is_computed_as_the_ledger_has_it():
     """What is rounding of zero may be other rounding; Lyapunov exponents depend on the processor."""
     kept = json.loads(KEPT.read_text(encoding="utf-8"))
