@@ -14,6 +14,9 @@ from tasks.check_claims import claims
 
 KEPT = Path(__file__).parents[2] / "data" / "reference" / "ledger.json"
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
+#: Relative difference of a sentence's numbers: of Lyapunov exponents and their standard errors, averages over chaotic
+#: orbits that depend on the last bit, and of all others, which are printed to a few digits.
+CHAOTIC, TOLERANCE = {"D8": 0.25, "Z6": 0.25}, 1e-3
 # The search for gaits lets lanes that go astray overflow.
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
@@ -39,7 +42,7 @@ def test_every_claim_is_computed_as_the_ledger_has_it():
         same = (
             table["claims/verdict"][k] == each["verdict"]
             and found == words
-            and np.allclose(others, numbers, rtol=0.05, atol=1e-11)
+            and np.allclose(others, numbers, rtol=CHAOTIC.get(each["id"], TOLERANCE), atol=1e-11)
             and np.allclose(values, wanted, 1e-6, 1e-11, equal_nan=True)
         )
         if not same:
