@@ -153,7 +153,7 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
                 "set": keys,
                 "slope": at["slope"],
                 "gait": at["gait"],
-                "values": {n: float(np.ma.getdata(file[n][index])) for n in names},
+                "values": {n: float(np.ma.filled(file[n][index], np.nan)) for n in names},
             }
 
 

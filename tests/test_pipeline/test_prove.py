@@ -144,6 +144,23 @@ def test_gaits_of_an_archive_are_proved(capsys, archive):
     assert all(g in gaits for g in few[0])
 
 
+def proved_at_all_points(tmp_path, capsys, walker, axes="slope = [0.01]"):
+    """The proofs of the gaits of a study of all variables that are archived by default."""
+    (tmp_path / "all.toml").write_text(f'name = "all"\nwalker = {walker}\n[axes]\n{axes}\n')
+    out = tmp_path / "all.nc"
+    assert main(["run", str(tmp_path / "all.toml"), "--archive", str(out), "--quiet", "--jobs", "1"]) == 0
+    code, printed, _ = run(capsys, out, "--json", "--jobs", "1")
+    gaits = json.loads(printed)
+    assert code == 0
+    assert all(gait["proved"] for gait in gaits)
+    return gaits
+
+
+def test_straight_legs_have_no_time_of_kneestrike(tmp_path, capsys):
+    gaits = proved_at_all_points(tmp_path, capsys, '"E"')
+    assert [gait["events"] for gait in gaits] == [["legs_pass", "heelstrike"]] * 2
+
+
 def alter(path, name, change):
     with netCDF4.Dataset(path, "a") as file:
         file[name][0, 0, 0] = change(float(file[name][0, 0, 0]))
