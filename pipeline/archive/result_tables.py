@@ -101,7 +101,13 @@ def _repeat(coordinates: Mapping[str, Any], columns: Columns) -> Columns:
 
 
 def _stack(parts: list[Columns]) -> Columns:
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    """The rows of all parts; a column that some lack, as that of a rate of other walkers, is NaN or empty there."""
+    absent = {name: "" if values.dtype.kind == "U" else np.nan for part in parts for name, values in part.items()}
+    lengths = [len(next(iter(part.values()))) for part in parts]
+    return {
+        name: np.concatenate([part.get(name, np.full(n, nothing)) for part, n in zip(parts, lengths, strict=True)])
+        for name, nothing in absent.items()
+    }
 
 
 def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:

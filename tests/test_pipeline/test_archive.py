@@ -152,6 +152,19 @@ def test_an_archive_of_lines_says_how_each_ended(tmp_path):
         assert file["orbits/w_t"][:].tolist() == [0, 0, 0.1, 0.1] * 2
 
 
+@pytest.mark.parametrize("walkers", [["E", "F"], ["F", "E"]])
+def test_a_column_that_other_lines_lack_is_missing_there(tmp_path, walkers):
+    toy = Toy(tmp_path)
+    toy.write(f'name = "toy"\nkind = "orbit"\nwalker = {walkers}\n[axes]\nslope = [0.1]\n')
+    toy("run", "toy.toml")
+    with netCDF4.Dataset(tmp_path / "data" / "archive" / "toy.nc") as file:
+        table = {name: np.ma.filled(file[f"orbits/{name}"][:], np.nan) for name in ("swing_rate", "period")}
+        words = dict(zip(walkers, file["orbits/gait"][:].tolist(), strict=True))
+    np.testing.assert_array_equal(table["swing_rate"], [{"E": np.nan, "F": -0.1}[name] for name in walkers])
+    assert words == {"E": "", "F": "long"} and table["period"].tolist() == [0.2, 0.2]
+    toy("verify", "data/archive/toy.nc")
+
+
 @pytest.mark.parametrize(
     ("failure", "full", "error"),
     [

@@ -105,5 +105,8 @@ def fit_atlas(params, inputs):
 
 
 def orbit(params, inputs):
-    """A table per line."""
-    return {"orbits/slope": params["slope"], "orbits/period": params["slope"] * 2}
+    """A table per line, that of walker F with a number and a word more."""
+    slope = params["slope"]
+    more = {"orbits/swing_rate": -slope, "orbits/gait": np.full(len(slope), "long")}
+    own = more if params["line"]["walker"] == "F" else {}
+    return {"orbits/slope": slope, "orbits/period": slope * 2, **own}
