@@ -112,9 +112,12 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
             problem.walker, [part * scale for part in stride.motion], stride.impact * scale, times, np.exp(X[m])
         )["least_normal_force"]
 
-    inside = (branch.q >= np.log(low)) & (branch.q <= np.log(high))
-    near = np.nonzero(np.convolve(inside, np.ones(3), "same"))[0]  # and a node either side
-    force = np.full(len(inside), np.nan)
+    ends = np.sort([branch.q[1:], branch.q[:-1]], axis=0)
+    meets = (ends[0] <= np.log(high)) & (ends[1] >= np.log(low))  # segments: a window may lie within one
+    near = np.nonzero(np.convolve(meets, np.ones(2)))[0]
+    if not len(near):
+        return []
+    force = np.full(len(branch.q), np.nan)
     force[near] = least(branch.Z[near, : m + 1].T, branch.Z[near, m + 1 :].T)
     records: list[dict[str, float | str]] = []
     for segment in np.nonzero(force[1:] * force[:-1] < 0)[0]:

@@ -394,3 +394,14 @@ def test_where_contact_is_lost_the_second_derivation_finds_no_force_left(name):
         rates = [gait["stance_rate"], gait["thigh_rate"], gait["shank_rate"]][: 3 if model.knees else 2]
         force = model.step(gait["stance_angle"], rates, point["slope"], samples=4001).force[:, 1]
         assert abs(force.min()) < 1e-6 * problem.walker.total_mass * problem.walker.g
+
+
+def test_contact_is_lost_in_a_window_however_narrow():
+    problem, found = branches("E")
+    wide = [(b, p) for b in found for p in contact_lost(problem, b, 0.2, 0.4)]
+    assert wide
+    for branch, point in wide:
+        low, high = point["slope"] * (1 - 1e-9), point["slope"] * (1 + 1e-9)
+        assert not np.any((np.exp(branch.q) > low) & (np.exp(branch.q) < high))
+        assert point in contact_lost(problem, branch, low, high)
+        assert contact_lost(problem, branch, 0.49, 0.4900001) == []
