@@ -128,7 +128,8 @@ def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, A
         slopes = study.slope
         window = {"slope_from": float(slopes.min()), "slope_to": float(slopes.max()), "n": len(slopes)}
         return {"line": line, **window, **study.options}
-    params = {"line": line, "slope": study.slope, "gaits": study.gaits, **study.options}
+    own = {} if name == "trace" else study.options  # whose `steps` may be those of orbits
+    params = {"line": line, "slope": study.slope, "gaits": study.gaits, **own}
     if name == "design" and study.plane:
         params["cell"] = study.plane.cell({key: float(values[0]) for key, values in line["set"].items()})
     return params

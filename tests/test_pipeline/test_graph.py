@@ -42,6 +42,13 @@ def test_what_depends_on_a_task_is_in_its_depth_and_urgency(make):
     assert after["atlas"] == max(seconds["points"] + after["points"], seconds["landmarks"])
 
 
+@pytest.mark.parametrize("kind", ["orbit", "basin", "cascade"])
+def test_the_motion_over_a_step_does_not_depend_on_how_many_an_orbit_has(make, kind):
+    study = make(kind=kind, want={"figures": ["angles"]}, options={"steps": 30})
+    nodes = graph.expand(study).values()
+    assert {name: parameters.get("steps") for name, parameters, _ in nodes} == {"atlas": None, kind: 30, "trace": None}
+
+
 def test_claims_wait_for_the_task_of_their_study_though_that_needs_no_atlas(make):
     layers = graph.layers(make(kind="census", walker="D", axes={"slope": [0.01]}, want={"claims": ["G1"]}))
     assert graph.depths(layers) == {"census": 1, "claims": 2}
