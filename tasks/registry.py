@@ -276,7 +276,6 @@ FITS = ("scaling", "transition", "landmarks", "crises")
 #: Names a study's `figures` may hold.
 FIGURES = tuple(name for name in READS if name not in FITS)
 
-
 #: Tasks whose tables claims read beside those of the study's own task, and tasks whose results are in no table.
 READ_BY_CLAIMS, INTERNAL = {"K2": ("corners",)}, ("atlas", "points", "corners")
 
@@ -359,9 +358,10 @@ FOLLOWED = ("fold", "flip", "end_kneestrike_at_heelstrike", "end_tangential_heel
 #: What is known of gaits of one step only: what a study of longer ones cannot want.
 OF_ONE_STEP = ("transition", "landmarks", "crises", "angles", "claims", "proved", "proved_radius")
 
-#: Figures that only one kind of study can show.
-SHOWN_BY = {name: name for name in ("basin", "design", "census", "cascade")}
-SHOWN_BY |= {"locus": "branch", "bifurcation": "orbit", "curves": "curve"}
+#: Figures and fits that need a study of one kind, and what reads tasks over lines, which designs have not.
+NEEDED_KINDS = {name: name for name in ("basin", "design", "census", "cascade")}
+NEEDED_KINDS |= {"locus": "branch", "bifurcation": "orbit", "curves": "curve", "scaling": "grid", "transition": "grid"}
+OVER_LINES = ("landmarks", "crises", "angles", *READ_BY_CLAIMS)
 
 #: Claims of the ledger.
 CLAIMS = tuple(

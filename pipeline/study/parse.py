@@ -24,7 +24,7 @@ from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
 from tasks import accuracy as accuracies
 from tasks import registry
-from tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, SHOWN_BY, TASKS, VARIABLES
+from tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KINDS, TASKS, VARIABLES
 
 #: Tasks that are not kinds of study.
 _INTERNAL_TASKS = ("atlas", "points", "trace", *registry.FITS)
@@ -325,20 +325,17 @@ def variables(value: object, location: Location, asked: float = 0.0) -> tuple[st
 def _want(value: object, kind: str, asked: float, location: Location) -> dict[str, tuple[str, ...]]:
     table = _table(value, ("variables", "fits", "figures", "claims"), location)
     wanted = variables(table.get("variables"), location.at("variables"), asked)
-    names = {key: _free_names(table.get(key, []), location.at(key)) for key in ("fits", "figures", "claims")}
-    for fit in names["fits"]:
-        if fit not in TASKS:
-            raise location.at("fits").unknown(fit, registry.FITS)
-    for figure in names["figures"]:
-        if figure not in FIGURES:
-            raise location.at("figures").unknown(figure, FIGURES)
-        if SHOWN_BY.get(figure, kind) != kind:
-            raise location.at("figures").error(
-                f"`{figure}` shows a study of kind `{SHOWN_BY[figure]}`; this one is `{kind}`"
-            )
-    for claim in names["claims"]:
-        if claim not in CLAIMS:
-            raise location.at("claims").unknown(claim, CLAIMS)
+    names: dict[str, tuple[str, ...]] = {}
+    for key, known in (("fits", registry.FITS), ("figures", FIGURES), ("claims", CLAIMS)):
+        place = location.at(key)
+        names[key] = _free_names(table.get(key, []), place)
+        for name in names[key]:
+            if name not in known:
+                raise place.unknown(name, known)
+            if NEEDED_KINDS.get(name, kind) != kind:
+                raise place.error(f"`{name}` needs a study of kind `{NEEDED_KINDS[name]}`; this one is `{kind}`")
+            if kind == "design" and name in registry.OVER_LINES:
+                raise place.error(f"`{name}` needs a study of another kind than `design`")
     return {"variables": wanted, **names}
 
 

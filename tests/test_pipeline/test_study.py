@@ -84,7 +84,8 @@ WRONG = {
         'fits = ["scalng"]': "Unknown name `scalng`, did you mean `scaling`? (s.toml, want.fits).",
         'fits = ["power_law"]': "Unknown name `power_law`, known: scaling, transition, landmarks, crises (s.toml, want.fits).",
         'figures = ["loglg"]': "Unknown name `loglg`, did you mean `loglog`? (s.toml, want.figures).",
-        'figures = ["locus"]': "`locus` shows a study of kind `branch`; this one is `grid` (s.toml, want.figures).",
+        'fits = ["branch"]': "Unknown name `branch`, known: scaling, transition, landmarks, crises (s.toml, want.fits).",
+        'figures = ["locus"]': "`locus` needs a study of kind `branch`; this one is `grid` (s.toml, want.figures).",
         'claims = ["E22"]': "Unknown name `E22`, did you mean `E2`? (s.toml, want.claims).",
     },
     "seconds = 5": {"seconds = 0": "`seconds` must be > 0 and at most 1e6 s; got 0.0 (s.toml, limits.seconds)."},
@@ -159,6 +160,22 @@ def test_a_wrong_study_is_answered_in_one_helpful_line(write, line, wrong, said)
 def test_a_wrong_option_is_answered_in_one_helpful_line(write, kind, option, said):
     with pytest.raises(StudyError) as error:
         parse.read(write(f'name = "s"\nkind = "{kind}"\nwalker = "E"\n[axes]\nslope = [0.01]\n[options]\n{option}\n'))
+    assert str(error.value) == said
+
+
+@pytest.mark.parametrize(
+    ("kind", "want", "said"),
+    [
+        ("branch", 'fits = ["scaling"]', "`scaling` needs a study of kind `grid`; this one is `branch` (s.toml, want.fits)."),
+        ("orbit", 'fits = ["transition"]', "`transition` needs a study of kind `grid`; this one is `orbit` (s.toml, want.fits)."),
+        ("design", 'fits = ["landmarks"]', "`landmarks` needs a study of another kind than `design` (s.toml, want.fits)."),
+        ("design", 'figures = ["angles"]', "`angles` needs a study of another kind than `design` (s.toml, want.figures)."),
+        ("design", 'claims = ["K2"]', "`K2` needs a study of another kind than `design` (s.toml, want.claims)."),
+    ],
+)  # fmt: skip
+def test_what_a_kind_of_study_cannot_show_is_refused(write, kind, want, said):
+    with pytest.raises(StudyError) as error:
+        parse.read(write(f'name = "s"\nkind = "{kind}"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n[want]\n{want}\n'))
     assert str(error.value) == said
 
 
