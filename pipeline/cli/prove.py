@@ -132,25 +132,28 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
             raise ArchiveError(f"{path} holds no gaits to prove: it has no {missing[0] if missing else 'gait'}.")
         if "steps" in file.ncattrs():
             raise ArchiveError(f"{path} holds gaits of {int(file.steps)} steps; proofs are of gaits of one step.")
+        dims, names = file["status"].dimensions, [n for n in _VALUES if n in file.variables]
         try:
-            tables = json.loads(file.provenance)["walkers"]
-        except (ValueError, KeyError, TypeError) as error:
+            provenance = json.loads(file.provenance)
+            tables, varied = provenance["walkers"], {key: file[key] for key in provenance["varied"]}
+        except (ValueError, LookupError, TypeError) as error:
             raise ArchiveError(f"{path} does not say which walker it is of.") from error
         status = np.ma.getdata(file["status"][...])
         solved = [ALL_STATUSES[k] for k in ("converged", "less_accurate") if k in ALL_STATUSES]
         places = np.argwhere(np.isin(status, solved))
         if sample is not None and sample < len(places):
             places = places[np.sort(np.random.default_rng(_DRAW).choice(len(places), sample, replace=False))]
-        dims, names = file["status"].dimensions, [n for n in _VALUES if n in file.variables]
         coordinates = {d: file[d][...] for d in dims}
         for index in map(tuple, places.tolist()):
             at = {d: _item(coordinates[d][i]) for d, i in zip(dims, index, strict=True)}
-            keys = {d: v for d, v in at.items() if d not in ("walker", "slope", "gait")}
-            number = index[dims.index("walker")] if "walker" in dims else 0
+            place = dict(zip(dims, index, strict=True))
             yield {
                 "at": at,
-                "walker": tables[number],
-                "set": keys,
+                "walker": tables[place.get("walker", 0)],
+                # What an axis such as `detuning` moves is stored key by key.
+                "set": {
+                    key: float(values[tuple(place[d] for d in values.dimensions)]) for key, values in varied.items()
+                },
                 "slope": at["slope"],
                 "gait": at["gait"],
                 "values": {n: float(np.ma.filled(file[n][index], np.nan)) for n in names},

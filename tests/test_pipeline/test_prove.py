@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+from decimal import Decimal
 from pathlib import Path
 
 import netCDF4
@@ -10,6 +11,7 @@ import pytest
 from pipeline.cli import prove
 from pipeline.cli.commands import main
 from pipeline.study import parse
+from tasks.walkers.resolve import resolve
 
 STUDY = """name = "small"
 walker = ["D", "B"]
@@ -159,6 +161,15 @@ def proved_at_all_points(tmp_path, capsys, walker, axes="slope = [0.01]"):
 def test_straight_legs_have_no_time_of_kneestrike(tmp_path, capsys):
     gaits = proved_at_all_points(tmp_path, capsys, '"E"')
     assert [gait["events"] for gait in gaits] == [["legs_pass", "heelstrike"]] * 2
+
+
+@pytest.mark.parametrize(("walker", "key"), [('["A"]', "detuning"), ('"D"', "foot_mass_ratio"), ('"B"', "R")])
+def test_gaits_along_an_axis_of_any_key_are_proved(tmp_path, capsys, walker, key):
+    gaits = proved_at_all_points(tmp_path, capsys, walker, f"slope = [0.01]\n{key} = [0.01]")
+    meant = resolve("".join(json.loads(walker)), {key: 0.01}).table()
+    assert {gait["at"][key] for gait in gaits} == {0.01}
+    for gait in gaits:
+        assert all(float(Decimal(gait["walker"][name])) == meant[name] for name in ("R", "m_s", "m_t", "c_t", "r_s"))
 
 
 def alter(path, name, change):
