@@ -47,4 +47,4 @@ def _in_doubles(walker: Any) -> Any:
     """A table whose numbers are written as strings, in doubles."""
     if isinstance(walker, str):
         return walker
-    return {k: float(v) if isinstance(v, str) and k not in ("units", "base") else v for k, v in walker.items()}
+    return {k: float(v) if isinstance(v, str) and k not in ("units", "base", "name") else v for k, v in walker.items()}

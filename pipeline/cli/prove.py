@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -78,10 +76,8 @@ def walker(one: str, slope: str, keys: Mapping[str, str | bool], gait: str | Non
     if gait is not None and gait not in GAITS:
         raise Location("", "gait").unknown(gait, GAITS)
     table = files.walker(one, Path())
-    if isinstance(table, dict):  # again, with every digit
-        written = tomllib.loads(Path(one).read_text(encoding="utf-8"), parse_float=Decimal)["walker"]
-        table = {k: str(v) if isinstance(v, Decimal) else v for k, v in written.items()}
-        ask("check_walker", {"walker": files.walker(one, Path())})
+    ask("check_walker", {"walker": table})
+    table = files.walker(one, Path(), number=str)  # with every digit
     return ask("prove", {"walker": table, "slope": slope, "set": dict(keys), "gait": gait, "accuracy": accuracy})
 
 

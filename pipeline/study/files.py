@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,8 @@ from pipeline.study.location import Location, clip
 _MAX_BYTES, _MAX_BASES = 1 << 20, 8
 
 
-def read_toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
-    """Read a TOML file and return its text and table; errors call it `shown`.
+def read_toml(path: Path, shown: str, number: Callable[[str], Any] = float) -> tuple[str, dict[str, Any]]:
+    """Read a TOML file and return its text and table, with decimals read by `number`; errors call it `shown`.
 
     Raises
     ------
@@ -28,7 +29,7 @@ def read_toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
         if path.stat().st_size > _MAX_BYTES:
             raise StudyError(f"{shown} is larger than 1 MiB.")
         text = path.read_text(encoding="utf-8")
-        return text, tomllib.loads(text)
+        return text, tomllib.loads(text, parse_float=number)
     except (OSError, ValueError) as error:
         # A TOML error may quote control characters or a path with a null byte.
         detail = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
@@ -37,7 +38,12 @@ def read_toml(path: Path, shown: str) -> tuple[str, dict[str, Any]]:
         raise StudyError(f"{shown} is nested too deeply.") from error
 
 
-def walker(value: str | dict[str, Any], folder: Path, location: Location | None = None) -> str | dict[str, Any]:
+def walker(
+    value: str | dict[str, Any],
+    folder: Path,
+    location: Location | None = None,
+    number: Callable[[str], Any] = float,
+) -> str | dict[str, Any]:
     """Name of a catalogue walker, or the table of a walker.
 
     Parameters
@@ -47,6 +53,8 @@ def walker(value: str | dict[str, Any], folder: Path, location: Location | None 
     folder : Path
     location : Location, optional
         Place of the value in a study.
+    number : callable
+        What reads the decimals of files.
 
     Raises
     ------
@@ -68,14 +76,16 @@ def walker(value: str | dict[str, Any], folder: Path, location: Location | None 
             if table not in catalogue:
                 raise location.unknown(table, [*catalogue, "or a file FILE.toml"])
             return table
-        table, folder = _walker_file(table, folder, location)
+        table, folder = _walker_file(table, folder, location, number)
     raise location.error(f"{clip(str(table))} is based on more than {_MAX_BASES} other files")
 
 
-def _walker_file(name: str, folder: Path, location: Location) -> tuple[dict[str, Any], Path]:
+def _walker_file(
+    name: str, folder: Path, location: Location, number: Callable[[str], Any]
+) -> tuple[dict[str, Any], Path]:
     """The [walker] table of a file, and the folder to which its own `base` is relative."""
     try:
-        _, table = read_toml(folder / name, name)
+        _, table = read_toml(folder / name, name, number)
     except StudyError as error:
         raise location.error(str(error)) from error
     if not isinstance(table.get("walker"), dict):

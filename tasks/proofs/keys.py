@@ -11,6 +11,7 @@ from flint import arb, ctx, fmpq
 
 from tasks.proofs.body import Number
 from tasks.walkers.catalogue import CATALOGUE
+from tasks.walkers.resolve import straight
 from tasks.walkers.walker import NUMBERS
 
 #: Bits of derived keys: more than any proof's.
@@ -29,14 +30,14 @@ def decimal(value: Any) -> fmpq:
 
     Parameters
     ----------
-    value : str, int or float
+    value : str, int, Fraction or float
         A float means the shortest decimal that is read as it.
 
     Returns
     -------
     fmpq
     """
-    return _rational(Fraction(value if isinstance(value, str | int) else repr(float(value))))
+    return _rational(Fraction(value if isinstance(value, str | int | Fraction) else repr(float(value))))
 
 
 def double(value: Any) -> fmpq:
@@ -74,6 +75,8 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
     overrides, table = dict(overrides or {}), {} if isinstance(walker, str) else dict(walker)
     base = walker if isinstance(walker, str) else table.pop("base", None)
     keys, kneed = _named(base) if base is not None else (_DEFAULT, False)
+    if base is None and table.get("knees") is False:
+        table = straight({"R": 0, **table} | {key: Fraction(table[key]) for key in ("l", "R") if key in table})
     overrides = {**{key: table.pop(key) for key in ("detuning", "foot_mass_ratio") if key in table}, **overrides}
     keys, kneed = _changed(keys, kneed, table)
     if "detuning" in overrides:

@@ -6,6 +6,7 @@ import difflib
 import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ def from_table(table: Mapping[str, Any]) -> Walker:
     values = {key: value for key, value in table.items() if key != "name"}
     base = values.pop("base", None)
     if base is None and values.get("knees") is False:
-        values = _straight(values)
+        values = straight(values)
     _check_names(values, KEYS, KEYS)
     if base is not None:
         return replace(from_catalogue(base), **values)
@@ -51,18 +52,29 @@ _ZERO_IF_STRAIGHT = ("w_t", "w_s", "eps_T")
 _ONE_LINK = {"m": "m_t", "c": "c_t", "w": "w_t", "r": "r_t"}
 
 
-def _straight(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of straight legs with both links: what is zero by default, and a leg of one link as thigh and shank."""
+def straight(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of straight legs with both links: what is zero by default, and a leg of one link as thigh and shank.
+
+    Parameters
+    ----------
+    values : mapping
+        A `[walker]` table without `base`; `l` and `R` may be fractions.
+
+    Raises
+    ------
+    WalkerError
+        If keys of both kinds of leg are mixed, or a length is no number.
+    """
     given = dict(values)
     if "l" in given:
         mixed = [key for key in given if key in KEYS and key not in ("R", "m_h", "g", "knees", "units")]
         if mixed:
             raise WalkerError(mixed[0], given[mixed[0]], "does not go with `l`, the length of a leg of one link")
         length, radius = given.pop("l"), given.get("R", 0.0)
-        if not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in (length, radius)):
+        if not all(isinstance(v, (int, float, Fraction)) and not isinstance(v, bool) for v in (length, radius)):
             raise WalkerError("l", repr(length), "must be a number")
         links = {_ONE_LINK[key]: given.pop(key) for key in _ONE_LINK if key in given}
-        halves = {"l_t": 0.5 * length, "l_s": 0.5 * length + radius, "m_s": 0.0, "c_s": 0.0, "r_s": 0.0}
+        halves = {"l_t": length / 2, "l_s": length / 2 + radius, "m_s": 0.0, "c_s": 0.0, "r_s": 0.0}
         given = {**halves, "R": radius, "r_t": 0.0, **links, **given}
     return {**dict.fromkeys(_ZERO_IF_STRAIGHT, 0.0), **given}
 

@@ -86,6 +86,30 @@ def test_a_walker_file_keeps_every_digit(capsys, tmp_path):
     assert json.loads(out)[0]["walker"]["m_s"] == "0.10000000000000000000001"
 
 
+ONE_LINK = "knees = false\nm = 1.0\nc = 0.3\nr = 0.2\nl = 0.8\nR = 0.1\nm_h = 5"
+
+
+@pytest.mark.parametrize(
+    ("keys", "known"),
+    [
+        ('base = "first.toml"\nm_s = 0.1', {"m_s": "0.1", "R": "0.10000000000000000000001"}),
+        ('base = "E"\nname = "mine"', {"R": "0"}),
+        (ONE_LINK, {"l_t": "0.4", "l_s": "0.5", "c_t": "0.3", "w_s": "0", "m_h": "5"}),
+        (ONE_LINK.replace("R = 0.1", "R = 0"), {"l_s": "0.4", "R": "0"}),
+    ],
+)
+def test_a_walker_file_that_solve_takes_is_proved(capsys, tmp_path, monkeypatch, keys, known):
+    monkeypatch.chdir(tmp_path)
+    Path("first.toml").write_text('[walker]\nbase = "E"\nR = 0.10000000000000000000001\n')
+    Path("mine.toml").write_text(f"[walker]\n{keys}\n")
+    code, out, _ = run(capsys, "--walker", "mine.toml", "--slope", "0.01", "--gait", "long", "--json")
+    (gait,) = json.loads(out)
+    assert code == 0 and gait["proved"]
+    assert {key: gait["walker"][key] for key in known} == known
+    assert main(["solve", "--walker", "mine.toml", "--slope", "0.01", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["stance_angle"] == pytest.approx(gait["stance_angle"], rel=1e-12)
+
+
 def test_no_gait_is_exit_code_1(capsys):
     code, out, err = run(capsys, "--walker", "physical-straight", "--slope", "0.015", "--json")
     assert (code, json.loads(out)) == (1, [])
