@@ -28,7 +28,7 @@ def read_toml(path: Path, shown: str, number: Callable[[str], Any] = float) -> t
             raise StudyError(f"{shown} is not a file." if path.exists() else f"There is no file {shown}.")
         if path.stat().st_size > _MAX_BYTES:
             raise StudyError(f"{shown} is larger than 1 MiB.")
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         return text, tomllib.loads(text, parse_float=number)
     except (OSError, ValueError) as error:
         # A TOML error may quote control characters or a path with a null byte.

@@ -354,9 +354,11 @@ def _limits(table: Mapping[str, Any], top: Location) -> Limits:
     memory = limits.get("memory", Limits.memory)
     match = re.fullmatch(r"(\d+(?:\.\d+)?) ?([A-Za-z]*)", memory) if isinstance(memory, str) else None
     if match and match[2] in _UNITS:
-        memory = int(float(match[1]) * _UNITS[match[2]])
+        memory = int(min(float(match[1]) * _UNITS[match[2]], 1 << 51))
     if isinstance(memory, bool) or not isinstance(memory, int) or not 1 << 26 <= memory <= 1 << 50:
-        raise location.at("memory").wrong('must be at least 64 MiB, as in "2 GiB"', limits.get("memory"))
+        raise location.at("memory").wrong(
+            'must be at least 64 MiB and at most 1024 TiB, as in "2 GiB"', limits.get("memory")
+        )
     return Limits(seconds, memory)
 
 

@@ -90,7 +90,9 @@ WRONG = {
     },
     "seconds = 5": {"seconds = 0": "`seconds` must be > 0 and at most 1e6 s; got 0.0 (s.toml, limits.seconds)."},
     'memory = "1.5 GiB"': {
-        'memory = "2 GB/s"': "`memory` must be at least 64 MiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory).",
+        'memory = "2 GB/s"': "`memory` must be at least 64 MiB and at most 1024 TiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory).",
+        f'memory = "{"9" * 400} GiB"': '`memory` must be at least 64 MiB and at most 1024 TiB, as in "2 GiB";'
+        f" got '{'9' * 56} (s.toml, limits.memory).",
         'memory = "2 GiB"\n[options]\nstarts = 3': "Unknown key `starts`, known: friction_limit, steps (s.toml, options).",
         'memory = "2 GiB"\n[options]\nfriction_limit = 0': "`friction_limit` must be above 0; got 0"
         " (s.toml, options.friction_limit).",
@@ -187,6 +189,14 @@ def test_a_key_that_leaves_no_walker_to_follow_is_refused(write):
         "`c_s` = -0.5 leaves no walker: `m_s` may vanish only off the hip: the swing leg has no"
         " inertia; got 0.0 (s.toml, options.from)."
     )
+
+
+def test_a_byte_order_mark_is_no_part_of_a_study(write, tmp_path):
+    (tmp_path / "mine.toml").write_text('[walker]\nbase = "E"\n', encoding="utf-8-sig")
+    text = GOOD.replace('"E"', '"mine.toml"')
+    write(text).write_text(text, encoding="utf-8-sig")
+    found = parse.read(tmp_path / "s.toml")
+    assert found.text == text and found.walkers == ({"base": "E"},)
 
 
 def axis(write, text, name="R"):
