@@ -63,7 +63,7 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--chunk", type=kinds.count, metavar="N", help="points in a chunk (default: about a second of work)")
     c.add_argument(
         "--snapshot",
-        type=kinds.number,
+        type=kinds.interval,
         default=60.0,
         metavar="SECONDS",
         help="minimum interval at which a running study publishes its archive (default 60)",

@@ -37,6 +37,13 @@ def number(text: str) -> float:
         raise ArgumentTypeError(f"must be a number; got {text}") from None
 
 
+def interval(text: str) -> float:
+    """A time between two events."""
+    if not number(text) >= 0:  # nan
+        raise ArgumentTypeError(f"must be at least 0 s; got {text}")
+    return float(text)
+
+
 def tolerance(text: str) -> tuple[str, float]:
     """A relative tolerance, of all variables or of one."""
     name, _, value = text.rpartition("=")

@@ -29,9 +29,9 @@ def connect(address: str) -> Iterator[Any]:
     WorkerError
         If no scheduler or no worker answers.
     """
-    local = re.fullmatch(r"local:(\d{1,3})", address)
+    local = re.fullmatch(r"local:([1-9]\d{0,2})", address)
     if not local and not re.match(r"(tcp|tls|ws|wss)://.", address):
-        raise StudyError(f"`--cluster` must be tcp://HOST:PORT or local:N; got {address}.")
+        raise StudyError(f"`--cluster` must be tcp://HOST:PORT or local:N, N from 1 to 999; got {address}.")
     try:
         import distributed
     except ImportError as error:
@@ -47,9 +47,7 @@ def connect(address: str) -> Iterator[Any]:
         try:
             if local:
                 address = stack.enter_context(
-                    distributed.LocalCluster(
-                        n_workers=max(1, int(local[1])), threads_per_worker=1, dashboard_address=None
-                    )
+                    distributed.LocalCluster(n_workers=int(local[1]), threads_per_worker=1, dashboard_address=None)
                 ).scheduler_address
             client = stack.enter_context(distributed.Client(address, timeout=_TIMEOUT, set_as_default=False))
             client.wait_for_workers(1, timeout=_TIMEOUT)

@@ -97,7 +97,7 @@ def _check_names(values: Mapping[str, Any], known: Iterable[str], suggested: Ite
     """Raise WalkerError at the first key that is not known."""
     for key in values:
         if key not in known:
-            near = difflib.get_close_matches(key, list(suggested), 1)
+            near = difflib.get_close_matches(key, [name for name in suggested if name != key], 1)
             raise WalkerError(
                 key, values[key], "is not a walker key" + (f" (did you mean `{near[0]}`?)" if near else "")
             )

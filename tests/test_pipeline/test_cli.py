@@ -134,7 +134,21 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
             "Argument --jobs: must be at most 1,000; got 1001 (gaitsweep run --help).",
         ),
         (["run", "s.toml", "--archive", "s.toml/x.nc"], "s.toml cannot be written: File exists."),
-        (["run", "s.toml", "--cluster", "nowhere"], "`--cluster` must be tcp://HOST:PORT or local:N; got nowhere."),
+        (
+            ["run", "s.toml", "--cluster", "nowhere"],
+            "`--cluster` must be tcp://HOST:PORT or local:N, N from 1 to 999; got nowhere.",
+        ),
+        (
+            ["run", "s.toml", "--cluster", "local:0"],
+            "`--cluster` must be tcp://HOST:PORT or local:N, N from 1 to 999; got local:0.",
+        ),
+        *(
+            (
+                ["run", "s.toml", "--snapshot", seconds],
+                f"Argument --snapshot: must be at least 0 s; got {seconds} (gaitsweep run --help).",
+            )
+            for seconds in ("nan", "-5")
+        ),
         (["plan", "s.toml", "s.toml"], "Two studies are called toy."),
         (["verify", "none.nc"], "There is no archive none.nc."),
         (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
@@ -148,6 +162,10 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
         (
             ["solve", "--walker", "E", "--slope", "0.01", "--set", "foot_mass_ratio=0.1", "--set", "m_h=1"],
             "`m_h` is set by `foot_mass_ratio`, which owns m_t, m_s, m_h; got 1.0.",
+        ),
+        (
+            ["solve", "--walker", "E", "--slope", "0.01", "--set", "slope=3"],
+            "`slope` is not a walker key; got 3.0.",
         ),
         (["frobnicate"], None),
     ],
