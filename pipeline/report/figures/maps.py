@@ -259,7 +259,7 @@ def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
     if not (keys := parameters(source, walker, settings)) or "slope" not in row:
         return {}
     start = {"free": True, "slope": float(row["slope"])}
-    if "swing_rate" in row:
+    if np.isfinite(row.get("swing_rate", np.nan)):
         start["ratio"] = float(row["swing_rate"] / row["stance_rate"])
     return {"at": {"walker": walker, **settings}, "keys": keys, "command": source.command(walker, settings), **start}
 
