@@ -1,5 +1,7 @@
 """What the README and docs show is true: links, options, studies, walkers and the output printed beside them."""
 
+import json
+import math
 import pkgutil
 import re
 import subprocess
@@ -10,6 +12,7 @@ import tomllib
 import numpy as np
 import pytest
 
+import pipeline
 from conftest import ROOT
 from pipeline.archive.citation import PAPER
 from pipeline.cli import commands
@@ -85,6 +88,30 @@ def test_the_studies_shown_can_be_run(tmp_path):
     assert mine.checks[0]["kneed"] and mine.checks[0]["si"] and mine.points == 900
     (readme,) = blocks("README.md", "toml")
     assert parse.parse(tomllib.loads(readme), readme, tmp_path / "s.toml").points == 400
+
+
+def test_the_walker_shown_has_an_infinite_friction_demand(tmp_path, capsys):
+    (walker, _) = blocks("docs/your-own-walker.md", "toml")
+    (tmp_path / "mine.toml").write_text(walker)
+    solve = ["solve", "--walker", str(tmp_path / "mine.toml"), "--slope", "0.03"]
+    commands.main(solve)
+    long = capsys.readouterr().out.partition("short (")[0]
+    assert "contact_tension, friction" in long and re.search(r"friction_demand_kneestrike +inf$", long, re.M)
+    commands.main([*solve, "--json"])
+    gaits = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert float(gaits[0]["friction_demand_kneestrike"]) == math.inf
+
+
+def test_the_studies_of_figure_3_and_of_designs_say_what_is_true():
+    (physical, straight) = (pipeline.solve(name, 0.036)["stable"].any() for name in ("physical", "physical-straight"))
+    said = (ROOT / "data/studies/paper/figure3.toml").read_text()
+    assert physical and not straight
+    assert "a stable one with free knees, and one with locked knees, which is unstable" in said
+    said = " ".join((ROOT / "data/studies/paper/design.toml").read_text().replace("#", "").split())
+    low, high = map(float, re.search(r"no gait between slopes ([\d.]+) and ([\d.]+)\.", said).groups())
+    slopes = [low - 1e-4, low + 1e-4, 0.1, high - 1e-4, high + 1e-4]
+    walks = (pipeline.gaits("physical", slopes).status == 0).any("gait").values
+    assert walks.tolist() == [True, False, False, False, True]
 
 
 def test_the_readme_shows_what_the_command_prints(capsys):
