@@ -167,6 +167,6 @@ def _flags(bits: Any) -> list[str] | None:
 
 
 def _plain(x: Any) -> Any:
-    """A Python number, or None where a quantity is absent."""
+    """A Python number, or None where a quantity is absent; a friction demand may be infinite."""
     x = x.item()
-    return None if isinstance(x, float) and not np.isfinite(x) else x
+    return None if isinstance(x, float) and np.isnan(x) else x

@@ -302,7 +302,9 @@ def _solve(options: argparse.Namespace) -> int:
     for line in answer.get("search", []):
         terminal.say(line)
     if options.json:
-        print(json.dumps(answer["gaits"]))
+        # JSON has no infinite numbers; `float` reads the word.
+        gaits = [{k: "inf" if v == math.inf else v for k, v in gait.items()} for gait in answer["gaits"]]
+        print(json.dumps(gaits, allow_nan=False))
     else:
         from pipeline.cli import text
 

@@ -17,6 +17,9 @@ from pipeline.plan import costs
 from pipeline.plan.missing import Plan, Summary
 from tasks.registry import FITS, VARIABLES
 
+#: Units in degrees for those in radians; a rate of a walker in consistent units has the unit 1.
+_DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}
+
 
 def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
     """Describe a plan: for each task what runs and why, what is cached, and what is not requested."""
@@ -172,7 +175,7 @@ def gaits(all_gaits: Iterable[dict[str, Any]], units: dict[str, str], in_degrees
             elif isinstance(value, float):
                 unit = units.get(key, "1")
                 if in_degrees and (key == "slope" or (key in VARIABLES and VARIABLES[key].kind in ("angle", "rate"))):
-                    value, unit = math.degrees(value), "deg s-1" if unit == "rad s-1" else "deg"
+                    value, unit = math.degrees(value), _DEGREES[unit]
                 value = f"{value:.15g} {unit}".removesuffix(" 1")
             elif isinstance(value, list):
                 value = ", ".join(map(str, value)) or "none"

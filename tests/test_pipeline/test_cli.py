@@ -471,6 +471,11 @@ def test_solve_speaks_of_degrees_on_request(capsys):
         assert float(there) == pytest.approx(math.degrees(float(here)), rel=1e-13) and told == unit
 
 
+def test_degrees_of_a_rate_without_a_unit_of_time_are_no_angle(capsys):
+    gait = printed(capsys, "--walker", "D", "--slope", "0.5", "--degrees")
+    assert gait["stance_angle"].endswith(" deg") and gait["stance_rate"].endswith(" deg per unit of time")
+
+
 def test_solve_finds_gaits_of_several_steps(capsys):
     gait = printed(capsys, "--walker", "D", "--slope", "0.016", "--steps", "2")
     assert float(gait["period"]) == pytest.approx(2 * 3.88, abs=0.1) and gait["violations"] == "scuff"
