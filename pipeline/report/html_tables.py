@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.report.cells import Cell, cell, column_cells
+from pipeline.report.figures import landmarks as places
 from pipeline.report.figures import measured
 from pipeline.report.figures.starts import addresses
 from pipeline.report.figures.style import plain
@@ -159,9 +160,8 @@ def landmarks(source: Source) -> Table | None:
     heads = ["landmark", "walker", "point"]
     heads += ["printed γ (rad)", "computed γ (rad)", "from γ (rad)", "to γ (rad)", "θ* (rad)"]
     rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
-    note = "From, to: the slopes that the rounding of the printed parameters allows."
-    gaits = addresses(source, frame)
-    return Table("The paper's numbers beside the computed ones", heads, rows, note, gaits=gaits)
+    words, gaits = places.note(frame), addresses(source, frame)
+    return Table("The paper's numbers beside the computed ones", heads, rows, words, gaits=gaits)
 
 
 def residuals(source: Source) -> Table | None:

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from pipeline.report import cells
+from pipeline.report import cells, html_tables
 from pipeline.report.figures import FIGURES, design_maps, draw
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.cycle import traced_steps
@@ -145,6 +145,34 @@ def test_a_traced_step_ends_where_the_next_begins(sources):
 )
 def test_numbers_are_written_as_people_write_them(value, text):
     assert plain(value) == text
+
+
+def test_an_orbit_beyond_the_loss_of_walking_is_called_a_transient_and_each_interval_what_it_is(tmp_path):
+    slopes = np.array([0.0185, 0.019, 0.01906])
+
+    def page(walker, upto):
+        mark = {"landmark": [f"{walker} loss of walking"], "walker": [walker], "point": [""], "printed": [0.019],
+                "half_unit": [5e-4], "slope": [0.01904], "stance_angle": [np.nan],
+                "slope_low": [0.01803], "slope_high": [0.01905]}  # fmt: skip
+        rows = {"walker": [walker] * upto, "slope": slopes[:upto]}
+        orbits, survival = {"stance_angle": np.full(upto, 0.24)}, {"starts": [2] * upto, "strides": [1152] * upto}
+        text = f'name = "orbits"\nkind = "orbit"\nwalker = "{walker}"\n[axes]\nslope = [0.0185, 0.019, 0.01906]'
+        tables = {"orbits": rows | orbits, "crises": mark, "survival": rows | survival}
+        source = read(write(tmp_path / f"{walker}-{upto}.nc", text, {}, {}, {walker: KNEED}, tables))
+        drawing = draw(source, "bifurcation", "test")
+        return drawing.caption, html_tables.landmarks(source).note, drawing.svg
+
+    caption, note, svg = page("D", 3)
+    assert "beyond the loss of walking are transients, not yet fallen after 576 steps" in caption
+    assert "computed 0.01904 (between 0.01803 and 0.01905)" in caption and "by rounding" not in svg
+    assert "bracket" in note and "rounding" not in note + caption
+    assert "transients" not in page("D", 2)[0]
+    for walker, words, noted in (
+        ("C", "0.018–0.0191 with exact tuning", "allows (of C with exact tuning)."),
+        ("C-printed", "0.018–0.0191 with the parameters as printed", "parameters allows."),
+    ):
+        caption, note, svg = page(walker, 3)
+        assert words in caption and note.endswith(noted) and "allowed by rounding" in svg
 
 
 def test_a_design_map_leads_to_its_walkers(sources):

@@ -52,10 +52,11 @@ def bifurcation(source: Source) -> Sketch | None:
         marks.append(_marks(source, axes, rows, title(at)))
     _widen(panels, printed)
     every = pd.concat(printed, ignore_index=True)
+    rounded = landmarks.has_rounding(every)
     if len(every):
         keys = [
             Line2D([], [], color=PRINTED, lw=1.4, ls=(0, (5, 2)), label="printed"),
-            Line2D([], [], color=PRINTED, lw=7, alpha=0.25, label="allowed by rounding"),
+            *([Line2D([], [], color=PRINTED, lw=7, alpha=0.25, label="allowed by rounding")] * rounded),
             Line2D([], [], color=INK, lw=0.8, ls=(0, (1, 2)), label="computed"),
         ]
         figure.legend(handles=keys, loc="outside upper left", ncols=3)
@@ -63,6 +64,7 @@ def bifurcation(source: Source) -> Sketch | None:
         figure,
         "Bifurcation diagram",
         "Stance angles of successive steps after the transient; initial conditions that fall are left out."
+        + _transients(source, table)
         + landmarks.sentence(every),
         f"Bifurcation diagram: {len(table)} stance angles against slope from {plain(table['slope'].min())} to "
         f"{plain(table['slope'].max())} rad.",
@@ -71,12 +73,24 @@ def bifurcation(source: Source) -> Sketch | None:
     )
 
 
+def _transients(source: Source, table: pd.DataFrame) -> str:
+    """Sentence on the dots beyond the loss of walking: no attractor is left there, and the walker falls later."""
+    crises, survival = source.tables.get("crises"), source.tables.get("survival")
+    if crises is None or survival is None or not {"walker", "slope"} <= set(crises.columns):
+        return ""
+    names = table["walker"] if "walker" in table else pd.Series(source.walker, table.index)
+    beyond = table["slope"] > names.map(crises.groupby("walker")["slope"].max())
+    steps = int((survival["strides"] / survival["starts"]).max())
+    return f" Dots beyond the loss of walking are transients, not yet fallen after {steps} steps." * bool(beyond.any())
+
+
 def _widen(panels: np.ndarray[tuple[int], np.dtype[np.object_]], printed: list[pd.DataFrame]) -> None:
-    """Extend the shared slope axis so that every printed and computed landmark lies on it."""
+    """Extend the shared slope axis so that every printed and computed landmark lies on it, with its label."""
     values = pd.concat(printed)[["printed", "slope"]].to_numpy(float).ravel()
     left, right = panels[-1].get_xlim()
     if len(values):
-        panels[-1].set_xlim(min(left, values.min()), max(right, values.max() + 0.07 * (right - left)))
+        width = right - left
+        panels[-1].set_xlim(min(left, values.min() - 0.15 * width), max(right, values.max() + 0.25 * width))
 
 
 def _marks(source: Source, axes: Axes, rows: pd.DataFrame, name: str) -> Marks:

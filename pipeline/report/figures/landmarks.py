@@ -14,6 +14,11 @@ from pipeline.report.source import Source
 #: Columns of the tables of landmarks.
 _COLUMNS = ["landmark", "walker", "printed", "half_unit", "slope", "slope_low", "slope_high", "stance_angle"]
 
+#: Walkers of exact parameters, whose slopes have the bracket in which they are located instead of what rounding allows.
+_EXACT = ("B", "D", "E", "F")
+#: Walkers that are tuned exactly whatever their other parameters are rounded to.
+_TUNED = ("A", "C")
+
 
 def rows(source: Source, walker: str | None = None) -> pd.DataFrame:
     """Rows of the tables `landmarks` and `crises` with a printed number, of one walker or of all."""
@@ -83,15 +88,33 @@ def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> bool:
     return bool(len(table))
 
 
+def has_rounding(table: pd.DataFrame) -> bool:
+    """Whether a landmark of the table is of a walker with rounded parameters."""
+    return not table["walker"].isin(_EXACT).all()
+
+
 def sentence(table: pd.DataFrame) -> str:
     """The printed and computed slopes in words."""
     parts = []
     for row in table.itertuples():
-        interval = (
-            f", {plain(row.slope_low, 3)}–{plain(row.slope_high, 3)} with the parameters as printed"
-            if row.slope_high - row.slope_low > 1e-3 * row.slope
-            else ""
-        )
+        width, ends = row.slope_high - row.slope_low, (row.slope_low, row.slope_high)
+        interval = ""
+        if row.walker in _EXACT and width > 0:
+            interval = f" (between {plain(ends[0], 6)} and {plain(ends[1], 6)})"
+        elif width > 1e-3 * row.slope:
+            kept = "with exact tuning" if row.walker in _TUNED else "with the parameters as printed"
+            interval = f", {plain(ends[0], 3)}–{plain(ends[1], 3)} {kept}"
         printed = _as_printed(row.printed, row.half_unit)
         parts.append(f"{row.landmark}: printed {printed}, computed {plain(row.slope, 5)}{interval}")
-    return f" Purple: printed slopes, and the interval that rounding allows ({'; '.join(parts)})." if parts else ""
+    head = "printed slopes, and the interval that rounding allows" if has_rounding(table) else "printed slopes"
+    return f" Purple: {head} ({'; '.join(parts)})." if parts else ""
+
+
+def note(table: pd.DataFrame) -> str:
+    """What the ends of the landmarks' intervals are, for their table."""
+    names = set(table["walker"])
+    tuned, exact = (", ".join(sorted(names & set(group))) for group in (_TUNED, _EXACT))
+    kept = f" (of {tuned} with exact tuning)" if tuned else ""
+    parts = [f"the slopes that the rounding of the printed parameters allows{kept}"] if has_rounding(table) else []
+    parts += [f"of {exact}, whose parameters are exact, the bracket in which the slope is located"] if exact else []
+    return f"From, to: {'; '.join(parts)}."
