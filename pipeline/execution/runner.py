@@ -325,11 +325,11 @@ def _failed_tasks(plan: Plan) -> list[str]:
 
 
 def _summarise(plan: Plan, progress: Progress, written: write.Written, failed: list[str], path: Path) -> None:
-    total = "points" if plan.study.kind == "grid" else "lines"
+    what = "point" if plan.study.kind == "grid" else "line"
     by_status = ", ".join(f"{name} {n:,}" for name, n in written.counts.items())
     seconds = time.time() - progress.start
     n = sum(written.counts.values())
-    progress.say(f"{plan.study.name}: {n:,} {total} ({by_status}) in {duration(seconds)}; {path}")
+    progress.say(f"{plan.study.name}: {n:,} {what}{'' if n == 1 else 's'} ({by_status}) in {duration(seconds)}; {path}")
     for reason, n in written.failures.most_common(_MAX_REASONS):
         progress.say(f"  {n:,} x {reason} First: {written.examples[reason]}")
     if len(written.failures) > _MAX_REASONS:

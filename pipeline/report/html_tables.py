@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from pipeline.report.cells import Cell, cell, column_cells
 from pipeline.report.figures import landmarks as places
@@ -18,6 +19,9 @@ from pipeline.report.source import ANSWERS, Source, print_units
 
 #: Failed points listed on the page; the CSV file has all of them.
 MAX_ROWS = 60
+
+#: Answers for one gait of a point, from the lightest; a failure weighs more than any.
+_WEIGHTS = ("no_gait", "fell", "converged")
 
 #: Rows of the longest table that a page shows unfolded.
 _OPEN_ROWS = 20
@@ -212,14 +216,28 @@ def _decode(codes: np.ndarray, values: Sequence[Any] | np.ndarray) -> Any:
 
 
 def statuses(source: Source) -> list[tuple[str, int, float]]:
-    """Count and share of every status that occurs, in the order of the flag values."""
+    """Count and share of every status of points or lines that occurs, in the order of the flag values.
+
+    As `gaitsweep run` counts, the status of a point is a failure of any of its gaits, else the best answer of any.
+    """
     if "status" not in source.outcomes:
         return []
-    values, counts = np.unique(source.outcomes["status"].values, return_counts=True)
+    status = source.outcomes["status"]
+    values, counts = np.unique(_of_points(source, status) if "gait" in status.dims else status, return_counts=True)
     total = counts.sum()
     return [
         (source.statuses.get(int(v), str(v)), int(c), float(c / total)) for v, c in zip(values, counts, strict=True)
     ]
+
+
+def _of_points(source: Source, status: xr.DataArray) -> np.ndarray:
+    """Status of each point, from those of its gaits."""
+    codes, place = np.unique(status.values, return_inverse=True)
+    names = [source.statuses.get(int(code), "") for code in codes]
+    weights = [_WEIGHTS.index(n) if n in _WEIGHTS else len(_WEIGHTS) + k for k, n in enumerate(names)]
+    order = np.argsort(weights)
+    heaviest = np.argsort(order)[place.reshape(status.shape)].max(axis=status.dims.index("gait"))
+    return np.asarray(codes[order][heaviest])
 
 
 def outcome_sentence(source: Source) -> str:
@@ -231,22 +249,18 @@ def outcome_sentence(source: Source) -> str:
     what = source.whole + ("" if total == 1 else "s")
     grouped = f"{total:,}".replace(",", "\u202f")
     if set(counts) == {"converged"}:
-        return f"{'All ' if total > 1 else 'The '}{grouped + ' ' if total > 1 else ''}{what} converged."
+        return f"{ {1: 'The', 2: 'Both'}.get(total, f'All {grouped}') } {what} converged."
     parts = [f"{count:,}".replace(",", "\u202f") + f" {name.replace('_', ' ')}" for name, count in counts.items()]
     return f"Of {grouped} {what}: {', '.join(parts)}."
 
 
 def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
-    """Outcomes by status and reason: how many, and over which slopes."""
-    counts = statuses(source)
-    if not counts:
+    """Outcomes by status and reason: how many gaits or lines, and over which slopes."""
+    if "status" not in source.outcomes:
         return None
+    solved = source.outcomes["status"].size - len(absent)
     slopes = source.grid["slope"].values if "slope" in source.grid.coords else np.array([])
-    rows = [
-        [Cell("converged"), Cell(""), cell(count, True), *_range(slopes)]
-        for name, count, _ in counts
-        if name == "converged"
-    ]
+    rows = [[Cell("converged"), Cell(""), cell(solved, True), *_range(slopes)]] if solved else []
     for (status, reason), group in absent.groupby(["status", "reason"], sort=False, observed=True):
         rows.append(
             [
@@ -256,8 +270,8 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
                 *_range(group["slope"].to_numpy() if "slope" in group else np.array([])),
             ]
         )
-    caption = "Outcome at each grid point" if source.whole == "point" else "Outcomes by line"
-    return Table(caption, ["status", "reason", "count", "from γ (rad)", "to γ (rad)"], rows)
+    caption, what = ("Outcomes by gait", "gaits") if source.whole == "point" else ("Outcomes by line", "lines")
+    return Table(caption, ["status", "reason", what, "from γ (rad)", "to γ (rad)"], rows)
 
 
 def _range(slopes: np.ndarray) -> list[Cell]:

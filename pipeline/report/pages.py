@@ -38,7 +38,8 @@ _MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables"
 _RESERVED = ("index", "ledger")
 
 #: Entries of the run's record that a page shows; the record also names the computer, which a page does not.
-_RUN = ("began", "seconds", "jobs", "cluster", "version", "points", "failed", "exit_code", "account")
+_RUN = {name: name for name in ("began", "jobs", "cluster", "version", "points", "failed", "exit_code", "account")}
+_RUN |= {"seconds": "finished after (s)"}
 
 #: Points without a gait that the CSV file lists; the archive has all of them.
 _MAX_ABSENT = 20_000
@@ -214,7 +215,7 @@ def _study(environment: jinja2.Environment, page: Page) -> str:
         failures=html_tables.failures(page.absent),
         failed_tasks=html_tables.failed_tasks(page.source),
         walkers=html_tables.walkers(page.source),
-        run=html_tables.pairs({k: v for k, v in page.source.run.items() if k in _RUN}),
+        run=html_tables.pairs({_RUN[k]: v for k, v in page.source.run.items() if k in _RUN}),
         origin=_origin(page.source),
         provenance=html_tables.pairs(_rest(page.source)),
     )
@@ -267,9 +268,18 @@ def _origin(source: Source) -> str:
     parts = [f"gaitsweep {version}".strip()]
     parts += [f"{word} {str(record[key])[:12]}" for word, key in (("commit", "commit"), ("Python", "python"))
               if record.get(key)]  # fmt: skip
-    seconds, jobs = source.run.get("seconds"), source.run.get("jobs", "?")
-    parts += [f"{seconds:.3g} s with {jobs} workers"] if isinstance(seconds, float) else []
-    return ", ".join(parts)
+    return ", ".join([*parts, *_times(source.run)])
+
+
+def _times(run: dict[str, Any]) -> list[str]:
+    """Processor time of a study, and time from the start of its command, which may run other studies, to its end."""
+    account, seconds = run.get("account"), run.get("seconds")
+    own = account.get("workers_cpu") if isinstance(account, dict) else None
+    parts = [f"{own:.3g} s of processor time of its workers"] if isinstance(own, float) else []
+    jobs = run.get("jobs", "?")
+    workers = f"{jobs} worker{'' if jobs == 1 else 's'}"
+    parts += [f"finished {seconds:.3g} s after its command began, with {workers}"] if isinstance(seconds, float) else []
+    return parts
 
 
 def _rest(source: Source) -> dict[str, Any]:

@@ -297,7 +297,12 @@ def read(path: Path) -> Source:
     except (KeyError, TypeError, ValueError) as error:
         raise ArchiveError(f"{path} is not an archive of gaitsweep: it has no study in its provenance.") from error
     tables = {name.strip("/"): _table(dataset, grid) for name, dataset in loaded.items() if dataset.variables}
-    return Source(path, grid, outcomes, tables, provenance, study, _run(path))
+    source = Source(path, grid, outcomes, tables, provenance, study, _run(path))
+    for table in tables.values():
+        # In a study of one walker of its own, tables call it `walker`.
+        if source.walker and "walker" in table and set(table["walker"]) == {"walker"}:
+            table["walker"] = source.walker
+    return source
 
 
 def _thinned(grid: xr.Dataset) -> xr.Dataset:

@@ -2,6 +2,7 @@ import json
 import re
 import subprocess
 import sys
+from collections import Counter
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from unittest.mock import Mock
@@ -17,6 +18,7 @@ from pipeline.errors import ArchiveError
 from pipeline.report import html_tables, ledger, pages, source
 from pipeline.report.figures.style import plain
 from pipeline.report.source import read
+from pipeline.store import lines
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
 from test_report.shape import KNEED, POINT, write
@@ -314,7 +316,7 @@ def test_failed_points_are_listed_with_their_reason(report):
 
 def test_a_page_tells_the_run_time_and_not_the_machine(report):
     text = Page(report / "transition.html").text
-    assert "12.5" in text
+    assert "finished 12.5 s after its command began, with" in text
     assert "secret-host" not in text
 
 
@@ -387,6 +389,36 @@ def test_a_large_grid_is_thinned_and_every_outcome_is_counted(tmp_path, monkeypa
     assert np.isin(part.grid.slope, whole.grid.slope).all()
     assert html_tables.statuses(part) == html_tables.statuses(whole)
     assert html_tables.points(part).equals(html_tables.points(whole))
+
+
+def test_points_are_counted_as_by_the_run(archives):
+    counted = 0
+    for grid in (source.read(path) for path in archives):
+        if "gait" in grid.outcomes.dims and "status" in grid.outcomes:
+            status = grid.outcomes["status"].transpose(..., "gait").values
+            rows = Counter(map(tuple, status.reshape(-1, status.shape[-1]).tolist()))
+            assert {name: n for name, n, _ in html_tables.statuses(grid)} == dict(lines.count(rows))
+            assert sum(rows.values()) == np.prod([grid.grid.sizes[axis] for axis in grid.axes])
+            counted += len(html_tables.statuses(grid))
+    assert counted > 4
+
+
+def test_one_two_and_more_points_are_spoken_of_in_english(tmp_path):
+    for n, words in ((1, "The point converged."), (2, "Both points converged."), (3, "All 3 points converged.")):
+        slopes, dims = np.linspace(0.01, 0.02, n), ("slope", "gait")
+        grid = {"status": (dims, np.stack([np.zeros(n, "i1"), np.ones(n, "i1")], -1))}
+        coords = {"slope": slopes, "gait": np.array(["long", "short"], object)}
+        text = f'name = "few"\nwalker = "E"\n[axes]\nslope = {slopes.tolist()}'
+        few = read(write(tmp_path / f"few{n}.nc", text, grid, coords, {"E": POINT}))
+        assert html_tables.outcome_sentence(few) == words
+
+
+def test_tables_name_the_walker_of_a_file_as_the_page_does(tmp_path):
+    text = 'name = "own"\nwalker = "mine.toml"\n[axes]\nm_h = [4.0]\nslope = [0.01]\n[want]\nfigures = ["angles"]'
+    trace = {"time": [0.0, 1.0], "theta_st": [0.2, -0.2], "theta_th": [-0.2, 0.2], "slope": [0.01] * 2}
+    tables = {"trace": {"walker": ["walker"] * 2, "m_h": [4.0] * 2, "gait": ["long"] * 2, **trace}}
+    pages.write([write(tmp_path / "own.nc", text, {}, {}, {"mine.toml": POINT}, tables)], tmp_path)
+    assert "the long gait of walker mine.toml, m_h = 4 at" in Page(tmp_path / "own.html").text
 
 
 def test_a_table_shows_codes_as_words_and_units_as_in_print():
@@ -511,7 +543,7 @@ def test_a_study_without_any_gait_has_a_page_that_says_so(tmp_path):
     pages.write([write(tmp_path / "none.nc", text, grid, coords, {"E": POINT})], tmp_path)
     text = Page(tmp_path / "none.html").text
     assert text.count("the archive holds nothing to draw it from") == len(figures)
-    assert "Of 6 points: 6 no gait." in text
+    assert "Of 3 points: 3 no gait." in text
 
 
 def test_names_in_other_scripts_are_shown_as_they_are(tmp_path):

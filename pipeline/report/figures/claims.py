@@ -65,8 +65,13 @@ def claims(source: Source) -> Sketch | None:
     return Sketch(
         figure,
         "Claims",
-        f"Verdicts on the {len(table)} claims of this study: {counts}. Filled: computed over printed number, for the "
-        f"{compared} claims with one" + (f"; they differ by up to {plain(100 * worst, 2)} %." if compared else "."),
+        f"Verdicts on the {len(table)} claims of this study: {counts}. "
+        + (
+            f"Filled: computed over printed number, for the {compared} that have one; they differ by up to "
+            f"{plain(100 * worst, 2)} %."
+            if compared
+            else "None has a printed number."
+        ),
         f"Ratio of computed to printed numbers of {len(table)} claims: {counts}.",
         table,
         marks,

@@ -20,7 +20,7 @@ from pipeline.report.source import SYMBOLS, Source
 _SHOWN = {
     "smallest_slope": "smallest slope γ (rad)",
     "largest_stable_slope": "largest stable γ (rad)",
-    "fastest_froude_speed": "fastest stable Fr (1)",
+    "fastest_froude_speed": "fastest stable Fr",
 }
 #: Columns of the figure's data, beside the keys.
 _DATA = (*_SHOWN, "smallest_at", "stability_lost_by", "fastest_slope")

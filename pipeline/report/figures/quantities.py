@@ -140,7 +140,8 @@ def _draw(source: Source, quantity: _Quantity) -> Sketch | None:
     words = "slope γ" if quantity.abscissa == "slope" else f"{quantity.abscissa} v"
     mixed = len(set(source.grid["walker_units"].values.tolist())) > 1 if "walker_units" in source.grid else False
     shown = "each walker's units" if mixed else unit[quantity.abscissa]
-    axes.set_xlabel(f"{words} ({'rad' if quantity.abscissa == 'slope' else shown or '1'})")
+    shown_across = "rad" if quantity.abscissa == "slope" else shown
+    axes.set_xlabel(f"{words} ({shown_across})" if shown_across else words)
     set_heading(axes, quantity.heading + (f" ({shown})" if quantity.abscissa != "slope" and shown else ""))
     data = pd.concat(pieces, ignore_index=True)
     gaits = list(data["gait"].unique())

@@ -77,7 +77,7 @@ def census(source: Source) -> Sketch | None:
     return Sketch(
         figure,
         "Gaits found by the census",
-        f"At most {most} gaits whose legs pass once at any walker and slope (filled). Below: the bound of Good and "
+        f"At most {most} gaits whose legs pass once for any walker at any slope (filled). Below: the bound of Good and "
         f"Turing on the converging initial guesses that would lead to a gait not found, at most {100 * worst:.1f} %.",
         f"Stance angles of {len(table)} gaits found from initial guesses over the section, against slope, and the "
         f"largest share of converging guesses that may lead to unseen gaits, {100 * worst:.1f} percent.",
