@@ -14,6 +14,8 @@ from tasks.registry import GAITS
 Arrays = dict[str, np.ndarray]
 #: A piece of a branch, by the numbers of both, and those of its points over which the local exponent is constant.
 _Run = tuple[tuple[int, int], np.ndarray, np.ndarray]
+#: Factor of the smallest abscissa within which a law begins there: the first points of a plateau may be left out.
+_NEAR = 2.0
 #: What stands where there is no plateau.
 _NO_LAW = power_law.PowerLaw(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, 0)
 #: The laws fitted: name, abscissa, ordinate.
@@ -81,6 +83,9 @@ def _laws(
         and (_start(large) < small[1][-1] or abs(_exponent(*large[1:]) - _exponent(*small[1:])) < 0.1)
     ):
         large = None
+    if large and not small and _start(large) < _NEAR * min(x[0] for x, _ in curves.values()):
+        # A law that is flat to the larger tolerance only, but holds from the smallest abscissae on.
+        small, large = large, None
     rows = []
     for regime, run in (("small", small), ("large", large)):
         fitted = power_law.fit(*run[1:]) if run else None

@@ -155,6 +155,8 @@ def test_the_page_on_python_runs_from_top_to_bottom(tmp_path, monkeypatch):
     names = {}
     for block in blocks("docs/python.md", "python"):
         exec(block, names)
+    (selection,) = re.findall(r"`(sweep\.stance_angle\.where[^`]+)`", (ROOT / "docs/python.md").read_text())
+    assert eval(selection, names).notnull().any()
     # The numbers and sizes that the page states.
     speeds = names["gaits"]("A", np.linspace(0.001, 0.06, 100)).sel(gait="long")
     assert np.interp(0.5, speeds.speed, speeds.cost_of_transport) == pytest.approx(0.0152, abs=5e-5)

@@ -81,6 +81,18 @@ _FITS = {
     "fits/transition_ratio": "Ratio of transition slopes",
 }
 
+#: What the columns of a table of fits mean.
+_NOTES = {
+    "fits/scaling": "Regime: the law at the smallest slopes or speeds of the line, or another at its largest. Low, "
+    "high: the range of local exponents over the fitted range, joined with the 95 % confidence interval of the "
+    "regression. It shows how far the curve bends, not how uncertain its limit is: an exact exponent that is reached "
+    "at vanishing slopes only, such as 1/3, may lie at its end or just beyond.",
+    "fits/transition": "Fitted lines: a power law below a tenth of the slope at which the asymptotes cross, and one of "
+    "power 1/3 above three times it, each to the end of this study's slopes. Where they cross depends on the range and "
+    "the number of slopes and differs between studies; where the asymptotes cross does not.",
+    "fits/transition_ratio": "By fitted lines: over the slopes of this study; over other ranges the ratio differs.",
+}
+
 #: Fitted laws.
 _LAWS = {"stance_angle": "θ* of γ", "speed": "v of γ", "power_speed": "P of v"}
 
@@ -149,8 +161,9 @@ def fits(source: Source) -> list[Table]:
             if len(fitted) < len(table) and not note:
                 missing, more = len(table) - len(fitted), "more " if len(fitted) else ""
                 note = f"{missing} {more}fits found no range over which a power law holds."
+            words = " ".join(filter(None, (_NOTES.get(name, ""), note)))
             caption = _FITS.get(name, name.replace("_", " "))
-            tables.append(from_frame(caption, shown, note, name.replace("/", "-"), table))
+            tables.append(from_frame(caption, shown, words, name.replace("/", "-"), table))
     return tables
 
 

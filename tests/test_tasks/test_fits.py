@@ -178,3 +178,17 @@ def test_light_feet_reach_the_three_halves_power():
     assert table["fits/transition/local_exponent"][0] == pytest.approx(1.5, abs=3e-3)
     found = table["fits/transition/slope_transition"]
     np.testing.assert_allclose(found, table["fits/transition/asymptotic"], rtol=5e-3)
+
+
+def test_a_law_that_holds_from_the_smallest_speeds_on_is_that_of_small_ones():
+    slope = np.geomspace(1e-6, 1e-1, 160)
+    angle = slope ** (1 / 3)
+    # The local exponent of power in speed changes too much within a decade for the smaller tolerance, not the larger.
+    power = np.exp(4 * np.log(angle) + 0.0035 * np.log(angle / angle[0]) ** 2)
+    both = {"stance_angle": angle, "speed": angle, "power": power, **dict.fromkeys(("branch", "piece"), 0 * angle)}
+    data = {"slope": slope, **{k: np.stack([v, v], axis=1) for k, v in both.items()}}
+    table = scaling({"lines": [{"walker": "E", "set": {}}]}, [data])
+    power_laws = table["fits/scaling/quantity"] == "power_speed"
+    for regime, points in (("small", 160), ("large", 0)):
+        rows = power_laws & (table["fits/scaling/regime"] == regime)
+        assert rows.sum() == 2 and (table["fits/scaling/n"][rows] == points).all()

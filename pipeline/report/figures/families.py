@@ -171,7 +171,8 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
     said = f"Dashed: lines fitted to the short step on either side of its transition; they cross for {', '.join(words)}"
     if words and ratio is not None and {"fitted_lines", "predicted"} <= set(ratio.columns):
         fitted, predicted = (plain(ratio[name].iloc[0], 3) for name in ("fitted_lines", "predicted"))
-        said += f", a ratio of {fitted} (the 3/2 law: {predicted})"
+        ends = (plain(source.grid["slope"].values[i], 2) for i in (0, -1))
+        said += f", a ratio of {fitted} as fitted to slopes from {' to '.join(ends)} (the 3/2 law: {predicted})"
     return f"{said}. " if words else ""
 
 
