@@ -114,6 +114,11 @@ class Table:
     gaits: list[str] = field(default_factory=list)
 
     @property
+    def numeric(self) -> list[bool]:
+        """Whether each column holds numbers, beside which a dash stands for an absent one."""
+        return [any(c.value is not None for c in column) for column in zip(*self.rows, strict=True)]
+
+    @property
     def folded(self) -> bool:
         """Whether the rows are folded under the caption."""
         return len(self.rows) > _OPEN_ROWS

@@ -175,6 +175,17 @@ def test_an_orbit_beyond_the_loss_of_walking_is_called_a_transient_and_each_inte
         assert words in caption and note.endswith(noted) and "allowed by rounding" in svg
 
 
+def test_eight_walkers_are_drawn_and_of_more_the_caption_says_how_many(tmp_path):
+    for count, said in ((8, ""), (9, "8 of 9 walkers are drawn.")):
+        names = [f"w{k}" for k in range(count)]
+        text = f'name = "many"\nwalker = {names}\n[axes]\nslope = [0.01]'
+        source = read(write(tmp_path / f"{count}.nc", text, {}, {}, dict.fromkeys(names, KNEED)))
+        for name in ("walker", "conditions"):
+            drawing = draw(source, name, "test")
+            assert drawing.data["walker"].nunique() == 8 and drawing.caption.endswith(said)
+            assert ("are drawn" in drawing.caption) == bool(said)
+
+
 def test_a_design_map_leads_to_its_walkers(sources):
     drawing = draw(sources["design"], "design", "test")
     labels = [shlex.split(row[2]) for target in drawing.targets for row in target["rows"]]

@@ -391,6 +391,16 @@ def test_a_large_grid_is_thinned_and_every_outcome_is_counted(tmp_path, monkeypa
     assert html_tables.points(part).equals(html_tables.points(whole))
 
 
+def test_an_absent_number_stands_where_numbers_stand(tmp_path):
+    tables = {"limits": {"family": ["1", "–"], "ratio": [np.nan, 4.66]}}
+    text = 'name = "gap"\nkind = "cascade"\nwalker = "E"'
+    status = {"status": ((), np.int8(0)), "reason": ((), np.int16(0))}
+    pages.write([write(tmp_path / "gap.nc", text, status, {}, {"E": POINT}, tables)], tmp_path)
+    html = (tmp_path / "gap.html").read_text(encoding="utf-8")
+    assert '<th scope="col" class="num">ratio' in html and '<td class="num">–</td>' in html
+    assert '<th scope="col">family' in html and "<td>–</td>" in html
+
+
 def test_points_are_counted_as_by_the_run(archives):
     counted = 0
     for grid in (source.read(path) for path in archives):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,8 @@ from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import Source
 
 _LEG_KEYS = ("l_t", "l_s", "R", "eps_T")
+#: Walkers drawn at most, and in one row.
+_MAX_WALKERS, _MAX_IN_ROW = 8, 6
 
 
 @dataclass(frozen=True)
@@ -89,8 +91,8 @@ def draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, *
 
 
 def _bodies(source: Source) -> dict[str, tuple[Body, dict[str, Any]]]:
-    """Bodies and parameters of the study's first six walkers, as far as the archive holds them."""
-    bodies = {name: (Body.of(table), table) for name, table in list(source.walkers.items())[:6]}
+    """Bodies and parameters of the study's first walkers, as far as the archive holds them."""
+    bodies = {name: (Body.of(table), table) for name, table in list(source.walkers.items())[:_MAX_WALKERS]}
     return {name: (body, table) for name, (body, table) in bodies.items() if body is not None}
 
 
@@ -102,13 +104,21 @@ def _caption_note(source: Source, drawn: int) -> str:
 
 
 def _panels(figure: Figure, names: list[str]) -> list[Axes]:
-    """A panel for each walker, with its name as the title."""
-    row = list(np.atleast_1d(figure.subplots(1, len(names))))
-    for axes, name in zip(row, names, strict=True):
-        axes.set_title(shorten(name, 48 // len(names)), pad=2)
+    """A panel for each walker, with its name as the title; more than six stand in two rows."""
+    rows = 1 if len(names) <= _MAX_IN_ROW else 2
+    across = -(-len(names) // rows)
+    panels = list(np.atleast_1d(figure.subplots(rows, across)).flat)
+    for axes in panels:
         axes.set_aspect("equal")
         axes.axis("off")
-    return row
+    for axes, name in zip(panels, names, strict=False):
+        axes.set_title(shorten(name, 48 // across), pad=2)
+    return panels[: len(names)]
+
+
+def _height(names: Collection[str], of_few: float) -> float:
+    """Height of a figure of walkers [pt]; that of one or two is given."""
+    return of_few if len(names) < 3 else 190 if len(names) <= _MAX_IN_ROW else 370
 
 
 def walker(source: Source) -> Sketch | None:
@@ -116,7 +126,7 @@ def walker(source: Source) -> Sketch | None:
     bodies = _bodies(source)
     if not bodies:
         return None
-    figure = canvas(270 if len(bodies) < 3 else 190)
+    figure = canvas(_height(bodies, 270))
     marks = []
     for axes, (name, (body, table)) in zip(_panels(figure, list(bodies)), bodies.items(), strict=True):
         marks += _draw_walker(axes, name, body, table)
@@ -203,7 +213,7 @@ def conditions(source: Source) -> Sketch | None:
     bodies = _bodies(source)
     if not bodies:
         return None
-    figure = canvas(290 if len(bodies) < 3 else 190)
+    figure = canvas(_height(bodies, 290))
     rows = []
     for axes, (name, (body, table)) in zip(_panels(figure, list(bodies)), bodies.items(), strict=True):
         hip = complex(body.hip(0.0))

@@ -10,12 +10,12 @@ from pipeline.report.figures.style import GAIT_COLOURS, INK, MUTED, PRINTED, can
 from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import Source
 
-#: Colour and marker of each verdict.
+#: Colour and marker of each verdict; a square is a proof here as in the ledger.
 _MARKS = {
-    "proved": (GAIT_COLOURS["long"], "D"),
+    "proved": (GAIT_COLOURS["long"], "s"),
     "reproduced": (GAIT_COLOURS["long"], "o"),
     "consistent within rounding": (PRINTED, "o"),
-    "approximate": (MUTED, "s"),
+    "approximate": (MUTED, "^"),
     "not reproduced": (GAIT_COLOURS["short"], "X"),
     "not checkable": (MUTED, "X"),
 }

@@ -21,8 +21,11 @@ from pipeline.report.figures.style import VARIABLES, plain, spread_evenly
 #: Points of a figure that show their values under the pointer.
 TARGETS = 260
 
-#: Size of a figure that the index shows as it is [character]; it shows larger ones more coarsely.
-_MAX_THUMBNAIL = 11_000
+#: Dots that a picture on the index may have as vectors; more are left out there.
+_MAX_DOTS = 1500
+
+#: Size above which the index shows a figure more coarsely [character], and the resolution of its rasters there.
+_THUMBNAILS = ((11_000, 50), (40_000, 25))
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,9 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
     svg = _to_svg(figure, f"{salt}/{name}", 200)
-    small = _small(_to_svg(figure, f"{salt}/{name}/small", 50, 0)) if len(svg) > _MAX_THUMBNAIL else svg
+    small = svg
+    for most, dpi in _THUMBNAILS:
+        small = _small(_to_svg(figure, f"{salt}/{name}/small", dpi, 0)) if len(small) > most else small
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
         name,
@@ -130,6 +135,8 @@ def _coarsen(figure: Figure) -> None:
     """Leave out what is too small to see on the index: ticks, grid, legends and the details of curves."""
     for line in figure.findobj(Line2D):
         line.get_path().simplify_threshold = 1.0
+        if len(line.get_path().vertices) > _MAX_DOTS and not line.get_rasterized():
+            line.set_visible(False)
     for axes in figure.axes:
         axes.tick_params(length=0)
         axes.grid(False)

@@ -241,6 +241,10 @@ for (const plot of document.querySelectorAll(".plot")) {
     show([s, Math.max(0, Math.min(last, at[1] + move[1]))]);
   });
 
+  const map = panels.find(({ free, starts }) => !free && starts), middle = map && map.starts[map.starts.length >> 1].findIndex(Boolean);
+  if (map && middle >= 0) initial ??= { panel: map, cell: [map.columns[middle], map.rows[map.starts.length >> 1]] };
+  for (let s = 0; s < series.length; s++) initial ??= wishOf([s, 0]);
+
   // The picture as a file, in the colours of the page as it is seen.
   function picture() {
     const copy = svg.cloneNode(true), style = getComputedStyle(document.documentElement), ground = style.getPropertyValue("--paper");

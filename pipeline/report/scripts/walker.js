@@ -7,6 +7,8 @@ const panel = document.querySelector(".motion");
 
 /** Select what an address, a mark, a cell or a row names; the page's figures and tables hear of it by the event `gait`. */
 let select = () => {};
+/** What walks at first on a page whose lines have no branches: a dot of an orbit, or a cell of a map. */
+let initial = null;
 
 function tellPage(gait) { document.dispatchEvent(new CustomEvent("gait", { detail: gait })); }
 
@@ -241,7 +243,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   addEventListener("DOMContentLoaded", () => {
     const given = followAddress();
     if (given?.found) return;
-    const first = LINES.map(line => readAddress(line.first)).find(Boolean);
+    const first = LINES.map(line => readAddress(line.first)).find(Boolean) ?? initial;
     if (first) { const words = find("said").textContent; if (select(first, { write: false })) { if (given) say(words); return; } }
     if (!gait) panel.hidden = docked ? false : true;
   });
