@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pandas as pd
 
 from pipeline.report.cells import Cell, cell
@@ -115,7 +117,8 @@ def _printed_cells(caption: str, frame: pd.DataFrame) -> Table:
             for entry in cells[cells["column"] == column].itertuples():
                 sign = _VERDICTS.get(str(entry.verdict), "–")
                 where = f"γ {entry.slopes}: " if entry.slopes else ""
-                lines.append(f"{sign} {where}{entry.printed}\n    computed {entry.computed}")
+                computed = re.sub(r"\^(\d+\.\d+)", r"ᵖ, p = \1", str(entry.computed))
+                lines.append(f"{sign} {where}{entry.printed}\n    computed {computed}")
             row.append(Cell("\n".join(lines)))
         rows.append(row)
     return Table(caption, ["walker", *columns], rows, "● reproduced, ○ approximate, ✕ not reproduced, – not checked.")

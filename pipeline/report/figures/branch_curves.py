@@ -32,6 +32,8 @@ from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
 MAX_PANELS = 6
+#: Sentence of a caption on the paper's numbers of points.
+_NUMBERED = " The numbers 1 to 4 are those of the paper's figure; bars through them: what rounding allows."
 #: Marker of each kind of special point; ends are filled.
 _SHAPES = {
     "fold": "o",
@@ -116,7 +118,7 @@ def locus(source: Source) -> Sketch | None:
         "Stance angle along each solution branch, continued through folds to its ends. A branch has one colour, that "
         "of the label (long or short) that most of its gaits have: a gait is long if the legs' rates differ by less "
         "than half the stance rate just before heelstrike. Filled marks are ends."
-        + (" The numbers 1 to 4 are those of the paper's figure." if numbered else "")
+        + (_NUMBERED if numbered else "")
         + (landmarks.sentence(printed) if has_printed else "")
         + omitted,
         f"{count} panel{'s' * (count > 1)} of stance angle against slope along branches of gaits, slopes "
@@ -204,7 +206,7 @@ def _draw_points(axes: Axes, numbered: pd.DataFrame) -> bool:
         axes.annotate(
             str(row.point),
             (row.slope, row.stance_angle),
-            xytext=(-11, 9) if row.stance_angle < 0.01 else (14, -12 if row.stance_angle > 0.05 else 8),
+            xytext=(15, 5) if row.stance_angle < 0.01 else (14, -12 if row.stance_angle > 0.05 else 8),
             textcoords="offset points",
             ha="center",
             va="center",

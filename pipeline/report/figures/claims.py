@@ -30,33 +30,39 @@ def claims(source: Source) -> Sketch | None:
     table = table.assign(verdict=verdicts).iloc[::-1].reset_index(drop=True)
     printed = table["printed_value"].astype(float) if "printed_value" in table else pd.Series(np.nan, table.index)
     figure = canvas(max(180, 60 + 13 * len(table)))
-    axes = figure.add_subplot()
+    # Claims without a printed number have no ratio: they stand in a column of their own.
+    beside, axes = figure.subplots(1, 2, sharey=True, width_ratios=[1, 12])
     axes.axvline(1, color=INK, lw=0.8, zorder=1)
     marks, drawn = [], []
     for k, row in table.iterrows():
         ink, marker = _MARKS.get(str(row["verdict"]), (MUTED, "s"))
-        ratio = float(row["value"]) / printed[k] if np.isfinite(printed[k]) and printed[k] else 1.0
+        has_ratio = bool(np.isfinite(printed[k]) and printed[k])
+        ratio, panel = (float(row["value"]) / printed[k], axes) if has_ratio else (0.0, beside)
         fill = ink if np.isfinite(printed[k]) else "none"
-        if np.isfinite(printed[k]) and row["interval_low"] <= row["interval_high"]:
+        if has_ratio and row["interval_low"] <= row["interval_high"]:
             ends = [row["interval_low"] / printed[k], row["interval_high"] / printed[k]]
             axes.plot(ends, [k, k], color=PRINTED, lw=5, alpha=0.3, solid_capstyle="butt")
-        axes.plot([ratio], [k], marker, color=ink, mfc=fill, ms=6)
+        panel.plot([ratio], [k], marker, color=ink, mfc=fill, ms=6)
         values = {"claim": [row["printed"]], "computed": [float(row["value"])], "verdict": [row["verdict"]]}
         marks.append(
-            Marks(axes, np.array([ratio]), np.array([float(k)]), str(row["id"]), values, commands=[row["command"]])
+            Marks(panel, np.array([ratio]), np.array([float(k)]), str(row["id"]), values, commands=[row["command"]])
         )
         drawn.append(str(row["verdict"]))
-    axes.set_yticks(range(len(table)), table["id"].astype(str), fontsize=8)
-    axes.set_ylim(-0.8, len(table) - 0.2)
-    axes.grid(axis="y", visible=False)
+    beside.set_yticks(range(len(table)), table["id"].astype(str), fontsize=8)
+    beside.set_ylim(-0.8, len(table) - 0.2)
+    beside.set_xticks([])
+    beside.set_xlim(-1, 1)
+    axes.tick_params(axis="y", left=False)
+    for each in (beside, axes):
+        each.grid(axis="y", visible=False)
     axes.set_xlabel("computed over printed number")
-    set_heading(axes, "claim")
+    set_heading(beside, "claim")
     keys = [
         Line2D([], [], ls="", marker=marker, color=ink, ms=6, label=verdict)
         for verdict, (ink, marker) in _MARKS.items()
         if verdict in drawn
     ]
-    keys.append(Line2D([], [], ls="", marker="o", color=MUTED, mfc="none", ms=6, label="no number printed"))
+    keys.append(Line2D([], [], ls="", marker="o", color=MUTED, mfc="none", ms=6, label="no number printed (left)"))
     keys.append(Line2D([], [], color=PRINTED, lw=5, alpha=0.3, label="allowed by rounding"))
     figure.legend(handles=keys, loc="outside upper left", ncols=3)
     counts = ", ".join(f"{drawn.count(v)} {v}" for v in _MARKS if v in drawn)

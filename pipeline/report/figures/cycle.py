@@ -124,24 +124,27 @@ def _draw_angles(axes: Axes, step: TracedStep) -> tuple[pd.DataFrame, list[Marks
             if leg == "heavy":
                 label, values = f"{part if kneed else 'leg'}, heavy line", {"time": t, "angle (rad)": angle}
                 marks.append(Marks(axes, t, angle, label, values, step.command, np.full(len(t), step.slope)))
+    data = pd.concat(pieces, ignore_index=True).assign(walker=step.label, gait=step.gait, slope=step.slope)
     impacts = [("heelstrike", period)]
     if step.kneestrike is not None:
         impacts += [("kneestrike", step.kneestrike), ("kneestrike", period + step.kneestrike)]
+    low, high = axes.get_ylim()
     for word, at in impacts:
+        near = data.loc[(data["time"] - at).abs() < 0.05 * period, "angle"]
+        is_below = near.min() - low >= high - near.max()  # the words stand where there is room
         axes.axvline(at, color=MUTED, lw=0.8, ls="-" if word == "heelstrike" else (0, (1, 2)))
         axes.annotate(
             word,
-            (at, 0.01),
+            (at, 0.01 if is_below else 0.99),
             xycoords=axes.get_xaxis_transform(),
-            xytext=(-2, 0),
+            xytext=(-2 if is_below else 2, 0),
             textcoords="offset points",
             rotation=90,
-            ha="right",
-            va="bottom",
+            ha="right" if is_below else "left",
+            va="bottom" if is_below else "top",
             fontsize=8,
         )
     axes.set_xlim(0, 2 * period)
-    data = pd.concat(pieces, ignore_index=True).assign(walker=step.label, gait=step.gait, slope=step.slope)
     return data, marks
 
 

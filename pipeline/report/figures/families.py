@@ -143,7 +143,7 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
         found = table[np.isclose(table["foot_mass_ratio"], line.set.get("foot_mass_ratio", np.nan))]
         for row in found[np.isfinite(found["slope_transition_fitted"])].itertuples():
             cross = row.slope_transition_fitted
-            ink: Any = {"color": INK, "lw": 0.8, "ls": (0, (5, 2)), "zorder": 4}
+            ink: Any = {"color": INK, "lw": 0.6, "zorder": 4}
             below, above = np.array([line.data["slope"].values.min(), 3 * cross]), np.array([cross / 30, right])
             axes.plot(below, row.fitted_amplitude * below**row.fitted_exponent, **ink)
             axes.plot(above, row.fitted_cube_root * above ** (1 / 3), **ink)
@@ -168,7 +168,7 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
             words.append(f"{name} at γ = {plain(cross, 4)} rad")
     axes.set_xlim(left, right)
     ratio = source.tables.get("fits/transition_ratio")
-    said = f"Dashed: lines fitted to the short step on either side of its transition; they cross for {', '.join(words)}"
+    said = f"Thin black: lines fitted to the short step beside its transition; they cross for {', '.join(words)}"
     if words and ratio is not None and {"fitted_lines", "predicted"} <= set(ratio.columns):
         fitted, predicted = (plain(ratio[name].iloc[0], 3) for name in ("fitted_lines", "predicted"))
         ends = (plain(source.grid["slope"].values[i], 2) for i in (0, -1))

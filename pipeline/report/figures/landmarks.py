@@ -50,14 +50,15 @@ def draw_at_angles(axes: Axes, table: pd.DataFrame) -> bool:
     log = axes.get_xscale() == "log"
     table = table[np.isfinite(table["stance_angle"]) & table["printed"].between(low, high)]
     for row in table.itertuples():
+        at_left = not log and row.printed == table["printed"].min()  # the others stand to the right of the curves
         axes.plot([row.slope_low, row.slope_high], [row.stance_angle] * 2, color=PRINTED, lw=5, alpha=0.3, zorder=3)
         axes.plot([row.printed], [row.stance_angle], "|", color=PRINTED, ms=15, mew=2, zorder=6)
         axes.annotate(
             _as_printed(row.printed, row.half_unit),
-            (row.printed if log else row.slope_low, row.stance_angle),
-            xytext=(5, -10) if log else (-5, 0),
+            (row.printed if log else row.slope_low if at_left else row.slope_high, row.stance_angle),
+            xytext=(5, -10) if log else (-5 if at_left else 5, 0),
             textcoords="offset points",
-            ha="left" if log else "right",
+            ha="right" if at_left else "left",
             va="center",
             color=PRINTED,
             fontsize=8.5,

@@ -239,6 +239,9 @@ def end_labels(axes: Axes, labels: list[tuple[float, float, str, str]], gap: flo
         else:
             placed.append((height, x, y, [name], ink))
     order = [name for _, _, name, _ in labels]
+    longest = max((len(shorten(_merge_names(names))) for _, _, _, names, _ in placed), default=0)
+    room = min(0.6, max(0.2, (5 * longest + 8) / (0.8 * WIDTH)))
+    axes.set_xlim(left * (left / right) ** room if log else left - room * (right - left), right)
     lowest = -np.inf
     for height, x, y, names, ink in sorted(placed, key=lambda item: item[0]):
         lift = max(0.0, lowest + gap - height)

@@ -135,7 +135,7 @@ def _coarsen(figure: Figure) -> None:
     """Leave out what is too small to see on the index: ticks, grid, legends and the details of curves."""
     for line in figure.findobj(Line2D):
         line.get_path().simplify_threshold = 1.0
-        if len(line.get_path().vertices) > _MAX_DOTS and not line.get_rasterized():
+        if np.size(line.get_xdata()) > _MAX_DOTS and not line.get_rasterized():
             line.set_visible(False)
     for axes in figure.axes:
         axes.tick_params(length=0)
