@@ -152,7 +152,7 @@ def test_the_page_on_python_runs_from_top_to_bottom(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     study = 'name = "study"\nkind = "branch"\nwalker = "D"\n[axes]\nslope = { from = 0.005, to = 0.01, n = 5 }\n'
     (tmp_path / "study.toml").write_text(study)
-    names = {}
+    names: dict = {}
     for block in blocks("docs/python.md", "python"):
         exec(block, names)
     (selection,) = re.findall(r"`(sweep\.stance_angle\.where[^`]+)`", (ROOT / "docs/python.md").read_text())

@@ -216,7 +216,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     if (pinned || fingers.size || event.target.closest(".tools, .legend")) return;
     const point = nearest(event);
     if (point) show(point); else if (event.pointerType === "mouse") hide();
-    const walks = point ? wishOf(point) : null;
+    const walks = point && wishOf(point);
     plot.style.cursor = walks || cellAt(pointer(event)) ? "pointer" : "";
   });
   plot.addEventListener("pointerleave", () => { if (!pinned) hide(); });
@@ -241,9 +241,8 @@ for (const plot of document.querySelectorAll(".plot")) {
     show([s, Math.max(0, Math.min(last, at[1] + move[1]))]);
   });
 
-  const map = panels.find(({ free, starts }) => !free && starts), middle = map && map.starts[map.starts.length >> 1].findIndex(Boolean);
-  if (map && middle >= 0) initial ??= { panel: map, cell: [map.columns[middle], map.rows[map.starts.length >> 1]] };
-  for (let s = 0; s < series.length; s++) initial ??= wishOf([s, 0]);
+  for (const { box: [a, b, c, d] } of panels.slice(-1)) lead ??= cellAt([(a + c) / 2, (b + d) / 2]);
+  for (const s in series) lead ??= wishOf([s, 0]);
 
   // The picture as a file, in the colours of the page as it is seen.
   function picture() {

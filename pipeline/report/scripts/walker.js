@@ -8,7 +8,7 @@ const panel = document.querySelector(".motion");
 /** Select what an address, a mark, a cell or a row names; the page's figures and tables hear of it by the event `gait`. */
 let select = () => {};
 /** What walks at first on a page whose lines have no branches: a dot of an orbit, or a cell of a map. */
-let initial = null;
+let lead;
 
 function tellPage(gait) { document.dispatchEvent(new CustomEvent("gait", { detail: gait })); }
 
@@ -103,8 +103,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     panel.hidden = false;
     gait = next;
     motion = new Motion(gait);
-    const first = motion.steps[0];
-    time = share * durationOf(first);
+    time = share * durationOf(motion.steps[0]);
     other = second = null;
     facts();
     find("title").textContent = gait.free ? `A motion of walker ${nameOf(gait)}` : `${gait.label[0].toUpperCase()}${gait.label.slice(1)} step of walker ${nameOf(gait)}`;
@@ -204,8 +203,10 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : wish.slope || wish.panel ? "There is no gait here that this page could start." : "The address names no gait of this page.");
     if (found) show(found, options);
     if (options.dock) dock(true);
-    if (found && options.dock) document.dispatchEvent(new CustomEvent("docked", { detail: panel.getBoundingClientRect().top || innerHeight }));
-    if (found && options.dock && !STILL.matches) play(true);
+    if (found && options.dock) {
+      document.dispatchEvent(new CustomEvent("docked", { detail: panel.getBoundingClientRect().top || innerHeight }));
+      if (!STILL.matches) play(true);
+    }
     return found;
   };
 
@@ -243,8 +244,8 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   addEventListener("DOMContentLoaded", () => {
     const given = followAddress();
     if (given?.found) return;
-    const first = LINES.map(line => readAddress(line.first)).find(Boolean) ?? initial;
+    const first = LINES.map(line => readAddress(line.first)).find(Boolean) ?? lead;
     if (first) { const words = find("said").textContent; if (select(first, { write: false })) { if (given) say(words); return; } }
-    if (!gait) panel.hidden = docked ? false : true;
+    if (!gait) panel.hidden = !docked;
   });
 }
