@@ -259,7 +259,8 @@ def _status(options: argparse.Namespace) -> int:
     from pipeline.cli import text
 
     logs = sorted(Path("data/archive").glob("*.events.jsonl"))
-    every = [options.archive] if options.archive else [log.with_name(log.name[:-13] + ".nc") for log in logs]
+    recorded = [log.with_name(log.name.removesuffix(".events.jsonl") + ".nc") for log in logs]
+    every = [options.archive] if options.archive else recorded
     archives = [path for _, path in _archives(options)] or every
     states = {path: text.state(path) for path in archives}
     if options.json:
