@@ -25,6 +25,8 @@ from tasks.registry import GAITS, SHORT_LINE, TASKS, VARIABLES
 _MAX_REMEMBERED = 256 << 20  # atlases kept for later calls, and as much of short lines' points [byte]
 _BLOCK = 64  # short lines surveyed side by side
 _SLOPES = "must lie in (0, 0.5) rad"
+#: How strings are stored, as in archives (`pipeline.archive.written`).
+_CHARACTERS = {"dtype": "S1"}
 Arrays = dict[str, np.ndarray]
 
 
@@ -343,7 +345,8 @@ def _dataset(
         values = values.reshape((*grid.shape, *values.shape[1:]))
         variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], is_si, steps=steps))
     text = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
-    coords = {**grid.coords, "gait": ("gait", np.array(GAITS), {"long_name": "gait by its character", "units": "1"})}
+    named = {"long_name": "gait by its character", "units": "1"}
+    coords = {**grid.coords, "gait": ("gait", np.array(GAITS), named, _CHARACTERS)}
     multipliers = [a.shape[-1] for name, a in points.values.items() if "multiplier" in VARIABLES[name].dims]
     if multipliers:
         named = {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"}
@@ -351,7 +354,7 @@ def _dataset(
     source = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"
     described = {"Conventions": "CF-1.11", "source": source, "references": PAPER, **attributes.of_steps(steps)}
     return xr.Dataset(
-        {"reason_text": ("reason_index", np.array(sentences, str), text), **variables},
+        {"reason_text": ("reason_index", np.array(sentences, str), text, _CHARACTERS), **variables},
         {**coords, **coordinates},
         {**described, **constants},
     )

@@ -45,13 +45,13 @@ def test_a_hunt_climbs(feet):
 
 def test_what_is_wrong_is_told_with_its_command(feet, monkeypatch):
     where, _ = feet
-    original, settle = hunt.compared, hunt.settle
+    original, settle = hunt.compared, hunt.settle_on_branches
 
     def too_small(problem, guesses):
         return [(slope, bound, 3 * bound, *rest) for slope, bound, _, *rest in original(problem, guesses)]
 
-    def lost(problem, guesses):
-        gaits = settle(problem, guesses)
+    def lost(problem, guesses, places):
+        gaits = settle(problem, guesses, places)
         gaits.converged[-1] = False
         return gaits
 
@@ -62,7 +62,7 @@ def test_what_is_wrong_is_told_with_its_command(feet, monkeypatch):
         one.value == pytest.approx(3) and one.command.startswith("gaitsweep solve --walker E ")
         for _, one in found.wrong
     )
-    monkeypatch.setattr(hunt, "settle", lost)
+    monkeypatch.setattr(hunt, "settle_on_branches", lost)
     assert {what for what, _ in hunt.maximise("error bound", where, 0, 1).wrong} >= {"not converged"}
     assert found.rows()[-1]["command"] == found.wrong[-1][1].command
 

@@ -225,6 +225,8 @@ def _starts(mark: Marks, inside: np.ndarray) -> dict[str, Any]:
     """What the page's script needs to start the gaits of a curve's points."""
     if mark.gaits is None or "stance_angle" not in mark.gaits:
         return {}
+    if mark.free and "stance_rate" not in mark.gaits:
+        return {}
     names = [name for name in START[1:] if name in mark.gaits] if mark.free else ["stance_angle"]
     values = mark.gaits[names].to_numpy(float)[inside]
     starts = [rounded(row, 7 if mark.free else 5) for row in values]
