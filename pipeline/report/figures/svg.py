@@ -25,7 +25,7 @@ TARGETS = 260
 _MAX_DOTS = 1500
 
 #: Size above which the index shows a figure more coarsely [character], and the resolution of its rasters there.
-_THUMBNAILS = ((11_000, 50), (40_000, 25))
+_THUMBNAILS = ((11_000, 50), (30_000, 20))
 
 
 @dataclass(frozen=True)
