@@ -62,8 +62,9 @@ def diff(a: Path, b: Path, rtol: float = 0.0, own: Mapping[str, float] | None = 
             for what in ("kind",)
             if getattr(left, what, None) != getattr(right, what, None)
         ]
-        for name in sorted(_parameters(left).keys() & _parameters(right).keys()):
-            differences += _compare_values(name, _parameters(left)[name], _parameters(right)[name], tolerance)
+        constants, others = _parameters(left), _parameters(right)
+        for name in sorted(constants.keys() & others.keys()):
+            differences += _compare_values(name, constants[name], others[name], tolerance)
         places: dict[str, _Pair] = {}
         for name in sorted(set(left.dimensions) | set(right.dimensions)):
             if not any(name in file.variables for file in (left, right)):
@@ -154,7 +155,7 @@ def _compare_values(
     if x.shape != y.shape:
         return [f"`{name}` has {x.size:,} values and {y.size:,}"]
     if x.dtype.kind != "f" or y.dtype.kind != "f":
-        unequal = x.astype(str) != y.astype(str) if {x.dtype.kind, y.dtype.kind} & set("OU") else x != y
+        unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
         return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
     rtol = tolerance.of(name)
     with np.errstate(invalid="ignore", divide="ignore"):

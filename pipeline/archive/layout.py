@@ -56,6 +56,11 @@ def line_extent(sizes: Mapping[str, int]) -> int:
     return slopes if math.prod(shape) == slopes else 0
 
 
+def filters(n: int) -> dict[str, int]:
+    """Filters of a variable of n values; HDF5 keeps no checksum of nothing."""
+    return {**FILTERS, "fletcher32": n > 0}
+
+
 def is_of_characters(dim: str) -> bool:
     """Whether a dimension is that of the characters of strings."""
     return dim.startswith(STRING) and dim.removeprefix(STRING).isdigit()

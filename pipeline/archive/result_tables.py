@@ -122,7 +122,7 @@ def _group(file: Any, plan: Plan, group: str, columns: Columns) -> None:
             write_strings(netcdf_group, name, "row", values.tolist(), attributes)
             continue
         fill_value = np.nan if values.dtype.kind == "f" else False
-        dtype, filters = values.dtype.newbyteorder("="), {**layout.FILTERS, "fletcher32": len(values) > 0}
+        dtype, filters = values.dtype.newbyteorder("="), layout.filters(len(values))
         variable = netcdf_group.createVariable(name, dtype, ("row",), fill_value=fill_value, **filters)
         put(variable, attributes)
         variable[:] = values

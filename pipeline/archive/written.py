@@ -38,7 +38,7 @@ def write_strings(group: Any, name: str, dim: str, values: Iterable[str], attrib
     dims = dim, f"{layout.STRING}{length}"
     if dims[1] not in group.dimensions:
         group.createDimension(dims[1], length)
-    variable = group.createVariable(name, "S1", dims, **{**layout.FILTERS, "fletcher32": len(encoded) > 0})
+    variable = group.createVariable(name, "S1", dims, **layout.filters(len(encoded)))
     put(variable, {**attributes, "_Encoding": "utf-8"})
     variable.set_auto_chartostring(False)
     variable[:] = np.array(encoded, f"S{length}").view("S1").reshape(-1, length)
