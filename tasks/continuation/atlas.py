@@ -147,13 +147,14 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
             )
             ends[side] = BranchEnd(raw.why[side], *fall, raw.end_errors[side])
             first, last = first + (side == 0), last - (side == 1)
+    # Of a run that is but the node beyond a fall, none remains.
+    if last - first + 1 + len(ends) < 3:
+        return None
     branch = raw.part(np.arange(first, last + 1))
     why, errors = list(raw.why), list(raw.end_errors)
     for side, end in ends.items():
         branch = branch.insert(side * len(branch.Z), row(end.point), row_tangent(end.point, end.direction))
         why[side], errors[side] = end.kind, end.error
-    if len(branch.Z) < 3:
-        return None
     # The node before an end may be that end: between them there is no polynomial.
     twins = np.linalg.norm(np.diff(branch.Z, axis=0), axis=1) < _TWIN
     kept = np.ones(len(branch.Z), bool)
