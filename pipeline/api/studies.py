@@ -16,7 +16,7 @@ import xarray as xr
 from pipeline.api import in_memory
 from pipeline.api.threads import in_turn
 from pipeline.archive import read
-from pipeline.archive.unfold import unfolded
+from pipeline.archive.unfold import dataset, unfolded
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import runner
 from pipeline.study import broadcast, model, parse, single_point
@@ -56,22 +56,17 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     with read.open_archive(path) as file:  # what cannot be read of a damaged file is told as such
         tables = list(read.tables(file))
         if table is None:
-            grid = _decode(_read(file)).assign_attrs(tables=tables)
+            grid = _decode(dataset(file).load()).assign_attrs(tables=tables)
             return _Grid(grid.data_vars, grid.coords, grid.attrs)
         if table not in tables:
             raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
-        columns = _read(file[table])
+        columns = dataset(file[table]).load()
         if any(column.ndim > 1 for column in columns.values()):
-            frame = unfolded(columns, _read(file))
+            frame = unfolded(columns, dataset(file).load())
         else:
             frame = pd.DataFrame({str(name): column.values for name, column in columns.items()})
         frame.attrs["units"] = {str(name): column.units for name, column in columns.items()}
     return frame
-
-
-def _read(group: Any) -> xr.Dataset:
-    """Read a group of an open file; if the caller holds it open too, to open it once more crashes the library."""
-    return xr.open_dataset(xr.backends.NetCDF4DataStore(group)).load()
 
 
 class _Grid(xr.Dataset):

@@ -2,9 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import xarray as xr
+
+
+def dataset(group: Any, **options: Any) -> xr.Dataset:
+    """Return a group of an open archive, not yet read; to open the file once more can crash the library.
+
+    Who opened the file closes it.
+
+    Parameters
+    ----------
+    group : netCDF4.Dataset or netCDF4.Group
+    **options
+        Of `xarray.open_dataset`.
+    """
+    opened = xr.open_dataset(xr.backends.NetCDF4DataStore(group), **options)
+    opened.set_close(None)
+    return opened
 
 
 def unfolded(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:

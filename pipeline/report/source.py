@@ -19,8 +19,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from pipeline.archive.unfold import unfolded
-from pipeline.errors import ArchiveError
+from pipeline.archive import read as archives
+from pipeline.archive.unfold import dataset, unfolded
 
 #: The paper's symbols.
 SYMBOLS = {
@@ -47,6 +47,8 @@ ANSWERS = ("converged", "no_gait", "fell")
 _CACHE = 1 << 20
 #: Largest number of values of a variable that are read for the figures; a larger grid is thinned in slope.
 MAX_POINTS = 500_000
+#: Numbers of archives need no decoding.
+_AS_STORED = {"mask_and_scale": False, "decode_times": False}
 
 
 def print_units(units: str) -> str:
@@ -270,33 +272,17 @@ def read(path: Path) -> Source:
     Raises
     ------
     ArchiveError
-        If the file is missing, or is not a netCDF archive of gaitsweep.
+        If the file is missing, damaged, or not an archive of gaitsweep.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise ArchiveError(f"There is no archive {path}.")
     # Every variable is read once, from end to end: the default cache, 64 MiB per variable, would only cost memory.
     netCDF4.set_chunk_cache(_CACHE)
-    try:
-        groups = xr.open_groups(path, engine="netcdf4", mask_and_scale=False, decode_times=False)
-    except (OSError, RuntimeError, ValueError) as error:
-        raise ArchiveError(f"{path} is not a netCDF archive that can be read.") from error
-    try:
-        outcomes = groups["/"][[name for name in ("status", "reason") if name in groups["/"]]].load()
-        groups["/"] = _thinned(groups["/"])
-        loaded = {name: dataset.load() for name, dataset in groups.items()}
-    except (OSError, RuntimeError) as error:
-        raise ArchiveError(f"{path} is damaged: {' '.join(str(error).split())}.") from error
-    finally:
-        for dataset in groups.values():
-            dataset.close()
-    grid = loaded.pop("/")
-    try:
+    with archives.open_archive(path) as file:
+        whole = dataset(file, **_AS_STORED)
+        outcomes = whole[[name for name in ("status", "reason") if name in whole]].load()
+        grid = _thinned(whole).load()
+        tables = {name: _table(dataset(file[name], **_AS_STORED).load(), grid) for name in archives.tables(file)}
         provenance = json.loads(grid.attrs["provenance"])
         study = tomllib.loads(provenance["study"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise ArchiveError(f"{path} is not an archive of gaitsweep: it has no study in its provenance.") from error
-    tables = {name.strip("/"): _table(dataset, grid) for name, dataset in loaded.items() if dataset.variables}
     source = Source(path, grid, outcomes, tables, provenance, study, _run(path))
     for table in tables.values():
         # In a study of one walker of its own, tables call it `walker`.

@@ -30,6 +30,7 @@ from pipeline.archive.written import write_strings
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.plan.missing import Plan
+from pipeline.report import pages
 from pipeline.statuses import ALL_STATUSES as STATUS
 from pipeline.store.journal import Journal
 from pipeline.study import parse
@@ -464,6 +465,13 @@ def test_what_cannot_be_loaded_is_called_damaged(copy):
     with pytest.raises(ArchiveError, match=r"copy.nc is damaged: .*HDF error\.$"):
         load(copy)
     assert len(load(copy, "fits/scaling")) == 2
+
+
+def test_text_of_an_unknown_encoding_is_damage(copy, tmp_path):
+    _edit(copy, lambda file: file["reason_text"].setncattr("_Encoding", "{}"))
+    for reader in (load, lambda path: pages.write([path], tmp_path / "reports")):
+        with pytest.raises(ArchiveError, match=r"copy\.nc is damaged: `reason_text` is not as it was written\.$"):
+            reader(copy)
 
 
 def test_a_bug_is_not_called_damage(made, copy, monkeypatch, capsys):

@@ -1,4 +1,4 @@
-"""An archive shaped as the contract says, from plain arrays: no solver and no pipeline behind it."""
+"""An archive shaped as the contract says, from plain arrays: no solver and no run behind it."""
 
 from __future__ import annotations
 
@@ -75,7 +75,12 @@ def write(
         "cpu": ["avx2", "fma"],
     }
     units = {"slope": "rad", "stance_angle": "rad", "period": "1"}
-    dataset = xr.Dataset(grid, coords, {"Conventions": "CF-1.11", "provenance": json.dumps(provenance)})
+    # The first schema is read as well, and needs no chunks.
+    dataset = xr.Dataset(
+        grid,
+        coords,
+        {"Conventions": "CF-1.11", "gaitsweep_schema": np.int32(1), "provenance": json.dumps(provenance)},
+    )
     for name, variable in dataset.variables.items():
         if variable.dtype.kind in "fi":
             variable.attrs.update(units=units.get(str(name), "1"), long_name=str(name).replace("_", " "))
