@@ -102,12 +102,12 @@ class Smooth:
         """Columns from which variables follow."""
         derived = set(_TRAVEL) & set(want)
         names = {name for name in self.names if name in want or name.isdigit()}
-        if derived or names & {*_RATES, *_LOSSES} or "shank_rate" in want:
+        if "shank_rate" in want and not self.walker.knees:
+            names.add("thigh_rate")
+        if derived or names & {*_RATES, *_LOSSES}:
             names.add("stance_angle")
         if derived or "kneestrike_time" in want:
             names.add("period")
-        if "shank_rate" in want:
-            names.add("shank_rate" if self.walker.knees else "thigh_rate")
         return [k for k, name in enumerate(self.names) if name in names]
 
     def multipliers(self, columns: Mapping[str, np.ndarray], error: float) -> Arrays:

@@ -277,6 +277,19 @@ def test_what_a_panel_measures_is_no_less_than_at_its_gaits():
     np.testing.assert_array_less(rounding_std(problem, guesses.w, q).mean(axis=1) / 3, measured.rounding_std.T[0])
 
 
+@pytest.mark.parametrize("walker", ["D", "C"])
+def test_a_variable_follows_from_the_quantities_that_it_needs(walker):
+    problem, slope = Problem(resolve(walker)), np.array([0.01, 0.02])
+    for name in (name for name in SMOOTH if not name.startswith(("multiplier", "spectral"))):
+        smooth = Smooth.of(problem.walker, (name,), problem.m)
+        every = {each: np.array([0.3, 0.4]) + k for k, each in enumerate(smooth.names)}
+        needed = {smooth.names[k]: every[smooth.names[k]] for k in smooth.needed((name,))}
+        one, other = (smooth.gaits(slope, columns, (name,), 1e-3, 0, 0)[name] for columns in (needed, every))
+        np.testing.assert_array_equal(one, other)
+        assert np.isfinite(one).all() or ("knee" in name and walker == "D")
+        assert len(needed) <= 2
+
+
 def test_the_error_of_a_derivative_is_that_of_all_its_entries():
     problem, _ = branches("D")
     smooth = Smooth.of(problem.walker, ("multiplier_real", "multiplier_error_bound"), 2)

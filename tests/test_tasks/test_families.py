@@ -1,13 +1,14 @@
 """Patches over planes of keys predict; what is reported comes from the gaits' own steps, and is what lines give."""
 
 import copy
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tasks import interpolate_planes, solve_planes
 from tasks.families import cell as cells
-from tasks.families import panels
+from tasks.families import panels, pieces
 from tasks.families.box import Box, Refused, roots
 from tasks.families.cell import PANEL, Family, _Maker, _neighbours, make
 from tasks.families.patch import along, basis, coordinate, fit
@@ -317,3 +318,33 @@ def test_every_node_line_is_compared_with_the_next_towards_the_middle():
     assert _neighbours(5, 1) == [1, 2, 2, 2, 3]
     assert _neighbours(4, 1) == [1, 2, 2, 2]
     assert _neighbours(3, 2) == [3, 4, 5, 4, 4, 4, 3, 4, 5]
+
+
+class _Straight(Piece):
+    """A piece whose angle and one event time are linear in ln slope, the columns of Z beside the slope itself."""
+
+    def at(self, q):
+        clipped = np.clip(q, *self.q)
+        return np.column_stack([self.number + 2 * clipped, clipped, 3 * clipped])
+
+
+def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_ends():
+    def piece(angle, low, high, kinds=("fold", "fold")):
+        return _Straight(SimpleNamespace(m=1), angle, 0, 0, 1, kinds, (low, high))
+
+    def distance(a, b):
+        return pieces._distance(a, b, -5.0, -3.0)
+
+    one = piece(1.0, -4.5, -3.5)
+    # The angle is off by 0.25; both ends by 0.1, and with them the angle by 0.2 and the time by 0.3.
+    assert distance(one, piece(1.25, -4.5, -3.5)) == pytest.approx(0.25)
+    assert distance(one, piece(1.0, -4.4, -3.4)) == pytest.approx(0.3 + 0.1)
+    # A shorter piece is compared at its own shares, of which the last lies 0.425 above -4.5 instead of 0.85.
+    assert distance(one, piece(1.0, -4.5, -4.0)) == pytest.approx(3 * (0.85 - 0.425) + 0.5)
+    assert distance(one, piece(1.0, -4.5, -3.5, ("fold", "a fall"))) == pieces._FAR
+    assert distance(one, piece(1.0, -4.5, -3.5, ("a fall", "fold"))) == pieces._FAR
+    # Beyond the range neither kinds nor, farther than 1, places count.
+    long, longer = piece(1.0, -7.0, -1.0), piece(1.0, -9.0, -1.0, ("a fall", "fold"))
+    assert distance(long, longer) == distance(longer, long) == 0.0
+    matched = pieces.match([[one, long], [longer, piece(1.25, -4.5, -3.5)]], [0, 0], -5.0, -3.0)
+    assert [[p.number for p in group] for group in matched] == [[1.0, 1.25], [1.0, 1.0]]
