@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from oracle import Oracle, SimplestWalker, StepFailed
-from tasks.mechanics.kernel import integrating_seconds
+from tasks.mechanics.kernel import Flow, integrating_seconds
 from tasks.step import simulate
 from tasks.step.problem import Problem
 from tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
@@ -40,6 +40,28 @@ def test_time_in_compiled_code_is_counted(simplest):
     for _ in range(20):
         stride(simplest, np.tile(LONG_D, 999), np.full(999, 0.009), exact=False)
     assert integrating_seconds() > before
+
+
+def test_a_motion_that_ends_a_last_digit_early_is_not_lost(monkeypatch):
+    """As about every second motion of two steps does, of which the second is the longer."""
+    problem = Problem(resolve("D"))
+    w, slope = np.array([[-1.6], [-1.0], [3.8]]), np.array([-4.6])
+    advance = Flow._advance
+
+    def ended(by):
+        def early(flow, duration, fractions):
+            motion = advance(flow, duration, fractions)
+            monkeypatch.setattr(flow, "_time", flow._ta.time + by(flow._ta.time))
+            return motion
+
+        monkeypatch.setattr(Flow, "_advance", early)
+        return problem.stride(w, slope)[0].residual
+
+    whole = ended(lambda t: 0.0 * t)
+    assert np.isfinite(whole).all()
+    np.testing.assert_array_equal(ended(lambda t: -np.spacing(t)), whole)
+    np.testing.assert_array_equal(ended(np.spacing), whole)
+    assert np.isnan(ended(lambda t: -1e-14 * t)).all()
 
 
 def test_the_published_gait_comes_back_to_itself(simplest):
