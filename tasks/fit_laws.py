@@ -10,6 +10,7 @@ import numpy as np
 from tasks.fits import power_law
 from tasks.fits import transition as laws
 from tasks.registry import GAITS
+from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
 #: A piece of a branch, by the numbers of both, and those of its points over which the local exponent is constant.
@@ -148,8 +149,9 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     g = GAITS.index("short")
     rows = []
     for line, data in zip(params["lines"], inputs, strict=True):
-        ratio = line["set"].get("foot_mass_ratio", {"E": 0.1, "F": 0.05}.get(line["walker"], np.nan))
-        if not ratio > 0:
+        walker = resolve(line["walker"], line["set"])
+        ratio = line["set"].get("foot_mass_ratio", walker.m_s / walker.total_mass)
+        if not (walker.point_foot and ratio > 0):
             continue
         curves = _curves(data, g, np.isfinite(data["stance_angle"][:, g]))
         (branch, piece), points = min(curves.items(), key=lambda c: data["slope"][c[1]].min(), default=((-1, -1), []))
@@ -181,7 +183,8 @@ def transition(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         )
     rows.sort(key=lambda r: -r["foot_mass_ratio"])
     for name, key in (("local_exponent", "slope_transition"), ("local_exponent_fitted", "slope_transition_fitted")):
-        for row, after in zip(rows, [*rows[1:], None], strict=True):
+        for row in rows:
+            after = next((r for r in rows if r["foot_mass_ratio"] < row["foot_mass_ratio"]), None)
             row[name] = (
                 np.nan
                 if after is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Mapping
 from typing import Any
@@ -24,11 +25,12 @@ from tasks.solve_points import points
 from tasks.step.problem import Lanes
 from tasks.walkers.resolve import resolve_many
 from tasks.walkers.tuning import is_tuned
+from tasks.walkers.walker import Walker, WalkerError
 from tasks.walkers.walker_array import WalkerArray
 
 Arrays = dict[str, np.ndarray]
 #: Entries in place of a reason where there is no number.
-_NO_GAIT, _NEVER_STABLE = "no gait", "never stable"
+_NO_WALKER, _NO_GAIT, _NEVER_STABLE = "no walker", "no gait", "never stable"
 #: Columns of the fastest stable gait: its slope, and its state just after heelstrike.
 _START = ("fastest_slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate")
 #: What the gaits at a slope are known by.
@@ -126,10 +128,13 @@ def _walkers(walker: Any, keys: Mapping[str, np.ndarray], n: int) -> WalkerArray
 
 
 def _alike(walkers: WalkerArray, numbers: np.ndarray) -> dict[Structure, np.ndarray]:
-    """Numbers of the walkers of each structure."""
-    structures = structures_of([walkers[i] for i in numbers.tolist()])
+    """Numbers of the walkers of each structure, without those that cannot be."""
+    possible: dict[int, Walker] = {}
+    for i in numbers.tolist():
+        with contextlib.suppress(WalkerError):
+            possible[i] = walkers[i]
     each: dict[Structure, list[int]] = {}
-    for i, structure in zip(numbers.tolist(), structures, strict=True):
+    for i, structure in zip(possible, structures_of([*possible.values()]), strict=True):
         each.setdefault(structure, []).append(i)
     return {structure: np.array(own) for structure, own in each.items()}
 
@@ -203,7 +208,7 @@ class _Rows:
         self.log_speed, names = log_speed, QUANTITIES if log_speed is not None else QUANTITIES[:-1]
         self.value = {name: np.full(n, np.nan) for name in names}
         self.error = {name: np.full(n, np.nan) for name in names}
-        self.kind = {name: np.full(n, "", "U32") for name in names}
+        self.kind = {name: np.full(n, _NO_WALKER, "U32") for name in names}
         self.start = np.full((5, n), np.nan)
         self.surveyed = np.zeros(n, int)
         self.attractor = np.full(n, _NO_GAIT, "U32")

@@ -66,8 +66,10 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     wanted = set(params.get("gaits") or GAITS)
     friction_limit = params.get("friction_limit", violations.FRICTION_LIMIT)
     keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
-    accepted = np.ones(len(keys), bool)
-    width = 4 if family.walkers(keys[:1]).knees else 3
+    walkers, corners = family.walkers(keys), family.walkers(np.array([box.low, box.high]))
+    # A massless leg's steps are the limit of those of light ones; its losses have formulas of their own.
+    accepted = walkers.massless_legs == corners.massless_leg
+    width = 4 if walkers.knees else 3
     out = {
         name: value.reshape(len(keys), len(slope), *value.shape[1:])
         for name, value in nothing_solved(want, len(keys) * len(slope), width).items()
@@ -85,16 +87,19 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
             solved, accepted[inside] = solve(family, *asked, made, accuracy)
             for name, value in solved.items():
                 out[name][np.ix_(inside, at_panel)] = value
-    to_accuracy(out, accuracy)
+    to_accuracy({name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}, accuracy)
     reasons = _reasons(family, box)
     others = np.flatnonzero(~accepted).tolist()
     if others:
         surveyed = lines_side_by_side({**params, "lines": [all_lines[i] for i in others]}, [])
+        out["reason"] = out["reason"].astype(np.int32)
+        sentences: dict[str, int] = {}
         for i, (_, points) in zip(others, surveyed, strict=True):
+            said = points["reasons"].tolist()
+            own = np.array([len(reasons) + sentences.setdefault(sentence, len(sentences)) for sentence in said])
             for name in out:
-                out[name][i] = points[name]
-            out["reason"][i] += len(reasons)
-            reasons += points["reasons"].tolist()
+                out[name][i] = own[points[name]] if name == "reason" else points[name]
+        reasons += sentences
     joined = {name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}
     return [({}, joined | {"reasons": np.array(reasons)})]
 

@@ -16,6 +16,7 @@ from tasks.fixed_points.multipliers import other_multipliers
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Lanes
 from tasks.walkers.tuning import leg_moment
+from tasks.walkers.walker import WalkerError
 
 #: Nodes along each key, those with which coordinates are compared, and the error of predictions below which no more are
 #: taken.
@@ -92,9 +93,13 @@ class Maker:
         Raises
         ------
         Refused
-            If it is not smooth enough, or ends in the box in another way than along a curve.
+            If it is not smooth enough, ends in the box in another way than along a curve, or goes on where no walker
+            can be.
         """
-        return _Extension(self, kind, target, unit, Z).manifold()
+        try:
+            return _Extension(self, kind, target, unit, Z).manifold()
+        except WalkerError as error:
+            raise Refused(f"a {kind} counts where {error}") from None
 
 
 class _Extension:

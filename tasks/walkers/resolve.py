@@ -173,7 +173,7 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     walker : str or mapping
         As for `resolve`.
     overrides : mapping
-        As for `resolve`, of numbers and of ndarrays, shape (n,), which are not checked beyond their first values.
+        As for `resolve`, of numbers and of ndarrays, shape (n,), of which not every walker is checked.
 
     Returns
     -------
@@ -183,10 +183,17 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     Raises
     ------
     WalkerError
-        If the first of the walkers cannot be.
+        If none of the walkers can be.
     """
     arrays = {key: value for key, value in overrides.items() if isinstance(value, np.ndarray)}
-    first = resolve(walker, {**overrides, **{key: float(value[0]) for key, value in arrays.items()}})
+    for own in zip(*(array.tolist() for array in arrays.values()), strict=True) if arrays else [()]:
+        try:
+            first = resolve(walker, {**overrides, **dict(zip(arrays, own, strict=True))})
+            break
+        except WalkerError as error:
+            impossible = error
+    else:
+        raise impossible
     values: dict[str, Any] = {}
     for key, array in arrays.items():
         if key == "detuning":

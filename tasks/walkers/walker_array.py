@@ -40,8 +40,9 @@ class WalkerArray(Walker):
     @property
     def eps_S(self) -> Any:
         """Angle between the shank and the hip-foot-centre line at full extension [rad]."""
+        d = self.l_s - self.R
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.arcsin(self.l_t * np.sin(self.eps_T) / (self.l_s - self.R))
+            return np.where(d == 0, 0.0, np.arcsin(self.l_t * np.sin(self.eps_T) / d))
 
     @property
     def l(self) -> Any:
@@ -64,9 +65,15 @@ class WalkerArray(Walker):
         return -np.exp(1j * self.eps_S) * (self.w_s + 1j * self.c_s)
 
     @property
+    def massless_legs(self) -> np.ndarray:
+        """Whether each walker's swing leg has no inertia about the hip, shape (n,)."""
+        massive = (self.m_s != 0) | (self.m_t * (self.r_t**2 + self.c_t**2 + self.w_t**2) != 0)
+        return np.broadcast_to(np.logical_not(massive), len(self))
+
+    @property
     def massless_leg(self) -> bool:
         """Whether no swing leg has inertia about the hip."""
-        return not (np.any(self.m_s) or np.any(self.m_t * (self.r_t**2 + self.c_t**2 + self.w_t**2)))
+        return bool(self.massless_legs.all())
 
     @property
     def point_foot(self) -> bool:

@@ -30,6 +30,15 @@ def test_a_walker_that_is_never_stable_has_no_number_and_says_so():
     assert found["smallest_slope"] == 0.0
 
 
+def test_a_walker_that_cannot_be_fails_no_other():
+    legs = {"l_s": np.array([0.3, 0.42, 0.5])}
+    line = {"walker": {"base": "B", "eps_T": 0.1, "R": 0.4, "c_s": 0.4, "l_s": 0.5}, "set": legs}
+    found = design({"line": line, "slope": np.array([1e-3, 0.1])}, [])
+    assert found["design/smallest_at"][1] == "no walker" and np.isnan(found["design/smallest_slope"][1])
+    alone = design({"line": {**line, "set": {"l_s": np.array([0.3])}}, "slope": np.array([1e-3, 0.1])}, [])
+    assert found["design/smallest_at"][0] == alone["design/smallest_at"][0] != "no walker"
+
+
 def test_a_window_cuts_what_is_told():
     found = best("D", 1e-3, 0.01)
     assert (found["largest_stable_slope"], found["stability_lost_by"]) == (pytest.approx(0.01, rel=1e-12), "window")

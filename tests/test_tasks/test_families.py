@@ -13,12 +13,14 @@ from tasks.families.box import Box, Refused, roots
 from tasks.families.cell import PANEL, Family, _Maker, _neighbours, make
 from tasks.families.patch import along, basis, coordinate, fit
 from tasks.families.pieces import Piece
+from tasks.measures.gaits import nothing_solved
 from tasks.measures.smooth import Smooth
 from tasks.mechanics.lumped import common_structure, constants_of
 from tasks.registry import ALWAYS
 from tasks.solve_planes import lines
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.walkers.resolve import resolve, resolve_many
+from tasks.walkers.walker import WalkerError
 
 WANT = ("stance_angle", "stance_rate", "thigh_rate", "period", "speed", "spectral_radius", *ALWAYS)
 #: Walker, keys with their ranges, and slopes; the last has ends of branches inside.
@@ -97,6 +99,35 @@ def test_an_array_of_walkers_has_the_constants_of_each(walker, keys):
         assert many.some(np.array([i])).leg == pytest.approx(one.leg, rel=1e-15)
 
 
+def test_an_array_of_walkers_may_hold_some_that_stand_out():
+    """Feet of the shank's radius have their centre at the knee; legs may be massless; some walkers cannot be."""
+    centred = resolve_many("B", {"R": np.array([0.4, 0.5, 0.6])})
+    assert centred.leg == pytest.approx([1.0, 1.0, 1.0]) and not np.any(centred.eps_S)
+    assert resolve_many("E", {"m_s": np.array([0.0, 0.1])}).massless_legs.tolist() == [True, False]
+    some = resolve_many("B", {"m_h": np.array([-1.0, 0.5, -2.0])})
+    assert some[1] == resolve("B", {"m_h": 0.5})
+    with pytest.raises(WalkerError, match=r"`m_h` must be >= 0; got -2"):
+        resolve_many("B", {"m_h": np.array([-1.0, -2.0])})
+
+
+def test_a_block_has_as_many_sentences_as_its_lines_give_it(monkeypatch):
+    """More than 16 bits can number, of lines that are surveyed by themselves."""
+    n = 12_000
+
+    def surveyed(params, _):
+        own = nothing_solved(params["want"], 1, 3)
+        return [({}, {**own, "reasons": np.array([f"{i} {k}" for k in range(7)])}) for i in range(n)]
+
+    monkeypatch.setattr(solve_planes, "lines_side_by_side", surveyed)
+    R = np.linspace(0.1, 0.2, n)
+    structure = common_structure(resolve_many("B", {"R": R}))
+    monkeypatch.setattr(solve_planes, "_cells", lambda family, box, *_: [cells.Cell(box, structure, [], "refused")])
+    cell = {"keys": ["R"], "low": [0.1], "high": [0.2], "values": [R]}
+    lines_of_it = [{"walker": "B", "set": {"R": float(r)}} for r in R]
+    ((_, out),) = lines({"lines": lines_of_it, "slope": np.array([0.01]), "want": ALWAYS, "cell": cell}, [])
+    assert [str(s) for s in out["reasons"][out["reason"][-1]]] == [f"{n - 1} {k}" for k in (1, 5, 2, 2)]
+
+
 @pytest.mark.parametrize(
     "ends", [((False, False), (False, True)), ((True, False), (False, True)), ((False, True), (True, False))]
 )
@@ -121,9 +152,13 @@ def test_planes_may_touch_a_change_of_structure_or_hold_no_gait(walker, keys, sl
     """At no offset the section has a dimension less, without mass at the foot the leg no inertia."""
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
     cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
-    params = {"lines": [{"walker": walker, "set": at}], "slope": np.array([slope]), "want": WANT}
-    (one,), ((_, other),) = by_line({**params, "cell": cell}), lines_side_by_side(params, [])
-    assert int(one["reason"].max()) < 6  # of the cell's sentences, not of a line's own
+    params = {"slope": np.array([slope]), "want": (*WANT, "loss_normal")}
+    both = [{"walker": walker, "set": keys} for keys in (at, dict(zip(keys, high, strict=True)))]
+    one, _ = by_line({**params, "lines": both, "cell": cell})
+    ((_, other),) = lines_side_by_side({**params, "lines": both[:1]}, [])
+    # Only a massless leg is surveyed by itself: its losses are no limit of those in the cell.
+    assert (int(one["reason"].max()) < 6) == ("foot_mass_ratio" not in keys)
+    np.testing.assert_array_equal(np.isnan(one["loss_normal"]), np.isnan(other["loss_normal"]))
     assert np.array_equal(one["status"], other["status"])
     gaits = other["status"] == 0
     assert gaits.sum() == (0 if walker == "physical-straight" else 2)

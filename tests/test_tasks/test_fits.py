@@ -128,6 +128,23 @@ def test_a_transition_is_read_from_the_curve_that_comes_to_the_smallest_slope():
         np.testing.assert_array_equal(found[name], kept[name])
 
 
+def test_ratios_are_those_of_the_walkers_and_exponents_those_between_different_ones():
+    slope = np.geomspace(1e-11, 0.05, 200)
+    data = []
+    for ratio in (0.1, 0.1, 0.05):
+        out = solved("E", slope, want=("stance_angle",), foot_mass_ratio=ratio)
+        data.append({"slope": slope, **{k: out[k] for k in ("stance_angle", "branch", "piece")}})
+    lines = [{"walker": {"base": "E"}, "set": {}}, {"walker": "E", "set": {"g": 2.0}}, {"walker": "F", "set": {}}]
+    found = transition_table({"lines": lines}, data)
+    assert found["fits/transition/foot_mass_ratio"].tolist() == [0.1, 0.1, 0.05]
+    exponents = found["fits/transition/local_exponent"]
+    slopes = found["fits/transition/slope_transition"]
+    assert exponents[0] == exponents[1] == pytest.approx(np.log2(slopes[0] / slopes[2])) and np.isnan(exponents[2])
+    few = {k: v if k == "slope" else v[:3] for k, v in data[0].items()} | {"slope": slope[:3]}
+    assert transition_table({"lines": lines[:1]}, [few]) == {}
+    assert transition_table({"lines": [{"walker": "A", "set": {}}]}, data[:1]) == {}
+
+
 def test_a_bend_splits_the_range():
     x = np.geomspace(1e-8, 1e4, 240)
     y = 1 / (1 / x + 1 / x ** (1 / 3))
