@@ -149,9 +149,9 @@ def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accura
             sheet = Sheet(patch, names, sizes, coefficients, error, sampled.passes)
             return sheet if has_one_label(*sheet.ratio_range(), error) else None
         grow = tail > 0.1 * accuracy / len(tail)
-        larger = tuple(
-            max(n, min(n + 2 * int(more or not grow.any()), _MOST)) for n, more in zip(sizes, grow, strict=True)
-        )
+        grow |= not grow.any()
+        # Along a piece that ends there may be more to begin with.
+        larger = tuple(max(n, min(n + 2 * int(more), _MOST)) for n, more in zip(sizes, grow, strict=True))
         if larger == sizes:
             return None
         sizes = larger
