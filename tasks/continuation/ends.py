@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from tasks.continuation.locate import (
     locate_root,
     row,
     row_tangent,
+    sampled_steps,
     search_segment,
     strike_distances,
 )
@@ -22,6 +24,7 @@ from tasks.continuation.lockstep import Call, Procedure, lanes_of
 from tasks.continuation.root import root_search
 from tasks.continuation.tracking import Point, correct
 from tasks.step.step_map import SAMPLES
+from tasks.step.verify_step import verify
 
 #: Shares of the way to an end at which gaits must still be steps.
 _SHARES = 1 - 0.1 ** np.arange(1, 7)
@@ -103,18 +106,21 @@ def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Pr
         distances = yield Call(strike_distances, (point.X, point.times), (("samples", samples),))
         return float(distances[0])
 
-    def bisect(a: float, b: float, rounds: int) -> Procedure[tuple[float, float]]:
+    def bisect(
+        a: float, b: float, rounds: int, happens: Callable[[Point], Procedure[bool]] = is_step
+    ) -> Procedure[tuple[float, float]]:
         for _ in range(rounds):
             middle = 0.5 * (a + b)
             point, _ = yield from correct_at(branch, segment, middle)
-            if point.ok[0] and (yield from is_step(point)):
+            if point.ok[0] and (yield from happens(point)):
                 a = middle
             else:
                 b = middle
         return a, b
 
     # Bisection by whether the step happens brackets the point; the guard's minimum is smooth only near it.
-    a, b = yield from bisect(a, b, 8)
+    nodes = a, b
+    a, b = yield from bisect(*nodes, 8)
     at_a = yield from distance(*(yield from correct_at(branch, segment, a)))
     at_b = yield from distance(*(yield from correct_at(branch, segment, b)))
     if np.isfinite([at_a, at_b]).all() and at_a * at_b < 0:
@@ -123,9 +129,17 @@ def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Pr
         # The value at half as many samples shows the error of the cubic's minimum.
         error = abs((yield from distance(point, direction, 8 * SAMPLES)) / (at_b - at_a) * (b - a))
     else:
-        a, b = yield from bisect(a, b, 40)
+        # Only samples tell where it is, and how finely they must be taken shows in what finer ones change.
+        rough, _ = yield from bisect(a, b, 40)
+        a, _ = yield from bisect(*nodes, 48, _is_step_finely)
         point, direction = yield from correct_at(branch, segment, a)
-        error = 0.0
+        error = a - rough
     tangent = row_tangent(point, direction)
     error = abs(error * float(tangent[branch.m] / tangent[axis]))
     return BranchEnd("end_earlier_strike", point, direction, error)
+
+
+def _is_step_finely(point: Point) -> Procedure[bool]:
+    """Whether a corrected point is a step that happens, by four times as many samples as a doubt is settled with."""
+    stride, _ = yield Call(sampled_steps, (point.X, point.times), (("samples", 64 * SAMPLES),))
+    return bool(verify(stride.motion, stride.closing, stride.times).step[0])

@@ -60,7 +60,7 @@ def crossing(free: bool, X: np.ndarray, h: float, ground: np.ndarray | None = No
     dg = h * dg
     a, b, da, db = g[:-1], g[1:], dg[:-1], dg[1:]
     with np.errstate(invalid="ignore"):
-        crosses = (a > 0) & ((b <= 0) | ((da < 0) & (db > 0)))
+        crosses = ((a > 0) | ((a == 0) & (da > 0))) & ((b <= 0) | ((da < 0) & (db > 0)))
         if not free:
             crosses &= (X[1:, 0] < 0) & ((ground is None) | (X[1:, 1] > X[1:, 0]))
     fraction = np.full(a.shape, -1.0)
@@ -70,11 +70,15 @@ def crossing(free: bool, X: np.ndarray, h: float, ground: np.ndarray | None = No
     a, b, da, db = a[lanes], b[lanes], da[lanes], db[lanes]
     s = np.linspace(0.0, 1.0, 17)[:, None]
     value = a * (1 + 2 * s) * (1 - s) ** 2 + da * s * (1 - s) ** 2 + b * s * s * (3 - 2 * s) + db * s * s * (s - 1)
-    below = value <= 0
+    below = (value <= 0) & (s > 0)
     first = np.argmax(below, axis=0)
     column = np.arange(len(a))
     high, low = value[np.maximum(first - 1, 0), column], value[first, column]
     with np.errstate(divide="ignore", invalid="ignore"):
         at = (first - 1 + high / (high - low)) / 16
-    fraction[lanes] = np.where(below.any(axis=0), at, -1.0)
+    falls = below.any(axis=0)
+    if not free:
+        stance, after = X[:-1, 0][lanes], X[1:, 0][lanes]
+        falls &= stance + at * (after - stance) < 0
+    fraction[lanes] = np.where(falls, at, -1.0)
     return fraction

@@ -234,8 +234,8 @@ def verify(
         flexion, rate = three[:, 1] - three[:, 2], three[:, 4] - three[:, 5]
         hyperextends = rate[0] < 0
         inner = flexion[1:-1]
-        bent = np.maximum.accumulate(inner > 0, axis=0)
-        straight_again = (bent[:-1] & (inner[1:] < -_STRAIGHT)).any(axis=0)
+        bent = np.maximum.accumulate(np.vstack([rate[:1] > 0, inner > 0]), axis=0)
+        straight_again = (bent[:-1] & (inner < -_STRAIGHT)).any(axis=0)
         # A strike that falls comes from above, if only since the last sample: almost tangential ones do.
         step = step & ~straight_again & (times[0] > _MIN_KNEESTRIKE)
         # The foot could strike before the knee; where both strike together its height at kneestrike is rounding.
@@ -248,5 +248,6 @@ def verify(
         behind = np.minimum(three[:-1, 0], three[1:, 0]) - margin < 0
         doubt |= (behind & _unclear(sum_, closing_in, margin)).any(axis=0)
         # The knee starts straight: the guard's first zero is no strike.
-        doubt |= _unclear(flexion, rate, margin)[1:].any(axis=0)
+        unclear = _unclear(flexion, rate, margin)
+        doubt |= unclear[1:].any(axis=0) | ((rate[0] > 0) & unclear[0])
     return StepCheck(step, leg_passes, doubt & np.isfinite(closing).all(axis=0), hyperextends)

@@ -71,6 +71,18 @@ def test_a_point_beside_an_end_settles_by_both_roads(name):
     assert abs(one - other) <= (bound + other_bound) * one
 
 
+@pytest.mark.parametrize(
+    ("name", "end"), [("late_foot_with_knee", 0.038367979989360465), ("upright", 0.03376239445272391)]
+)
+def test_an_end_that_only_samples_show_has_the_error_of_samples(name, end):
+    """Bisected by 65,536 samples of each phase; the foot dips between few, or touches as the leg is upright."""
+    walker, overrides, *_ = point(name)
+    problem, found = branches(walker, **overrides)
+    special = [p for b in found for p in special_points(problem, b) if p["kind"] == "end_earlier_strike"]
+    nearest = min(special, key=lambda p: abs(np.log(p["slope"] / end)))
+    assert abs(nearest["slope"] / end - 1) <= nearest["error_bound"] < 1e-5
+
+
 @pytest.mark.parametrize("name", [name for name in POINTS if "fall" not in name])
 def test_its_bound_holds_against_more_digits(name):
     problem, guess = guesses(name)

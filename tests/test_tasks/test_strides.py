@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from oracle import Oracle, SimplestWalker, StepFailed
+from pipeline.bench.stress import random_walker
 from tasks.mechanics.kernel import Flow, integrating_seconds
+from tasks.registry import ALWAYS
+from tasks.solve_points import lines
+from tasks.status import CONVERGED
 from tasks.step import simulate
+from tasks.step.crossing import crossing
 from tasks.step.problem import Problem
 from tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
 from tasks.step.verify_step import _extrema, _unclear
@@ -146,6 +151,37 @@ def test_a_knee_that_bends_again_before_it_is_straight_has_not_struck():
     slow = Oracle(walker.table())
     with pytest.raises(StepFailed):
         slow.step(begin[0], begin[3:6] / slow.time_unit, slope[0])
+
+
+def test_a_knee_that_flexes_for_a_moment_only_strikes_then():
+    """Released flexing, it is straight again before the first sample, and before the first time step ends."""
+    walker = random_walker("kneed, any", 21)
+    problem, slope, slow = Problem(walker), np.array([0.02]), Oracle(walker.table())
+    rates = ("stance_rate", "thigh_rate", "shank_rate")
+    asked = {"lines": [{"walker": walker.table()}], "slope": slope, "want": ("stance_angle", *rates, *ALWAYS)}
+    ((_, out),) = lines(asked, [])
+    for g in np.flatnonzero(out["status"][0] == CONVERGED):
+        start = out["stance_angle"][0, g], np.array([out[rate][0, g] for rate in rates])
+        assert slow.step(*start, slope[0]).theta == pytest.approx(start[0], rel=1e-6)
+    y = np.array([[0.04861636178892312], [-0.6706907890227205], [-0.6935433814763815]])
+    found = stride(problem, y, slope)
+    begin = problem.map.start(y, problem.parameters(slope, np.ones(1)))[:, 0]
+    expected = slow.step(begin[0], begin[3:6] / slow.time_unit, slope[0])
+    assert found.times[0, 0] * slow.time_unit == pytest.approx(expected.kneestrike_time, rel=1e-9)
+    assert found.image[0, 0] == pytest.approx(expected.theta, rel=1e-9)
+
+
+def test_strikes_within_a_time_step():
+    """The stance angle counts where the guard is zero; a knee that flexes at the start may strike in the same step."""
+    states = np.array([[0.02, -0.0199, -1.0, 0.9], [-0.0425, 0.0365, -1.0, 0.9]])[:, :, None]
+    assert crossing(False, states, 0.0625) == -1
+    states[:, 0] -= 0.03
+    states[:, 1] += 0.03
+    assert 0 < crossing(False, states, 0.0625) < 0.1
+    knee = np.array([[0.1, -0.1, -0.1, 0.0, 0.2, 0.0], [0.1, -0.1, -0.09, 0.0, -0.5, 0.0]])[:, :, None]
+    assert 0.2 < crossing(True, knee, 0.0625) < 0.6
+    knee[0, 4] = -0.2  # behind its stop from the start
+    assert crossing(True, knee, 0.0625) == -1
 
 
 def test_a_guard_that_may_touch_zero_between_samples_is_in_doubt():
