@@ -11,9 +11,9 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from pipeline import terminal
 from pipeline.execution import worker_process
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _CLEAR = "\r\033[K"  # clears the line of a terminal
 _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
+_BLOCK = 1 << 18  # of an event log that is read at a time [byte]
 _LOG, _SLOW, _FAST = 5.0, 60.0, 0.5  # intervals of states in the log, of lines without a terminal, and with one [s]
 
 
@@ -244,20 +245,28 @@ def duration(seconds: float) -> str:
 
 def last_state(log: Path) -> dict[str, Any] | None:
     """Last state in an event log, with `over` if the run ended; None if there is none."""
+    is_over = None
     try:
         with open(log, "rb") as file:
-            file.seek(0, 2)
-            file.seek(max(0, file.tell() - (1 << 18)))
-            lines = file.read().splitlines()
+            for line in _lines_backwards(file):
+                try:
+                    event = json.loads(line)
+                    is_over = event["event"] == "end" if is_over is None else is_over
+                    if event["event"] == "state":
+                        return {**event, "over": is_over}
+                except (ValueError, KeyError, TypeError):
+                    continue
     except OSError:
-        return None
-    state, is_over = None, False
-    for line in lines:
-        try:
-            event = json.loads(line)
-            if event["event"] == "state":
-                state = event
-            is_over = event["event"] == "end"
-        except (ValueError, KeyError, TypeError):
-            continue
-    return {**state, "over": is_over} if state else None
+        pass
+    return None
+
+
+def _lines_backwards(file: BinaryIO) -> Iterator[bytes]:
+    """Lines of a file, the last first; of lines longer than a block, only parts."""
+    start, rest = file.seek(0, 2), b""
+    while start:
+        end, start = start, max(0, start - _BLOCK)
+        file.seek(start)
+        rest, *lines = (file.read(end - start) + rest[:_BLOCK]).split(b"\n")
+        yield from reversed(lines)
+    yield rest

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 import tomllib
+import tracemalloc
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -23,7 +24,7 @@ from pipeline.archive import read, write
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError, unwritten
 from pipeline.execution import locks, study_jobs
-from pipeline.execution.progress import duration
+from pipeline.execution.progress import duration, last_state
 from processes import sidecar_path
 
 
@@ -234,6 +235,25 @@ def test_status_tells_what_happened_to_people_and_machines(toy):
     (none,) = json.loads(toy("status", "--json", "--archive", "other.nc").stdout)
     assert none == {"archive": "other.nc"}
     assert found["done"] == 400 and found["running"] is False
+
+
+@pytest.mark.parametrize("events", [3, 3_000, 30_000])
+def test_the_last_state_is_found_however_many_events_follow(tmp_path, events):
+    """Thousands of tasks a second leave megabytes between two states; of these, only a part is in memory."""
+    state, task = ({"event": name, "points": 7, "of": "x" * 100} for name in ("state", "task"))
+    log = tmp_path / "log"
+    lines = [json.dumps(event) + "\n" for event in ({**state, "points": 8}, state, task)]
+    log.write_text("no event\n" + "".join(lines[:2]) + lines[2] * events + lines[2][:20])
+    tracemalloc.start()
+    try:
+        assert last_state(log) == {**state, "over": False}
+        assert tracemalloc.get_traced_memory()[1] < 2e6
+    finally:
+        tracemalloc.stop()
+    log.write_text(log.read_text() + '\n{"event": "end"}\n')
+    assert last_state(log) == {**state, "over": True}
+    log.write_text("x" * 1_000_000)
+    assert last_state(log) is None
 
 
 def test_quiet_is_quiet_and_the_summary_counts(toy):
