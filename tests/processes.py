@@ -4,6 +4,7 @@ import contextlib
 import signal
 import time
 from pathlib import Path
+from unittest.mock import MagicMock
 
 
 def sidecar_path(toy, what=".journal"):
@@ -28,6 +29,13 @@ def descendants(pid):
     except OSError:
         return []
     return children + [d for c in children for d in descendants(c)]
+
+
+def ended(code):
+    """In place of a process, one that has ended so."""
+    process = MagicMock(returncode=code)
+    process.__enter__.return_value = process
+    return process
 
 
 def alive(pids, seconds=3.0):

@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -21,6 +22,7 @@ from pipeline.errors import ArchiveError, GaitsweepError, WorkerError, is_shorta
 SCHEMA = 2
 _READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
 _TIMEOUT, _MIN_SPEED = 30.0, 5e6  # time [s] and speed [byte/s] allowed to read an archive
+_TICK, _MAX_CHARGED = 0.1, 0.5  # interval of checks of the process that reads it, and most charged to it for one [s]
 _MAX_VALUES = 1 << 20  # values read at a time
 _MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
 
@@ -209,15 +211,13 @@ def probe(paths: Iterable[Path]) -> None:
         size = path.stat().st_size if path.is_file() else 0
         command = [sys.executable, "-P", "-m", "pipeline.archive.read", str(path)]
         try:
-            process = subprocess.run(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                env=environment,
-                timeout=_TIMEOUT + size / _MIN_SPEED,
-            )
-        except subprocess.TimeoutExpired as error:
+            null = subprocess.DEVNULL
+            with subprocess.Popen(command, stdin=null, stdout=null, stderr=null, env=environment) as process:
+                try:
+                    _wait(process, _TIMEOUT + size / _MIN_SPEED)
+                finally:
+                    process.kill()
+        except TimeoutError as error:
             raise ArchiveError(f"{path} is damaged: the netCDF library hangs on it.") from error
         except OSError as error:
             raise WorkerError(f"{path} cannot be tried in another process: {error.strerror}.") from error
@@ -225,6 +225,19 @@ def probe(paths: Iterable[Path]) -> None:
             raise ArchiveError(f"{path} is damaged: the netCDF library crashes on it.")
         if process.returncode:
             raise WorkerError(f"{path} cannot be tried in another process: that ended with {process.returncode}.")
+
+
+def _wait(process: subprocess.Popen[bytes], seconds: float) -> None:
+    """Wait so long for the end of a process."""
+    clock = time.monotonic()
+    while seconds > 0:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(_TICK)
+            return
+        # A late tick means that this process was suspended, and the other one with it.
+        before, clock = clock, time.monotonic()
+        seconds -= min(_MAX_CHARGED, clock - before)
+    raise TimeoutError
 
 
 @functools.lru_cache(64)

@@ -4,12 +4,14 @@ import contextlib
 import errno
 import json
 import multiprocessing
+import os
 import random
 import resource
 import shutil
 import signal
 import subprocess
 import sys
+import time
 import zlib
 from collections import Counter
 from pathlib import Path
@@ -34,6 +36,7 @@ from pipeline.report import pages
 from pipeline.statuses import ALL_STATUSES as STATUS
 from pipeline.store.journal import Journal
 from pipeline.study import parse
+from processes import descendants, ended
 
 EVERYTHING = STUDY.replace('"multipliers"', '"multipliers", "energy", "violations"')
 
@@ -502,7 +505,7 @@ class _Counted:
 def test_an_archive_that_crashes_the_library_is_not_opened_here(copy, monkeypatch):
     """Another process has tried it, once for each state of the file."""
     path, calls = copy, []
-    monkeypatch.setattr(read.subprocess, "run", lambda *_, **__: calls.append(1) or Mock(returncode=-11))
+    monkeypatch.setattr(read.subprocess, "Popen", lambda *_, **__: calls.append(1) or ended(-11))
     monkeypatch.setattr(netCDF4, "Dataset", None)
     for _ in range(2):
         with pytest.raises(ArchiveError, match="the netCDF library crashes on it"):
@@ -510,9 +513,51 @@ def test_an_archive_that_crashes_the_library_is_not_opened_here(copy, monkeypatc
         assert read.not_attempted(path) is None
     assert len(calls) == 4
     monkeypatch.undo()
-    monkeypatch.setattr(read.subprocess, "run", lambda *_, **__: calls.append(1) or Mock(returncode=0))
+    monkeypatch.setattr(read.subprocess, "Popen", lambda *_, **__: calls.append(1) or ended(0))
     load(path), load(path)
     assert len(calls) == 5
+
+
+@pytest.fixture
+def reader(tmp_path):
+    """A process that reads an archive for so long [s]."""
+
+    def write(seconds):
+        (tmp_path / "reader").write_text(f"#!/bin/sh\ntouch begun\nexec sleep {seconds}\n")
+        (tmp_path / "reader").chmod(0o755)
+        return str(tmp_path / "reader")
+
+    return write
+
+
+def test_a_command_that_was_suspended_blames_no_archive(tmp_path, reader):
+    """It and the process that reads the archive, which wakes last, stopped for longer than that may take."""
+    program = (
+        "import sys; from pathlib import Path; from pipeline.archive import read\n"
+        f"sys.executable, read._TIMEOUT = {reader(1)!r}, 3.0; read.probe([Path('any.nc')])"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path, env={**os.environ, "PYTHONPATH": ROOT})
+    while not (tmp_path / "begun").exists() and process.poll() is None:
+        time.sleep(0.02)
+    both = process.pid, *descendants(process.pid)
+    for pid in both:
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(3.3)
+    for pid in both:
+        with contextlib.suppress(ProcessLookupError):  # the first may have ended the other
+            os.kill(pid, signal.SIGCONT)
+        time.sleep(0.3)
+    assert process.wait(20) == 0
+
+
+def test_an_archive_on_which_the_library_hangs_is_damaged(tmp_path, monkeypatch, reader):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "executable", reader(60))
+    monkeypatch.setattr(read, "_TIMEOUT", 0.3)
+    began, before = time.monotonic(), descendants(os.getpid())
+    with pytest.raises(ArchiveError, match="the netCDF library hangs on it"):
+        read.probe([tmp_path / "a.nc"])
+    assert time.monotonic() - began < 10 and descendants(os.getpid()) == before
 
 
 def test_an_archive_is_probed_in_every_value_some_at_a_time(monkeypatch):

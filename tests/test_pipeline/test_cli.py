@@ -25,7 +25,7 @@ from pipeline.cli import commands
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError, unwritten
 from pipeline.execution import locks, study_jobs
 from pipeline.execution.progress import duration, last_state
-from processes import sidecar_path
+from processes import ended, sidecar_path
 
 
 def gaitsweep(*arguments, cwd=None):
@@ -201,12 +201,12 @@ def test_a_limit_of_the_system_is_not_called_damage(toy, monkeypatch, capsys):
     toy("run", "toy.toml")
     archive = toy.folder / "data" / "archive" / "toy.nc"
     for code, said in ((errno.EAGAIN, "Resource temporarily unavailable"), (errno.EMFILE, "Too many open files")):
-        monkeypatch.setattr(read.subprocess, "run", Mock(side_effect=OSError(code, os.strerror(code))))
+        monkeypatch.setattr(read.subprocess, "Popen", Mock(side_effect=OSError(code, os.strerror(code))))
         assert commands.main(["verify", str(archive)]) == 3
         assert capsys.readouterr().err == f"gaitsweep: {archive} cannot be tried in another process: {said}.\n"
         error = unwritten(archive, OSError(code, os.strerror(code)))
         assert (error.exit_code, str(error)) == (3, f"A limit of the system is reached: {said}.")
-    monkeypatch.setattr(read.subprocess, "run", Mock(return_value=Mock(returncode=1)))
+    monkeypatch.setattr(read.subprocess, "Popen", Mock(return_value=ended(1)))
     assert commands.main(["verify", str(archive)]) == 3
 
 
