@@ -81,6 +81,7 @@ def run(
     studies = [StudyRun(study, path, options, report or errors.append) for study, path in targets]
     signals = Signals()
     with contextlib.ExitStack() as stack:
+        stack.callback(signals.restore)
         for study in studies:
             stack.callback(study.close)
             study.open()

@@ -7,25 +7,30 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from types import FrameType
+from typing import Any
 
 from pipeline.errors import StoppedError
 from pipeline.execution import worker_process
 
+_ONE = 1.0  # signals within this time are one: `timeout` sends it to its command and again to the group [s]
+
 
 class Signals:
-    """Stop a run at INT, TERM or HUP, but never while a result is written; a second signal kills.
+    """Stop a run at INT, TERM or HUP, but never while a result is written; a second signal, a second later, kills.
 
     Signals that were ignored at the start, as under `nohup`, stay ignored.
     """
 
     def __init__(self) -> None:
-        self.postponed, self.received = False, 0
+        self.postponed, self.received, self._when = False, 0, 0.0
+        self._handlers: dict[int, Any] = {}
 
     @contextlib.contextmanager
     def handle(self) -> Iterator[None]:
-        """Handle signals inside; only the main thread can.
+        """Handle signals inside, and after one until `restore`; only the main thread can.
 
         Inside a callback of the interpreter, as while a module is imported, no error can be raised. Its worker
         processes being gone, the run then ends by the error that follows.
@@ -33,7 +38,7 @@ class Signals:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        handlers = {
+        self._handlers = {
             s: signal.signal(s, self._receive)
             for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
             if signal.getsignal(s) not in (signal.SIG_IGN, None)
@@ -50,14 +55,22 @@ class Signals:
             raise
         finally:
             sys.unraisablehook = hook
-            for signum, handler in handlers.items():
-                signal.signal(signum, handler)
+            if not self.received:  # the same one once more must not keep the run from saying how it ended
+                self.restore()
+
+    def restore(self) -> None:
+        """Leave signals to their earlier handlers."""
+        for signum, handler in self._handlers.items():
+            signal.signal(signum, handler)
 
     def _receive(self, signum: int, frame: FrameType | None) -> None:
-        worker_process.stop()
         if self.received:
-            os._exit(128 + signum)
-        self.received = signum
+            if time.monotonic() - self._when > _ONE:
+                worker_process.stop()
+                os._exit(128 + signum)
+            return
+        self.received, self._when = signum, time.monotonic()
+        worker_process.stop()
         if not self.postponed:
             self._stop()
 

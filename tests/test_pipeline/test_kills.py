@@ -1,6 +1,7 @@
 """Whatever ends a run, and whenever: the same command again finishes with the same bytes."""
 
 import contextlib
+import json
 import os
 import random
 import re
@@ -88,23 +89,43 @@ def test_two_hundred_random_kills(toy, wholes, tell, way):
     )
 
 
-def interpret(program):
+def interpret(program, cwd=None):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", program], text=True, capture_output=True, env=environment
+        [sys.executable, "-W", "ignore", "-c", program], text=True, capture_output=True, env=environment, cwd=cwd
     )
 
 
-def test_a_second_interrupt_is_hard():
+@pytest.mark.parametrize(("pause", "code", "said"), [(1.2, 130, "held\n"), (0.1, 1, "held\nsoft\n")])
+def test_a_second_interrupt_is_hard_unless_it_is_the_first_once_more(pause, code, said):
     """The first waits for what must not be cut in two; the second does not."""
     program = (
-        "import os, signal; from pipeline.execution.runner import Signals; signals = Signals()\n"
+        "import os, signal, time; from pipeline.execution.runner import Signals; signals = Signals()\n"
         "def interrupt(): os.kill(os.getpid(), signal.SIGINT)\n"
         "with signals.handle():\n"
-        "    with signals: interrupt(); print('held', flush=True); interrupt(); print('soft', flush=True)\n"
+        f"    with signals: interrupt(); print('held', flush=True); time.sleep({pause}); interrupt(); "
+        "print('soft', flush=True)\n"
     )
     done = interpret(program)
-    assert (done.returncode, done.stdout) == (130, "held\n")
+    assert (done.returncode, done.stdout) == (code, said)
+    assert code == 130 or done.stderr.endswith("StoppedError: Stopped by SIGINT; finished results are kept.\n")
+
+
+@pytest.mark.parametrize("when", ["while it stops", "while its record is written"])
+def test_a_signal_that_comes_twice_leaves_a_line_and_a_record(toy, when):
+    """As `timeout` sends it: to its command, and a moment later to the group, of which that is one."""
+    place = {"while it stops": "worker_process.close_all", "while its record is written": "runner._write_record"}[when]
+    program = (
+        "import os, signal, sys; from pipeline.execution import runner, worker_process\n"
+        "from pipeline.cli import commands\n"
+        "def again(call): return lambda *arguments: (os.kill(os.getpid(), signal.SIGTERM), call(*arguments))\n"
+        f"{place} = again({place})\n"
+        "runner.Progress.begin = lambda self: os.kill(os.getpid(), signal.SIGTERM)\n"
+        "sys.exit(commands.main(['run', 'toy.toml']))\n"
+    )
+    done = interpret(program, cwd=toy.folder)
+    assert (done.returncode, done.stderr) == (143, "gaitsweep: Stopped by SIGTERM; finished results are kept.\n")
+    assert json.loads(sidecar_path(toy, ".run.json").read_text())["exit_code"] == 143
 
 
 def test_a_signal_in_a_callback_of_the_interpreter_is_not_told_by_a_traceback():
