@@ -50,7 +50,7 @@ class Toy:
     def start(self, *arguments: object, **environment: str) -> subprocess.Popen:
         path = os.pathsep.join([str(ROOT), str(TOYS)])
         process = subprocess.Popen(
-            [sys.executable, "-W", "ignore", str(TOYS / "gaitsweep_toy.py"), *map(str, arguments)],
+            [sys.executable, str(TOYS / "gaitsweep_toy.py"), *map(str, arguments)],
             cwd=self.folder,
             env={**os.environ, "PYTHONPATH": path, **self.environment, **environment},
             text=True,

@@ -8,7 +8,7 @@ import logging
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from typing import Any, TypeVar
 
 from pipeline.errors import StudyError, WorkerError
@@ -60,7 +60,9 @@ def _is_of_distributed(callback: Any) -> bool:
     return str(getattr(callback, "__module__", "")).startswith("distributed")
 
 
-def results(client: Any, run: Callable[..., _Result], jobs: Iterator[tuple[Any, ...]]) -> Iterator[_Result]:
+def results(
+    client: Any, run: Callable[..., _Result], jobs: Iterator[tuple[Any, ...]]
+) -> Generator[_Result, None, None]:
     """Run jobs on the cluster and yield their results as they arrive; each worker has a second one waiting.
 
     Parameters

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ from pipeline.execution import worker_process
 from pipeline.execution.worker_process import Request
 
 _Jobs = Iterator[tuple[int, Request]]
-_Results = Iterator[tuple[int, dict[str, Any]]]
+_Results = Generator[tuple[int, dict[str, Any]], None, None]
 
 
 @dataclass
@@ -23,12 +24,20 @@ class Engine:
 
     @contextlib.contextmanager
     def parallel(self) -> Iterator[Callable[[_Jobs], _Results]]:
-        """Provide a function that runs numbered requests and yields their numbered results as they arrive."""
+        """Provide a function that runs numbered requests and yields their numbered results as they arrive.
+
+        They are to be closed inside.
+        """
         if self.address is None:
             import joblib
 
             options = {"backend": "threading", "return_as": "generator_unordered", "batch_size": 1}
-            with joblib.Parallel(self.jobs, pre_dispatch=2 * self.jobs, **options) as parallel:
+            with (
+                warnings.catch_warnings(),
+                joblib.Parallel(self.jobs, pre_dispatch=2 * self.jobs, **options) as parallel,
+            ):
+                # A run that is stopped says so itself; joblib would tell of the tasks that end with it.
+                warnings.filterwarnings("ignore", r"\d+ tasks (which were|have been) ", UserWarning, "joblib")
                 yield lambda jobs: parallel(joblib.delayed(_run_job)(number, request) for number, request in jobs)
         else:
             from pipeline.execution import cluster

@@ -7,6 +7,7 @@ finite generator, which joblib runs; it is made anew while there are ready jobs.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import time
 from collections import Counter, deque
@@ -67,11 +68,11 @@ class Scheduler:
             try:
                 with self.engine.parallel() as parallel:
                     while self.studies:
-                        results = parallel(self._ready())
-                        self._finish()
-                        for number, result in results:
-                            broken = 0
-                            self._record(self.running.pop(number), result)
+                        with contextlib.closing(parallel(self._ready())) as results:
+                            self._finish()
+                            for number, result in results:
+                                broken = 0
+                                self._record(self.running.pop(number), result)
                         self._record_copies()
                         self._finish()
             except (GaitsweepError, KeyboardInterrupt):

@@ -1,10 +1,14 @@
 """The order of the jobs of several studies."""
 
 import contextlib
+import gc
 import itertools
+import time
 
 import pytest
 
+from pipeline.errors import StoppedError
+from pipeline.execution import worker_process
 from pipeline.execution.executors import Engine
 from pipeline.execution.scheduler import Scheduler
 from pipeline.execution.study_jobs import StudyJobs
@@ -44,3 +48,18 @@ def test_one_worker_compiles_the_equations_of_knees_while_others_do_other_work(s
 def test_a_worker_without_other_work_does_not_wait_for_code(scheduler):
     scheduler.studies = scheduler.studies[:1]
     assert _walkers(scheduler, 9) == ["C", "C", "C"]
+
+
+@pytest.mark.parametrize("place", ["_record", "_finish"])
+def test_a_run_that_is_stopped_is_told_in_no_words_of_a_library(scheduler, monkeypatch, recwarn, place):
+    """A signal while a result is recorded, or an archive written, leaves tasks of joblib unfinished."""
+
+    def stop(*_):
+        raise StoppedError(15, "Stopped.")
+
+    monkeypatch.setattr(worker_process, "run", lambda request: time.sleep(0.1) or {"seconds": 0.1})
+    monkeypatch.setattr(scheduler, place, stop)
+    with pytest.raises(StoppedError):
+        scheduler.run()
+    gc.collect()
+    assert not recwarn.list
