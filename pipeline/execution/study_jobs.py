@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import heapq
 import math
+import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -106,6 +107,7 @@ class StudyJobs:
         self._waves = self._all_waves()
         self._wave: Iterator[Job] = iter(())
         self._returned: deque[Job] = deque()
+        self._lock = threading.RLock()  # held while a job is taken, by the thread of an executor, or put back
         self._ran = False
         self._failed: list[int] = []  # numbers of lines that failed in their blocks
         self._alone: set[int] = set()  # numbers of lines of blocks that are computed by themselves
@@ -137,34 +139,38 @@ class StudyJobs:
             self.fail(error)
 
     def take(self) -> tuple[Job, Request] | None:
-        """Take the next job and its request; None if that fails, which ends the study."""
-        job = self.next
-        assert job is not None
-        try:
-            request = self.request(job)
-            following = self._returned.popleft() if self._returned else next(self._wave, None)
-        except StoppedError:
-            raise
-        except Exception as error:
-            self.fail(error)
-            return None
-        self.taken += 1
-        self.next = following
-        return job, request
+        """Take the next job and its request; None if the study has ended, or that fails, which ends it."""
+        with self._lock:
+            job = self.next
+            if job is None:  # what was recorded meanwhile has ended the study
+                return None
+            try:
+                request = self.request(job)
+                following = self._returned.popleft() if self._returned else next(self._wave, None)
+            except StoppedError:
+                raise
+            except Exception as error:
+                self.fail(error)
+                return None
+            self.taken += 1
+            self.next = following
+            return job, request
 
     def put_back(self, job: Job) -> None:
         """Return a job that was taken and lost."""
-        self.recorded += 1
-        if self.error:
-            return
-        if self.next:
-            self._returned.append(self.next)
-        self.next = job
+        with self._lock:
+            self.recorded += 1
+            if self.error:
+                return
+            if self.next:
+                self._returned.append(self.next)
+            self.next = job
 
     def fail(self, error: Exception) -> None:
         """End the study with an error; results of its running jobs are dropped."""
-        self.error, self.next, self._wave, self._waves = error, None, iter(()), iter(())
-        self._returned.clear()
+        with self._lock:
+            self.error, self.next, self._wave, self._waves = error, None, iter(()), iter(())
+            self._returned.clear()
 
     def _all_waves(self) -> Iterator[Iterator[Job]]:
         """Waves in order; each is laid out when those before it are recorded."""

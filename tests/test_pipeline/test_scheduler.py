@@ -3,11 +3,12 @@
 import contextlib
 import gc
 import itertools
+import threading
 import time
 
 import pytest
 
-from pipeline.errors import StoppedError
+from pipeline.errors import StoppedError, StudyError
 from pipeline.execution import worker_process
 from pipeline.execution.executors import Engine
 from pipeline.execution.scheduler import Scheduler
@@ -63,3 +64,40 @@ def test_a_run_that_is_stopped_is_told_in_no_words_of_a_library(scheduler, monke
         scheduler.run()
     gc.collect()
     assert not recwarn.list
+
+
+def _beside(function, *arguments):
+    """Call a function in another thread, and wait a moment for its end."""
+    thread = threading.Thread(target=function, args=arguments)
+    thread.start()
+    thread.join(0.3)
+    return thread
+
+
+def test_a_job_that_is_put_back_while_another_is_taken_is_not_lost(scheduler, monkeypatch):
+    study, threads, numbers = scheduler.studies[0], [], []
+    lost, _ = study.take()
+    request = study.request
+
+    def meanwhile(job):
+        threads.extend([] if threads else [_beside(study.put_back, lost)])
+        return request(job)
+
+    monkeypatch.setattr(study, "request", meanwhile)
+    while study.next:
+        numbers.append(study.take()[0].work.number)
+        threads[0].join()
+    assert sorted(numbers) == [0, 1, 2]
+
+
+def test_a_study_that_ends_while_a_job_is_taken_has_no_other(scheduler):
+    study, threads = scheduler.studies[0], []
+
+    def wave(jobs):
+        threads.append(_beside(study.fail, StudyError("The disk is full.")))
+        yield from jobs
+
+    study._wave = wave(study._wave)
+    assert study.take()
+    threads[0].join()
+    assert study.next is None and study.take() is None
