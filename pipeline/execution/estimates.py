@@ -88,7 +88,7 @@ class Costs:
 
     def open_points(self) -> float:
         """Number of points left on open lines."""
-        return sum(regions[0].sum() for regions in self.lines.values())
+        return sum(regions[0].sum() for regions in list(self.lines.values()))  # another thread may change it
 
     def reopen(self, line: int, indices: np.ndarray) -> None:
         """Close a line that is to be opened again.

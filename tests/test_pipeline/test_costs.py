@@ -180,3 +180,19 @@ def test_slopes_are_divided_where_the_region_changes_and_nowhere_else(slopes, pa
     np.testing.assert_array_equal(np.concatenate(pieces), left)
     regions = [set((piece * parts * 64 // slopes).tolist()) for piece in pieces]
     assert all(len(each) == 1 for each in regions) and len(set.union(*regions)) == len(regions)
+
+
+def test_points_left_are_counted_while_another_line_is_closed():
+    """Jobs are taken in one thread, and recorded in another."""
+
+    class Closing:
+        def __getitem__(self, _):
+            costs.lines.pop(2, None)
+            return np.ones(10)
+
+    costs = Costs(6400, 6400, 1e-3)
+    for line in range(3):
+        costs.open_line(line, np.arange(10))
+    costs.lines[0] = Closing()
+    assert costs.open_points() == 30
+    assert costs.open_points() == 20
