@@ -98,7 +98,7 @@ class Scheduler:
         They end when none is ready, or when results are read more slowly than they arrive: joblib would keep them all.
         """
         while len(self.running) < _JOBS_PER_WORKER * self.engine.jobs:
-            ready = [study for study in self.studies if study.next]
+            ready = [study for study in list(self.studies) if study.next]  # one may be finished meanwhile
             if not ready:
                 return
             study = max(ready, key=lambda study: (not self._waits(study), study.urgency))

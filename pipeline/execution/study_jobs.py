@@ -107,7 +107,7 @@ class StudyJobs:
         self._waves = self._all_waves()
         self._wave: Iterator[Job] = iter(())
         self._returned: deque[Job] = deque()
-        self._lock = threading.RLock()  # held while a job is taken, by the thread of an executor, or put back
+        self._lock = threading.RLock()  # held while a job is taken, by the thread of an executor, or returns
         self._ran = False
         self._failed: list[int] = []  # numbers of lines that failed in their blocks
         self._alone: set[int] = set()  # numbers of lines of blocks that are computed by themselves
@@ -123,7 +123,8 @@ class StudyJobs:
     @property
     def urgency(self) -> float:
         """Estimated time [s] of the next job and of what depends on it."""
-        return self.next.seconds + self._seconds_after[self.next.name] if self.next else -math.inf
+        job = self.next  # which may be None a moment later, if a study ends
+        return job.seconds + self._seconds_after[job.name] if job else -math.inf
 
     def advance(self) -> None:
         """Begin the next wave that has a job, once all jobs of the present one are recorded."""
@@ -234,7 +235,9 @@ class StudyJobs:
                 if len(work.missing):
                     self._open_line(work, inputs)
             while self._to_probe:
-                self._queue.probe(self._to_probe.popitem()[1])
+                number, work = self._to_probe.popitem()
+                if number not in self.costs.probed:  # a result may ask for it again while it is being done
+                    self._queue.probe(work)
             if self._queue.jobs:
                 job, n = self._queue.take()
                 yield dataclasses.replace(job, seconds=n * self.cost)
@@ -317,7 +320,9 @@ class StudyJobs:
             if outcome == "ok":
                 self._open.append(job.work.number)
             else:
-                self.costs.points -= (lost := len(job.work.missing))
+                lost = len(job.work.missing)
+                with self._lock:
+                    self.costs.points -= lost
         self.listen("task", {**_event(job, result), "outcome": outcome, "reason": reason, "lost": lost})
 
     def _record_block(self, job: Job, block: BlockWork, result: dict[str, Any]) -> None:
@@ -333,7 +338,8 @@ class StudyJobs:
         if solved:
             self._measure(int(block.lines[0]), indices[: solved * n], result["seconds"])
         if failed.any():
-            self.costs.reopen(int(block.lines[0]), indices[solved * n :])
+            with self._lock:
+                self.costs.reopen(int(block.lines[0]), indices[solved * n :])
             self._failed += block.lines[failed].tolist()
             self._alone.update(self._failed)
         if set(self.plan.line_tasks) - {"atlas"}:

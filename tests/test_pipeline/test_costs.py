@@ -127,6 +127,24 @@ def test_a_line_whose_jobs_end_together_is_probed_once_and_loses_no_point(tmp_pa
         assert not len(plan.line(0).missing)
 
 
+def test_a_result_that_comes_while_its_line_is_probed_does_not_have_it_probed_again(tmp_path, monkeypatch):
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "E"\n[axes]\n' + PEAK)
+    study, probed = parse.read(tmp_path / "s.toml"), []
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        jobs = StudyJobs(Plan(study, journal), Engine(2), lambda *_: None, study.points)
+        jobs._open_line(jobs.plan.line(0), ())
+        jobs._to_probe[0], probe = jobs._queue.jobs[0].work, jobs._queue.probe
+
+        def meanwhile(work):
+            jobs._to_probe.update({} if probed else {0: work})
+            probed.append(work.number)
+            probe(work)
+
+        monkeypatch.setattr(jobs._queue, "probe", meanwhile)
+        next(jobs._dependent_jobs())
+    assert probed == [0]
+
+
 def test_jobs_of_a_line_hold_each_point_once_in_order_however_often_they_are_divided():
     """A part of a probe that was taken lies in the gap that the probe left in another job."""
     costs, work = Costs(64_000, 64_000, 1e-3), LineWork(0, {}, {}, {}, np.arange(0))

@@ -3,11 +3,14 @@
 import contextlib
 import gc
 import itertools
+import math
 import threading
 import time
 
+import numpy as np
 import pytest
 
+from pipeline import serialize
 from pipeline.errors import StoppedError, StudyError
 from pipeline.execution import worker_process
 from pipeline.execution.executors import Engine
@@ -101,3 +104,64 @@ def test_a_study_that_ends_while_a_job_is_taken_has_no_other(scheduler):
     assert study.take()
     threads[0].join()
     assert study.next is None and study.take() is None
+
+
+def test_the_urgency_of_a_study_that_ends_meanwhile_is_told(scheduler):
+    study = scheduler.studies[0]
+
+    class Ending:
+        name = study.next.name
+
+        @property
+        def seconds(self):
+            study.fail(StudyError("The disk is full."))
+            return 1.0
+
+    study.next = Ending()
+    assert 1.0 <= study.urgency < math.inf
+    assert study.urgency == -math.inf
+
+
+def test_a_study_that_is_finished_meanwhile_hides_no_other(scheduler):
+    class Finished:
+        @property
+        def next(self):
+            scheduler.studies.remove(self)
+
+    scheduler.studies.insert(0, Finished())
+    assert _walkers(scheduler, 1) == ["C"]
+
+
+def test_a_block_that_failed_is_counted_once_the_next_is_laid_out(tmp_path, monkeypatch):
+    """The number of points on lines that are not open is changed by both."""
+    (tmp_path / "s.toml").write_text(TEXT.replace('kind = "branch"\n', "").format("s", "E", "w_t").split("w_t")[0])
+    with open(tmp_path / "s.toml", "a") as file:
+        file.write("w_t = { from = 0, to = 0.1, n = 60 }\n")
+    study, order = parse.read(tmp_path / "s.toml"), []
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        jobs = StudyJobs(Plan(study, journal), Engine(1), lambda *_: None, study.points)
+        open_line, reopen = jobs.costs.open_line, jobs.costs.reopen
+        jobs.advance()
+        job, request = jobs.take()
+        n = len(job.block.lines)
+        states = worker_process._failed_states(2 * n, "not_attempted", "") | {"lines": request.params["digests"]}
+        row = np.tile(study.slope, n).tobytes(), serialize.dump(states), serialize.dump({})
+        result = {"rows": [row], "atlases": [], "failed": list(range(n)), "seconds": 0.1}
+
+        def opening(*arguments):
+            order.append("a block begins to be laid out")
+            threads.append(_beside(jobs.record, job, result))
+            open_line(*arguments)
+            order.append("it is laid out")
+
+        def reopening(*arguments):
+            order.append("another is reopened")
+            reopen(*arguments)
+
+        threads = []
+        monkeypatch.setattr(jobs.costs, "open_line", opening)
+        monkeypatch.setattr(jobs.costs, "reopen", reopening)
+        assert jobs.take()
+        threads[0].join()
+    assert not jobs.error
+    assert order == ["a block begins to be laid out", "it is laid out", "another is reopened"]
