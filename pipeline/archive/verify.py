@@ -14,6 +14,9 @@ from pipeline.archive.read import columns, open_archive
 from pipeline.statuses import ALL_STATUSES
 from tasks.registry import VARIABLES
 
+#: Statuses of gaits that were found, whose values stand in the archive; of others it holds none.
+_FOUND = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate"))
+
 
 def verify(path: Path) -> list[str]:
     """List the problems of an archive, one sentence each; empty if it is intact, complete and valid.
@@ -28,7 +31,7 @@ def verify(path: Path) -> list[str]:
 
 
 def _values(file: Any) -> Iterator[str]:
-    """Compare every checksum, and check that numbers stand only where a gait converged."""
+    """Compare every checksum, and check that numbers stand only where a gait was found."""
     sums = json.loads(getattr(file, "checksums", "{}"))
     tabled = list(columns(file))
     present = {*file.variables, *tabled}
@@ -42,7 +45,7 @@ def _values(file: Any) -> Iterator[str]:
             values = np.ma.getdata(variable[box] if large else variable[...])
             total += read.box_checksum(variable, values, box) if large else layout.checksum(values)
             if large and description and description.dtype == "f8":
-                other = np.asarray(file.variables["status"][box]) != ALL_STATUSES["converged"]
+                other = ~np.isin(file.variables["status"][box], _FOUND)
                 misplaced += int(np.count_nonzero(~np.isnan(values[other])))
         if total % 2**32 != sums.get(name):
             yield f"`{name}` is not as it was written."

@@ -143,6 +143,7 @@ def test_gaits_less_accurate_than_asked_are_kept_and_told(tmp_path, capsys):
     assert np.isfinite(out.stance_angle.values[less.values]).all()
     assert (out.error_bound.values[less.values] > 1e-15).all()
     assert "exceeds the accuracy wanted" in str(out.reason.values[less.values][0])
+    assert main(["verify", str(tmp_path / "a.nc")]) == 0, capsys.readouterr().out
 
 
 def test_one_point_to_an_accuracy(capsys):
