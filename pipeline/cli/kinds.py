@@ -57,6 +57,8 @@ def setting(text: str) -> tuple[str, float | bool]:
     key, _, value = text.partition("=")
     if not key or not value:
         raise ArgumentTypeError(f"must be KEY=VALUE; got {text}")
+    if key == "knees" and value not in ("true", "false"):
+        raise ArgumentTypeError(f"`knees` must be true or false; got {value}")
     return key, {"true": True, "false": False}[value] if value in ("true", "false") else number(value)
 
 

@@ -168,6 +168,13 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
             ["solve", "--walker", "E", "--slope", "0.01", "--set", "slope=3"],
             "`slope` is not a walker key; got 3.0.",
         ),
+        *(
+            (
+                [command, "--walker", "D", "--slope", "0.01", "--set", f"knees={value}"],
+                f"Argument --set: `knees` must be true or false; got {value} (gaitsweep {command} --help).",
+            )
+            for command, value in (("solve", "1"), ("solve", "no"), ("prove", "0"))
+        ),
         (["frobnicate"], None),
     ],
 )
