@@ -170,7 +170,9 @@ def _to_toml(value: Any, key: str) -> str:
     if isinstance(value, list | tuple | range):
         return "[" + ", ".join(_to_toml(v, key) for v in value) + "]"
     if isinstance(value, str | Path):
-        return json.dumps(str(value))
+        # TOML has neither surrogate pairs nor a bare DEL. Half a pair stays escaped, for which the text is refused.
+        text = json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+        return text.encode(errors="backslashreplace").decode()
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     if isinstance(value, bool | int | float):

@@ -12,6 +12,7 @@ import pytest
 import xarray as xr
 
 import pipeline
+from pipeline.api import studies
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import progress
@@ -116,8 +117,6 @@ def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
     text = 'name = "s"\nwalker = "E"\n[axes]\nslope = [0.01, 0.02]\n'
     for name in ("s.toml", "a=b.toml"):
         (tmp_path / name).write_text(text)
-    from pipeline.api import studies
-
     read = [
         studies._study(one)
         for one in (
@@ -131,6 +130,13 @@ def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
         )
     ]
     assert len({(one.name, one.walkers, tuple(one.slope), one.variables) for one in read}) == 1
+
+
+@pytest.mark.parametrize("name", ["😀.toml", "é\x7f\t.toml", 'a "b" \\ c.toml'])
+def test_a_walker_file_of_a_mapping_may_have_any_name(tmp_path, name):
+    (tmp_path / name).write_text('[walker]\nbase = "E"\nR = 0.0\n')
+    study = studies._study({"name": "s", "walker": str(tmp_path / name), "axes": {"slope": [0.01]}})
+    assert study.walkers[0]["base"] == "E"
 
 
 @pytest.mark.parametrize(
@@ -148,6 +154,10 @@ def test_a_study_may_be_a_file_text_or_a_mapping(tmp_path):
         ("none.toml", "There is no file none.toml"),
         (None, "A study must be a file, a text or a mapping; got NoneType"),
         (b"name = 1", "A study must be a file, a text or a mapping; got bytes"),
+        (
+            {"name": "s", "walker": "\ud83d.toml", "axes": {"slope": [0.1]}},
+            "The study cannot be read: Escaped character is not a Unicode scalar value",
+        ),
     ],
 )
 def test_a_wrong_study_is_one_sentence(wanted, said):
