@@ -7,7 +7,6 @@ nearest known key, the file and the place in it.
 from __future__ import annotations
 
 import importlib.util
-import itertools
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -19,6 +18,7 @@ import numpy as np
 
 from pipeline import dispatch
 from pipeline.study import options, overlay, units
+from pipeline.study.corners import check_walkers
 from pipeline.study.files import read_toml, walker
 from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
@@ -124,7 +124,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     count = study.lines if kind == "design" else study.points
     if count > MAX_POINTS:
         raise top.at("axes").error(f"The grid has {count:.3g} points, more than {MAX_POINTS:.0e}")
-    _check_walkers(study, top)
+    check_walkers(study, top)
     if study.steps > 1:
         _check_of_one_step(study, top)
     measured = _measurements(table.get("figures", {}), study, top.at("figures"))
@@ -360,36 +360,3 @@ def _limits(table: Mapping[str, Any], top: Location) -> Limits:
             'must be at least 64 MiB and at most 1024 TiB, as in "2 GiB"', limits.get("memory")
         )
     return Limits(seconds, memory)
-
-
-def _check_walkers(study: Study, top: Location) -> Study:
-    """Check every walker at the corners of the grid of lines; store the properties of each."""
-    ends = [sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes]
-    names = [a.name for a in study.line_axes]
-    checks = []
-    for candidate in study.walkers:
-        for corner in itertools.islice(itertools.product(*ends), 256):
-            values = dict(zip(names, corner, strict=True))
-            try:
-                check = dispatch.call("check_walker", {"walker": candidate, "set": values})
-            except ValueError as error:
-                key = getattr(error, "key", "walker")
-                location = top.at("axes", key) if key in names else top.at("walker")
-                raise location.error(str(error)) from error
-            if study.kind == "curve":
-                _check_curve(study, candidate, values, top.at("options"))
-        checks.append(check)
-    object.__setattr__(study, "checks", tuple(checks))
-    return study
-
-
-def _check_curve(study: Study, walker: str | dict[str, Any], values: dict[str, float], location: Location) -> None:
-    """Check a walker at both ends of the range over which curves are continued."""
-    options = registry.options("curve", study.options)
-    for end in ("from", "to"):
-        try:
-            dispatch.call("check_walker", {"walker": walker, "set": {**values, options["key"]: options[end]}})
-        except ValueError as error:
-            value = getattr(error, "key", "") == options["key"]
-            sentence = str(error) if value else f"`{options['key']}` = {options[end]!r} leaves no walker: {error}"
-            raise location.at(end if end in study.options else "key").error(sentence) from error

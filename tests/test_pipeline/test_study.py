@@ -181,6 +181,22 @@ def test_what_a_kind_of_study_cannot_show_is_refused(write, kind, want, said):
     assert str(error.value) == said
 
 
+@pytest.mark.parametrize(
+    ("walker", "axes", "place"),
+    [
+        ('"A"', "detuning = [-50.0, 50.0]", "axes.detuning"),
+        ('"A"', "m_h = [0.0, 1.0]\ndetuning = [0.0, 50.0]", "axes.detuning"),
+        # Only both together take the hip below the foot's centre.
+        ('{ base = "B", R = 0.3 }', "l_t = [0.1, 0.5]\nl_s = [0.1, 0.5]", "axes"),
+        ('{ base = "B", R = 3.0 }', "l_t = [0.1, 0.5]", "walker"),
+    ],
+)
+def test_a_walker_that_cannot_be_is_wrong_where_it_is_made_so(write, walker, axes, place):
+    with pytest.raises(StudyError) as error:
+        parse.read(write(f'name = "s"\nwalker = {walker}\n[axes]\nslope = [0.01]\n{axes}\n'))
+    assert str(error.value).endswith(f" (s.toml, {place}).")
+
+
 def test_a_key_that_leaves_no_walker_to_follow_is_refused(write):
     options = '[options]\nkey = "c_s"\nfrom = -0.5\nto = 0.4\n'
     with pytest.raises(StudyError) as error:

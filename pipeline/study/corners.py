@@ -1,0 +1,68 @@
+"""The walkers of a study at the corners of its grid: whether each can be, and if not, where the study is wrong."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+from pipeline import dispatch
+from pipeline.study.location import Location
+from pipeline.study.model import Study
+from tasks import registry
+
+
+def check_walkers(study: Study, top: Location) -> Study:
+    """Check every walker at the corners of the grid of lines; store the properties of each.
+
+    Raises
+    ------
+    StudyError
+        If a walker cannot be.
+    """
+    ends = [sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes]
+    names = [a.name for a in study.line_axes]
+    checks = []
+    for candidate in study.walkers:
+        for corner in itertools.islice(itertools.product(*ends), 256):
+            values = dict(zip(names, corner, strict=True))
+            try:
+                check = dispatch.call("check_walker", {"walker": candidate, "set": values})
+            except ValueError as error:
+                raise _fault(candidate, values, error, top).error(str(error)) from error
+            if study.kind == "curve":
+                _check_curve(study, candidate, values, top.at("options"))
+        checks.append(check)
+    object.__setattr__(study, "checks", tuple(checks))
+    return study
+
+
+def _fault(walker: str | dict[str, Any], values: dict[str, float], error: ValueError, top: Location) -> Location:
+    """Place of what is wrong with a walker at values of the axes: the walker, the one axis at fault, or the axes."""
+    key = getattr(error, "key", "walker")
+    if key in values:
+        return top.at("axes", key)
+    # A key that an axis owns is wrong where it is set, though the walker can be without the axis.
+    if getattr(error, "bound", "").startswith("is set by") or not _can_be(walker, {}):
+        return top.at("walker")
+    at_fault = [name for name in values if _can_be(walker, {k: v for k, v in values.items() if k != name})]
+    return top.at("axes", *at_fault) if len(at_fault) == 1 else top.at("axes")
+
+
+def _can_be(walker: str | dict[str, Any], values: dict[str, float]) -> bool:
+    try:
+        dispatch.call("check_walker", {"walker": walker, "set": values})
+    except ValueError:
+        return False
+    return True
+
+
+def _check_curve(study: Study, walker: str | dict[str, Any], values: dict[str, float], location: Location) -> None:
+    """Check a walker at both ends of the range over which curves are continued."""
+    options = registry.options("curve", study.options)
+    for end in ("from", "to"):
+        try:
+            dispatch.call("check_walker", {"walker": walker, "set": {**values, options["key"]: options[end]}})
+        except ValueError as error:
+            value = getattr(error, "key", "") == options["key"]
+            sentence = str(error) if value else f"`{options['key']}` = {options[end]!r} leaves no walker: {error}"
+            raise location.at(end if end in study.options else "key").error(sentence) from error
