@@ -21,6 +21,7 @@ import xarray as xr
 
 from pipeline.archive import read as archives
 from pipeline.archive.unfold import dataset, unfolded
+from pipeline.paths import sidecar_path
 
 #: The paper's symbols.
 SYMBOLS = {
@@ -321,9 +322,8 @@ def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
 
 def _run(path: Path) -> dict[str, Any]:
     """The record of the run, from the file next to the archive; empty if there is none."""
-    record = path.with_name(f"{path.stem}.run.json")
     try:
-        fields = json.loads(record.read_text())
+        fields = json.loads(sidecar_path(path, ".run.json").read_text())
     except (OSError, ValueError):
         return {}
     return fields if isinstance(fields, dict) else {}

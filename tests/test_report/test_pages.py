@@ -320,6 +320,13 @@ def test_a_page_tells_the_run_time_and_not_the_machine(report):
     assert "secret-host" not in text
 
 
+def test_an_archive_of_another_ending_has_the_record_beside_it_and_not_that_of_its_stem(tmp_path):
+    archive = write(tmp_path / "a.v2", 'name = "a"', {}, {}, {})
+    for name, jobs in (("a", 1), ("a.v2", 2)):
+        (tmp_path / f"{name}.run.json").write_text(json.dumps({"jobs": jobs}))
+    assert read(archive).run == {"jobs": 2}
+
+
 def test_the_ledger_links_each_claim_to_its_figure(report):
     ledger = Page(report / "ledger.html")
     assert {"E2", "E3", "E4", "Z5"} <= set(ledger.all("id"))
