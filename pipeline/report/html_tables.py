@@ -17,8 +17,8 @@ from pipeline.report.figures.starts import addresses
 from pipeline.report.figures.style import plain
 from pipeline.report.source import ANSWERS, Source, print_units
 
-#: Failed points listed on the page; the CSV file has all of them.
-MAX_ROWS = 60
+#: Failed points listed on the page, and points without a gait in the CSV file; the archive has all of them.
+MAX_ROWS, MAX_LISTED = 60, 20_000
 
 #: Answers for one gait of a point, from the lightest; a failure weighs more than any.
 _WEIGHTS = ("no_gait", "fell", "converged")
@@ -296,13 +296,23 @@ def _range(slopes: np.ndarray) -> list[Cell]:
     return [cell(slopes.min()), cell(slopes.max())] if len(slopes) else [Cell("–"), Cell("–")]
 
 
+def listed(absent: pd.DataFrame) -> pd.DataFrame:
+    """Points without a converged gait that the CSV file lists: failures first, which answers would push out."""
+    if absent.empty:
+        return absent
+    order = np.argsort(absent["status"].isin(ANSWERS).to_numpy(), kind="stable")
+    return absent.iloc[order[:MAX_LISTED]]
+
+
 def failures(absent: pd.DataFrame) -> Table | None:
     """Points that failed; that there is no gait at a point is an answer, not a failure."""
     failed = absent[~absent["status"].isin(ANSWERS)] if len(absent) else absent
     if failed.empty:
         return None
     shown = failed.head(MAX_ROWS)
-    note = f"{len(failed) - len(shown)} more are in the CSV file." if len(shown) < len(failed) else ""
+    more, beyond = min(len(failed), MAX_LISTED) - len(shown), len(failed) - MAX_LISTED
+    note = f"{more} more are in the CSV file." if more else ""
+    note += f" {beyond} others are in the archive alone." if beyond > 0 else ""
     return from_frame("Failed points", shown, note)
 
 

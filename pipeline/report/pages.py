@@ -41,9 +41,6 @@ _RESERVED = ("index", "ledger")
 _RUN = {name: name for name in ("began", "jobs", "cluster", "version", "points", "failed", "exit_code", "account")}
 _RUN |= {"seconds": "finished after (s)"}
 
-#: Points without a gait that the CSV file lists; the archive has all of them.
-_MAX_ABSENT = 20_000
-
 #: Processes that make pages; a large archive takes each of them a GiB.
 _MAX_PROCESSES = 4
 
@@ -69,12 +66,17 @@ class Page:
     tables: dict[str, Any]
 
     @cached_property
+    def listed(self) -> pd.DataFrame:
+        """The absent points that the CSV file lists."""
+        return html_tables.listed(self.absent)
+
+    @cached_property
     def files(self) -> dict[str, str]:
         """Texts of the data files of the page, by file name."""
         figures = {f"{self.slug}-{drawing.name}.csv": _csv(drawing.data) for drawing in self.drawings}
         every = [t for value in self.tables.values() for t in (value if isinstance(value, list) else [value]) if t]
         tables = {f"{self.slug}-table-{t.name}.csv": _csv(t.frame) for t in every if t.name and t.frame is not None}
-        absent = {f"{self.slug}-absent.csv": _csv(self.absent.head(_MAX_ABSENT))} if len(self.absent) else {}
+        absent = {f"{self.slug}-absent.csv": _csv(self.listed)} if len(self.absent) else {}
         return figures | tables | absent
 
     @property

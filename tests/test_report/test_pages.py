@@ -320,6 +320,21 @@ def test_a_page_tells_the_run_time_and_not_the_machine(report):
     assert "secret-host" not in text
 
 
+def test_the_csv_file_of_a_large_study_has_the_failures_first_and_is_counted(tmp_path):
+    n, dims = 21_000, ("slope", "gait")
+    status = np.ones((n, 1), "i1")
+    text = 'name = "large"\nwalker = "E"\n[axes]\nslope = { from = 0.01, to = 0.02, n = 21_000 }'
+    coords = {"slope": np.linspace(0.01, 0.02, n), "gait": np.array(["long"], object)}
+    for failed, note in ((100, "40 more are in the CSV file."), (n, "19940 more are in the CSV file. 1000 others")):
+        status[n - failed :] = 2
+        grid = {"status": (dims, status), "reason": (dims, status.astype("i2"))}
+        pages.write([write(tmp_path / "large.nc", text, grid, coords, {"E": POINT})], tmp_path)
+        listed = pd.read_csv(tmp_path / "large-absent.csv")
+        assert len(listed) == 20_000 and (listed["status"][:failed] == "not_converged").all()
+        page = Page(tmp_path / "large.html").text
+        assert note in page and "lists 20\u202f000 of the 21\u202f000 points" in page
+
+
 def test_an_archive_of_another_ending_has_the_record_beside_it_and_not_that_of_its_stem(tmp_path):
     archive = write(tmp_path / "a.v2", 'name = "a"', {}, {}, {})
     for name, jobs in (("a", 1), ("a.v2", 2)):
