@@ -179,7 +179,9 @@ class _LineWriter:
         self.sentences = sorted({reason for _, reason in ends})
         shape = tuple(self.grid.sizes.values())
         self.status = np.array([ALL_STATUSES[status] for status, _ in ends], np.int8).reshape(shape)
-        self.reason = np.array([self.sentences.index(reason) for _, reason in ends], np.int16).reshape(shape)
+        places = {sentence: i for i, sentence in enumerate(self.sentences)}
+        is_wide = len(places) > np.iinfo(np.int16).max
+        self.reason = np.array([places[reason] for _, reason in ends], np.int32 if is_wide else np.int16).reshape(shape)
         self.written = Written(Counter(status for status, _ in ends))
         for i, (status, reason) in enumerate(ends):
             if ALL_STATUSES[status] not in ANSWERS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,6 +20,9 @@ from pipeline.report.source import ANSWERS, Source, print_units
 
 #: Failed points listed on the page, and points without a gait in the CSV file; the archive has all of them.
 MAX_ROWS, MAX_LISTED = 60, 20_000
+
+#: Reasons in the table of outcomes; each point of a large study may have its own.
+_MAX_REASONS = 200
 
 #: Answers for one gait of a point, from the lightest; a failure weighs more than any.
 _WEIGHTS = ("no_gait", "fell", "converged")
@@ -230,7 +234,8 @@ def _decode(codes: np.ndarray, values: Sequence[Any] | np.ndarray) -> Any:
     if getattr(values, "dtype", None) is not None and values.dtype.kind not in "OU":  # type: ignore[union-attr]
         return np.asarray(values)[codes]
     words = list(dict.fromkeys(map(str, values)))
-    return pd.Categorical.from_codes(np.array([words.index(str(v)) for v in values], np.int16)[codes], words)
+    places = {word: i for i, word in enumerate(words)}
+    return pd.Categorical.from_codes(np.array([places[str(v)] for v in values], np.int32)[codes], words)
 
 
 def statuses(source: Source) -> list[tuple[str, int, float]]:
@@ -279,7 +284,8 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
     solved = source.outcomes["status"].size - len(absent)
     slopes = source.grid["slope"].values if "slope" in source.grid.coords else np.array([])
     rows = [[Cell("converged"), Cell(""), cell(solved, True), *_range(slopes)]] if solved else []
-    for (status, reason), group in absent.groupby(["status", "reason"], sort=False, observed=True):
+    groups = absent.groupby(["status", "reason"], sort=False, observed=True)
+    for (status, reason), group in itertools.islice(groups, _MAX_REASONS):
         rows.append(
             [
                 Cell(status.replace("_", " ")),
@@ -289,7 +295,8 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
             ]
         )
     caption, what = ("Outcomes by gait", "gaits") if source.whole == "point" else ("Outcomes by line", "lines")
-    return Table(caption, ["status", "reason", what, "from γ (rad)", "to γ (rad)"], rows)
+    note = f"{groups.ngroups - _MAX_REASONS} more reasons are in the archive." if groups.ngroups > _MAX_REASONS else ""
+    return Table(caption, ["status", "reason", what, "from γ (rad)", "to γ (rad)"], rows, note)
 
 
 def _range(slopes: np.ndarray) -> list[Cell]:

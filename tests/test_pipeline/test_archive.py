@@ -229,6 +229,18 @@ def test_attributes_that_the_library_loses_at_once_are_missed():
         attributes.put(failing, kept)
 
 
+def test_each_line_may_have_its_own_reason(monkeypatch):
+    """Forty thousand of them, as of a study of another kind than a grid; the later ones come first."""
+    n = 40_000
+    ends = [("converged", f"Reason {n - i:05}.") for i in range(n)]
+    monkeypatch.setattr(layout, "Grid", lambda _: SimpleNamespace(sizes={"w_t": n}))
+    monkeypatch.setattr(write._LineWriter, "_outcome", lambda _, number: ends[number])
+    study = SimpleNamespace(lines=n, batches=n, batch=lambda i: np.array([i]))
+    writer = write._LineWriter(SimpleNamespace(study=study, line_keys=lambda i: i))
+    assert writer.reason.dtype == np.int32
+    assert [writer.sentences[i] for i in writer.reason] == [reason for _, reason in ends]
+
+
 def test_verify_finds_nothing_wrong_with_a_whole_one(made):
     assert verify.verify(made) == []
 

@@ -335,6 +335,19 @@ def test_the_csv_file_of_a_large_study_has_the_failures_first_and_is_counted(tmp
         assert note in page and "lists 20\u202f000 of the 21\u202f000 points" in page
 
 
+def test_each_point_may_have_its_own_reason(archives):
+    n = 40_000
+    words = np.array([f"Reason {i}." for i in range(n)], object)
+    reasons = html_tables._decode(np.arange(n), words)
+    assert (reasons == words).all()
+    whole = read(archives[0])
+    absent = pd.DataFrame({"status": pd.Categorical(["raised"] * n), "reason": reasons})
+    table = html_tables.outcomes(whole, absent)
+    assert 100 < len(table.rows) < 1000
+    named = sum(row[0].text == "raised" for row in table.rows)
+    assert table.note == f"{n - named} more reasons are in the archive."
+
+
 def test_an_archive_of_another_ending_has_the_record_beside_it_and_not_that_of_its_stem(tmp_path):
     archive = write(tmp_path / "a.v2", 'name = "a"', {}, {}, {})
     for name, jobs in (("a", 1), ("a.v2", 2)):
