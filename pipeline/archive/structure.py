@@ -88,16 +88,27 @@ def _described(variable: Any, name: str) -> Iterator[str]:
 
 
 def _states(file: Any) -> Iterator[str]:
-    status, reason = np.asarray(file.variables["status"][...]), np.asarray(file.variables["reason"][...])
-    if not np.isin(status, list(ALL_STATUSES.values())).all():
+    unknown = outside = left = 0
+    for status in _parts(file.variables["status"]):
+        unknown += int(np.count_nonzero(~np.isin(status, list(ALL_STATUSES.values()))))
+        left += int(np.count_nonzero(status == ALL_STATUSES["not_attempted"]))
+    for reason in _parts(file.variables["reason"]):
+        outside += int(np.count_nonzero((reason < 0) | (reason >= len(file.dimensions["reason_index"]))))
+    if unknown:
         yield "`status` holds values without a meaning."
-    if reason.size and not (reason.min() >= 0 and reason.max() < len(file.dimensions["reason_index"])):
+    if outside:
         yield "`reason` points outside its table."
-    left = int(np.count_nonzero(status == ALL_STATUSES["not_attempted"]))
     if left:
         yield f"It is not complete: {left:,} values of `status` are not_attempted."
     if "gait" in file.variables and not set(file.variables["gait"][...].tolist()) <= set(GAITS):
         yield "`gait` holds unknown names."
+
+
+def _parts(variable: Any) -> Iterator[np.ndarray]:
+    """Values of a variable box by box: memory may not hold all of them."""
+    sizes = dict(zip(variable.dimensions, variable.shape, strict=True))
+    for box in layout.regions(sizes, layout.chunk_shape(sizes, layout.CHUNK)):
+        yield np.asarray(variable[box])
 
 
 def _groups(parent: Any, path: str = "") -> Iterator[str]:

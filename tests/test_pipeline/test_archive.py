@@ -25,7 +25,7 @@ import xarray as xr
 
 from conftest import ROOT, STUDY, Toy
 from pipeline.api.studies import load
-from pipeline.archive import attributes, diff, layout, read, verify, write
+from pipeline.archive import attributes, diff, layout, read, structure, verify, write
 from pipeline.archive.points import PointWriter
 from pipeline.archive.provenance import commit
 from pipeline.archive.written import write_strings
@@ -260,6 +260,37 @@ def test_a_variable_is_checked_box_by_box(copy, monkeypatch):
         assert checksums["stance_angle"] == sum(sums) % (1 << 32)
         file.checksums = json.dumps(checksums)
     assert verify.verify(copy) == []
+
+
+class _Noted:
+    """A variable that notes how many values are read of it at a time."""
+
+    def __init__(self, variable, sizes):
+        self.variable, self.sizes = variable, sizes
+
+    def __getattr__(self, name):
+        return getattr(self.variable, name)
+
+    def __getitem__(self, box):
+        values = self.variable[box]
+        self.sizes.append(values.size)
+        return values
+
+
+def test_states_are_checked_box_by_box(copy, monkeypatch):
+    monkeypatch.setattr(layout, "CHUNK", 16)
+    monkeypatch.setattr(layout, "REGION", 32)
+    sizes = []
+    with netCDF4.Dataset(copy, "a") as file:
+        file["status"][:2, -1, -1], file["status"][-1, -1, -1], file["reason"][-1, -1, -1] = 7, 99, -1
+        variables = {name: _Noted(file[name], sizes) for name in ("status", "reason")}
+        found = list(structure._states(SimpleNamespace(variables=variables, dimensions=file.dimensions)))
+    assert max(sizes) <= 32 and sum(sizes) == 1600
+    assert found == [
+        "`status` holds values without a meaning.",
+        "`reason` points outside its table.",
+        "It is not complete: 2 values of `status` are not_attempted.",
+    ]
 
 
 def _edit(path, change):
