@@ -54,6 +54,8 @@ _SHARES = 3
 _SAME = 1e-4
 #: Nodes nearer than this are the same but for rounding, which at a fold moves them along the branch.
 _TWIN = 1e-10
+#: Nodes of the shortest branch.
+_FEWEST = 3
 #: With fewer gaits than this all are refined at once; with more one of each line, for the next may lie on its branch.
 _FEW = 8
 
@@ -87,7 +89,8 @@ def _from_tracks(m: int, down: Track, up: Track, tolerance: float) -> Procedure[
             branch = yield from densify(branch, tolerance)
             branch = yield from without_jumps(branch.in_order())
             branch = yield from checked(branch)
-            branches += yield from _without_gaps(branch, tolerance)
+            if len(branch.Z) >= _FEWEST:
+                branches += yield from _without_gaps(branch, tolerance)
     return branches
 
 
@@ -148,7 +151,7 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
             ends[side] = BranchEnd(raw.why[side], *fall, raw.end_errors[side])
             first, last = first + (side == 0), last - (side == 1)
     # Of a run that is but the node beyond a fall, none remains.
-    if last - first + 1 + len(ends) < 3:
+    if last - first + 1 + len(ends) < _FEWEST:
         return None
     branch = raw.part(np.arange(first, last + 1))
     why, errors = list(raw.why), list(raw.end_errors)
@@ -158,9 +161,10 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     # The node before an end may be that end: between them there is no polynomial.
     twins = np.linalg.norm(np.diff(branch.Z, axis=0), axis=1) < _TWIN
     kept = np.ones(len(branch.Z), bool)
-    kept[[1, -2]] = ~twins[[0, -1]] | [0 not in ends, 1 not in ends]
+    kept[1] &= not (twins[0] and 0 in ends)
+    kept[-2] &= not (twins[-1] and 1 in ends)
     branch = branch.part(np.flatnonzero(kept))
-    if len(branch.Z) < 3:
+    if len(branch.Z) < _FEWEST:
         return None
     return replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
 
@@ -177,10 +181,11 @@ def _without_gaps(branch: Branch, tolerance: float) -> Procedure[list[Branch]]:
     gaps = yield from locate_gaps(branch, distance, check)
     if steps.all() and not gaps:
         return [branch]
+    whole = branch
     for place in sorted(gaps, reverse=True):
         segment = int(place)
-        a, b = branch.Z[segment : segment + 2, branch.axis[segment]]
-        point, direction = yield from correct_at(branch, segment, a + (b - a) * (place - segment))
+        a, b = whole.Z[segment : segment + 2, whole.axis[segment]]
+        point, direction = yield from correct_at(whole, segment, a + (b - a) * (place - segment))
         branch = branch.insert(segment + 1, row(point), row_tangent(point, direction))
         steps = np.insert(steps, segment + 1, False)
     branches = []
@@ -189,8 +194,9 @@ def _without_gaps(branch: Branch, tolerance: float) -> Procedure[list[Branch]]:
         if part is not None:
             part = yield from densify(part, tolerance)
             part = yield from checked(part)
-            yield from measure(part, tolerance)
-            branches.append(part)
+            if len(part.Z) >= _FEWEST:
+                yield from measure(part, tolerance)
+                branches.append(part)
     return branches
 
 

@@ -229,10 +229,9 @@ class Branch:
 
     def pieces(self) -> list[tuple[int, int]]:
         """First and last nodes of the pieces over which the slope is monotone."""
-        # A fold's own node may lie so near the next that their slopes differ by rounding only: no direction of its own.
-        rising = np.sign(np.diff(self.q))
-        for i in np.flatnonzero(np.abs(np.diff(self.q)) < 1e-13).tolist():
-            rising[i] = rising[i - 1] if i else rising[min(i + 1, len(rising) - 1)]
+        # A fold's node may lie so near the next that their slopes differ by rounding only; their tangents do not.
+        change, rate = np.diff(self.q), self.tangent[:, self.m]
+        rising = np.sign(np.where(np.abs(change) < 1e-13, rate[:-1] + rate[1:], change))
         cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
         return list(itertools.pairwise(cuts))
 

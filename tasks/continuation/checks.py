@@ -36,6 +36,8 @@ def checked(branch: Branch) -> Procedure[Branch]:
         Of which every segment is at most twice as long as its chord, held-out points lie where the polynomials are,
         and the slope turns at folds alone. Where it was cut, and at an end that is none, there is `no further point`.
     """
+    if len(branch.Z) == 1:
+        return branch
     for _ in range(_MAX_ROUNDS):
         failing = yield from _failing(branch)
         split = False

@@ -80,8 +80,10 @@ def within(branch: Branch, low: float, high: float, parts: int) -> tuple[np.ndar
     rows : ndarray, shape (k, c)
         Rows of Z there.
     """
-    segments = np.repeat(np.arange(len(branch.Z) - 1), parts)
-    part = np.tile(np.arange(parts) / parts, len(branch.Z) - 1)
+    q = np.sort([branch.q[:-1], branch.q[1:]], axis=0)
+    # A polynomial stays near the range of its segment's nodes.
+    near = np.flatnonzero((2 * q[0] - q[1] <= high) & (2 * q[1] - q[0] >= low))
+    segments, part = np.repeat(near, parts), np.tile(np.arange(parts) / parts, len(near))
     a, b = (branch.Z[segments + i, branch.axis[segments]] for i in (0, 1))
     rows = np.vstack([branch.evaluate(segments, a + (b - a) * part), branch.Z[-1:]])
     place = np.append(segments + part, len(branch.Z) - 1.0)

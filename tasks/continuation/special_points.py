@@ -93,7 +93,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
             records.append((segment + 0.5, _record(kind, problem, point, 0)))
     ends = list(zip((0, len(branch.Z) - 1), branch.why, branch.end_errors, strict=True))
     # Both ends of a closed branch are one fold.
-    for index, kind, error in ends[: 1 if branch.why[1] == "fold" else 2]:
+    for index, kind, error in ends[: 1 if branch.why == ("fold", "fold") else 2]:
         record = _record(END_NAMES.get(kind, kind), problem, nodes, index, error)
         if kind == "zero step length":
             record |= _limit_of_short_steps(branch, index)

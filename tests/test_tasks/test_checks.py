@@ -11,6 +11,7 @@ from tasks.continuation.branch import Branch
 from tasks.continuation.checks import checked
 from tasks.continuation.lockstep import run
 from tasks.continuation.refine import COARSE, measure
+from tasks.continuation.sampling import within
 from tasks.continuation.special_points import special_points
 from tasks.solve_points import _reasons
 from tasks.status import outside
@@ -59,6 +60,40 @@ def test_a_branch_of_few_nodes_is_mended():
     # What was inserted lies on the branch.
     for Z in mended.Z:
         assert np.abs(branch.Z - Z).max(axis=1).min() < 0.5
+
+
+@pytest.mark.parametrize("x", [[-0.3, -0.2, -0.1, 0.0, 4e-8, 0.1, 0.2], [-0.3, -0.2, -4e-8, 0.0, 0.1, 0.2, 0.3]])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_node_beside_a_fold_is_not_the_fold(x, side):
+    """Whose slope differs from the fold's by rounding."""
+    x = np.array(x)
+    Z, tangent = np.column_stack([x, side * x**2, x]), np.column_stack([np.ones(7), 2 * side * x, np.ones(7)])
+    (fold,) = np.flatnonzero(x == 0)
+    assert Branch(1, Z, tangent, np.zeros(7), ("", "")).pieces() == [(0, fold), (fold, 6)]
+
+
+def test_one_node_is_left_as_it_is():
+    problem, found = branches("D")
+    one = found[0].part(np.array([5]))
+    assert run(problem, checked(one)) is one
+
+
+def test_a_narrow_window_is_sampled_on_few_segments(monkeypatch):
+    _, found = branches("E")
+    branch, evaluated, evaluate = found[0], [], Branch.evaluate
+
+    def counted(branch, segments, x):
+        evaluated.append(len(segments))
+        return evaluate(branch, segments, x)
+
+    place, rows = within(branch, *np.log([0.011, 0.02]), 64)
+    monkeypatch.setattr(Branch, "evaluate", counted)
+    _, narrow = within(branch, *np.log([0.011, 0.01101]), 64)
+    assert sum(evaluated) < 6 * 64 < 64 * (len(branch.Z) - 1)
+    every = branch.at(np.arange(0, len(branch.Z) - 1, 1 / 64))
+    inside = every[(every[:, branch.m] >= np.log(0.011)) & (every[:, branch.m] <= np.log(0.02))]
+    assert len(rows) == len(place) == len(inside) + 2
+    assert len(narrow) >= 2 and np.exp(narrow[[0, -1], branch.m]) == pytest.approx([0.011, 0.01101], rel=1e-12)
 
 
 def test_a_polynomial_that_goes_astray_between_two_nodes_is_longer_than_its_chord():
