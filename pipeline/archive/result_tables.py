@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ Columns = dict[str, np.ndarray]
 
 def write(file: Any, plan: Plan) -> None:
     """Write the tables of all tasks of a study; of failed tasks, their names and reasons."""
-    failures: list[tuple[str, str, str]] = []
     for name, layer in plan.layers.items():
         if name in registry.INTERNAL or (name in registry.OPTIONS and name != plan.study.kind):
             continue
@@ -31,10 +30,7 @@ def write(file: Any, plan: Plan) -> None:
         places: dict[str, list[np.ndarray]] = {}
         for coordinates, key, numbers in _task_runs(plan, name, layer.per_line):
             result = plan.journal.result(key)
-            if result is None:
-                continue
-            if result.outcome != "ok":
-                failures.append((name, result.outcome, result.reason))
+            if result is None or result.outcome != "ok":
                 continue
             for group, columns in split(serialize.load(result.data)).items():
                 parts.setdefault(group, []).append({**_repeat(coordinates, columns), **columns})
@@ -46,12 +42,22 @@ def write(file: Any, plan: Plan) -> None:
                 order = np.argsort(np.concatenate(places[group]), kind="stable")
                 columns = {name: values[order] for name, values in columns.items()}
             _group(file, plan, group, columns)
-    if failures:
+    if failures := list(failed(plan)):
         names, outcomes, reasons = zip(*failures, strict=True)
         columns = {"task": np.array(names), "outcome": np.array(outcomes), "reason": np.array(reasons)}
         _group(file, plan, "failed_tasks", columns)
     if plan.study.overlay:
         _group(file, plan, "overlay", dict(plan.study.overlay))
+
+
+def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
+    """Name, outcome and reason of failed tasks; points tell of an atlas that they alone need."""
+    for name, layer in plan.layers.items():
+        if name != "points" and (name != "atlas" or plan.atlas_readers):
+            for _, key, _ in _task_runs(plan, name, layer.per_line):
+                ending = plan.journal.outcome(key)
+                if ending and ending.status != "ok":
+                    yield name, ending.status, ending.reason
 
 
 def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str, np.ndarray]]:

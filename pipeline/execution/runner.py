@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import paths, terminal
-from pipeline.archive import read, write
+from pipeline.archive import read, result_tables, write
 from pipeline.archive.provenance import code_digest, cpu_features, version
 from pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, reached_limit, unwritten
 from pipeline.execution import worker_process
@@ -206,7 +206,8 @@ class StudyRun:
             if written.counts["not_attempted"]:  # stored results are missing
                 raise CorruptJournalError(jobs.journal.path)
             compact(jobs.journal)
-            failed = _failed_tasks(jobs.plan)
+            failures = result_tables.failed(jobs.plan)
+            failed = [f"{name}: {outcome}; {reason}" for name, outcome, reason in failures if name != self.study.kind]
             self._record |= {
                 "account": jobs.account.record(command, jobs.engine.jobs),
                 "points": sum(written.counts.values()),
@@ -311,18 +312,6 @@ class _Snapshots:
             write.write(self.plan, self.path)
         duration = time.monotonic() - began
         self.next = time.monotonic() + max(self.every, _SNAPSHOT_PAUSE * duration)
-
-
-def _failed_tasks(plan: Plan) -> list[str]:
-    """Failed tasks other than points, one sentence each."""
-    failures = []
-    for name, layer in plan.layers.items():
-        if name not in ("atlas", "points", plan.study.kind):
-            for keys in map(plan.line_keys, range(plan.study.batches)) if layer.per_line else [plan.study_keys()]:
-                outcome, reason, _ = plan.journal.outcome(keys[name].key) or ("ok", "", 0)
-                if outcome != "ok":
-                    failures.append(f"{name}: {outcome}; {reason}")
-    return failures
 
 
 def _summarise(plan: Plan, progress: Progress, written: write.Written, failed: list[str], path: Path) -> None:

@@ -74,8 +74,14 @@ class Plan:
         if not self.blocks:
             return per_line
         # Atlases of short lines are kept only for those that read them.
-        readers = [name for name, layer in self.layers.items() if "atlas" in layer.needs and name != "points"]
-        return [name for name in per_line if name not in ("atlas", "points") or (name == "atlas" and readers)]
+        omitted = ("points",) if self.atlas_readers else ("atlas", "points")
+        return [name for name in per_line if name not in omitted]
+
+    @property
+    def atlas_readers(self) -> list[str]:
+        """Tasks that read atlases, beside points or the task of the study's kind, whose statuses tell of failures."""
+        own = ("points", self.study.kind)
+        return [name for name, layer in self.layers.items() if "atlas" in layer.needs and name not in own]
 
     def line(self, number: int, fresh: bool = False, with_points: bool = True) -> LineWork:
         """Work on the line of that number, by itself; `fresh` if the journal is empty."""

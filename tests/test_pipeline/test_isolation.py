@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 
 from conftest import STUDY
+from pipeline.cli import commands
 from processes import descendants, wait_for_points
 
 #: Trouble, the status it ends with, and words of its reason.
@@ -126,3 +127,17 @@ def test_a_failed_atlas_costs_its_line(toy):
     assert (found.status.sel(w_t=0.0, gait="long") == 0).all()
     assert (found.status.sel(w_t=13.0) == 8).all()
     assert "The atlas of the line: it raised ValueError: no atlas here." in found.reason_text.values
+
+
+def test_an_atlas_that_fails_beside_stored_points_is_told(tmp_path, capsys):
+    """Points of short lines keep no atlas; figures that read one have it made later."""
+    study, archive = tmp_path / "s.toml", tmp_path / "s.nc"
+    study.write_text('name = "s"\nwalker = "D"\n[axes]\nslope = [0.005, 0.01]\n')
+    assert commands.main(["run", f"{study}", "--archive", f"{archive}", "--jobs", "1"]) == 0
+    study.write_text(study.read_text() + '[want]\nfigures = ["angles"]\n[limits]\nseconds = 1e-5\n')
+    capsys.readouterr()
+    assert commands.main(["run", f"{study}", "--archive", f"{archive}", "--jobs", "1"]) == 1
+    err = capsys.readouterr().err
+    assert "2 points (converged 2)" in err and "\n  atlas: timed_out; " in err
+    failed = xr.load_dataset(archive, engine="netcdf4", group="failed_tasks")
+    assert failed.task.values.tolist() == ["atlas"] and failed.outcome.values.tolist() == ["timed_out"]
