@@ -1,5 +1,7 @@
 """Studies over a plane of keys: divided into cells, each computed as a whole, whatever runs them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -7,6 +9,7 @@ import xarray as xr
 import pipeline
 from pipeline.api import in_memory
 from pipeline.errors import DiskFullError
+from pipeline.execution.runner import _check_room
 from pipeline.plan.missing import Plan
 from pipeline.statuses import ALL_STATUSES
 from pipeline.store.journal import Journal
@@ -76,9 +79,20 @@ def test_few_lines_are_no_plane(tmp_path, axes):
 
 def test_a_plane_that_no_disk_holds_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("pipeline.execution.runner._LEAST_BYTES", 10**12)
-    with pytest.raises(DiskFullError, match=r"^144 points need 1,296,000 GB at least; [\d,]+ are free\.$"):
+    with pytest.raises(DiskFullError, match=r"^144 points need 1,296,000.0 GB at least; [\d,.]+ are free\.$"):
         run(tmp_path, STUDY.format(walker="B", axes=AXES))
     assert not (tmp_path / "plane.nc").exists()
+
+
+def test_what_the_disk_can_hold_is_not_refused(tmp_path, monkeypatch):
+    """Of a coarse sweep 8,157,867 bytes were measured, of which its slopes take 8e6; windows have no points."""
+    monkeypatch.setattr("pipeline.execution.runner.shutil.disk_usage", lambda path: SimpleNamespace(free=8_200_000))
+    million = 'name = "s"\nwalker = "D"\ngaits = ["long"]\n[axes]\nslope = { from = 0.001, to = 0.01, n = 1000000 }\n'
+    branches = 'kind = "branch"\n' + million + "R = { from = 0.0, to = 0.1, n = 1000 }\n"
+    for text in ("accuracy = 1e-2\n" + million + '[want]\nvariables = ["period"]\n', branches):
+        _check_room(read(written(tmp_path, text)), tmp_path / "s.nc")
+    with pytest.raises(DiskFullError, match="^1,000,000,000 points need"):
+        _check_room(read(written(tmp_path, branches.replace("branch", "grid"))), tmp_path / "s.nc")
 
 
 def test_two_workers_write_the_same_bytes(archive, tmp_path):
