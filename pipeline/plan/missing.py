@@ -188,10 +188,15 @@ class Plan:
         keys, last = self.study_keys(), self.journal.last_block()
         todo: dict[str, tuple[TaskKey, str]] = {}
         for name in names:
-            outcome, needs = self.journal.outcome(keys[name].key), self.layers[name].needs
+            key, needs = keys[name].key, self.layers[name].needs
+            outcome = self.journal.outcome(key)
             if outcome is None:
                 todo[name] = keys[name], self._why(keys[name].unversioned)
-            elif ran or any(need in todo or (need == "points" and outcome.seen < last) for need in needs):
+            elif (
+                ran
+                or any(need in todo or (need == "points" and outcome.seen < last) for need in needs)
+                or self.journal.is_outdated(key, needs)  # by a run that was killed before it came to this task
+            ):
                 todo[name] = keys[name], "its inputs change"
             elif outcome.status != "ok" and self.retry:
                 todo[name] = keys[name], "retried"

@@ -211,6 +211,11 @@ class Journal:
         latest = self._latest(key)
         return Outcome(*latest[3:6]) if latest else None
 
+    def is_outdated(self, key: str, tasks: Iterable[str]) -> bool:
+        """Whether any result of these tasks is later than that of the key."""
+        later = "SELECT 1 FROM results WHERE id > (SELECT max(id) FROM results WHERE key = ?) AND key LIKE ? LIMIT 1"
+        return any(self._read(later, key, f"{task}-%") for task in tasks)
+
     def blocks(self, line: str, low: float = -np.inf, high: float = np.inf) -> Iterator[Block]:
         """Blocks of the line with that key and slopes in [low, high] [rad], earliest first."""
         query = "SELECT id FROM points WHERE line = ? AND high >= ? AND low <= ? ORDER BY id"

@@ -1,5 +1,6 @@
 """The graph is plain data, culled to what is wanted, and its keys name science alone."""
 
+import contextlib
 import dataclasses
 import json
 from pathlib import Path
@@ -8,6 +9,9 @@ import numpy as np
 import pytest
 
 from pipeline.plan import costs, graph
+from pipeline.plan.missing import Plan
+from pipeline.store.journal import Journal
+from pipeline.store.rows import Result
 from pipeline.study import parse
 from tasks import registry
 
@@ -52,6 +56,20 @@ def test_the_motion_over_a_step_does_not_depend_on_how_many_an_orbit_has(make, k
 def test_claims_wait_for_the_task_of_their_study_though_that_needs_no_atlas(make):
     layers = graph.layers(make(kind="census", walker="D", axes={"slope": [0.01]}, want={"claims": ["G1"]}))
     assert graph.depths(layers) == {"census": 1, "claims": 2}
+
+
+def test_a_fit_made_before_an_atlas_was_retried_is_stale(make, tmp_path):
+    """As of a run that was killed between the two."""
+    study = make(want={"variables": ["period"], "fits": ["landmarks"], "claims": ["E2"]})  # of long lines
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        plan = Plan(study, journal)
+        keys = plan.study_keys()
+        for key in (plan.line_keys(0)["atlas"], keys["landmarks"], keys["claims"]):
+            journal.add_result(*key, Result("ok", "", 0, b""), 0.1)
+        assert plan.over_study(False) == {}
+        journal.add_result(*plan.line_keys(0)["atlas"], Result("ok", "", 0, b""), 0.1)
+        todo = {name: why for name, (_, why) in plan.over_study(False).items()}
+    assert todo == dict.fromkeys(["landmarks", "claims"], "its inputs change")
 
 
 PAPER = [path for path in sorted((ROOT / "data" / "studies" / "paper").glob("*.toml")) if "claims" in path.read_text()]

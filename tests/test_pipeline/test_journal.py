@@ -105,6 +105,14 @@ def test_results_are_kept_by_key_and_kin(journal):
     assert journal.knows("a") and not journal.knows("b") and journal.result("b") is None
 
 
+def test_a_result_is_outdated_by_later_ones_that_it_needs(journal):
+    for key in ("atlas-1", "landmarks-1", "trace-1"):
+        journal.add_result(key, key, Result("ok", "", 0, PACKED), 0.1)
+    assert not journal.is_outdated("landmarks-1", ["atlas"]) and journal.is_outdated("atlas-1", ["atlas", "trace"])
+    journal.add_result("atlas-1", "atlas", Result("ok", "", 0, PACKED), 0.1)
+    assert journal.is_outdated("landmarks-1", ["atlas"]) and not journal.is_outdated("trace-1", ["points"])
+
+
 def test_a_flipped_byte_is_seen_and_mended(tmp_path):
     slopes = np.linspace(0.1, 0.4, 4000)
     journal = Journal(tmp_path / "j")
