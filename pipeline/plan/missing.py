@@ -338,15 +338,11 @@ def summary(plan: Plan) -> Summary:
 
 def _seconds(plan: Plan, todo: dict[str, int]) -> float:
     """Estimated processor time of so many tasks of each layer [s]."""
-    measured = plan.journal.seconds_per_point()
+    # What points of short lines took is not measured: their time is that of their blocks, atlases included.
+    measured = None if graph.is_short(plan.study) else plan.journal.seconds_per_point()
     seconds = 0.0
     for name, count in todo.items():
-        each = costs.seconds(plan.study, name)
-        if measured and name == "points":
-            each = measured
-        elif measured and name == "atlas" and graph.is_short(plan.study):
-            each = 0.0  # what is measured for a point of a short line includes its share of the atlas
-        seconds += each * count
+        seconds += count * (measured if measured and name == "points" else costs.seconds(plan.study, name))
     return seconds + costs.starting(plan.study) if seconds else 0.0
 
 

@@ -30,6 +30,7 @@ from pipeline.store.segment import Segment
 
 _SYNC_INTERVAL = 0.5  # finished work that a power failure may cost [s]
 _MIN_SMALL_BLOCKS, _SMALL_BLOCK = 64, 1000  # a line in more blocks than this, of fewer points, is compacted
+_MIN_MEASURED = 1000  # points from which on their mean cost is not that of starting workers
 _LARGE_JOURNAL = 100_000  # points from which on blocks take megabytes and larger pages are faster
 
 
@@ -303,10 +304,10 @@ class Journal:
         return not any(self._read(f"SELECT 1 FROM {table} LIMIT 1") for table in rows.COLUMNS)
 
     def seconds_per_point(self) -> float | None:
-        """Mean cost of a point in the latest thousand blocks [s]; None if there is none."""
-        latest = "SELECT n, seconds FROM points ORDER BY id DESC LIMIT 1000"
+        """Mean cost of a point of long lines in their latest thousand blocks [s]; None if too few were measured."""
+        latest = f"SELECT n, seconds FROM points WHERE line NOT LIKE '{rows.BLOCK}-%' ORDER BY id DESC LIMIT 1000"
         n, seconds = self._read(f"SELECT sum(n), sum(seconds) FROM ({latest})")[0]
-        return seconds / n if n and isinstance(seconds, float) else None
+        return seconds / n if n and n >= _MIN_MEASURED and isinstance(seconds, float) else None
 
     def small_lines(self) -> list[str]:
         """Keys of lines stored in many blocks of few points."""

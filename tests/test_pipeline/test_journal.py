@@ -90,11 +90,14 @@ def test_failed_points_are_missing_only_to_a_retry(journal):
     assert lines.missing(journal, "L", WANT, slopes, ["long"], retry=True).tolist() == [0, 1]
 
 
-def test_the_cost_of_a_point_is_the_mean_over_all_blocks(journal):
+def test_the_cost_of_a_point_is_the_mean_over_long_lines_once_enough_are_stored(journal):
+    slopes = np.linspace(0.1, 0.3, 750)
+    for line, seconds in (("L", 0.6), ("block-1", 90.0)):  # of short lines, whose atlases it includes
+        assert journal.seconds_per_point() is None
+        journal.add_points(line, "k", WANT, row(slopes, 1.0), seconds)
     assert journal.seconds_per_point() is None
-    journal.add_points("L", "k", WANT, row(np.array([0.1, 0.2, 0.3]), 1.0), 0.6)
-    journal.add_points("M", "k", WANT, row(np.array([0.1]), 1.0), 0.4)
-    assert journal.seconds_per_point() == pytest.approx(0.25)
+    journal.add_points("M", "k", WANT, row(slopes[:250], 1.0), 0.4)
+    assert journal.seconds_per_point() == pytest.approx(1e-3)
 
 
 def test_results_are_kept_by_key_and_kin(journal):
