@@ -163,7 +163,8 @@ class Plan:
             keys, why = blocks.keys(block), "retried"
             if new.any():
                 has_all = stored and not len(lines.unsolved(stored, frozenset(), places))
-                why = "changed" if has_all else "new" if stored else self._why(keys.unversioned)
+                has_slopes = (status.reshape(len(numbers), -1)[new] != ALL_STATUSES["not_attempted"]).any()
+                why = "changed" if has_all or has_slopes else "new" if stored else self._why(keys.unversioned)
             yield BlockWork(block, keys, numbers[unsolved], why)
         for k in np.flatnonzero(~unsolved if self.line_tasks else alone).tolist():
             work = self.line(int(numbers[k]), with_points=bool(alone[k]))

@@ -87,7 +87,7 @@ def test_more_slopes_and_other_variables_change_every_block(toy):
     toy.write(PLAIN)
     toy("run", "toy.toml", **BLOCKS)
     toy.write(PLAIN.replace("n = 8", "n = 9"))
-    assert "per point: 1,359 new" in toy("plan", "toy.toml", **BLOCKS).stdout
+    assert "per point: 1,359 changed" in toy("plan", "toy.toml", **BLOCKS).stdout
     toy.write(PLAIN.replace('"multipliers"', '"period"'))
     assert "per point: 1,208 changed" in toy("plan", "toy.toml", **BLOCKS).stdout
     assert "per point: 1,208 changed" in toy("plan", "toy.toml", TOY_VERSIONS="atlas=2", **BLOCKS).stdout
