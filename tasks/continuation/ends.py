@@ -129,11 +129,11 @@ def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Pr
         # The value at half as many samples shows the error of the cubic's minimum.
         error = abs((yield from distance(point, direction, 8 * SAMPLES)) / (at_b - at_a) * (b - a))
     else:
-        # Only samples tell where it is, and how finely they must be taken shows in what finer ones change.
-        rough, _ = yield from bisect(a, b, 40)
-        a, _ = yield from bisect(*nodes, 48, _is_step_finely)
+        # Only samples tell where it is: as many as points are verified with, and finer ones how far that is off.
+        a, _ = yield from bisect(a, b, 40)
+        fine, _ = yield from bisect(*nodes, 48, _is_step_finely)
         point, direction = yield from correct_at(branch, segment, a)
-        error = a - rough
+        error = 2 * (fine - a)
     tangent = row_tangent(point, direction)
     error = abs(error * float(tangent[branch.m] / tangent[axis]))
     return BranchEnd("end_earlier_strike", point, direction, error)
