@@ -1,6 +1,7 @@
 """Watching a run from outside: its files, its event log, its processes; and damaging what it left."""
 
 import contextlib
+import os
 import signal
 import time
 from pathlib import Path
@@ -89,3 +90,15 @@ def damaged(data, dice):
             size
         )
     return bytes(data)
+
+
+def suspend(pid: int, seconds: float) -> None:
+    """Stop a process and those below it for so long; then they wake one after another."""
+    group = [pid, *descendants(pid)]
+    for each in group:
+        os.kill(each, signal.SIGSTOP)
+    time.sleep(seconds)
+    for each in group:
+        with contextlib.suppress(ProcessLookupError):  # one that woke may have ended another
+            os.kill(each, signal.SIGCONT)
+        time.sleep(0.3)

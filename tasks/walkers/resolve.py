@@ -186,9 +186,9 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
         If none of the walkers can be.
     """
     arrays = {key: value for key, value in overrides.items() if isinstance(value, np.ndarray)}
-    for own in zip(*(array.tolist() for array in arrays.values()), strict=True) if arrays else [()]:
+    for own in zip(*arrays.values(), strict=True) if arrays else [()]:
         try:
-            first = resolve(walker, {**overrides, **dict(zip(arrays, own, strict=True))})
+            first = resolve(walker, {**overrides, **dict(zip(arrays, map(float, own), strict=True))})
             break
         except WalkerError as error:
             impossible = error

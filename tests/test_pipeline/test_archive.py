@@ -36,7 +36,7 @@ from pipeline.report import pages
 from pipeline.statuses import ALL_STATUSES as STATUS
 from pipeline.store.journal import Journal
 from pipeline.study import parse
-from processes import descendants, ended
+from processes import descendants, ended, suspend
 
 EVERYTHING = STUDY.replace('"multipliers"', '"multipliers", "energy", "violations"')
 
@@ -582,14 +582,7 @@ def test_a_command_that_was_suspended_blames_no_archive(tmp_path, reader):
     process = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path, env={**os.environ, "PYTHONPATH": ROOT})
     while not (tmp_path / "begun").exists() and process.poll() is None:
         time.sleep(0.02)
-    both = process.pid, *descendants(process.pid)
-    for pid in both:
-        os.kill(pid, signal.SIGSTOP)
-    time.sleep(3.3)
-    for pid in both:
-        with contextlib.suppress(ProcessLookupError):  # the first may have ended the other
-            os.kill(pid, signal.SIGCONT)
-        time.sleep(0.3)
+    suspend(process.pid, 3.3)
     assert process.wait(20) == 0
 
 

@@ -1,17 +1,12 @@
 """One bad point costs one point."""
 
-import contextlib
-import os
-import signal
-import time
-
 import numpy as np
 import pytest
 import xarray as xr
 
 from conftest import STUDY
 from pipeline.cli import commands
-from processes import descendants, wait_for_points
+from processes import suspend, wait_for_points
 
 #: Trouble, the status it ends with, and words of its reason.
 TROUBLES = {
@@ -88,14 +83,7 @@ def test_a_run_that_was_suspended_blames_no_point(toy):
     toy.write(ONE_LINE.replace("n = 191", "n = 3").replace("= 0.5", "= 2"))
     process = toy.start("run", "toy.toml", "--chunk", 1, "--jobs", 1, TOY_SECONDS="0.8")
     wait_for_points(toy, 1)
-    group = [process.pid, *descendants(process.pid)]
-    for pid in group:
-        os.kill(pid, signal.SIGSTOP)
-    time.sleep(2.5)
-    for pid in group:
-        with contextlib.suppress(ProcessLookupError):  # one may have been about to end
-            os.kill(pid, signal.SIGCONT)
-        time.sleep(0.3)
+    suspend(process.pid, 2.5)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
     assert (opened(toy).status.sel(gait="long") == 0).all()
