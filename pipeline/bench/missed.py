@@ -25,7 +25,7 @@ WALKERS = ("A", "C", "E", "physical", "physical-straight")
 DERIVED = {"A": ("detuning", -0.5, 2.0), "C": ("detuning", -0.5, 2.0), "E": ("foot_mass_ratio", 0.01, 0.45)}
 KEYS, SPREAD = ("m_t", "m_s", "r_t", "r_s", "c_t", "c_s", "R", "eps_T", "l_t", "l_s"), 0.3
 #: Range of the slopes [rad].
-MIN_SLOPE, MAX_SLOPE = 1e-3, 0.15
+MIN_SLOPE, MAX_SLOPE = 1e-3, 0.5
 #: Copies of the lattice of guesses at the slope, and how far they are shaken: ln angle, and relatively rates and times.
 COPIES, SHAKE = 12, 0.25
 #: Lines surveyed side by side.

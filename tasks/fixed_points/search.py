@@ -24,6 +24,8 @@ _MERGE_CELL = 0.1
 _EXCHANGED = (1, 2)
 #: Largest rate over angle of a guess.
 _MAX_RATE = 20.0
+#: Largest rate [sqrt(g/leg)] to which linear theory is of use, and the swing leg's over the angle of a guess beyond.
+_LINEAR_UP_TO, _PLAIN_SWING = 1.0, -0.5
 
 
 def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.ndarray]:
@@ -44,7 +46,8 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
     Notes
     -----
     Stance angles run from the linear (slope) to the cube-root scaling. Straight legs have the rates with which, to
-    first order in the angles, they exchange places in the period. With point feet heelstrike fixes the ratio of the
+    first order in the angles, they exchange places in the period; where these are too large for linear theory, as on
+    steep slopes, the stance leg has that of an inverted pendulum. With point feet heelstrike fixes the ratio of the
     rates, so that both legs do so in certain periods only: the two shortest take the place of two of the lattice. Of
     kneed walkers the stance rate is that of an inverted pendulum which crosses from +angle to -angle in the period,
     with several swing rates and times of kneestrike.
@@ -72,9 +75,10 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
             for place, own in zip(_EXCHANGED, exchanged, strict=True):
                 period = np.where((period == others[0][place]) & np.isfinite(own), own, period)
         rates = exchange_rates(walker, angle, period, np.repeat(slopes, counts))
+        plain = np.array([-1.0 / np.tanh(period / 2), np.full(len(period), _PLAIN_SWING)])
+        rates = np.where(np.abs(rates).max(axis=0) > _LINEAR_UP_TO, plain, np.clip(rates / angle, -_MAX_RATE, _MAX_RATE))
         # Heelstrike itself sets the swing leg's rate where its mass is at the foot.
-        free = rates[:1] if walker.point_foot else rates
-        rows = [log_angle, *np.clip(free / angle, -_MAX_RATE, _MAX_RATE), period]
+        rows = [log_angle, *(rates[:1] if walker.point_foot else rates), period]
     return np.split(np.vstack(rows), np.cumsum(counts)[:-1], axis=1)
 
 

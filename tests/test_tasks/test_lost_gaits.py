@@ -330,6 +330,17 @@ def test_point_feet_exchange_places_in_the_periods_of_gaits_of_small_angles(rati
         assert periods[place, 0] == pytest.approx(found["period"], rel=5e-3)
 
 
+@pytest.mark.parametrize("detuning", [1.8, 2.0, 2.06])
+def test_short_gaits_of_steep_slopes_are_found(detuning):
+    """The rates in which legs exchange places to first order are far from theirs."""
+    slope = [0.139, 0.3]
+    out = solved("A", slope, detuning=detuning)
+    assert (out["status"][:, :2] == STATUSES["converged"]).all()
+    found = {name: value[0, 1] for name, value in out.items() if name != "reasons"}
+    assert found["period"] < 0.6 * out["period"][0, 0]
+    assert repeats("A", {"detuning": detuning}, slope[0], found) < 1e-6
+
+
 @pytest.mark.parametrize(("count", "rate"), [(6, 0.0), pytest.param(1000, 0.01, marks=pytest.mark.soak)])
 def test_a_survey_misses_few_gaits_that_a_dense_search_finds(count, rate):
     outcome = missed(count)
