@@ -12,6 +12,8 @@ from tasks.fits.power_law import fit
 #: Above the transition all walkers with light feet follow walker D: angle = B slope^(1/3) as slope -> 0
 #: (M. Garcia et al., J. Biomech. Eng. 120, 1998).
 CUBE_ROOT = math.tanh(math.pi / 2) ** (2 / 3)
+#: Largest deviation from 1 of the exponent over the slopes that the linear law is fitted to.
+_LINEAR = 0.05
 
 
 def asymptotic(ratio: np.ndarray) -> np.ndarray:
@@ -39,7 +41,8 @@ def linear_amplitude(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float
     Returns
     -------
     amplitude, error, largest, n : float, float, float [rad], int
-        The limit, its relative standard error, the largest slope and the number of points of the fit; NaN below four.
+        The limit, its relative standard error, the largest slope and the number of points of the fit; NaN below four,
+        and where the angle does not grow with the slope there, so that the slopes begin above the linear law.
 
     Notes
     -----
@@ -49,7 +52,8 @@ def linear_amplitude(slope: np.ndarray, angle: np.ndarray) -> tuple[float, float
     y = np.log(angle / slope)
     near = np.abs(y - y[0]) < 0.02
     last = int(np.argmin(near)) if not near.all() else len(y)
-    if last < 4:
+    # Many slopes may lie within 2 % of any law.
+    if last < 4 or abs(y[last - 1] - y[0]) > _LINEAR * math.log(slope[last - 1] / slope[0]):
         return math.nan, math.nan, math.nan, last
     design = np.stack([np.ones(last), (slope[:last] / slope[last - 1]) ** 2], axis=1)
     solution, residual, _, _ = np.linalg.lstsq(design, y[:last], rcond=None)

@@ -175,6 +175,27 @@ def test_crossing_of_two_laws():
     assert a * x == pytest.approx(transition.CUBE_ROOT * x ** (1 / 3), rel=1e-12)
 
 
+@pytest.mark.parametrize(("first", "rows"), [(1e-12, 220), (1e-3, 3000)])
+def test_a_linear_law_is_fitted_only_where_angles_are_linear(first, rows):
+    """Above the transition thousands of slopes lie so close that some change angle/slope by less than 2 %."""
+    slope, ratio = np.geomspace(first, 0.1, rows), 1e-3
+    angle = ((4 * np.tanh(np.pi / 2) ** 2 * slope / ratio) ** -3.0 + (transition.CUBE_ROOT**3 * slope) ** -1.0) ** (
+        -1 / 3
+    )
+    known = {
+        "stance_angle": np.stack([angle, angle], axis=1),
+        **dict.fromkeys(("branch", "piece"), np.zeros((rows, 2))),
+    }
+    table = transition_table(
+        {"lines": [{"walker": "E", "set": {"foot_mass_ratio": ratio}}]}, [{"slope": slope, **known}]
+    )
+    found = table["fits/transition/slope_transition"], table["fits/transition/slope_transition_fitted"]
+    if first > 1e-5:
+        assert np.isnan(found).all()
+    else:
+        np.testing.assert_allclose(found, table["fits/transition/asymptotic"][0], rtol=0.05)
+
+
 def test_the_asymptotic_law_is_three_halves():
     ratio = np.array([1e-2, 1e-4])
     crossing = transition.asymptotic(ratio)

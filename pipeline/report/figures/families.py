@@ -169,7 +169,12 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
     axes.set_xlim(left, right)
     ratio = source.tables.get("fits/transition_ratio")
     said = f"Thin black: lines fitted to the short step beside its transition; they cross for {', '.join(words)}"
-    if words and ratio is not None and {"fitted_lines", "predicted"} <= set(ratio.columns):
+    if (
+        words
+        and ratio is not None
+        and {"fitted_lines", "predicted"} <= set(ratio.columns)
+        and ratio["fitted_lines"].notna().all()
+    ):
         fitted, predicted = (plain(ratio[name].iloc[0], 3) for name in ("fitted_lines", "predicted"))
         ends = (plain(source.grid["slope"].values[i], 2) for i in (0, -1))
         said += f", a ratio of {fitted} as fitted to slopes from {' to '.join(ends)} (the 3/2 law: {predicted})"
