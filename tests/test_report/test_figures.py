@@ -1,5 +1,6 @@
 import shlex
 
+import netCDF4
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,7 +15,7 @@ from pipeline.report.figures.style import GAIT_COLOURS, MUTED, log_axis, plain, 
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
 from test_report import synthetic
-from test_report.shape import KNEED, POINT, write
+from test_report.shape import GAITS, KNEED, POINT, write
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +99,24 @@ def test_a_locus_that_leaves_its_window_is_not_joined_where_it_comes_back(tmp_pa
     runs = [y for y in (np.asarray(line.get_ydata(), float) for line in axes.lines) if np.isfinite(y).any()]
     assert len(runs) == parts and sum(map(len, runs)) == kept.sum()
     assert max(np.abs(np.diff(y)).max() for y in runs) < 0.002
+
+
+def _quantities(folder, **columns):
+    """A line of two gaits with some variables, those of the second twice those of the first."""
+    slope = np.geomspace(0.01, 0.1, 40)
+    grid = {
+        name: (("slope", "gait"), np.stack([values(slope), 2 * values(slope)], 1)) for name, values in columns.items()
+    }
+    study = 'name = "quantities"\nwalker = "C"\n[axes]\nslope = [0.01]\n'
+    return write(folder / "quantities.nc", study, grid, {"slope": slope, "gait": GAITS}, {"C": KNEED})
+
+
+def test_power_and_speed_have_each_its_own_unit(tmp_path):
+    archive = _quantities(tmp_path, speed=lambda s: s ** (1 / 3), power=lambda s: s ** (4 / 3))
+    with netCDF4.Dataset(archive, "a") as file:
+        file["speed"].units, file["power"].units = "m s-1", "W"
+    axes = FIGURES["power"](read(archive)).figure.axes[0]
+    assert (axes.get_xlabel(), axes.get_title(loc="left")) == ("speed v (m s⁻¹)", "power P (W)")
 
 
 def test_a_walker_table_gives_a_command_with_its_base_and_keys(sources):

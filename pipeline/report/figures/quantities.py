@@ -139,10 +139,12 @@ def _draw(source: Source, quantity: _Quantity) -> Sketch | None:
     unit = {name: source.units(name) for name in (quantity.reads[0], quantity.abscissa)}
     words = "slope γ" if quantity.abscissa == "slope" else f"{quantity.abscissa} v"
     mixed = len(set(source.grid["walker_units"].values.tolist())) > 1 if "walker_units" in source.grid else False
-    shown = "each walker's units" if mixed else unit[quantity.abscissa]
-    shown_across = "rad" if quantity.abscissa == "slope" else shown
-    axes.set_xlabel(f"{words} ({shown_across})" if shown_across else words)
-    set_heading(axes, quantity.heading + (f" ({shown})" if quantity.abscissa != "slope" and shown else ""))
+    if mixed:
+        unit = dict.fromkeys(unit, "each walker's units")
+    shown = "rad" if quantity.abscissa == "slope" else unit[quantity.abscissa]
+    axes.set_xlabel(f"{words} ({shown})" if shown else words)
+    shown = "" if quantity.abscissa == "slope" else unit[quantity.reads[0]]
+    set_heading(axes, f"{quantity.heading} ({shown})" if shown else quantity.heading)
     data = pd.concat(pieces, ignore_index=True)
     gaits = list(data["gait"].unique())
     keys = [Line2D([], [], color=colour(g), lw=1.4, label=shorten(f"{g} step")) for g in gaits]
