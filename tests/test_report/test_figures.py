@@ -4,6 +4,7 @@ import netCDF4
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from matplotlib.figure import Figure
 
 from pipeline.report import cells, html_tables
@@ -117,6 +118,15 @@ def test_power_and_speed_have_each_its_own_unit(tmp_path):
         file["speed"].units, file["power"].units = "m s-1", "W"
     axes = FIGURES["power"](read(archive)).figure.axes[0]
     assert (axes.get_xlabel(), axes.get_title(loc="left")) == ("speed v (m s⁻¹)", "power P (W)")
+
+
+def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):
+    losses = {f"loss_{part}": lambda s: s for part in ("normal", "tangential", "kneestrike")}
+    archive = _quantities(tmp_path, **losses, spectral_radius=lambda s: s)
+    overlay = {"slope": [0.02, 0.05], "loss_normal": [3.0, 4.0], "spectral_radius": [0.1, 0.2]}
+    xr.Dataset({k: ("row", v) for k, v in overlay.items()}).to_netcdf(archive, mode="a", group="overlay")
+    drawn = {name: FIGURES[name](read(archive)).figure for name in ("losses", "multipliers")}
+    assert {name: len(figure.axes[0].containers) for name, figure in drawn.items()} == {"losses": 0, "multipliers": 1}
 
 
 def test_a_walker_table_gives_a_command_with_its_base_and_keys(sources):

@@ -152,7 +152,9 @@ def _draw(source: Source, quantity: _Quantity) -> Sketch | None:
     names = [line.label for line in lines]
     if 1 < len(names) <= len(DASHES):
         keys += [Line2D([], [], color=MUTED, lw=1.2, ls=DASHES[k], label=shorten(n)) for k, n in enumerate(names)]
-    own = measured.draw(axes, source, quantity.reads[0]) if quantity.abscissa == "slope" and quantity.log else None
+    # Shares of several losses are drawn, which no measurement of one of them can be compared with.
+    is_read = quantity.abscissa == "slope" and len(quantity.reads) == 1
+    own = measured.draw(axes, source, quantity.reads[0]) if is_read else None
     keys += [own] if own else []
     figure.legend(handles=keys, loc="outside upper left", ncols=4)
     finite = data["value"][np.isfinite(data["value"])]
