@@ -61,11 +61,11 @@ def test_marks_lie_on_the_curve_and_carry_the_command_of_their_point(sources):
 def _drawn(sketch):
     """Slopes and angles of every line drawn of gaits: unbroken runs of points."""
     for drawn in sketch.figure.axes[0].lines:
-        x, y = drawn.get_data()
+        x, y = (np.asarray(values, float) for values in drawn.get_data())
         there = np.isfinite(x) & np.isfinite(y)
         for run in np.split(np.arange(len(x)), np.flatnonzero(np.diff(there)) + 1):
             if there[run[0]] and drawn.get_color() in GAIT_COLOURS.values():
-                yield np.asarray(x)[run], np.asarray(y)[run]
+                yield x[run], y[run]
 
 
 @pytest.mark.parametrize("name", ["linear", "loglog", "residuals"])
@@ -118,6 +118,15 @@ def test_power_and_speed_have_each_its_own_unit(tmp_path):
         file["speed"].units, file["power"].units = "m s-1", "W"
     axes = FIGURES["power"](read(archive)).figure.axes[0]
     assert (axes.get_xlabel(), axes.get_title(loc="left")) == ("speed v (m s⁻¹)", "power P (W)")
+
+
+@pytest.mark.parametrize("name", ["multipliers", "measured"])
+def test_no_line_crosses_slopes_without_a_gait(tmp_path, name):
+    archive = _quantities(tmp_path, spectral_radius=lambda s: np.where((s > 0.03) & (s < 0.05), np.nan, 0.7))
+    overlay = {"slope": [0.02], "spectral_radius": [0.1]}
+    xr.Dataset({k: ("row", v) for k, v in overlay.items()}).to_netcdf(archive, mode="a", group="overlay")
+    runs = [x for x, _ in _drawn(FIGURES[name](read(archive)))]
+    assert {x[-1] < 0.03 or x[0] > 0.05 for x in runs} == {True}
 
 
 def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):

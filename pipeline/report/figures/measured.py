@@ -16,6 +16,7 @@ from pipeline.report.figures.style import (
     canvas,
     colour,
     draw_curve,
+    labelled,
     plain,
     set_heading,
     shorten,
@@ -157,8 +158,8 @@ def measured(source: Source) -> Sketch | None:
                 curve = thin(whole)
                 for gait in curve["gait"].unique() if name in curve else ():
                     part = curve[(curve["gait"] == gait) & curve[name].notna()]
-                    stable = part["stable"] if "stable" in part else pd.Series(np.nan, part.index)
-                    draw_curve(axes, part["slope"], part[name], stable, colour(str(gait)), k)
+                    stable = curve["stable"] if "stable" in curve else pd.Series(np.nan, curve.index)
+                    draw_curve(axes, curve["slope"], labelled(curve, gait, name), stable, colour(str(gait)), k)
                     gaits += [str(gait)] if len(part) else []
                     pieces.append(part.assign(line=label, variable=name, value=part[name]))
         rows = table(source)

@@ -18,6 +18,7 @@ from pipeline.report.figures.style import (
     canvas,
     colour,
     draw_curve,
+    labelled,
     log_axis,
     plain,
     set_heading,
@@ -126,8 +127,9 @@ def _draw(source: Source, quantity: _Quantity) -> Sketch | None:
             curve = curve.assign(value=quantity.value(curve))
             for gait in (g for g in source.gaits if (curve["gait"] == g).any()):
                 part = curve[(curve["gait"] == gait) & curve["value"].notna()]
-                x, y, stable = part[quantity.abscissa], part["value"], part["stable"]
-                draw_curve(axes, x, y, stable, colour(gait), k, k)
+                # With the points that the gait lacks, so that no line crosses a gap.
+                y = labelled(curve, gait, "value")
+                draw_curve(axes, curve[quantity.abscissa], y, curve["stable"], colour(gait), k, k)
                 marks.append(_marks(axes, part, quantity, f"{gait} step · {line.label}", line, k))
                 pieces.append(part.assign(line=line.label))
     if not any(len(piece) for piece in pieces):

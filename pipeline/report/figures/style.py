@@ -175,10 +175,10 @@ def draw_curve(
     axes.plot(x, y.where(is_stable), color=ink, lw=2.6, ls=thick, gid=gid)
 
 
-def labelled(frame: pd.DataFrame, gait: str) -> pd.Series:
-    """Stance angles of a curve where it has that label, and one point beyond, so that a new label leaves no gap."""
+def labelled(frame: pd.DataFrame, gait: str, column: str = "stance_angle") -> pd.Series:
+    """Values of a curve where it has that label, and one point beyond, so that a new label leaves no gap."""
     has_label = frame["gait"] == gait
-    return frame["stance_angle"].where(has_label | has_label.shift(fill_value=False))
+    return frame[column].where(has_label | has_label.shift(fill_value=False))
 
 
 def set_heading(axes: Axes, text: str) -> None:
