@@ -129,6 +129,20 @@ def test_no_line_crosses_slopes_without_a_gait(tmp_path, name):
     assert {x[-1] < 0.03 or x[0] > 0.05 for x in runs} == {True}
 
 
+@pytest.mark.parametrize("walkers", [("D",), ("A", "B", "D"), tuple("ABCDEFGHIJKL")])
+def test_a_census_draws_gaits_at_their_slopes_or_side_by_side_around_them(tmp_path, walkers):
+    slope = np.tile([1e-3, 1e-2], len(walkers))
+    rows = {"walker": np.repeat(walkers, 2), "slope": slope, "anthropomorphic": np.ones(len(slope), int)}
+    counts = {"unseen": np.full(len(slope), 0.1), "converged": np.full(len(slope), 9)}
+    text = f'name = "census"\nkind = "census"\nwalker = {list(walkers)}\n[axes]\nslope = [0.001, 0.01]\n'
+    tables = {"census": rows | {"stance_angle": slope ** (1 / 3)}, "coverage": rows | counts}
+    sketch = FIGURES["census"](read(write(tmp_path / "c.nc", text, {}, {}, dict.fromkeys(walkers, POINT), tables)))
+    drawn = np.array([mark.x for mark in sketch.marks]) / [1e-3, 1e-2]
+    assert np.abs(np.log(drawn)).max() < np.log(1.25) * (len(walkers) > 1) + 1e-12
+    np.testing.assert_allclose(np.exp(np.log(drawn).mean()), 1)
+    assert ("side by side" in sketch.caption) == (len(walkers) > 1)
+
+
 def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):
     losses = {f"loss_{part}": lambda s: s for part in ("normal", "tangential", "kneestrike")}
     archive = _quantities(tmp_path, **losses, spectral_radius=lambda s: s)

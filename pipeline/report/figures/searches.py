@@ -26,6 +26,8 @@ from pipeline.report.source import SYMBOLS, Source
 #: Feigenbaum's constant: the limit of the ratios of successive distances between flips.
 FEIGENBAUM = 4.669201609102990
 _INKS = tuple(GAIT_COLOURS.values())
+#: Factor of the slope over which the walkers of a census at one slope are spread.
+_ABREAST = 1.5
 
 
 def _columns(source: Source, name: str, needed: set[str]) -> pd.DataFrame | None:
@@ -44,11 +46,12 @@ def census(source: Source) -> Sketch | None:
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=[5, 3])
     log_axis(top, "x")
     log_axis(top, "y")
-    marks, names = [], []
-    for k, (at, rows) in enumerate(groups(source, table)):
+    marks, names, every = [], [], groups(source, table)
+    for k, (at, rows) in enumerate(every):
         names.append(title(at) or source.walker)
         ink, dash = _INKS[k % 4], DASHES[k // 4 % len(DASHES)]
-        beside = 1.06 ** (k - 3.5)  # walkers at one slope stand side by side
+        # Walkers at one slope stand side by side, one alone at its slope.
+        beside = _ABREAST ** ((k + 0.5) / len(every) - 0.5)
         for passes_once, fill in ((1, ink), (0, PAPER)):
             part = rows[rows["anthropomorphic"] == passes_once]
             top.plot(beside * part["slope"], part["stance_angle"], "osD^vPXd"[k % 8], color=ink, mfc=fill, ms=5, ls="")
@@ -72,13 +75,15 @@ def census(source: Source) -> Sketch | None:
     ]
     keys.append(Line2D([], [], color=INK, mfc=PAPER, marker="o", ls="", ms=5, label="legs pass more than once"))
     figure.legend(handles=keys, loc="outside upper left", ncols=3)
+    abreast = " Gaits of one slope stand side by side around it." if len(every) > 1 else ""
     most, reached = int(coverage["anthropomorphic"].max()), coverage[coverage["converged"] > 0]
     worst = float(reached["unseen"].max()) if len(reached) else 1.0
     return Sketch(
         figure,
         "Gaits found by the census",
         f"At most {most} gaits whose legs pass once for any walker at any slope (filled). Below: the bound of Good and "
-        f"Turing on the converging initial guesses that would lead to a gait not found, at most {100 * worst:.1f} %.",
+        f"Turing on the converging initial guesses that would lead to a gait not found, at most {100 * worst:.1f} %."
+        f"{abreast}",
         f"Stance angles of {len(table)} gaits found from initial guesses over the section, against slope, and the "
         f"largest share of converging guesses that may lead to unseen gaits, {100 * worst:.1f} percent.",
         table,
