@@ -143,6 +143,18 @@ def test_a_census_draws_gaits_at_their_slopes_or_side_by_side_around_them(tmp_pa
     assert ("side by side" in sketch.caption) == (len(walkers) > 1)
 
 
+@pytest.mark.parametrize(
+    ("outcome", "share"),
+    [("knee never struck", "75"), ("motion lost", "75"), ("fell forward", "75"), ("walks on", "100")],
+)
+def test_a_basin_tells_falls_of_every_cause_from_walking_and_its_share_in_plain_digits(tmp_path, outcome, share):
+    angle, rate = (side.ravel() for side in np.meshgrid(np.linspace(0.1, 0.3, 10), np.linspace(-0.3, -0.1, 10)))
+    rows = {"stance_angle": angle, "stance_rate": rate, "outcome": np.where(np.arange(100) < 25, outcome, "long")}
+    text = 'name = "basin"\nkind = "basin"\nwalker = "C"\n[axes]\nslope = [0.05]\n'
+    sketch = FIGURES["basin"](read(write(tmp_path / "b.nc", text, {}, {}, {"C": KNEED}, {"basin": rows})))
+    assert f"; {share} % of them lead to walking" in sketch.caption
+
+
 def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):
     losses = {f"loss_{part}": lambda s: s for part in ("normal", "tangential", "kneestrike")}
     archive = _quantities(tmp_path, **losses, spectral_radius=lambda s: s)

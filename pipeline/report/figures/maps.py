@@ -166,7 +166,7 @@ def _axis_title(source: Source, name: str) -> str:
 
 def _is_fall(outcome: str) -> bool:
     """Whether an outcome is a fall, or no step at all."""
-    return outcome.startswith(("fell", "foot", "no ", "-1"))
+    return outcome.startswith(("fell", "motion lost", "no ", "-1")) or outcome.endswith("never struck")
 
 
 def _column(table: pd.DataFrame, name: str) -> str:
@@ -231,7 +231,7 @@ def basin(source: Source) -> Sketch | None:
     x, y = (marked[name].to_numpy() for name in plane)
     across, down = (np.unique(shown[name]) for name in plane)
     values = {plane[0]: x, plane[1]: y, "outcome": marked["outcome"].to_numpy()}
-    share = 100 * len(walking) / len(shown)
+    share = plain(100 * len(walking) / len(shown), 2 if len(walking) < 0.99 * len(shown) else 4)
     only = f" Drawn: {axis_values(first)}; the archive has the others." if first else ""
     saddles = " and ".join(sorted(set(manifold["gait"].astype(str))))
     edge = (
@@ -240,7 +240,7 @@ def basin(source: Source) -> Sketch | None:
     return Sketch(
         figure,
         "Basin of attraction",
-        f"Initial conditions coloured by outcome; {share:.2g} % of them lead to walking, the others, in muted colours, "
+        f"Initial conditions coloured by outcome; {share} % of them lead to walking, the others, in muted colours, "
         f"fall.{edge}{only}",
         f"{len(shown)} initial conditions over {' and '.join(plane)}, coloured by outcome: {', '.join(outcomes)}.",
         table,
