@@ -155,6 +155,17 @@ def test_a_basin_tells_falls_of_every_cause_from_walking_and_its_share_in_plain_
     assert f"; {share} % of them lead to walking" in sketch.caption
 
 
+def test_a_heatmap_on_a_logarithmic_axis_has_every_cell_around_its_value(tmp_path):
+    radius, slope = np.array([0.1, 0.2]), np.geomspace(1e-4, 0.1, 4)
+    grid = {"speed": (("R", "slope", "gait"), np.ones((2, 4, 2)))}
+    text = 'name = "map"\nwalker = "B"\n[axes]\nslope = [0.01]\n'
+    archive = write(tmp_path / "m.nc", text, grid, {"R": radius, "slope": slope, "gait": GAITS}, {"B": POINT})
+    axes = FIGURES["heatmap"](read(archive)).figure.axes[0]
+    borders = axes.collections[0].get_coordinates()[0, :, 0]
+    np.testing.assert_allclose(borders, np.geomspace(1e-4, 0.1, 4)[0] * 10 ** (np.arange(5) - 0.5))
+    assert axes.get_xlim() == pytest.approx((borders[0], borders[-1]))
+
+
 def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):
     losses = {f"loss_{part}": lambda s: s for part in ("normal", "tangential", "kneestrike")}
     archive = _quantities(tmp_path, **losses, spectral_radius=lambda s: s)

@@ -70,9 +70,10 @@ def heatmap(source: Source) -> Sketch | None:
         for axes, gait in zip(panels[k], gaits, strict=True):
             part = slices[gait][k].transpose(down, along, ...)
             x, y, z = part[along].values, part[down].values, part[variable].values
-            picture = axes.pcolormesh(x, y, z, shading="nearest", cmap="cividis", vmin=low, vmax=high, rasterized=True)
-            _draw_stability_border(axes, part, x, y)
             _set_scales(axes, x, y)
+            sides = _edges(x, axes.get_xscale()), _edges(y, axes.get_yscale())
+            picture = axes.pcolormesh(*sides, z, cmap="cividis", vmin=low, vmax=high, rasterized=True)
+            _draw_stability_border(axes, part, x, y)
             axes.grid(False)
             title = ", ".join(filter(None, (f"{gait} step", axis_values(words))))
             axes.set_title(shorten(title, 60 // len(gaits)), pad=5)
@@ -124,6 +125,14 @@ def _set_scales(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
     for which, values in (("x", x), ("y", y)):
         if len(values) > 2 and (values > 0).all() and values[-1] / values[0] > 30:
             log_axis(axes, which)
+
+
+def _edges(values: np.ndarray, scale: str) -> np.ndarray:
+    """Borders (n + 1,) of cells around values (n,), halfway between them on the axis's scale."""
+    places = np.log(values) if scale == "log" else values
+    middles = 0.5 * (places[1:] + places[:-1])
+    borders = np.concatenate([[2 * places[0] - middles[0]], middles, [2 * places[-1] - middles[-1]]])
+    return np.asarray(np.exp(borders) if scale == "log" else borders)
 
 
 def _cell_marks(

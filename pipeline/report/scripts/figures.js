@@ -82,8 +82,8 @@ for (const plot of document.querySelectorAll(".plot")) {
     return curve.starts ? { at: line.at, slope, angle: curve.starts[r][0], rates: curve.starts[r].slice(1), free: true } : null;
   }
   function placeIn(side, share) {
-    const [a, b] = side.limits, value = side.log ? a * (b / a) ** share : a + share * (b - a);
-    return side.values.reduce((best, v, i) => Math.abs(v - value) < Math.abs(side.values[best] - value) ? i : best, 0);
+    const apart = v => Math.abs(shareOf(side, v) - share);
+    return side.values.reduce((best, v, i) => apart(v) < apart(side.values[best]) ? i : best, 0);
   }
   function cellAt([x, y]) {
     const found = panels.findLast(({ box }) => x >= box[0] && x <= box[2] && y >= box[1] && y <= box[3]);
