@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from urllib.parse import parse_qs
 
 import numpy as np
@@ -103,6 +104,19 @@ def test_a_map_carries_a_lattice_of_at_most_25_kilobytes(tmp_path, side):
                 start, wanted = panel["starts"][a][b], angle[row, column, k]
                 assert (start is None) == np.isnan(wanted)
                 assert start is None or start[0] == pytest.approx(wanted, rel=1e-3)
+
+
+@pytest.mark.parametrize("rises", [True, False])
+def test_branches_and_maps_over_a_falling_axis_are_those_over_a_rising_one(tmp_path, rises):
+    """Places on a branch and keys that a derived one moves are looked up by values in rising order."""
+    source = _grid(tmp_path, {"m_s": "foot_mass_ratio"}, {"m_s": [0.1, 0.05]})
+    order = {name: np.argsort(source.grid[name].values) for name in ("foot_mass_ratio", "slope")}
+    other = replace(source, grid=source.grid.isel({k: v if rises else v[::-1] for k, v in order.items()}))
+    (first, *_), panel = starts.lines(other), draw(other, "heatmap", "test").panels[0]
+    wanted = next(line for line in starts.lines(source) if line["at"] == first["at"])
+    assert first["branches"] == wanted["branches"]
+    assert panel["y"]["values"] == [0.05, 0.1] and panel["moved"] == {"m_s": ["foot_mass_ratio", [0.05, 0.1]]}
+    assert panel["x"]["values"] == sorted(panel["x"]["values"])
 
 
 def test_a_page_holds_its_lines_and_the_index_two_of_them(tmp_path):

@@ -50,6 +50,7 @@ def heatmap(source: Source) -> Sketch | None:
     if len(wide) < 2 or variable is None:
         return None
     down, along = wide
+    grid = grid.sortby(wide)  # an axis may fall
     rest = [d for d in source.axes if d not in wide]
     every = [dict(zip(rest, place, strict=True)) for place in itertools.product(*(grid[d].values for d in rest))]
     rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]

@@ -100,7 +100,7 @@ def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[str, dict[str, Any],
     for line in source.lines[:_MAX_LINES]:
         branches: dict[int, list[pd.DataFrame]] = {}
         for piece in line.curves(*START[1:]):
-            piece = piece.dropna(subset=list(START[:4]))
+            piece = piece.dropna(subset=list(START[:4])).sort_values("slope")  # an axis may fall
             # Pieces are counted from the branch's end at the lower slope: every other one is run through backwards.
             branches.setdefault(int(piece["branch"].max()) if len(piece) else -1, []).append(
                 piece.iloc[::-1] if len(piece) and piece["piece"].iloc[0] % 2 else piece
@@ -169,8 +169,9 @@ def cells(
     -------
     dict
         `at`, `keys` and `command` of the line that the map varies; `moved`, for each key of the walker that a derived
-        key moves, its values along that axis; `columns` and `rows`, the cells of a lattice; `starts`, on it
-        [slope (unless it is along the map), angle, rates] or None, from which Newton's method reaches any other cell.
+        key moves, its values along that axis, in rising order; `columns` and `rows`, the cells of a lattice; `starts`,
+        on it [slope (unless it is along the map), angle, rates] or None, from which Newton's method reaches any other
+        cell.
     """
     fixed = {key: float(value) for key, value in settings.items()}
     keys = parameters(source, walker, fixed)
@@ -189,7 +190,9 @@ def cells(
     moved = {
         key: [
             axis,
-            rounded(source.parameters(walker, {**fixed, axis: value})[key] for value in source.grid[axis].values),
+            rounded(
+                source.parameters(walker, {**fixed, axis: value})[key] for value in np.sort(source.grid[axis].values)
+            ),
         ]
         for key, axis in source.varied.items()
         if axis in names and key != axis and key in source.grid
