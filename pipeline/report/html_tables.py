@@ -281,8 +281,10 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
     """Outcomes by status and reason: how many gaits or lines, and over which slopes."""
     if "status" not in source.outcomes:
         return None
-    solved = source.outcomes["status"].size - len(absent)
-    slopes = source.grid["slope"].values if "slope" in source.grid.coords else np.array([])
+    status = source.outcomes["status"]
+    solved, slopes = status.size - len(absent), np.array([])
+    if "slope" in status.coords and "slope" in status.dims:
+        slopes = status["slope"].values[(status == 0).any([d for d in status.dims if d != "slope"]).values]
     rows = [[Cell("converged"), Cell(""), cell(solved, True), *_range(slopes)]] if solved else []
     groups = absent.groupby(["status", "reason"], sort=False, observed=True)
     for (status, reason), group in itertools.islice(groups, _MAX_REASONS):

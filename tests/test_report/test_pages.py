@@ -21,7 +21,7 @@ from pipeline.report.source import read
 from pipeline.store import lines
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
-from test_report.shape import KNEED, POINT, write
+from test_report.shape import GAITS, KNEED, POINT, write
 
 INDEX_BYTES, PAGE_BYTES = 300_000, 500_000
 
@@ -434,6 +434,18 @@ def test_an_absent_number_stands_where_numbers_stand(tmp_path):
     html = (tmp_path / "gap.html").read_text(encoding="utf-8")
     assert '<th scope="col" class="num">ratio' in html and '<td class="num">–</td>' in html
     assert '<th scope="col">family' in html and "<td>–</td>" in html
+
+
+def test_the_slopes_of_converged_gaits_are_those_where_gaits_converged(tmp_path):
+    slope = np.array([0.01, 0.02, 0.03, 0.04])
+    status = np.array([[[1, 1], [0, 1], [0, 0], [1, 1]]] * 2, "i1")
+    dims = ("R", "slope", "gait")
+    grid = {"stance_angle": (dims, np.where(status, np.nan, 0.1)), "status": (dims, status), "reason": (dims, status)}
+    text = 'name = "s"\nwalker = "B"\n[axes]\nslope = [0.01]\n'
+    source = read(write(tmp_path / "s.nc", text, grid, {"R": [0.1, 0.2], "slope": slope, "gait": GAITS}, {"B": POINT}))
+    table = html_tables.outcomes(source, html_tables.points(source))
+    assert [cell.text for cell in table.rows[0]] == ["converged", "", "6", "0.02", "0.03"]
+    assert [cell.text for cell in table.rows[1]][2:] == ["10", "0.01", "0.04"]
 
 
 def test_points_are_counted_as_by_the_run(archives):
