@@ -166,6 +166,16 @@ def test_a_heatmap_on_a_logarithmic_axis_has_every_cell_around_its_value(tmp_pat
     assert axes.get_xlim() == pytest.approx((borders[0], borders[-1]))
 
 
+def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(tmp_path):
+    kinds = ["fold", "flip"]
+    curve = {"curve": [0, 0, 1, 1], "kind": np.repeat(kinds, 2), "key": ["detuning"] * 4, "slope": [0.01, 0.02] * 2}
+    turns = {"turn": ["key"] * 2, "kind": kinds, "slope": [0.011, 0.021], "value": [0.5, 0.6]}
+    text = 'name = "curves"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
+    tables = {"curves": curve | {"value": [0.1, 0.2] * 2}, "turnings": turns}
+    sketch = FIGURES["curves"](read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables)))
+    assert "re-pair: detuning 0.5 and slope 0.011 rad." in sketch.caption
+
+
 def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):
     losses = {f"loss_{part}": lambda s: s for part in ("normal", "tangential", "kneestrike")}
     archive = _quantities(tmp_path, **losses, spectral_radius=lambda s: s)

@@ -161,6 +161,8 @@ def curves(source: Source) -> Sketch | None:
     key = str(table["key"].iloc[0])
     turns = _columns(source, "turnings", {"slope", "value", "turn"})
     touching = turns[turns["turn"] == "key"] if turns is not None else pd.DataFrame()
+    # Where curves of flips or ends turn back, two such points meet on one branch.
+    touching = touching[touching["kind"].astype(str) == "fold"] if "kind" in touching else touching
     said = []
     for row in touching.itertuples():
         axes.plot([row.slope], [row.value], "o", color=INK, mfc=PAPER, ms=7, zorder=5)
@@ -185,7 +187,7 @@ def curves(source: Source) -> Sketch | None:
         "Curves of special points",
         f"{' and '.join(k.replace('_', ' ').capitalize() + 's' for k in kinds)} over slope and {key}."
         + (f" Where the curve turns back in {key}, two branches touch and re-pair: {'; '.join(said)}." if said else ""),
-        f"Curves of {', '.join(kinds)} over slope and {key}, with {len(touching)} turning points.",
+        f"Curves of {', '.join(kinds)} over slope and {key}, with {len(touching)} places where branches touch.",
         table,
         marks,
     )
