@@ -176,6 +176,16 @@ def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(t
     assert "re-pair: detuning 0.5 and slope 0.011 rad." in sketch.caption
 
 
+@pytest.mark.parametrize("lines", [6, 9])
+def test_a_bifurcation_diagram_of_many_lines_says_how_many_it_draws(tmp_path, lines):
+    radius = np.repeat(np.linspace(0.1, 0.2, lines), 2)
+    orbits = {"R": radius, "slope": [0.01, 0.02] * lines, "stance_angle": radius}
+    text = 'name = "orbits"\nkind = "orbit"\nwalker = "B"\n[axes]\nslope = [0.01, 0.02]\nR = [0.1, 0.2]\n'
+    sketch = FIGURES["bifurcation"](read(write(tmp_path / "o.nc", text, {}, {}, {"B": POINT}, {"orbits": orbits})))
+    assert sum(bool(axes.lines) for axes in sketch.figure.axes) == 6
+    assert ("6 of 9 lines are drawn." in sketch.caption) == (lines == 9)
+
+
 def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):
     losses = {f"loss_{part}": lambda s: s for part in ("normal", "tangential", "kneestrike")}
     archive = _quantities(tmp_path, **losses, spectral_radius=lambda s: s)

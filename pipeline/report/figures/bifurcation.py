@@ -19,6 +19,7 @@ from pipeline.report.figures.style import (
     plain,
     set_heading,
     shorten,
+    spread_evenly,
     thin,
 )
 from pipeline.report.figures.svg import Marks, Sketch
@@ -33,7 +34,8 @@ def bifurcation(source: Source) -> Sketch | None:
     table = table[np.isfinite(table["stance_angle"])]
     if table.empty:
         return None
-    lines = groups(source, table)[:MAX_PANELS]
+    every_line = groups(source, table)
+    lines = [every_line[i] for i in spread_evenly(len(every_line), MAX_PANELS)]
     figure = canvas(330 if len(lines) == 1 else 230 * len(lines))
     panels = np.atleast_1d(figure.subplots(len(lines), 1, sharex=True))
     raster = len(table) > SHAPES
@@ -65,7 +67,8 @@ def bifurcation(source: Source) -> Sketch | None:
         "Bifurcation diagram",
         "Stance angles of successive steps after the transient; initial conditions that fall are left out."
         + _transients(source, table)
-        + landmarks.sentence(every),
+        + landmarks.sentence(every)
+        + (f" {len(lines)} of {len(every_line)} lines are drawn." if len(every_line) > len(lines) else ""),
         f"Bifurcation diagram: {len(table)} stance angles against slope from {plain(table['slope'].min())} to "
         f"{plain(table['slope'].max())} rad.",
         table,
