@@ -116,8 +116,9 @@ def locus(source: Source) -> Sketch | None:
         figure,
         "Solution branches",
         "Stance angle along each solution branch, continued through folds to its ends. A branch has one colour, that "
-        "of the label (long or short) that most of its gaits have: a gait is long if the legs' rates differ by less "
-        "than half the stance rate just before heelstrike. Filled marks are ends."
+        "of the label (long or short) that most of its gaits have, or another where a longer branch of the panel has "
+        "that one: a gait is long if the legs' rates differ by less than half the stance rate just before heelstrike. "
+        "Filled marks are ends."
         + (_NUMBERED if numbered else "")
         + (landmarks.sentence(printed) if has_printed else "")
         + omitted,
@@ -131,7 +132,11 @@ def locus(source: Source) -> Sketch | None:
 def _add_legend(
     figure: Figure, data: pd.DataFrame, special: pd.DataFrame, walkers: list[str], printed: bool, own: Line2D | None
 ) -> None:
-    keys = [Line2D([], [], color=colour(g), lw=1.4, label=f"{shorten(g)} step") for g in data["drawn_as"].unique() if g]
+    keys = [
+        Line2D([], [], color=colour(g), lw=1.4, label=f"{shorten(' or '.join(rows['label'].unique()))} step")
+        for g, rows in data.groupby("drawn_as", sort=False)
+        if g
+    ]
     if "stable" in data and (data["stable"] == 1).any():
         keys.append(Line2D([], [], color=INK, lw=2.6, label="stable"))
     keys += [Line2D([], [], color=INK, lw=1.1, ls=DASHES[k], label=shorten(w)) for k, w in enumerate(walkers)]
@@ -150,12 +155,12 @@ def _mark(kind: str) -> dict[str, Any]:
     return {"marker": _SHAPES.get(kind, "*"), "color": INK, "mfc": INK if is_end else PAPER, "ms": 6 if is_end else 5}
 
 
-def _main_label(branch: pd.DataFrame, taken: Iterable[str]) -> str:
-    """The label that most gaits of a branch have, or another where a branch of the panel has it already."""
+def _main_label(branch: pd.DataFrame, taken: Iterable[str]) -> tuple[str, str]:
+    """The label that most gaits of a branch have, and that whose colour it has: another where the first is taken."""
     if "gait" not in branch:
-        return ""
+        return "", ""
     label = str(branch["gait"].mode().iloc[0])
-    return label if label not in taken else next((g for g in GAIT_COLOURS if g not in taken), label)
+    return label, label if label not in taken else next((g for g in GAIT_COLOURS if g not in taken), label)
 
 
 def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame]:
@@ -164,15 +169,15 @@ def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame
     edges = frame["slope"].min(), frame["slope"].max()
     by_branch = frame.groupby("branch", sort=False) if "branch" in frame else [(0, frame)]
     for branch, whole in sorted(by_branch, key=lambda item: -len(item[1])):
-        label = _main_label(whole, taken)
-        taken.append(label)
+        label, drawn_as = _main_label(whole, taken)
+        taken.append(drawn_as)
         # A branch that leaves the window may come back at the same edge: no line joins the two parts.
         at = np.array([np.isclose(whole["slope"], edge, rtol=1e-9, atol=0) for edge in edges])
         for _, run in whole.groupby(np.cumsum((at & np.roll(at, 1, axis=1)).any(axis=0))):
             rows = thin(run, 400)
             stable = rows["stable"] if "stable" in rows else pd.Series(np.nan, rows.index)
-            draw_curve(axes, rows["slope"], rows["stance_angle"], stable, colour(label), k)
-            pieces.append(rows.assign(branch=branch, drawn_as=label))
+            draw_curve(axes, rows["slope"], rows["stance_angle"], stable, colour(drawn_as), k)
+            pieces.append(rows.assign(branch=branch, label=label, drawn_as=drawn_as))
     return pieces
 
 
