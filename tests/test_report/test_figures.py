@@ -198,6 +198,17 @@ def test_two_branches_of_one_label_have_two_colours_and_the_legend_calls_both_by
     assert keys == {GAIT_COLOURS["long"]: "long step", GAIT_COLOURS["short"]: "long step"}
 
 
+@pytest.mark.parametrize(("key", "own"), [("R", True), ("foot_mass_ratio", False)])
+def test_a_design_map_tells_of_circles_where_it_has_some(tmp_path, key, own):
+    side = np.linspace(0.1, 0.3, 3)
+    names = (*design_maps._SHOWN, "fastest_slope")
+    rows = {key: np.repeat(side, 3), "c_t": np.tile(side, 3), **dict.fromkeys(names, np.arange(9) / 100)}
+    text = f'name = "d"\nkind = "design"\nwalker = "B"\n[axes]\n{key} = [0.1, 0.3]\nc_t = [0.1]\nslope = [0.01, 0.1]\n'
+    walker = POINT | {"R": 0.2, "c_t": 0.2}
+    sketch = FIGURES["design"](read(write(tmp_path / "d.nc", text, {}, {}, {"B": walker}, {"design": rows})))
+    assert ("Circles: the walker itself." in sketch.caption) == own == bool(sketch.figure.axes[0].lines)
+
+
 def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):
     losses = {f"loss_{part}": lambda s: s for part in ("normal", "tangential", "kneestrike")}
     archive = _quantities(tmp_path, **losses, spectral_radius=lambda s: s)

@@ -53,11 +53,13 @@ def design(source: Source) -> Sketch | None:
     marks, maps = [], []
     several = [{k: v for k, v in at.items() if table[k].nunique() > 1} for at in rows]
     pictures: dict[str, Any] = {}
+    is_marked = False
     for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
         part = table[np.logical_and.reduce([table[c] == v for c, v in at.items()], initial=True)] if at else table
         for axes, (column, words) in zip(row, _SHOWN.items(), strict=True):
             pictures[column] = _draw_map(axes, part.pivot(index=down, columns=along, values=column), table[column])
-            _mark_walkers(axes, source.walkers.get(str(at.get("walker", source.walker)), {}), down, along)
+            own = source.walkers.get(str(at.get("walker", source.walker)), {})
+            is_marked = _mark_walkers(axes, own, down, along) or is_marked
             axes.set_title(words if k == 0 else "", pad=5)
             marks.append(_marks(axes, source, part, at, (down, along), column))
         maps += _panels(list(row), source, part, at, keys, len(rows))
@@ -67,12 +69,12 @@ def design(source: Source) -> Sketch | None:
         axes.set_xlabel(_symbol(source, along))
         axes.xaxis.set_major_locator(MaxNLocator(3))
         _add_bar(figure, picture, list(column))
+    circles = f" Circles: {_named(down, along)}." if is_marked else ""
     return Sketch(
         figure,
         "Design map",
         f"The smallest slope with a gait, the largest slope with a stable gait, and the Froude number of the fastest "
-        f"stable gait, over {down} and {along}. Circles: {_named(down, along)}. Blank: no such gait."
-        + rows_caption(several, every),
+        f"stable gait, over {down} and {along}.{circles} Blank: no such gait." + rows_caption(several, every),
         f"Heat maps over {along} and {down}: "
         + "; ".join(f"{c.replace('_', ' ')} from {plain(table[c].min())} to {plain(table[c].max())}" for c in _SHOWN)
         + ".",
@@ -125,20 +127,22 @@ def _named(down: str, along: str) -> str:
     return "the tuned walker (detuning 0) and the physical one (1)" if is_named else "the walker itself"
 
 
-def _mark_walkers(axes: Axes, parameters: dict[str, Any], down: str, along: str) -> None:
-    """Mark the places of walkers that have a name, before the axes change them, if they lie on the map."""
+def _mark_walkers(axes: Axes, parameters: dict[str, Any], down: str, along: str) -> bool:
+    """Mark the places of walkers that have a name, before the axes change them; whether any lie on the map."""
     places = [
         _NAMED[key] if key in _NAMED else (parameters[key],) if key in parameters else () for key in (along, down)
     ]
     limits = axes.get_xlim(), axes.get_ylim()
     # A map that begins one cell beside a walker is drawn up to it.
-    reach = [0.02 * (high - low) for low, high in limits]
+    reach, is_marked = [0.02 * (high - low) for low, high in limits], False
     for x, y in itertools.product(*(map(float, place) for place in places)):
         if all(low - r <= v <= high + r for v, (low, high), r in zip((x, y), limits, reach, strict=True)):
+            is_marked = True
             for colour, width in (("#ffffff", 2.2), ("#000000", 0.9)):
                 axes.plot([x], [y], "o", color=colour, mfc="none", ms=8, mew=width, clip_on=False, zorder=5)
     axes.set_xlim(*limits[0])
     axes.set_ylim(*limits[1])
+    return is_marked
 
 
 def _panels(
