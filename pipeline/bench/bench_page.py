@@ -172,7 +172,8 @@ def _table(rows: list[dict[str, Any]]) -> str:
     """Rows of equal keys as an HTML table; the text is the bench's own and is not escaped."""
 
     def shown(x: Any) -> str:
-        return x if isinstance(x, str) else f"{x:.4g}"
+        # Counts in all their digits, so that they add up.
+        return x if isinstance(x, str) else f"{x:.0f}" if x == round(x, 0) and abs(x) < 1e9 else f"{x:.4g}"
 
     head = "".join(f'<th scope="col">{_words(k)}</th>' for k in rows[0])
     body = "".join("<tr>" + "".join(f"<td>{shown(x)}</td>" for x in row.values()) + "</tr>" for row in rows)

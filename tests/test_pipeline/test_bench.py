@@ -1,11 +1,13 @@
 """The bench: its harness, its references and its peers, on the smallest run there is."""
 
+import re
+
 import numpy as np
 import pytest
 import xarray as xr
 
 from pipeline import bench
-from pipeline.bench import machine, peers, problems
+from pipeline.bench import bench_page, machine, peers, problems
 from pipeline.bench.harness import Case, largest_error, time_in_turns
 
 SLOPE = 0.005
@@ -79,6 +81,12 @@ def test_one_run_writes_an_archive_and_a_page(tmp_path, monkeypatch, capsys):
     assert page.count("<svg") == 4
     assert "two variables" in page and "with multipliers" in page
     assert "Walker D" in page
+
+
+def test_a_table_has_counts_in_all_their_digits_and_other_numbers_in_four():
+    cells = dict(zip("abcdef", (12345.0, 0.0, 123.456, 1.5e-9, float("inf"), float("nan")), strict=True))
+    found = re.findall("<td>(.*?)</td>", bench_page._table([cells]))
+    assert found == ["12345", "0", "123.5", "1.5e-09", "inf", "nan"]
 
 
 def test_the_machine_is_named_by_its_make_alone():
