@@ -255,6 +255,8 @@ def _first_event(path: Path, test: Test, kind: str, low: float, high: float) -> 
         before, after = path.points[-2:]
         if test(before) * test(after) < 0:
             cycle = path.locate_root(test)
+            if not low <= cycle.q <= high:
+                return None, f"the next one lies outside the window, at a slope of {cycle.slope:.6g}"
             return _Event(kind, cycle, slope_error(path.problem, cycle, kind)), ""
         if not low - 0.05 <= after.q <= high + 0.05:
             return None, f"the branch leaves the window at a slope of {after.slope:.6g}"

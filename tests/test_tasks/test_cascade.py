@@ -48,8 +48,10 @@ def test_the_cascade_of_d():
 
 
 def test_a_cascade_tells_why_it_stopped():
-    (stopped,) = doublings("D", 0.0145, 0.0171, periods=8, steps=0)["accumulation/stopped"]
-    assert stopped.startswith("No flip of period 4: the branch leaves the window at a slope of 0.01")
+    found = doublings("D", 0.0145, 0.0171, periods=8, steps=0)
+    assert found["cascade/period"].tolist() == [1]
+    (stopped,) = found["accumulation/stopped"]
+    assert stopped == "No flip of period 2: the next one lies outside the window, at a slope of 0.0176694."
     (none,) = doublings("D", 0.0100, 0.0120, periods=8, steps=0)["accumulation/stopped"]
     assert none.startswith("No flip of period 1: the branch leaves the window at a slope of 0.01")
 
