@@ -202,7 +202,11 @@ def _flips(problem: Problem, branch: Branch) -> Iterator[Cycle]:
     Y, times = np.vstack([angle, angle * w[1:m]]), w[m:]
     step, _ = problem.stride(w, q)
     sign = np.sign([np.linalg.det(np.eye(m) + step.jacobian[:, :, i]) for i in range(len(q))])
-    for i in np.flatnonzero((sign[:-1] * sign[1:] < 0) & (branch.leg_passes[:-1] == 1)).tolist():
+    crosses = (sign[:-1] * sign[1:] < 0) & (branch.leg_passes[:-1] == 1)
+    # The derivative has a pole where a strike turns tangential: that sign change is no flip.
+    for segment, why in zip((slice(1), slice(-1, None)), branch.why, strict=True):
+        crosses[segment] &= not why.startswith("end_tangential")
+    for i in np.flatnonzero(crosses).tolist():
         ends = [np.append(Y[:, k], q[k]) for k in (i, i + 1)]
         chord = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         a, b = (correct(problem, Z, times[:, [k]], chord) for Z, k in zip(ends, (i, i + 1), strict=True))

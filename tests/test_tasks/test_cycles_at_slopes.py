@@ -175,6 +175,17 @@ def test_the_error_bound_holds_in_other_units(slope, n):
     assert abs(other.stance_rate / plain.stance_rate * np.sqrt(1.3 / 3.7) - 1) < bound
 
 
+@pytest.mark.parametrize(
+    ("walker", "keys"), [("A", {"detuning": 1.2920094126389283}), ("physical-straight", {"m_s": 0.9313486113114027})]
+)
+def test_a_strike_that_turns_tangential_is_no_flip(walker, keys):
+    """There the derivative has a pole, and det(I + A) another sign."""
+    none = pipeline.gaits(walker, 0.05, steps=2, **keys)
+    assert (none.status == 1).all(), none.reason_text.values
+    _, known = atlas_of(walker, **keys)
+    assert any(branch.why[0] == "end_tangential_heelstrike" for branch in known)
+
+
 def test_violations_are_the_worst_of_the_steps():
     gait = first("D", 0.016, 2, variables=["violations"])
     state = state_of(first("D", 0.016, 2))
