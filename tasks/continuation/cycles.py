@@ -384,15 +384,17 @@ def doubled(problem: Problem, flip: Cycle, expected: float) -> Path | None:
     direction = np.append(np.concatenate([np.ravel(half), -np.ravel(half)]), 0.0)
     direction /= np.linalg.norm(direction)
     base = np.append(np.tile(flip.Y, 2).T.ravel() / np.sqrt(2 * n), flip.q)
-    times = np.tile(flip.times, 2)
-    a = np.sqrt(abs(expected)) * 0.01
+    a, farther = np.sqrt(abs(expected)) * 0.01, list[tuple[float, Cycle]]()
     for _ in range(6):
-        first = correct(problem, base + a * direction, times, direction)
+        first = correct(problem, base + a * direction, np.tile(flip.times, 2), direction)
         if first.ok and first.q != flip.q:
+            farther.append((a, first))
             distance = abs(first.q - flip.q)
             if 0.02 * abs(expected) < distance < 0.3 * abs(expected):
                 return Path(problem, first, direction, 0.3 * a)
             a *= np.sqrt(0.1 * abs(expected) / distance)
-        else:
-            a *= 0.3
+        else:  # so near the flip that Newton's steps are rounding: between there and the last point
+            a *= np.sqrt(farther[-1][0] / a) if farther and farther[-1][0] > a else 0.3
+    if not first.ok and farther:
+        a, first = farther[-1]
     return Path(problem, first, direction, 0.3 * a) if first.ok else None

@@ -99,6 +99,14 @@ def test_doubled_gaits_begin_at_the_flip():
     assert sentence.startswith("No gait of period 2 at this slope: the branches found span 0.0150884 to 0.034")
 
 
+def test_doubled_gaits_are_followed_from_a_flip_beside_which_newton_steps_are_rounding():
+    """At small slopes: the last point that is found on the way to the flip begins the branch."""
+    slope, keys = np.array([4.16e-4, 4.17e-4, 0.001, 0.01]), {"m_t": 0.3976305559090616}
+    one, two = (pipeline.gaits("B", slope, steps=n, **keys).sel(gait="long") for n in (1, 2))
+    np.testing.assert_array_equal(two.status == 0, one.spectral_radius > 1)
+    assert (two.spectral_radius[1:] < 1).all() and np.abs(two.energy_imbalance[1:]).max() < 1e-12
+
+
 def test_every_gait_is_listed_once_under_its_label():
     three = pipeline.gaits("D", 0.015, steps=3)
     assert (three.status == 0).values.tolist() == [True, False, True, False]
