@@ -13,6 +13,7 @@ from tasks.continuation.refine import COARSE
 from tasks.fixed_points.labels import places
 from tasks.fixed_points.polish import unmeasured
 from tasks.fixed_points.search import search, starts
+from tasks.map_step import map_step
 from tasks.measures.losses import contact_mass, velocity_ratio
 from tasks.registry import GAITS, SI_UNITS, VARIABLES, VIOLATIONS
 from tasks.solve_points import atlas, points, solve
@@ -99,9 +100,12 @@ def _solve_cycles(line: dict[str, Any], slope: float, steps: int, accuracy: floa
     walker, params = resolve(line["walker"], line["set"]), {"line": line, "steps": steps, "accuracy": accuracy}
     point = points({**params, "slope": np.array([slope]), "want": _WANT}, [atlas(params, [])])
     labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] in status.SOLVED]
-    records = [
-        _record(label, slope, gait, walker, steps) for label, gait in zip(labels, _converged(point), strict=True)
-    ]
+    records = []
+    for label, gait in zip(labels, _converged(point), strict=True):
+        state = [gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
+        # The heelstrike is at another angle than the one before.
+        end = map_step({"walker": line["walker"], "set": line["set"], "slope": slope, "state": state})["state"][0]
+        records.append(_record(label, slope, gait, walker, steps, float(end)))
     log = [] if records else [str(point["reasons"][1])]
     return _answer(records, walker.si, log)
 
@@ -141,11 +145,14 @@ def _search_slope(
     return others, nearest
 
 
-def _record(label: str, slope: float, value: dict[str, Any], walker: Walker, steps: int = 1) -> dict[str, Any]:
-    """One gait as a plain dict; an absent quantity is None."""
+def _record(
+    label: str, slope: float, value: dict[str, Any], walker: Walker, steps: int = 1, end: float | None = None
+) -> dict[str, Any]:
+    """One gait as a plain dict, its heelstrike at the angle `end` or that of its start; an absent quantity is None."""
     plain = {k: _plain(v) for k, v in value.items() if np.ndim(v) == 0}
     pairs = np.stack([value["multiplier_real"], value["multiplier_imag"]], axis=-1)
-    angle, rate_ratio = (np.atleast_1d(value[k]) for k in ("stance_angle", "heelstrike_rate_ratio"))
+    angle = np.atleast_1d(value["stance_angle"] if end is None else end)
+    rate_ratio = np.atleast_1d(value["heelstrike_rate_ratio"])
     record = {
         **plain,
         "gait": label,

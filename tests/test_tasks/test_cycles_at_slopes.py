@@ -11,6 +11,7 @@ from extended import Walker, _derivative
 from lines import branches as atlas_of
 from tasks.continuation.cycles import Cycle, at_slope
 from tasks.follow_cycles import CycleBranch, _at_flip, _end, cubic, cycle_branches, from_arrays, to_arrays
+from tasks.solve_at_slope import solve_one
 from tasks.solve_cycles import _beside_flip, _keeps_apart, _worst, cycle_points, solve_cycle
 from tasks.status import NOT_CONVERGED
 from tasks.walkers.catalogue import CATALOGUE
@@ -75,6 +76,18 @@ def test_speed_power_and_cost_are_those_of_distance_and_losses(walker, slope, n)
     assert gait.froude_speed.item() == pytest.approx(gait.speed.item() / np.sqrt(w.g * w.leg), rel=1e-14)
     assert gait.power.item() == pytest.approx(lost / gait.period.item(), rel=1e-11)
     assert gait.cost_of_transport.item() == pytest.approx(lost / (weight * length), rel=1e-11)
+
+
+@pytest.mark.parametrize(("walker", "slope", "n"), [("C", 0.08, 2), ("B", 0.01, 2)])
+def test_the_velocity_ratio_is_that_of_the_heelstrike_after_the_first_step(walker, slope, n):
+    """Each loss is half of an eigenvalue of the contact mass times the velocity along its eigenvector, squared."""
+    gait = solve_one({"walker": walker, "slope": slope, "steps": n})["gaits"][0]
+    losses = pipeline.step_map(walker, slope, [gait[name] for name in STATE]).losses
+    values, vectors = np.linalg.eigh(np.array(gait["contact_mass_matrix"]))
+    normal = int(np.argmax(np.abs(vectors[1])))
+    along = np.sqrt(2 * np.array([losses.normal if k == normal else losses.tangential for k in (0, 1)]) / values)
+    ratios = [abs(x / y) for x, y in (vectors @ (along * [1, sign]) for sign in (1, -1))]
+    assert min(abs(ratio / abs(gait["velocity_ratio"]) - 1) for ratio in ratios) < 1e-9
 
 
 def test_orbits_of_the_simplest_walker_settle_on_its_stable_gaits():
