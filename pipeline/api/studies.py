@@ -100,6 +100,7 @@ def _decode(grid: xr.Dataset) -> xr.Dataset:
     return grid
 
 
+@in_turn
 def run(
     wanted: str | Path | Mapping[str, Any],
     jobs: int = 2,

@@ -13,7 +13,10 @@ _TURN = threading.RLock()
 
 
 def in_turn(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
-    """Let one thread at a time call these functions: compiled integrators hold one state, as the HDF5 library does."""
+    """Let one thread at a time call these functions: compiled integrators hold one state, as the HDF5 library does.
+
+    A run closes every worker process at its end.
+    """
 
     @functools.wraps(function)
     def called(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
