@@ -30,7 +30,7 @@ def connect(address: str) -> Iterator[Any]:
         If no scheduler or no worker answers.
     """
     local = re.fullmatch(r"local:([1-9]\d{0,2})", address)
-    if not local and not re.match(r"(tcp|tls|ws|wss)://.", address):
+    if not local and not re.fullmatch(r"(tcp|tls|ws|wss)://\S+:[0-9]{1,5}", address):
         raise StudyError(f"`--cluster` must be tcp://HOST:PORT or local:N, N from 1 to 999; got {address}.")
     try:
         import distributed
@@ -40,6 +40,9 @@ def connect(address: str) -> Iterator[Any]:
     for name in list(logging.root.manager.loggerDict):
         if name.startswith(("distributed", "tornado", "asyncio")):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    if address.startswith(("tls:", "wss:")) and not _has_certificates():
+        # A client without them hangs at its end.
+        raise StudyError(f"`--cluster` {address} needs certificates in dask's configuration, distributed.comm.tls.")
     with contextlib.ExitStack() as stack:
         hook = sys.unraisablehook
         stack.callback(setattr, sys, "unraisablehook", hook)
@@ -54,6 +57,16 @@ def connect(address: str) -> Iterator[Any]:
         except (OSError, TimeoutError) as error:
             raise WorkerError(f"No cluster with a worker answers at {address}.") from error
         yield client
+
+
+def _has_certificates() -> bool:
+    """Whether dask is configured for encrypted connections of clients."""
+    import dask
+    from distributed.security import Security
+
+    if dask.config.get("distributed.client.security-loader", None):
+        return True
+    return bool(Security().get_connection_args("client").get("ssl_context"))
 
 
 def _is_of_distributed(callback: Any) -> bool:

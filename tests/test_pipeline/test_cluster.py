@@ -12,6 +12,8 @@ import time
 import pytest
 
 from conftest import ROOT, STUDY, TOYS
+from pipeline.errors import StudyError
+from pipeline.execution.cluster import connect
 from processes import alive, descendants, ignored, wait_for_points
 
 pytest.importorskip("distributed")
@@ -111,6 +113,21 @@ def test_a_study_that_is_refused_does_not_end_a_list_on_a_cluster(toy):
         fcntl.flock(lock, fcntl.LOCK_EX)
         said = toy("run", "busy.toml", "z.toml", "--cluster", "local:2", expect=5).stderr
     assert ": converged 40; not run to the end: busy.toml" in said and (folder / "z.nc").exists()
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("tcp://127.0.0.1", "must be tcp://HOST:PORT or local:N"),
+        ("tcp://127.0.0.1:", "must be tcp://HOST:PORT or local:N"),
+        ("tcp://127.0.0.1:dask", "must be tcp://HOST:PORT or local:N"),
+        ("tcp://127.0.0.1:9/status", "must be tcp://HOST:PORT or local:N"),
+        ("tls://127.0.0.1:9", "needs certificates"),
+    ],
+)
+def test_an_address_that_cannot_be_is_refused_at_once(address, said):
+    with pytest.raises(StudyError, match=said), connect(address):
+        pass
 
 
 @pytest.mark.soak
