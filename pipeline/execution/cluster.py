@@ -91,7 +91,8 @@ def results(
     slots, counted = workers(client), time.monotonic()
 
     def submit() -> None:
-        for job in itertools.islice(jobs, 2 * slots - pending.count()):
+        # Of workers that leave, the jobs stay.
+        for job in itertools.islice(jobs, max(0, 2 * slots - pending.count())):
             pending.add(client.submit(run, *job, pure=False))
 
     submit()

@@ -13,6 +13,7 @@ import pytest
 
 from conftest import ROOT, STUDY, TOYS
 from pipeline.errors import StudyError
+from pipeline.execution import cluster as cluster_executor
 from pipeline.execution.cluster import connect
 from processes import alive, descendants, ignored, wait_for_points
 
@@ -128,6 +129,19 @@ def test_a_study_that_is_refused_does_not_end_a_list_on_a_cluster(toy):
 def test_an_address_that_cannot_be_is_refused_at_once(address, said):
     with pytest.raises(StudyError, match=said), connect(address):
         pass
+
+
+def test_a_cluster_that_shrinks_loses_no_job(monkeypatch):
+    """Of eight workers one is left: what was submitted is more than it should have waiting."""
+    import distributed
+
+    counts = iter([8])
+    monkeypatch.setattr(cluster_executor, "workers", lambda client: next(counts, 1))
+    monkeypatch.setattr(cluster_executor, "_RECOUNT", 0.0)
+    one = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
+    with distributed.LocalCluster(**one) as local, distributed.Client(local, set_as_default=False) as client:
+        jobs = ((n,) for n in range(40))
+        assert sorted(cluster_executor.results(client, abs, jobs)) == list(range(40))
 
 
 @pytest.mark.soak
