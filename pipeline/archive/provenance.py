@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib.metadata
 import json
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("gaitsweep", "heyoka", "joblib", "netCDF4", "numpy", "scipy")
+#: Those of them on which numbers depend.
+_NUMERICAL = ("gaitsweep", "heyoka", "numpy", "scipy")
 #: Processor features that determine the instructions of compiled code, and so the last bits of results.
 _FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "avx512dq", "avx512bw", "avx512vl", "asimd", "sve")
 
@@ -54,6 +57,12 @@ def code_digest() -> str:
         text = re.sub(r'"""(.|\n)*?"""|#[^\n]*', "", file.read_text(encoding="utf-8"))
         digest.update(" ".join(text.split()).encode())
     return digest.hexdigest()
+
+
+@functools.cache
+def software() -> dict[str, str]:
+    """Versions of packages, and the digest of the code of `tasks`, on which numbers depend."""
+    return {**{name: version(name) for name in _NUMERICAL}, "code of `tasks`": code_digest()[:12]}
 
 
 def cpu_features() -> list[str]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import platform
 import warnings
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from pipeline.archive.provenance import software
+from pipeline.errors import WorkerError
 from pipeline.execution import worker_process
 from pipeline.execution.worker_process import Request
 
@@ -46,10 +49,25 @@ class Engine:
 
                 def run(jobs: _Jobs) -> _Results:
                     self.jobs = cluster.workers(client)
-                    return cluster.results(client, _run_job, jobs)
+                    own = software()
+                    return cluster.results(client, _run_elsewhere, ((own, *job) for job in jobs))
 
                 self.jobs = cluster.workers(client)
                 yield run
+
+
+def _run_elsewhere(software_of_run: dict[str, str], number: int, request: Request) -> tuple[int, dict[str, Any]]:
+    """Run a numbered request on a node of a cluster; of other software the run would archive other numbers as its own.
+
+    Raises
+    ------
+    WorkerError
+        If the node has other versions than the run.
+    """
+    for name, here in software().items():
+        if here != (wanted := software_of_run.get(name)):
+            raise WorkerError(f"The cluster's worker on {platform.node()} has {name} {here}; the run has {wanted}.")
+    return _run_job(number, request)
 
 
 def _run_job(number: int, request: Request) -> tuple[int, dict[str, Any]]:

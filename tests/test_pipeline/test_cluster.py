@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -129,6 +130,17 @@ def test_a_study_that_is_refused_does_not_end_a_list_on_a_cluster(toy):
 def test_an_address_that_cannot_be_is_refused_at_once(address, said):
     with pytest.raises(StudyError, match=said), connect(address):
         pass
+
+
+def test_a_worker_of_other_code_is_refused(toy, cluster, tmp_path):
+    """Its numbers would be archived as those of the code of the run."""
+    for name in ("pipeline", "tasks"):
+        shutil.copytree(ROOT / name, tmp_path / "other" / name, ignore=shutil.ignore_patterns("__pycache__"))
+    with (tmp_path / "other/tasks/measures/gaits.py").open("a") as file:
+        file.write("_FURTHER = 1\n")
+    cluster.add_worker(PYTHONPATH=f"{tmp_path / 'other'}{os.pathsep}{TOYS}")
+    said = toy("run", "toy.toml", "--quiet", "--cluster", cluster.address, expect=3).stderr
+    assert said.count("\n") == 1 and "has code of `tasks` " in said and "; the run has " in said
 
 
 def test_a_cluster_that_shrinks_loses_no_job(monkeypatch):
