@@ -19,6 +19,7 @@ from pipeline.archive import read
 from pipeline.archive.unfold import dataset, unfolded
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import runner
+from pipeline.execution.executors import MAX_JOBS
 from pipeline.study import broadcast, model, parse, single_point
 from pipeline.study.location import Location
 from tasks.registry import MAX_STEPS
@@ -142,6 +143,12 @@ def run(
         If the run cannot start or continue; finished results are kept.
     """
     jobs = broadcast.whole_number("jobs", jobs, 1)
+    if jobs > MAX_JOBS:
+        raise Location("", "jobs").wrong(f"must be at most {MAX_JOBS:,}", jobs)
+    if not isinstance(cluster, str | None):
+        raise Location("", "cluster").wrong("must be tcp://HOST:PORT or local:N", cluster)
+    if not isinstance(archive, str | Path | None) or (archive is not None and not Path(archive).name):
+        raise Location("", "archive").wrong("must name a file", archive)
     study = _study(wanted, accuracy)
     path = Path(archive) if archive else Path("data", "archive", f"{study.name}.nc")
     runner.run([(study, path)], runner.Options(jobs, cluster, fresh, retry_failed, quiet=quiet))

@@ -5,8 +5,6 @@ from __future__ import annotations
 from argparse import ArgumentTypeError
 from pathlib import Path
 
-_MAX_JOBS = 1000
-
 
 def count(text: str) -> int:
     """A whole number from 1."""
@@ -17,8 +15,10 @@ def count(text: str) -> int:
 
 def jobs(text: str) -> int:
     """A number of processes on one computer."""
-    if count(text) > _MAX_JOBS:
-        raise ArgumentTypeError(f"must be at most {_MAX_JOBS:,}; got {text}")
+    from pipeline.execution.executors import MAX_JOBS
+
+    if count(text) > MAX_JOBS:
+        raise ArgumentTypeError(f"must be at most {MAX_JOBS:,}; got {text}")
     return int(text)
 
 

@@ -14,6 +14,7 @@ from pipeline.errors import WorkerError
 from pipeline.execution import worker_process
 from pipeline.execution.worker_process import Request
 
+MAX_JOBS = 1000  # worker processes on one computer
 _Jobs = Iterator[tuple[int, Request]]
 _Results = Generator[tuple[int, dict[str, Any]], None, None]
 

@@ -81,6 +81,18 @@ def test_wrong_arguments_are_one_sentence(entry):
         assert "`" in sentence or sentence.startswith(("Shapes", "There is no file")), changed
 
 
+def test_wrong_arguments_of_a_run_are_one_sentence():
+    wrong = [
+        {"jobs": 10**6},
+        *({"cluster": value} for value in (5, b"local:2")),
+        *({"archive": v} for v in (5, ".", "")),
+    ]
+    for changed in wrong:
+        (name,) = changed
+        with pytest.raises(StudyError, match=f"^`{name}` must "):
+            pipeline.run({"name": "wrong", "walker": "E", "axes": {"slope": [0.01]}}, **changed)
+
+
 def test_a_start_that_never_strikes_is_an_outcome_of_a_simulation():
     for state in ([0.2, 0.0, 0.0], [0.2, 5.0, 5.0]):
         walk = pipeline.simulate("E", 0.01, state, 3)
