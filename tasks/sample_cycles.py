@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -18,6 +19,8 @@ from tasks.step.problem import EPS, Problem
 Arrays = dict[str, np.ndarray]
 #: Largest number of points between two gaits of a branch.
 _MAX_PARTS = 1024
+#: Shortest part of a segment that is sampled: an edge of the window may be at a gait.
+_LEAST_PIECE = 1e-9
 #: Distance of the ends of a branch along it to what ends it.
 _END_DISTANCE = 1e-6
 _COLUMNS = ("branch", "slope", "stance_angle", "period", "kneestrike_time", "spectral_radius", "stable", "gait")
@@ -73,18 +76,20 @@ def _sample(
     """Gaits of a branch in the window: its nodes, as many between as `least` needs, and where it crosses the edges."""
     inside = [low <= cycle.slope <= high for cycle in nodes]
     at = [(float(i), nodes[i]) for i in np.flatnonzero(inside).tolist()]
+    places = [place for place, _ in at]
     for edge in (low, high):
         for guess in branch.guesses(float(np.log(edge))):
+            places.append(guess.place)
             cycle = solve_cycle(problem, guess, edge)
             at += [(guess.place, cycle)] if cycle.ok else []
-    segments = [i for i in range(len(nodes) - 1) if inside[i] or inside[i + 1]]
-    if not segments:
-        return [cycle for _, cycle in sorted(at, key=lambda one: one[0])]
-    parts = min(_MAX_PARTS, 1 + max(0, least - len(at)) // len(segments))
-    for i in segments:
+    # Parts of segments in the window, which may lie between two gaits of the branch.
+    pieces = [(a, b) for a, b in itertools.pairwise(sorted(places)) if a + _LEAST_PIECE < b <= int(a) + 1]
+    parts = min(_MAX_PARTS, 1 + max(0, least - len(at)) // max(1, len(pieces)))
+    for start, end in pieces:
+        i = int(start)
         a, b = nodes[i], nodes[i + 1]
         point = cubic(a, b)
-        for h in (np.arange(1, parts + 1) / (parts + 1)).tolist():
+        for h in (start - i + (end - start) * np.arange(1, parts + 1) / (parts + 1)).tolist():
             Z = point(h)
             if np.log(low) <= Z[-1] <= np.log(high):
                 direction = point(h + 1e-3) - point(h - 1e-3)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pipeline
+from lines import branches as atlas_of
 from pipeline import load
 from pipeline.cli import commands
 from pipeline.errors import StudyError
@@ -16,6 +17,8 @@ from pipeline.plan.graph import is_short, layers, line_keys
 from pipeline.plan.missing import Plan, summary
 from pipeline.store.journal import Journal
 from pipeline.study.parse import read
+from tasks.follow_cycles import cycle_branches
+from tasks.sample_cycles import sample_cycles
 
 GRID = """name = "two"
 walker = "D"
@@ -201,3 +204,25 @@ def test_adaptive_points_are_of_one_step(tmp_path):
     (tmp_path / "s.toml").write_text(BRANCH.replace("n = 60", "adaptive = 1e-3"))
     with pytest.raises(StudyError, match="`adaptive` is for gaits of one step, and `steps` is 3"):
         read(tmp_path / "s.toml")
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.016, 0.01602), (0.016, 0.0164), (0.015, 0.01509), (0.016, 0.03)])
+def test_a_window_between_two_gaits_of_a_branch_has_as_many_points_as_are_asked_for(low, high):
+    problem, known = atlas_of("D")
+    branches = cycle_branches(problem, known, 2)
+    table = sample_cycles(problem, branches, {"slope_from": low, "slope_to": high, "n": 20})
+    slope = table["branches/slope"]
+    assert len(slope) >= 20 and (np.diff(slope) > 0).all()
+    assert slope[0] == max(low, branches[0].cycles[0].slope) and slope[-1] == pytest.approx(high, rel=1e-14)
+
+
+def test_a_branch_that_leaves_its_window_and_comes_back_is_not_sampled_outside():
+    """Beyond the fold of the gaits of three steps, at 0.01228."""
+    problem, known = atlas_of("D")
+    table = sample_cycles(
+        problem, cycle_branches(problem, known, 3), {"slope_from": 0.0125, "slope_to": 0.0126, "n": 40}
+    )
+    slope = table["branches/slope"]
+    turn = np.flatnonzero(np.diff(slope) > 0)[0]
+    assert len(slope) >= 40 and (slope.min(), slope.max()) == pytest.approx((0.0125, 0.0126), rel=1e-14)
+    assert (np.diff(slope[: turn + 1]) <= 0).all() and (np.diff(slope[turn:]) >= 0).all()
