@@ -76,7 +76,8 @@ def starts(walker: Walker, slopes: Sequence[float], shares: int = 1) -> list[np.
                 period = np.where((period == others[0][place]) & np.isfinite(own), own, period)
         rates = exchange_rates(walker, angle, period, np.repeat(slopes, counts))
         plain = np.array([-1.0 / np.tanh(period / 2), np.full(len(period), _PLAIN_SWING)])
-        rates = np.where(np.abs(rates).max(axis=0) > _LINEAR_UP_TO, plain, np.clip(rates / angle, -_MAX_RATE, _MAX_RATE))
+        is_linear = np.abs(rates).max(axis=0) <= _LINEAR_UP_TO
+        rates = np.where(is_linear, np.clip(rates / angle, -_MAX_RATE, _MAX_RATE), plain)
         # Heelstrike itself sets the swing leg's rate where its mass is at the foot.
         rows = [log_angle, *(rates[:1] if walker.point_foot else rates), period]
     return np.split(np.vstack(rows), np.cumsum(counts)[:-1], axis=1)
