@@ -80,8 +80,8 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
     overrides = {**{key: table.pop(key) for key in ("detuning", "foot_mass_ratio") if key in table}, **overrides}
     keys, kneed = _changed(keys, kneed, table)
     if "detuning" in overrides:
-        physical, _ = _named(TUNED[str(base)][1])
-        keys = _mixed(keys, physical, decimal(overrides.pop("detuning")))
+        tuned, physical = _named(str(base))[0], _named(TUNED[str(base)][1])[0]
+        keys = {**keys, **_mixed(tuned, physical, decimal(overrides.pop("detuning")))}
     if "foot_mass_ratio" in overrides:
         keys = _with_foot_mass(keys, decimal(overrides.pop("foot_mass_ratio")))
     return _changed(keys, kneed, overrides)
@@ -174,12 +174,13 @@ def _tuned(keys: Numbers) -> Numbers:
     return {**keys, "w_s": w_s, "w_t": w_t}
 
 
-def _mixed(keys: Numbers, physical: Numbers, amount: fmpq) -> Numbers:
-    """Every key mixed linearly from the tuned walker (0) to the physical one (1)."""
+def _mixed(tuned: Numbers, physical: Numbers, amount: fmpq) -> Numbers:
+    """Keys in which the tuned walker (0) and the physical one (1) differ, mixed linearly; all others may be changed."""
     with ctx.workprec(KEY_BITS):
         return {
-            name: value if bool(value == physical[name]) else value + (physical[name] - value) * amount
-            for name, value in keys.items()
+            name: value + (physical[name] - value) * amount
+            for name, value in tuned.items()
+            if not bool(value == physical[name])
         }
 
 

@@ -19,6 +19,7 @@ from tasks.proofs.krawczyk import contained, image
 from tasks.proofs.motion import Motion, Variation, acceleration, evaluate
 from tasks.proofs.stability import is_stable, step_derivative
 from tasks.walkers.catalogue import CATALOGUE
+from tasks.walkers.resolve import resolve
 
 PHASES = [("D", 2), ("E", 2), ("B", 2), ("A", 2), ("C", 3), ("C", 2), ("physical", 3)]
 
@@ -239,3 +240,12 @@ def test_a_table_may_hold_derived_keys():
     for name, key, value in (("E", "foot_mass_ratio", "0.02"), ("C", "detuning", "0.5")):
         table, line = exact({"base": name, key: value})[0], exact(name, {key: value})[0]
         assert all(written(table[k]) == written(line[k]) for k in line)
+
+
+@pytest.mark.parametrize("changes", [{"R": "0.2000001"}, {"g": "4", "m_h": "2"}])
+def test_detuning_leaves_the_keys_that_it_does_not_set(changes):
+    """A table of `detuning` and of keys that it does not own is the walker that is solved."""
+    known = resolve({"base": "C", "detuning": 0.5, **{k: float(v) for k, v in changes.items()}}).table()
+    keys, _ = exact({"base": "C", "detuning": "0.5", **changes})
+    assert {k: float(arb(v)) for k, v in keys.items()} == pytest.approx({k: known[k] for k in keys}, rel=1e-15)
+    assert {k: written(keys[k]) for k in changes} == changes
