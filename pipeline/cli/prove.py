@@ -22,7 +22,7 @@ from tasks.registry import GAITS
 LEAST, MOST = 1e-30, 1e-6
 #: What is read of every gait, if the archive has it.
 _VALUES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time", "period", "error_bound")
-_NEEDED = ("stance_angle", "stance_rate", "thigh_rate", "period")
+_NEEDED = ("stance_angle", "stance_rate", "thigh_rate", "period", "error_bound")
 #: Seed of the draw that `--sample` makes.
 _DRAW = 0
 

@@ -94,9 +94,10 @@ def distance(proof: Proof, values: Mapping[str, Any]) -> arb:
         apart = [
             abs(arb(float(values[name])) - x) / (largest if name.endswith("_rate") else abs(x))
             for name, x in proof.box.items()
-            if _is_number(values.get(name))
+            if values.get(name) is not None
         ]
-        return max(apart, key=lambda x: float(x.upper()))
+        # A value that is no number lies nowhere, which no comparison would say.
+        return next((x for x in apart if x.is_nan()), max(apart, key=lambda x: float(x.upper())))
 
 
 def checked(proof: Proof, values: Mapping[str, Any], bound: float) -> Proof:
@@ -107,13 +108,13 @@ def checked(proof: Proof, values: Mapping[str, Any], bound: float) -> Proof:
     proof : Proof
     values : mapping of str to float
     bound : float
-        Nothing is checked unless it is positive.
+        Values without one (nan) are not shown to lie anywhere.
 
     Returns
     -------
     Proof
     """
-    if not proof.proved or not bound > 0:
+    if not proof.proved:
         return proof
     apart = distance(proof, values)
     if apart <= arb(bound):

@@ -226,6 +226,20 @@ def test_a_bound_below_the_proved_distance_is_refused():
     assert not checked(proof, {**values, "period": values["period"] + 1e-8}, 1e-9).proved
 
 
+@pytest.mark.parametrize("bound", [0.0, -1e-12, math.nan])
+def test_values_without_a_bound_are_refused(bound):
+    values = stored()
+    moved = {**values, "period": values["period"] * (1 + 1e-7), "error_bound": bound}
+    found = ask_stored(moved)
+    assert found["unique"] and not found["proved"]
+    assert "`error_bound` says" in found["reason"]
+
+
+def test_a_value_that_is_no_number_is_refused():
+    found = ask_stored({**stored(), "shank_rate": math.nan})
+    assert found["unique"] and not found["proved"]
+
+
 def test_keys_are_the_decimals_written():
     assert written(decimal(0.1)) == "0.1"
     assert written(decimal("1e-5")) == "0.00001"
