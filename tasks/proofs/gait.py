@@ -226,7 +226,12 @@ def order(tolerance: float) -> int:
 def _unknowns(setting: Setting, guess: Sequence[float]) -> list[arb]:
     """Section state and event times of an approximation, as exact numbers."""
     with ctx.workprec(MIN_BITS):
-        m, _ = dimensions(body(setting.keys, setting.kneed))
+        m, n = dimensions(body(setting.keys, setting.kneed))
+    if len(guess) != 3 + n or not all(math.isfinite(x) for x in guess):
+        needed = "stance angle, two rates, kneestrike and period" if n == 2 else "stance angle, two rates and period"
+        raise NotProvedError(f"The approximation is not made of finite {needed}.")
+    if not guess[0] or not any(guess[1:m]) or not guess[-1] > 0:
+        raise NotProvedError("The approximation is no gait: its stance angle, rates or period vanish.")
     return [arb(x) for x in (*guess[:m], *guess[3:])]
 
 

@@ -113,6 +113,24 @@ def test_a_wrong_approximation_is_refused(name, slope):
         assert "approximation" in proof.reason
 
 
+@pytest.mark.parametrize(("name", "slope"), [("D", "0.009"), ("C", "0.01")])
+def test_numbers_that_are_no_approximation_are_refused(name, slope):
+    known = guess(reference(name, slope, "long"))
+    for k in range(len(known)):
+        for wrong in (math.nan, math.inf, None):
+            numbers = [wrong if i == k else x for i, x in enumerate(known) if wrong or i != k]
+            proof = prove(setting(name, slope), numbers)
+            assert not proof.proved and "not made of finite" in proof.reason
+    for numbers in ([*known[:-1], 0.0], [0.0, *known[1:]], [known[0], 0.0, 0.0, *known[3:]]):
+        proof = prove(setting(name, slope), numbers)
+        assert not proof.proved and "is no gait" in proof.reason
+
+
+def test_a_stored_gait_without_its_kneestrike_is_told_so():
+    values = {k: v for k, v in stored("C", 0.01, "short").items() if k != "kneestrike_time"}
+    assert "kneestrike" in ask_stored(values, "C", 0.01, "short")["reason"]
+
+
 def test_a_gait_of_the_other_label_is_refused():
     proof = prove(setting("D", "0.009"), guess(reference("D", "0.009", "long")), label="short")
     assert not proof.proved
