@@ -16,8 +16,9 @@ from tasks.walkers.resolve import resolve
 
 #: Variables that a proof starts from.
 STATE = ("stance_angle", "stance_rate", "thigh_rate", "kneestrike_time", "period")
-#: A bound is checked only by a box this much smaller.
-SHARPER = 10.0
+#: A bound is checked only by a box this much smaller, but no smaller than this: doubles come no closer to a gait, and
+#: the digits of a box have no other limit.
+SHARPER, FINEST = 10.0, 1e-30
 
 
 def prove_stored(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -55,7 +56,7 @@ def proof_of(params: Mapping[str, Any]) -> tuple[Setting, Proof]:
     keys, kneed = doubles(resolve(params["walker"], params.get("set")).table())
     setting = Setting(keys, kneed, double(params["slope"]))
     bound = float(values.get("error_bound", math.nan))
-    accuracy = min(params["accuracy"], bound / SHARPER) if bound > 0 else params["accuracy"]
+    accuracy = min(params["accuracy"], max(bound / SHARPER, FINEST)) if bound > 0 else params["accuracy"]
     return setting, prove(setting, guess(values), accuracy, params["gait"])
 
 

@@ -253,6 +253,14 @@ def test_values_without_a_bound_are_refused(bound):
     assert "`error_bound` says" in found["reason"]
 
 
+@pytest.mark.timeout(60)
+def test_a_bound_of_too_many_digits_is_refused_at_once():
+    found = ask_stored({**stored(), "error_bound": 1e-300})
+    assert found["unique"] and not found["proved"]
+    assert found["bits"] < 300
+    assert "`error_bound` says 1e-300" in found["reason"]
+
+
 def test_a_value_that_is_no_number_is_refused():
     found = ask_stored({**stored(), "shank_rate": math.nan})
     assert found["unique"] and not found["proved"]
