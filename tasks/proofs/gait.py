@@ -120,7 +120,10 @@ def _proof(setting: Setting, guess: Sequence[float], accuracy: float, label: str
 def _judged(solution: Solution, label: str | None) -> Proof:
     """What holds of the one solution in a box."""
     m, n = dimensions(solution.body)
-    stable = is_stable(step_derivative(solution.step.derivative, m, n))
+    try:
+        stable = is_stable(step_derivative(solution.step.derivative, m, n))
+    except ZeroDivisionError:  # a strike grazes, and the step map has no derivative; the order of strikes says so
+        stable = None
     box = _named(solution.body, solution.box)
     known = Proof(False, True, stable=stable, box=box, radius=_radius(box), bits=solution.bits)
     try:

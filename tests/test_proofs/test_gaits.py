@@ -168,6 +168,14 @@ def test_a_heelstrike_that_all_but_grazes_is_refused_or_right():
         assert g["unique"] or "Grazing" not in g["reason"]
 
 
+def test_a_heelstrike_that_grazes_to_all_digits_is_refused():
+    """Where the short gait of the physical walker with locked knees ends, its guard's rate vanishes."""
+    known = [0.23646155774809144, -1.30528579088519, -1.109374200723139, 0.4941851223201976]
+    proof = prove(setting("physical-straight", "0.05611778087370382414527911"), known)
+    assert (proof.unique, proof.first_strike, proof.stable) == (True, False, None)
+    assert "Grazing" in proof.reason
+
+
 def cubic(*roots, h=4.0):
     """A motion whose first angle is a cubic of the time with given roots, and its rate."""
     a, b, c = (arb(r) for r in roots)
