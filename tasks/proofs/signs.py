@@ -63,7 +63,7 @@ def zeros(
     Raises
     ------
     NotProvedError
-        If the guard cannot be told from a grazing one.
+        If the guard cannot be told from a grazing one, or no strike's from zero at the end.
     """
     stretches: list[Stretch] = []
     for stretch in _stretches(phases, guard, name, strike):
@@ -80,6 +80,8 @@ def zeros(
         if before is None or before.kind not in SIGNS or (after is not None and after.kind not in SIGNS):
             raise NotProvedError(f"Grazing: the {name} guard and its rate are not told from zero at the same time.")
         rises = here.kind == "rises"
+        if after is None and not strike and before.kind == ("-" if rises else "+"):
+            raise NotProvedError(f"Whether the {name} guard vanishes at the end of the step is not decided.")
         changes = after.kind != before.kind if after else strike and before.kind == ("-" if rises else "+")
         if changes and before.kind != ("-" if rises else "+"):
             raise NotProvedError(f"Grazing: the {name} guard changes sign against its rate.")

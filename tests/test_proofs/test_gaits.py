@@ -192,6 +192,13 @@ def test_zeros_are_counted_with_their_directions():
     assert zeros(cubic(1, 5, 7), (1, 0), "test", False)[1][0].rises
 
 
+def test_a_zero_at_the_very_end_is_not_overlooked():
+    """Only a strike is known to vanish there: the legs that pass a second time just before it were not counted."""
+    for h in (4.0, 4.0 + 1e-6):
+        with pytest.raises(NotProvedError, match="at the end of the step is not decided"):
+            zeros(cubic(1, 4, 9, h=h), (1, 0), "test", False)
+
+
 @pytest.mark.parametrize("roots", [(1, 1, 5), (2, 3, 3)])
 def test_a_double_zero_grazes(roots):
     with pytest.raises(NotProvedError, match="Grazing"):
