@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tasks.proofs.gait import Setting, prove
-from tasks.proofs.keys import decimal, exact
+from tasks.proofs.keys import check_written, decimal, exact
 from tasks.proofs.records import guess, record
 from tasks.solve_at_slope import solve_one
 
@@ -30,6 +30,8 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
     WalkerError
         If the walker cannot be.
     """
+    table = params["walker"] if isinstance(params["walker"], Mapping) else {}
+    check_written({**table, **(params.get("set") or {}), "slope": params["slope"]})
     numbers = {k: v if isinstance(v, bool) else float(v) for k, v in (params.get("set") or {}).items()}
     solved = solve_one({"walker": _in_doubles(params["walker"]), "slope": float(params["slope"]), "set": numbers})
     keys, kneed = exact(params["walker"], params.get("set"))

@@ -12,7 +12,7 @@ from flint import arb, ctx, fmpq
 from tasks.proofs.body import Number
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.resolve import straight
-from tasks.walkers.walker import NUMBERS
+from tasks.walkers.walker import NUMBERS, WalkerError
 
 #: Bits of derived keys: more than any proof's.
 KEY_BITS = 1024
@@ -21,8 +21,33 @@ TUNED = {"A": ("A-printed", "physical-straight"), "C": ("C-printed", "physical")
 Numbers = dict[str, Number]
 #: A centre of mass off its line by less than this part of its distance from the pivot is meant to lie on it.
 TUNED_TO = 4e-16
+#: Characters of a number that is read exactly, and of a zero's exponent.
+MAX_CHARACTERS, MAX_EXPONENT = 1000, 5
 #: Keys a table may leave out.
 _DEFAULT: Numbers = {"m_h": fmpq(0), "g": fmpq(1)}
+
+
+def check_written(numbers: Mapping[str, Any]) -> None:
+    """Check that numbers can be read exactly: powers of ten are written out, and a double that is zero may hide one.
+
+    Parameters
+    ----------
+    numbers : mapping
+        Walker keys and what they are; only texts are checked.
+
+    Raises
+    ------
+    WalkerError
+        If one has too many digits, or lies below all doubles but is not zero.
+    """
+    for key, text in numbers.items():
+        if not isinstance(text, str) or key in ("base", "name", "units"):
+            continue
+        if len(text) > MAX_CHARACTERS:
+            raise WalkerError(key, text, f"must have at most {MAX_CHARACTERS} characters")
+        mantissa, _, exponent = text.strip().lower().partition("e")
+        if float(text) == 0 and (mantissa.strip("+-0._") or len(exponent) > MAX_EXPONENT):
+            raise WalkerError(key, text, "must be 0 or a number that doubles resolve")
 
 
 def decimal(value: Any) -> fmpq:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 from flint import arb, ctx
@@ -179,7 +180,7 @@ def quoted(x: arb) -> tuple[str, str]:
 
 
 def _plain(slope: Any) -> float:
-    return float(slope.p) / float(slope.q)
+    return float(Fraction(int(slope.p), int(slope.q)))  # either may be beyond doubles
 
 
 def _is_number(x: Any) -> bool:

@@ -78,6 +78,13 @@ def test_one_gait_can_be_asked_for_in_words(capsys):
     assert out.startswith("slope=0.02 gait=short: proved, unstable; stance angle 0.")
 
 
+@pytest.mark.parametrize("slope", [f"0.01{'0' * 320}1", "0.01" + "0" * 900])
+def test_a_slope_may_have_many_digits(capsys, slope):
+    code, out, _ = run(capsys, "--walker", "D", "--slope", slope, "--gait", "long", "--set", "m_h=0.000e+00", "--json")
+    (gait,) = json.loads(out)
+    assert (code, gait["proved"], gait["slope"]) == (0, True, 0.01)
+
+
 def test_a_walker_file_keeps_every_digit(capsys, tmp_path):
     file = tmp_path / "mine.toml"
     file.write_text('[walker]\nbase = "E"\nm_s = 0.10000000000000000000001\n')
@@ -129,6 +136,13 @@ def test_no_gait_is_exit_code_1(capsys):
             ("--walker", "D", "--slope", "0.01", "--accuracy", "1e-40"),
             "`accuracy` must lie in [1e-30, 1e-06]; got 1e-40",
         ),
+        (("--walker", "D", "--slope", f"0.{'0' * 4400}9"), "`slope` must lie in (0, 0.5) rad"),
+        (("--walker", "D", "--slope", f"0.01{'0' * 4400}1"), "`slope` must have at most 1000 characters; got 0.01000"),
+        (
+            ("--walker", "E", "--slope", "0.01", "--set", "m_h=1e-1000000000"),
+            "`m_h` must be 0 or a number that doubles resolve; got 1e-1000000000",
+        ),
+        (("--walker", "E", "--slope", "0.01", "--set", "R=0e-1000000000"), "`R` must be 0 or a number that doubles"),
         (("--walker", "D"), "Prove either the gaits of an archive"),
         ((), "Prove either the gaits of an archive"),
         (("there-is-none.nc", "--gait", "long"), "`--gait` goes with a `--walker`."),
