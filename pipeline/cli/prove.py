@@ -172,7 +172,9 @@ def shown(proof: Mapping[str, Any]) -> str:
     -------
     str
     """
-    at = " ".join(f"{k}={v}" for k, v in proof.get("at", {"slope": proof["slope"], "gait": proof["gait"]}).items())
+    at = " ".join(
+        f"{k}={v}" for k, v in proof.get("at", {"slope": proof["exact_slope"], "gait": proof["gait"]}).items()
+    )
     if not proof["proved"]:
         return f"{at}: not proved. {proof['reason']}"
     stable = {True: "stable", False: "unstable", None: "stability not shown"}[proof["stable"]]

@@ -145,6 +145,7 @@ def record(setting: Setting, label: str, values: Mapping[str, Any], proof: Proof
     return {
         "gait": label if label in GAITS[2:] or not proof.label else proof.label,
         "slope": _plain(setting.slope),
+        "exact_slope": written(setting.slope),
         "walker": {**{k: written(v) for k, v in setting.keys.items()}, "knees": str(setting.kneed).lower()},
         "proved": proof.proved,
         "unique": proof.unique,

@@ -52,6 +52,7 @@ def test_gaits_of_a_walker_are_proved(capsys):
     assert set(gaits[0]) == {
         "gait",
         "slope",
+        "exact_slope",
         "walker",
         "proved",
         "unique",
@@ -64,7 +65,7 @@ def test_gaits_of_a_walker_are_proved(capsys):
         "bits",
         "reason",
     }
-    assert gaits[0]["slope"] == 0.009
+    assert (gaits[0]["slope"], gaits[0]["exact_slope"]) == (0.009, "0.009")
     assert gaits[0]["radius"] <= 1e-12
     middle, radius = gaits[0]["box"]["stance_angle"]
     assert middle.startswith("0.20031090054424708936016")
@@ -83,6 +84,8 @@ def test_a_slope_may_have_many_digits(capsys, slope):
     code, out, _ = run(capsys, "--walker", "D", "--slope", slope, "--gait", "long", "--set", "m_h=0.000e+00", "--json")
     (gait,) = json.loads(out)
     assert (code, gait["proved"], gait["slope"]) == (0, True, 0.01)
+    # The double is not the slope of the theorem.
+    assert gait["exact_slope"] == (slope.rstrip("0") if slope.endswith("0") else slope)
 
 
 def test_a_walker_file_keeps_every_digit(capsys, tmp_path):
