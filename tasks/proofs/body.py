@@ -125,7 +125,7 @@ def body(keys: Mapping[str, Number], kneed: bool) -> Body:
     shank_centre = Vector(-k["w_s"], -k["c_s"]).turned(cos_S, sin_S)
     mass = 2 * (k["m_t"] + k["m_s"]) + k["m_h"]
     point_foot = _is_point_foot(keys, kneed)
-    heavy = not (point_foot and _is_zero(keys["m_s"]))
+    heavy = kneed or not (_is_zero(keys["m_s"]) and _hangs_at_hip(keys))
     m_t, m_s = (k["m_t"], k["m_s"]) if heavy else (zero, arb(1))
     thigh = thigh_centre * m_t + knee * m_s
     shank = shank_centre * m_s
@@ -157,9 +157,13 @@ def _is_zero(value: Number) -> bool:
     return bool(value == 0)
 
 
+def _hangs_at_hip(keys: Mapping[str, Number]) -> bool:
+    """True where the thigh has no mass or is a point at the hip."""
+    return _is_zero(keys["m_t"]) or all(_is_zero(keys[k]) for k in ("c_t", "w_t", "r_t"))
+
+
 def _is_point_foot(keys: Mapping[str, Number], kneed: bool) -> bool:
     """True where the leg's mass is one point at a foot of no radius; decided on exact numbers alone."""
-    hip = _is_zero(keys["m_t"]) or all(_is_zero(keys[k]) for k in ("c_t", "w_t", "r_t"))
     exact = isinstance(keys["c_s"], fmpq) and isinstance(keys["l_s"], fmpq)
     foot = exact and keys["c_s"] == keys["l_s"] and all(_is_zero(keys[k]) for k in ("w_s", "r_s", "R", "eps_T"))
-    return hip and foot and not kneed
+    return _hangs_at_hip(keys) and foot and not kneed

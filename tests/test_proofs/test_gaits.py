@@ -86,6 +86,17 @@ def test_more_digits_on_request():
         assert abs(rate - identity) < 1e-28
 
 
+@pytest.mark.parametrize("keys", [{"R": "0.1"}, {"R": "0.1", "c_s": "0.4", "r_s": "0.1"}, {"eps_T": "0.1"}])
+def test_feet_of_vanishing_mass_may_be_round(keys):
+    found = prove_one({"walker": "D", "slope": "0.009", "set": keys, "gait": "long", "accuracy": 1e-12})["gaits"]
+    assert [g["proved"] for g in found] == [True], found[0]["reason"]
+    # They are the limit of light feet.
+    light = prove_one(
+        {"walker": "D", "slope": "0.009", "set": {**keys, "m_s": "1e-9"}, "gait": "long", "accuracy": 1e-12}
+    )
+    assert found[0]["stance_angle"] == pytest.approx(light["gaits"][0]["stance_angle"], rel=1e-6)
+
+
 @pytest.mark.parametrize("slope", ["1e-05", "1e-08"])
 def test_small_slopes_are_proved(slope):
     check("D", slope, "long")
