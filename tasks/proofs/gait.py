@@ -15,7 +15,8 @@ from tasks.proofs.enclosure import Accuracy, NotProvedError
 from tasks.proofs.sequence import Events, events
 from tasks.proofs.stability import is_stable, step_derivative
 
-#: Relative radius of the first box, and how far its middle may be corrected before the approximation is refused.
+#: Relative radius of the first box, and how far its middle may be corrected before the approximation is refused, unless
+#: its own bound is larger.
 FIRST_RADIUS, MAX_CORRECTION = 1e-12, 1e-6
 #: A step's remainders are this much smaller than the box.
 REMAINDER = 1e-9
@@ -83,7 +84,13 @@ class Solution:
     bits: int
 
 
-def prove(setting: Setting, guess: Sequence[float], accuracy: float = 1e-12, label: str | None = None) -> Proof:
+def prove(
+    setting: Setting,
+    guess: Sequence[float],
+    accuracy: float = 1e-12,
+    label: str | None = None,
+    reach: float = MAX_CORRECTION,
+) -> Proof:
     """Prove the gait near an approximation.
 
     Parameters
@@ -95,22 +102,24 @@ def prove(setting: Setting, guess: Sequence[float], accuracy: float = 1e-12, lab
         Largest relative radius of the box.
     label : str, optional
         `long` or `short` if the gait must be that.
+    reach : float
+        How far the approximation may be corrected, relative.
 
     Returns
     -------
     Proof
         Its box is the smaller one; uniqueness holds in it as well.
     """
-    proof = _proof(setting, guess, accuracy, label)
+    proof = _proof(setting, guess, accuracy, label, reach)
     if proof.unique and (proof.stable is None or not proof.first_strike):  # a smaller box may tell
-        finer = _proof(setting, guess, accuracy * SHARPER, label)
+        finer = _proof(setting, guess, accuracy * SHARPER, label, reach)
         proof = finer if finer.proved else proof
     return proof
 
 
-def _proof(setting: Setting, guess: Sequence[float], accuracy: float, label: str | None) -> Proof:
+def _proof(setting: Setting, guess: Sequence[float], accuracy: float, label: str | None, reach: float) -> Proof:
     try:
-        solution = solve(setting, guess, accuracy)
+        solution = solve(setting, guess, accuracy, reach)
     except NotProvedError as error:
         return Proof(False, reason=str(error))
     with ctx.workprec(solution.bits):
@@ -136,12 +145,12 @@ def _judged(solution: Solution, label: str | None) -> Proof:
     return replace(known, proved=True, reason="" if stable is not None else UNDECIDED)
 
 
-def solve(setting: Setting, guess: Sequence[float], accuracy: float) -> Solution:
+def solve(setting: Setting, guess: Sequence[float], accuracy: float, reach: float = MAX_CORRECTION) -> Solution:
     """Shrink a box around an approximation until it is small enough and holds exactly one solution.
 
     Parameters
     ----------
-    setting, guess, accuracy
+    setting, guess, accuracy, reach
         As `prove` takes them.
 
     Returns
@@ -179,7 +188,7 @@ def solve(setting: Setting, guess: Sequence[float], accuracy: float) -> Solution
                 size *= 1e-4
                 continue
             corrected += shift
-            if not corrected < MAX_CORRECTION:
+            if not corrected < reach:
                 raise NotProvedError(f"No gait is near the approximation: its first correction is {shift:.1e} of it.")
             middle = [x.mid() for x in K]
     raise NotProvedError(reason)

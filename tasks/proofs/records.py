@@ -10,7 +10,7 @@ from typing import Any
 
 from flint import arb, ctx
 
-from tasks.proofs.gait import Proof, Setting, prove
+from tasks.proofs.gait import MAX_CORRECTION, Proof, Setting, prove
 from tasks.proofs.keys import KEY_BITS, double, doubles, written
 from tasks.registry import GAITS
 from tasks.walkers.resolve import resolve
@@ -20,6 +20,8 @@ STATE = ("stance_angle", "stance_rate", "thigh_rate", "kneestrike_time", "period
 #: A bound is checked only by a box this much smaller, but no smaller than this: doubles come no closer to a gait, and
 #: the digits of a box have no other limit.
 SHARPER, FINEST = 10.0, 1e-30
+#: Archives are of no coarser accuracy.
+MAX_BOUND = 1e-2
 
 
 def prove_stored(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -58,7 +60,9 @@ def proof_of(params: Mapping[str, Any]) -> tuple[Setting, Proof]:
     setting = Setting(keys, kneed, double(params["slope"]))
     bound = float(values.get("error_bound", math.nan))
     accuracy = min(params["accuracy"], max(bound / SHARPER, FINEST)) if bound > 0 else params["accuracy"]
-    return setting, prove(setting, guess(values), accuracy, params["gait"])
+    # Newton's steps overlap: together they may be a little longer than what they correct.
+    reach = max(MAX_CORRECTION, min(2 * bound, MAX_BOUND)) if bound > 0 else MAX_CORRECTION
+    return setting, prove(setting, guess(values), accuracy, params["gait"], reach)
 
 
 def guess(values: Mapping[str, Any]) -> list[float]:

@@ -187,9 +187,9 @@ def test_gaits_of_an_archive_are_proved(capsys, archive):
     assert all(g in gaits for g in few[0])
 
 
-def proved_at_all_points(tmp_path, capsys, walker, axes="slope = [0.01]"):
+def proved_at_all_points(tmp_path, capsys, walker, axes="slope = [0.01]", accuracy=""):
     """The proofs of the gaits of a study of all variables that are archived by default."""
-    (tmp_path / "all.toml").write_text(f'name = "all"\nwalker = {walker}\n[axes]\n{axes}\n')
+    (tmp_path / "all.toml").write_text(f'name = "all"\n{accuracy}\nwalker = {walker}\n[axes]\n{axes}\n')
     out = tmp_path / "all.nc"
     assert main(["run", str(tmp_path / "all.toml"), "--archive", str(out), "--quiet", "--jobs", "1"]) == 0
     code, printed, _ = run(capsys, out, "--json", "--jobs", "1")
@@ -202,6 +202,14 @@ def proved_at_all_points(tmp_path, capsys, walker, axes="slope = [0.01]"):
 def test_straight_legs_have_no_time_of_kneestrike(tmp_path, capsys):
     gaits = proved_at_all_points(tmp_path, capsys, '"E"')
     assert [gait["events"] for gait in gaits] == [["legs_pass", "heelstrike"]] * 2
+
+
+@pytest.mark.parametrize("accuracy", ["1e-2", "1e-4"])
+def test_gaits_of_few_digits_are_proved(tmp_path, capsys, accuracy):
+    """They are looked for as far away as their bound."""
+    gaits = proved_at_all_points(tmp_path, capsys, '"E"', "slope = [0.01, 0.012]", f"accuracy = {accuracy}")
+    assert len(gaits) == 4
+    assert all(gait["radius"] < 1e-12 for gait in gaits)
 
 
 @pytest.mark.parametrize(("walker", "key"), [('["A"]', "detuning"), ('"D"', "foot_mass_ratio"), ('"B"', "R")])
