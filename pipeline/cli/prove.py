@@ -127,11 +127,15 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
         if missing or "gait" not in file.dimensions:
             raise ArchiveError(f"{path} holds no gaits to prove: it has no {missing[0] if missing else 'gait'}.")
         if "steps" in file.ncattrs():
-            raise ArchiveError(f"{path} holds gaits of {int(file.steps)} steps; proofs are of gaits of one step.")
+            raise ArchiveError(f"{path} holds gaits of {file.steps} steps; proofs are of gaits of one step.")
         dims, names = file["status"].dimensions, [n for n in _VALUES if n in file.variables]
         try:
             provenance = json.loads(file.provenance)
             tables, varied = provenance["walkers"], {key: file[key] for key in provenance["varied"]}
+            walkers = [tables[k] for k in range(file.dimensions["walker"].size if "walker" in dims else 1)]
+            lost = [key for key, values in varied.items() if not {*values.dimensions} <= {*dims}]
+            if lost or not all(isinstance(walker, str | dict) for walker in walkers):
+                raise ValueError(lost)
         except (ValueError, LookupError, TypeError) as error:
             raise ArchiveError(f"{path} does not say which walker it is of.") from error
         status = np.ma.getdata(file["status"][...])
@@ -140,12 +144,14 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
         if sample is not None and sample < len(places):
             places = places[np.sort(np.random.default_rng(_DRAW).choice(len(places), sample, replace=False))]
         coordinates = {d: file[d][...] for d in dims}
+        if not np.isfinite(np.ma.filled(coordinates["slope"], np.nan)).all():
+            raise ArchiveError(f"{path} has a slope that is no number.")
         for index in map(tuple, places.tolist()):
             at = {d: _item(coordinates[d][i]) for d, i in zip(dims, index, strict=True)}
             place = dict(zip(dims, index, strict=True))
             yield {
                 "at": at,
-                "walker": tables[place.get("walker", 0)],
+                "walker": walkers[place.get("walker", 0)],
                 # What an axis such as `detuning` moves is stored key by key.
                 "set": {
                     key: float(values[tuple(place[d] for d in values.dimensions)]) for key, values in varied.items()

@@ -251,6 +251,39 @@ def test_an_archive_without_states_is_refused(capsys, archive):
     assert "it has no thigh_rate" in err
 
 
+def of_walkers(walkers):
+    """A change of the walkers that an archive names."""
+
+    def change(file):
+        file.provenance = json.dumps({**json.loads(file.provenance), "walkers": walkers})
+
+    return change
+
+
+def name_steps(file):
+    file.steps = "two"
+
+
+def lose_a_slope(file):
+    file["slope"][0] = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        *((of_walkers(w), "does not say which walker it is of") for w in ([], ["D"], {"D": {}}, [1, 2])),
+        (name_steps, "holds gaits of two steps"),
+        (lose_a_slope, "has a slope that is no number"),
+    ],
+)
+def test_a_strange_archive_is_refused_in_one_line(capsys, archive, change, sentence):
+    with netCDF4.Dataset(archive, "a") as file:
+        change(file)
+    code, out, err = run(capsys, archive)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert sentence in err
+
+
 def test_certificates_are_written_one_a_file(tmp_path):
     (path,) = prove.certificates(tmp_path, ["D-long-0.009"], jobs=1)
     assert path == tmp_path / "D-long-0.009.json"
