@@ -1,5 +1,6 @@
 """Random walkers far beyond the paper's: every try ends in a status, no wrong gait is accepted, every bound holds."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -10,6 +11,7 @@ from pipeline.bench import stress
 from pipeline.bench.bounds import bounds
 from pipeline.bench.stress import random_walker
 from tasks.solve_points import atlas, points
+from tasks.step import extended_precision
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.resolve import from_table
 from tasks.walkers.walker import NUMBERS, WalkerError
@@ -90,6 +92,17 @@ def test_every_bound_holds_and_is_no_hundred_times_too_wide(each, walkers):
     # Where slopes vanish more digits are used by themselves.
     assert {0, 1, 2} <= set(found.tier)
     assert found.error[found.slope < 1e-7].max() < 1e-12
+
+
+def test_no_bound_is_shown_to_hold_by_a_reference_that_did_not_converge(monkeypatch):
+    solved = extended_precision.solved
+
+    def lost(*args):
+        return dataclasses.replace(solved(*args), last_step=math.inf)
+
+    monkeypatch.setattr(extended_precision, "solved", lost)
+    found = bounds(6, walkers=[("D", CATALOGUE["D"])])
+    assert found.violations == len(found.error) > 0
 
 
 @pytest.mark.parametrize("name", ["D", "E", "B", "C"])
