@@ -133,7 +133,7 @@ def locate_gaps(branch: Branch, distance: np.ndarray, check: StepCheck) -> Proce
         for _ in range(_MAX_ROUNDS):
             place = np.linspace(low, high, 9)
             stride, fine = yield Call(sampled_steps, _at(branch, place), _FINER)
-            k = int(np.argmin(fine))
+            k = int(np.argmin(fine[1:-1])) + 1
             if (yield from _is_interrupted(branch, place[k], fine[k])):
                 gaps.append(float(place[k]))
                 break

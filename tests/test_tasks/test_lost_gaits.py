@@ -9,12 +9,15 @@ from lines import FAILURES, branches, of_label, repeats, solved
 from oracle import Oracle, StepFailed
 from pipeline.bench.bounds import compared
 from pipeline.bench.missed import missed
+from tasks.continuation import atlas
+from tasks.continuation.refine import COARSE, FINE
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.newton import newton
 from tasks.fixed_points.polish import UNKNOWN, settle, unmeasured
 from tasks.fixed_points.step_check import verify_steps
 from tasks.mechanics.small_angles import exchange_periods
 from tasks.registry import GAITS, STATUSES
+from tasks.step.problem import Problem
 from tasks.step.verify_step import strike_distance
 from tasks.walkers.resolve import resolve
 
@@ -185,9 +188,7 @@ def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
 
 def test_a_gap_between_two_nodes_is_found():
     """Nodes so far apart that none lies in the gap: the guard's minimum between them tells."""
-    from tasks.continuation import atlas
     from tasks.continuation.lockstep import run
-    from tasks.continuation.refine import FINE
 
     problem, found = branches("C", **GAP)
     low, high = beside_the_gap(found)
@@ -212,6 +213,27 @@ def test_a_gap_where_the_released_knee_turns_is_found():
     assert not np.isin(out["status"], FAILURES).any()
     larger = np.nan_to_num(out["stance_angle"]).max(axis=1)  # the smaller gait has no gap
     np.testing.assert_array_equal(larger > 0.55, [True, False, False, False, True])
+
+
+def test_an_end_at_which_the_released_knee_turns_is_no_gap():
+    """A strike at once limits it, to rounding: finer samples may show that strike at the end itself."""
+    keys = {
+        "m_t": 2.890601514599421,
+        "m_s": 1.1592517704213854,
+        "r_t": 0.2266928239467638,
+        "r_s": 0.10744884620933674,
+        "c_t": 0.09020602594020488,
+        "c_s": 0.19056171835287758,
+        "R": 0.2169452260076321,
+        "eps_T": 0.11364317136091168,
+        "l_t": 0.2790750917247171,
+        "l_s": 0.5771611563881274,
+    }
+    problem = Problem(resolve("C", keys))
+    coarse, fine = (atlas.survey(problem, tolerance) for tolerance in (COARSE, FINE))
+    assert [b.why for b in coarse] == [b.why for b in fine]
+    assert coarse[0].why[1] == "end_earlier_strike"
+    assert coarse[0].q[-1] == pytest.approx(fine[0].q[-1], abs=1e-9)
 
 
 def test_the_distance_from_an_earlier_strike_vanishes_where_one_cuts_in():
