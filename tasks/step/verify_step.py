@@ -13,6 +13,8 @@ _MIN_KNEESTRIKE = 1e-7
 _TOUCH = 1e-12
 #: Flexion that may be rounding: a knee that strikes at once hardly flexes.
 _STRAIGHT = 1e-14
+#: Newton steps to where a cubic between samples vanishes.
+_ROUNDS = 4
 
 
 @dataclass
@@ -85,34 +87,44 @@ def strike_distance(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
     Notes
     -----
     A guard strikes earlier where it falls through zero: where a minimum lies below zero and a maximum before it above.
-    So the distance at a minimum is the larger of its value and minus the highest value before.
+    So the distance at a minimum is the larger of its value and minus the highest value before. Of the foot that is the
+    highest since the stance leg was upright.
     """
     durations = np.diff(times, axis=0, prepend=0)
-    sums, behind = [], []
+    sums, behind, upright = [], [], []
     for phase, duration in zip(motion, durations, strict=True):
-        half = phase.shape[1] // 2
-        rate = duration / (len(phase) - 1) * (phase[:, half] + phase[:, half + 1])
-        sums.append((phase[:, 0] + phase[:, 1], rate))
+        half, interval = phase.shape[1] // 2, duration / (len(phase) - 1)
+        sums.append((phase[:, 0] + phase[:, 1], interval * (phase[:, half] + phase[:, half + 1])))
         behind.append(phase[:, 0] < 0)
-    least = _least_distance(sums, behind)
+        stance = phase[:, 0], interval * phase[:, half]
+        passes, at = ~behind[-1][:-1] & behind[-1][1:], np.full(behind[-1][1:].shape, -np.inf)
+        at[passes] = _cubic(_ends(*sums[-1], passes), _zero(_ends(*stance, passes)))
+        upright.append(at)
+    least = _least_distance(sums, behind, upright)
     if len(motion) == 2:
         three = motion[0]
         rate = durations[0] / (len(three) - 1) * (three[:, 4] - three[:, 5])
         # The knee starts straight, and may first move against its stop: only maxima show that it has flexed.
-        least = np.fmin(least, _least_distance([(three[:, 1] - three[:, 2], rate)], [np.zeros(rate.shape, bool)], True))
+        never, nowhere = np.zeros(rate.shape, bool), np.full(rate[1:].shape, -np.inf)
+        knee = _least_distance([(three[:, 1] - three[:, 2], rate)], [never], [nowhere], always=True)
+        least = np.fmin(least, knee)
     return least
 
 
 def _least_distance(
-    phases: list[tuple[np.ndarray, np.ndarray]], counts: list[np.ndarray], always: bool = False
+    phases: list[tuple[np.ndarray, np.ndarray]],
+    counts: list[np.ndarray],
+    begins: list[np.ndarray],
+    always: bool = False,
 ) -> np.ndarray:
     """Least distance (n,) of a guard from an earlier strike, by its values and rates per interval of each phase.
 
-    `counts` says at which samples the guard's values count; with `always` its extrema count everywhere.
+    `counts` says at which samples the guard's values count; with `always` its extrema count everywhere. `begins` are
+    its values where, inside an interval, they begin to count, elsewhere minus infinity.
     """
     least = np.full(phases[0][0].shape[1], np.inf)
     highest, rate_before = np.full(len(least), -np.inf), None
-    for (g, rate), counted in zip(phases, counts, strict=True):
+    for (g, rate), counted, begin in zip(phases, counts, begins, strict=True):
         low, high = _extrema(g, rate)
         if rate_before is not None:
             # Rates jump at kneestrike: a guard may have a minimum there.
@@ -121,7 +133,9 @@ def _least_distance(
         for i in range(len(low)):
             highest = np.where(counted[i], np.maximum(highest, g[i]), highest)
             least = np.where(counted[i + 1] | always, np.fmin(least, np.maximum(low[i], -highest)), least)
-            highest = np.where(counted[i + 1] | always, np.maximum(highest, high[i]), highest)
+            # A maximum in the interval in which values begin to count may come before they do.
+            high_counts = counted[i + 1] & (begin[i] == -np.inf) | always
+            highest = np.fmax(np.where(high_counts, np.maximum(highest, high[i]), highest), begin[i])
         rate_before = rate[-1]
     return least
 
@@ -142,16 +156,45 @@ def _extrema(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return extremum(1.0, (da < 0) & (db >= 0)), extremum(-1.0, (da > 0) & (db <= 0))
 
 
+_Ends = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def _ends(g: np.ndarray, rate: np.ndarray, intervals: np.ndarray) -> _Ends:
+    """Values and rates per interval of a guard at both ends of some of its intervals."""
+    return g[:-1][intervals], g[1:][intervals], rate[:-1][intervals], rate[1:][intervals]
+
+
+def _cubic(ends: _Ends, share: np.ndarray) -> np.ndarray:
+    """Values at shares of intervals of the cubics through values and rates at their ends."""
+    a, b, da, db = ends
+    return np.asarray(a + share * (da + share * (3 * (b - a) - 2 * da - db + share * (da + db - 2 * (b - a)))))
+
+
+def _zero(ends: _Ends) -> np.ndarray:
+    """Shares of intervals at which such cubics vanish; their values at the ends have different signs."""
+    a, b, da, db = ends
+    share = np.clip(a / (a - b), 0.0, 1.0)
+    for _ in range(_ROUNDS):
+        rate = da + share * (2 * (3 * (b - a) - 2 * da - db) + 3 * share * (da + db - 2 * (b - a)))
+        better = np.clip(share - _cubic(ends, share) / rate, 0.0, 1.0)
+        share = np.where(np.isfinite(better), better, share)
+    return share
+
+
 # Where a guard does not change between samples there is no crossing to ask for.
 @np.errstate(invalid="ignore", divide="ignore")
-def _behind(falls: np.ndarray, guard: np.ndarray, stance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _behind(
+    falls: np.ndarray, guard: tuple[np.ndarray, np.ndarray], stance: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """Whether a guard that falls in some intervals does so with a negative stance angle, shape (intervals, n).
 
-    Returned besides is whether in one of them that angle changes its sign, shape (n,): finer samples tell better.
+    Both are given with their rates per interval. Returned besides is whether in one of them that angle changes its
+    sign, shape (n,): finer samples tell better.
     """
-    share = np.clip(guard[:-1] / (guard[:-1] - guard[1:]), 0.0, 1.0)
-    at = stance[:-1] + share * (stance[1:] - stance[:-1])
-    return falls & (at < 0), np.asarray((falls & (stance[:-1] >= 0) & (stance[1:] < 0)).any(axis=0))
+    ahead = stance[0] >= 0
+    passes, behind = falls & (ahead[:-1] != ahead[1:]), falls & (stance[0][1:] < 0)
+    behind[passes] = _cubic(_ends(*stance, passes), _zero(_ends(*guard, passes))) < 0
+    return behind, np.asarray((passes & ahead[:-1]).any(axis=0))
 
 
 # Where a strike is tangential to the last digit its rate has no value.
@@ -219,7 +262,10 @@ def verify(
         off = np.maximum(off, np.abs(motion[0][-1, 1] - motion[0][-1, 2]))
     touch = np.maximum(_TOUCH, 8 * off)
     falls = (guard[1:] < -touch) & (guard[:-1] >= -touch)
-    falls, late = _behind(falls, guard, a)
+    intervals = [
+        duration / (len(phase) - 1) for phase, duration in zip(motion, np.diff(times, axis=0, prepend=0), strict=True)
+    ]
+    falls, late = _behind(falls, (guard, intervals[-1] * (da + db)), (a, intervals[-1] * da))
     # A guard that falls to zero was positive just before.
     step = strikes_fall_in_order(closing, times, touch) & ~falls.any(axis=0) & (a[-1] < 0)
     doubt = (behind & _unclear(guard, da + db, margin)).any(axis=0) | late | np.isnan(a[0])
@@ -242,7 +288,8 @@ def verify(
         sum_, closing_in = three[:, 0] + three[:, 1], three[:, 3] + three[:, 4]
         down = sum_[1:] <= 0
         down[-1] = sum_[-1] < -touch
-        falls, late = _behind(down & (sum_[:-1] > 0), sum_, three[:, 0])
+        stance = three[:, 0], intervals[0] * three[:, 3]
+        falls, late = _behind(down & (sum_[:-1] > 0), (sum_, intervals[0] * closing_in), stance)
         step &= ~falls.any(axis=0)
         doubt |= late
         behind = np.minimum(three[:-1, 0], three[1:, 0]) - margin < 0
