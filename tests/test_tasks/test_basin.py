@@ -84,6 +84,18 @@ def outlast(problem, y):
     return np.isin(np.arange(n), lanes)
 
 
+def test_the_order_of_slopes_only_orders_the_tables():
+    """Points of the manifold are counted at each slope: falling slopes raised an error."""
+    slopes = np.array([0.009, 0.012])
+    options = {"line": {"walker": "D", "set": {}}, "size": 20, "steps": 20}
+    rising, falling = (basin({**options, "slope": s}, [_atlas("D", ())]) for s in (slopes, slopes[::-1]))
+    assert set(rising["stable_manifold/slope"]) == set(slopes)
+    for name, column in rising.items():
+        of_rising, of_falling = (out[f"{name.split('/')[0]}/slope"] for out in (rising, falling))
+        for s in slopes:
+            np.testing.assert_array_equal(column[of_rising == s], falling[name][of_falling == s], name)
+
+
 def test_a_stable_gait_has_no_manifold_that_parts_its_basin():
     problem = Problem(resolve("D", None))
     found = mapped(0.009, 8, **RANGE)
