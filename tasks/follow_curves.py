@@ -126,7 +126,9 @@ def _place(equations: Curve, p: Point, key: str, window: Mapping[str, tuple[floa
 def _own_value(line: Mapping[str, Any], key: str) -> float:
     """The line's value of a key."""
     walker, settings = resolve(line["walker"], line.get("set")), line.get("set", {})
-    derived = {"detuning": 0.0, "foot_mass_ratio": walker.m_s / walker.total_mass}
+    # A walker's table may be detuned too.
+    table = line["walker"] if isinstance(line["walker"], Mapping) else {}
+    derived = {"detuning": table.get("detuning", 0.0), "foot_mass_ratio": walker.m_s / walker.total_mass}
     return float(settings[key] if key in settings else derived[key] if key in derived else getattr(walker, key))
 
 

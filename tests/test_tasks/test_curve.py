@@ -149,6 +149,16 @@ def test_a_curve_begins_where_it_can(walker, key, low, high, slopes):
     assert at(near, value, slope) == pytest.approx(there, rel=1e-6)
 
 
+def test_a_curve_begins_at_the_detuning_of_the_walkers_own_table():
+    """It was taken for 0, the branches for those of the tuned walker: its folds were missed, and others found."""
+    lines = [{"walker": {"base": "A", "detuning": 0.5}, "set": {}}, {"walker": "A", "set": {"detuning": 0.5}}]
+    options = {"slope": np.array([1e-3, 0.2]), "key": "detuning", "from": -0.2, "to": 0.7, "kinds": ["fold"]}
+    own, overridden = (curve({"line": line, **options}, [_atlas("A", (("detuning", 0.5),))]) for line in lines)
+    assert own["curves/value"].max() == pytest.approx(0.7, abs=1e-15)
+    for name, column in overridden.items():
+        assert own[name].tolist() == column.tolist(), name
+
+
 def test_a_curve_begins_where_neighbouring_walkers_have_its_equations():
     def walker_at(ratio):
         return resolve("E", {"foot_mass_ratio": ratio})
