@@ -165,10 +165,11 @@ def _follow_both_directions(equations: Curve, first: Point, window: Mapping[str,
 
 def _returns(equations: Curve, points: list[Point], first: Point) -> list[Point]:
     """Points of a curve at the value of the key at which it began."""
-    returns = [first]
     border = np.zeros(len(first.U))
     border[-1] = 1.0
     value = first.U[-1]
+    # One that began at the border of the range ends there.
+    returns = [first, *(p for p in (points[0], points[-1]) if abs(p.U[-1] - value) < 1e-9)]
     for a, b in itertools.pairwise(points):
         if (a.U[-1] - value) * (b.U[-1] - value) < 0:
             h = (value - a.U[-1]) / (b.U[-1] - a.U[-1])

@@ -159,6 +159,16 @@ def test_a_curve_begins_at_the_detuning_of_the_walkers_own_table():
         assert own[name].tolist() == column.tolist(), name
 
 
+def test_a_curve_that_returns_to_the_border_it_began_at_is_one():
+    """It was followed again from its other end: two curves, and its turning point twice."""
+    line = {"walker": "C", "set": {"detuning": 1.0}}
+    options = {"slope": np.array([0.05, 0.2]), "key": "detuning", "from": 0.65, "to": 0.73, "kinds": ["fold"]}
+    found = curve({"line": line, **options}, [_atlas("C", (("detuning", 1.0),))])
+    assert set(found["curves/curve"]) == {0}
+    assert found["curves/value"][[0, -1]] == pytest.approx(0.73, abs=1e-15)
+    assert found["turnings/value"] == pytest.approx([0.72386360373], abs=1e-9)
+
+
 def test_a_curve_begins_where_neighbouring_walkers_have_its_equations():
     def walker_at(ratio):
         return resolve("E", {"foot_mass_ratio": ratio})
