@@ -18,9 +18,9 @@ from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
 #: Largest admissible stance angle [rad], and the smallest one over the slope: half that of the linear law.
-_MAX_ANGLE, _MIN_ANGLE_RATIO = 0.8, 0.5
-#: Stance rate over angle: from barely crossing the vertical to much faster.
-_STANCE_RATIO = (-4.0, -0.7)
+_MAX_ANGLE, _MIN_ANGLE_RATIO = 1.0, 0.5
+#: Stance rate from barely crossing the vertical, over the angle to it, to much faster, over the stance angle.
+_SLOWEST, _FASTEST = -0.7, -4.0
 #: Swing rate over the magnitude of the stance rate.
 _SWING_RATIO = (-1.6, 1.6)
 #: Solutions closer than this in similarity coordinates are the same, and after a coarse iteration.
@@ -74,14 +74,14 @@ def census(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
     Notes
     -----
-    Guesses fill the box of stance angle (uniformly in its logarithm), stance rate over angle and swing rate over stance
-    rate by an additive recurrence. The step from each guess is simulated to its strikes, whose times are guesses too.
-    `unseen` is the Good-Turing estimate of the fraction of converging guesses that would lead to a gait not found:
-    solutions found exactly once, over guesses that converged (at least one is assumed, so it is never zero). Then all
-    guesses that strike are used again (`deflated`, counted each time) with the residual multiplied by 1 + 1/r^2, r the
-    distance to each known solution (deflation; Farrell, Birkisson and Funke, SIAM J. Sci. Comput. 37, 2015), which
-    repels them from known solutions and leads some to others (`found_deflated`; such a gait has no `hits`). A guess
-    that never strikes is not used: its gait, if any, is not covered.
+    Guesses fill the section in stance angle (uniformly in its logarithm), stance rate between bounds for that angle,
+    and swing rate over stance rate by an additive recurrence. The step from each guess is simulated to its strikes,
+    whose times are guesses too. `unseen` is the Good-Turing estimate of the fraction of converging guesses that would
+    lead to a gait not found: solutions found exactly once, over guesses that converged (at least one is assumed, so it
+    is never zero). Then all guesses that strike are used again (`deflated`, counted each time) with the residual
+    multiplied by 1 + 1/r^2, r the distance to each known solution (deflation; Farrell, Birkisson and Funke, SIAM J.
+    Sci. Comput. 37, 2015), which repels them from known solutions and leads some to others (`found_deflated`; such a
+    gait has no `hits`). A guess that never strikes is not used: its gait, if any, is not covered.
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
@@ -155,7 +155,9 @@ def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
     unit = r_sequence(problem.m, count)
     low, high = np.log(_MIN_ANGLE_RATIO * slope), np.log(_MAX_ANGLE)
     angle = np.exp(low + (high - low) * unit[0])
-    rate = angle * (_STANCE_RATIO[0] + (_STANCE_RATIO[1] - _STANCE_RATIO[0]) * unit[1])
+    # The vertical lies nearer than the ground's normal by the slope: steep gaits are slow for their angle.
+    fastest, slowest = _FASTEST * angle, _SLOWEST * np.maximum(angle - slope, 0.0)
+    rate = fastest + (slowest - fastest) * unit[1]
     if problem.m == 2:
         return np.vstack([angle, rate])
     return np.vstack([angle, rate, -rate * (_SWING_RATIO[0] + (_SWING_RATIO[1] - _SWING_RATIO[0]) * unit[2])])

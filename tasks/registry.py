@@ -223,13 +223,13 @@ TASKS = {
         Task("basin", "tasks.map_basin:basin", 5, needs=("atlas",)),
         Task("curve", "tasks.follow_curves:curve", 5, needs=("atlas",)),
         Task("design", "tasks.map_designs:design", 9),
-        Task("census", "tasks.count_gaits:census", 5),
+        Task("census", "tasks.count_gaits:census", 6),
         Task("scaling", "tasks.fit_laws:scaling", 3, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 4, needs=("points",)),
         Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",)),
         Task("corners", "tasks.locate_landmarks:corners", 1, needs=("atlas",)),
         Task("crises", "tasks.locate_landmarks:crises", 3, needs=("atlas", "cascade", "corners")),
-        Task("claims", "tasks.check_claims:claims", 10, needs=("points", "atlas")),
+        Task("claims", "tasks.check_claims:claims", 11, needs=("points", "atlas")),
     )
 }
 
