@@ -69,6 +69,13 @@ def test_a_walker_of_which_the_archive_lacks_a_key_does_not_walk(tmp_path):
     assert starts.lines(source) == []
 
 
+def test_gaits_of_several_steps_have_no_lines_for_the_script_flies_gaits_of_one(tmp_path):
+    source = _grid(tmp_path)
+    assert starts.lines(source)
+    source.grid.attrs["steps"] = 2
+    assert starts.lines(source) == []
+
+
 def test_a_branch_without_rates_has_no_starts(tmp_path):
     rows = {"branch": [0, 0], "slope": [0.01, 0.02], "stance_angle": [0.1, 0.2]}
     text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.02]'

@@ -83,7 +83,7 @@ def heatmap(source: Source) -> Sketch | None:
             pieces.append(frame.assign(gait=gait, **words))
             finite = frame.dropna(subset=[variable])
             marks += _cell_marks(axes, source, finite, gait, walker, (down, along, variable), fixed)
-            if {"stance_angle", "stance_rate", "thigh_rate"} <= set(part):
+            if source.steps == 1 and {"stance_angle", "stance_rate", "thigh_rate"} <= set(part):
                 slope = np.broadcast_to(part["slope"].broadcast_like(part["stance_angle"]).values, z.shape)
                 starts = {"slope": slope, **{name: part[name].values for name in START[1:] if name in part}}
                 maps.append(

@@ -62,8 +62,11 @@ def lines(source: Source) -> list[dict[str, Any]]:
     """Lines whose gaits a page can start: name, values of the axes, walker, command and branches.
 
     A branch is a list of starts [slope, angle, rates of stance leg, thigh[, shank]] in the walker's units, in its order
-    through folds. Lines of tables of initial conditions have none: their figures hold the starts.
+    through folds. Lines of tables of initial conditions have none: their figures hold the starts. The script flies
+    gaits of one step, to which Newton's method would lead from those of several: these have no lines.
     """
+    if source.steps > 1:
+        return []
     found = _of_grid(source) if set(START[1:]) <= set(source.grid.data_vars) else {}
     for name in _TABLES:
         table = source.tables.get(name)
