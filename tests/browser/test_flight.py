@@ -7,6 +7,7 @@ import pytest
 
 from pipeline import dispatch, gaits
 from pipeline.report import pages
+from tasks.registry import VIOLATIONS
 
 _SCRIPTS = Path(pages.__file__).parent / "scripts"
 MECHANICS = "\n".join((_SCRIPTS / name).read_text(encoding="utf-8") for name in ("flight.js", "gaits.js"))
@@ -84,3 +85,14 @@ def test_a_step_of_the_script_is_the_archives(browser, structure):
             assert flown["flags"] == int(gait["violations"]), where
             count += 1
     assert count >= 200
+
+
+def test_friction_is_flagged_above_the_limit_of_the_study(browser):
+    browser.get("about:blank")
+    keys = dispatch.ask("check_walker", {"walker": "D", "set": {}})["parameters"]
+    known = list(solved("D", {}, [0.009]))
+    starts = [[p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)] for p in known]
+    friction = 1 << VIOLATIONS.index("friction")
+    for limit, flagged in ((None, False), (1.0, False), (0.15, True)):  # the gaits demand 0.19
+        own = keys if limit is None else {**keys, "friction_limit": limit}
+        assert [bool(flown["flags"] & friction) for flown in run(browser, _FLY, own, starts)] == [flagged] * len(known)

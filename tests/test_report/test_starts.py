@@ -76,6 +76,13 @@ def test_gaits_of_several_steps_have_no_lines_for_the_script_flies_gaits_of_one(
     assert starts.lines(source) == []
 
 
+def test_the_limit_of_friction_is_the_studys(tmp_path):
+    source = _grid(tmp_path)
+    assert starts.lines(source)[0]["keys"]["friction_limit"] == 1
+    source.study["options"] = {"friction_limit": 0.2}
+    assert starts.lines(source)[0]["keys"]["friction_limit"] == 0.2
+
+
 def test_a_branch_without_rates_has_no_starts(tmp_path):
     rows = {"branch": [0, 0], "slope": [0.01, 0.02], "stance_angle": [0.1, 0.2]}
     text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.02]'

@@ -31,11 +31,12 @@ def rounded(values: Iterable[float], digits: int = 7) -> list[float | None]:
 
 
 def parameters(source: Source, walker: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of a line's walker that its script flies; empty if the archive lacks one."""
+    """Parameters of a line's walker that its script flies, with the limit of friction; empty if one is missing."""
     table = source.parameters(walker, dict(settings))
     kept = {k: v for k, v in table.items() if isinstance(v, (bool, int, float))}
     needed = {"l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "R", "eps_T", "m_h", "g", "knees"}
-    return {**kept, "units": str(table.get("units", "1"))} if needed <= set(kept) else {}
+    limit = source.study.get("options", {}).get("friction_limit", 1.0)
+    return {**kept, "units": str(table.get("units", "1")), "friction_limit": limit} if needed <= set(kept) else {}
 
 
 def address(walker: str, settings: Mapping[str, Any], **start: float) -> str:

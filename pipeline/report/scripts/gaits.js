@@ -160,7 +160,7 @@ function violationsOf(walker, start, step, slope) {
   const broken = new Set(), ratio = ([x, y]) => y > 0 ? Math.abs(x) / y : Infinity;
   const contact = force => {
     if (force[1] < 0) broken.add(VIOLATIONS[2]);
-    if (ratio(force) > 1) broken.add(VIOLATIONS[3]);
+    if (ratio(force) > (walker.keys.friction_limit ?? 1)) broken.add(VIOLATIONS[3]);
   };
   step.phases.forEach((phase, number) => phase.samples.forEach(([, x, dx], k) => {
     const n = x.length / 2, chain = n === 3 ? walker.free : walker.locked;
