@@ -222,6 +222,17 @@ def test_a_stable_gait_recovers_from_a_push_and_a_hard_one_makes_it_fall(walk):
     assert "fall" in part(browser, "outcome").text or "fell" in part(browser, "outcome").text
 
 
+def test_steps_are_counted_on_when_a_pushed_walker_is_pushed_again(walk):
+    browser = walk("branches", anchor="#motion", still=True)
+    clock, step = "document.querySelector('[data-part=clock]').textContent", one(browser, "[data-do=step]")
+    for pushes in range(2):
+        browser.execute_script("for (let k = 0; k < 50; k++) arguments[0].click()", step)  # two steps and a little
+        before = ask(browser, clock).split(",")[0]
+        assert before == f"step {2 * pushes + 3}"
+        one(browser, "[data-do=push]").click()
+        assert ask(browser, clock).split(",")[0] == before
+
+
 def test_two_gaits_at_one_slope_are_laid_over_each_other(walk):
     browser = walk("curves", anchor="#motion")
     assert wait(browser, "document.querySelectorAll('[data-part=second] option').length > 1")

@@ -74,7 +74,7 @@ class Motion {
     const before = step.phases.filter(part => part.samples.at(-1)[0] < t || part === phase)
       .map(part => ({ samples: part.samples.filter(([moment]) => moment < t) })).filter(part => part.samples.length);
     const rest = flyStep(this.walker, x, this.slope, t), joined = { ...rest, phases: [...before, ...rest.phases], kneestrike: rest.kneestrike ?? step.kneestrike };
-    return Object.assign(Object.create(Motion.prototype), this, { repeats: false, steps: [joined], begins: [time - t], feet: [foot], push: time, number: k });
+    return Object.assign(Object.create(Motion.prototype), this, { repeats: false, steps: [joined], begins: [time - t], feet: [foot], push: time, number: (this.number ?? 0) + k });
   }
 }
 
