@@ -329,10 +329,11 @@ def _environment() -> jinja2.Environment:
 
 
 def _script() -> str:
-    """The one script of a page, its modules in their order, without comments and needless spaces."""
+    """The one script of a page, its modules in their order, without comments, needless spaces and ends of lines."""
     text = "\n".join((_SCRIPTS / f"{name}.js").read_text(encoding="utf-8") for name in _MODULES)
     text = re.sub(r"^\s*(//[^\n]*|/\*\*.*?\*/)\n", "", text, flags=re.M | re.S)
     text = "\n".join(_tightened(line.strip()) for line in text.splitlines())
+    text = re.sub(r"(?<=[;{,])\n", "", text)  # a line that ends so goes on
     return f'"use strict";\n(() => {{\n{text.strip()}\n}})();'
 
 

@@ -293,6 +293,19 @@ def test_a_pixel_of_a_basin_walks_on_or_falls_as_the_archive_says(walk, chains, 
     assert set(said) == {True, False}
 
 
+@pytest.mark.parametrize("name", ["basin", "kneed-basin"])
+def test_the_pixel_chosen_of_a_basin_is_marked_where_it_was_clicked(walk, chains, name):
+    browser = walk(name, 900)
+    left, top, right, bottom = data(browser, "basin", "panels")[0]["box"]
+    point = left + 0.4 * (right - left), top + 0.7 * (bottom - top)
+    click(browser, chains, "basin", point)
+    assert wait(browser, HASH)
+    ring, width = one(browser, "#basin .ring"), float(one(browser, "#basin .plot").get_attribute("data-width"))
+    scale = one(browser, "#basin .plot").rect["width"] / width
+    found = [float(ring.value_of_css_property(side).removesuffix("px")) / scale for side in ("left", "top")]
+    assert found == pytest.approx(point, abs=4)
+
+
 def test_a_dot_of_an_orbit_goes_on_as_it_was(walk, chains):
     browser = walk("orbits")
     rows = data(browser, "bifurcation", "marks")[0]["rows"]

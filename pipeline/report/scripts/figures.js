@@ -96,11 +96,13 @@ for (const plot of document.querySelectorAll(".plot")) {
   const shareOf = (side, value) => side.log ? Math.log(value / side.limits[0]) / Math.log(side.limits[1] / side.limits[0]) : (value - side.limits[0]) / (side.limits[1] - side.limits[0]);
 
   const putOn = ({ box, x, y }, at) => [box[0] + shareOf(x, at[0]) * (box[2] - box[0]), box[3] - shareOf(y, at[1]) * (box[3] - box[1])];
+  // The rates of a basin of kneed walkers are those before heelstrike.
+  const rateBefore = ({ walker, start }) => walker.kneed ? sectionOf(walker, start)[1] : start[start.length / 2];
   /** Where a gait lies in this figure: between the two nearest points of its line, or in its cell of a map. */
   function locate(gait) {
     const own = panels.includes(gait.panel) ? [gait.panel] : panels;
     for (const found of own) {
-      const values = found.free ? { [found.x.name]: gait.start[0], [found.y.name]: gait.start[gait.start.length / 2] / gait.walker.time } : { ...gait.at, slope: gait.slope };
+      const values = found.free ? { [found.x.name]: gait.start[0], [found.y.name]: rateBefore(gait) / gait.walker.time } : { ...gait.at, slope: gait.slope };
       if (found.free ? !gait.free || !sameLine(found.at, gait.at) : gait.panel && gait.panel !== found && !sameLine(found.at, gait.panel.at)) continue;
       if (!(found.x.name in values && found.y.name in values) || (!found.free && !gait.panel)) continue;
       const point = putOn(found, [values[found.x.name], values[found.y.name]]), { box } = found;
