@@ -274,6 +274,17 @@ def test_a_cell_of_a_design_map_walks_as_the_fastest_stable_gait(walk, chains):
     assert float(part(browser, "facts").text.split("max |λ|")[1].split()[0]) <= 1
 
 
+def test_the_address_of_a_cell_of_a_design_map_leads_to_its_gait(walk, chains):
+    browser = walk("design")
+    left, top, right, bottom = data(browser, "design", "panels")[2]["box"]
+    click(browser, chains, "design", (left + 0.5 * (right - left), top + 0.1 * (bottom - top)))
+    assert wait(browser, HASH)
+    address, facts = ask(browser, "location.hash"), part(browser, "facts").text
+    walk("design", anchor=address)
+    assert wait(browser, "document.querySelector('.motion.docked') !== null")
+    assert part(browser, "said").text == "" and part(browser, "facts").text == facts
+
+
 @pytest.mark.parametrize("name", ["basin", "kneed-basin"])
 def test_a_pixel_of_a_basin_walks_on_or_falls_as_the_archive_says(walk, chains, name):
     browser = walk(name)

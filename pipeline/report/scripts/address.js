@@ -2,6 +2,8 @@
 // on a lattice of each map; Newton's method leads from the nearest of them to the gait.
 
 const LINES = JSON.parse(document.getElementById("lines")?.textContent ?? "[]");
+// Maps of all figures, each of which adds its own.
+const MAPS = [];
 const RATES = ["stance_rate", "thigh_rate", "shank_rate"], NEAR = 0.12;
 
 const walkers = new Map();
@@ -121,6 +123,18 @@ function keysOf(panel, values) {
   }
   delete keys.slope;
   return keys;
+}
+
+/** Gait of the maps' cell that an address names, where no line has it; null where there is none. */
+function gaitOnMaps({ at, slope, angle }) {
+  const wanted = { ...at, slope }, indexOf = side => side.values.findIndex(value => Math.abs(value - wanted[side.name]) <= 1e-7 * Math.abs(value));
+  for (const panel of MAPS.filter(one => !one.free)) {
+    const cell = [indexOf(panel.x), indexOf(panel.y)], of = { ...panel.at, [panel.x.name]: at[panel.x.name], [panel.y.name]: at[panel.y.name] };
+    delete of.slope;
+    const gait = sameLine(of, at) && !cell.includes(-1) ? gaitOfCell(panel, ...cell) : null;
+    if (gait && Math.hypot(Math.log(gait.slope / slope), Math.log(gait.start[0] / angle)) < 1e-3) return gait;
+  }
+  return null;
 }
 
 /** Gait of a cell of a map, from the nearest start of its lattice; null where there is none. */

@@ -8,6 +8,7 @@ for (const plot of document.querySelectorAll(".plot")) {
   const dot = plot.appendChild(make("span", "dot")), ring = plot.appendChild(make("span", "ring")), tip = plot.appendChild(make("div", "tip"));
   for (const map of panels) for (const side of ["x", "y"]) map[side].values ??= panels[0][side].values;
   for (const map of panels) if (map.as !== undefined) Object.assign(map, { ...panels[map.as], box: map.box, x: map.x, y: map.y });
+  MAPS.push(...panels);
   tip.setAttribute("role", "status");
   let at = null, pinned = false, chosen = null;
 

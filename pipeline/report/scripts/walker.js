@@ -200,6 +200,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     if (!found && wish.free && (wish.given || line)) found = freeMotion(wish.given ?? line, wish);
     else if (!found && wish.panel) found = gaitOfCell(wish.panel, ...wish.cell);
     else if (!found && line) found = gaitNear(line, wish.slope, wish.angle);
+    if (!found && wish.slope > 0 && !wish.free) found = gaitOnMaps(wish);
     say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : wish.slope || wish.panel ? "There is no gait here that this page could start." : "The address names no gait of this page.");
     if (found) show(found, options);
     if (options.dock) dock(true);
