@@ -401,6 +401,14 @@ def test_a_figure_is_zoomed_moved_and_seen_whole_again(walk, keys, chains):
     assert [float(v) for v in ask(browser, view).split()] == [float(v) for v in whole.split()]
 
 
+def test_keys_of_the_browser_itself_are_left_to_it(walk):
+    browser = walk("curves")
+    pressed = """(() => { const plot = document.querySelector('#loglog .plot'), view = () => plot.querySelector('svg').getAttribute('viewBox'), whole = view();
+        const press = given => { const event = new KeyboardEvent('keydown', { bubbles: true, cancelable: true, ...given }); plot.dispatchEvent(event); return event.defaultPrevented; };
+        return [press({ key: 'ArrowLeft', altKey: true }), press({ key: '+', ctrlKey: true }), view() === whole]; })()"""  # noqa: E501
+    assert ask(browser, pressed) == [False, False, True]
+
+
 @pytest.mark.parametrize("ending", ["SVG", "PNG"])
 def test_a_figure_is_saved_as_a_picture(walk, ending):
     browser = walk("curves", scheme="dark")

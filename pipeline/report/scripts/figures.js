@@ -232,7 +232,8 @@ for (const plot of document.querySelectorAll(".plot")) {
   plot.addEventListener("blur", hide);
   plot.addEventListener("keydown", event => {
     const move = { ArrowRight: [0, 1], ArrowLeft: [0, -1], ArrowDown: [1, 0], ArrowUp: [-1, 0] }[event.key];
-    if (event.target !== plot) return;
+    // With such a key pressed, they are the browser's own: back, or the size of the page.
+    if (event.target !== plot || event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === "Escape") return hide();
     if (event.key === "+" || event.key === "-") return look(view.w * (event.key === "+" ? 0.625 : 1.6), at ? series[at[0]].rows[at[1]] : undefined);
     if (event.key === "0") return look(width);
