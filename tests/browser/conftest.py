@@ -28,6 +28,8 @@ STUDIES = {
     "[options]\nsize = 60\nstance_angle = [0.1, 0.35]\nstance_rate = [-0.35, -0.1]\n",
     "kneed-basin": 'kind = "basin"\nwalker = "C"\n[axes]\nslope = [0.06]\n[want]\nfigures = ["basin"]\n'
     "[options]\nsize = 40\n",
+    "narrow": 'kind = "orbit"\nwalker = "D"\n[axes]\nslope = { from = 0.01815, to = 0.01816, n = 5 }\n'
+    '[want]\nfigures = ["bifurcation"]\n[options]\nstarts = 1\ntransient = 60\nsteps = 24\nshown = 8\n',
     "orbits": 'kind = "orbit"\nwalker = "C"\n[axes]\nslope = { from = 0.07, to = 0.09, n = 21 }\n'
     '[want]\nfigures = ["bifurcation"]\n[options]\nstarts = 1\ntransient = 60\nsteps = 40\nshown = 8\n',
 }

@@ -5,6 +5,7 @@ import re
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pipeline import gaits
@@ -407,6 +408,19 @@ def test_keys_of_the_browser_itself_are_left_to_it(walk):
         const press = given => { const event = new KeyboardEvent('keydown', { bubbles: true, cancelable: true, ...given }); plot.dispatchEvent(event); return event.defaultPrevented; };
         return [press({ key: 'ArrowLeft', altKey: true }), press({ key: '+', ctrlKey: true }), view() === whole]; })()"""  # noqa: E501
     assert ask(browser, pressed) == [False, False, True]
+
+
+def test_numbers_on_the_edges_of_a_narrow_figure_differ(walk):
+    browser = walk("narrow")
+    plot = one(browser, "#bifurcation .plot")
+    for _ in range(6):
+        plot.send_keys("+")
+        shown = ask(browser, """[...document.querySelectorAll('#bifurcation .numbers-on-edges .x')].map(
+            node => [parseFloat(node.style.left), Number(node.textContent)])""")  # fmt: skip
+        values = [value for _, value in sorted(shown)]
+        # Evenly spaced on the picture, evenly spaced as numbers.
+        gaps = np.diff(values)
+        assert len(gaps) > 1 and gaps.min() > 0.999 * gaps.max() > 0
 
 
 @pytest.mark.parametrize("ending", ["SVG", "PNG"])

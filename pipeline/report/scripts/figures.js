@@ -156,12 +156,14 @@ for (const plot of document.querySelectorAll(".plot")) {
       const { limits, log } = one[side], from = k ? box[3] : box[0], to = k ? box[1] : box[2];
       const value = pixel => { const t = Math.min(1, Math.max(0, (pixel - from) / (to - from))); return log ? limits[0] * (limits[1] / limits[0]) ** t : limits[0] + t * (limits[1] - limits[0]); };
       const [low, high] = seen[k].map(value), rough = (high - low) / 5, ten = 10 ** Math.floor(Math.log10(rough)), step = ten * [1, 2, 5, 10].find(n => n * ten >= rough), ticks = [];
+      // As many digits as tell a number from the next.
+      const digits = tick => Math.min(15, Math.ceil(Math.log10(Math.abs(tick) / step)) + 1);
       if (log && high > 8 * low) for (let n = Math.floor(Math.log10(low)); n <= Math.log10(high); n++) ticks.push(10 ** n, ...(high < 200 * low ? [2 * 10 ** n, 5 * 10 ** n] : []));
       else for (let n = Math.ceil(low / step); n * step <= high; n++) ticks.push(n * step);
       for (const tick of ticks) {
         const at = toPixels(putOn(one, k ? [one.x.limits[0], tick] : [tick, one.y.limits[0]]))[k];
         if (at < 0 || at > (k ? tall * scale() - 16 : plot.clientWidth)) continue;
-        numbers.appendChild(make("span", side, brief(tick, 4))).style[k ? "top" : "left"] = `${at}px`;
+        numbers.appendChild(make("span", side, brief(tick, Math.max(4, digits(tick))))).style[k ? "top" : "left"] = `${at}px`;
       }
     });
     numbers.style.height = `${tall * scale()}px`;
