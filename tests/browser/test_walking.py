@@ -223,6 +223,16 @@ def test_a_stable_gait_recovers_from_a_push_and_a_hard_one_makes_it_fall(walk):
     assert "fall" in part(browser, "outcome").text or "fell" in part(browser, "outcome").text
 
 
+def test_an_unstable_gait_is_not_said_to_recover(walk):
+    address = "#walker=C&detuning=0.1&slope=0.076987184&stance_angle=0.43751088"
+    browser = walk("branches", anchor=address, still=True)
+    radius = float(wait(browser, "document.querySelector('[data-part=facts]').textContent").split("max |λ|")[1][:5])
+    assert 1 < radius < 1.01
+    browser.execute_script("arguments[0].value = '0.01'", part(browser, "strength"))
+    one(browser, "[data-do=push]").click()
+    assert "within 1 % of this unstable gait" in part(browser, "outcome").text
+
+
 def test_steps_are_counted_on_when_a_pushed_walker_is_pushed_again(walk):
     browser = walk("branches", anchor="#motion", still=True)
     clock, step = "document.querySelector('[data-part=clock]').textContent", one(browser, "[data-do=step]")

@@ -191,7 +191,9 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     while (aim && back > 0 && Math.abs(angles[back - 1] / aim - 1) < 0.01) back--;
     const cause = FALLS[last.fall] ?? "", fell = cause.startsWith("the") ? cause : `it ${cause}`;
     text.textContent = last.fall ? `${after ? `After ${word(after)}` : "In its first step"} ${fell}.`
-      : aim && after - back > 4 ? `It recovers: within 1 % of the gait after ${word(back)}.` : `It still walks after ${word(after)}, but not in this gait.`;
+      : !aim || after - back <= 4 ? `It still walks after ${word(after)}, but not in this gait.`
+      // An unstable gait is left, however slowly.
+      : gait.radius < 1 ? `It recovers: within 1 % of the gait after ${word(back)}.` : `After ${word(after)} it is still within 1 % of this unstable gait.`;
   }
 
   select = (wish, options = {}) => {
