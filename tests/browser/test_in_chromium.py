@@ -156,6 +156,16 @@ def test_claims_are_filtered_by_words_and_verdict(visit):
     assert "2 of 4" in one(browser, ".filter [role=status]").text
 
 
+def test_the_filter_of_claims_holds_on_the_way_back(visit):
+    browser = visit("ledger")
+    shown = "[...document.querySelectorAll('.claim')].filter(claim => !claim.hidden).map(claim => claim.id)"
+    one(browser, ".filter [name=words]").send_keys("cube root")
+    one(browser, "header.top a.brand").click()
+    browser.back()
+    words = ask(browser, "document.querySelector('.filter [name=words]').value")
+    assert ask(browser, shown) == (["E2"] if words else ["E2", "E3", "E4", "Z5"])
+
+
 def test_a_claim_has_an_address(visit):
     browser = visit("ledger", anchor="#E4")
     assert one(browser, ".claim:target h3").text.startswith("E4")

@@ -54,6 +54,8 @@ for (const form of document.querySelectorAll(".filter")) {
   };
   for (const event of ["input", "change"]) form.addEventListener(event, apply);
   form.addEventListener("submit", event => event.preventDefault());
+  // On the way back to a page the browser restores the words and the verdict.
+  addEventListener("pageshow", apply);
 }
 
 addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(details => { details.open = true; }));
