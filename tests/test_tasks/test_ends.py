@@ -72,7 +72,12 @@ def test_a_point_beside_an_end_settles_by_both_roads(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "end"), [("late_foot_with_knee", 0.038367979989360465), ("upright", 0.03376239445272391)]
+    ("name", "end"),
+    [
+        ("late_foot_with_knee", 0.038367979989360465),
+        ("upright", 0.03376239445272391),
+        ("upright_with_the_foot_down", 0.18804023602452624),
+    ],
 )
 def test_an_end_that_only_samples_show_has_the_error_of_samples(name, end):
     """Bisected by 65,536 samples of each phase; the foot dips between few, or touches as the leg is upright."""
