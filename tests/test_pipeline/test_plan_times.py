@@ -47,8 +47,9 @@ def test_the_time_of_a_plan_is_that_of_its_run(name, tmp_path, monkeypatch, caps
     assert commands.main(["plan", "s.toml", "--json"]) == 0
     (plan,) = json.loads(capsys.readouterr().out)
     taken = processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1")
-    if taken > 3 * plan["seconds"]:  # a machine may be slow for some seconds
-        taken = min(taken, processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1", "--fresh"))
+    for _ in range(3):  # a shared machine may be slow by a factor of two, for half a minute
+        if taken > 3 * plan["seconds"]:
+            taken = min(taken, processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1", "--fresh"))
     assert 1 / 3 < plan["seconds"] / taken < 3, f"{plan['seconds']:.2f} s planned, {taken:.2f} s taken"
 
 

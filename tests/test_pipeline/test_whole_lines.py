@@ -9,7 +9,7 @@ from pipeline.bench.whole_lines import whole_lines
 from tasks.continuation import defining
 
 #: Seeds of a walker with straight legs, and of one whose special points are solved in other units too.
-STRAIGHT, IN_OTHER_UNITS = 5, 14
+STRAIGHT, IN_OTHER_UNITS = 5, 49
 LINES = [range(k, k + 250) for k in range(0, 2500, 250)]
 
 
