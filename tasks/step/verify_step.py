@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import EllipsisType
 
 import numpy as np
 
@@ -90,25 +91,31 @@ def strike_distance(motion: list[np.ndarray], times: np.ndarray) -> np.ndarray:
     So the distance at a minimum is the larger of its value and minus the highest value before. Of the foot that is the
     highest since the stance leg was upright.
     """
-    durations = np.diff(times, axis=0, prepend=0)
+    intervals = _intervals(motion, times)
     sums, behind, upright = [], [], []
-    for phase, duration in zip(motion, durations, strict=True):
-        half, interval = phase.shape[1] // 2, duration / (len(phase) - 1)
+    for phase, interval in zip(motion, intervals, strict=True):
+        half = phase.shape[1] // 2
         sums.append((phase[:, 0] + phase[:, 1], interval * (phase[:, half] + phase[:, half + 1])))
         behind.append(phase[:, 0] < 0)
         stance = phase[:, 0], interval * phase[:, half]
         passes, at = ~behind[-1][:-1] & behind[-1][1:], np.full(behind[-1][1:].shape, -np.inf)
-        at[passes] = _cubic(_ends(*sums[-1], passes), _zero(_ends(*stance, passes)))
+        at[passes] = _value(_cubics(*sums[-1], passes), _zero(_cubics(*stance, passes)))
         upright.append(at)
     least = _least_distance(sums, behind, upright)
     if len(motion) == 2:
         three = motion[0]
-        rate = durations[0] / (len(three) - 1) * (three[:, 4] - three[:, 5])
+        rate = intervals[0] * (three[:, 4] - three[:, 5])
         # The knee starts straight, and may first move against its stop: only maxima show that it has flexed.
         never, nowhere = np.zeros(rate.shape, bool), np.full(rate[1:].shape, -np.inf)
         knee = _least_distance([(three[:, 1] - three[:, 2], rate)], [never], [nowhere], always=True)
         least = np.fmin(least, knee)
     return least
+
+
+def _intervals(motion: list[np.ndarray], times: np.ndarray) -> list[np.ndarray]:
+    """Times between the samples of each phase, shape (n,)."""
+    durations = np.diff(times, axis=0, prepend=0)
+    return [duration / (len(phase) - 1) for phase, duration in zip(motion, durations, strict=True)]
 
 
 def _least_distance(
@@ -145,38 +152,38 @@ def _extrema(g: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Infinite, and minus infinite, where it has none.
     """
-    a, b, da, db = g[:-1], g[1:], rate[:-1], rate[1:]
-    second, third = 3 * (b - a) - 2 * da - db, da + db - 2 * (b - a)
+    cubic, (da, db) = _cubics(g, rate), (rate[:-1], rate[1:])
+    _, _, second, third = cubic
     root = np.sqrt(np.maximum(second**2 - 3 * third * da, 0.0))
 
     def extremum(sign: float, turns: np.ndarray) -> np.ndarray:
-        s = -da / (second + sign * root)
-        return np.where(turns, a + s * (da + s * (second + s * third)), sign * np.inf)
+        return np.where(turns, _value(cubic, -da / (second + sign * root)), sign * np.inf)
 
     return extremum(1.0, (da < 0) & (db >= 0)), extremum(-1.0, (da > 0) & (db <= 0))
 
 
-_Ends = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+_Cubics = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def _ends(g: np.ndarray, rate: np.ndarray, intervals: np.ndarray) -> _Ends:
-    """Values and rates per interval of a guard at both ends of some of its intervals."""
-    return g[:-1][intervals], g[1:][intervals], rate[:-1][intervals], rate[1:][intervals]
+def _cubics(g: np.ndarray, rate: np.ndarray, some: np.ndarray | EllipsisType = ...) -> _Cubics:
+    """Coefficients of the cubics in some intervals through values and rates per interval at both ends."""
+    a, b, da, db = g[:-1][some], g[1:][some], rate[:-1][some], rate[1:][some]
+    return a, da, 3 * (b - a) - 2 * da - db, da + db - 2 * (b - a)
 
 
-def _cubic(ends: _Ends, share: np.ndarray) -> np.ndarray:
-    """Values at shares of intervals of the cubics through values and rates at their ends."""
-    a, b, da, db = ends
-    return np.asarray(a + share * (da + share * (3 * (b - a) - 2 * da - db + share * (da + db - 2 * (b - a)))))
+def _value(cubic: _Cubics, share: np.ndarray) -> np.ndarray:
+    """Values of cubics at shares of their intervals."""
+    a, first, second, third = cubic
+    return np.asarray(a + share * (first + share * (second + share * third)))
 
 
-def _zero(ends: _Ends) -> np.ndarray:
-    """Shares of intervals at which such cubics vanish; their values at the ends have different signs."""
-    a, b, da, db = ends
-    share = np.clip(a / (a - b), 0.0, 1.0)
+def _zero(cubic: _Cubics) -> np.ndarray:
+    """Shares of their intervals at which cubics vanish whose values at both ends have different signs."""
+    a, first, second, third = cubic
+    share = np.clip(a / -(first + second + third), 0.0, 1.0)
     for _ in range(_ROUNDS):
-        rate = da + share * (2 * (3 * (b - a) - 2 * da - db) + 3 * share * (da + db - 2 * (b - a)))
-        better = np.clip(share - _cubic(ends, share) / rate, 0.0, 1.0)
+        rate = first + share * (2 * second + 3 * share * third)
+        better = np.clip(share - _value(cubic, share) / rate, 0.0, 1.0)
         share = np.where(np.isfinite(better), better, share)
     return share
 
@@ -193,7 +200,7 @@ def _behind(
     """
     ahead = stance[0] >= 0
     passes, behind = falls & (ahead[:-1] != ahead[1:]), falls & (stance[0][1:] < 0)
-    behind[passes] = _cubic(_ends(*stance, passes), _zero(_ends(*guard, passes))) < 0
+    behind[passes] = _value(_cubics(*stance, passes), _zero(_cubics(*guard, passes))) < 0
     return behind, np.asarray((passes & ahead[:-1]).any(axis=0))
 
 
@@ -262,9 +269,7 @@ def verify(
         off = np.maximum(off, np.abs(motion[0][-1, 1] - motion[0][-1, 2]))
     touch = np.maximum(_TOUCH, 8 * off)
     falls = (guard[1:] < -touch) & (guard[:-1] >= -touch)
-    intervals = [
-        duration / (len(phase) - 1) for phase, duration in zip(motion, np.diff(times, axis=0, prepend=0), strict=True)
-    ]
+    intervals = _intervals(motion, times)
     falls, late = _behind(falls, (guard, intervals[-1] * (da + db)), (a, intervals[-1] * da))
     # A guard that falls to zero was positive just before.
     step = strikes_fall_in_order(closing, times, touch) & ~falls.any(axis=0) & (a[-1] < 0)

@@ -13,7 +13,7 @@ from tasks.step import simulate
 from tasks.step.crossing import crossing
 from tasks.step.problem import Problem
 from tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
-from tasks.step.verify_step import _extrema, _unclear
+from tasks.step.verify_step import _cubics, _extrema, _unclear, _zero
 from tasks.walkers.resolve import resolve
 
 LONG_D = np.array([[0.2003109005442470894], [-0.1998324730049523546]])
@@ -195,6 +195,16 @@ def test_a_guard_that_may_touch_zero_between_samples_is_in_doubt():
         # Where it passes through zero the samples show it.
         g, rate = sign * (x - 0.3), sign * np.ones_like(x)
         assert not _unclear(g, rate, 1e-6).any()
+
+
+def test_a_cubic_between_samples_vanishes_at_its_root():
+    """Of (x - r) (1 + 0.2 x + 0.2 x^2): its chord vanishes up to 0.07 elsewhere."""
+    root = np.array([0.1, 0.37, 0.8])
+    x = np.array([[0.0], [1.0]])
+    factor = 1 + 0.2 * x + 0.2 * x**2
+    value, rate = (x - root) * factor, factor + (x - root) * (0.2 + 0.4 * x)
+    passes = np.ones((1, 3), bool)
+    np.testing.assert_allclose(_zero(_cubics(value, rate, passes)), root, rtol=1e-12)
 
 
 def test_extrema_between_samples_are_those_of_the_cubic_between_them():
