@@ -3,6 +3,7 @@
 Coverage is begun in every process by the environment, that of workers and commands with the test that started them.
 """
 
+import difflib
 import functools
 import gc
 import hashlib
@@ -15,6 +16,7 @@ import subprocess
 import sys
 from collections import Counter, defaultdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 from coverage import Coverage, CoverageData
@@ -22,9 +24,8 @@ from coverage import Coverage, CoverageData
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 STATE = ROOT / "mutants"
-TESTS = ("tests", "--ignore=tests/browser", "--ignore=tests/test_architecture.py")
 PYTEST = ("-q", "-p", "no:cacheprovider", "-W", "ignore", "--tb=line")
-#: A test may lean on what another of its file has solved: those that take less than this all come along [s].
+#: Tests that take less than this are tried first, and those of the same file come along [s].
 CHEAP = 1.0
 
 _took: Counter[str] = Counter()
@@ -64,58 +65,82 @@ def lend_cache() -> None:
             old.backup(new)
 
 
-def record() -> dict[str, float]:
-    """Run all tests and keep the lines that they reach, unless that is done; return how long each took [s]."""
-    digest = hashlib.sha256()
-    for file in sorted(file for part in ("tasks", "pipeline", "tests") for file in (ROOT / part).rglob("*.py")):
-        if file.parent != HERE:
-            digest.update(file.read_bytes())
-    kept = STATE / "took.json"
-    if not kept.exists() or json.loads(kept.read_text())["code"] != digest.hexdigest():
-        for old in STATE.glob("reached*"):
-            old.unlink()
-        settings = STATE / "coveragerc"
-        settings.write_text(
-            f"[run]\nsource = pipeline,tasks\ndata_file = {STATE / 'reached'}\nparallel = true\nsigterm = true\n"
-            "context = ${PYTEST_CURRENT_TEST-}\nplugins = gently\n"
-        )
-        tree, took = copy_project("recorded"), STATE / "recorded.json"
-        shutil.copy(HERE / "gently.py", tree)
-        told = {"COVERAGE_PROCESS_START": str(settings), "RECORDED": str(took)}
-        subprocess.run(
-            [sys.executable, "-m", "pytest", "-p", "recording", *PYTEST, "-n2", "--dist=loadfile", *TESTS],
-            cwd=tree,
-            env={**os.environ, **environment(tree), **told},
-            check=False,
-        )
-        subprocess.run(
-            [sys.executable, "-m", "coverage", "combine", "--rcfile", settings, "--quiet"], cwd=tree, check=True
-        )
-        kept.write_text(json.dumps({"code": digest.hexdigest(), "took": json.loads(took.read_text())}))
-    return json.loads(kept.read_text())["took"]
+def record() -> list[dict[str, Any]]:
+    """Run all tests and keep the lines that they reach; afterwards, only tests of files that are new or have changed.
+
+    Returns
+    -------
+    list of dict
+        For each run, `name` (its copy of the project), `files` (a checksum of each file of tests) and `took` [s].
+    """
+    kept = STATE / "recorded.json"
+    recordings: list[dict[str, Any]] = json.loads(kept.read_text()) if kept.exists() else []
+    found = [file for file in sorted((ROOT / "tests").rglob("test_*.py")) if file.parent.name != "browser"]
+    sums = {str(file.relative_to(ROOT)): hashlib.sha256(file.read_bytes()).hexdigest() for file in found}
+    known = {file: each for recorded in recordings for file, each in recorded["files"].items()}
+    new = {file: each for file, each in sums.items() if known.get(file) != each and "architecture" not in file}
+    if not new:
+        return recordings
+    name = f"recorded{len(recordings)}"
+    tree, settings, took = copy_project(name), STATE / "coveragerc", STATE / f"{name}.took"
+    settings.write_text(
+        f"[run]\nsource = pipeline,tasks\ndata_file = {STATE / name}.lines\nparallel = true\nsigterm = true\n"
+        "context = ${PYTEST_CURRENT_TEST-}\nplugins = gently\n"
+    )
+    shutil.copy(HERE / "gently.py", tree)
+    told = {"COVERAGE_PROCESS_START": str(settings), "RECORDED": str(took)}
+    subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "recording", *PYTEST, "-n2", "--dist=loadfile", *new],
+        cwd=tree,
+        env={**os.environ, **environment(tree), **told},
+        check=False,
+    )
+    subprocess.run([sys.executable, "-m", "coverage", "combine", "--rcfile", settings, "--quiet"], cwd=tree, check=True)
+    recordings.append({"name": name, "files": new, "took": json.loads(took.read_text())})
+    kept.write_text(json.dumps(recordings, indent=0))
+    return recordings
 
 
 class Reach:
-    """Which tests reach which lines."""
+    """Which tests reach which lines, also of code that has changed since: its lines are found again by their text."""
 
-    def __init__(self, took: dict[str, float]) -> None:
-        self.took = took
+    def __init__(self, recordings: list[dict[str, Any]]) -> None:
+        self.newest = {file: recorded["name"] for recorded in recordings for file in recorded["files"]}
+        self.took: dict[str, float] = {}
         self.of_file: dict[str, list[str]] = defaultdict(list)
-        for test in took:
-            self.of_file[test.split("::")[0]].append(test)
-        self._data = CoverageData(str(STATE / "reached"))
-        self._data.read()
+        for recorded in recordings:
+            for test, took in recorded["took"].items():
+                file = test.split("::")[0]
+                if self.newest[file] == recorded["name"] and (ROOT / file).exists():
+                    self.took[test] = took
+                    self.of_file[file].append(test)
 
     @functools.cache  # noqa: B019
     def _tests(self, path: Path) -> dict[int, set[str]]:
         """Tests by line of a file; what a process was begun by counts as what that test reaches."""
-        found = {}
-        for line, contexts in self._data.contexts_by_lineno(str(STATE / "recorded" / path)).items():
-            found[line] = {re.sub(r" \((setup|call|teardown)\)$", "", context.split("|")[0]) for context in contexts}
+        found: dict[int, set[str]] = defaultdict(set)
+        for name in sorted(set(self.newest.values())):
+            if not (before := STATE / name / path).exists():
+                continue
+            data = CoverageData(f"{STATE / name}.lines")
+            data.read()
+            contexts = data.contexts_by_lineno(str(before))
+            matcher = difflib.SequenceMatcher(
+                None, before.read_text().splitlines(), (ROOT / path).read_text().splitlines(), autojunk=False
+            )
+            for tag, i, _, j, after in matcher.get_opcodes():
+                for line in range(j + 1, after + 1):
+                    # A new line is reached by what reaches the one before.
+                    there = contexts.get(i + line - j if tag == "equal" else i, ())
+                    tests = (re.sub(r" \((setup|call|teardown)\)$", "", each.split("|")[0]) for each in there)
+                    found[line] |= {test for test in tests if self.newest.get(test.split("::")[0]) == name}
         return found
 
     def tests(self, path: Path, at: tuple[int, ...]) -> list[str]:
-        """Tests that reach any of some lines of a file: cheap ones first, and files that name it."""
+        """Tests that reach any of some lines of a file: cheap ones, then slow ones, in each files that name it first.
+
+        Last come cheap tests of the same files, which may lean on what the others have solved.
+        """
         lines, module = self._tests(path), ".".join(path.with_suffix("").parts)
         words = set(re.split(r"[._]", module))
         reaching = set().union(*(lines.get(line, ()) for line in at)) & set(self.took)
@@ -124,14 +149,19 @@ class Reach:
             beside = [file.relative_to(ROOT) for file in (ROOT / path.parent).glob("*.py")]
             reaching = set().union(*(tests for file in beside for tests in self._tests(file).values())) & set(self.took)
         files = {test.split("::")[0] for test in reaching}
-        chosen = {file: [e for e in self.of_file[file] if e in reaching or self.took[e] < CHEAP] for file in files}
-
-        def rank(file: str) -> tuple[bool, float]:
-            kin = bool(words & set(Path(file).stem.split("_"))) or module in (ROOT / file).read_text()
-            return not kin, sum(self.took[each] for each in chosen[file])
-
-        tests = [test for file in sorted(files, key=rank) for test in chosen[file]]
-        return sorted(tests, key=lambda test: self.took[test] >= CHEAP)
+        tiers: list[dict[str, list[str]]] = [{}, {}, {}]
+        for file in files:
+            for test in self.of_file[file]:
+                cheap = self.took[test] < CHEAP
+                if test in reaching or cheap:
+                    tiers[2 if test not in reaching else not cheap].setdefault(file, []).append(test)
+        kin = {f for f in files if words & set(Path(f).stem.split("_")) or module in (ROOT / f).read_text()}
+        return [
+            test
+            for tier in tiers
+            for file in sorted(tier, key=lambda file: (file not in kin, sum(self.took[test] for test in tier[file])))
+            for test in tier[file]
+        ]
 
 
 @pytest.fixture(scope="module", autouse=True)

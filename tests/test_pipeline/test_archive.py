@@ -108,6 +108,7 @@ def test_everything_is_described(made):
             else:
                 assert "ancillary_variables" not in variable.ncattrs()
         assert file["slope"].units == file["stance_angle"].units == "rad" and file["loss_normal"].units == "1"
+        assert not any(dimension.isunlimited() for dimension in file.dimensions.values())
         assert file["status"].dtype == np.int8 and "worker_died" in file["status"].flag_meanings
         assert file["violations"].flag_masks.tolist() == [1, 2, 4, 8, 16, 32, 64]
         about = json.loads(file.provenance)
@@ -602,6 +603,8 @@ def test_an_archive_is_probed_in_every_value_some_at_a_time(monkeypatch):
     inner, outer = ({str(shape): _Counted(shape) for shape in shapes} for _ in range(2))
     deep = SimpleNamespace(variables=inner, groups={})
     file = SimpleNamespace(variables=outer, groups={"fits": SimpleNamespace(variables={}, groups={"scaling": deep})})
+    # One that only raises an error does not hide those after it.
+    file.variables = {"no numbers": SimpleNamespace(shape=None), **outer}
     monkeypatch.setattr(read, "open_archive", lambda path: contextlib.nullcontext(file))
     monkeypatch.setattr(read, "_MAX_VALUES", 100)
     read._read_whole(Path("file.nc"))

@@ -331,6 +331,10 @@ def test_doubles_of_a_tuned_walker_stand_for_it(name):
         assert abs(body(keys, kneed).leg[0].x) < 1e-80
         others, _ = doubles({**table, "w_t": table["w_t"] * (1 + 1e-13)})
         assert not body(others, kneed).leg[0].x.contains(0)
+        # Whatever the mass of the thigh.
+        w_t = -math.tan(table["eps_T"]) * (table["c_t"] + table["m_s"] * table["l_t"])
+        keys, _ = doubles({**table, "m_t": 1.0, "w_t": w_t})
+        assert keys["w_t"].rad() > 0 and body(keys, kneed).leg[0].x.contains(0)
     values = stored(name, 1e-6, "short")
     found = prove_stored({"walker": name, "slope": 1e-6, "gait": "short", "accuracy": 1e-12, "values": values})
     assert found["proved"], found["reason"]

@@ -6,6 +6,7 @@ import pytest
 from lines import _atlas
 from tasks.continuation.atlas import from_arrays
 from tasks.continuation.cycles import from_start, really_walks
+from tasks.dynamics import crisis
 from tasks.dynamics.crisis import surviving_slopes
 from tasks.dynamics.initial_states import gaits_at
 from tasks.fits.feigenbaum import DELTA, accumulation, ratios
@@ -99,3 +100,18 @@ def test_orbits_last_below_the_end_of_walking_and_not_above():
     assert last == [False, True, True, False]
     alone = surviving_slopes(problem, gaits[:, 2:3] * spread, slopes, 120)
     assert alone.tolist()[2:] == [True, False]
+
+
+def test_the_bracket_of_a_lost_attractor_is_narrowed_where_it_is_lost(monkeypatch):
+    asked = []
+
+    def survives(problem, starts, slope, strides):
+        asked.append(slope.tolist())
+        return slope < 0.0137
+
+    monkeypatch.setattr(crisis, "surviving_slopes", survives)
+    low, high = crisis.lost(None, None, 0.01, 0.02, 50, at_once=4, rounds=2)
+    assert (low, high) == pytest.approx((0.0136, 0.014)) and low < 0.0137 < high
+    assert asked[1] == pytest.approx([0.012, 0.014, 0.016, 0.018])
+    assert crisis.lost(None, None, 0.001, 0.002, 50)[0] == 0.002
+    assert crisis.lost(None, None, 0.014, 0.02, 50)[1] == 0.014

@@ -1,6 +1,7 @@
 """Gaits that repeat after n steps: against simulation, the product of single steps, orbits, and other units."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mpmath as mp
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import pipeline
 from extended import Walker, _derivative
 from lines import branches as atlas_of
+from tasks import follow_cycles
 from tasks.continuation.cycles import Cycle, at_slope
 from tasks.follow_cycles import CycleBranch, _at_flip, _end, cubic, cycle_branches, from_arrays, to_arrays
 from tasks.solve_at_slope import solve_one
@@ -316,6 +318,16 @@ def test_a_flip_as_a_gait_of_twice_its_period_begins_where_its_neighbour_does():
         # The neighbour lies along the tangent that leaves the flip, against the one that arrives there.
         assert np.sign(end.tangent @ (beside.Z - end.Z)) == sign and np.linalg.norm(end.tangent) == pytest.approx(1.0)
         assert end.tangent[-1] == 0.0
+
+
+def test_a_branch_whose_halves_come_together_ends_at_the_nearest_flip(monkeypatch):
+    monkeypatch.setattr(follow_cycles, "really_walks", lambda *_: True)
+    before, after = cycle([0.22, 0.21], q=-4.0), cycle([0.21, 0.22], q=-4.0)
+    flips = [cycle([0.215], q=q) for q in (-4.0 - 4e-5, -4.0 - 2e-5, -4.0 + 6e-5)]
+    path = SimpleNamespace(points=[before], step=1e-3)
+    path.advance = lambda: not path.points.append(after)
+    trace = follow_cycles._continue(None, path, flips)
+    assert trace.end == "branch_point" and trace.cycles[-1].q == flips[1].q and trace.cycles[:-1] == [before]
 
 
 def test_the_cubic_beside_a_flip_keeps_the_square_of_the_distance():

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from tasks.continuation.atlas import survey_lines
 from tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude, scalar, solve
-from tasks.continuation.extremes import find
+from tasks.continuation.extremes import Points, best, find
 from tasks.continuation.refine import COARSE
 from tasks.families import landscape as landscapes
 from tasks.families.box import Box, Refused, divide
@@ -383,3 +383,23 @@ def test_a_manifold_over_one_key_ends_where_it_turns():
     at = float(box.at(cut.coefficients[None])[0, 0])
     line = {"walker": "A", "set": {"detuning": np.array([at - 2e-5, at + 2e-5])}}
     assert computed({"line": line, "slope": SLOPE})["stability_lost_by"].tolist() == ["flip", "never stable"]
+
+
+def test_a_line_without_a_point_of_a_role_has_none():
+    """Of three lines the first has two folds of long gaits, and the last one of a short gait that is not stable."""
+    n, yes = 3, np.ones(3, bool)
+    points = Points(
+        line=np.array([0, 0, 2]),
+        kind=np.full(n, "fold"),
+        Z=np.zeros((4, n)),
+        rows=np.zeros((4, n)),
+        error=np.zeros(n),
+        log_froude=np.array([-1.0, -2.0, -3.0]),
+        speed_error=np.zeros(n),
+        walks=yes,
+        long=np.array([True, True, False]),
+        stable=~yes,
+        log_slope=np.array([-3.0, -4.0, -5.0]),
+        faster=yes,
+    )
+    assert best(points, 3, WINDOW)["smallest_slope"].tolist() == [1, -1, -1]

@@ -13,7 +13,7 @@ from tasks.step import simulate
 from tasks.step.crossing import crossing
 from tasks.step.problem import Problem
 from tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
-from tasks.step.verify_step import _cubics, _extrema, _unclear, _zero
+from tasks.step.verify_step import _cubics, _extrema, _least_distance, _unclear, _zero
 from tasks.walkers.resolve import resolve
 
 LONG_D = np.array([[0.2003109005442470894], [-0.1998324730049523546]])
@@ -218,3 +218,14 @@ def test_extrema_between_samples_are_those_of_the_cubic_between_them():
             inside = (x[:-1, 0] < at) & (at < x[1:, 0])
             np.testing.assert_allclose(value[inside], sign * cubic(at), rtol=1e-12)
         assert np.isposinf(low).sum() == np.isneginf(high).sum() == len(low) - 1
+
+
+def test_a_maximum_counts_only_where_the_guard_does():
+    """The guard reaches 0.5 before its values count; its minimum below -0.4 is then far from a strike."""
+    g, rate = np.full((4, 1), -0.3), np.array([[5.2], [-0.4], [-0.5], [0.4]])
+    low, high = _extrema(g, rate)
+    assert high[0, 0] > 0.5 and low[2, 0] < -0.4
+    begins = [np.full((3, 1), -np.inf)]
+    for before, least in ((False, 0.3), (True, low[2, 0])):
+        counted = [np.array([[before], [before], [True], [True]])]
+        assert _least_distance([(g, rate)], counted, begins)[0] == pytest.approx(least)
