@@ -225,6 +225,15 @@ def test_a_compile_cache_changes_no_number(tmp_path, tell, n, damages):
     tell(f"{n} processes share a cold cache; {damages} damaged: the same numbers")
 
 
+def test_a_compile_cache_is_used_again(tmp_path):
+    """In a process of its own: the cache is a setting of the whole process."""
+    code = (
+        "import heyoka, sys; from pathlib import Path; from tasks.mechanics import compile_cache;"
+        "[compile_cache.use(Path(sys.argv[1])) for _ in range(2)]; assert heyoka.llvm_state.get_diskcache_enabled()"
+    )
+    subprocess.run([sys.executable, "-c", code, tmp_path / "some" / "cache"], cwd=ROOT, check=True)
+
+
 @pytest.mark.parametrize("sizes", [(200_000,), pytest.param((0, 1, 4096, 50_000, 300_000), marks=pytest.mark.soak)])
 def test_a_compile_cache_that_cannot_be_written_changes_nothing_but_time(tmp_path, tell, sizes):
     """Its disk is full at several sizes, also of one that was filled before; its folder is a file, or read only."""

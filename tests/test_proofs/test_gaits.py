@@ -12,11 +12,12 @@ from tasks.proofs.body import body
 from tasks.proofs.enclosed_step import dimensions
 from tasks.proofs.enclosure import NotProvedError, Piece
 from tasks.proofs.gait import prove, solve
-from tasks.proofs.keys import decimal, double, exact, written
+from tasks.proofs.keys import check_written, decimal, double, exact, written
 from tasks.proofs.records import checked, distance, prove_stored, quoted
 from tasks.proofs.signs import zeros
 from tasks.proofs.stability import characteristic, step_derivative
 from tasks.prove_gaits import prove_one
+from tasks.walkers.walker import WalkerError
 
 NAMES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time")
 EACH_STRUCTURE = [("D", "0.009", "long"), ("E", "0.01", "short"), ("A", "0.01", "long"), ("C", "0.01", "short")]
@@ -338,3 +339,10 @@ def test_doubles_of_a_tuned_walker_stand_for_it(name):
     values = stored(name, 1e-6, "short")
     found = prove_stored({"walker": name, "slope": 1e-6, "gait": "short", "accuracy": 1e-12, "values": values})
     assert found["proved"], found["reason"]
+
+
+def test_only_numbers_are_checked_to_be_written_out():
+    check_written({"base": "C", "name": "nan", "units": "SI", "m_t": "1e-5", "R": 0.1, "w_t": "-0.00"})
+    for text in ("1e-9999", "0." + "0" * 999 + "1", "0e123456"):
+        with pytest.raises(WalkerError, match="`w_t` must"):
+            check_written({"base": "C", "w_t": text})

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lines import WANT, branches, solved
-from tasks import interpolate_points, status
+from tasks import interpolate_points, solve_at_slope, status
 from tasks.accuracy import OF_INTEGRATION, is_interpolated, nodes_for, significant_bits
 from tasks.families.box import roots
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
@@ -451,3 +451,11 @@ def test_samples_of_a_panel_lie_in_every_gap_between_its_nodes_but_not_on_its_en
     low[0], high[-1] = 0.1, -0.1
     assert (places > low - 1e-9).all() and (places < high + 1e-9).all()
     assert (np.ptp(places, axis=0) > 0.9 * (high - low)).all()
+
+
+def test_a_solved_gait_less_accurate_than_asked_is_said_to_be(monkeypatch):
+    found = solve_at_slope._converged
+    less = {"status": np.int8(status.LESS_ACCURATE)}
+    monkeypatch.setattr(solve_at_slope, "_converged", lambda point: [found(point)[0], {**found(point)[1], **less}])
+    gaits = solve_at_slope.solve_one({"walker": "D", "slope": 0.009})["gaits"]
+    assert sorted(gait["status"] for gait in gaits) == ["converged", "less_accurate"]
