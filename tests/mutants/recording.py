@@ -137,7 +137,7 @@ class Reach:
         return found
 
     def tests(self, path: Path, at: tuple[int, ...]) -> list[str]:
-        """Tests that reach any of some lines of a file: cheap ones, then slow ones, in each files that name it first.
+        """Tests that reach any of some lines of a file: quick ones, then slow ones, in each files that name it first.
 
         Last come cheap tests of the same files, which may lean on what the others have solved.
         """
@@ -149,13 +149,13 @@ class Reach:
             beside = [file.relative_to(ROOT) for file in (ROOT / path.parent).glob("*.py")]
             reaching = set().union(*(tests for file in beside for tests in self._tests(file).values())) & set(self.took)
         files = {test.split("::")[0] for test in reaching}
+        kin = {f for f in files if words & set(Path(f).stem.split("_")) or module in (ROOT / f).read_text()}
         tiers: list[dict[str, list[str]]] = [{}, {}, {}]
         for file in files:
             for test in self.of_file[file]:
-                cheap = self.took[test] < CHEAP
-                if test in reaching or cheap:
-                    tiers[2 if test not in reaching else not cheap].setdefault(file, []).append(test)
-        kin = {f for f in files if words & set(Path(f).stem.split("_")) or module in (ROOT / f).read_text()}
+                is_early = self.took[test] < (10 * CHEAP if file in kin else CHEAP)
+                if test in reaching or self.took[test] < CHEAP:
+                    tiers[2 if test not in reaching else not is_early].setdefault(file, []).append(test)
         return [
             test
             for tier in tiers

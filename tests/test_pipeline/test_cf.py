@@ -139,6 +139,8 @@ def test_every_variable_of_every_group_has_units_and_a_meaning(archives):
             for name, variable in _variables(file):
                 seen.add(name)
                 assert variable.units, name
+                if variable.dtype.kind == "f" and variable.dimensions == ("row",):
+                    assert np.isnan(variable._FillValue), name
                 # A bare name stands where nobody has written what a column means.
                 assert variable.long_name != name.rpartition("/")[2].replace("_", " ") or name == "walker", name
     groups = {name.rpartition("/")[0] for name in seen}

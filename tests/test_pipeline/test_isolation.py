@@ -1,5 +1,6 @@
 """One bad point costs one point."""
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
@@ -115,6 +116,8 @@ def test_a_failed_atlas_costs_its_line(toy):
     assert (found.status.sel(w_t=0.0, gait="long") == 0).all()
     assert (found.status.sel(w_t=13.0) == 8).all()
     assert "The atlas of the line: it raised ValueError: no atlas here." in found.reason_text.values
+    with netCDF4.Dataset(toy.folder / "data" / "archive" / "toy.nc") as file:
+        assert "failed_tasks" not in file.groups
 
 
 def test_an_atlas_that_fails_beside_stored_points_is_told(tmp_path, capsys):

@@ -432,3 +432,11 @@ def _store(journal, plan, numbers, extent):
     else:
         states = {"status": status, "reason": reason, "reasons": np.array(sentences)}
         journal.add_points(*key, plan.want, (slopes.tobytes(), serialize.dump(states), serialize.dump(columns)), 0.1)
+
+
+def test_a_closed_segment_can_be_closed_again_and_read(tmp_path):
+    one = segment.Segment(tmp_path / "s")
+    start = one.append(b"payload")
+    one.close()
+    one.close()
+    assert one.read(start, 7) == b"payload"

@@ -383,3 +383,13 @@ def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_end
     assert distance(long, longer) == distance(longer, long) == 0.0
     matched = pieces.match([[one, long], [longer, piece(1.25, -4.5, -3.5)]], [0, 0], -5.0, -3.0)
     assert [[p.number for p in group] for group in matched] == [[1.0, 1.25], [1.0, 1.0]]
+
+
+@pytest.mark.parametrize(("beyond", "off"), [(0.02, np.nan), (0.035, 0.0175), (1.0, 0.06)])
+def test_a_piece_is_cut_before_its_end(monkeypatch, beyond, off):
+    """Well beyond the panel, but not where the piece has ended; one that ends beside the panel is not cut."""
+    maker = object.__new__(_Maker)
+    maker.d, maker.low, maker.high = 1, -4.0, -3.0
+    ends = np.array([[-5.0, -4.0 - beyond], [-3.0 + beyond, -2.0]])
+    monkeypatch.setattr(_Maker, "reach", lambda *_: ends)
+    assert maker.cuts([None] * 4) == pytest.approx([-4.0 - off, -3.0 + off], nan_ok=True)
