@@ -383,6 +383,8 @@ def test_pieces_of_neighbouring_lines_are_matched_by_what_lies_between_their_end
     assert distance(long, longer) == distance(longer, long) == 0.0
     matched = pieces.match([[one, long], [longer, piece(1.25, -4.5, -3.5)]], [0, 0], -5.0, -3.0)
     assert [[p.number for p in group] for group in matched] == [[1.0, 1.25], [1.0, 1.0]]
+    other = piece(1.0, -4.5, -3.5, ("fold", "a fall"))
+    assert pieces.match([[one], [other]], [0, 0], -5.0, -3.0) == [[one, None], [None, other]]
 
 
 @pytest.mark.parametrize(("beyond", "off"), [(0.02, np.nan), (0.035, 0.0175), (1.0, 0.06)])

@@ -1,5 +1,6 @@
 """Labels at one slope, and the branches and pieces that curves follow from slope to slope."""
 
+import copy
 import itertools
 import tomllib
 
@@ -181,9 +182,12 @@ def test_solve_tells_branch_and_piece_and_labels_what_a_search_adds(monkeypatch)
     assert (short["gait"], short["branch"]) == ("short", 0) and (long["gait"], long["branch"]) == ("long", None)
 
 
-def test_pieces_are_numbered_from_the_lower_end_whichever_way_a_branch_runs():
+@pytest.mark.parametrize("sign", [1, -1])
+def test_pieces_are_numbered_from_the_lower_end_whichever_way_a_branch_runs(sign):
+    """And whichever way the angle goes."""
     _, found = branches("physical")
-    branch = max(found, key=lambda b: len(b.pieces()))
+    branch = copy.copy(max(found, key=lambda b: len(b.pieces())))
+    branch.Z = branch.Z * np.append(sign, np.ones(branch.Z.shape[1] - 1))
     turned = Branch(branch.m, branch.Z[::-1], -branch.tangent[::-1], branch.lipschitz[::-1], branch.why[::-1])
     segments = np.arange(len(branch.Z) - 1)
     assert len(branch.pieces()) > 1
