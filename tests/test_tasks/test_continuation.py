@@ -120,6 +120,17 @@ def test_a_polynomial_in_the_slope_is_reproduced_however_fast_the_time_runs():
     np.testing.assert_allclose(found[:, :3], gaits(between[index])[0][:, :3], rtol=1e-13, atol=1e-13)
 
 
+def test_where_one_component_turns_a_branch_runs_in_another():
+    """The angle turns between two nodes; everywhere else, and there too, the slope is the better coordinate."""
+    q = np.linspace(-6.0, -3.0, 7)
+    Z = np.column_stack([0.1 * (q + 4.6) ** 2, q, 3 + 0.01 * q])
+    tangent = np.column_stack([0.2 * (q + 4.6), np.ones(7), np.full(7, 0.01)])
+    branch = Branch(1, Z, tangent, np.ones(7), ("window", "window"))
+    assert branch.axis.tolist() == [1] * 6
+    place = np.linspace(0, 6, 50)
+    assert branch.at(place)[:, 0] == pytest.approx(0.1 * (place / 2 - 1.4) ** 2)
+
+
 def test_a_located_flip_has_the_multiplier():
     problem, found = branches("E", foot_mass_ratio=0.05)
     for branch in found:

@@ -282,6 +282,17 @@ def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
     assert parts[0].box.high[1] == parts[1].box.low[1]
 
 
+def test_a_cut_is_smooth_where_the_last_coefficients_of_its_curve_vanish(monkeypatch):
+    extension = object.__new__(_Extension)
+    extension.d, extension.kind = 2, "fold"
+    coefficients = np.array([0.2, 0.1, 0.05, 1e-2, 1e-7, 1e-7])
+    monkeypatch.setattr(_Extension, "cut_along", lambda _, axis, side, places: Cut(axis, side, coefficients, True))
+    assert extension.smooth_cut(1, 1).coefficients is coefficients
+    coefficients[-2] = 1e-5
+    with pytest.raises(Refused, match="a fold turns along a curve that is not smooth"):
+        extension.smooth_cut(1, 1)
+
+
 @pytest.mark.parametrize(("walker", "keys", "axis"), [("B", ("R", "m_s"), 0), ("A", ("detuning", "m_h"), 1)])
 def test_there_is_no_curve_of_vanishing_slopes_that_no_key_reaches(walker, keys, axis):
     """Legs of B are tuned whatever their keys; a mass at the hip does not tune those of A."""
