@@ -184,32 +184,51 @@ def _compare_groups(
         for column in sorted(set(left_group.variables) | set(right_group.variables)):
             if column not in left_group.variables or column not in right_group.variables:
                 differences.append(f"`{group_path}/{column}` is only in {a if column in left_group.variables else b}")
-            else:
-                x, y = (_shared_part(group, column, shared) for group in (left_group, right_group))
-                differences += _compare_values(f"{group_path}/{column}".lstrip("/"), x, y, tolerance)
+                continue
+            dims = layout.dims(left_group.variables[column])
+            if set(layout.dims(right_group.variables[column])) != set(dims):
+                differences.append(f"`{group_path}/{column}` has other dimensions")
+                continue
+            x, y = (_shared_part(group, column, dims, shared) for group in (left_group, right_group))
+            differences += _compare_values(f"{group_path}/{column}".lstrip("/"), x, y, tolerance)
         differences += _compare_groups(left_group, right_group, tolerance, shared, a, b, group_path)
     return differences
 
 
-def _shared_part(group: Any, column: str, shared: dict[str, np.ndarray]) -> np.ndarray:
-    """Values of a column, or of an array over the lines' axes, on the lines that both archives have."""
+def _shared_part(group: Any, column: str, dims: tuple[str, ...], shared: dict[str, np.ndarray]) -> np.ndarray:
+    """Values of a column, or of an array over the lines' axes, on the lines that both archives have, in one order."""
     variable = group.variables[column]
-    values = np.ma.getdata(variable[...])
-    if (dims := layout.dims(variable)) == ("row",):
+    values = _along(dims, variable)
+    if dims == ("row",):
         return values[_rows_of(group, shared)]
     for axis, name in enumerate(dims):
         coordinate = group.parent.variables.get(name)
         if name in shared and name not in group.variables and coordinate is not None:
-            kept = np.isin(np.ma.getdata(coordinate[...]).astype(shared[name].dtype), shared[name])
-            values = np.compress(kept, values, axis)
+            is_shared, places = _places(coordinate, shared[name])
+            values = values.take(np.flatnonzero(is_shared)[np.argsort(places)], axis)
     return values
 
 
 def _rows_of(group: Any, shared: dict[str, np.ndarray]) -> np.ndarray:
-    """Mask of the rows of a table whose line both archives have."""
-    rows = np.ones(len(group.dimensions["row"]) if "row" in group.dimensions else 0, bool)
+    """Indices of the rows of a table whose line both archives have, line by line in the order of `shared`."""
+    kept = np.ones(len(group.dimensions["row"]) if "row" in group.dimensions else 0, bool)
+    order: list[np.ndarray] = []
     for name, values in shared.items():
         # A column `slope` may be a result, as along a branch or at a fold.
         if name in group.variables and name not in ("slope", "gait", "multiplier"):
-            rows &= np.isin(np.ma.getdata(group.variables[name][...]).astype(values.dtype), values)
-    return rows
+            is_shared, places = _places(group.variables[name], values)
+            kept &= is_shared
+            order.append(np.zeros(len(kept), int))
+            order[-1][is_shared] = places
+    rows = np.flatnonzero(kept)
+    # Stable: rows of one line stay as its task has written them.
+    return rows[np.lexsort([places[rows] for places in order])] if order else rows
+
+
+def _places(variable: Any, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mask of the values of a variable that both archives have, and the places of these in `shared`."""
+    values = np.ma.getdata(variable[...])
+    if values.dtype.kind in "OU":  # a longer word must not be cut to one of `shared`
+        values, shared = values.astype(str), shared.astype(str)
+    is_shared, order = np.isin(values, shared), np.argsort(shared)
+    return is_shared, order[np.searchsorted(shared[order], values[is_shared])]

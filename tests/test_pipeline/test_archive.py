@@ -467,6 +467,31 @@ def test_tables_are_compared_on_the_lines_both_archives_have(tmp_path):
     assert diff.diff(a, b)[1:] == ["`orbits/period`: 1 of 4 differ, by up to 1 of their size"]
 
 
+def test_tables_are_compared_line_by_line_whatever_the_order_of_lines(tmp_path):
+    toy = Toy(tmp_path)
+    for name, walkers, axes in (
+        ("a", '["E", "F"]', "w_t = [0.0, 0.25]\nw_s = [0.3, 0.4]"),
+        ("b", '["F", "E"]', "w_s = [0.4, 0.3]\nw_t = [0.25, 0.0]"),
+    ):
+        toy.write(f'name = "{name}"\nkind = "orbit"\nwalker = {walkers}\n[axes]\nslope = [0.01, 0.02]\n{axes}\n')
+        toy("run", "toy.toml")
+    a, b = (tmp_path / "data" / "archive" / f"{name}.nc" for name in "ab")
+    assert diff.diff(a, b) == []
+    _edit(b, lambda file: file["orbits/period"].__setitem__(5, 9.0))
+    assert diff.diff(a, b) == ["`orbits/period`: 1 of 16 differ, by up to 1 of their size"]
+
+
+def test_a_walker_is_not_taken_for_one_whose_name_begins_its_own(tmp_path):
+    toy = Toy(tmp_path)
+    for name, walkers in (("a", '["A", "C"]'), ("b", '["A", "A-printed"]')):
+        toy.write(f'name = "{name}"\nkind = "orbit"\nwalker = {walkers}\n[axes]\nslope = [0.01]\n')
+        toy("run", "toy.toml")
+    a, b = (tmp_path / "data" / "archive" / f"{name}.nc" for name in "ab")
+    found = diff.diff(a, b)
+    assert {f"1 of 2 values of `walker` are only in {path}" for path in (a, b)} <= set(found)
+    assert not [f for f in found if "orbits" in f]
+
+
 def test_axes_may_have_another_order(tmp_path):
     toy = Toy(tmp_path)
     for name, axes in (
