@@ -133,3 +133,16 @@ def test_a_branch_study_compares_between_folds(tmp_path):
     assert commands.main(["run", f"{tmp_path}/b.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
     computed = measured.residuals(read_archive(path))["computed"].to_numpy()
     assert computed[0] > 0.27 and computed[1] < 0.24  # on either side of the fold at 0.053
+
+
+def test_a_measurement_on_a_line_without_branches_is_not_compared_with_another_line(tmp_path):
+    """Walker A detuned to the physical one does not walk on slopes as small as these."""
+    (tmp_path / "b.toml").write_text(
+        'name = "b"\nkind = "branch"\nwalker = "A"\n[axes]\nslope = { from = 0.0015, to = 0.003, n = 8 }\n'
+        'detuning = [0.0, 1.0]\n[figures.overlay]\nfile = "m.csv"\n'
+    )
+    (tmp_path / "m.csv").write_text("slope [rad],detuning,stance_angle [rad]\n0.002,0.0,0.126\n0.002,1.0,0.126\n")
+    path = tmp_path / "b.nc"
+    assert commands.main(["run", f"{tmp_path}/b.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    computed = measured.residuals(read_archive(path)).set_index("detuning")["computed"]
+    assert computed[0.0] == pytest.approx(0.1256, rel=1e-3) and np.isnan(computed[1.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -77,11 +78,12 @@ def _branch_lines(source: Source) -> list[tuple[str, dict[str, Any], list[pd.Dat
     branches = source.tables.get("branches")
     if branches is None:
         return []
-    columns = [c for c in source.line_columns(branches) if branches[c].nunique() > 1]
-    grouped = branches.groupby(columns, sort=False) if columns else [((), branches)]
+    # Lines without a branch too, whose measurements must not be taken for another line's.
+    columns = [c for c in source.line_columns(branches) if source.grid.sizes.get(c, 1) > 1]
     lines = []
-    for key, rows in grouped:
-        at = dict(zip(columns, key if isinstance(key, tuple) else (key,), strict=True))
+    for place in itertools.product(*(source.grid[c].values.tolist() for c in columns)):
+        at = dict(zip(columns, place, strict=True))
+        rows = _rows(branches, at)
         name = ", ".join(str(v) for v in at.values()) or source.walker
         pieces = [piece for _, branch in rows.groupby("branch", sort=False) for piece in _monotone(branch)]
         lines.append((name, at, pieces))
