@@ -146,3 +146,16 @@ def test_a_measurement_on_a_line_without_branches_is_not_compared_with_another_l
     assert commands.main(["run", f"{tmp_path}/b.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
     computed = measured.residuals(read_archive(path)).set_index("detuning")["computed"]
     assert computed[0.0] == pytest.approx(0.1256, rel=1e-3) and np.isnan(computed[1.0])
+
+
+def test_measurements_of_walkers_that_differ_by_little_are_told_apart(tmp_path):
+    (tmp_path / "s.toml").write_text(
+        'name = "s"\nwalker = "E"\n[axes]\nslope = [0.001, 0.002]\nfoot_mass_ratio = [0.0, 1e-9, 2e-9]\n'
+        '[figures.overlay]\nfile = "m.csv"\n[want]\nvariables = ["stance_angle"]\n'
+    )
+    heading = "slope [rad],foot_mass_ratio,stance_angle [rad]\n"
+    (tmp_path / "m.csv").write_text(heading + "0.002,1e-9,0.126\n0.002,2e-9,0.127\n0.002,0.0,0.128\n")
+    path = tmp_path / "s.nc"
+    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    left = measured.residuals(read_archive(path))
+    assert left["foot_mass_ratio"].tolist() == [0.0, 1e-9, 2e-9] and left["measured"].tolist() == [0.128, 0.126, 0.127]

@@ -60,7 +60,8 @@ def _rows(frame: pd.DataFrame, at: dict[str, Any]) -> pd.DataFrame:
     """Rows of measurements on one line."""
     for column, value in at.items():
         if column in frame:
-            same = frame[column] == value if isinstance(value, str) else np.isclose(frame[column], value)
+            # Relative to the value alone: axes such as `foot_mass_ratio` may hold values of 1e-9.
+            same = frame[column] == value if isinstance(value, str) else np.isclose(frame[column], value, atol=0)
             frame = frame[same]
     return frame
 
