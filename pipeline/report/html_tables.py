@@ -197,6 +197,7 @@ def residuals(source: Source) -> Table | None:
         return None
     shown = frame.head(2 * MAX_ROWS)
     note = "Residual: measured less computed; – where no computed gait has that slope."
+    note += f" {len(frame) - len(shown)} more are in the CSV file." if len(shown) < len(frame) else ""
     return from_frame("Residuals of the measurements", shown, note, "residuals", frame)
 
 
@@ -328,7 +329,10 @@ def failures(absent: pd.DataFrame) -> Table | None:
 def failed_tasks(source: Source) -> Table | None:
     """Tasks on whole lines or on the study that failed."""
     table = source.tables.get("failed_tasks")
-    return None if table is None or table.empty else from_frame("Failed tasks", table.head(MAX_ROWS))
+    if table is None or table.empty:
+        return None
+    note = f"{len(table) - MAX_ROWS} more are in the archive." if len(table) > MAX_ROWS else ""
+    return from_frame("Failed tasks", table.head(MAX_ROWS), note)
 
 
 def walkers(source: Source) -> Table | None:

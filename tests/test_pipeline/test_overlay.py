@@ -1,12 +1,15 @@
 """The user's own measurements: read, refused in one line, archived, and compared with the curves."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
 from pipeline.cli import commands
 from pipeline.errors import StudyError
-from pipeline.report import pages
+from pipeline.report import html_tables, pages
 from pipeline.report.figures import measured
 from pipeline.report.source import read as read_archive
 from pipeline.study import parse
@@ -159,3 +162,11 @@ def test_measurements_of_walkers_that_differ_by_little_are_told_apart(tmp_path):
     assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
     left = measured.residuals(read_archive(path))
     assert left["foot_mass_ratio"].tolist() == [0.0, 1e-9, 2e-9] and left["measured"].tolist() == [0.128, 0.126, 0.127]
+
+
+def test_rows_that_a_page_leaves_out_are_counted(monkeypatch):
+    rows = pd.DataFrame({"task": ["trace"] * 130, "residual": np.zeros(130)})
+    monkeypatch.setattr(measured, "residuals", lambda source: rows)
+    assert html_tables.residuals(None).note.endswith("10 more are in the CSV file.")
+    failed = html_tables.failed_tasks(SimpleNamespace(tables={"failed_tasks": rows}))
+    assert len(failed.rows) == 60 and failed.note == "70 more are in the archive."
