@@ -54,7 +54,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     -------
     list of (dict, dict)
         One pair for all lines: no atlas, and what `points` returns, line by line. What it has of a line depends on the
-        line and the cell alone.
+        line, the cell and the slopes alone: a line that is not accepted at one of them is followed by itself at all.
     """
     all_lines, slope = params["lines"], np.asarray(params["slope"], float)
     cell = params["cell"]

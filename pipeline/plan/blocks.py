@@ -98,6 +98,8 @@ class Blocks:
             for axis, index in axes:
                 sides = self.study.plane.sides(axis, axis.values)
                 values += [side[index] for side in (*sides, *self._neighbours(axis, sides))]
+            # A line whose prediction is not accepted at one slope is followed by itself, at all of them.
+            values.append(np.full(len(numbers), _mark(np.sort(self.study.slope))).view(float))
         for value in values:
             z = (digest ^ value.view(np.uint64)[:, None]) + _INCREMENT
             z = (z ^ z >> np.uint64(30)) * _FIRST
@@ -127,8 +129,7 @@ class Blocks:
         marks = np.zeros(len(axis) if sides else 0, np.uint64)
         for low in np.unique(sides[0]) if sides else ():
             inside = sides[0] == low
-            digest = hashlib.sha256(axis.values[inside].astype(float).tobytes()).digest()
-            marks[inside] = np.frombuffer(digest[:8], np.uint64)
+            marks[inside] = _mark(axis.values[inside])
         return [marks.view(float)] if sides else []
 
     @functools.cached_property
@@ -145,6 +146,11 @@ class Blocks:
             versioned: np.array([np.frombuffer(hashlib.sha256(t.encode()).digest()[:16], np.uint64) for t in each])
             for versioned, each in texts.items()
         }
+
+
+def _mark(values: np.ndarray) -> np.uint64:
+    """A number that stands for some values."""
+    return np.uint64(np.frombuffer(hashlib.sha256(values.astype(float).tobytes()).digest()[:8], np.uint64)[0])
 
 
 def _hash(digests: np.ndarray) -> str:

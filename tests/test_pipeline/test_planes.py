@@ -61,11 +61,18 @@ def test_a_plane_is_divided_into_cells(tmp_path):
             assert all(a <= values[key] <= b for key, a, b in zip(cell["keys"], cell["low"], cell["high"], strict=True))
 
 
-def test_the_digest_of_a_line_tells_its_cell(tmp_path):
+def test_the_digest_of_a_line_tells_its_cell_and_slopes(tmp_path):
+    """One slope at which a line is not accepted has it followed by itself at all: fewer slopes may give other bits."""
     other_cells, other_lines = AXES.replace("to = 0.2", "to = 0.22"), AXES.replace("n = 12", "n = 13")
     digests = []
-    for name, axes in (("one", AXES), ("two", other_cells), ("three", other_lines)):
-        study = read(written(tmp_path / name, STUDY.format(walker="B", axes=axes)))
+    whole, fewer = STUDY, STUDY.replace("[0.008, 0.01]", "[0.01]")
+    for name, text, axes in (
+        ("one", whole, AXES),
+        ("two", whole, other_cells),
+        ("three", whole, other_lines),
+        ("four", fewer, AXES),
+    ):
+        study = read(written(tmp_path / name, text.format(walker="B", axes=axes)))
         blocks = Plan(study, Journal(tmp_path / name / "journal")).blocks
         first = [i for i in range(study.lines) if study.line(i)["set"] == {"R": 0.0, "m_s": 0.08}]
         digests.append(blocks.digests(np.array(first)).tolist())
