@@ -81,10 +81,10 @@ def _branch_lines(source: Source) -> list[tuple[str, dict[str, Any], list[pd.Dat
         return []
     # Lines without a branch too, whose measurements must not be taken for another line's.
     columns = [c for c in source.line_columns(branches) if source.grid.sizes.get(c, 1) > 1]
+    rows_of = {place: rows for place, rows in branches.groupby(columns, sort=False)} if columns else {(): branches}
     lines = []
     for place in itertools.product(*(source.grid[c].values.tolist() for c in columns)):
-        at = dict(zip(columns, place, strict=True))
-        rows = _rows(branches, at)
+        at, rows = dict(zip(columns, place, strict=True)), rows_of.get(place, branches[:0])
         name = ", ".join(str(v) for v in at.values()) or source.walker
         pieces = [piece for _, branch in rows.groupby("branch", sort=False) for piece in _monotone(branch)]
         lines.append((name, at, pieces))
