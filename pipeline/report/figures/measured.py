@@ -81,7 +81,7 @@ def _branch_lines(source: Source) -> list[tuple[str, dict[str, Any], list[pd.Dat
         return []
     # Lines without a branch too, whose measurements must not be taken for another line's.
     columns = [c for c in source.line_columns(branches) if source.grid.sizes.get(c, 1) > 1]
-    rows_of = {place: rows for place, rows in branches.groupby(columns, sort=False)} if columns else {(): branches}
+    rows_of = dict(iter(branches.groupby(columns, sort=False))) if columns else {(): branches}
     lines = []
     for place in itertools.product(*(source.grid[c].values.tolist() for c in columns)):
         at, rows = dict(zip(columns, place, strict=True)), rows_of.get(place, branches[:0])
