@@ -50,7 +50,7 @@ def test_the_cascade_of_d():
 
 def test_a_cascade_tells_why_it_stopped():
     found = doublings("D", 0.0145, 0.0171, periods=8, steps=0)
-    assert found["cascade/period"].tolist() == [1]
+    assert found["cascade/period"].tolist() == [1] and found["cascade/family"].tolist() == ["1"]
     (stopped,) = found["accumulation/stopped"]
     assert stopped == "No flip of period 2: the next one lies outside the window, at a slope of 0.0176694."
     (none,) = doublings("D", 0.0100, 0.0120, periods=8, steps=0)["accumulation/stopped"]
