@@ -6,6 +6,7 @@ import itertools
 import math
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -165,3 +166,20 @@ def test_a_block_that_failed_is_counted_once_the_next_is_laid_out(tmp_path, monk
         threads[0].join()
     assert not jobs.error
     assert order == ["a block begins to be laid out", "it is laid out", "another is reopened"]
+
+
+def test_a_block_that_fails_is_divided_until_its_bad_lines_are_alone(monkeypatch):
+    asked = []
+
+    def ask(request, params):
+        asked.append(len(params["lines"]))
+        parts = [None, b"values", b"states", *params["lines"]]
+        return ("raised", "trouble") if {3, 7} & set(params["lines"]) else ("ok", parts)
+
+    monkeypatch.setattr(worker_process, "_ask", ask)
+    lines, digests = np.arange(20), np.arange(20, dtype=np.uint64)
+    params = {"lines": lines.tolist(), "digests": digests, "slope": np.array([0.01, 0.02])}
+    answer = worker_process._run_lines(SimpleNamespace(params=params), 0, 20)
+    assert answer["failed"] == [3, 7] and answer["atlases"] == [(k, k) for k in range(20) if k not in (3, 7)]
+    assert asked[0] == 20 and sum(asked[1:]) < 40
+    assert sum(len(np.frombuffer(row[0])) for row in answer["rows"]) == 40
