@@ -2,7 +2,7 @@
 
 The motion is integrated by heyoka's adaptive Taylor method, which locates the strikes on its polynomials. This is not
 the way the step map is computed, whose event times are unknowns. Ground that rises or falls by `height` at a step ends
-it when the swing foot's centre lies l (cos stance - cos swing) = -height above the stance foot's (up is positive); the
+it when the swing foot's centre lies l (cos stance - cos swing) = height above the stance foot's (up is positive); the
 legs then stand at two different angles.
 """
 
@@ -230,9 +230,12 @@ def _is_no_kneestrike(taylor: Any, sign: int) -> bool:
 
 
 def _is_no_heelstrike(taylor: Any, sign: int) -> bool:
-    """Whether the motion goes on where the foot reaches the ground: beside the stance foot, or with that leg behind."""
-    x = taylor.state
-    return not (x[0] < 0 and x[1] - x[0] > 2 * _PARALLEL)
+    """Whether the motion goes on where the foot reaches the ground: beside the stance foot, or with that leg behind.
+
+    It does so beside the stance foot also after the swing leg has turned over the hip.
+    """
+    x, scale = taylor.state, taylor.pars[-3]
+    return not (x[0] < 0 and 2 * _PARALLEL < x[1] - x[0] < np.pi / scale)
 
 
 @functools.lru_cache(maxsize=16)

@@ -92,6 +92,16 @@ def test_a_knee_that_first_hyperextends_has_not_struck():
     assert float(steps.kneestrike_time[0]) == pytest.approx(mapped.times.kneestrike, rel=1e-12)
 
 
+@pytest.mark.parametrize("name", ["D", "B"])
+def test_a_swing_leg_that_turns_over_the_hip_strikes_no_heel(name):
+    """Its foot passes the ground beside the stance foot from above, where the legs are parallel again."""
+    state = STATES[name] * [1, 1, -40]
+    steps = pipeline.simulate(name, SLOPES[name], state, 1)
+    assert steps.outcome == "fell forward"
+    with pytest.raises(StudyError, match="fell forward"):
+        pipeline.step_map(name, SLOPES[name], state)
+
+
 @pytest.mark.parametrize("name", ["D", "B", "C"])
 def test_steps_follow_each_other_as_the_map_says(name):
     """Two methods: events located on Taylor polynomials, and event times as unknowns of the map."""
