@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from tasks.mechanics.lumped import structure_of
-from tasks.step.problem import Lanes, Problem
-from tasks.step.simulate import CAUSES, MAX_ANGLE, STRUCK, stride
+from tasks.simulate_steps import check_state, from_section, section_problem, take_step, to_section
+from tasks.step.simulate import CAUSES, STRUCK
 from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import Walker, WalkerError
-
-#: Evaluations of the exact map after the scan, whose event times are good to 1e-8: the second leaves rounding only.
-_EVALUATIONS = 2
+from tasks.walkers.walker import WalkerError
 
 
 def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -55,15 +50,14 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     scale = np.exp2(np.floor(np.log2(state[:1])))
     parameters = problem.parameters(slope, scale)
     y = to_section(problem, state * units / scale, parameters)
-    scanned = stride(problem, y * scale, slope, exact=False)
-    if scanned.outcome[0] != STRUCK:
-        cause = CAUSES[scanned.outcome[0]]
+    start = problem.map.start(y, parameters)[: problem.map.start_size, 0]
+    located = take_step(problem, start, parameters[:, 0])
+    if located.outcome != STRUCK:
+        cause = CAUSES[located.outcome]
         raise WalkerError("state", tuple(state.tolist()), f"leads to no heelstrike ({cause})")
-    times = scanned.times
-    for _ in range(_EVALUATIONS):
-        step = problem.map(y, times, parameters, slope=True)
-        times = step.times
-    before, after = (_from_section(problem, section, parameters) for section in (y, step.image))
+    step = problem.map(y, np.array(located.times)[:, None], parameters, slope=True)
+    times = step.times
+    before, after = (from_section(problem, section, parameters) for section in (y, step.image))
     image = after[0] * scale / units
     jacobian = after[1] @ step.jacobian[:, :, 0] @ np.linalg.inv(before[1]) * units / units[:, None]
     values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
@@ -81,59 +75,6 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
         "loss_tangential": float(tangential[0] * energy),
         "loss_kneestrike": float(kneestrike_loss(walker, step.knee * scale)[0] * energy) if walker.knees else None,
     }
-
-
-def section_problem(walker: Walker) -> Lanes:
-    """Step map of a walker with three coordinates on its section, those of point feet as of other straight legs."""
-    return Lanes([walker], replace(structure_of(walker), point_foot=False))
-
-
-def check_state(state: np.ndarray) -> None:
-    """Check that a state lies on the section.
-
-    Parameters
-    ----------
-    state : ndarray, shape (3,)
-        Stance angle [rad], stance rate and thigh rate.
-
-    Raises
-    ------
-    WalkerError
-        If the stance leg is not in front of the ground's normal, or so far that the walker has fallen.
-    """
-    if not 0 < state[0] < MAX_ANGLE:
-        raise WalkerError("state", f"{float(state[0])!r} rad", f"must have a stance angle in (0, {MAX_ANGLE}) rad")
-
-
-def to_section(problem: Problem, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-    """Section coordinates of a state just after heelstrike.
-
-    Parameters
-    ----------
-    problem : Problem
-        As `section_problem` returns it.
-    state : ndarray, shape (3,)
-        Scaled stance angle, stance rate and thigh rate [sqrt(g/leg)].
-    parameters : ndarray, shape (n_parameters, 1)
-
-    Returns
-    -------
-    ndarray, shape (3, 1)
-        For kneed walkers with the rates just before the heelstrike, of which those after it are linear functions.
-    """
-    if not problem.structure.kneed:
-        return state[:, None]
-    at_rest = np.array([[state[0]], [0.0], [0.0]])
-    rates = np.linalg.solve(_from_section(problem, at_rest, parameters)[1][1:, 1:], state[1:])
-    return np.array([state[:1], *rates[:, None]])
-
-
-def _from_section(problem: Problem, y: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """State (3,) just after heelstrike at section coordinates y (3, 1), and its derivative (3, 3) by them."""
-    size = problem.map.start_size
-    start, by_y = np.split(problem.map.start(y, parameters)[:, 0], [size])
-    rows = [0, size // 2, size // 2 + 1]
-    return start[rows], by_y.reshape(size, 3)[rows]
 
 
 def _modes(jacobian: np.ndarray, singular: bool) -> tuple[np.ndarray, np.ndarray]:

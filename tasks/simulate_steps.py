@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import heyoka as hy
 import numpy as np
 
-from tasks.map_step import check_state, section_problem, to_section
 from tasks.mechanics.equations import system
 from tasks.mechanics.kernel import prepare_compiler
-from tasks.mechanics.lumped import Structure
-from tasks.step.problem import Problem
+from tasks.mechanics.lumped import Structure, structure_of
+from tasks.step.problem import Lanes, Problem
 from tasks.step.simulate import (
     BACKWARD,
     CAUSES,
@@ -35,6 +34,7 @@ from tasks.step.simulate import (
 )
 from tasks.step.uneven_ground import heelstrike_of
 from tasks.walkers.resolve import resolve
+from tasks.walkers.walker import Walker, WalkerError
 
 #: Intervals of each phase at whose ends the motion is sampled.
 SAMPLES = 48
@@ -87,7 +87,7 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
         if k == n:
             break
         height = float(params.get("ground", {}).get(k, 0.0)) / walker.l
-        step = _step(problem, x, parameters[:, 0], height, bool(params.get("motion")))
+        step = take_step(problem, x, parameters[:, 0], height, bool(params.get("motion")))
         times[k, : len(step.times)], motion[k, :, : len(step.motion)] = step.times, np.moveaxis(step.motion, 1, 0)
         outcome = step.outcome
         if outcome != STRUCK:
@@ -112,6 +112,73 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
+def section_problem(walker: Walker) -> Lanes:
+    """Step map of a walker with three coordinates on its section, those of point feet as of other straight legs."""
+    return Lanes([walker], replace(structure_of(walker), point_foot=False))
+
+
+def check_state(state: np.ndarray) -> None:
+    """Check that a state lies on the section.
+
+    Parameters
+    ----------
+    state : ndarray, shape (3,)
+        Stance angle [rad], stance rate and thigh rate.
+
+    Raises
+    ------
+    WalkerError
+        If the stance leg is not in front of the ground's normal, or so far that the walker has fallen.
+    """
+    if not 0 < state[0] < MAX_ANGLE:
+        raise WalkerError("state", f"{float(state[0])!r} rad", f"must have a stance angle in (0, {MAX_ANGLE}) rad")
+
+
+def to_section(problem: Problem, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+    """Section coordinates of a state just after heelstrike.
+
+    Parameters
+    ----------
+    problem : Problem
+        As `section_problem` returns it.
+    state : ndarray, shape (3,)
+        Scaled stance angle, stance rate and thigh rate [sqrt(g/leg)].
+    parameters : ndarray, shape (n_parameters, 1)
+
+    Returns
+    -------
+    ndarray, shape (3, 1)
+        For kneed walkers with the rates just before the heelstrike, of which those after it are linear functions.
+    """
+    if not problem.structure.kneed:
+        return state[:, None]
+    at_rest = np.array([[state[0]], [0.0], [0.0]])
+    rates = np.linalg.solve(from_section(problem, at_rest, parameters)[1][1:, 1:], state[1:])
+    return np.array([state[:1], *rates[:, None]])
+
+
+def from_section(problem: Problem, y: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """State just after heelstrike at section coordinates, and its derivatives by them.
+
+    Parameters
+    ----------
+    problem : Problem
+        As `section_problem` returns it.
+    y : ndarray, shape (3, 1)
+        Scaled.
+    parameters : ndarray, shape (n_parameters, 1)
+
+    Returns
+    -------
+    state, by_y : ndarray, shape (3,) and (3, 3)
+        Scaled.
+    """
+    size = problem.map.start_size
+    start, by_y = np.split(problem.map.start(y, parameters)[:, 0], [size])
+    rows = [0, size // 2, size // 2 + 1]
+    return start[rows], by_y.reshape(size, 3)[rows]
+
+
 def _push(x: np.ndarray, change: np.ndarray) -> np.ndarray:
     """State with changes (2,) added to the scaled rates of stance leg and swing leg; a free knee is not bent by it."""
     n = len(x) // 2
@@ -124,7 +191,7 @@ def _all_angles(x: np.ndarray) -> np.ndarray:
 
 
 @dataclass
-class _Step:
+class Step:
     """One step: its event times, the scaled state after it, and samples (phases, 4, SAMPLES + 1) of its motion."""
 
     outcome: int
@@ -133,8 +200,26 @@ class _Step:
     motion: np.ndarray
 
 
-def _step(problem: Problem, x: np.ndarray, parameters: np.ndarray, height: float, sampled: bool) -> _Step:
-    """One step from a scaled state, onto ground that is higher by `height`, over l."""
+def take_step(
+    problem: Problem, x: np.ndarray, parameters: np.ndarray, height: float = 0.0, sampled: bool = False
+) -> Step:
+    """Take one step.
+
+    Parameters
+    ----------
+    problem : Problem
+    x : ndarray, shape (4,) or (6,)
+        Scaled state just after heelstrike.
+    parameters : ndarray, shape (n_parameters,)
+    height : float
+        By which the ground rises at the end of the step, over l.
+    sampled : bool
+        Whether to sample the motion.
+
+    Returns
+    -------
+    Step
+    """
     structure, begin = problem.structure, 0.0
     times, motion = [], []
     for free in (True, False) if structure.kneed else (False,):
@@ -149,7 +234,7 @@ def _step(problem: Problem, x: np.ndarray, parameters: np.ndarray, height: float
         rates = heelstrike_of(structure)(np.concatenate([x, parameters]))
         angles = [x[1], x[0], x[0]] if structure.kneed else [x[1], x[0]]
         x = np.concatenate([angles, rates])
-    return _Step(outcome, times, x, np.array(motion).reshape(-1, 4, SAMPLES + 1))
+    return Step(outcome, times, x, np.array(motion).reshape(-1, 4, SAMPLES + 1))
 
 
 class _Phase:

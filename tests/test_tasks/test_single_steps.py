@@ -92,6 +92,25 @@ def test_a_knee_that_first_hyperextends_has_not_struck():
     assert float(steps.kneestrike_time[0]) == pytest.approx(mapped.times.kneestrike, rel=1e-12)
 
 
+# With so light a thigh the knee's flexion swings fast: time steps of fixed length find its kneestrike 0.04 s early.
+FAST_KNEE = {
+    **{"l_t": 0.64, "w_t": 0.0077, "m_t": 14.064, "r_t": 0.0964, "c_t": 0.1395},
+    **{"l_s": 0.6187, "w_s": -0.0047, "m_s": 42.717, "r_s": 0.0629, "c_s": 0.3006},
+    **{"R": 0.2863, "eps_T": 0.1793, "m_h": 10.398, "g": 5.5216, "knees": True},
+}
+
+
+def test_the_step_map_is_exact_where_the_knee_swings_fast():
+    state, slope = np.array([0.1156, -0.3862, 0.0893]), 0.0351
+    answer = pipeline.step_map(FAST_KNEE, slope, state)
+    oracle = Oracle(resolve(FAST_KNEE).table())
+    free = float(pipeline.simulate(FAST_KNEE, slope, state, 1).shank_rate[0])
+    step = oracle.step(state[0], np.array([*state[1:], free]), slope, rtol=1e-12, atol=1e-14)
+    assert answer.times.kneestrike == pytest.approx(step.kneestrike_time, rel=1e-7)
+    assert answer.losses.kneestrike == pytest.approx(step.loss_kneestrike, rel=1e-6)
+    assert answer.state == pytest.approx([step.theta, *step.rates[:2]], rel=1e-7)
+
+
 @pytest.mark.parametrize("name", ["D", "B"])
 def test_a_swing_leg_that_turns_over_the_hip_strikes_no_heel(name):
     """Its foot passes the ground beside the stance foot from above, where the legs are parallel again."""
