@@ -127,7 +127,8 @@ class Flow:
         def integrate(lanes: slice | list[int], to: slice) -> None:
             """Integrate a group of lanes and store the first of them as lanes `to`."""
             kept = slice(to.stop - to.start)
-            self._state[:], self._pars[:] = state[:, lanes], parameters[:, lanes]
+            # heyoka keeps no place for the last parameters where no term needs them: a balanced leg feels no gravity.
+            self._state[:], self._pars[:] = state[:, lanes], parameters[: len(self._pars), lanes]
             try:
                 samples_of_group = self._advance(duration[lanes], fractions)
             except ValueError:

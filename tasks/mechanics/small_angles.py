@@ -79,7 +79,8 @@ def _exchange(
     S_a, S_b = complex(k["S_a_re"], k["S_a_im"]), complex(k["S_b_re"], k["S_b_im"])
     M = np.array([[k["C_aa"] + 2 * k["R"] * S_a.imag, k["eps"] * S_b.imag], [S_b.imag, k["C_bb"]]])
     G = np.array([S_a.imag, S_b.imag])
-    rest = np.array([S_a.real + (S_a.imag - k["R"]) * slope, S_b.real + S_b.imag * slope]) / G[:, None]
+    rest = np.array([S_a.real + (S_a.imag - k["R"]) * slope, S_b.real + S_b.imag * slope])
+    rest /= np.where(G == 0, np.nan, G)[:, None]  # a balanced leg has no angle of rest of its own
     squares, modes = np.linalg.eig((np.linalg.inv(M) * G).astype(complex))
     growth = np.sqrt(squares)[:, None]
     inverse = np.linalg.inv(modes)
@@ -87,5 +88,6 @@ def _exchange(
     def propagator(by_mode: np.ndarray) -> np.ndarray:
         return np.einsum("ik,kn,kj->nij", modes, by_mode, inverse).real
 
-    by_angles, by_rates = propagator(np.cosh(growth * period)), propagator(np.sinh(growth * period) / growth)
-    return by_angles, by_rates, np.array([angle, -angle]), rest
+    free = growth == 0
+    by_rates = np.where(free, period, np.sinh(growth * period) / np.where(free, 1, growth))
+    return propagator(np.cosh(growth * period)), propagator(by_rates), np.array([angle, -angle]), rest

@@ -218,6 +218,15 @@ def test_a_leg_of_one_link_walks_as_the_same_leg_in_two():
         from_table({**one, "knees": True})
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.01])
+def test_balanced_legs_do_not_walk(offset):
+    """Without a moment about the hip, or with one of level arm, the swing leg does not come forward."""
+    legs = {"m_t": 0.3, "c_t": -0.5, "r_t": 0.3, "w_t": offset, "l_t": 0.5}
+    walker = {"knees": False, **legs, "l_s": 0.5, "m_s": 0.15, "c_s": 0.5, "r_s": 0.0, "R": 0.0, "m_h": 0.8}
+    assert lump(from_table(walker))["S_b_im"] == 0
+    assert solve_one({"walker": walker, "slope": 0.01})["gaits"] == []
+
+
 @pytest.mark.parametrize(("walker", "slope"), [("E", 1e-6), ("E", 0.01), ("A", 1e-3), ("physical", 0.036)])
 def test_the_velocity_ratio_is_that_of_the_losses(walker, slope):
     """Each loss is half of an eigenvalue of the contact mass times the velocity along its eigenvector, squared."""
