@@ -101,7 +101,8 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
     base = walker if isinstance(walker, str) else table.pop("base", None)
     keys, kneed = _named(base) if base is not None else (_DEFAULT, False)
     if base is None and table.get("knees") is False:
-        table = straight({"R": 0, **table} | {key: Fraction(table[key]) for key in ("l", "R") if key in table})
+        lengths: dict[str, Any] = {key: Fraction(str(table[key])) for key in ("l", "R", "c") if key in table}
+        table = straight({"R": 0, **table, **lengths})
     overrides = {**{key: table.pop(key) for key in ("detuning", "foot_mass_ratio") if key in table}, **overrides}
     keys, kneed = _changed(keys, kneed, table)
     if "detuning" in overrides:

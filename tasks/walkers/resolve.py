@@ -70,11 +70,14 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
         mixed = [key for key in given if key in KEYS and key not in ("R", "m_h", "g", "knees", "units")]
         if mixed:
             raise WalkerError(mixed[0], given[mixed[0]], "does not go with `l`, the length of a leg of one link")
-        length, radius = given.pop("l"), given.get("R", 0.0)
-        if not all(isinstance(v, (int, float, Fraction)) and not isinstance(v, bool) for v in (length, radius)):
-            raise WalkerError("l", repr(length), "must be a number")
+        length, radius, centre = given.pop("l"), given.get("R", 0.0), given.get("c", 0.0)
+        for key, value in {"l": length, "R": radius, "c": centre}.items():
+            if not isinstance(value, (int, float, Fraction)) or isinstance(value, bool):
+                raise WalkerError(key, repr(value), "must be a number")
         links = {_ONE_LINK[key]: given.pop(key) for key in _ONE_LINK if key in given}
-        halves = {"l_t": length / 2, "l_s": length / 2 + radius, "m_s": 0.0, "c_s": 0.0, "r_s": 0.0}
+        # The shank, without mass, has the same centre: that of the leg where its mass vanishes.
+        shank = {"m_s": 0.0, "c_s": centre - length / 2, "w_s": links.get("w_t", 0.0), "r_s": links.get("r_t", 0.0)}
+        halves = {"l_t": length / 2, "l_s": length / 2 + radius, **shank}
         given = {**halves, "R": radius, "r_t": 0.0, **links, **given}
     return {**dict.fromkeys(_ZERO_IF_STRAIGHT, 0.0), **given}
 

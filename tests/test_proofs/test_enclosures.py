@@ -14,7 +14,7 @@ from tasks.proofs import enclosure as flows
 from tasks.proofs.collisions import heelstrike, kneestrike
 from tasks.proofs.enclosed_step import Region, step
 from tasks.proofs.enclosure import Accuracy, enclose, enclose_derivative
-from tasks.proofs.keys import exact, written
+from tasks.proofs.keys import decimal, exact, written
 from tasks.proofs.krawczyk import contained, image
 from tasks.proofs.motion import Motion, Variation, acceleration, evaluate
 from tasks.proofs.stability import is_stable, step_derivative
@@ -234,6 +234,14 @@ def test_event_times_are_eliminated_from_the_derivative():
 def test_an_enclosure_that_grows_too_wide_is_given_up():
     with pytest.raises(flows.NotProvedError, match="Taylor|box"):
         coarse("C", 3, 0.3, time=3.0)
+
+
+@pytest.mark.parametrize("read", [str, float])
+def test_a_leg_of_one_link_is_exactly_that_which_is_solved(read):
+    """Its lengths are the decimals written, and its shank has its centre."""
+    one = {"m": read("0.1"), "c": read("0.7"), "r": read("0.2"), "l": read("0.9"), "R": read("0.1")}
+    keys, _ = exact({"knees": False, **one})
+    assert (keys["c_t"], keys["c_s"], keys["r_s"], keys["l_s"]) == tuple(map(decimal, ("0.7", "0.25", "0.2", "0.55")))
 
 
 def test_a_table_may_hold_derived_keys():

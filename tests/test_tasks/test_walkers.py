@@ -218,6 +218,21 @@ def test_a_leg_of_one_link_walks_as_the_same_leg_in_two():
         from_table({**one, "knees": True})
 
 
+@pytest.mark.parametrize(("c", "r"), [(1.0, 0.0), (0.7, 0.2)])
+def test_the_mass_of_a_leg_of_one_link_vanishes_where_it_is(c, r):
+    """Not in the middle of the leg, where its links meet."""
+    gaits = [
+        solve_one({"walker": {"knees": False, "m": m, "c": c, "r": r, "l": 1.0, "m_h": 1.0}, "slope": 0.009})["gaits"]
+        for m in (0.0, 1e-9)
+    ]
+    for a, b in zip(*gaits, strict=True):
+        assert (a["stance_angle"], a["period"]) == pytest.approx((b["stance_angle"], b["period"]), rel=1e-8)
+    if c == 1.0:
+        assert gaits[0][0]["stance_angle"] == pytest.approx(0.2003109005442471, rel=1e-13)
+    with pytest.raises(WalkerError, match="`c` must be a number"):
+        from_table({"knees": False, "m": 0.0, "c": "1", "r": r, "l": 1.0})
+
+
 @pytest.mark.parametrize("offset", [0.0, 0.01])
 def test_balanced_legs_do_not_walk(offset):
     """Without a moment about the hip, or with one of level arm, the swing leg does not come forward."""
