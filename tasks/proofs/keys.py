@@ -213,6 +213,8 @@ def _mixed(tuned: Numbers, physical: Numbers, amount: fmpq) -> Numbers:
 def _with_foot_mass(keys: Numbers, ratio: fmpq) -> Numbers:
     """A point-foot walker whose feet each have a share of the whole mass; the hip carries the rest."""
     total = 2 * (keys["m_t"] + keys["m_s"]) + keys["m_h"]
+    if any(keys[name] != 0 for name in ("c_t", "w_t", "r_t")):  # of a thigh without mass
+        return {**keys, "m_s": ratio * total, "m_t": fmpq(0), "m_h": (1 - 2 * ratio) * total}
     return {**keys, "m_s": ratio * total, "m_t": (fmpq(1, 2) - ratio) * total, "m_h": fmpq(0)}
 
 

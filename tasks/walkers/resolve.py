@@ -165,6 +165,8 @@ def _with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
 def _masses(walker: Walker, ratio: Any) -> dict[str, Any]:
     """Masses of a point-foot walker with foot mass ratio `ratio`, a number or an array."""
     total = walker.total_mass
+    if walker.c_t or walker.w_t or walker.r_t:  # a thigh without mass, whose centre is not at the hip
+        return {"m_s": ratio * total, "m_t": 0.0, "m_h": (1 - 2 * ratio) * total}
     return {"m_s": ratio * total, "m_t": (0.5 - ratio) * total, "m_h": 0.0}
 
 

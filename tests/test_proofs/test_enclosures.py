@@ -244,6 +244,14 @@ def test_a_leg_of_one_link_is_exactly_that_which_is_solved(read):
     assert (keys["c_t"], keys["c_s"], keys["r_s"], keys["l_s"]) == tuple(map(decimal, ("0.7", "0.25", "0.2", "0.55")))
 
 
+def test_the_masses_beside_a_thigh_without_mass_are_those_of_the_walker_solved():
+    thigh = {"m_t": 0.0, "c_t": 0.2, "m_h": 0.8}
+    own = {**CATALOGUE["E"].table(), **thigh}
+    keys, _ = exact(own, {"foot_mass_ratio": "0.05"})
+    solved = resolve(own, {"foot_mass_ratio": 0.05})
+    assert [float(keys[k].p) / float(keys[k].q) for k in ("m_t", "m_s", "m_h")] == [solved.m_t, solved.m_s, solved.m_h]
+
+
 def test_a_table_may_hold_derived_keys():
     for name, key, value in (("E", "foot_mass_ratio", "0.02"), ("C", "detuning", "0.5")):
         table, line = exact({"base": name, key: value})[0], exact(name, {key: value})[0]

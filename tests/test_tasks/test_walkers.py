@@ -13,7 +13,7 @@ from tasks.solve_at_slope import solve_one
 from tasks.step.problem import Lanes, Problem
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.describe import describe, drawing
-from tasks.walkers.resolve import check, from_table, owned, resolve
+from tasks.walkers.resolve import check, from_table, owned, resolve, resolve_many
 from tasks.walkers.tuning import is_tuned, statics, tune
 from tasks.walkers.walker import WalkerError
 
@@ -231,6 +231,16 @@ def test_the_mass_of_a_leg_of_one_link_vanishes_where_it_is(c, r):
         assert gaits[0][0]["stance_angle"] == pytest.approx(0.2003109005442471, rel=1e-13)
     with pytest.raises(WalkerError, match="`c` must be a number"):
         from_table({"knees": False, "m": 0.0, "c": "1", "r": r, "l": 1.0})
+
+
+def test_the_hip_of_point_feet_carries_the_rest_whatever_a_thigh_without_mass_is_like():
+    thigh = {"m_t": 0.0, "c_t": 0.2, "w_t": 0.01, "r_t": 0.1}
+    own = {**CATALOGUE["E"].table(), **thigh, "m_h": 0.8}
+    for ratio in (0.05, 0.0):
+        expected = lump(resolve("E", {"foot_mass_ratio": ratio}))
+        assert lump(resolve(own, {"foot_mass_ratio": ratio})) == pytest.approx(expected, rel=1e-14)
+        many = resolve_many(own, {"foot_mass_ratio": np.array([ratio, ratio])})
+        assert lump(many[1]) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.01])
