@@ -446,6 +446,10 @@ def test_whole_numbers_and_names_differ_whatever_the_tolerance(made, copy):
     assert diff.diff(copy, other, rtol=0.5) == ["`fits/scaling/quantity`: 1 of 2 differ"]
 
 
+def test_values_of_which_there_are_none_do_not_differ():
+    assert not diff._compare_values("period", np.zeros(0), np.zeros(0), diff.Tolerance(0.0, {}))
+
+
 def test_measures_of_rounding_are_compared_with_one(copy, tmp_path):
     """One residual may be a million times another: both are rounding."""
     other = tmp_path / "other.nc"

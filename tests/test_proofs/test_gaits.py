@@ -38,7 +38,7 @@ def check(name, slope, label, accuracy=1e-12):
     known = reference(name, slope, label)
     with ctx.workprec(200):
         proof = prove(setting(name, slope), guess(known), accuracy, label)
-        assert proof.proved, proof.reason
+        assert proof.proved and proof.first_strike, proof.reason
         assert proof.radius <= accuracy
         assert holds(proof, known)
     assert proof.label == label

@@ -1,6 +1,7 @@
 """Branches, their folds, flips and ends, against what was computed before and against themselves."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -13,6 +14,7 @@ from pipeline.bench.stress import random_walker
 from tasks.continuation import atlas
 from tasks.continuation.atlas import survey
 from tasks.continuation.branch import Branch
+from tasks.continuation.locate import row_tangent
 from tasks.continuation.lockstep import run
 from tasks.continuation.refine import COARSE, FINE, without_jumps
 from tasks.continuation.root import bracketed_root
@@ -118,6 +120,13 @@ def test_a_polynomial_in_the_slope_is_reproduced_however_fast_the_time_runs():
     between = np.linspace(0.05, 2.95, 20)
     ((index, found, _),) = branch.guesses(between)
     np.testing.assert_allclose(found[:, :3], gaits(between[index])[0][:, :3], rtol=1e-13, atol=1e-13)
+
+
+def test_tangents_point_along_the_branch():
+    point = SimpleNamespace(direction=np.array([[0.6], [-0.8]]))
+    for along in ([1.0, 0.0], [-1.0, 0.0], [0.0, 2.0]):
+        tangent = row_tangent(point, np.array(along))
+        assert tangent @ along > 0 and np.abs(tangent).tolist() == [0.6, 0.8]
 
 
 def test_where_one_component_turns_a_branch_runs_in_another():
