@@ -183,3 +183,21 @@ def test_a_block_that_fails_is_divided_until_its_bad_lines_are_alone(monkeypatch
     assert answer["failed"] == [3, 7] and answer["atlases"] == [(k, k) for k in range(20) if k not in (3, 7)]
     assert asked[0] == 20 and sum(asked[1:]) < 40
     assert sum(len(np.frombuffer(row[0])) for row in answer["rows"]) == 40
+
+
+def test_a_thread_keeps_its_worker_process_while_it_lives(monkeypatch):
+    alive, made = [], []
+
+    def start():
+        worker = SimpleNamespace(lock=threading.Lock(), ask=lambda *_: ("ok", len(made)))
+        made.append(worker)
+        alive.append(worker)
+        return worker
+
+    monkeypatch.setattr(worker_process, "WorkerProcess", start)
+    monkeypatch.setattr(worker_process, "_workers", alive)
+    monkeypatch.setattr(worker_process, "_local", SimpleNamespace(used=[0.0, 0.0]))
+    request = SimpleNamespace(function="f", divided="", memory=1, inputs=[], seconds=1.0)
+    asked = [worker_process._ask(request, {})[1] for _ in range(2)]
+    alive.clear()
+    assert [*asked, worker_process._ask(request, {})[1]] == [1, 1, 2]
