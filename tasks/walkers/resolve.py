@@ -58,19 +58,21 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     values : mapping
-        A `[walker]` table without `base`; `l` and `R` may be fractions.
+        A `[walker]` table without `base`; `l`, `R` and `c` may be fractions.
 
     Raises
     ------
     WalkerError
-        If keys of both kinds of leg are mixed, or a length is no number.
+        If keys of both kinds of leg are mixed, one is missing, or a length is no number.
     """
     given = dict(values)
     if "l" in given:
         mixed = [key for key in given if key in KEYS and key not in ("R", "m_h", "g", "knees", "units")]
         if mixed:
             raise WalkerError(mixed[0], given[mixed[0]], "does not go with `l`, the length of a leg of one link")
-        length, radius, centre = given.pop("l"), given.get("R", 0.0), given.get("c", 0.0)
+        if absent := [key for key in ("m", "c") if key not in given]:
+            raise WalkerError(absent[0], ", ".join(given), "is missing from the walker")
+        length, radius, centre = given.pop("l"), given.get("R", 0.0), given["c"]
         for key, value in {"l": length, "R": radius, "c": centre}.items():
             if not isinstance(value, (int, float, Fraction)) or isinstance(value, bool):
                 raise WalkerError(key, repr(value), "must be a number")

@@ -141,15 +141,15 @@ class Reach:
 
         Last come cheap tests of the same files, which may lean on what the others have solved.
         """
-        lines, module = self._tests(path), ".".join(path.with_suffix("").parts)
-        words = set(re.split(r"[._]", module))
+        lines, words = self._tests(path), set(re.split(r"[/_]", str(path.with_suffix(""))))
         reaching = set().union(*(lines.get(line, ()) for line in at)) & set(self.took)
         if not reaching:
             # Workers that are killed record nothing: whatever reaches the package may notice.
             beside = [file.relative_to(ROOT) for file in (ROOT / path.parent).glob("*.py")]
             reaching = set().union(*(tests for file in beside for tests in self._tests(file).values())) & set(self.took)
         files = {test.split("::")[0] for test in reaching}
-        kin = {f for f in files if words & set(Path(f).stem.split("_")) or module in (ROOT / f).read_text()}
+        imports = re.compile(rf"(from|import) .*\b{path.stem}\b")
+        kin = {f for f in files if words & set(Path(f).stem.split("_")) or imports.search((ROOT / f).read_text())}
         tiers: list[dict[str, list[str]]] = [{}, {}, {}]
         for file in files:
             for test in self.of_file[file]:

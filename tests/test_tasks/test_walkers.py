@@ -147,6 +147,7 @@ def test_the_papers_infinite_hip_is_the_limit():
         ({"base": "E", "l_t": math.nan}, r"`l_t` must be finite; got nan"),
         ({"base": "Z"}, r"`walker` is not a known walker"),
         ({"l_t": 1.0}, r"`w_t` is missing from the walker"),
+        ({"knees": False, "l": 1.0, "m": 0.5}, r"`c` is missing from the walker; got knees, l, m"),
         ({"base": "E", "knees": True, "m_s": 0.0}, r"`m_s` must be > 0 with a free knee"),
         ({"base": "E", "units": "imperial"}, r'`units` must be "SI" or "1"'),
     ],
