@@ -37,6 +37,8 @@ from pipeline.statuses import ALL_STATUSES as STATUS
 from pipeline.store.journal import Journal
 from pipeline.study import parse
 from processes import descendants, ended, suspend
+from tasks.accuracy import OF_INTEGRATION
+from tasks.registry import ALWAYS
 
 EVERYTHING = STUDY.replace('"multipliers"', '"multipliers", "energy", "violations"')
 
@@ -335,6 +337,12 @@ def _edit(path, change):
 def test_verify_sees(copy, change, said):
     _edit(copy, change)
     assert said in verify.verify(copy)
+
+
+def test_what_an_archive_always_holds_depends_on_its_kind_and_accuracy():
+    assert set(structure._required(SimpleNamespace())) == set(ALWAYS)
+    assert set(structure._required(SimpleNamespace(accuracy=1e-4))) == set(ALWAYS) - set(OF_INTEGRATION)
+    assert structure._required(SimpleNamespace(kind="orbit")) == ("status", "reason")
 
 
 def _flip(made, copy, at, seen, files):

@@ -104,6 +104,9 @@ def test_results_are_kept_by_key_and_kin(journal):
     journal.add_result("a-1", "a", Result("ok", "", 0, PACKED), 0.1)
     journal.add_result("a-1", "a", Result("raised", "It raised.", 3, b""), 0.1)
     assert journal.result("a-1") == Result("raised", "It raised.", 3, b"")
+    journal.add_result("c-1", "c", Result("ok", "", 0, b"no packed result"), 0.1)
+    with pytest.raises(CorruptJournalError):
+        journal.result("c-1")
     assert journal.outcome("a-1") == ("raised", "It raised.", 3)
     assert journal.knows("a") and not journal.knows("b") and journal.result("b") is None
 

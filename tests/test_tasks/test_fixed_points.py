@@ -76,6 +76,12 @@ def test_more_digits_are_used_where_newton_does_not_halve_its_steps():
     np.testing.assert_allclose(refined.y, exact.y[:, 0], rtol=1e-13)
 
 
+@pytest.mark.parametrize("walker", ["D", "C"])
+def test_ordinary_gaits_need_no_more_digits(walker, monkeypatch):
+    monkeypatch.setattr(extended_precision, "refine", None)
+    assert (solved(walker, [0.005, 0.0075, 0.01])["status"][:, :2] == 0).all()
+
+
 @pytest.mark.parametrize("walker", ["E", "C"])
 def test_guesses_that_are_gaits_already_are_verified_as_others_are(walker):
     """Their motion is not sampled on the way."""
