@@ -79,6 +79,8 @@ def _sample(
     places = [place for place, _ in at]
     for edge in (low, high):
         for guess in branch.guesses(float(np.log(edge))):
+            if any(abs(guess.place - place) < _LEAST_PIECE for place in places):
+                continue  # a gait of the branch lies on the edge
             places.append(guess.place)
             cycle = solve_cycle(problem, guess, edge)
             at += [(guess.place, cycle)] if cycle.ok else []

@@ -216,6 +216,14 @@ def test_a_window_between_two_gaits_of_a_branch_has_as_many_points_as_are_asked_
     assert slope[0] == max(low, branches[0].cycles[0].slope) and slope[-1] == pytest.approx(high, rel=1e-14)
 
 
+def test_a_gait_of_the_branch_on_the_edge_of_a_window_is_listed_once():
+    problem, known = atlas_of("D")
+    branches = cycle_branches(problem, known, 2)
+    low, high = (branches[0].cycles[k].slope for k in (3, 8))
+    slope = sample_cycles(problem, branches, {"slope_from": low, "slope_to": high, "n": 20})["branches/slope"]
+    assert (slope[0], slope[-1]) == (low, high) and (np.diff(slope) > 0).all()
+
+
 def test_a_branch_that_leaves_its_window_and_comes_back_is_not_sampled_outside():
     """Beyond the fold of the gaits of three steps, at 0.01228."""
     problem, known = atlas_of("D")

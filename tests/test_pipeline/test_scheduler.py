@@ -13,7 +13,7 @@ import pytest
 
 from pipeline import serialize
 from pipeline.errors import StoppedError, StudyError
-from pipeline.execution import worker_process
+from pipeline.execution import progress, worker_process
 from pipeline.execution.executors import Engine
 from pipeline.execution.scheduler import Scheduler
 from pipeline.execution.study_jobs import StudyJobs
@@ -201,3 +201,16 @@ def test_a_thread_keeps_its_worker_process_while_it_lives(monkeypatch):
     asked = [worker_process._ask(request, {})[1] for _ in range(2)]
     alive.clear()
     assert [*asked, worker_process._ask(request, {})[1]] == [1, 1, 2]
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_the_progress_of_all_studies_is_one_line(monkeypatch, is_terminal):
+    said, waits = [], iter([False, True])
+    display = progress.Display([], quiet=False)
+    display.is_terminal, display.stopped = is_terminal, SimpleNamespace(wait=lambda _: next(waits))
+    for name, value in (("_FAST", 0.0), ("_SLOW", 0.0), ("total", list), ("sentence", lambda _: "3 of 9 points" * 10)):
+        monkeypatch.setattr(progress, name, value)
+    monkeypatch.setattr(progress.terminal, "say", lambda text, end="\n": said.append((text, end)))
+    display._tick()
+    (line,) = said
+    assert line == (("\r\033[K" + ("3 of 9 points" * 10)[:118], "") if is_terminal else ("3 of 9 points" * 10, "\n"))

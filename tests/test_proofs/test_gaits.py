@@ -8,6 +8,7 @@ from flint import arb, ctx
 
 from exact_gaits import GAITS, guess, reference, setting
 from lines import gait
+from tasks import prove_gaits
 from tasks.proofs.body import body
 from tasks.proofs.enclosed_step import dimensions
 from tasks.proofs.enclosure import NotProvedError, Piece
@@ -346,3 +347,11 @@ def test_only_numbers_are_checked_to_be_written_out():
     for text in ("1e-9999", "0." + "0" * 999 + "1", "0e123456"):
         with pytest.raises(WalkerError, match="`w_t` must"):
             check_written({"base": "C", "w_t": text})
+
+
+def test_a_gait_is_proved_under_its_label(monkeypatch):
+    labels = []
+    monkeypatch.setattr(prove_gaits, "prove", lambda setting, guess, accuracy, label: labels.append(label))
+    monkeypatch.setattr(prove_gaits, "record", lambda *_: {})
+    prove_one({"walker": "D", "slope": 0.009, "accuracy": 1e-12})
+    assert labels == ["long", "short"]

@@ -2,11 +2,13 @@
 
 import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from tasks.continuation import extremes
 from tasks.continuation.atlas import survey_lines
 from tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude, scalar, solve
 from tasks.continuation.extremes import Points, best, find
@@ -414,3 +416,18 @@ def test_a_line_without_a_point_of_a_role_has_none():
         faster=yes,
     )
     assert best(points, 3, WINDOW)["smallest_slope"].tolist() == [1, -1, -1]
+
+
+def test_a_flip_between_a_stable_and_an_unstable_node_is_located(monkeypatch):
+    """The multiplier crosses -1 between nodes 1 and 2, of which only the first is stable."""
+    nodes = SimpleNamespace(
+        values={"flip": 3.074 - 2.0 * np.arange(4)},
+        branch=np.zeros(4, int),
+        line=np.zeros(4, int),
+        stable=np.array([False, True, False, False]),
+        evaluate=lambda node, share: np.array([node + share]),
+    )
+    monkeypatch.setattr(extremes, "evaluate", lambda problem, Z: Z[0])
+    monkeypatch.setattr(extremes, "scalar", lambda kind, at, target: 3.074 - 2 * at)
+    kind, node, Z, _ = extremes._crossings(SimpleNamespace(some=lambda lanes: None), nodes, "flip", 0.0)
+    assert (kind, node.tolist()) == ("flip", [1]) and Z[0] == pytest.approx([1.537])
