@@ -12,7 +12,7 @@ from tasks import prove_gaits
 from tasks.proofs.body import body
 from tasks.proofs.enclosed_step import dimensions
 from tasks.proofs.enclosure import NotProvedError, Piece
-from tasks.proofs.gait import prove, solve
+from tasks.proofs.gait import Proof, prove, solve
 from tasks.proofs.keys import check_written, decimal, double, exact, written
 from tasks.proofs.records import checked, distance, prove_stored, quoted
 from tasks.proofs.signs import zeros
@@ -261,6 +261,15 @@ def test_altered_numbers_are_refused(name):
     # In the very last bit a number may change, if it stays within its bound; the box does not move.
     last = ask_stored({**values, name: math.nextafter(values[name], 0)})
     assert last["box"] == ask_stored(values)["box"] if last["proved"] else "error_bound" in last["reason"]
+
+
+def test_the_time_of_kneestrike_is_under_no_bound():
+    """A gait whose knee strikes almost at once was not proved: `error_bound` does not promise so short a time."""
+    box = {name: arb(1) for name in ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period")}
+    proof = Proof(True, box={**box, "kneestrike_time": arb(2e-6)})
+    values = {**dict.fromkeys(box, 1.0), "kneestrike_time": 2e-6 + 1e-16}
+    assert checked(proof, values, 1e-14).proved
+    assert not checked(proof, {**values, "period": 1 + 1e-13}, 1e-14).proved
 
 
 def test_a_bound_below_the_proved_distance_is_refused():
