@@ -115,8 +115,8 @@ def attractors(problem: Lanes, y: np.ndarray, slope: float) -> np.ndarray:
 def _attractors(problem: Lanes, y: np.ndarray, slope: float) -> np.ndarray:
     names, home = np.full(y.shape[1], "falls", "U32"), _Neighbourhoods(problem, y, slope)
     y, lanes = y * (1 + _DISPLACED), np.arange(y.shape[1])
-    for _ in range(_DROPPED // _MAX_PERIOD):
-        orbit, kept = _orbit(problem.some(lanes), y, slope, _MAX_PERIOD)
+    for taken in range(0, _DROPPED, _MAX_PERIOD):
+        orbit, kept = _orbit(problem.some(lanes), y, slope, min(_MAX_PERIOD, _DROPPED - taken))
         lanes = lanes[kept]
         off = np.abs(orbit[-2::-1] - orbit[-1]).max(axis=1)
         still = off < _AT_REST * np.abs(orbit[-1]).max(axis=0)
@@ -169,7 +169,7 @@ def largest_steps(problem: Lanes, y: np.ndarray, slope: float, limit: float) -> 
     A step of the gait ends on ground that is lower or higher than its plane, and those after it on ground parallel to
     that. It is survived if after 200 steps the walker is back within a thousandth of its gait.
     """
-    n, most = y.shape[1], round(limit / STEP_RESOLUTION)
+    n, most = y.shape[1], int(np.ceil(round(limit / STEP_RESOLUTION, 6)))
     found = np.full((2, n), most)
     for k in range(0, n, _LANES // _AT_ONCE):
         part = np.arange(k, min(k + _LANES // _AT_ONCE, n))
@@ -177,16 +177,16 @@ def largest_steps(problem: Lanes, y: np.ndarray, slope: float, limit: float) -> 
         for row, sign in enumerate((-1, 1)):
             left = np.arange(len(part))
             for first in range(1, most + 1, _AT_ONCE):
-                heights = np.arange(first, min(first + _AT_ONCE, most + 1))
+                heights = np.minimum(STEP_RESOLUTION * np.arange(first, min(first + _AT_ONCE, most + 1)), limit)
                 each = np.repeat(left, len(heights))
-                survived = _survived(own, home, each, slope, sign * STEP_RESOLUTION * np.tile(heights, len(left)))
+                survived = _survived(own, home, each, slope, sign * np.tile(heights, len(left)))
                 survived = survived.reshape(len(left), -1)
                 failed = ~survived.all(axis=1)
                 found[row, part[left[failed]]] = first - 1 + survived[failed].argmin(axis=1)
                 left = left[~failed]
                 if not len(left):
                     break
-    return np.asarray((found * STEP_RESOLUTION).round(9))
+    return np.minimum((found * STEP_RESOLUTION).round(9), limit)
 
 
 def _survived(problem: Lanes, home: _Neighbourhoods, lanes: np.ndarray, slope: float, height: np.ndarray) -> np.ndarray:

@@ -5,7 +5,8 @@ import pytest
 
 import pipeline
 from lines import gait
-from tasks.disturb_designs import section
+from tasks import disturb_designs
+from tasks.disturb_designs import attractors, section
 from tasks.map_designs import design
 from tasks.mechanics.lumped import structure_of
 from tasks.step.problem import Lanes
@@ -107,3 +108,31 @@ def test_options_over_a_plane_give_what_lines_give():
     a, b = one["design/least_cost_of_transport"], other["design/least_cost_of_transport"]
     bound = one["design/least_cost_error"] + other["design/least_cost_error"]
     assert (np.abs(a / b - 1) <= bound).all() and bound.max() < 1e-8
+
+
+@pytest.mark.parametrize("ground", [0.0004, 0.0027])
+def test_the_largest_step_asked_for_need_not_be_in_thousandths(ground):
+    """It was rounded: none was tried, or a larger one."""
+    found = computed("A", at_slope=0.02, ground=ground)
+    assert found["largest_step_down"].tolist() == found["largest_step_up"].tolist() == [ground]
+
+
+def test_attractors_are_those_after_two_thousand_steps(monkeypatch):
+    """Blocks of 32 steps left 16 of them out."""
+    taken, dice = [], np.random.default_rng(0)
+
+    def orbit(problem, y, slope, steps):
+        taken.append(steps)
+        return dice.uniform(1, 2, (steps + 1, *y.shape)), np.arange(y.shape[1])
+
+    class Nowhere:
+        def __init__(self, problem, y, slope): ...
+
+        def hold(self, y, lanes):
+            return np.zeros(y.shape[1], bool)
+
+    monkeypatch.setattr(disturb_designs, "_orbit", orbit)
+    monkeypatch.setattr(disturb_designs, "_Neighbourhoods", Nowhere)
+    problem = Lanes([resolve("D"), resolve("D")])
+    assert attractors(problem, np.ones((2, 2)), 0.01).tolist() == ["chaotic", "chaotic"]
+    assert sum(taken[:-1]) == 2000
