@@ -11,7 +11,7 @@ import numpy as np
 
 from tasks import registry
 from tasks.continuation.atlas import survey_lines, to_arrays
-from tasks.continuation.extremes import ANY_SLOPE, QUANTITIES, Points, best, find
+from tasks.continuation.extremes import ANY_SLOPE, QUANTITIES, Points, best, find, in_window
 from tasks.continuation.refine import COARSE
 from tasks.disturb_designs import attractors, largest_steps, section
 from tasks.families.box import Box
@@ -230,8 +230,7 @@ class _Rows:
         chosen, kept = best(points, n, window), np.ones(n, bool) if accepted is None else accepted
         self.surveyed[numbers[kept]] = surveyed
         walks = np.zeros(n, bool)
-        inside = points.walks & (points.log_slope >= window[0]) & (points.log_slope <= window[1])
-        walks[points.line[inside | (points.walks & (points.kind == ANY_SLOPE))]] = True
+        walks[points.line[in_window(points, window) | (points.walks & (points.kind == ANY_SLOPE))]] = True
         for name, value in self.value.items():
             point = chosen[name]
             there = np.flatnonzero(kept & (point >= 0))

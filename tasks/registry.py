@@ -222,7 +222,7 @@ TASKS = {
         Task("cascade", "tasks.locate_cascade:cascade", 8, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 5, needs=("atlas",)),
         Task("curve", "tasks.follow_curves:curve", 6, needs=("atlas",)),
-        Task("design", "tasks.map_designs:design", 11),
+        Task("design", "tasks.map_designs:design", 12),
         Task("census", "tasks.count_gaits:census", 7),
         Task("scaling", "tasks.fit_laws:scaling", 3, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 4, needs=("points",)),

@@ -117,6 +117,17 @@ def may_be(name: str, kind: np.ndarray) -> np.ndarray:
     return kind == "speed" if name == "least_cost" else ~np.isin(kind, _NOT_OF[name])
 
 
+def in_window(points: Points, window: tuple[float, float]) -> np.ndarray:
+    """Return which points are steps of a window of ln slope, its edges included.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    q = points.log_slope
+    return np.asarray(points.walks & (q >= window[0] - _EDGE) & (q <= window[1] + _EDGE))
+
+
 def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
     """Return which points may be the extremes of which quantity within a window.
 
@@ -132,8 +143,7 @@ def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
         Of the `smallest_slope` of a long or stable gait, the `largest_stable_slope`, the `fastest_stable_speed` and the
         `least_cost` of transport at a speed.
     """
-    q, kind = points.log_slope, points.kind
-    inside = points.walks & (q >= window[0] - _EDGE) & (q <= window[1] + _EDGE)
+    kind, inside = points.kind, in_window(points, window)
     low = inside | (points.walks & (kind == ANY_SLOPE))
     stable = inside & points.stable
     every = {
@@ -282,7 +292,7 @@ def find(
     nodes = _Nodes(problem, surveyed, targets)
     guesses = [_crossings(problem, nodes, kind, targets.get(kind, 0.0)) for kind in nodes.values]
     guesses += [_at_edge(nodes, edge) for edge in window]
-    guesses += _turns_and_ends(nodes)
+    guesses += _turns_and_ends(nodes, window[0])
     parts = [_located(problem, nodes, *guess) for guess in guesses if len(guess[1])]
     return join(parts)
 
@@ -346,13 +356,13 @@ def _at_edge(nodes: _Nodes, edge: float) -> tuple[str, np.ndarray, np.ndarray, n
     return "window", every, np.concatenate(Z, axis=1), np.full(len(every), edge)
 
 
-def _turns_and_ends(nodes: _Nodes) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """The folds and the ends of the branches, which are nodes."""
+def _turns_and_ends(nodes: _Nodes, low: float) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+    """The folds and the ends of the branches, which are nodes; `low` is the least ln slope of the window."""
     by_kind: dict[str, list[int]] = {}
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
         by_kind.setdefault("fold", []).extend(first + place for place, _ in branch.pieces()[1:])
         for place, why in zip((0, len(branch.Z) - 1), branch.why, strict=True):
-            is_any = branch.q[place] <= np.log(10 * MIN_SLOPE)
+            is_any = branch.q[place] <= np.log(10 * MIN_SLOPE) and branch.q.max() >= low
             by_kind.setdefault(ANY_SLOPE if is_any else END_NAMES.get(why, why), []).append(first + place)
     return [
         (kind, np.array(numbers, int), nodes.Z[:, numbers], np.zeros(len(numbers)))
@@ -374,5 +384,6 @@ def _located(
     if kind in SCALARS:
         solved = solve(own, kind, guess, target)
         return classify(kind, solved.at, line, solved.Z, solved.rows, solved.error, walks & (is_end | solved.ok))
-    at, error = evaluate(own, guess), np.full(len(node), 1e-9)
-    return classify(kind, at, line, guess, np.full_like(guess, np.nan), error, walks)
+    at, branch = evaluate(own, guess), nodes.branch[node]
+    located = [nodes.branches[b].end_errors[int(n > nodes.first[b])] for b, n in zip(branch, node, strict=True)]
+    return classify(kind, at, line, guess, np.full_like(guess, np.nan), 1e-9 + np.array(located), walks)

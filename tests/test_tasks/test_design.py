@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from lines import _atlas, solved
-from tasks.map_designs import design
+from lines import _atlas, branches, solved
+from tasks.continuation import extremes
+from tasks.continuation.extremes import Points, find
+from tasks.map_designs import _Rows, _walkers, design
 from tasks.registry import GAITS
+from tasks.step.problem import Lanes
 
 
 def best(walker, low=1e-4, high=0.2, **overrides):
@@ -62,3 +65,53 @@ def test_a_cell_by_brute_force(walker, overrides):
     assert 0 <= found["largest_stable_slope"] - slopes[stable.any(axis=1)][-1] < step
     speed = np.where(stable, grid["speed"], 0.0)
     assert 0 <= found["fastest_stable_speed"] - speed.max() < 0.01 * speed.max()
+
+
+def place(log_slope):
+    """A gait at a special point that walks, is long and not stable."""
+    none, no = np.full(1, np.nan), np.zeros(1, bool)
+    return Points(
+        line=np.zeros(1, int),
+        kind=np.array(["window"], "U32"),
+        Z=np.zeros((4, 1)),
+        rows=np.zeros((4, 1)),
+        error=np.zeros(1),
+        log_froude=none,
+        speed_error=none,
+        walks=~no,
+        long=~no,
+        stable=no,
+        log_slope=np.array([log_slope]),
+        faster=no,
+    )
+
+
+def test_a_gait_on_the_edge_but_for_rounding_is_in_the_window():
+    """Its smallest slope was listed, beside `no gait` for what it never is: stable."""
+    window = (np.log(0.01), np.log(0.02))
+    rows = _Rows(1)
+    rows.store(None, np.zeros(1, int), place(np.nextafter(window[0], -np.inf)), window, surveyed=1)
+    assert rows.kind["smallest_slope"].tolist() == ["window"]
+    assert rows.kind["largest_stable_slope"].tolist() == ["never stable"]
+
+
+def test_a_branch_below_the_window_gives_no_gait_at_any_slope():
+    """A branch from vanishing slopes counted though it ends before the window begins."""
+    problem, found = branches("D")
+    below = [branch.part(np.flatnonzero(branch.q < np.log(0.05))) for branch in found]
+    for branch in below:
+        branch.ratio, branch.leg_passes = np.zeros(len(branch.Z)), np.ones(len(branch.Z), int)
+    for low, number in ((0.01, True), (0.1, False)):
+        window = (np.log(low), np.log(0.2))
+        points = find(Lanes(_walkers("D", {}, 1), problem.structure), [below], window)
+        assert (extremes.best(points, 1, window)["smallest_slope"][0] >= 0) == number
+
+
+def test_an_end_that_samples_locate_has_their_error():
+    """Ends without equations of their own had an error of 1e-9, whatever that of the branch's end."""
+    problem, found = branches("physical-straight")
+    (branch,) = [b for b in found if "zero step length" in b.why]
+    branch.end_errors = (3e-6, 3e-6)
+    window = (np.log(1e-3), np.log(0.2))
+    points = find(Lanes(_walkers("physical-straight", {}, 1), problem.structure), [[branch]], window)
+    assert (points.error[points.kind == "end_zero_step"] >= 3e-6).all() and "end_zero_step" in points.kind
