@@ -112,8 +112,8 @@ def _laws(
 
 def _plateaus(curves: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]], flatness: float) -> Iterator[_Run]:
     for key, (x, y) in curves.items():
-        runs = power_law.plateaus(x, y, flatness) if len(x) > power_law.MIN_POINTS else []
-        yield from ((key, x[first : last + 1], y[first : last + 1]) for first, last in runs)
+        for first, last in power_law.plateaus(x, y, flatness):
+            yield key, x[first : last + 1], y[first : last + 1]
 
 
 def _start(run: _Run) -> float:

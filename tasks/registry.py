@@ -224,7 +224,7 @@ TASKS = {
         Task("curve", "tasks.follow_curves:curve", 6, needs=("atlas",)),
         Task("design", "tasks.map_designs:design", 12),
         Task("census", "tasks.count_gaits:census", 7),
-        Task("scaling", "tasks.fit_laws:scaling", 3, needs=("points",)),
+        Task("scaling", "tasks.fit_laws:scaling", 4, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 4, needs=("points",)),
         Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",)),
         Task("corners", "tasks.locate_landmarks:corners", 1, needs=("atlas",)),

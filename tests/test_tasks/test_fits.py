@@ -230,3 +230,15 @@ def test_a_law_that_holds_from_the_smallest_speeds_on_is_that_of_small_ones():
     for regime, points in (("small", 160), ("large", 0)):
         rows = power_laws & (table["fits/scaling/regime"] == regime)
         assert rows.sum() == 2 and (table["fits/scaling/n"][rows] == points).all()
+
+
+def test_five_points_over_a_decade_are_a_plateau():
+    """Alone on their curve they had none, beside others they had."""
+    slope = np.geomspace(1e-4, 1e-3, 5)
+    one, no = np.ones((5, 2)), np.zeros((5, 2), int)
+    data = {"slope": slope, "stance_angle": one * slope[:, None], "speed": one * slope[:, None] ** 2, "power": one}
+    table = scaling({"lines": [{"walker": "E", "set": {}}]}, [{**data, "branch": no, "piece": no}])
+    small = table["fits/scaling/regime"] == "small"
+    laws = zip(table["fits/scaling/quantity"][small], table["fits/scaling/exponent"][small], strict=True)
+    assert dict(laws) == pytest.approx({"stance_angle": 1.0, "speed": 2.0, "power_speed": 0.0}, abs=1e-12)
+    assert set(table["fits/scaling/n"][small]) == {5}
