@@ -104,12 +104,16 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
         lengths: dict[str, Any] = {key: Fraction(str(table[key])) for key in ("l", "R", "c") if key in table}
         table = straight({"R": 0, **table, **lengths})
     overrides = {**{key: table.pop(key) for key in ("detuning", "foot_mass_ratio") if key in table}, **overrides}
+    ratio = overrides.pop("foot_mass_ratio", None)
+    # Other keys of a table come after the masses of its base.
+    if ratio is not None and base is not None:
+        keys = _with_foot_mass(keys, decimal(ratio))
     keys, kneed = _changed(keys, kneed, table)
     if "detuning" in overrides:
         tuned, physical = _named(str(base))[0], _named(TUNED[str(base)][1])[0]
         keys = {**keys, **_mixed(tuned, physical, decimal(overrides.pop("detuning")))}
-    if "foot_mass_ratio" in overrides:
-        keys = _with_foot_mass(keys, decimal(overrides.pop("foot_mass_ratio")))
+    if ratio is not None and base is None:
+        keys = _with_foot_mass(keys, decimal(ratio))
     return _changed(keys, kneed, overrides)
 
 

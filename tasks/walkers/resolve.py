@@ -131,7 +131,11 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     derived = {key: _number(key, changes.pop(key)) for key in _DERIVED if changes.get(key) is not None}
     table = dict(walker) if isinstance(walker, Mapping) and "base" in walker else {}
     for owner, value in derived.items():
-        result = detuned(walker, value) if owner == "detuning" else _with_foot_mass_ratio(result, value)
+        if owner == "detuning":
+            result = detuned(walker, value)
+        else:
+            own = {key: value for key, value in table.items() if key not in ("base", "name")}
+            result = replace(_with_foot_mass_ratio(_point_feet(walker), value), **own)
         keys = owned(owner, walker)
         for key in (k for k in (*table, *changes) if k in keys):
             raise WalkerError(
@@ -153,6 +157,15 @@ def owned(derived: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
     if derived == "foot_mass_ratio":
         return tuple(key for key, kind in KEYS.items() if kind == "mass")
     return _detuned_keys(walker if isinstance(walker, str) else str(walker.get("base")))
+
+
+def _point_feet(walker: str | Mapping[str, Any]) -> Walker:
+    """The walker whose masses `foot_mass_ratio` sets: that of the base of a table, whose other keys come after."""
+    if isinstance(walker, Mapping):
+        own = from_table({key: value for key, value in walker.items() if key not in _DERIVED})
+        if own.point_foot or "base" not in walker:
+            return own
+    return from_catalogue(walker if isinstance(walker, str) else walker["base"])
 
 
 def _with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
@@ -206,7 +219,7 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
         if key == "detuning":
             values |= _mixed(walker, array)
         elif key == "foot_mass_ratio":
-            values |= _masses(resolve(walker), array)
+            values |= _masses(_point_feet(walker), array)
         else:
             values[key] = array
     return WalkerArray(**{**first.table(), **values})

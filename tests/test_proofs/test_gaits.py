@@ -18,6 +18,7 @@ from tasks.proofs.records import checked, distance, prove_stored, quoted
 from tasks.proofs.signs import zeros
 from tasks.proofs.stability import characteristic, step_derivative
 from tasks.prove_gaits import prove_one
+from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import WalkerError
 
 NAMES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time")
@@ -301,6 +302,16 @@ def test_a_bound_of_too_many_digits_is_refused_at_once():
 def test_a_value_that_is_no_number_is_refused():
     found = ask_stored({**stored(), "shank_rate": math.nan})
     assert found["unique"] and not found["proved"]
+
+
+@pytest.mark.parametrize("keys", [{"R": "0.2"}, {"c_t": "0.1"}])
+def test_the_foot_mass_ratio_of_a_table_is_that_of_its_base(keys):
+    """Where the table moved the thigh's centre off the hip, proofs were of another walker than gaits."""
+    found, kneed = exact({"base": "E", "foot_mass_ratio": "0.02", **keys})
+    walker = resolve({"base": "E", "foot_mass_ratio": 0.02, **{k: float(v) for k, v in keys.items()}})
+    assert not kneed
+    assert {k: int(v.p) / int(v.q) for k, v in found.items()} == pytest.approx({k: getattr(walker, k) for k in found})
+    assert found == exact("E", {"foot_mass_ratio": "0.02", **keys})[0]
 
 
 def test_keys_are_the_decimals_written():

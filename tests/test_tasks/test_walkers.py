@@ -125,6 +125,19 @@ def test_a_table_may_hold_derived_keys():
         resolve({"base": "C", "detuning": "half"})
 
 
+def test_a_table_over_point_feet_may_change_other_keys():
+    """Round feet in a table with a foot mass ratio were refused, beside it they were not."""
+    for keys in ({"R": 0.2}, {"R": 0.2, "c_s": 0.3}, {"c_t": 0.1}, {"g": 9.81, "units": "SI", "name": "mine"}):
+        beside = {key: value for key, value in keys.items() if key not in ("units", "name")}
+        expected = replace(resolve("E", {"foot_mass_ratio": 0.02, **beside}), units=keys.get("units", "1"))
+        assert resolve({"base": "E", "foot_mass_ratio": 0.02, **keys}) == expected
+        assert resolve({"base": "E", **keys}, {"foot_mass_ratio": 0.02}) == expected
+        many = resolve_many({"base": "E", **keys}, {"foot_mass_ratio": np.array([0.0, 0.02])})
+        assert many[1] == expected
+    with pytest.raises(WalkerError, match="needs a point-foot walker"):
+        resolve({"base": "B", "g": 2.0}, {"foot_mass_ratio": 0.02})
+
+
 def test_foot_mass_ratio_keeps_the_total_mass():
     light = resolve("E", {"foot_mass_ratio": 0.01})
     assert light.total_mass == pytest.approx(1.0, abs=1e-15)
