@@ -20,7 +20,7 @@ def velocity_ratio(walker: Walker, angle: np.ndarray, rate_ratio: np.ndarray) ->
     angle : ndarray, shape (n,) [rad]
         Stance angle.
     rate_ratio : ndarray, shape (n,)
-        Difference of the legs' rates over the stance rate, u.
+        Difference of the legs' rates over the stance rate's size, u.
 
     Returns
     -------
@@ -28,10 +28,10 @@ def velocity_ratio(walker: Walker, angle: np.ndarray, rate_ratio: np.ndarray) ->
 
     Notes
     -----
-    Paper, equation 12 with the sign of its first line corrected. Over the stance rate, x' = (R + l cos angle) u and
+    Paper, equation 12 with the sign of its first line corrected. Over that size, x' = (R + l cos angle) u and
     y' = -l sin angle (2 - u).
     """
-    return (walker.R + walker.l * np.cos(angle)) * rate_ratio / (walker.l * np.sin(angle) * (2 - rate_ratio))
+    return (walker.R + walker.l * np.cos(angle)) * rate_ratio / (walker.l * np.sin(angle) * (rate_ratio - 2))
 
 
 def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:

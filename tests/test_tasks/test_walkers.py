@@ -8,6 +8,7 @@ import pytest
 
 from pipeline.bench.bounds import RANDOM
 from pipeline.bench.stress import random_walker
+from tasks.measures.losses import velocity_ratio
 from tasks.mechanics.lumped import constants_of, lump, structure_of, structures_of
 from tasks.solve_at_slope import solve_one
 from tasks.step.problem import Lanes, Problem
@@ -136,6 +137,23 @@ def test_a_table_over_point_feet_may_change_other_keys():
         assert many[1] == expected
     with pytest.raises(WalkerError, match="needs a point-foot walker"):
         resolve({"base": "B", "g": 2.0}, {"foot_mass_ratio": 0.02})
+
+
+def test_the_swing_foot_moves_forward_and_down_where_the_ratio_of_velocities_is_negative():
+    """The ratio had the other sign. Its velocities, from those of the foot's lowest point, by differences."""
+    walker, angle, rates = CATALOGUE["B"], 0.2, np.array([-1.1, -0.3])
+
+    def foot(stance, swing):
+        hip = -walker.R * stance + 1j * walker.l * np.exp(1j * stance)
+        centre = hip - 1j * walker.l * np.exp(1j * swing)
+        return centre + walker.R * swing  # the material point at the bottom moves on by the radius
+
+    t = 1e-6 * rates
+    velocity = (foot(-angle + t[0], angle + t[1]) - foot(-angle - t[0], angle - t[1])) / 2e-6
+    assert velocity.real > 0 > velocity.imag
+    u = (rates[1] - rates[0]) / abs(rates[0])
+    ratio = velocity_ratio(walker, np.array([angle]), np.array([u]))
+    assert ratio == pytest.approx(velocity.real / velocity.imag, rel=1e-8)
 
 
 def test_foot_mass_ratio_keeps_the_total_mass():
