@@ -77,6 +77,10 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "stopped": ("number", "why no further flip was located"),
     "deflated": ("number", "Newton iterations from initial guesses with known gaits deflated"),
     "found_deflated": ("number", "gaits that only deflation found"),
+    **dict.fromkeys(
+        ("basin/stance_rate", "fixed_points/stance_rate", "stable_manifold/stance_rate"),
+        ("rate", "stance leg's rate, just before heelstrike with knees, else just after"),
+    ),
     "swing_rate": (
         "rate",
         "swing leg's rate, in the ratio to the stance rate that the long gait has; of both locked legs just before"

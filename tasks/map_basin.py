@@ -45,7 +45,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         Tables `basin` (slope, stance_angle, stance_rate[, swing_rate], outcome, steps), a row per initial condition;
         `fixed_points` (slope, gait, stance_angle, stance_rate, swing_rate, NaN for point feet), the gaits in the same
         coordinates, `stable_manifold` (likewise, and point, a number), points of those of saddles, and `areas`
-        (slope, outcome, area, standard_error, share, starts), in the walker's units.
+        (slope, outcome, area, standard_error, share, starts), in the walker's units, areas with rates over sqrt(g/leg).
 
     Notes
     -----
@@ -89,7 +89,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         if problem.m == 3:
             table["swing_rate"] = starts[2] / time_unit
         tables.append(table | {"outcome": outcome, "steps": steps})
-        for name, area, error in _areas(outcome.reshape(int(options["size"]), -1), cell / time_unit):
+        for name, area, error in _areas(outcome.reshape(int(options["size"]), -1), cell):
             row = (slope, name, area, error, np.mean(outcome == name), len(outcome))
             for column, value in zip(areas.values(), row, strict=True):
                 column.append(value)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lines import _atlas, solved
+from lines import _atlas, branches, solved
+from tasks import count_gaits
 from tasks.count_gaits import census, deflated, starts
 from tasks.dynamics.stable_manifold import saddle_at
 from tasks.fixed_points.newton import newton
@@ -128,6 +129,19 @@ def test_outcomes_do_not_depend_on_the_grid():
     assert same.any()
 
 
+def test_areas_are_in_the_unit_that_they_name():
+    """Of walkers in SI units they were in rad/s."""
+    found = []
+    for g in (1.0, 4.0):
+        line, key = {"walker": "D", "set": {"g": g}}, (("g", g),)
+        params = {"line": line, "slope": np.array([0.009]), "size": 6, "steps": 3}
+        found.append(basin(params, [_atlas("D", key)]))
+    one, other = found
+    assert other["basin/stance_rate"] == pytest.approx(2 * one["basin/stance_rate"])
+    for name in ("area", "standard_error"):
+        assert one[f"areas/{name}"] == pytest.approx(other[f"areas/{name}"])
+
+
 @pytest.mark.parametrize("name", ["D", "E"])
 def test_there_are_two_gaits_that_walk_like_people(name):
     found = census({"line": {"walker": name, "set": {}}, "slope": np.array([0.005, 0.05]), "starts": 1500}, [])
@@ -178,3 +192,16 @@ def test_starts_fill_the_section():
     for row in (np.log(y[0]), (y[1] - slowest) / (4 * y[0] + slowest), y[2] / y[1]):
         counts, _ = np.histogram(row, 8)
         assert counts.min() > 50
+
+
+def test_rates_of_a_census_are_those_after_heelstrike(monkeypatch):
+    """With knees they were those before it."""
+    (problem, found), slope = branches("C"), np.array([0.03])
+    w = np.column_stack([np.delete(Z, problem.m, axis=1).T for b in found for _, Z, _ in b.guesses(np.log(slope))])
+    ones = np.ones(w.shape[1], int)
+    monkeypatch.setattr(count_gaits, "_solve", lambda *_: (w, ones, len(ones)))
+    monkeypatch.setattr(count_gaits, "_deflate", lambda *_: (w, ones, 0, 0))
+    counted = census({"line": {"walker": "C", "set": {}}, "slope": slope, "starts": 1}, [])
+    known = solved("C", slope)
+    for name in ("stance_angle", "stance_rate", "period"):
+        assert sorted(counted[f"census/{name}"]) == pytest.approx(sorted(known[name][0, :2]), rel=1e-9), name
