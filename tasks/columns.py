@@ -104,6 +104,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "curve": ("number", "number of the curve, from 0"),
     "key": ("number", "key that varies along the curve"),
     "value": ("number", "value of that key, in the walker's units"),
+    "curves/stopped": ("number", "why the curve was followed no further; empty between its ends"),
     "turn": ("number", "quantity with a turning point: the key or the slope"),
     # the ledger
     "id": ("number", "claim"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,17 @@ import numpy as np
 from tasks import registry
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
-from tasks.continuation.codimension_one import DIFFERENCE, ENDS, SCALARS, Curve, Point, equations_of, follow, turning
+from tasks.continuation.codimension_one import (
+    CLOSED,
+    DIFFERENCE,
+    ENDS,
+    SCALARS,
+    Curve,
+    Point,
+    equations_of,
+    follow,
+    turning,
+)
 from tasks.continuation.special_points import special_points
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
@@ -19,7 +30,7 @@ from tasks.walkers.walker import Walker, WalkerError
 
 Arrays = dict[str, np.ndarray]
 #: Columns of the tables.
-_CURVES = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "walks")
+_CURVES = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "walks", "stopped")
 _TURNINGS = ("curve", "kind", "turn", "slope", "key", "value", "stance_angle", "period", "error_bound")
 
 
@@ -39,9 +50,9 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Tables `curves` (curve, kind, slope, key, value, stance_angle, period, walks) and `turnings` (turning points of
-        key or slope along a curve: curve, kind, turn, slope, key, value, stance_angle, period, error_bound), in the
-        walker's units.
+        Tables `curves` (curve, kind, slope, key, value, stance_angle, period, walks, and at its ends `stopped`: why it
+        was followed no further) and `turnings` (turning points of key or slope along a curve: curve, kind, turn, slope,
+        key, value, stance_angle, period, error_bound), in the walker's units.
 
     Raises
     ------
@@ -84,7 +95,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             seen += [(kind, p.U) for p in _returns(equations, points, first)]
             number = len(set(rows["curve"]))
             for p in points:
-                _add(rows, (number, kind, *_place(equations, p, key, window), int(equations.walks(p))))
+                _add(rows, (number, kind, *_place(equations, p, key, window), int(equations.walks(p)), p.stopped))
             for component, turn in ((-1, "key"), (-2, "slope")):
                 for a, b in itertools.pairwise(points):
                     point = turning(equations, a, b, component)
@@ -155,11 +166,15 @@ def _seeds(
 
 
 def _follow_both_directions(equations: Curve, first: Point, window: Mapping[str, tuple[float, float]]) -> list[Point]:
-    """The curve through a point, from the end with decreasing to that with increasing arclength."""
-    down = follow(equations, Point(first.U, first.times, first.tangent.copy(), True, first.error), -1.0, window)
-    up = follow(equations, Point(first.U, first.times, first.tangent.copy(), True, first.error), 1.0, window)
+    """The curve through a point, from the end with decreasing to that with increasing arclength; or once round."""
+    up = follow(equations, replace(first), 1.0, window)
+    if up[-1].stopped == CLOSED:
+        up[0].stopped = CLOSED
+        return up
+    down = follow(equations, replace(first), -1.0, window)
     for p in down:
         p.tangent = -p.tangent
+    up[0].stopped = up[0].stopped or down[0].stopped  # where either is its only point
     return down[:0:-1] + up
 
 

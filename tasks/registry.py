@@ -221,7 +221,7 @@ TASKS = {
         Task("orbit", "tasks.iterate_orbits:orbit", 5, needs=("atlas",)),
         Task("cascade", "tasks.locate_cascade:cascade", 8, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 6, needs=("atlas",)),
-        Task("curve", "tasks.follow_curves:curve", 6, needs=("atlas",)),
+        Task("curve", "tasks.follow_curves:curve", 7, needs=("atlas",)),
         Task("design", "tasks.map_designs:design", 12),
         Task("census", "tasks.count_gaits:census", 8),
         Task("scaling", "tasks.fit_laws:scaling", 4, needs=("points",)),

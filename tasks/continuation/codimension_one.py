@@ -12,15 +12,15 @@ meet. Curves are followed by pseudo-arclength continuation.
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from tasks.continuation import pseudo_arclength as engine
 from tasks.continuation.joint import determinants, linearised
+from tasks.continuation.root import passes
 from tasks.mechanics.lumped import constants_of, structure_of
 from tasks.step.problem import Problem
 from tasks.step.simulate import STRUCK, scanner
@@ -42,7 +42,9 @@ _CONTROL = engine.StepControl(
     reduction=0.4,
     max_bend=0.1,
 )
-_MAX_POINTS = 300
+_MAX_POINTS = 5000
+#: Why a curve is followed no further.
+BORDER, CLOSED, LOST, TOO_MANY = "border", "closed", "no further point", "too many points"
 
 
 def _shifted_det(sign: float) -> Callable[[Stride], np.ndarray]:
@@ -77,6 +79,8 @@ class Point:
         Whether Newton converged.
     error : float
         Size of the last Newton step.
+    stopped : str
+        Why the curve was followed no further; empty between its ends.
     """
 
     U: np.ndarray
@@ -84,6 +88,7 @@ class Point:
     tangent: np.ndarray
     ok: bool
     error: float
+    stopped: str = ""
 
 
 class Curve:
@@ -192,10 +197,8 @@ class Curve:
         u = len(direction)
         if not at.ok[0]:
             return Point(np.full(u, np.nan), at.Z[u:, 0], direction, False, np.inf)
-        tangent = at.direction[:u, 0]
-        return Point(
-            at.Z[:u, 0], at.Z[u:, 0], tangent * (np.sign(tangent @ direction) or 1.0), True, float(at.error[0])
-        )
+        tangent = at.direction[:u, 0] * (np.sign(at.direction[:u, 0] @ direction) or 1.0)
+        return Point(at.Z[:u, 0], at.Z[u:, 0], tangent, True, float(at.error[0]))
 
     def _linearise(self, Z: np.ndarray, u: int) -> engine.Linearisation:
         """The equations at n points; NaN where there is no such walker."""
@@ -304,7 +307,7 @@ def _neighbours(U: np.ndarray, h: float) -> np.ndarray:
 def follow(
     curve: Curve, first: Point, direction: float, window: Mapping[str, tuple[float, float]], step: float = 0.02
 ) -> list[Point]:
-    """Follow a curve from a point on it up to the window's border.
+    """Follow a curve from a point on it up to the window's border, or until it closes.
 
     Parameters
     ----------
@@ -317,8 +320,7 @@ def follow(
     step : float
         Length of the first continuation step.
     """
-    sign = np.sign(first.tangent[-1] or 1.0) * direction
-    first.tangent = first.tangent * sign
+    first.tangent = first.tangent * (np.sign(first.tangent[-1] or 1.0) * direction)
     points, u = [first], len(first.U)
 
     def judge(point: engine.Corrected, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -337,19 +339,22 @@ def follow(
         if fair[0]:
             new = curve._point(corrected, last.tangent)
             if (leaves := _exit(curve, last, new, window)) is None:
+                if len(points) > 3 and passes(first.U, first.tangent, last.U, last.tangent, new.U, new.tangent):
+                    return [*points, replace(first, stopped=CLOSED)]
                 points.append(new)
                 step = float(track.step[0])
                 continue
             component, edge, share = leaves
-            if share < 1e-9:
-                break  # it begins on the border
+            if share < 1e-9:  # it begins there
+                return [*points[:-1], replace(last, stopped=BORDER)]
             guess = last.U + share * (new.U - last.U)
             guess[component] = edge
             new = curve.correct(guess, last.times + share * (new.times - last.times), np.eye(u)[component])
             if new.ok:
                 new.tangent *= np.sign(new.tangent @ last.tangent) or 1.0
-                return [*points, new]
+                return [*points, replace(new, stopped=BORDER)]
         step *= _CONTROL.reduction
+    points[-1].stopped = LOST if len(points) < _MAX_POINTS else TOO_MANY
     return points
 
 
@@ -363,7 +368,7 @@ def _exit(
         if edge != new.U[component]:
             share = float((edge - last.U[component]) / (new.U[component] - last.U[component]))
             exits.append((component, edge, share))
-    return min(exits, key=operator.itemgetter(2), default=None)
+    return min(exits, key=lambda each: each[2], default=None)
 
 
 def turning(curve: Curve, a: Point, b: Point, component: int) -> Point | None:

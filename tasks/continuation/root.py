@@ -1,4 +1,4 @@
-"""Roots in brackets of functions whose every value costs a corrected gait, and the cubic that predicts that gait.
+"""Roots in brackets of functions whose every value costs a corrected gait, and the cubic between points of a curve.
 
 scipy's root finder would serve as well, but importing it takes longer than computing most atlases.
 """
@@ -10,6 +10,8 @@ from collections.abc import Callable, Generator
 import numpy as np
 
 _MAX_STEPS = 60
+#: A curve has closed if between two points it passes its start no farther from it than this share of their distance.
+_CLOSED_WITHIN = 1e-2
 
 
 def bracketed_root(function: Callable[[float], float], a: float, b: float, tolerance: float = 0.0) -> float:
@@ -99,3 +101,27 @@ def hermite(
         + b * h * h * (3 - 2 * h)
         + length * b_tangent * h * h * (h - 1)
     )
+
+
+def passes(
+    start: np.ndarray, ahead: np.ndarray, a: np.ndarray, a_tangent: np.ndarray, b: np.ndarray, b_tangent: np.ndarray
+) -> np.ndarray:
+    """Whether curves pass their starts between two points, in their directions there.
+
+    Parameters
+    ----------
+    start, ahead : ndarray, shape (n,) or (n, k)
+        The starts, and the unit tangents there.
+    a, b, a_tangent, b_tangent : ndarray, shape (n,) or (n, k)
+        The points, and the unit tangents there.
+
+    Returns
+    -------
+    ndarray of bool, shape () or (k,)
+    """
+    chord = b - a
+    length = np.linalg.norm(chord, axis=0)
+    share = ((start - a) * chord).sum(axis=0) / length**2
+    off = np.linalg.norm(hermite(a, a_tangent, b, b_tangent, length, share) - start, axis=0)
+    is_ahead = (ahead * chord).sum(axis=0) > 0.5 * length
+    return np.asarray((share > 0) & (share <= 1) & (off < _CLOSED_WITHIN * length) & is_ahead)

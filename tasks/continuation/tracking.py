@@ -16,7 +16,7 @@ import numpy as np
 
 from tasks.continuation.joint import joint, joint_by_X, rounding_step
 from tasks.continuation.pseudo_arclength import Linearisation, Newton, StepControl, Tracks, bordered_newton
-from tasks.continuation.root import hermite
+from tasks.continuation.root import passes
 from tasks.fixed_points.newton import LONGEST_PERIOD
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Problem
@@ -46,8 +46,6 @@ _MAX_NODES = 1500
 MAX_CROSSING_STEP = 1e-4
 #: Number of points after which it is checked that a branch still consists of steps.
 _CHECK_EVERY = 12
-#: A track has closed if between its last points it passes its start no farther from it than this share of the step.
-_CLOSED_WITHIN = 1e-2
 
 
 @dataclass
@@ -284,15 +282,9 @@ class _Branches(Tracks):
         -------
         ndarray of bool, shape (j,)
         """
-        (start, ahead), chord = (each[:, tracks] for each in self.first), self.Z[:, tracks] - Z
-        length = np.linalg.norm(chord, axis=0)
-        share = ((start - Z) * chord).sum(axis=0) / length**2
-        off = np.linalg.norm(
-            hermite(Z, tangent, self.Z[:, tracks], self.tangent[:, tracks], length, share) - start, axis=0
-        )
-        is_ahead = (ahead * chord).sum(axis=0) > 0.5 * length
-        passes = (share > 0) & (share <= 1) & (off < _CLOSED_WITHIN * length) & is_ahead
-        return np.asarray(passes & (self.count[tracks] > 3))
+        start, ahead = (each[:, tracks] for each in self.first)
+        closes = passes(start, ahead, Z, tangent, self.Z[:, tracks], self.tangent[:, tracks])
+        return np.asarray(closes & (self.count[tracks] > 3))
 
     def pairs(self) -> list[tuple[Track, Track]]:
         """Tracks down and up of each gait."""

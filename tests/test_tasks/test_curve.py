@@ -11,7 +11,7 @@ from tasks.continuation import codimension_one
 from tasks.continuation.codimension_one import Curve, follow, turning
 from tasks.continuation.joint import rounding_step
 from tasks.continuation.special_points import special_points
-from tasks.follow_curves import _is_ordinary, curve
+from tasks.follow_curves import _follow_both_directions, _is_ordinary, curve
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import WalkerError
 
@@ -206,3 +206,65 @@ def test_the_step_that_rounding_makes_counts_every_row_and_direction():
         for k in range(m):
             error += np.abs(inverse[:, :-1] @ (derivative[:, k, lane] + np.eye(size - 1)[k])) * share[k]
         assert found[lane] == pytest.approx(6 * error.max(), rel=1e-9)
+
+
+class Plane(Curve):
+    """A curve of one equation in ln slope and the key, without a gait; `equation` gives its value and derivatives."""
+
+    def __init__(self, equation):
+        self.equation, self.scale = equation, 1.0
+
+    def system(self, U, times, h=codimension_one.DIFFERENCE):
+        value, by_U = self.equation(*U)
+        return np.array([value]), np.array([by_U]), lambda dU: times
+
+    def through(self, q, key):
+        return self.correct(np.array([q, key]), np.zeros(1), np.array([0.0, 1.0]))
+
+
+def circle(q, key):
+    return q * q + key * key - 1, [2 * q, 2 * key]
+
+
+def ended(key):
+    if key > 1.5:
+        raise WalkerError("key", key, "is too large")
+    return key
+
+
+@pytest.mark.parametrize("begin", [(0.6, 0.8), (-1.0, 0.0)])
+def test_a_closed_curve_is_gone_round_once(begin):
+    """It was gone round again and again, in both directions."""
+    curve = Plane(circle)
+    window = {"q": (-2.0, 2.0), "key": (-2.0, 2.0)}
+    points = _follow_both_directions(curve, curve.through(*begin), window)
+    assert [p.stopped for p in points] == ["closed", *[""] * (len(points) - 2), "closed"]
+    U = np.array([p.U for p in points])
+    assert U[0] == pytest.approx(U[-1], abs=1e-14)
+    angles = np.unwrap(np.arctan2(U[:, 1], U[:, 0]))
+    assert abs(angles[-1] - angles[0]) == pytest.approx(2 * np.pi) and len(set(np.sign(np.diff(angles)))) == 1
+    # Each turning point once.
+    turns = [turning(curve, a, b, -1) for a, b in itertools.pairwise(points)]
+    assert sorted(p.U[-1] for p in turns if p is not None) == pytest.approx([-1.0, 1.0])
+    # One that leaves the window ends there, though it would close.
+    arc = _follow_both_directions(curve, curve.through(*begin), {**window, "q": (-2.0, 0.9)})
+    assert [arc[0].stopped, arc[-1].stopped] == ["border", "border"]
+    assert [arc[0].U[0], arc[-1].U[0]] == pytest.approx([0.9, 0.9])
+
+
+def test_a_long_curve_is_followed_to_the_border():
+    """It ended after 300 points, without a word."""
+    curve = Plane(lambda q, key: (key - np.sin(q) / 4, [-np.cos(q) / 4, 1.0]))
+    points = _follow_both_directions(curve, curve.through(1.0, 0.2), {"q": (-40.0, 40.0), "key": (-1.0, 1.0)})
+    assert [points[0].U[0], points[-1].U[0]] == pytest.approx([-40.0, 40.0])
+    assert [p.stopped for p in points] == ["border", *[""] * (len(points) - 2), "border"]
+
+
+def test_a_curve_that_is_lost_says_so():
+    curve = Plane(lambda q, key: (ended(key) - q, [-1.0, 1.0]))
+    points = _follow_both_directions(curve, curve.through(1.0, 1.0), {"q": (0.0, 2.0), "key": (0.0, 2.0)})
+    assert [points[0].stopped, points[-1].stopped] == ["border", "no further point"]
+    assert points[-1].U[-1] == pytest.approx(1.5, abs=1e-3)
+    # One that begins on the border has its first point there.
+    points = _follow_both_directions(curve, curve.through(0.0, 0.0), {"q": (0.0, 1.0), "key": (0.0, 2.0)})
+    assert [points[0].stopped, points[-1].stopped] == ["border", "border"] and points[0].U[-1] == 0.0
