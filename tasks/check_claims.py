@@ -60,7 +60,7 @@ def claims(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         for _, data in named
     )
     use_atlases((line["walker"], line["set"], a) for (line, _), a in zip(named, atlases, strict=True) if a)
-    set_tables((line["walker"], {k: v for k, v in data.items() if "/" in k}) for line, data in named)
+    set_tables((line["walker"], line["set"], {k: v for k, v in data.items() if "/" in k}) for line, data in named)
     wanted = sorted((CLAIMS[name] for name in params["ids"]), key=lambda c: (c.id[0], int(c.id[1:])))
     rows = [_row(claim, backed(claim.id, _check(claim))) for claim in wanted]
     out: Arrays = {f"claims/{k}": np.array([row[k] for row in rows]) for k in (rows[0] if rows else {})}

@@ -115,7 +115,7 @@ def _walkers(params: Mapping[str, Any], inputs: list[Arrays]) -> list[str]:
     ]
     atlases = [(walker, {k: v for k, v in data.items() if "/" not in k}) for walker, data in known]
     use_atlases((walker, {}, atlas) for walker, atlas in atlases if atlas)
-    set_tables((walker, {k: v for k, v in data.items() if "/" in k}) for walker, data in known)
+    set_tables((walker, {}, {k: v for k, v in data.items() if "/" in k}) for walker, data in known)
     return [walker for walker, _ in known]
 
 

@@ -229,7 +229,7 @@ TASKS = {
         Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",)),
         Task("corners", "tasks.locate_landmarks:corners", 1, needs=("atlas",)),
         Task("crises", "tasks.locate_landmarks:crises", 3, needs=("atlas", "cascade", "corners")),
-        Task("claims", "tasks.check_claims:claims", 11, needs=("points", "atlas")),
+        Task("claims", "tasks.check_claims:claims", 12, needs=("points", "atlas")),
     )
 }
 

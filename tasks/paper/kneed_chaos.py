@@ -291,14 +291,14 @@ def re_pairing() -> ClaimResult:
             [own.arrays],
         )
 
-    turns = table("turnings", "C", compute_curve)
+    turns = table("turnings", "C", compute_curve, detuning=1.0)
     touch = np.nonzero((turns["turn"] == "key") & (turns["kind"] == "fold"))[0]
     if not len(touch):
         return ClaimResult("the curve of folds has no turning point in the detuning", NOT_REPRODUCED)
     value, slope, angle, bound = (
         float(turns[name][touch[0]]) for name in ("value", "slope", "stance_angle", "error_bound")
     )
-    folds = table("curves", "C", compute_curve)
+    folds = table("curves", "C", compute_curve, detuning=1.0)
     turning = folds["curve"] == turns["curve"][touch[0]]
     near = {d: _crossings(folds["value"][turning], folds["slope"][turning], d) for d in (value - 0.004, value + 0.004)}
     beside = "; ".join(

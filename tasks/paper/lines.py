@@ -177,10 +177,12 @@ def _evaluate_nodes(problem: Problem, branch: Branch) -> Arrays:
     }
 
 
-_LINES: dict[tuple[str, tuple[tuple[str, float], ...]], Line] = {}
-#: Tables by walker: those that the task of the study at hand made of its lines, and those that claims made themselves.
-_STUDY_TABLES: dict[str, Arrays] = {}
-_MADE_TABLES: dict[str, Arrays] = {}
+#: A walker of the catalogue, and the keys that a line sets with their values.
+_Key = tuple[str, tuple[tuple[str, float], ...]]
+_LINES: dict[_Key, Line] = {}
+#: Tables by line: those that the task of the study at hand made of it, and those that claims made themselves.
+_STUDY_TABLES: dict[_Key, Arrays] = {}
+_MADE_TABLES: dict[_Key, Arrays] = {}
 
 
 #: Atlases that the task at hand was given, and the memoized functions of claims, which read lines.
@@ -228,23 +230,20 @@ def use_atlases(known: Iterable[tuple[str, Mapping[str, float], Arrays]]) -> Non
         _LINES.setdefault((walker, keys), Line(walker, dict(keys), arrays))
 
 
-def set_tables(tables: Iterable[tuple[str, Arrays]]) -> None:
+def set_tables(tables: Iterable[tuple[str, Mapping[str, float], Arrays]]) -> None:
     """Replace the study's tables.
 
     Parameters
     ----------
-    tables : iterable of (str, dict)
-        Walker and columns ("group/column", shape (n,)) of each line; lines of one walker are joined in order.
+    tables : iterable of (str, mapping, dict)
+        Walker, values of the keys that the line sets, and columns ("group/column", shape (n,)) of each line.
     """
     _STUDY_TABLES.clear()
-    for walker, columns in tables:
-        joined = _STUDY_TABLES.setdefault(walker, {})
-        for name, column in columns.items():
-            joined[name] = np.concatenate([joined[name], column]) if name in joined else column
+    _STUDY_TABLES.update(((walker, tuple(sorted(settings.items()))), columns) for walker, settings, columns in tables)
 
 
-def table(group: str, walker: str, make: Callable[[], Arrays]) -> Arrays:
-    """Look up one table of a walker.
+def table(group: str, walker: str, make: Callable[[], Arrays], **settings: float) -> Arrays:
+    """Look up one table of a line.
 
     Parameters
     ----------
@@ -252,19 +251,22 @@ def table(group: str, walker: str, make: Callable[[], Arrays]) -> Arrays:
         Name of the table, and of the walker in the catalogue.
     make : callable
         Computes tables ("group/column"), once a process, where the study has not this one.
+    **settings : float
+        Values of the keys that the line sets.
 
     Returns
     -------
     dict of ndarray, shape (n,)
         By column.
     """
+    key = walker, tuple(sorted(settings.items()))
 
-    def columns(tables: Mapping[str, Arrays]) -> Arrays:
-        named = (name.partition("/") for name in tables.get(walker, {}))
-        return {column: tables[walker][f"{group}/{column}"] for prefix, _, column in named if prefix == group}
+    def columns(tables: Mapping[_Key, Arrays]) -> Arrays:
+        named = (name.partition("/") for name in tables.get(key, {}))
+        return {column: tables[key][f"{group}/{column}"] for prefix, _, column in named if prefix == group}
 
     if not columns(_STUDY_TABLES) and not columns(_MADE_TABLES):
-        _MADE_TABLES.setdefault(walker, {}).update(make())
+        _MADE_TABLES.setdefault(key, {}).update(make())
     return columns(_STUDY_TABLES) or columns(_MADE_TABLES)
 
 

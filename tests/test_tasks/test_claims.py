@@ -209,9 +209,9 @@ def test_the_table_of_claims_is_whole():
     assert sorted(set(table["rounding/landmark"])) == sorted(table["rounding/landmark"][most])
 
 
-def read(name, walker, **tables):
+def read(name, walker, settings=None, **tables):
     """A claim as a study wants it whose own task gave these tables."""
-    lines = [{"walker": walker, "set": {}}]
+    lines = [{"walker": walker, "set": settings or {}}]
     found = claims({"lines": lines, "ids": [name]}, [{k.replace("__", "/"): np.array(v) for k, v in tables.items()}])
     return {k.removeprefix("claims/"): v[0] for k, v in found.items() if k.startswith("claims/")}
 
@@ -277,8 +277,10 @@ def test_tables_that_no_study_gave_are_made_once_and_are_not_those_of_the_study_
         made.append(1)
         return {"toy/x": np.arange(3)}
 
-    lines.set_tables([("D", {"toy/x": np.zeros(1)}), ("D", {"toy/x": np.ones(1)})])
-    assert lines.table("toy", "D", make)["x"].tolist() == [0, 1]
+    lines.set_tables([("D", {}, {"toy/x": np.zeros(1)}), ("D", {"g": 2.0}, {"toy/x": np.ones(1)})])
+    # Of the walker as it is: those of lines that change it were taken for its own.
+    assert lines.table("toy", "D", make)["x"].tolist() == [0]
+    assert lines.table("toy", "D", make, g=2.0)["x"].tolist() == [1]
     for _ in range(2):
         lines.set_tables([])
         assert lines.table("toy", "D", make)["x"].tolist() == [0, 1, 2]
@@ -290,6 +292,7 @@ def test_branches_touch_where_folds_are_on_one_side_only(far, verdict):
     found = read(
         "T6",
         "C",
+        {"detuning": 1.0},
         turnings__value=[0.72386360373],
         turnings__slope=[0.1001868636],
         turnings__turn=["key"],
