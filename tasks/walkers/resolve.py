@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.walker import KEYS, NUMBERS, Walker, WalkerError
+from tasks.walkers.walker import KEYS, NUMBERS, Walker, WalkerError, check_number
 from tasks.walkers.walker_array import WalkerArray
 
 #: Keys of a line that set several of a walker's.
@@ -74,8 +74,8 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
             raise WalkerError(absent[0], ", ".join(given), "is missing from the walker")
         length, radius, centre = given.pop("l"), given.get("R", 0.0), given["c"]
         for key, value in {"l": length, "R": radius, "c": centre}.items():
-            if not isinstance(value, (int, float, Fraction)) or isinstance(value, bool):
-                raise WalkerError(key, repr(value), "must be a number")
+            if not isinstance(value, Fraction):
+                check_number(key, value)
         links = {_ONE_LINK[key]: given.pop(key) for key in _ONE_LINK if key in given}
         # The shank, without mass, has the same centre: that of the leg where its mass vanishes.
         shank = {"m_s": 0.0, "c_s": centre - length / 2, "w_s": links.get("w_t", 0.0), "r_s": links.get("r_t", 0.0)}
@@ -146,9 +146,8 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     return replace(result, **changes) if changes else result
 
 
-def _number(key: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise WalkerError(key, repr(value), "must be a number")
+def _number(key: str, value: Any) -> float:
+    check_number(key, value)
     return float(value)
 
 

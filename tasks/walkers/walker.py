@@ -46,7 +46,14 @@ def _clip(text: str) -> str:
     return text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "..."
 
 
-def _check_number(key: str, value: object) -> None:
+def check_number(key: str, value: object) -> None:
+    """Check that a value is a number that a walker may have.
+
+    Raises
+    ------
+    WalkerError
+        If it is not.
+    """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise WalkerError(key, repr(value), "must be a number")
     if value != value or (abs(value) == math.inf and key != "m_t"):
@@ -107,7 +114,7 @@ class Walker:
 
     def __post_init__(self) -> None:
         for key in NUMBERS:
-            _check_number(key, getattr(self, key))
+            check_number(key, getattr(self, key))
         if self.units not in ("1", "SI"):
             raise WalkerError("units", repr(self.units), 'must be "SI" or "1"')
         if not isinstance(self.knees, bool):

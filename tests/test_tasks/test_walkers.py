@@ -170,6 +170,21 @@ def test_the_papers_infinite_hip_is_the_limit():
 @pytest.mark.parametrize(
     ("table", "message"),
     [
+        ({"base": "C", "detuning": 10**400}, "`detuning` must be 0 or of a size from 1e-50 to 1e.50; got a number of"),
+        ({"base": "E", "foot_mass_ratio": 10**400}, "`foot_mass_ratio` must be 0 or of a size"),
+        ({"knees": False, "m": 1.0, "c": 0.5, "l": 10**400}, "`l` must be 0 or of a size"),
+        ({"knees": False, "m": 1.0, "c": math.inf, "l": 1.0}, "`c` must be finite; got inf"),
+        ({"base": "C", "detuning": math.inf}, "`detuning` must be finite; got inf"),
+    ],
+)
+def test_numbers_that_no_walker_can_have_are_told_by_the_key_that_holds_them(table, message):
+    with pytest.raises(WalkerError, match=f"^{message}"):
+        resolve(table)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
         ({"base": "C", "eps_t": 0.1}, r"`eps_t` is not a walker key \(did you mean `eps_T`\?\); got 0.1"),
         ({"base": "C", "x" * 9999: "y" * 9999}, r"^`x{60}\.{3}` is not a walker key; got y{60}\.{3}\.$"),
         ({"base": "C", "m_s": -1.0}, r"`m_s` must be >= 0; got -1.0"),
