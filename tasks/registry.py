@@ -217,7 +217,7 @@ TASKS = {
         ),
         Task("points", "tasks.solve_points:points", 11, needs=("atlas",), seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 3, needs=("atlas",)),
-        Task("branch", "tasks.follow_branches:branch", 10, needs=("atlas",)),
+        Task("branch", "tasks.follow_branches:branch", 11, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 5, needs=("atlas",)),
         Task("cascade", "tasks.locate_cascade:cascade", 8, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 6, needs=("atlas",)),

@@ -23,7 +23,10 @@ _MAX_PARTS = 1024
 _LEAST_PIECE = 1e-9
 #: Distance of the ends of a branch along it to what ends it.
 _END_DISTANCE = 1e-6
-_COLUMNS = ("branch", "slope", "stance_angle", "period", "kneestrike_time", "spectral_radius", "stable", "gait")
+_COLUMNS = (
+    *("branch", "slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate"),
+    *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
+)
 _SPECIAL = ("branch", "kind", "slope", "stance_angle", "period", "error_bound")
 
 
@@ -40,7 +43,7 @@ def sample_cycles(problem: Problem, branches: list[CycleBranch], params: Mapping
     Returns
     -------
     dict
-        The tables of `tasks.follow_branches.branch`: angle, knee strike and label are those of the step with the
+        The tables of `tasks.follow_branches.branch`: state, knee strike and label are those of the step with the
         largest stance angle, the period is that of all steps, the spectral radius that of their product.
     """
     low, high = float(params["slope_from"]), float(params["slope_to"])
@@ -107,8 +110,10 @@ def _describe(problem: Problem, cycle: Cycle) -> dict[str, Any]:
     time_unit, scale = np.sqrt(walker.leg / walker.g), np.exp2(np.floor(np.log2(cycle.Y[0])))
     step = problem.map(cycle.Y / scale, cycle.times, problem.parameters(np.full(cycle.period, cycle.slope), scale))
     radius = float(np.abs(replace(cycle, A=step.jacobian).multipliers()[0]))
+    rates = problem.start(cycle.Y[:, [k]], np.array([cycle.slope]))[1:, 0] / time_unit
     return {
         "stance_angle": float(cycle.Y[0, k]),
+        **dict(zip(("stance_rate", "thigh_rate", "shank_rate"), rates.tolist(), strict=True)),
         "period": float(cycle.times[-1].sum()) * time_unit,
         "kneestrike_time": float(cycle.times[0, k]) * time_unit if walker.knees else np.nan,
         "spectral_radius": radius,

@@ -214,6 +214,11 @@ def test_a_window_between_two_gaits_of_a_branch_has_as_many_points_as_are_asked_
     slope = table["branches/slope"]
     assert len(slope) >= 20 and (np.diff(slope) > 0).all()
     assert slope[0] == max(low, branches[0].cycles[0].slope) and slope[-1] == pytest.approx(high, rel=1e-14)
+    # Rows hold the whole state: two steps from it lead back to it.
+    state = [table[f"branches/{name}"][10] for name in ("stance_angle", "stance_rate", "thigh_rate")]
+    assert table["branches/shank_rate"][10] == state[2]
+    walk = pipeline.simulate("D", slope[10], state, 2)
+    assert [walk[name].values[2] for name in ("stance_angle", "stance_rate", "thigh_rate")] == pytest.approx(state)
 
 
 def test_a_gait_of_the_branch_on_the_edge_of_a_window_is_listed_once():
