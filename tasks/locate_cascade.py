@@ -32,9 +32,8 @@ from tasks.step.simulate import STRUCK, stride
 from tasks.walkers.resolve import resolve
 
 Arrays = dict[str, np.ndarray]
-#: Default options of a study of this kind: the longest period, first periods of the families, initial conditions of
-#: Orbits that locate that end, their relative distance from the last gait (chaos separates them), and how far beyond
-#: the accumulation they search, relative to its distance from the first flip.
+#: Orbits that locate the loss of walking, their relative distance from the last gait (chaos separates them), and how
+#: far beyond the accumulation they search, relative to its distance from the first flip.
 _ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
 #: First step along a branch over the window, and the longest interval to the next flip, in ln slope, that is expected:
 #: the first intervals of a cascade need not follow Feigenbaum's law.
@@ -92,6 +91,10 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             if not any(_is_same_birth(family, other) for other in families):
                 families.append(family)
                 reasons.append(stopped)
+        if not families:
+            limits.append(
+                dict(zip(_ACCUMULATION, (f"{number}", 0, *[np.nan] * 4, _absent(int(number), slope)), strict=True))
+            )
         for k, (family, stopped) in enumerate(zip(families, reasons, strict=True)):
             name = f"{number}" if len(families) == 1 else f"{number}-{k + 1}"
             flips = np.array([e.cycle.slope for e in family if e.kind == "flip"])
@@ -126,6 +129,13 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         )
         for k in columns
     }
+
+
+def _absent(n: int, slope: np.ndarray) -> str:
+    """Why a family of period n has no gait to begin with."""
+    if n == 1:
+        return f"No long gait at the least slope of the window, {slope[0]:.6g}."
+    return f"No gait of period {n} was found at the slopes of the window."
 
 
 def _spread_around(cycle: Cycle) -> np.ndarray:

@@ -219,7 +219,7 @@ TASKS = {
         Task("trace", "tasks.trace_motion:trace", 3, needs=("atlas",)),
         Task("branch", "tasks.follow_branches:branch", 11, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 5, needs=("atlas",)),
-        Task("cascade", "tasks.locate_cascade:cascade", 8, needs=("atlas",)),
+        Task("cascade", "tasks.locate_cascade:cascade", 9, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 6, needs=("atlas",)),
         Task("curve", "tasks.follow_curves:curve", 7, needs=("atlas",)),
         Task("design", "tasks.map_designs:design", 12),
@@ -320,8 +320,8 @@ OPTIONS: dict[str, dict[str, Option]] = {
     "cascade": {
         "periods": Option("count", 64, "largest period to which doublings are followed"),
         "families": Option("counts", [1], "periods of the gaits at which cascades begin"),
-        "starts": Option("count", 400, "initial states for the loss of walking"),
-        "steps": Option("count or 0", 200, "steps each initial state is followed; 0 leaves the loss of walking out"),
+        "starts": Option("count", 400, "initial states of the search for families of other periods than one"),
+        "steps": Option("count or 0", 200, "steps that walking must last; 0 leaves the loss of walking out"),
     },
     "basin": {
         "size": Option("count", 160, "initial states along each axis"),

@@ -11,6 +11,7 @@ from tasks.dynamics.crisis import surviving_slopes
 from tasks.dynamics.initial_states import gaits_at
 from tasks.fits.feigenbaum import DELTA, accumulation, ratios
 from tasks.locate_cascade import cascade
+from tasks.registry import OPTIONS
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
 
@@ -55,6 +56,15 @@ def test_a_cascade_tells_why_it_stopped():
     assert stopped == "No flip of period 2: the next one lies outside the window, at a slope of 0.0176694."
     (none,) = doublings("D", 0.0100, 0.0120, periods=8, steps=0)["accumulation/stopped"]
     assert none.startswith("No flip of period 1: the branch leaves the window at a slope of 0.01")
+
+
+def test_a_cascade_tells_what_it_could_not_begin_with():
+    absent = doublings("physical-straight", 0.005, 0.01, steps=0)
+    assert absent["accumulation/stopped"].tolist() == ["No long gait at the least slope of the window, 0.005."]
+    assert (absent["accumulation/family"][0], absent["accumulation/flips"][0]) == ("1", 0)
+    assert "families of other periods" in OPTIONS["cascade"]["starts"].meaning  # to which `starts` belongs
+    absent = doublings("D", 0.001, 0.002, families=[5], periods=20, starts=20, steps=0)
+    assert absent["accumulation/stopped"].tolist() == ["No gait of period 5 was found at the slopes of the window."]
 
 
 def test_the_first_flips_of_c():
