@@ -178,7 +178,7 @@ def gaits(
     coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si)) for name, a in varying.items()}
     first = next((line for (line, _), check in zip(lines, checks, strict=True) if check in answers), None)
     constants = _constants(first, answers, varying) if first else {}
-    return _dataset(points, grid[0], coordinates, constants, is_si, steps)
+    return _dataset(points, grid[0], coordinates, constants, is_si, steps, accuracy)
 
 
 def _lines(
@@ -328,6 +328,7 @@ def _dataset(
     constants: Mapping[str, str | float],
     is_si: bool,
     steps: int,
+    accuracy: float,
 ) -> xr.Dataset:
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
     used = np.unique(points.reason)
@@ -353,6 +354,7 @@ def _dataset(
         coords["multiplier"] = ("multiplier", np.arange(multipliers[0], dtype=np.int32), named)
     source = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"
     described = {"Conventions": "CF-1.11", "source": source, "references": PAPER, **attributes.of_steps(steps)}
+    described |= {"accuracy": accuracy} if accuracy else {}
     return xr.Dataset(
         {"reason_text": ("reason_index", np.array(sentences, str), text, _CHARACTERS), **variables},
         {**coords, **coordinates},

@@ -164,6 +164,7 @@ def test_arrays_to_an_accuracy():
         assert np.nanmax(error) < 1e-5
         assert (error.values[np.isfinite(error)] > 0).any()
         assert "residual" not in coarse
+        assert coarse.attrs["accuracy"] == 1e-5 and "accuracy" not in best.attrs
     with pytest.raises(StudyError, match="`accuracy` must lie in"):
         pipeline.gaits("B", slope, accuracy=0.5)
 
