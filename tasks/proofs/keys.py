@@ -104,16 +104,12 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
         lengths: dict[str, Any] = {key: Fraction(str(table[key])) for key in ("l", "R", "c") if key in table}
         table = straight({"R": 0, **table, **lengths})
     overrides = {**{key: table.pop(key) for key in ("detuning", "foot_mass_ratio") if key in table}, **overrides}
-    ratio = overrides.pop("foot_mass_ratio", None)
-    # Other keys of a table come after the masses of its base.
-    if ratio is not None and base is not None:
-        keys = _with_foot_mass(keys, decimal(ratio))
     keys, kneed = _changed(keys, kneed, table)
     if "detuning" in overrides:
         tuned, physical = _named(str(base))[0], _named(TUNED[str(base)][1])[0]
         keys = {**keys, **_mixed(tuned, physical, decimal(overrides.pop("detuning")))}
-    if ratio is not None and base is None:
-        keys = _with_foot_mass(keys, decimal(ratio))
+    if "foot_mass_ratio" in overrides:
+        keys = _with_foot_mass(keys, decimal(overrides.pop("foot_mass_ratio")))
     return _changed(keys, kneed, overrides)
 
 
@@ -217,7 +213,7 @@ def _mixed(tuned: Numbers, physical: Numbers, amount: fmpq) -> Numbers:
 def _with_foot_mass(keys: Numbers, ratio: fmpq) -> Numbers:
     """A point-foot walker whose feet each have a share of the whole mass; the hip carries the rest."""
     total = 2 * (keys["m_t"] + keys["m_s"]) + keys["m_h"]
-    if any(keys[name] != 0 for name in ("c_t", "w_t", "r_t")):  # of a thigh without mass
+    if keys["m_t"] == 0 and any(keys[name] != 0 for name in ("c_t", "w_t", "r_t")):  # of a thigh without mass
         return {**keys, "m_s": ratio * total, "m_t": fmpq(0), "m_h": (1 - 2 * ratio) * total}
     return {**keys, "m_s": ratio * total, "m_t": (fmpq(1, 2) - ratio) * total, "m_h": fmpq(0)}
 

@@ -24,9 +24,9 @@ _PARTNERS = {"A": "physical-straight", "C": "physical"}
 def from_table(table: Mapping[str, Any]) -> Walker:
     """Read a `[walker]` table: every key, or `base` and the keys that differ.
 
-    A `name` is allowed. Straight legs need not name what is zero by default: fore-aft offsets, the angle of the thigh
-    and the keys of a link without mass; and a leg of one link may be given by `m`, `c`, `w`, `r`, `l` (from the hip to
-    the centre of the foot) and `R`.
+    A `name` is allowed. Straight legs need not name what is zero by default, fore-aft offsets and the angle of the
+    thigh; and a leg of one link may be given by `m`, `c`, `l` (from the hip to the centre of the foot) and, where they
+    are not zero, `w`, `r` and `R`.
 
     Raises
     ------
@@ -128,14 +128,11 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
         changes = {**{key: walker[key] for key in _DERIVED if key in walker}, **changes}
         walker = {key: value for key, value in walker.items() if key not in _DERIVED}
     result = from_catalogue(walker) if isinstance(walker, str) else from_table(walker)
+    base = None if isinstance(walker, str) else walker.get("base")
     derived = {key: _number(key, changes.pop(key)) for key in _DERIVED if changes.get(key) is not None}
     table = dict(walker) if isinstance(walker, Mapping) and "base" in walker else {}
     for owner, value in derived.items():
-        if owner == "detuning":
-            result = detuned(walker, value)
-        else:
-            own = {key: value for key, value in table.items() if key not in ("base", "name")}
-            result = replace(_with_foot_mass_ratio(_point_feet(walker), value), **own)
+        result = detuned(walker, value) if owner == "detuning" else _with_foot_mass_ratio(result, value, base)
         keys = owned(owner, walker)
         for key in (k for k in (*table, *changes) if k in keys):
             raise WalkerError(
@@ -158,18 +155,12 @@ def owned(derived: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
     return _detuned_keys(walker if isinstance(walker, str) else str(walker.get("base")))
 
 
-def _point_feet(walker: str | Mapping[str, Any]) -> Walker:
-    """The walker whose masses `foot_mass_ratio` sets: that of the base of a table, whose other keys come after."""
-    if isinstance(walker, Mapping):
-        own = from_table({key: value for key, value in walker.items() if key not in _DERIVED})
-        if own.point_foot or "base" not in walker:
-            return own
-    return from_catalogue(walker if isinstance(walker, str) else walker["base"])
+def _with_foot_mass_ratio(walker: Walker, ratio: float, base: str | None) -> Walker:
+    """A point-foot walker with each foot `ratio` of the total mass; the hip carries the rest (section 4.1).
 
-
-def _with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
-    """A point-foot walker with each foot `ratio` of the total mass; the hip carries the rest (section 4.1)."""
-    if not walker.point_foot:
+    Of a table with a point-foot walker as its `base` the other keys, such as R, are free, as those that a line sets.
+    """
+    if not (walker.point_foot or (base and from_catalogue(base).point_foot)):
         raise WalkerError("foot_mass_ratio", ratio, "needs a point-foot walker (D, E or F)")
     if not 0 <= ratio < 0.5:
         raise WalkerError("foot_mass_ratio", ratio, "must lie in [0, 0.5)")
@@ -179,7 +170,7 @@ def _with_foot_mass_ratio(walker: Walker, ratio: float) -> Walker:
 def _masses(walker: Walker, ratio: Any) -> dict[str, Any]:
     """Masses of a point-foot walker with foot mass ratio `ratio`, a number or an array."""
     total = walker.total_mass
-    if walker.c_t or walker.w_t or walker.r_t:  # a thigh without mass, whose centre is not at the hip
+    if not walker.m_t and (walker.c_t or walker.w_t or walker.r_t):  # the centre of no mass need not be at the hip
         return {"m_s": ratio * total, "m_t": 0.0, "m_h": (1 - 2 * ratio) * total}
     return {"m_s": ratio * total, "m_t": (0.5 - ratio) * total, "m_h": 0.0}
 
@@ -218,7 +209,7 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
         if key == "detuning":
             values |= _mixed(walker, array)
         elif key == "foot_mass_ratio":
-            values |= _masses(_point_feet(walker), array)
+            values |= _masses(resolve(walker), array)
         else:
             values[key] = array
     return WalkerArray(**{**first.table(), **values})

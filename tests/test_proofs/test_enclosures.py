@@ -256,6 +256,9 @@ def test_a_table_may_hold_derived_keys():
     for name, key, value in (("E", "foot_mass_ratio", "0.02"), ("C", "detuning", "0.5")):
         table, line = exact({"base": name, key: value})[0], exact(name, {key: value})[0]
         assert all(written(table[k]) == written(line[k]) for k in line)
+    changed = {"foot_mass_ratio": "0.02", "R": "0.2", "c_t": "0.1"}
+    table, line = exact({"base": "E", **changed})[0], exact("E", changed)[0]
+    assert all(written(table[k]) == written(line[k]) for k in line)
 
 
 @pytest.mark.parametrize("changes", [{"R": "0.2000001"}, {"g": "4", "m_h": "2"}])

@@ -117,6 +117,11 @@ def test_a_key_that_a_derived_one_owns_is_refused(walker, overrides, key, owner)
 def test_a_table_may_hold_derived_keys():
     assert resolve({"base": "E", "foot_mass_ratio": 0.02}) == resolve("E", {"foot_mass_ratio": 0.02})
     assert resolve({"base": "C", "detuning": 0.5, "m_h": 1.0}) == resolve("C", {"detuning": 0.5, "m_h": 1.0})
+    round_feet = resolve("E", {"foot_mass_ratio": 0.02, "R": 0.2})
+    assert resolve({"base": "E", "R": 0.2, "foot_mass_ratio": 0.02}) == round_feet
+    assert resolve({"base": "E", "R": 0.2}, {"foot_mass_ratio": 0.02}) == round_feet
+    assert resolve_many({"base": "E", "R": 0.2}, {"foot_mass_ratio": np.array([0.02])})[0] == round_feet
+    assert resolve({"base": "E", "c_t": 0.1, "foot_mass_ratio": 0.02}) == replace(round_feet, c_t=0.1, R=0.0)
     # An axis over the same key has the last word, as over any other.
     assert resolve({"base": "E", "foot_mass_ratio": 0.02}, {"foot_mass_ratio": 0.1}) == resolve("E")
     assert describe({"walker": {"base": "A", "detuning": 1.0}})["walkers"][0]["parameters"]["w_t"] == 0.0
