@@ -215,7 +215,7 @@ def _rows_of(group: Any, shared: dict[str, np.ndarray]) -> np.ndarray:
     order: list[np.ndarray] = []
     for name, values in shared.items():
         # A column `slope` may be a result, as along a branch or at a fold.
-        if name in group.variables and name not in ("slope", "gait", "multiplier"):
+        if name in group.variables and name not in ("slope", "gait"):
             is_shared, places = _places(group.variables[name], values)
             kept &= is_shared
             order.append(np.zeros(len(kept), int))

@@ -132,6 +132,16 @@ def test_an_address_that_cannot_be_is_refused_at_once(address, said):
         pass
 
 
+def test_certificates_of_clients_are_looked_for(monkeypatch):
+    from distributed.security import Security
+
+    for context in (None, "of ssl"):
+        monkeypatch.setattr(
+            Security, "get_connection_args", lambda self, role, context=context: {"ssl_context": context}
+        )
+        assert cluster_executor._has_certificates() == (context is not None)
+
+
 def test_a_worker_of_other_code_is_refused(toy, cluster, tmp_path):
     """Its numbers would be archived as those of the code of the run."""
     for name in ("pipeline", "tasks"):

@@ -228,7 +228,12 @@ def _in_a_notebook(monkeypatch, shell):
     handle = _Handle()
     interactive, shown = types.ModuleType("IPython"), types.ModuleType("IPython.display")
     interactive.get_ipython = lambda: shell
-    shown.display = lambda *_, **__: handle
+
+    def display(content, **_):
+        handle.seen.append(content)
+        return handle
+
+    shown.display = display
     monkeypatch.setitem(sys.modules, "IPython", interactive)
     monkeypatch.setitem(sys.modules, "IPython.display", shown)
     return handle
@@ -237,6 +242,7 @@ def _in_a_notebook(monkeypatch, shell):
 def test_a_notebook_shows_a_bar_that_ends_full(monkeypatch, tmp_path, capsys):
     handle = _in_a_notebook(monkeypatch, types.SimpleNamespace(kernel=True))
     pipeline.run({**STUDY, "axes": {"slope": [0.01, 0.02]}}, jobs=1, archive=tmp_path / "m.nc")
+    assert handle.seen[0] == {"text/plain": "", "text/html": '<progress max="1"></progress>'}
     assert '<progress value="1.0000"' in handle.seen[-1]["text/html"]
     assert "2 of 2 points (100 %)" in handle.seen[-1]["text/plain"]
     assert "mine: 2 points" in capsys.readouterr().err

@@ -279,7 +279,7 @@ def test_a_bound_below_the_proved_distance_is_refused():
     far = distance(proof, {k: values[k] * (1 + 1e-10) for k in NAMES if not math.isnan(values[k])})
     assert 9e-11 < float(far) < 2e-10
     assert checked(proof, values, 1e-9).proved
-    assert not checked(proof, {**values, "period": values["period"] + 1e-8}, 1e-9).proved
+    assert checked(proof, {**values, "period": values["period"] + 1e-8}, 1e-9).proved is False
 
 
 @pytest.mark.parametrize("bound", [0.0, -1e-12, math.nan])

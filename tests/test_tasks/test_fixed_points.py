@@ -12,7 +12,7 @@ from oracle import Oracle, StepFailed
 from tasks.continuation.atlas import to_arrays
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points import polish
-from tasks.fixed_points.multipliers import _adjugate_norms, multipliers
+from tasks.fixed_points.multipliers import _adjugate_norms, multipliers, other_multipliers
 from tasks.fixed_points.rounding import rounding
 from tasks.fixed_points.search import search
 from tasks.interpolate_planes import similarity
@@ -288,3 +288,13 @@ def test_norms_of_adjugates_are_those_of_their_cofactors(m):
 def test_a_multiplier_near_zero_loses_no_digits(large):
     found = multipliers(np.array([[large, 0.0], [1.0, 1e-13]])[..., None], 2)[0]
     np.testing.assert_allclose(found.real, [large, 1e-13], rtol=1e-14)
+
+
+def test_multipliers_beside_those_of_a_special_point():
+    """Beside a pair on the unit circle all others count; a pair that is real is none."""
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 0.3]])
+    jacobian = np.stack([turn, np.diag([0.5, -0.4, 0.2]), np.full((3, 3), np.nan)], axis=-1)
+    assert other_multipliers("neimark_sacker", jacobian) == pytest.approx([0.3, np.inf, np.inf])
+    jacobian = np.stack([np.diag([-1.0, 0.4, -0.7]), np.diag([1.0, -0.9, 0.2])], axis=-1)
+    assert other_multipliers("flip", jacobian) == pytest.approx([0.7, 1.0])
+    assert other_multipliers("fold", jacobian) == pytest.approx([1.0, 0.9])
