@@ -96,7 +96,7 @@ def _parameters(file: Any) -> dict[str, np.ndarray]:
     return {name: np.array([value]) for name, value in attributes.items() if isinstance(value, float)}
 
 
-def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[_Pair, list[str]]:
+def _aligned(name: str, left: Any, right: Any, a: Path, b: Path, path: str = "") -> tuple[_Pair, list[str]]:
     """Indices of the coordinate values that both have, and sentences on those that only one has."""
     x, y = np.ma.getdata(left.variables[name][...]), np.ma.getdata(right.variables[name][...])
     if x.dtype.kind == "O" or y.dtype.kind == "O":
@@ -104,7 +104,7 @@ def _aligned(name: str, left: Any, right: Any, a: Path, b: Path) -> tuple[_Pair,
     _, i, j = np.intersect1d(x, y, return_indices=True)
     order = np.argsort(i)
     sentences = [
-        f"{len(values) - len(i):,} of {len(values):,} values of `{name}` are only in {archive}"
+        f"{len(values) - len(i):,} of {len(values):,} values of `{path}{name}` are only in {archive}"
         for values, archive in ((x, a), (y, b))
         if len(values) > len(i)
     ]
@@ -181,7 +181,14 @@ def _compare_groups(
             differences.append(f"the group {group_path} is only in {a if name in left.groups else b}")
             continue
         left_group, right_group = left.groups[name], right.groups[name]
+        slopes: _Pair | None = None  # of arrays
+        if all("slope" in group.variables and "slope" in group.dimensions for group in (left_group, right_group)):
+            slopes, sentences = _aligned("slope", left_group, right_group, a, b, f"{group_path}/".lstrip("/"))
+            differences += sentences
+        rows = _matching_rows(left_group, right_group, shared)
         for column in sorted(set(left_group.variables) | set(right_group.variables)):
+            if column == "slope" and slopes:
+                continue
             if column not in left_group.variables or column not in right_group.variables:
                 differences.append(f"`{group_path}/{column}` is only in {a if column in left_group.variables else b}")
                 continue
@@ -189,18 +196,33 @@ def _compare_groups(
             if set(layout.dims(right_group.variables[column])) != set(dims):
                 differences.append(f"`{group_path}/{column}` has other dimensions")
                 continue
-            x, y = (_shared_part(group, column, dims, shared) for group in (left_group, right_group))
+            x, y = (
+                _shared_part(group, column, dims, shared, rows[k], slopes and slopes[k])
+                for k, group in enumerate((left_group, right_group))
+            )
             differences += _compare_values(f"{group_path}/{column}".lstrip("/"), x, y, tolerance)
         differences += _compare_groups(left_group, right_group, tolerance, shared, a, b, group_path)
     return differences
 
 
-def _shared_part(group: Any, column: str, dims: tuple[str, ...], shared: dict[str, np.ndarray]) -> np.ndarray:
-    """Values of a column, or of an array over the lines' axes, on the lines that both archives have, in one order."""
+def _shared_part(
+    group: Any,
+    column: str,
+    dims: tuple[str, ...],
+    shared: dict[str, np.ndarray],
+    rows: np.ndarray,
+    slopes: np.ndarray | None,
+) -> np.ndarray:
+    """Values of a column, or of an array over the lines' axes, on the lines that both archives have, in one order.
+
+    `rows` are those of a table, `slopes` the places of those of arrays.
+    """
     variable = group.variables[column]
     values = _along(dims, variable)
     if dims == ("row",):
-        return values[_rows_of(group, shared)]
+        return values[rows]
+    if slopes is not None and "slope" in dims:
+        values = values.take(slopes, dims.index("slope"))
     for axis, name in enumerate(dims):
         coordinate = group.parent.variables.get(name)
         if name in shared and name not in group.variables and coordinate is not None:
@@ -209,10 +231,21 @@ def _shared_part(group: Any, column: str, dims: tuple[str, ...], shared: dict[st
     return values
 
 
-def _rows_of(group: Any, shared: dict[str, np.ndarray]) -> np.ndarray:
+def _matching_rows(left: Any, right: Any, shared: dict[str, np.ndarray]) -> _Pair:
+    """Rows of two tables on the lines that both archives have, in one order; by slope where both have the same ones."""
+    x, y = _rows_of(left, shared), _rows_of(right, shared)
+    if not all("slope" in group.variables and "row" in group.dimensions for group in (left, right)):
+        return x, y
+    p, q = (np.ma.getdata(group.variables["slope"][...])[rows] for group, rows in ((left, x), (right, y)))
+    if not np.array_equal(np.unique(p), np.unique(q)):
+        return x, y
+    return _rows_of(left, shared, by_slope=True), _rows_of(right, shared, by_slope=True)
+
+
+def _rows_of(group: Any, shared: dict[str, np.ndarray], by_slope: bool = False) -> np.ndarray:
     """Indices of the rows of a table whose line both archives have, line by line in the order of `shared`."""
     kept = np.ones(len(group.dimensions["row"]) if "row" in group.dimensions else 0, bool)
-    order: list[np.ndarray] = []
+    order: list[np.ndarray] = [np.ma.getdata(group.variables["slope"][...])] if by_slope else []
     for name, values in shared.items():
         # A column `slope` may be a result, as along a branch or at a fold.
         if name in group.variables and name not in ("slope", "gait"):
@@ -221,7 +254,7 @@ def _rows_of(group: Any, shared: dict[str, np.ndarray]) -> np.ndarray:
             order.append(np.zeros(len(kept), int))
             order[-1][is_shared] = places
     rows = np.flatnonzero(kept)
-    # Stable: rows of one line stay as its task has written them.
+    # Stable: rows of one line, or of one slope of it, stay as its task has written them.
     return rows[np.lexsort([places[rows] for places in order])] if order else rows
 
 

@@ -111,6 +111,22 @@ def test_only_the_lines_that_both_archives_have_are_compared(archives, tmp_path)
     assert found == [f"1 of 2 values of `foot_mass_ratio` are only in {archives / 'o.nc'}"]
 
 
+@pytest.mark.parametrize(("name", "slopes"), [("b", [0.009, 0.0126]), ("o", [0.004, 0.0125])])
+def test_slopes_are_compared_whatever_their_order(archives, tmp_path, name, slopes):
+    both = [*slopes, 0.0127]
+    paths = []
+    for k, values in enumerate((both, both[::-1])):
+        (tmp_path / "s.toml").write_text(STUDIES[name].replace(str(slopes), str(values)))
+        paths.append(tmp_path / f"{k}.nc")
+        assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(paths[k]), "--jobs", "1", "--quiet"]) == 0
+    assert diff.diff(*paths) == []
+    # Of arrays the slopes are compared that both archives have.
+    group = "orbits" if name == "o" else "basin"
+    found = [sentence for sentence in diff.diff(paths[1], archives / f"{name}.nc") if f"`{group}/" in sentence]
+    assert found[0] == f"1 of {len(both)} values of `{group}/slope` are only in {paths[1]}"
+    assert not any("of their size" in sentence for sentence in found)
+
+
 def test_parameters_are_variables_where_they_vary_and_attributes_where_not(archives, tmp_path):
     orbits, basin = _tree(archives / "o.nc").to_dataset(), _tree(archives / "b.nc").to_dataset()
     # Each foot has the ratio of the total mass, the two hip masses of the thighs the rest.
