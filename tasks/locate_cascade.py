@@ -133,9 +133,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
 def _absent(n: int, slope: np.ndarray) -> str:
     """Why a family of period n has no gait to begin with."""
-    if n == 1:
-        return f"No long gait at the least slope of the window, {slope[0]:.6g}."
-    return f"No gait of period {n} was found at the slopes of the window."
+    searched = "No long gait" if n == 1 else f"No gait of period {n} was found"
+    return f"{searched} at slopes from {slope[0]:.6g} to {slope[-1]:.6g}."
 
 
 def _spread_around(cycle: Cycle) -> np.ndarray:
@@ -160,9 +159,16 @@ def _is_same_birth(a: list[_Event], b: list[_Event]) -> bool:
 def _first_gaits(problem: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Cycle]:
     """A gait of each family of period n."""
     if n == 1:
-        known, y = gaits_at(problem, atlases.from_arrays(atlas), slope[:1], "long")
-        cycle = from_start(problem, y[:, 0], slope[0], 1) if len(known) else None
-        return [cycle] if cycle else []
+        branches = atlases.from_arrays(atlas)
+        # A branch may begin above the window's lower edge: between nodes, for at a fold it has no derivative.
+        between = np.exp(np.concatenate([slope[:0], *(0.5 * (branch.q[1:] + branch.q[:-1]) for branch in branches)]))
+        tried = np.unique([slope[0], *between[(between > slope[0]) & (between < slope[-1])]])
+        known, y = gaits_at(problem, branches, tried, "long")
+        for k, start in zip(known, y.T, strict=True):
+            cycle = from_start(problem, start, float(tried[k]), 1)
+            if cycle:
+                return [cycle]
+        return []
     for s in slope:
         cycles = search_cycles(problem, atlases.from_arrays(atlas), float(s), n, starts)
         if cycles:

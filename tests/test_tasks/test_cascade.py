@@ -60,11 +60,22 @@ def test_a_cascade_tells_why_it_stopped():
 
 def test_a_cascade_tells_what_it_could_not_begin_with():
     absent = doublings("physical-straight", 0.005, 0.01, steps=0)
-    assert absent["accumulation/stopped"].tolist() == ["No long gait at the least slope of the window, 0.005."]
+    assert absent["accumulation/stopped"].tolist() == ["No long gait at slopes from 0.005 to 0.01."]
     assert (absent["accumulation/family"][0], absent["accumulation/flips"][0]) == ("1", 0)
     assert "families of other periods" in OPTIONS["cascade"]["starts"].meaning  # to which `starts` belongs
     absent = doublings("D", 0.001, 0.002, families=[5], periods=20, starts=20, steps=0)
-    assert absent["accumulation/stopped"].tolist() == ["No gait of period 5 was found at the slopes of the window."]
+    assert absent["accumulation/stopped"].tolist() == ["No gait of period 5 was found at slopes from 0.001 to 0.002."]
+
+
+def test_a_cascade_begins_where_its_branch_does():
+    """Where the window begins below the branch, nothing was located, and nothing said."""
+    line, own = {"walker": "A", "set": {"detuning": 0.2}}, _atlas("A", (("detuning", 0.2),))
+    low, high = (
+        cascade({"line": line, "slope": np.array([begin, 0.1]), "periods": 1, "steps": 0}, [own])
+        for begin in (1e-4, 0.02)
+    )
+    assert low["cascade/kind"].tolist() == high["cascade/kind"].tolist() == ["flip"]
+    assert low["cascade/slope"] == pytest.approx(high["cascade/slope"], rel=1e-12)
 
 
 def test_the_first_flips_of_c():
