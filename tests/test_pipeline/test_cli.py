@@ -511,6 +511,8 @@ def test_solve_finds_gaits_of_several_steps(capsys):
     assert commands.main(["solve", "--walker", "D", "--slope", "0.014", "--steps", "2", "--json"]) == 0
     told = capsys.readouterr()
     assert told.out == "[]\n" and "No gait of period 2 at this slope" in told.err
+    assert commands.main(["solve", "--walker", "D", "--slope", "0.016", "--steps", "2", "--all"]) == 2
+    assert "`steps` must be 1 for gaits whose legs pass more than once; got 2" in capsys.readouterr().err
 
 
 def test_solve_tells_units_where_a_walker_has_any(capsys):

@@ -1,4 +1,5 @@
 import shlex
+import types
 
 import netCDF4
 import numpy as np
@@ -8,7 +9,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from pipeline.report import cells, html_tables
-from pipeline.report.figures import FIGURES, design_maps, draw
+from pipeline.report.figures import FIGURES, design_maps, draw, families
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.cycle import traced_steps
 from pipeline.report.figures.degrees import add_degrees
@@ -457,3 +458,24 @@ def test_ticks_of_a_logarithmic_axis_differ(low, high):
     axes.figure.draw_without_rendering()
     labels = [label.get_text() for label in axes.get_xticklabels() if label.get_text()]
     assert len(labels) == len(set(labels)) > 1
+
+
+def test_fitted_lines_are_those_of_the_lines_own_foot_mass_ratio():
+    """The lightest feet had the lines of all ratios near zero."""
+    ratios = np.array([1e-8, 1e-9])
+    table = pd.DataFrame(
+        {
+            "foot_mass_ratio": ratios,
+            "fitted_exponent": 1.0,
+            "fitted_amplitude": 1.0,
+            "fitted_cube_root": 1.0,
+            "slope_transition_fitted": [2e-4, 1e-4],
+        }
+    )
+    data = xr.Dataset({"slope": [1e-5, 1e-2]})
+    lines = [types.SimpleNamespace(set={"foot_mass_ratio": ratio}, data=data) for ratio in ratios]
+    axes = Figure().subplots()
+    axes.loglog(data.slope, data.slope)
+    source = types.SimpleNamespace(tables={"fits/transition": table})
+    words = families._draw_fitted_lines(source, axes, lines, ["heavy", "light"])
+    assert words.endswith("cross for heavy at γ = 0.0002 rad, light at γ = 0.0001 rad. ")

@@ -140,7 +140,8 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
     words: list[str] = []
     left, right = axes.get_xlim()
     for line, name in zip(lines, names, strict=True):
-        found = table[np.isclose(table["foot_mass_ratio"], line.set.get("foot_mass_ratio", np.nan))]
+        own = line.set.get("foot_mass_ratio", np.nan)
+        found = table[np.isclose(table["foot_mass_ratio"], own, rtol=1e-9, atol=0)]
         for row in found[np.isfinite(found["slope_transition_fitted"])].itertuples():
             cross = row.slope_transition_fitted
             ink: Any = {"color": INK, "lw": 0.6, "zorder": 4}
