@@ -117,8 +117,9 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             limit = (name, len(flips), value, low, high, float(ratios[-1]) if len(ratios) else np.nan, stopped)
             limits.append(dict(zip(_ACCUMULATION, limit, strict=True)))
             if int(options["steps"]) and np.isfinite(value):
-                high = min(slope[-1], value + _MAX_EXTENT * (value - flips[0]))
-                bracket = lost(problem, _spread_around(family[-1].cycle), value, high, int(options["steps"]))
+                end = float(np.clip(value + _MAX_EXTENT * (value - flips[0]), slope[0], slope[-1]))
+                low, high = lost(problem, _spread_around(family[-1].cycle), value, end, int(options["steps"]))
+                bracket = (low, high) if value > flips[0] else (high, low)  # doublings may lead to smaller slopes
                 ends.append(dict(zip(_LOST, (name, *bracket, _ORBITS, int(options["steps"])), strict=True)))
     return {
         f"{group}/{k}": np.array([r[k] for r in table])

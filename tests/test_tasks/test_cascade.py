@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from lines import _atlas
+from tasks import locate_cascade
 from tasks.continuation.atlas import from_arrays
-from tasks.continuation.cycles import from_start, really_walks
+from tasks.continuation.cycles import Cycle, from_start, really_walks
 from tasks.dynamics import crisis
 from tasks.dynamics.crisis import surviving_slopes
 from tasks.dynamics.initial_states import gaits_at
@@ -65,6 +66,31 @@ def test_a_cascade_tells_what_it_could_not_begin_with():
     assert "families of other periods" in OPTIONS["cascade"]["starts"].meaning  # to which `starts` belongs
     absent = doublings("D", 0.001, 0.002, families=[5], periods=20, starts=20, steps=0)
     assert absent["accumulation/stopped"].tolist() == ["No gait of period 5 was found at slopes from 0.001 to 0.002."]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_loss_of_walking_is_searched_beyond_the_doublings_and_in_the_window(monkeypatch, sign):
+    """Of doublings towards smaller slopes it was searched down to negative ones, and its ends were exchanged."""
+    flips = 0.1 + sign * 0.04 * (1 - DELTA ** -np.arange(4.0))
+    cycles = [
+        Cycle(np.full((2, 2), 0.2), np.ones((1, 2)), q, np.empty(0), np.empty(0), True, 0.0) for q in np.log(flips)
+    ]
+    searched = []
+
+    def lost(problem, starts, low, high, strides):
+        searched.append((low, high))
+        return low + 0.25 * (high - low), low + 0.5 * (high - low)
+
+    monkeypatch.setattr(locate_cascade, "_first_gaits", lambda *_: [None])
+    monkeypatch.setattr(
+        locate_cascade, "_follow_family", lambda *_: ([locate_cascade._Event("flip", c, 0.0) for c in cycles], "")
+    )
+    monkeypatch.setattr(locate_cascade, "really_walks", lambda *_: True)
+    monkeypatch.setattr(locate_cascade, "lost", lost)
+    found = cascade({"line": {"walker": "D", "set": {}}, "slope": np.array([0.04, 0.16])}, [{}])
+    assert searched == [pytest.approx((0.1 + sign * 0.04, 0.1 + sign * 0.06))]
+    ends = sorted((0.1 + sign * 0.045, 0.1 + sign * 0.05))
+    assert [found["lost/low"][0], found["lost/high"][0]] == pytest.approx(ends)
 
 
 def test_a_cascade_begins_where_its_branch_does():
