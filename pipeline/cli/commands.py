@@ -160,8 +160,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     terminal.prepare()
     words, codes = list(sys.argv[1:] if arguments is None else arguments), list[int]()
     with _report_errors(codes, "--debug" in words):
-        options = parser().parse_args(words)
-        codes.append(options.function(options))
+        try:
+            options = parser().parse_args(words)
+            codes.append(options.function(options))
+        finally:
+            sys.stdout.flush()  # here, for at the end of the interpreter nobody could tell what cannot be printed
     return codes[-1]
 
 

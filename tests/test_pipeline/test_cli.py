@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import functools
 import json
 import math
 import os
@@ -282,12 +283,17 @@ def test_a_run_needs_no_standard_error(toy, redirection):
     assert toy.bytes() == whole
 
 
-def test_output_that_finds_no_room_is_said(toy):
-    toy("run", "toy.toml", "--quiet")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(TOYS)])}
-    command = f"{sys.executable} {TOYS / 'gaitsweep_toy.py'} status >/dev/full"
-    done = subprocess.run(["bash", "-c", command], cwd=toy.folder, env=environment, capture_output=True, text=True)
+@pytest.mark.parametrize("buffer", [False, True], ids=["unbuffered", "buffered"])
+@pytest.mark.parametrize("arguments", ["status", "--version"])
+def test_output_that_finds_no_room_is_said(toy, arguments, buffer):
+    """Short output waits in a buffer until the command ends, unless `PYTHONUNBUFFERED` is set."""
+    paths = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(TOYS)]), "PYTHONUNBUFFERED": "" if buffer else "1"}
+    command = f"{sys.executable} {TOYS / 'gaitsweep_toy.py'} {arguments}"
+    run = functools.partial(subprocess.run, cwd=toy.folder, env=os.environ | paths, capture_output=True, text=True)
+    done = run(["bash", "-c", f"{command} >/dev/full"])
     assert (done.returncode, done.stderr) == (4, "gaitsweep: The disk is full; not everything could be printed.\n")
+    done = run(["bash", "-c", f"({command}; echo $? >&2) | true"])
+    assert done.stderr in ("1\n", "0\n")  # of a reader that has gone, and of one that was not gone yet
 
 
 def test_a_run_is_not_refused_by_a_look_at_its_state(toy):
