@@ -126,6 +126,13 @@ def status(path: Path, run_state: dict[str, Any] | None) -> Iterator[str]:
     if run_state is None:
         yield f"{path}: there is no record of a run."
         return
+    try:
+        yield from list(_described(path, run_state))
+    except (LookupError, TypeError, ValueError, AttributeError):  # of another version, or of another program
+        yield f"{path}: its record of a run is not one of this version."
+
+
+def _described(path: Path, run_state: dict[str, Any]) -> Iterator[str]:
     holder = run_state.get("holder", {})
     condition = (
         f"running as process {holder.get('pid')} on {holder.get('host')}"

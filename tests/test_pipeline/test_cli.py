@@ -273,6 +273,18 @@ def test_quiet_is_quiet_and_the_summary_counts(toy):
     assert record["exit_code"] == 0 and record["counts"] == {"converged": 400} and record["seconds"] > 0
 
 
+@pytest.mark.parametrize(
+    "record", ['"elapsed": 3.0', '"points": "some", "counts": 3', '"points": 0, "counts": {}, "stages": [1]']
+)
+def test_a_state_of_another_version_is_told_as_such(tmp_path, monkeypatch, capsys, record):
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "data" / "archive"
+    folder.mkdir(parents=True)
+    (folder / "s.events.jsonl").write_text(f'{{"event": "state", {record}}}\n')
+    assert commands.main(["status"]) == 0
+    assert capsys.readouterr().out == "data/archive/s.nc: its record of a run is not one of this version.\n"
+
+
 @pytest.mark.parametrize("redirection", ["2>&-", "2>/dev/full", "<&- >&- 2>&-"])
 def test_a_run_needs_no_standard_error(toy, redirection):
     toy("run", "toy.toml", "--quiet")
