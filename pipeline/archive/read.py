@@ -38,7 +38,7 @@ def open_netcdf(path: Path, mode: Literal["r", "w", "a"] = "r") -> Iterator[Any]
     """
     import netCDF4
 
-    file = netCDF4.Dataset(path, mode)
+    file = netCDF4.Dataset(os.path.join(os.curdir, path), mode)  # the library drops leading blanks
     try:
         yield file
         if mode != "r":

@@ -52,7 +52,7 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
     ArchiveError, DiskFullError, WorkerError
         If it cannot be written. An earlier archive at `path` is kept.
     """
-    target = path.resolve()  # replace the target of a link, not the link
+    target = _target(path)
     draft = paths.of(target)
     try:
         written = _write(plan, draft, threads)
@@ -72,6 +72,31 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
     finally:
         paths.discard(target)
     return written
+
+
+def check_path(path: Path) -> None:
+    """Check, before anything is computed, that an archive can be written at `path`.
+
+    Raises
+    ------
+    ArchiveError, DiskFullError, WorkerError
+        If it cannot.
+    """
+    target = _target(path)
+    name = os.fsencode(target).decode(errors="replace")
+    if "\\" in name or "\ufffd" in name:
+        raise ArchiveError(f"{path} cannot be written: the netCDF library opens no file of such a name.")
+    try:
+        paths.of(target).touch()
+    except OSError as error:
+        raise unwritten(path, OSError(error.errno, error.strerror)) from error
+    finally:
+        paths.discard(target)
+
+
+def _target(path: Path) -> Path:
+    """The file to replace: of a link its target. As it was given, for the folder above may have any name."""
+    return path.resolve() if path.is_symlink() else path
 
 
 def _write(plan: Plan, draft: Path, threads: int) -> Written:

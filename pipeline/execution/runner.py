@@ -169,6 +169,7 @@ class StudyRun:
             self._resources.enter_context(lock_archive(self.path))
             if self.path.exists():
                 read.check_replaceable(self.path)
+            write.check_path(self.path)
             self.is_open = True
             if self.options.fresh:
                 forget(sidecar_path(self.path, ".journal"))

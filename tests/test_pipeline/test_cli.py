@@ -20,7 +20,7 @@ from unittest.mock import Mock
 import netCDF4
 import pytest
 
-from conftest import ROOT, STUDY, TOYS
+from conftest import ROOT, STUDY, TOYS, Toy
 from pipeline.archive import read, write
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError, unwritten
@@ -271,6 +271,36 @@ def test_quiet_is_quiet_and_the_summary_counts(toy):
     assert done.stderr.splitlines()[-1] == "To see it: gaitsweep report data/archive/toy.nc  (makes reports/index.html)"
     record = json.loads((toy.folder / "data" / "archive" / "toy.run.json").read_text())
     assert record["exit_code"] == 0 and record["counts"] == {"converged": 400} and record["seconds"] > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("x" * 222 + ".nc", "File name too long."),
+        ("gone.nc", "No such file or directory."),  # a link into a folder that is not there
+        ("a\\b.nc", "the netCDF library opens no file of such a name."),
+    ],
+)
+def test_where_no_archive_can_be_written_nothing_is_computed(toy, name, said):
+    (toy.folder / "gone.nc").symlink_to("nowhere/s.nc")
+    ended = toy("run", "toy.toml", "--archive", name, expect=2)
+    assert ended.stderr.splitlines()[0] == f"gaitsweep: {name} cannot be written: {said}"
+    assert not list(toy.folder.glob("*.journal")) and not list(toy.folder.glob(".*"))
+
+
+@pytest.mark.parametrize("name", [b"a\\b", b"\xe4", b" lead"], ids=["backslash", "latin-1", "blank"])
+def test_the_folder_of_a_study_may_have_any_name(toy, name):
+    toy("run", "toy.toml", "--quiet")
+    folder = Path(os.fsdecode(os.path.join(os.fsencode(toy.folder), name)))
+    folder.mkdir()
+    Toy(folder)("run", "../toy.toml", "--quiet")
+    assert Toy(folder).bytes() == toy.bytes()
+
+
+def test_the_folder_of_an_archive_may_begin_with_a_blank(toy):
+    (toy.folder / " data").mkdir()
+    toy("run", "toy.toml", "--quiet", "--archive", " data/toy.nc")
+    assert "is intact" in toy("verify", " data/toy.nc").stdout
 
 
 @pytest.mark.parametrize(
