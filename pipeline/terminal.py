@@ -16,8 +16,15 @@ def prepare() -> None:
             setattr(sys, name, os.fdopen(stream, "w", closefd=False))
 
 
+def is_terminal() -> bool:
+    """Whether standard error is a terminal; a Python process may have none, or another object in its place."""
+    return bool(getattr(sys.stderr, "isatty", bool)())
+
+
 def say(text: str, end: str = "\n") -> None:
     """Write to standard error; on a full disk the text is lost, and nothing else."""
+    if sys.stderr is None:
+        return
     try:
         print(text, end=end, file=sys.stderr, flush=True)
     except OSError:

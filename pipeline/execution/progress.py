@@ -92,7 +92,7 @@ class Progress:
     def say(self, text: str) -> None:
         """Print a line on stderr."""
         if not self.quiet:
-            terminal.say((_CLEAR if sys.stderr.isatty() else "") + text)
+            terminal.say((_CLEAR if terminal.is_terminal() else "") + text)
 
     def state(self) -> dict[str, Any]:
         """State of the run: counts, rate [1/s], remaining time `eta` [s], memory [byte] and workers."""
@@ -146,7 +146,7 @@ class Display:
     """Shows the progress of all studies of a command on one line, or in a notebook, and logs their states."""
 
     def __init__(self, studies: list[Progress], quiet: bool):
-        self.studies, self.quiet, self.is_terminal = studies, quiet, sys.stderr.isatty()
+        self.studies, self.quiet, self.is_terminal = studies, quiet, terminal.is_terminal()
         self.bar = None if quiet else notebook_bar()
         self.stopped = threading.Event()
         self.thread = threading.Thread(target=self._tick, daemon=True)

@@ -43,6 +43,13 @@ def test_a_sweep_in_three_lines_is_tidy(mine):
     assert found.attrs["tables"] == ["fits/scaling"] and found.stance_angle.units == "rad"
 
 
+@pytest.mark.parametrize("stream", [None, types.SimpleNamespace(write=len, flush=int)], ids=["closed", "an object"])
+def test_a_run_needs_no_standard_error(mine, monkeypatch, capsys, stream):
+    found, path = mine
+    monkeypatch.setattr(sys, "stderr", stream)
+    assert found.identical(pipeline.run(STUDY, jobs=1, archive=path)) and capsys.readouterr().out == ""
+
+
 def test_flags_are_words_and_multipliers_complex(mine):
     found, _path = mine
     assert set(np.unique(found.status)) <= {"converged", "no_gait"}
