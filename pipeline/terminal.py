@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 
@@ -19,6 +20,13 @@ def prepare() -> None:
 def is_terminal() -> bool:
     """Whether standard error is a terminal; a Python process may have none, or another object in its place."""
     return bool(getattr(sys.stderr, "isatty", bool)())
+
+
+def columns() -> int:
+    """Width of the terminal that standard error is; 119 where it is not known."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        return os.get_terminal_size(sys.stderr.fileno()).columns or 119
+    return 119
 
 
 def say(text: str, end: str = "\n") -> None:

@@ -178,9 +178,10 @@ class Display:
                     self.bar(state)
                     continue
                 text = sentence(state)
-                terminal.say(
-                    f"{_CLEAR}{text[:118]}" if self.is_terminal else text, end="" if self.is_terminal else "\n"
-                )
+                if self.is_terminal:  # of a line that wraps, only the last part would be cleared
+                    terminal.say(f"{_CLEAR}{text[: terminal.columns() - 1]}", end="")
+                else:
+                    terminal.say(text)
 
 
 def total(states: list[dict[str, Any]]) -> dict[str, Any]:

@@ -4,6 +4,8 @@ import contextlib
 import gc
 import itertools
 import math
+import os
+import sys
 import threading
 import time
 from types import SimpleNamespace
@@ -203,8 +205,11 @@ def test_a_thread_keeps_its_worker_process_while_it_lives(monkeypatch):
     assert [*asked, worker_process._ask(request, {})[1]] == [1, 1, 2]
 
 
-@pytest.mark.parametrize("is_terminal", [False, True])
-def test_the_progress_of_all_studies_is_one_line(monkeypatch, is_terminal):
+@pytest.mark.parametrize(("is_terminal", "columns"), [(False, 80), (True, 80), (True, 0)])
+def test_the_progress_of_all_studies_is_one_line(monkeypatch, is_terminal, columns):
+    """However narrow the terminal is; one may not know its width."""
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(fileno=lambda: 2))
+    monkeypatch.setattr(os, "get_terminal_size", lambda number: os.terminal_size((columns, 24)))
     said, waits = [], iter([False, True])
     display = progress.Display([], quiet=False)
     display.is_terminal, display.stopped = is_terminal, SimpleNamespace(wait=lambda _: next(waits))
@@ -213,4 +218,5 @@ def test_the_progress_of_all_studies_is_one_line(monkeypatch, is_terminal):
     monkeypatch.setattr(progress.terminal, "say", lambda text, end="\n": said.append((text, end)))
     display._tick()
     (line,) = said
-    assert line == (("\r\033[K" + ("3 of 9 points" * 10)[:118], "") if is_terminal else ("3 of 9 points" * 10, "\n"))
+    shown = ("3 of 9 points" * 10)[: 79 if columns else 118]
+    assert line == (("\r\033[K" + shown, "") if is_terminal else ("3 of 9 points" * 10, "\n"))
