@@ -41,7 +41,7 @@ class Progress:
         verbose: bool = False,
     ):
         self.plan, self.log, self.quiet, self.verbose = plan, log, quiet, verbose
-        self.start = time.time()
+        self.start = time.monotonic()
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
         self.cached_tasks = [name for name, n in todo.cached.items() if n]
@@ -74,7 +74,7 @@ class Progress:
         """Record an event."""
         worker = details.pop("worker", None)
         if worker and self.jobs and self.jobs.engine.address:
-            self.remote_workers[worker["host"], worker["pid"]] = time.time(), worker
+            self.remote_workers[worker["host"], worker["pid"]] = time.monotonic(), worker
         if event in ("chunk", "task") and "seconds" in details:
             n = details.get("points", 1)
             self.done[details["task"]] += n
@@ -96,7 +96,7 @@ class Progress:
 
     def state(self) -> dict[str, Any]:
         """State of the run: counts, rate [1/s], remaining time `eta` [s], memory [byte] and workers."""
-        elapsed, stages = time.time() - self.start, self._stages()
+        elapsed, stages = time.monotonic() - self.start, self._stages()
         memory = 0
         with contextlib.suppress(OSError), open("/proc/self/statm") as file:
             memory = int(file.read().split()[1]) * 4096
@@ -117,7 +117,7 @@ class Progress:
 
     def _recent_remote_workers(self) -> list[dict[str, Any]]:
         """Workers of other processes that answered in the last minute."""
-        return [worker for when, worker in list(self.remote_workers.values()) if time.time() - when < _SLOW]
+        return [worker for when, worker in list(self.remote_workers.values()) if time.monotonic() - when < _SLOW]
 
     def _stages(self) -> dict[str, dict[str, float]]:
         """Progress of each task, and its remaining time on all workers [s]."""
@@ -164,9 +164,9 @@ class Display:
             terminal.say(_CLEAR, end="")
 
     def _tick(self) -> None:
-        last_log = last_shown = time.time()
+        last_log = last_shown = time.monotonic()  # the time of day may be set back
         while not self.stopped.wait(_FAST):
-            clock = time.time()
+            clock = time.monotonic()
             if clock - last_log >= _LOG:
                 last_log = clock
                 for study in self.studies:

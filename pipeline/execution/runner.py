@@ -318,7 +318,7 @@ class _Snapshots:
 def _summarise(plan: Plan, progress: Progress, written: write.Written, failed: list[str], path: Path) -> None:
     what = "point" if plan.study.kind == "grid" else "line"
     by_status = ", ".join(f"{name} {n:,}" for name, n in written.counts.items())
-    seconds = time.time() - progress.start
+    seconds = time.monotonic() - progress.start
     n = sum(written.counts.values())
     progress.say(f"{plan.study.name}: {n:,} {what}{'' if n == 1 else 's'} ({by_status}) in {duration(seconds)}; {path}")
     for reason, n in written.failures.most_common(_MAX_REASONS):

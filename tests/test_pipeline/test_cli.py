@@ -3,6 +3,7 @@
 import errno
 import fcntl
 import functools
+import itertools
 import json
 import math
 import os
@@ -349,6 +350,15 @@ def test_a_run_is_not_refused_by_a_look_at_its_state(toy):
         with locks.lock_archive(path):
             pass
         timer.join()
+
+
+def test_a_clock_set_back_during_a_run_changes_no_duration(toy, monkeypatch, capsys):
+    monkeypatch.chdir(toy.folder)
+    monkeypatch.setattr(time, "time", functools.partial(next, itertools.count(2e9, -3600.0)))
+    toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
+    assert commands.main(["run", "toy.toml", "--jobs", "1"]) == 0
+    assert " in -" not in capsys.readouterr().err
+    assert last_state(sidecar_path(toy, ".events.jsonl"))["elapsed"] > 0
 
 
 def test_a_record_that_finds_no_room_is_missed(toy, monkeypatch, capsys):
