@@ -27,6 +27,7 @@ import numpy as np
 from pipeline import serialize, statuses
 from pipeline.errors import WorkerError
 from pipeline.execution import wire
+from pipeline.store import rows
 from tasks.registry import GAITS
 
 _POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # interval of checks of a worker, and most time charged to it for one [s]
@@ -240,7 +241,9 @@ def run(request: Request) -> dict[str, Any]:
         outcome, parts = _ask(request, request.params)
         if outcome in ("worker_died", "out_of_memory"):  # which may have had a cause outside; a second time it has not
             outcome, parts = _ask(request, request.params)
-        is_ok = outcome == "ok"
+        is_ok = outcome == "ok" and len(parts[1]) <= rows.MAX_DATA
+        if outcome == "ok" and not is_ok:
+            outcome, parts = "raised", f"Its result of {_size(len(parts[1]))} is larger than a journal can hold."
         answer = {"outcome": outcome, "data": parts[1] if is_ok else b"", "reason": "" if is_ok else parts}
     worker = getattr(_local, "worker", None)
     if worker:

@@ -41,6 +41,8 @@ _TYPES = {
 }
 #: First word of the keys of blocks of lines; other keys of points are of one line.
 BLOCK = "block"
+#: Largest data of a row [byte]; SQLite has rows of at most 10^9 byte.
+MAX_DATA = 999_000_000
 _REAL = ("low", "high", "seconds")
 
 

@@ -1,5 +1,9 @@
 """One bad point costs one point."""
 
+import re
+import sqlite3
+from pathlib import Path
+
 import netCDF4
 import numpy as np
 import pytest
@@ -7,6 +11,7 @@ import xarray as xr
 
 from conftest import STUDY
 from pipeline.cli import commands
+from pipeline.store import journal_file, rows
 from processes import suspend, wait_for_points
 
 #: Trouble, the status it ends with, and words of its reason.
@@ -132,3 +137,21 @@ def test_an_atlas_that_fails_beside_stored_points_is_told(tmp_path, capsys):
     assert "2 points (converged 2)" in err and "\n  atlas: timed_out; " in err
     failed = xr.load_dataset(archive, engine="netcdf4", group="failed_tasks")
     assert failed.task.values.tolist() == ["atlas"] and failed.outcome.values.tolist() == ["timed_out"]
+
+
+def test_a_result_that_no_journal_can_hold_costs_its_line(tmp_path, monkeypatch, capsys):
+    """It was called a damage of the journal, and computed three times."""
+    connect = journal_file.connect
+
+    def limited(*args, **options):
+        db = connect(*args, **options)
+        db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 300_000)
+        return db
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(journal_file, "connect", limited)
+    monkeypatch.setattr(rows, "MAX_DATA", 299_000, raising=False)
+    orbit = "[axes]\nslope = [0.01]\n[options]\nsteps = 1000\nshown = 1000\nstarts = 8\n"
+    Path("s.toml").write_text(f'name = "s"\nkind = "orbit"\nwalker = "D"\n{orbit}')
+    assert commands.main(["run", "s.toml", "--jobs", "1"]) == 1
+    assert re.search(r"1 x Its result of \d+ B is larger than a journal can hold\.", capsys.readouterr().err)
