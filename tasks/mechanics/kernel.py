@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
 import time
@@ -31,9 +30,10 @@ def cache_folder() -> Path:
     """Folder of the compile cache, which `GAITSWEEP_CACHE` may name; on a network disk it is slower than compiling."""
     named = os.environ.get("GAITSWEEP_CACHE")
     folder = Path(named or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
-    with contextlib.suppress(RuntimeError):  # there is no home
-        folder = folder.expanduser()
-    return folder
+    try:
+        return folder.expanduser()
+    except RuntimeError:  # there is no home, and `~` would be a folder of that name
+        return Path(os.devnull)
 
 
 @functools.cache

@@ -4,6 +4,7 @@ import contextlib
 import errno
 import hashlib
 import os
+import pwd
 import random
 import resource
 import shutil
@@ -12,12 +13,14 @@ import sqlite3
 import subprocess
 import sys
 from dataclasses import dataclass
+from unittest.mock import Mock
 
 import pytest
 
 from conftest import ROOT
 from faults import Faults, compiled, started
 from processes import damaged
+from tasks.mechanics import kernel
 
 STUDY = """name = "s"
 walker = "D"
@@ -250,3 +253,14 @@ def test_a_compile_cache_that_cannot_be_written_changes_nothing_but_time(tmp_pat
         (tmp_path / "folders" / "cache.db").mkdir(parents=True)
         assert _solved(tmp_path / "folders") == wanted
     tell(f"full at {len(sizes)} sizes, a file or folder in its place, a folder read only: the same numbers")
+
+
+def test_who_has_no_home_has_no_compile_cache(tmp_path, monkeypatch):
+    """A folder called `~` was made where the command was given."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("HOME", "XDG_CACHE_HOME", "GAITSWEEP_CACHE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(pwd, "getpwuid", Mock(side_effect=KeyError))
+    with pytest.raises(FileExistsError):  # as `compile_cache.use` expects where each process is to compile for itself
+        kernel.cache_folder().mkdir(parents=True, exist_ok=True)
+    assert not list(tmp_path.iterdir())
