@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import resource
 import sys
 import threading
 import time
@@ -99,7 +100,7 @@ class Progress:
         elapsed, stages = time.monotonic() - self.start, self._stages()
         memory = 0
         with contextlib.suppress(OSError), open("/proc/self/statm") as file:
-            memory = int(file.read().split()[1]) * 4096
+            memory = int(file.read().split()[1]) * resource.getpagesize()
         return {
             "elapsed": round(elapsed, 1),
             "points": self.total,

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import re
+import resource
 import shutil
 import subprocess
 import sys
@@ -350,6 +351,15 @@ def test_a_run_is_not_refused_by_a_look_at_its_state(toy):
         with locks.lock_archive(path):
             pass
         timer.join()
+
+
+def test_memory_is_counted_in_pages_of_the_system(toy, monkeypatch):
+    """Which on some are of 64 KiB."""
+    monkeypatch.chdir(toy.folder)
+    monkeypatch.setattr(resource, "getpagesize", lambda: 1 << 40)
+    toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n[limits]\nmemory = "1024 TiB"\n')
+    commands.main(["run", "toy.toml", "--jobs", "1", "--quiet"])
+    assert last_state(sidecar_path(toy, ".events.jsonl"))["memory"] > 1 << 40
 
 
 def test_a_clock_set_back_during_a_run_changes_no_duration(toy, monkeypatch, capsys):
