@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from typing import Any, TypeVar
 
-from pipeline.errors import StudyError, WorkerError
+from pipeline.errors import StudyError, WorkerError, reached_limit
 
 _Result = TypeVar("_Result")
 _RECOUNT = 5.0  # interval of counting the workers [s]
@@ -56,6 +56,11 @@ def connect(address: str) -> Iterator[Any]:
             client.wait_for_workers(1, timeout=_TIMEOUT)
         except (OSError, TimeoutError) as error:
             raise WorkerError(f"No cluster with a worker answers at {address}.") from error
+        except RuntimeError as error:  # dask's processes import the script that starts them
+            if reached_limit(error):
+                raise
+            guard = 'a script must be a file that calls `run` under `if __name__ == "__main__":`'
+            raise WorkerError(f"The processes of {address} cannot be started; {guard}.") from error
         yield client
 
 

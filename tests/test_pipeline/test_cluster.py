@@ -132,6 +132,21 @@ def test_an_address_that_cannot_be_is_refused_at_once(address, said):
         pass
 
 
+def test_a_script_that_dask_cannot_import_is_told_so_at_once(tmp_path):
+    """Each of its processes imports the script, and would run the study too."""
+    study = '{"name": "s", "walker": "D", "axes": {"slope": [0.01]}}'
+    script = tmp_path / "script.py"
+    script.write_text(f"from pipeline import run\nrun({study}, cluster='local:1')\n")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ended = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100
+    )
+    assert ended.stderr.splitlines()[-1] == (
+        "pipeline.errors.WorkerError: The processes of local:1 cannot be started; "
+        'a script must be a file that calls `run` under `if __name__ == "__main__":`.'
+    )
+
+
 def test_certificates_of_clients_are_looked_for(monkeypatch):
     from distributed.security import Security
 
