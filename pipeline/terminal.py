@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import sys
 
 
 def prepare() -> None:
-    """Open standard streams that are closed on nothing, so that no other file takes their place."""
+    """Open standard streams that are closed on nothing, so that no other file takes their place.
+
+    Letters that the encoding of standard output lacks are printed by number, as on standard error.
+    """
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
     os.close(number)
     for name, stream in (("stdout", 1), ("stderr", 2)):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(stream, "w", closefd=False))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def is_terminal() -> bool:

@@ -327,6 +327,11 @@ def test_a_run_needs_no_standard_error(toy, redirection):
     assert toy.bytes() == whole
 
 
+def test_letters_that_a_terminal_lacks_are_printed_by_number(toy):
+    said = toy("status", "--archive", "θ.nc", PYTHONIOENCODING="latin-1").stdout
+    assert said == "\\u03b8.nc: there is no record of a run.\n"
+
+
 @pytest.mark.parametrize("buffer", [False, True], ids=["unbuffered", "buffered"])
 @pytest.mark.parametrize("arguments", ["status", "--version"])
 def test_output_that_finds_no_room_is_said(toy, arguments, buffer):
