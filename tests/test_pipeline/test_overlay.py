@@ -109,7 +109,7 @@ def test_measurements_are_archived_with_units(archive):
 
 def test_residuals_are_those_from_the_nearest_gait_or_the_one_named(archive):
     left = measured.residuals(read_archive(archive))
-    period = left[left["variable"] == "period"].set_index("slope")
+    period = left[left["variable"] == "period (s)"].set_index("slope")
     assert list(period.index) == [0.025, 0.036, 0.09]
     # The period of figure 3's gait, 0.756985 s, is known: the interpolation leaves less than 1e-4.
     assert abs(period.loc[0.036, "residual"]) < 1e-4
@@ -124,6 +124,26 @@ def test_the_page_shows_measurements_and_residuals(archive, tmp_path):
     text = (tmp_path / "own.html").read_text()
     assert "Residuals of the measurements" in text and ">measured<" in text and 'id="measured"' in text
     assert "<code>measured.csv</code>" in text  # to be saved beside the study
+    largest = measured.residuals(read_archive(archive)).groupby("variable")["residual"].agg(lambda r: r.abs().max())
+    assert f"residual of period (s) is {largest['period (s)']:.3g}; the largest" in text and ">γ (rad)" in text
+
+
+def test_a_measurement_between_the_values_of_an_axis_is_listed_without_a_computed_value(tmp_path):
+    (tmp_path / "s.toml").write_text(
+        'name = "s"\nwalker = "E"\n[axes]\nslope = [0.001, 0.002]\nfoot_mass_ratio = [0.01, 0.02]\n'
+        '[figures.overlay]\nfile = "m.csv"\n[want]\nvariables = ["stance_angle", "period"]\n'
+    )
+    # The period is measured nowhere: a column of empty cells.
+    heading = "slope [rad],foot_mass_ratio,stance_angle [rad],period\n"
+    (tmp_path / "m.csv").write_text(heading + "0.002,0.01,0.126,\n0.002,0.015,0.127,\n")
+    path = tmp_path / "s.nc"
+    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    left = measured.residuals(read_archive(path))
+    assert left["foot_mass_ratio"].tolist() == [0.01, 0.015] and left["computed"].isna().tolist() == [False, True]
+    (tmp_path / "m.csv").write_text(heading + "0.002,0.01,,\n")
+    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    pages.write([path], tmp_path)
+    assert "own measurements" in (tmp_path / "s.html").read_text()
 
 
 def test_a_branch_study_compares_between_folds(tmp_path):

@@ -24,7 +24,7 @@ from pipeline.report.figures.style import (
     thin,
 )
 from pipeline.report.figures.svg import Marks, Sketch
-from pipeline.report.source import SYMBOLS, Line, Source
+from pipeline.report.source import SYMBOLS, Line, Source, print_units
 
 #: How measurements are drawn.
 _MARK: Any = {"fmt": "s", "color": INK, "mfc": PAPER, "ms": 5, "capsize": 2.5, "lw": 0.9, "zorder": 7}
@@ -105,14 +105,19 @@ def residuals(source: Source) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        The coordinates of each measurement, `variable`, `measured`, `computed` (NaN where no curve has that slope),
-        `residual`, its `error` and the residual `over_error`. Curves are interpolated linearly; of several gaits the
-        nearest is taken, unless the measurement names one.
+        The coordinates of each measurement, `variable` with its unit, `measured`, `computed` (NaN where no curve has
+        those coordinates), `residual`, its `error` and the residual `over_error`. Curves are interpolated linearly; of
+        several gaits the nearest is taken, unless the measurement names one.
     """
-    rows = []
+    frame, rows = table(source), []
+    lines = [(_rows(frame, at), curves) for _, at, curves in _branch_lines(source)]
+    compared = [part.index for part, _ in lines]
+    # Measurements between the values of an axis are on no line; they are listed without a computed value.
+    lines.append((frame.drop(np.concatenate(compared)) if compared else frame, []))
     for variable in variables(source):
-        for _, at, curves in _branch_lines(source):
-            for _, row in _rows(table(source), at).iterrows():
+        unit = print_units(frame.attrs.get("units", {}).get(variable, ""))
+        for part, curves in lines:
+            for _, row in part.iterrows():
                 value = float(row[variable])
                 if np.isfinite(value):
                     computed = _nearest(curves, variable, row, value)
@@ -121,7 +126,7 @@ def residuals(source: Source) -> pd.DataFrame:
                     rows.append(
                         {
                             **place,
-                            "variable": variable.replace("_", " "),
+                            "variable": variable.replace("_", " ") + (f" ({unit})" if unit else ""),
                             "measured": value,
                             "computed": computed,
                             "residual": value - computed,
@@ -129,7 +134,9 @@ def residuals(source: Source) -> pd.DataFrame:
                             "over_error": (value - computed) / error if error > 0 else np.nan,
                         }
                     )
-    return pd.DataFrame(rows)
+    answer = pd.DataFrame(rows)
+    answer.attrs["units"] = {c: u for c, u in frame.attrs.get("units", {}).items() if c in answer}
+    return answer
 
 
 def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series, value: float) -> float:
@@ -180,8 +187,9 @@ def measured(source: Source) -> Sketch | None:
         keys += [Line2D([], [], color=INK, lw=1, ls=DASHES[k], label=shorten(n)) for k, n in enumerate(labels)]
     figure.legend(handles=keys, loc="outside upper left", ncols=4)
     data = pd.concat(pieces, ignore_index=True) if pieces else pd.DataFrame()
-    left = residuals(source)["residual"].abs()
-    worst = f"; the largest residual is {plain(float(left.max()), 3)}" if left.notna().any() else ""
+    left = residuals(source)
+    largest = left["residual"].abs().groupby(left["variable"], sort=False).max().dropna() if len(left) else {}
+    worst = "".join(f"; the largest residual of {name} is {plain(value, 3)}" for name, value in largest.items())
     return Sketch(
         figure,
         "Measured and computed",
