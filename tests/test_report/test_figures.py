@@ -130,6 +130,18 @@ def test_no_line_crosses_slopes_without_a_gait(tmp_path, name):
     assert {x[-1] < 0.03 or x[0] > 0.05 for x in runs} == {True}
 
 
+@pytest.mark.parametrize("name", ["linear", "multipliers", "measured"])
+def test_a_gait_at_one_slope_alone_is_a_dot(tmp_path, name):
+    """A line of one point is invisible."""
+    alone = {v: lambda s: np.where(s == s[3], 0.3, np.nan) for v in ("stance_angle", "spectral_radius")}
+    archive = _quantities(tmp_path, **alone)
+    overlay = {"slope": [0.02], "spectral_radius": [0.1]}
+    xr.Dataset({k: ("row", v) for k, v in overlay.items()}).to_netcdf(archive, mode="a", group="overlay")
+    axes = FIGURES[name](read(archive)).figure.axes[0]
+    dots = [line.get_xdata() for line in axes.lines if line.get_marker() == "o"]
+    assert len(dots) == 2 and np.allclose(dots, np.geomspace(0.01, 0.1, 40)[3])
+
+
 @pytest.mark.parametrize("walkers", [("D",), ("A", "B", "D"), tuple("ABCDEFGHIJKL")])
 def test_a_census_draws_gaits_at_their_slopes_or_side_by_side_around_them(tmp_path, walkers):
     slope = np.tile([1e-3, 1e-2], len(walkers))

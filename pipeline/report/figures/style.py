@@ -160,7 +160,7 @@ def _superscript(power: int) -> str:
 def draw_curve(
     axes: Axes, x: pd.Series, y: pd.Series, stable: pd.Series, ink: str, k: int = 0, group: int | None = None
 ) -> None:
-    """Draw line k of a colour: thin, and thick where it is stable, with the same dashes.
+    """Draw line k of a colour: thin, and thick where it is stable, with the same dashes; a point by itself as a dot.
 
     `group` is the number of the line that the page highlights as one.
     """
@@ -173,6 +173,11 @@ def draw_curve(
     inside[[0, -1]] &= is_stable[[0, -1]]
     axes.plot(x, y.mask(inside), color=ink, lw=1.1, ls=dash, gid=gid)
     axes.plot(x, y.where(is_stable), color=ink, lw=2.6, ls=thick, gid=gid)
+    # A line of one point is invisible.
+    alone = y.notna() & y.shift().isna() & y.shift(-1).isna()
+    for dots, size in ((alone & ~is_stable, 3), (alone & is_stable, 5)):
+        if dots.any():
+            axes.plot(x[dots], y[dots], "o", color=ink, ms=size, gid=gid)
 
 
 def labelled(frame: pd.DataFrame, gait: str, column: str = "stance_angle") -> pd.Series:
