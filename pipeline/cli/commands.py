@@ -122,7 +122,7 @@ def parser() -> argparse.ArgumentParser:
     c = add(_claims, "claims of the paper: what it says, the computed number and the verdict")
     c.add_argument("ids", nargs="*", metavar="ID", help="such as D2 or K1 (default: all)")
     c.add_argument("--json", action="store_true", help="for machines")
-    c = add(_tune, "the nearest walker that can walk at vanishing slope")
+    c = add(_tune, "the nearest walker that meets the conditions of walking at vanishing slope")
     c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
     c.add_argument("--free", action="append", default=[], metavar="KEY", help="a key that may change")
     c.add_argument("--json", action="store_true", help="for machines")
@@ -305,6 +305,8 @@ def _solve(options: argparse.Namespace) -> int:
     answer = solve(options.walker, slope, dict(options.set), options.all, options.steps, options.accuracy)
     for line in answer.get("search", []):
         terminal.say(line)
+    if options.degrees and answer.get("search"):
+        terminal.say("Slopes in the lines above are in rad.")
     if options.json:
         # JSON has no infinite numbers; `float` reads the word.
         gaits = [{k: "inf" if v == math.inf else v for k, v in gait.items()} for gait in answer["gaits"]]

@@ -571,6 +571,25 @@ def test_solve_speaks_of_degrees_on_request(capsys):
         assert float(there) == pytest.approx(math.degrees(float(here)), rel=1e-13) and told == unit
 
 
+def test_the_conditions_at_vanishing_slope_are_not_said_to_suffice(capsys, tmp_path):
+    """This walker meets both, and no gait of it is found below slopes of 0.14."""
+    links = "l_t = 0.38\nm_t = 1.75\nr_t = 0.11\nc_t = 0.16\nl_s = 0.44\nm_s = 0.82\nr_s = 0.125\nc_s = 0.17\n"
+    rest = "w_t = -0.03391885257471573\nw_s = 0.022431516334982173\nR = 0.15\neps_T = 0.1\nm_h = 5.2\nknees = true\n"
+    (tmp_path / "tuned.toml").write_text("[walker]\n" + links + rest)
+    assert commands.main(["walkers", f"{tmp_path}/tuned.toml"]) == 0
+    assert "not every such walker does" in capsys.readouterr().out
+    assert commands.main(["solve", "--walker", f"{tmp_path}/tuned.toml", "--slope", "1e-4", "--json"]) == 0
+    assert capsys.readouterr().out == "[]\n"
+
+
+def test_slopes_in_the_words_of_a_search_are_said_to_be_in_radians(capsys):
+    """The reason for no gait at 0.05 degrees names slopes from 0.016 on."""
+    for options, said in ((["--degrees"], True), ([], False)):
+        assert commands.main(["solve", "--walker", "physical-straight", "--slope", "0.001", *options]) == 0
+        told = capsys.readouterr().err
+        assert "the branches found span 0.0" in told and ("in rad" in told) == said
+
+
 def test_degrees_of_a_rate_without_a_unit_of_time_are_no_angle(capsys):
     gait = printed(capsys, "--walker", "D", "--slope", "0.5", "--degrees")
     assert gait["stance_angle"].endswith(" deg") and gait["stance_rate"].endswith(" deg per unit of time")
