@@ -25,8 +25,12 @@ def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
     """Describe a plan: for each task what runs and why, what is cached, and what is not requested."""
     study = planned.study
     walkers = [f"{len(study.walkers)} walkers"] if study.walker_axis else []
-    shape = " x ".join([*walkers, *(f"{len(a)} {a.name}" for a in study.axes)])
-    yield f"{study.name}: {shape}, {study.points:,} points -> {path}"
+    axes, total = study.axes, f"{study.points:,} points"
+    if study.kind in ("design", "cascade", "curve"):  # whose slopes are a window
+        name = "design" if study.kind == "design" else "line"
+        axes, total = study.line_axes, f"{study.lines:,} {name}{'s' if study.lines > 1 else ''}"
+    shape = [*walkers, *(f"{len(a)} {a.name}" for a in axes)]
+    yield f"{study.name}: {' x '.join(shape)}{', ' if shape else ''}{total} -> {path}"
     for name, layer in planned.layers.items():
         what = "point" if name == "points" else "line" if layer.per_line else "study"
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]

@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 
 import pipeline
+from pipeline.cli import text
 from pipeline.errors import StudyError
 from pipeline.plan import graph
 from pipeline.plan.costs import seconds
@@ -77,7 +78,10 @@ def test_a_plan_tells_what_designs_cost(tmp_path):
     assert many.plane and not few.plane
     each = [seconds(study, "design") * study.batches / study.lines for study in (few, many)]
     assert each[1] < 0.1 * each[0]
-    todo = summary(Plan(many, Journal(tmp_path / "journal", points=many.points)))
+    planned = Plan(many, Journal(tmp_path / "journal", points=many.points))
+    todo = summary(planned)
+    # The slopes are a window, of which each design is one answer.
+    assert next(text.plan(planned, todo, many.path)).startswith("designs: 100 R x 2 m_h x 20 m_s, 4,000 designs ->")
     assert todo.todo["design"] == {"new": 2}
     assert todo.seconds == pytest.approx(2 * seconds(many, "design"), rel=0.3)
 
