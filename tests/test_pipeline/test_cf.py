@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import types
 
 import netCDF4
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 import pipeline
 from pipeline.api import studies
-from pipeline.archive import diff
+from pipeline.archive import diff, result_tables
 
 #: The smallest study of each kind, and one over walkers of different units.
 STUDIES = {
@@ -170,6 +171,16 @@ def test_tables_are_in_the_walkers_units(archives):
         assert mixed["trace/theta_st"].units == "rad" and mixed["trace/time"].units == "1"
         assert mixed["trace/time"].comment.startswith("in the units of each walker")
         assert counted["cascade/period"].long_name == "steps of the periodic gait"
+
+
+@pytest.mark.parametrize(("walker", "key", "unit"), [("C", "R", "m"), ("C", "eps_T", "rad"), ("E", "R", "1")])
+def test_values_of_a_curves_key_have_its_unit(walker, key, unit):
+    options = {"key": key, "from": 0.1, "to": 0.2}
+    study = studies._study(
+        {"name": "s", "kind": "curve", "walker": walker, "axes": {"slope": [0.01, 0.1]}, "options": options}
+    )
+    for group in ("curves", "turnings"):
+        assert result_tables._attributes(types.SimpleNamespace(study=study), group, "value")["units"] == unit
 
 
 def test_the_ranges_of_the_fitted_lines_are_slopes(archives):

@@ -189,6 +189,27 @@ def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(t
     assert "re-pair: detuning 0.5 and slope 0.011 rad." in sketch.caption
 
 
+def test_a_curve_names_the_unit_of_its_key(tmp_path):
+    curve = {"curve": [0, 0, 1, 1], "kind": np.repeat(["flip", "fold"], 2), "key": ["R"] * 4, "slope": [0.01, 0.02] * 2}
+    text = 'name = "curves"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
+    tables = {"curves": curve | {"value": [0.1, 0.2] * 2}}
+    archive = write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables)
+    with netCDF4.Dataset(archive, "a") as file:
+        file["curves/value"].units = "m"
+    sketch = FIGURES["curves"](read(archive))
+    assert sketch.figure.axes[0].get_title(loc="left") == "R (m)"
+    assert sketch.caption == "Flips and folds over slope and R."
+
+
+@pytest.mark.parametrize(("ratios", "said"), [([4.5], " is 4.5."), ([4.5, 4.6], "s are 4.5, 4.6."), ([np.nan], "")])
+def test_the_last_ratios_of_a_cascade_are_counted(tmp_path, ratios, said):
+    flips = {"slope": [0.01, 0.015, 0.016], "kind": ["flip"] * 3, "family": ["1"] * 3, "period": [1, 2, 4]}
+    text = 'name = "cascade"\nkind = "cascade"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n'
+    tables = {"cascade": flips, "accumulation": {"slope": [0.0163] * len(ratios), "ratio": ratios}}
+    sketch = FIGURES["cascade"](read(write(tmp_path / "c.nc", text, {}, {}, {"D": POINT}, tables)))
+    assert sketch.caption.endswith("through the last." + (f" The last ratio{said}" if said else ""))
+
+
 @pytest.mark.parametrize("lines", [6, 9])
 def test_a_bifurcation_diagram_of_many_lines_says_how_many_it_draws(tmp_path, lines):
     radius = np.repeat(np.linspace(0.1, 0.2, lines), 2)

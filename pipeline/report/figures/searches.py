@@ -21,7 +21,7 @@ from pipeline.report.figures.style import (
     shorten,
 )
 from pipeline.report.figures.svg import Marks, Sketch
-from pipeline.report.source import SYMBOLS, Source
+from pipeline.report.source import SYMBOLS, Source, print_units
 
 #: Feigenbaum's constant: the limit of the ratios of successive distances between flips.
 FEIGENBAUM = 4.669201609102990
@@ -125,7 +125,8 @@ def cascade(source: Source) -> Sketch | None:
     keys.append(Line2D([], [], color=MUTED, lw=1, ls=(0, (1, 2)), label=f"Feigenbaum's ratio {FEIGENBAUM:.4f}"))
     figure.legend(handles=keys, loc="outside upper left", ncols=3)
     limits = _columns(source, "accumulation", {"slope", "ratio"})
-    said = "" if limits is None else f" The last ratios are {', '.join(plain(r, 5) for r in limits['ratio'].dropna())}."
+    ratios = [] if limits is None else [plain(r, 5) for r in limits["ratio"].dropna()]
+    said = f" The last ratio{'s are' if len(ratios) > 1 else ' is'} {', '.join(ratios)}." if ratios else ""
     return Sketch(
         figure,
         "Period doublings",
@@ -176,7 +177,8 @@ def curves(source: Source) -> Sketch | None:
         )
         said.append(f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad")
     axes.set_xlabel("slope γ (rad)")
-    set_heading(axes, SYMBOLS.get(key, key.replace("_", " ")))
+    unit = print_units(table.attrs.get("units", {}).get("value", ""))
+    set_heading(axes, SYMBOLS.get(key, key.replace("_", " ")) + (f" ({unit})" if unit else ""))
     keys = [
         Line2D([], [], color=_INKS[k % 4], lw=1.5, ls=DASHES[k % len(DASHES)], label=f"{kind.replace('_', ' ')}s")
         for k, kind in enumerate(kinds)
@@ -185,7 +187,7 @@ def curves(source: Source) -> Sketch | None:
     return Sketch(
         figure,
         "Curves of special points",
-        f"{' and '.join(k.replace('_', ' ').capitalize() + 's' for k in kinds)} over slope and {key}."
+        f"{' and '.join(k.replace('_', ' ') + 's' for k in kinds).capitalize()} over slope and {key}."
         + (f" Where the curve turns back in {key}, two branches touch and re-pair: {'; '.join(said)}." if said else ""),
         f"Curves of {', '.join(kinds)} over slope and {key}, with {len(touching)} places where branches touch.",
         table,
