@@ -96,7 +96,7 @@ class Progress:
             terminal.say((_CLEAR if terminal.is_terminal() else "") + text)
 
     def state(self) -> dict[str, Any]:
-        """State of the run: counts, rate [1/s], remaining time `eta` [s], memory [byte] and workers."""
+        """State of the run: counts, rate [1/s], remaining time `eta` [s] or `overdue`, memory [byte] and workers."""
         elapsed, stages = time.monotonic() - self.start, self._stages()
         memory = 0
         with contextlib.suppress(OSError), open("/proc/self/statm") as file:
@@ -112,6 +112,8 @@ class Progress:
             "stages": stages,
             "rate": round(self.done["points"] / elapsed, 1) if elapsed > 0 else 0.0,
             "eta": round(sum(stage["eta"] for stage in stages.values()), 1),
+            # Nothing is measured yet, and the plan's estimate has passed.
+            "overdue": not any(self.done.values()) and elapsed > sum(stage["eta"] for stage in stages.values()) > 0,
             "memory": memory,
             "workers": worker_process.members() or self._recent_remote_workers(),
         }
@@ -193,6 +195,7 @@ def total(states: list[dict[str, Any]]) -> dict[str, Any]:
     for state in states:
         for name, stage in state["stages"].items():
             stages.setdefault(name, Counter()).update(stage)
+    result["overdue"] = all(state["overdue"] for state in states)
     return {**result, "stages": {name: dict(stage) for name, stage in stages.items()}}
 
 
@@ -232,7 +235,7 @@ def sentence(state: dict[str, Any]) -> str:
         f"{name} {stage['done']:,} of {stage['todo']:,}" for name, stage in state["stages"].items() if name != "points"
     ]
     parts += [f"{name} {n:,}" for name, n in sorted(failed.items())]
-    parts.append(f"{duration(state['eta'])} to go")
+    parts.append("longer than planned" if state.get("overdue") else f"{duration(state['eta'])} to go")
     return ", ".join(parts)
 
 

@@ -275,7 +275,8 @@ def test_a_state_tells_rate_and_one_time_to_go():
     )
 
 
-def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
+def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path, monkeypatch):
+    monkeypatch.setattr(progress.costs, "seconds", lambda study, name: 2.0)
     layers = {name: graph.Layer(TASKS[name], True, ()) for name in ("atlas", "points")}
     plan = types.SimpleNamespace(study=types.SimpleNamespace(points=900), layers=layers)
     todo = Summary({"atlas": {"new": 8}, "points": {"new": 900}}, {})
@@ -283,8 +284,12 @@ def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path):
     shown.jobs = types.SimpleNamespace(
         costs=types.SimpleNamespace(seconds_left=lambda: 30.0), engine=types.SimpleNamespace(jobs=3, address=None)
     )
+    assert progress.sentence(shown.state()).endswith(", 15.3 s to go")
+    shown.start -= 1000  # seconds without a first result: the plan's estimate is wrong
+    assert progress.sentence(progress.total([shown.state()])).endswith(", longer than planned")
     for _ in range(2):
         shown("task", {"task": "atlas", "seconds": 5.25})
+    assert progress.sentence(shown.state()).endswith(" s to go")
     shown("chunk", {"task": "points", "seconds": 1.0, "points": 100, "counts": {"converged": 90}})
     shown("chunk", {"task": "points", "seconds": 1.0, "points": 0, "lost": 10, "outcome": "timed_out"})
     state = shown.state()
