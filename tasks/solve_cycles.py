@@ -220,8 +220,9 @@ def _measure(problem: Problem, cycle: Cycle, slope: float, want: list[str], fric
     }
     if is_flown:
         motion = [m * scale for m in step.motion]
-        amounts = violations.measure(walker, motion, step.impact * scale, cycle.times, slopes, friction_limit)
-        measured |= _worst(amounts)
+        # Each step begins with the heelstrike that ends the one before it.
+        impact = np.roll(step.impact * scale, 1, axis=-1)
+        measured |= _worst(violations.measure(walker, motion, impact, cycle.times, slopes, friction_limit))
     return measured
 
 

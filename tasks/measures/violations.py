@@ -291,7 +291,7 @@ def measure(
     motion : list of ndarray, shape (samples + 1, angles, n)
         Angles and rates of each phase at equal times: stance leg, swing thigh[, swing shank]  [rad, sqrt(g/leg)].
     impact : ndarray, shape (2, n)
-        Rates of the old stance and swing leg just before heelstrike [sqrt(g/leg)].
+        Rates of the old stance and swing leg just before the heelstrike with which the step begins [sqrt(g/leg)].
     times : ndarray, shape (phases, n) [sqrt(leg/g)]
         Ends of the phases.
     slope : ndarray, shape (n,) [rad]

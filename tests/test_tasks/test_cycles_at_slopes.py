@@ -214,6 +214,7 @@ def test_violations_are_the_worst_of_the_steps():
     state = state_of(first("D", 0.016, 2))
     # Massless legs push along themselves: the largest demand is that of the widest angle.
     assert gait.friction_demand.item() == pytest.approx(np.tan(state[0]), rel=1e-9)
+    assert gait.friction_demand_heelstrike.item() == pytest.approx(np.tan(state[0]), rel=1e-9)
     assert gait.violations.item() & 1
     amounts = {
         "violations": np.array([1, 4], np.int32),
