@@ -222,7 +222,10 @@ def _measure(problem: Problem, cycle: Cycle, slope: float, want: list[str], fric
         motion = [m * scale for m in step.motion]
         # Each step begins with the heelstrike that ends the one before it.
         impact = np.roll(step.impact * scale, 1, axis=-1)
-        measured |= _worst(violations.measure(walker, motion, impact, cycle.times, slopes, friction_limit))
+        amounts = violations.measure(walker, motion, impact, cycle.times, slopes, friction_limit)
+        # Times of a gait count from its first step's start.
+        amounts["unlocking_torque_time"] += (np.cumsum(cycle.times[-1]) - cycle.times[-1]) * time_unit
+        measured |= _worst(amounts)
     return measured
 
 

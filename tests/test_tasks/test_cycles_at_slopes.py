@@ -7,6 +7,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
+import oracle
 import pipeline
 from extended import Walker, _derivative
 from lines import branches as atlas_of
@@ -230,6 +231,18 @@ def test_violations_are_the_worst_of_the_steps():
         "unlocking_torque": -1.0,
         "unlocking_torque_time": 0.2,
     }
+
+
+def test_the_time_of_the_worst_torque_counts_from_the_start_of_the_gait():
+    gait, model = first("C", 0.09, 4, variables=["violations"]), oracle.Oracle(CATALOGUE["C"].table())
+    steps = pipeline.simulate("C", 0.09, state_of(first("C", 0.09, 4)), 4)
+    rates = np.array([steps[f"{link}_rate"].values for link in ("stance", "thigh", "shank")])
+    starts = np.concatenate([steps.stance_angle.values * np.array([[1], [-1], [-1]]), rates])[:, :4]
+    # On these slopes the stance knee is held least at the start of a step.
+    torque = [-model.motion(state, 0.09, False)[1][10] for state in starts.T]
+    assert np.argmax(torque) == 2
+    assert gait.unlocking_torque.item() == pytest.approx(max(torque), rel=1e-9)
+    assert gait.unlocking_torque_time.item() == pytest.approx(steps.period.values[:2].sum(), rel=1e-9)
 
 
 def test_branches_survive_as_arrays():
