@@ -23,6 +23,8 @@ FRICTION_LIMIT = 1.0
 _BLOCK = 128
 #: A velocity this small relative to its summands counts as zero.
 _ROUNDING = 1e-12
+#: Peaks of the samples that are looked at beside the highest.
+_FURTHER_PEAKS = 2
 #: Coefficients, times 24, of the quartic through values at 0, 1, 2, 3, 4.
 _POWERS = (
     (24, 0, 0, 0, 0),
@@ -62,7 +64,7 @@ def _phases(motion: list[np.ndarray], times: np.ndarray) -> list[_Phase]:
 
 
 def greatest(x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Find the largest value of sampled functions, by a quartic through the five samples around it.
+    """Find the largest value of sampled functions, by a quartic through the five samples around each peak.
 
     Parameters
     ----------
@@ -75,9 +77,25 @@ def greatest(x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray
     value, position : ndarray, shape (n,)
         The position is in intervals from the first sample.
     """
-    top = len(x) - 1
-    lane = np.arange(x.shape[1])
-    best = np.argmax(np.where(np.isnan(x), -np.inf, x) if among is None else np.where(among, x, -np.inf), axis=0)
+    lane, border = np.arange(x.shape[1]), np.full((1, x.shape[1]), -np.inf)
+    samples = np.where(np.isnan(x), -np.inf, x) if among is None else np.where(among, x, -np.inf)
+    around = np.concatenate([border, samples, border])
+    is_peak = (samples >= around[:-2]) & (samples >= around[2:]) & (samples > -np.inf)
+    best = np.argmax(samples, axis=0)
+    value, position = _peak(x, best)
+    # The highest peak may lie between two samples that are lower than another one.
+    for _ in range(_FURTHER_PEAKS):
+        is_peak[best, lane] = False
+        best = np.argmax(np.where(is_peak, samples, -np.inf), axis=0)
+        other, at = _peak(x, best)
+        is_higher = is_peak[best, lane] & (other > value)
+        value, position = np.where(is_higher, other, value), np.where(is_higher, at, position)
+    return value, position
+
+
+def _peak(x: np.ndarray, best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Largest value and its position within an interval of the sample `best`, shape (n,), of sampled functions."""
+    top, lane = len(x) - 1, np.arange(x.shape[1])
     first = np.clip(best - 2, 0, top - 4)
     y = np.stack([x[first + k, lane] for k in range(5)])
     powers = [total(c * y[k] for k, c in enumerate(row)) / 24 for row in _POWERS]

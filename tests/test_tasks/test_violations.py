@@ -251,6 +251,16 @@ def test_the_depth_of_a_scuff_does_not_depend_on_the_samples(monkeypatch):
     np.testing.assert_allclose(measured("B", slopes, want)["scuff_depth"][:, 0], fine, rtol=2e-8)
 
 
+def test_a_scuff_between_two_samples_is_found(monkeypatch):
+    slopes, want = [0.324, 0.325], ("scuff_depth", "violations")
+    found = measured("C", slopes, want)
+    assert found["scuff_depth"][1, 1] < 1e-5
+    assert (found["violations"][:, 1] & 1).all()
+    monkeypatch.setattr(violations, "SAMPLES", 2400)
+    fine = measured("C", slopes, want)["scuff_depth"][:, 1]
+    np.testing.assert_allclose(found["scuff_depth"][:, 1], fine, atol=1e-8)
+
+
 def test_a1_straight_legs_always_scuff():
     for name in ("A", "B", "D", "E", "physical-straight", "goswami-compass.toml", "round-foot.toml"):
         found = measured(name, [1e-6, 1e-4, 0.01, 0.02, 0.05])
@@ -343,6 +353,10 @@ def test_extremes_between_samples_are_found():
     # Samples that may not be the largest are none, however large.
     wave = np.sin(2 * (x - 0.1)) + np.where(x > 1.5, 9.0, 0.0)
     assert violations.greatest(wave, x <= 1.5)[0] == pytest.approx(1.0, abs=1e-9)
+    # Between two samples a function may exceed a sample elsewhere that is larger than both.
+    between = np.where(x == 0, 0.0, 1e-6 - (x - 1.0104) ** 2)
+    value, at = violations.greatest(between)
+    assert (value[0], at[0] / 48) == pytest.approx((1e-6, 1.0104), rel=1e-7)
     rising, at = violations.greatest(x**3)
     assert rising[0] == 8.0
     assert at[0] == 96
