@@ -96,3 +96,12 @@ def test_friction_is_flagged_above_the_limit_of_the_study(browser):
     for limit, flagged in ((None, False), (1.0, False), (0.15, True)):  # the gaits demand 0.19
         own = keys if limit is None else {**keys, "friction_limit": limit}
         assert [bool(flown["flags"] & friction) for flown in run(browser, _FLY, own, starts)] == [flagged] * len(known)
+
+
+def test_a_scuff_between_two_samples_is_flagged(browser):
+    browser.get("about:blank")
+    for name, slopes in (("C", [0.324, 0.325]), ("physical", [0.355])):
+        keys = dispatch.ask("check_walker", {"walker": name, "set": {}})["parameters"]
+        known = list(solved(name, {}, slopes))
+        starts = [[p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)] for p in known]
+        assert [flown["flags"] for flown in run(browser, _FLY, keys, starts)] == [int(p["violations"]) for p in known]

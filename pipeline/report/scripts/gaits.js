@@ -141,12 +141,13 @@ const momentumOf = (chain, q, rate) => Array.from(q).reduce((total, _, j) => {
 /** Angles, or rates, of the four links from those of the links that move by themselves. */
 const ofLinks = values => values.length === 2 ? [values[0], values[0], values[1], values[1]] : [values[0], values[0], values[1], values[2]];
 
-/** Height of the swing foot's lowest point, without cancellation for short steps, and its derivative by the four angles. */
+/** Height of the swing foot's lowest point, without cancellation for short steps, and the parts of its rate by the four angles. */
 function footHeight(walker, [a, , b, c]) {
   const bent = 2 * Math.sin((c - b) / 2) * turned(walker.foot, (b + c) / 2)[0];
   return -2 * walker.l * Math.sin((a + b) / 2) * Math.sin((a - b) / 2) + bent;
 }
 const rising = ({ foot, knee }) => [[-foot[0], -foot[1]], [-knee[0], -knee[1]], knee, foot];
+const climbing = (walker, q, rate) => rising(walker).map((arm, j) => turned(arm, q[j])[0] * rate[j]);
 
 /** Generalised torque on the stance thigh that its locked knee gives: residual of the thigh's own equation. */
 function kneeTorque(walker, q, rate, acceleration, slope) {
@@ -162,7 +163,7 @@ function violationsOf(walker, start, step, slope) {
     if (force[1] < 0) broken.add(VIOLATIONS[2]);
     if (ratio(force) > (walker.keys.friction_limit ?? 1)) broken.add(VIOLATIONS[3]);
   };
-  step.phases.forEach((phase, number) => phase.samples.forEach(([, x, dx], k) => {
+  step.phases.forEach((phase, number) => phase.samples.forEach(([time, x, dx], k) => {
     const n = x.length / 2, chain = n === 3 ? walker.free : walker.locked;
     const [q, rate, acceleration] = [x.subarray(0, n), x.subarray(n), dx.subarray(n)].map(part => Array.from(part));
     let force = [-chain.R * acceleration[0] - Math.sin(slope), Math.cos(slope)];
@@ -170,6 +171,12 @@ function violationsOf(walker, start, step, slope) {
     contact(force);
     const atEnd = (number === 0 && k === 0) || (number === step.phases.length - 1 && k === phase.samples.length - 1);
     if (!walker.kneed || (!atEnd && footHeight(walker, ofLinks(q)) < 0)) broken.add(VIOLATIONS[0]);
+    // Between two samples the foot is lowest where its rate, interpolated linearly, vanishes.
+    const next = phase.samples[k + 1], [falls, rises] = [x, next?.[1] ?? x].map(y => sum(climbing(walker, ofLinks(y.subarray(0, n)), ofLinks(y.subarray(n)))));
+    if (falls < 0 && rises > 0) {
+      const lowest = advance(chain, x, dx, slope, (next[0] - time) * falls / (falls - rises));
+      if (footHeight(walker, ofLinks(lowest.subarray(0, n))) < 0) broken.add(VIOLATIONS[0]);
+    }
     if (walker.kneed && kneeTorque(walker, ...[q, rate, acceleration].map(ofLinks), slope) < 0) broken.add(VIOLATIONS[1]);
   }));
   const n = start.length / 2, chain = n === 3 ? walker.free : walker.locked, open = walker.open;
@@ -189,7 +196,7 @@ function violationsOf(walker, start, step, slope) {
   }
   const q = ofLinks(Array.from(start.subarray(0, n))), rate = ofLinks(Array.from(start.subarray(n)));
   const acceleration = ofLinks(Array.from(derivative(chain, start, slope).subarray(n)));
-  const arms = rising(walker).map((arm, j) => turned(arm, q[j])), parts = arms.map((arm, j) => arm[0] * rate[j]);
+  const arms = rising(walker).map((arm, j) => turned(arm, q[j])), parts = climbing(walker, q, rate);
   const velocity = sum(parts), still = Math.abs(velocity) <= 1e-12 * sum(parts.map(Math.abs));
   const lift = sum(arms.map((arm, j) => arm[0] * acceleration[j] - rate[j] ** 2 * arm[1]));
   if ((still ? lift : velocity) < 0) broken.add(VIOLATIONS[5]);
