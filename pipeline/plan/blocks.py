@@ -127,9 +127,9 @@ class Blocks:
     def _neighbours(self, axis: Axis, sides: tuple[np.ndarray, ...]) -> list[np.ndarray]:
         """For each value of an axis a number of all its values in the same cell, which decide how it is split."""
         marks = np.zeros(len(axis) if sides else 0, np.uint64)
-        for low in np.unique(sides[0]) if sides else ():
-            inside = sides[0] == low
-            marks[inside] = _mark(axis.values[inside])
+        for low, high in np.unique(sides, axis=1).T if sides else ():
+            # A value on the upper border counts here too, though its line belongs to the next cell.
+            marks[sides[0] == low] = _mark(axis.values[(axis.values >= low) & (axis.values <= high)])
         return [marks.view(float)] if sides else []
 
     @functools.cached_property

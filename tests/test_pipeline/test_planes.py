@@ -79,6 +79,18 @@ def test_the_digest_of_a_line_tells_its_cell_and_slopes(tmp_path):
     assert digests[0] not in digests[1:]
 
 
+def test_the_digest_of_a_line_tells_a_value_on_the_border_of_its_cell(tmp_path):
+    """It belongs to the next cell, but is among those that decide whether patches are worth their making."""
+    digests, values = [], []
+    for k, others in enumerate(("0.18", "0.1, 0.18")):
+        axes = f"R = [0.0, 0.08, {others}, 0.2]\nm_s = {{ from = 0.08, to = 0.12, n = 16 }}"
+        study = read(written(tmp_path / str(k), STUDY.format(walker="B", axes=axes)))
+        values.append(study.plane.cell(study.line(0)["set"])["values"][0].tolist())
+        digests.append(Plan(study, Journal(tmp_path / str(k) / "journal")).blocks.digests(np.array([0])).tolist())
+    assert values == [[0.0, 0.08], [0.0, 0.08, 0.1]]
+    assert digests[0] != digests[1]
+
+
 @pytest.mark.parametrize("axes", ["R = { from = 0.0, to = 0.2, n = 7 }\nm_s = { from = 0.08, to = 0.12, n = 9 }"])
 def test_few_lines_are_no_plane(tmp_path, axes):
     assert read(written(tmp_path, STUDY.format(walker="B", axes=axes))).plane is None
