@@ -204,7 +204,8 @@ def interpolate(
     parts : list of Part
         With indices into the n s points.
     sure : ndarray of bool, shape (n,)
-        Lines whose labels and stability do not depend on errors; the others are to be integrated.
+        Lines whose labels and stability do not depend on errors, and of which no step nearly vanishes; the others are
+        to be integrated.
     """
     n, s = len(keys), len(slope)
     unit, q = cell.box.unit(keys), np.log(slope)
@@ -219,6 +220,7 @@ def interpolate(
             continue
         line = index // s
         low, high = ends[line].T
+        np.logical_and.at(sure, line, patch.reaches(q[index % s], ends[line]))
         x = 2 * coordinate((q[index % s] - low) / (high - low), patch.folds, patch.vanishing) - 1
         own = walkers.some(line)
         smooth = Smooth.of(own, want, cell.structure.dimension)

@@ -236,6 +236,24 @@ class Patch:
         """
         return self.numbers[np.abs(unit[:, None] - self.lines).max(axis=2).argmin(axis=1)]
 
+    def reaches(self, q: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        """Whether gaits lie on the part of the piece that the polynomials describe, not nearer to vanishing steps.
+
+        Parameters
+        ----------
+        q : ndarray, shape (n,)
+            Values of ln slope, between the ends.
+        ends : ndarray, shape (n, 2)
+            Of `ends_at`.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        share = (q - ends[:, 0]) / (ends[:, 1] - ends[:, 0])
+        low, high = (np.exp(-_VANISHING) * vanishes for vanishes in self.vanishing)
+        return (share >= low) & (share <= 1 - high)
+
     def predict(self, unit: np.ndarray, q: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predict gaits.
 

@@ -11,6 +11,7 @@ import pytest
 import extended
 from lines import FAILURES
 from pipeline.bench.missed import neighbour
+from tasks.accuracy import always
 from tasks.continuation.atlas import from_arrays
 from tasks.families.box import Box
 from tasks.families.cell import PANEL, Family, Refused, _Maker, make
@@ -196,6 +197,12 @@ def test_bounds_hold_where_steps_nearly_vanish():
     gait = {key: float(value[0, shortest]) for key, value in one.items() if key in WANT}
     assert int(one["reason"].max()) < 6 and gait["stance_angle"] < 3e-4
     assert error_of(line, slope, gait) < 0.5
+    # Polynomials describe gaits up to a hundredth of the way to the end, 0.0155325, no nearer.
+    slope, asked = np.array([0.0155275]), {"want": ("stance_angle", *always(1e-3)), "accuracy": 1e-3}
+    ((_, one),) = lines({"lines": [line], "cell": cell, "slope": slope, **asked}, [])
+    ((_, other),) = lines_side_by_side({"lines": [line], "slope": slope, **asked}, [])
+    assert 1e-6 < np.nanmin(other["stance_angle"]) < 2e-6
+    np.testing.assert_allclose(one["stance_angle"], other["stance_angle"], rtol=1e-3)
 
 
 @pytest.mark.parametrize("seeds", [range(2, 3), *(pytest.param(each, marks=pytest.mark.soak) for each in CELLS)])
