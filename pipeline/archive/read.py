@@ -52,6 +52,12 @@ def open_netcdf(path: Path, mode: Literal["r", "w", "a"] = "r") -> Iterator[Any]
             file.close()
 
 
+def is_nameable(path: Path) -> bool:
+    """Whether the netCDF library can open a file of that name: no backslash, and no bytes that are not UTF-8."""
+    name = os.fsencode(path).decode(errors="replace")
+    return "\\" not in name and "\ufffd" not in name
+
+
 @contextlib.contextmanager
 def open_archive(path: Path) -> Iterator[Any]:
     """Open an archive of this schema for reading.
@@ -63,6 +69,8 @@ def open_archive(path: Path) -> Iterator[Any]:
     """
     if not path.is_file():
         raise ArchiveError(f"There is no archive {path}.")
+    if not is_nameable(path):
+        raise ArchiveError(f"The netCDF library opens no file of such a name as {path}; name it from its own folder.")
     opened = open_netcdf(path)
     try:
         file = opened.__enter__()

@@ -83,8 +83,7 @@ def check_path(path: Path) -> None:
         If it cannot.
     """
     target = _target(path)
-    name = os.fsencode(target).decode(errors="replace")
-    if "\\" in name or "\ufffd" in name:
+    if not read.is_nameable(target):
         raise ArchiveError(f"{path} cannot be written: the netCDF library opens no file of such a name.")
     try:
         paths.of(target).touch()

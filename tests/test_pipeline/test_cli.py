@@ -297,6 +297,10 @@ def test_the_folder_of_a_study_may_have_any_name(toy, name):
     folder.mkdir()
     Toy(folder)("run", "../toy.toml", "--quiet")
     assert Toy(folder).bytes() == toy.bytes()
+    assert "is intact" in Toy(folder)("verify", "data/archive/toy.nc").stdout
+    if b"lead" not in name:
+        said = toy("verify", folder / "data" / "archive" / "toy.nc", expect=1).stdout
+        assert said.startswith("The netCDF library opens no file of such a name as ")
 
 
 def test_the_folder_of_an_archive_may_begin_with_a_blank(toy):
