@@ -310,7 +310,10 @@ class _Snapshots:
         began = time.monotonic()
         # A partial archive does not replace a complete one.
         if read.not_attempted(self.path) != 0:
-            write.write(self.plan, self.path)
+            try:
+                write.write(self.plan, self.path)
+            except DiskFullError as error:  # the journal may grow yet
+                self.progress.say(f"The archive is not published before the end: {error}")
         duration = time.monotonic() - began
         self.next = time.monotonic() + max(self.every, _SNAPSHOT_PAUSE * duration)
 

@@ -362,6 +362,22 @@ def test_a_run_is_not_refused_by_a_look_at_its_state(toy):
         timer.join()
 
 
+def test_a_snapshot_that_finds_no_room_does_not_end_the_run(toy, monkeypatch, capsys):
+    monkeypatch.chdir(toy.folder)
+    written, errors = write.write, iter([DiskFullError("The disk is full: toy.nc is unchanged.")])
+
+    def fail_once(plan, path, threads=1):
+        for error in errors:
+            raise error
+        return written(plan, path, threads)
+
+    monkeypatch.setattr("pipeline.archive.write.write", fail_once)
+    toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
+    assert commands.main(["run", "toy.toml", "--jobs", "1", "--snapshot", "0"]) == 0
+    said = "The archive is not published before the end: The disk is full: toy.nc is unchanged.\n"
+    assert capsys.readouterr().err.startswith(said)
+
+
 def test_memory_is_counted_in_pages_of_the_system(toy, monkeypatch):
     """Which on some are of 64 KiB."""
     monkeypatch.chdir(toy.folder)
