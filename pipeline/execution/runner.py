@@ -206,7 +206,8 @@ class StudyRun:
             written = write.write(jobs.plan, self.path, min(self.options.jobs, os.cpu_count() or 1))
             if written.counts["not_attempted"]:  # stored results are missing
                 raise CorruptJournalError(jobs.journal.path)
-            compact(jobs.journal)
+            with contextlib.suppress(DiskFullError):  # the archive is complete, and the journal may stay as it is
+                compact(jobs.journal)
             failures = result_tables.failed(jobs.plan)
             failed = [f"{name}: {outcome}; {reason}" for name, outcome, reason in failures if name != self.study.kind]
             self._record |= {

@@ -10,6 +10,7 @@ import os
 import re
 import resource
 import shutil
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -28,6 +29,8 @@ from pipeline.cli import commands
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError, unwritten
 from pipeline.execution import locks, study_jobs
 from pipeline.execution.progress import duration, last_state
+from pipeline.store import journal_file
+from pipeline.store.journal import Journal
 from processes import ended, sidecar_path
 
 
@@ -376,6 +379,24 @@ def test_a_snapshot_that_finds_no_room_does_not_end_the_run(toy, monkeypatch, ca
     assert commands.main(["run", "toy.toml", "--jobs", "1", "--snapshot", "0"]) == 0
     said = "The archive is not published before the end: The disk is full: toy.nc is unchanged.\n"
     assert capsys.readouterr().err.startswith(said)
+
+
+def test_a_journal_that_finds_no_room_to_shrink_fails_nothing(toy, monkeypatch, capsys):
+    monkeypatch.chdir(toy.folder)
+    full = sqlite3.OperationalError("database or disk is full")
+    full.sqlite_errorcode = sqlite3.SQLITE_FULL
+    shrunk, read = [], Journal._read
+
+    def fail(journal, sql, *values):
+        if sql.startswith("DELETE FROM points"):
+            shrunk.append(journal)
+            journal_file.raise_for(full, journal.path)
+        return read(journal, sql, *values)
+
+    monkeypatch.setattr(Journal, "_read", fail)
+    toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.015, n = 300 }\n')
+    assert commands.main(["run", "toy.toml", "--jobs", "1", "--quiet", "--chunk", "4"]) == 0 and len(shrunk) == 1
+    assert json.loads((toy.folder / "data" / "archive" / "toy.run.json").read_text())["points"] == 300
 
 
 def test_memory_is_counted_in_pages_of_the_system(toy, monkeypatch):
