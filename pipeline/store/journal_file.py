@@ -6,6 +6,7 @@ They are the SQLite file with its log, and beside it the segment of finished chu
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import sqlite3
 import zlib
@@ -39,8 +40,12 @@ class CorruptJournalError(ArchiveError):
 def connect(path: Path | None, write: bool = True, page: int = 0, check: bool = True) -> sqlite3.Connection:
     """Open a journal, or create one with pages of `page` byte; without a path, in memory. Its schema is checked."""
     options: dict[str, Any] = {"timeout": 10, "isolation_level": None, "check_same_thread": False}
-    if path and not write and not os.access(path.parent, os.W_OK):
-        # SQLite creates a shared lock file even to read; in a read-only folder only the files of a writer can be used.
+    may_write = not path or not path.exists() or os.access(path, os.W_OK)
+    if write and not may_write:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+    if path and not write and not (may_write and os.access(path.parent, os.W_OK)):
+        # SQLite creates a shared lock file even to read, and leaves it where it may not write the journal, in the way
+        # of who may; in a read-only folder only the files of a writer can be used.
         is_written = path.with_name(path.name + "-wal").exists()
         how = "mode=ro" if is_written else "immutable=1"
         db = sqlite3.connect(f"file:{quote(str(path))}?{how}", uri=True, **options)

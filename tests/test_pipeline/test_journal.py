@@ -403,6 +403,30 @@ def test_somebody_else_reads_a_journal_while_it_is_written(tmp_path):
             assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
+@pytest.mark.parametrize("write", [False, True], ids=["plan", "run"])
+def test_who_may_not_write_a_journal_leaves_nothing_in_the_way_of_who_may(tmp_path, write):
+    """In a folder where both may write; SQLite left a lock file that only the other could have written."""
+    folder = tmp_path / "archive"
+    folder.mkdir()
+    for parent in (folder, *folder.parents):
+        if parent.stat().st_uid == os.geteuid() and "pytest-of-" in str(parent):
+            parent.chmod(0o755 if parent != folder else 0o777)
+    with contextlib.closing(Journal(folder / "j")) as journal:
+        journal.add_points("L", "k", WANT, row(np.array([0.1]), 0.0), 0.1)
+    if not (child := os.fork()):
+        try:
+            os.setuid(65534)
+            Journal(folder / "j", write).close()
+            os._exit(0)
+        except ArchiveError:
+            os._exit(1)
+        except BaseException:
+            os._exit(2)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == write
+    assert [file.name for file in folder.iterdir()] == ["j"]
+
+
 def test_reading_a_journal_that_is_not_there_makes_none(tmp_path):
     journal = Journal(tmp_path / "j", write=False)
     assert journal.empty()
