@@ -210,5 +210,5 @@ def walkers(descriptions: Iterable[dict[str, Any]], in_full: bool) -> Iterator[s
         yield ""
         for key, value in walker["statics"].items():
             yield f"{key:<16} {value + 0.0:.12g}"
-        yield "Only a walker without residuals can walk at vanishing slope, and not every such walker does."
+        yield "Only a walker with zero residuals can walk at vanishing slope, and not every such walker does."
         yield "`gaitsweep tune` shows the nearest one, `gaitsweep solve` whether it walks."
