@@ -157,17 +157,17 @@ def _compare_values(
     if x.dtype.kind != "f" or y.dtype.kind != "f":
         unequal = x.astype(str) != y.astype(str) if "O" in (x.dtype.kind, y.dtype.kind) else x != y
         return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ"] if unequal.any() else []
-    rtol = tolerance.of(name)
+    rtol, unit = tolerance.of(name), " of their size"
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.maximum(np.abs(x), np.abs(y)) if scale is None else scale
         if rtol is None:
-            rtol, size = tolerance.rtol, np.ones(x.shape)
+            rtol, size, unit = tolerance.rtol, np.ones(x.shape), ""
         gap = np.abs(x - y)
         unequal = ~((gap <= rtol * size) | (x == y) | (np.isnan(x) & np.isnan(y)))
         worst = np.max(np.where(unequal & np.isfinite(gap) & (size > 0), gap / size, 0.0), initial=0.0)
     if not unequal.any():
         return []
-    return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, by up to {worst:.2g} of their size"]
+    return [f"`{name}`: {np.count_nonzero(unequal):,} of {x.size:,} differ, by up to {worst:.2g}{unit}"]
 
 
 def _compare_groups(
