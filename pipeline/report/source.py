@@ -146,6 +146,12 @@ class Source:
         return f"{self.slug}-study.toml" if f"{self.slug}.toml" in self.walker_files else f"{self.slug}.toml"
 
     @property
+    def run_options(self) -> str:
+        """Options of the command that made the archive: an accuracy that is not written in the study."""
+        accuracy = float(self.grid.attrs.get("accuracy", 0.0))
+        return f" --accuracy {accuracy:g}" if accuracy and accuracy != self.study.get("accuracy") else ""
+
+    @property
     def whole(self) -> str:
         """What a status refers to: a point of a grid, or a line."""
         return "point" if "gait" in self.grid.dims else "line"
