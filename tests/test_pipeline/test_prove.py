@@ -251,6 +251,18 @@ def test_an_archive_without_states_is_refused(capsys, archive):
     assert "it has no thigh_rate" in err
 
 
+def test_an_archive_of_knees_without_their_strikes_is_refused(capsys, archive):
+    """It was said of every gait that the approximation is not finite."""
+    with netCDF4.Dataset(archive, "a") as file:
+        provenance = json.loads(file.provenance)
+        provenance["walkers"] = [{**walker, "knees": True} for walker in provenance["walkers"]]
+        file.provenance = json.dumps(provenance)
+        if "kneestrike_time" in file.variables:
+            file.renameVariable("kneestrike_time", "other_time")
+    code, _, err = run(capsys, archive)
+    assert (code, err.count("\n")) == (2, 1) and "with knees it needs kneestrike_time" in err
+
+
 def of_walkers(walkers):
     """A change of the walkers that an archive names."""
 
