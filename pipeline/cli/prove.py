@@ -139,7 +139,9 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
         except (ValueError, LookupError, TypeError) as error:
             raise ArchiveError(f"{path} does not say which walker it is of.") from error
         if "kneestrike_time" not in names and all(isinstance(w, dict) and w.get("knees", True) for w in walkers):
-            raise ArchiveError(f"{path} holds no gaits to prove: with knees it needs kneestrike_time, which it has not.")
+            raise ArchiveError(
+                f"{path} holds no gaits to prove: with knees it needs kneestrike_time, which it has not."
+            )
         status = np.ma.getdata(file["status"][...])
         solved = [ALL_STATUSES[k] for k in ("converged", "less_accurate") if k in ALL_STATUSES]
         places = np.argwhere(np.isin(status, solved))

@@ -168,6 +168,19 @@ def test_a_basin_tells_falls_of_every_cause_from_walking_and_its_share_in_plain_
     assert f"; {share} % of them lead to walking" in sketch.caption
 
 
+@pytest.mark.parametrize(
+    ("walker", "title", "when"), [(KNEED, "stance rate", "before"), (POINT, "stance rate θ̇*", "after")]
+)
+def test_a_basin_in_a_section_of_three_coordinates_says_which_plane_and_which_rates(tmp_path, walker, title, when):
+    angle, rate = (side.ravel() for side in np.meshgrid(np.linspace(0.1, 0.3, 10), np.linspace(-0.3, -0.1, 10)))
+    rows = {"slope": np.full(100, 0.05), "stance_angle": angle, "stance_rate": rate, "swing_rate": 1.25 * rate}
+    text = 'name = "basin"\nkind = "basin"\nwalker = "C"\n[axes]\nslope = [0.05]\n'
+    tables = {"basin": rows | {"outcome": np.array(["long"] * 100)}}
+    sketch = FIGURES["basin"](read(write(tmp_path / "b.nc", text, {}, {}, {"C": walker}, tables)))
+    assert sketch.figure.axes[0].get_title(loc="left") == title
+    assert f"is 1.25 times the stance leg's, as in the long gait, both just {when} heelstrike" in sketch.caption
+
+
 def test_a_heatmap_on_a_logarithmic_axis_has_every_cell_around_its_value(tmp_path):
     radius, slope = np.array([0.1, 0.2]), np.geomspace(1e-4, 0.1, 4)
     grid = {"speed": (("R", "slope", "gait"), np.ones((2, 4, 2)))}

@@ -218,7 +218,10 @@ def basin(source: Source) -> Sketch | None:
         _draw_dots(axes, manifold[plane[0]].to_numpy(), manifold[plane[1]].to_numpy(), width)
         axes.grid(False)
         axes.set_xlabel(_column(table, plane[0]))
-    set_heading(panels[0], _column(table, plane[1]))
+    start = _motion(source, shown)
+    # With knees the rates are those before heelstrike, for which θ̇* does not stand.
+    symbol = f" {SYMBOLS['stance_rate']}" if start and start["keys"]["knees"] else ""
+    set_heading(panels[0], _column(table, plane[1]).replace(symbol, ""))
     if window:
         panels[1].set_xlim(*window[0])
         panels[1].set_ylim(*window[1])
@@ -251,13 +254,22 @@ def basin(source: Source) -> Sketch | None:
         figure,
         "Basin of attraction",
         f"Initial conditions coloured by outcome; {share} % of them lead to walking, the others, in muted colours, "
-        f"fall.{edge}{only}",
+        f"fall.{edge}{_section(start)}{only}",
         f"{len(shown)} initial conditions over {' and '.join(plane)}, coloured by outcome: {', '.join(outcomes)}.",
         table,
         [Marks(panels[0], x, y, "initial condition", values)],
-        panels=[Panel(axes, (plane[0], plane[1]), across, down, at) for axes in panels]
-        if (at := _motion(source, shown))
-        else [],
+        panels=[Panel(axes, (plane[0], plane[1]), across, down, start) for axes in panels] if start else [],
+    )
+
+
+def _section(start: dict[str, Any]) -> str:
+    """Say in which plane of a section of three coordinates the initial conditions lie; empty if it has two."""
+    if "ratio" not in start:
+        return ""
+    when = "before" if start["keys"]["knees"] else "after"
+    return (
+        f" The swing leg's rate is {plain(start['ratio'], 3)} times the stance leg's, as in the long gait, both just "
+        f"{when} heelstrike; gaits with another ratio are drawn at their angles and stance rates."
     )
 
 
