@@ -191,15 +191,19 @@ def solve(
 
 
 def _away_from_events(cell: Cell, keys: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Whether all slopes of lines are farther from the ends of pieces than their errors, shape (n,)."""
+    """Whether all slopes of lines are farther from the ends of pieces than their errors, shape (n,).
+
+    A piece goes on beyond the end at which it is cut. That lies at one distance from the event at its other end, which
+    beside the border of the box may be less than where the panel ends: there is no prediction.
+    """
     unit, q = cell.box.unit(keys), np.log(slope)
     away = np.ones(len(keys), bool)
     for patch in cell.patches:
         ends = patch.ends_at(unit)
         for end in (0, 1):
-            if patch.events[end]:
-                off = np.abs(ends[:, [end]] - q)
-                away &= (off > PREDICTED_WITHIN * max(patch.end_errors[end], _LEAST_END_ERROR)).all(axis=1)
+            inwards = (q - ends[:, [end]]) * (1, -1)[end]
+            error = PREDICTED_WITHIN * max(patch.end_errors[end], _LEAST_END_ERROR)
+            away &= (np.abs(inwards) > error if patch.events[end] else inwards >= 0).all(axis=1)
     return away
 
 

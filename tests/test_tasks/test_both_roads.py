@@ -205,6 +205,22 @@ def test_bounds_hold_where_steps_nearly_vanish():
     np.testing.assert_allclose(one["stance_angle"], other["stance_angle"], rtol=1e-3)
 
 
+def test_a_gait_beyond_the_cut_of_its_piece_is_not_missed():
+    """At a corner of the cell it begins so much lower than on the surveyed lines that the cut is in the panel."""
+    keys = {"w_t": (0.005, 0.0085), "w_s": (0.0, 0.015)}
+    low, high = ([side[i] for side in keys.values()] for i in (0, 1))
+    cell = {"keys": list(keys), "low": low, "high": high, "values": [np.linspace(*side, 30) for side in keys.values()]}
+    asked = {"lines": [{"walker": "E", "set": dict(zip(keys, low, strict=True))}], "want": ("period", *ALWAYS)}
+    for below in (0.003, 0.02):
+        slope = np.exp([-4.375 - below])
+        ((_, one),) = lines({**asked, "cell": cell, "slope": slope}, [])
+        ((_, other),) = lines_side_by_side({**asked, "slope": slope}, [])
+        assert other["status"].tolist() == [[0, 0, 1, 1]]
+        assert one["status"].tolist() == other["status"].tolist()
+        np.testing.assert_allclose(one["period"], other["period"], rtol=1e-11)
+        assert (int(one["reason"].max()) < 6) == (below == 0.02)  # by patches where they predict
+
+
 @pytest.mark.parametrize("seeds", [range(2, 3), *(pytest.param(each, marks=pytest.mark.soak) for each in CELLS)])
 def test_nothing_is_wrong_in_random_cells(seeds, tell):
     """Lines of cells of 64, with points near folds and ends; one gait of every tenth cell in 113 bits."""
