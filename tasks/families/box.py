@@ -123,6 +123,20 @@ class Box:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(self._is_log, 2 * np.log(points / low) / np.log(high / low) - 1, linear)
 
+    def corners(self, at: float) -> np.ndarray:
+        """Return the coordinates of points near the corners.
+
+        Parameters
+        ----------
+        at : float
+            Size of each coordinate.
+
+        Returns
+        -------
+        ndarray, shape (2^d, d)
+        """
+        return at * np.array(list(itertools.product((-1.0, 1.0), repeat=len(self.keys))))
+
     def halves(self, axis: int) -> tuple[Box, Box]:
         """Return both halves along one key."""
         middle = float(self.at(np.zeros((1, len(self.keys))))[0, axis])

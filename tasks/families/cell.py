@@ -16,7 +16,7 @@ from tasks.continuation.branch import Branch
 from tasks.continuation.refine import COARSE
 from tasks.families.box import Box, Refused, divide, roots
 from tasks.families.patch import Patch, along, basis, fit, side_of_fold, tails
-from tasks.families.pieces import Piece, match, pieces_of
+from tasks.families.pieces import Piece, match, pieces_of, towards_middle
 from tasks.fixed_points.newton import lipschitz, newton, newton_step
 from tasks.fixed_points.rounding import rounding_std
 from tasks.fixed_points.step_check import verify_steps
@@ -43,6 +43,8 @@ _MEASURED = (6, 3)
 _CLEAR = 0.03
 #: Ends farther than this from the panel are as good as there, in ln slope.
 _FAR = 1.0
+#: Coordinates of lines at the corners of a box, and how near a patch, which is extrapolated, is to its piece there.
+_CORNER, _ALIKE = 0.999, 0.1
 #: How often a box is halved, and from how many lines on its patches are worth their making.
 _MOST_SPLITS, _LEAST_LINES = 6, 24
 
@@ -104,8 +106,8 @@ def make(family: Family, box: Box, low: float, count: Callable[[Box], int], spli
 
 @functools.lru_cache(64)
 def _survey(family: Family, box: Box, structure: Structure, n: int) -> tuple[list[Branch], ...]:
-    """Branches of n^d node lines, the same for all panels; after the few lines that of one drawn by lot."""
-    points = np.vstack([box.nodes(n), box.at(_lot(box))]) if n == _FEW else box.nodes(n)
+    """Branches of n^d node lines, the same for all panels; after the few those of one drawn by lot and of corners."""
+    points = np.vstack([box.nodes(n), box.at(_lot(box)), box.at(box.corners(_CORNER))]) if n == _FEW else box.nodes(n)
     return tuple(survey_lines(Lanes(family.walkers(points), structure), COARSE))
 
 
@@ -127,11 +129,13 @@ class _Maker:
 
     def patches(self) -> list[Patch]:
         patches = self.of_few_lines()
-        if patches is None:
+        if patches is None or self.is_lacking(patches):
             patches = []
             for group in self.groups(_MANY):
                 cuts = self.cuts(group)
                 patches.append(self.with_events(group) if np.isnan(cuts).any() else self.regular(group, cuts))
+            if self.is_lacking(patches):
+                raise Refused("a line at a corner has a further piece")
         self.check(patches)
         return patches
 
@@ -165,7 +169,7 @@ class _Maker:
         surveyed = _survey(self.family, self.box, self.structure, n)[: n**self.d]
         lines = [pieces_of(branches) for branches in surveyed]
         groups: list[list[Piece]] = []
-        for group in match(lines, _neighbours(n, self.d), self.low - _CLEAR, self.high + _CLEAR):
+        for group in match(lines, towards_middle(n, self.d), self.low - _CLEAR, self.high + _CLEAR):
             known = [piece for piece in group if piece is not None]
             ends = self.reach(known, n)
             if ends[1, 1] < self.low - _CLEAR or ends[0, 0] > self.high + _CLEAR:
@@ -349,11 +353,29 @@ class _Maker:
         patch.rounding_std = np.sqrt((std.reshape(len(std), sizes[0], -1) ** 2).mean(axis=-1)).T
         return patch
 
+    def is_lacking(self, patches: list[Patch]) -> bool:
+        """Whether a line at a corner has a piece near the panel of which there is no patch.
+
+        The node lines lie inside: up to the border ends that vary much may come nearer than their polynomial tells.
+        """
+        surveyed = _survey(self.family, self.box, self.structure, _FEW)[_FEW**self.d + 1 :]
+        for unit, branches in zip(self.box.corners(_CORNER)[:, None], surveyed, strict=True):
+            ends = [patch.ends_at(unit) for patch in patches]
+            for piece in self.near_panel(branches, 0.5 * _CLEAR):
+                off = [self.compare(patch, piece, unit, e) for patch, e in zip(patches, ends, strict=True)]
+                if not min(off, default=np.inf) < _ALIKE:
+                    return True
+        return False
+
+    def near_panel(self, branches: list[Branch], beyond: float) -> list[Piece]:
+        """Pieces that come into the panel, or so far from it."""
+        return [p for p in pieces_of(branches) if p.q[1] > self.low - beyond and p.q[0] < self.high + beyond]
+
     def check(self, patches: list[Patch]) -> None:
         """Survey a line drawn by lot: it must have these pieces and no others; it shows the errors of their ends."""
         unit = _lot(self.box)
-        branches = _survey(self.family, self.box, self.structure, _FEW)[-1]
-        pieces = [p for p in pieces_of(branches) if p.q[1] > self.low - _CLEAR and p.q[0] < self.high + _CLEAR]
+        branches = _survey(self.family, self.box, self.structure, _FEW)[_FEW**self.d]
+        pieces = self.near_panel(branches, _CLEAR)
         for patch in patches:
             ends = patch.ends_at(unit)
             off = [self.compare(patch, piece, unit, ends) for piece in pieces]
@@ -376,15 +398,3 @@ class _Maker:
         q = low + (high - low) * np.array([0.2, 0.5, 0.8])
         w, _ = patch.predict(np.repeat(unit, 3, axis=0), q, np.repeat(ends, 3, axis=0))
         return float(np.abs(w - np.delete(piece.at(q), piece.branch.m, axis=1).T).max())
-
-
-def _neighbours(n: int, d: int) -> list[int]:
-    """For each node line the one next to it towards the middle, the middle's own for itself."""
-    neighbours = []
-    for i in range(n**d):
-        place = np.array(np.unravel_index(i, (n,) * d))
-        off = place - n // 2
-        k = int(np.abs(off).argmax())
-        place[k] -= np.sign(off[k])
-        neighbours.append(int(np.ravel_multi_index(tuple(place), (n,) * d)))
-    return neighbours

@@ -137,3 +137,15 @@ def _depth(neighbour: list[int], i: int) -> int:
     while neighbour[i] != i:
         i, depth = neighbour[i], depth + 1
     return depth
+
+
+def towards_middle(n: int, d: int) -> list[int]:
+    """For each of n^d node lines the one next to it towards the middle, the middle's own for itself."""
+    neighbours = []
+    for i in range(n**d):
+        place = np.array(np.unravel_index(i, (n,) * d))
+        off = place - n // 2
+        k = int(np.abs(off).argmax())
+        place[k] -= np.sign(off[k])
+        neighbours.append(int(np.ravel_multi_index(tuple(place), (n,) * d)))
+    return neighbours

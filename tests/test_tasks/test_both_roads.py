@@ -221,6 +221,15 @@ def test_a_gait_beyond_the_cut_of_its_piece_is_not_missed():
         assert (int(one["reason"].max()) < 6) == (below == 0.02)  # by patches where they predict
 
 
+def test_gaits_of_the_first_value_of_an_axis_are_not_missed():
+    """The smallest slope of the lowest surveyed line, 0.0014, says little of that at the border, 0.00098."""
+    cell = {"keys": ["detuning"], "low": [0.1], "high": [0.5], "values": [np.linspace(0.1, 0.5, 30)]}
+    asked = {"lines": [{"walker": "A", "set": {"detuning": 0.1}}], "slope": np.array([1e-3]), "want": ALWAYS}
+    ((_, one),) = lines({**asked, "cell": cell}, [])
+    ((_, other),) = lines_side_by_side(asked, [])
+    assert one["status"].tolist() == other["status"].tolist() == [[0, 1, 0, 1]]
+
+
 @pytest.mark.parametrize("seeds", [range(2, 3), *(pytest.param(each, marks=pytest.mark.soak) for each in CELLS)])
 def test_nothing_is_wrong_in_random_cells(seeds, tell):
     """Lines of cells of 64, with points near folds and ends; one gait of every tenth cell in 113 bits."""

@@ -10,7 +10,7 @@ from tasks import interpolate_planes, solve_planes
 from tasks.families import cell as cells
 from tasks.families import panels, pieces
 from tasks.families.box import Box, Refused, roots
-from tasks.families.cell import PANEL, Family, _Maker, _neighbours, make
+from tasks.families.cell import PANEL, Family, _Maker, make
 from tasks.families.patch import along, basis, coordinate, fit
 from tasks.families.pieces import Piece
 from tasks.measures.gaits import nothing_solved
@@ -350,9 +350,9 @@ def test_points_that_a_box_holds_out_fill_its_cube_and_depend_on_their_purpose()
 
 
 def test_every_node_line_is_compared_with_the_next_towards_the_middle():
-    assert _neighbours(5, 1) == [1, 2, 2, 2, 3]
-    assert _neighbours(4, 1) == [1, 2, 2, 2]
-    assert _neighbours(3, 2) == [3, 4, 5, 4, 4, 4, 3, 4, 5]
+    assert pieces.towards_middle(5, 1) == [1, 2, 2, 2, 3]
+    assert pieces.towards_middle(4, 1) == [1, 2, 2, 2]
+    assert pieces.towards_middle(3, 2) == [3, 4, 5, 4, 4, 4, 3, 4, 5]
 
 
 class _Straight(Piece):
