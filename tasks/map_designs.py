@@ -77,10 +77,14 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     rows, accepted, gaits = _Rows(n, log_speed), np.zeros(n, bool), np.full((4, n), np.nan)
     if "cell" in params:
         accepted = _over_plane(line, keys, params["cell"], window, rows)
-        if at_slope is not None:
-            each = [{**line, "set": {k: float(v[i]) for k, v in keys.items()}} for i in range(n)]
+        # Of designs that cannot be none is solved.
+        possible = (
+            sorted(i for own in _alike(walkers, np.arange(n)).values() for i in own) if at_slope is not None else []
+        )
+        if possible:
+            each = [{**line, "set": {k: float(v[i]) for k, v in keys.items()}} for i in possible]
             asked = {"lines": each, "slope": np.array([at_slope]), "want": _GAIT, "cell": params["cell"]}
-            gaits = _long(lines_of_plane(asked, [])[0][1])
+            gaits[:, possible] = _long(lines_of_plane(asked, [])[0][1])
     others = np.flatnonzero(~accepted)
     for structure, numbers in _alike(walkers, others).items():
         for k in range(0, len(numbers), _LINES):

@@ -39,6 +39,8 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     return _lump(key, walker.massless_leg, walker.eps_T != 0, walker.knees, number)
 
 
+# Of walkers that cannot be, which an array may hold, constants are NaN.
+@np.errstate(divide="ignore", invalid="ignore")
 def _lump_all(walkers: Sequence[Walker] | WalkerArray, number: type) -> dict[str, np.ndarray]:
     """Lumped constants of several walkers, all with or all without knees, as `lump` has them, in arrays (n,)."""
     key: dict[str, Any]
