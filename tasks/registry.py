@@ -211,7 +211,7 @@ TASKS = {
         Task(
             "atlas",
             "tasks.solve_points:atlas",
-            21,
+            22,
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),
@@ -222,7 +222,7 @@ TASKS = {
         Task("cascade", "tasks.locate_cascade:cascade", 9, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 6, needs=("atlas",)),
         Task("curve", "tasks.follow_curves:curve", 7, needs=("atlas",)),
-        Task("design", "tasks.map_designs:design", 12),
+        Task("design", "tasks.map_designs:design", 13),
         Task("census", "tasks.count_gaits:census", 8),
         Task("scaling", "tasks.fit_laws:scaling", 4, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 4, needs=("points",)),
