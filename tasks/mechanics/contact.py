@@ -61,10 +61,10 @@ class Chain:
             [-self.foot, -knee, thigh, 0],
             [-self.foot, -knee, knee, shank],
         ]
-        shape = np.shape(leg + mass + 0 * (knee + thigh + shank))
+        I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
+        shape = np.shape(leg + mass + I_t + I_s + 0 * (knee + thigh + shank))
         arms = np.array([[np.broadcast_to(arm, shape) for arm in row] for row in rows])
         masses = np.array([np.broadcast_to(m, shape) for m in (m_s, m_t, walker.m_h / mass, m_t, m_s)])
-        I_t, I_s = m_t * (walker.r_t / leg) ** 2, m_s * (walker.r_s / leg) ** 2
         #: First moments and products of the arms; a massless leg's own rows are those of a shank of unit mass.
         self.S = np.einsum("k...,ki...->i...", masses, arms)
         self.K = np.einsum("ki...,k...,kj...->ij...", arms.conj(), masses, arms)

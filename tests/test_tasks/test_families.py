@@ -15,12 +15,13 @@ from tasks.families.patch import along, basis, coordinate, fit
 from tasks.families.pieces import Piece
 from tasks.measures.gaits import nothing_solved
 from tasks.measures.smooth import Smooth
+from tasks.mechanics.contact import Chain
 from tasks.mechanics.lumped import common_structure, constants_of
 from tasks.registry import ALWAYS
 from tasks.solve_planes import lines
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.walkers.resolve import resolve, resolve_many
-from tasks.walkers.walker import WalkerError
+from tasks.walkers.walker import NUMBERS, WalkerError
 
 WANT = ("stance_angle", "stance_rate", "thigh_rate", "period", "speed", "spectral_radius", *ALWAYS)
 #: Walker, keys with their ranges, and slopes; the last has ends of branches inside.
@@ -97,6 +98,20 @@ def test_an_array_of_walkers_has_the_constants_of_each(walker, keys):
         assert many[i] == one
         assert np.array_equal(constants_of(many, structure)[:, i], constants_of([one], structure)[:, 0])
         assert many.some(np.array([i])).leg == pytest.approx(one.leg, rel=1e-15)
+
+
+@pytest.mark.parametrize("walker", ["physical", "physical-straight", "D"])
+def test_walkers_may_differ_in_any_one_number(walker):
+    """Losses and lengths of each are its own, also where but a radius of gyration differs."""
+    table = resolve(walker).table()
+    for key in NUMBERS:
+        values = (table[key] or 0.01 * (key != "m_s")) * np.array([1.0, 1.01])
+        many = resolve_many(walker, {key: values})
+        for i, value in enumerate(values.tolist()):
+            one = resolve(walker, {key: value})
+            assert np.broadcast_to(many.leg, 2)[i] == pytest.approx(one.leg, rel=1e-15)
+            K = Chain(many).K
+            np.testing.assert_allclose(np.broadcast_to(K.T, (2, 4, 4)).T[..., i], Chain(one).K, rtol=1e-14, atol=1e-16)
 
 
 def test_an_array_of_walkers_may_hold_some_that_stand_out():
