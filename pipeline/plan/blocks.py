@@ -129,7 +129,7 @@ class Blocks:
         marks = np.zeros(len(axis) if sides else 0, np.uint64)
         for low, high in np.unique(sides, axis=1).T if sides else ():
             # A value on the upper border counts here too, though its line belongs to the next cell.
-            marks[sides[0] == low] = _mark(axis.values[(axis.values >= low) & (axis.values <= high)])
+            marks[sides[0] == low] = _mark(np.sort(axis.values[(axis.values >= low) & (axis.values <= high)]))
         return [marks.view(float)] if sides else []
 
     @functools.cached_property

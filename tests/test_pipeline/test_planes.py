@@ -91,6 +91,16 @@ def test_the_digest_of_a_line_tells_a_value_on_the_border_of_its_cell(tmp_path):
     assert digests[0] != digests[1]
 
 
+def test_the_digests_of_lines_are_the_same_over_a_falling_axis(tmp_path):
+    digests = []
+    for name, R in (("rising", "[0.0, 0.08, 0.1, 0.18, 0.2]"), ("falling", "[0.2, 0.18, 0.1, 0.08, 0.0]")):
+        axes = f"R = {R}\nm_s = {{ from = 0.08, to = 0.12, n = 13 }}"
+        study = read(written(tmp_path / name, STUDY.format(walker="B", axes=axes)))
+        blocks = Plan(study, Journal(tmp_path / name / "journal")).blocks
+        digests.append(blocks.digests(np.arange(study.lines)).reshape(*study.line_shape[1:], 2))
+    assert np.array_equal(digests[0], digests[1][::-1])
+
+
 @pytest.mark.parametrize("axes", ["R = { from = 0.0, to = 0.2, n = 7 }\nm_s = { from = 0.08, to = 0.12, n = 9 }"])
 def test_few_lines_are_no_plane(tmp_path, axes):
     assert read(written(tmp_path, STUDY.format(walker="B", axes=axes))).plane is None
