@@ -85,11 +85,12 @@ def off(one, other, bounded_by):
 def compare(outcome, family, count, exact, fixed=MappingProxyType({}), seed=0, each=30):
     """Compare both roads on some lines of a family, and some of their gaits with those of 113 bits.
 
-    The plane has as many values of `each` key, and other keys are `fixed`.
+    The plane has as many values of `each` key, and other keys are `fixed`. Every fourth line is a corner of the plane.
     """
     walker, keys, panels = family
     random = np.random.default_rng(seed)
     drawn = [{key: float(random.uniform(*side)) for key, side in keys.items()} for _ in range(count)]
+    drawn[3::4] = [{key: float(random.choice(side)) for key, side in keys.items()} for _ in drawn[3::4]]
     low, high = ([side[i] for side in keys.values()] for i in (0, 1))
     values = [np.linspace(*side, each) for side in keys.values()]
     cell = {"keys": list(keys), "low": low, "high": high, "values": values}

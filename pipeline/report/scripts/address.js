@@ -13,7 +13,7 @@ function walkerOf(keys) {
   return walkers.get(name);
 }
 
-const sameLine = (a, b) => Object.keys({ ...a, ...b }).every(key => key in a && key in b && (a[key] === b[key] || Math.abs(a[key] - b[key]) <= 1e-9 * Math.abs(a[key])));
+const sameLine = (a, b) => Object.keys({ ...a, ...b }).every(key => key in a && key in b && (a[key] === b[key] || abs(a[key] - b[key]) <= 1e-9 * abs(a[key])));
 const lineAt = at => LINES.find(line => sameLine(line.at, at));
 
 /** Selection that an address names: { at, slope, angle[, rates, free] }, or null where it names none. */
@@ -40,7 +40,7 @@ function placeOn(line, slope, angle) {
   line.branches.forEach((nodes, branch) => nodes.forEach((node, k) => {
     const next = nodes[k + 1] ?? node, a = [Math.log(node[0]), Math.log(node[1])], d = [Math.log(next[0]) - a[0], Math.log(next[1]) - a[1]];
     const size = d[0] ** 2 + d[1] ** 2, share = size ? Math.min(1, Math.max(0, ((x - a[0]) * d[0] + (y - a[1]) * d[1]) / size)) : 0;
-    const apart = Math.hypot(x - a[0] - share * d[0], y - a[1] - share * d[1]);
+    const apart = hypot(x - a[0] - share * d[0], y - a[1] - share * d[1]);
     if (!best || apart < best.apart) best = { branch, at: k + share, apart };
   }));
   return best;
@@ -50,7 +50,7 @@ function placeOn(line, slope, angle) {
 function between(nodes, at) {
   const k = Math.min(Math.floor(at), Math.max(0, nodes.length - 2)), share = at - k, a = nodes[k], b = nodes[k + 1] ?? a;
   const start = a.map((v, i) => v > 0 && b[i] > 0 ? v ** (1 - share) * b[i] ** share : v + share * (b[i] - v));
-  const d = [Math.log(b[1] / a[1]), Math.log(b[0] / a[0])], size = Math.hypot(...d);
+  const d = [Math.log(b[1] / a[1]), Math.log(b[0] / a[0])], size = hypot(...d);
   return { slope: start[0], start: start.slice(1), along: size ? d.map(v => v / size) : null };
 }
 
@@ -59,8 +59,8 @@ function describe(found, walker, more) {
   const { step, start, slope } = found, [stance, swing] = step.before;
   const multipliers = multipliersOf(found.jacobian).slice(0, walker.pointFoot ? 2 : 3);
   while (multipliers.length < (walker.kneed ? 4 : 3)) multipliers.push([0, 0]);
-  return { ...more, walker, slope, start, step, multipliers, y: found.y, radius: Math.hypot(...multipliers[0]),
-    label: (swing - stance) / Math.abs(stance) < 0.5 ? "long" : "short", losses: lossesOf(walker, step), violations: violationsOf(walker, start, step, slope) };
+  return { ...more, walker, slope, start, step, multipliers, y: found.y, radius: hypot(...multipliers[0]),
+    label: (swing - stance) / abs(stance) < 0.5 ? "long" : "short", losses: lossesOf(walker, step), violations: violationsOf(walker, start, step, slope) };
 }
 
 /** Gait of a line at a place of one of its branches; null where Newton's method finds none. */
@@ -71,10 +71,10 @@ function gaitAt(line, branch, at, target = null) {
   let found = along && findGait(walker, y, slope0, along);
   // At a given slope the gait has that very slope, unless a fold is so near that Newton's method would leave the branch.
   if (target || !found) {
-    const exact = findGait(walker, found ? found.y : y, slope0), way = found ? Math.abs(along[0] / along[1] * Math.log(found.slope / slope0)) : 0.2;
-    if (exact && Math.abs(Math.log(exact.y[0] / (found ? found.y[0] : angle))) < 2 * way + 1e-4) found = exact;
+    const exact = findGait(walker, found ? found.y : y, slope0), way = found ? abs(along[0] / along[1] * Math.log(found.slope / slope0)) : 0.2;
+    if (exact && abs(Math.log(exact.y[0] / (found ? found.y[0] : angle))) < 2 * way + 1e-4) found = exact;
   }
-  if (!found || Math.abs(Math.log(found.y[0] / angle)) > 0.2) return null;
+  if (!found || abs(Math.log(found.y[0] / angle)) > 0.2) return null;
   return describe(found, walker, { at: line.at, line, branch, place: at, command: `${line.command} --slope ${slope0 === found.slope ? slope0 : Number(found.slope.toPrecision(12))}` });
 }
 
@@ -99,7 +99,7 @@ function gaitsAt(line, slope) {
     if (a[0] === b[0] || (a[0] - slope) * (b[0] - slope) > 0) return;
     const share = Math.log(slope / a[0]) / Math.log(b[0] / a[0]);
     const gait = gaitAt(line, branch, k + share, [slope, a[1] ** (1 - share) * b[1] ** share]);
-    if (gait && !found.some(other => Math.abs(other.start[0] / gait.start[0] - 1) < 1e-6)) found.push(gait);
+    if (gait && !found.some(other => abs(other.start[0] / gait.start[0] - 1) < 1e-6)) found.push(gait);
   }));
   return found;
 }
@@ -127,12 +127,12 @@ function keysOf(panel, values) {
 
 /** Gait of the maps' cell that an address names, where no line has it; null where there is none. */
 function gaitOnMaps({ at, slope, angle }) {
-  const wanted = { ...at, slope }, indexOf = side => side.values.findIndex(value => Math.abs(value - wanted[side.name]) <= 1e-7 * Math.abs(value));
+  const wanted = { ...at, slope }, indexOf = side => side.values.findIndex(value => abs(value - wanted[side.name]) <= 1e-7 * abs(value));
   for (const panel of MAPS.filter(one => !one.free)) {
     const cell = [indexOf(panel.x), indexOf(panel.y)], of = { ...panel.at, [panel.x.name]: at[panel.x.name], [panel.y.name]: at[panel.y.name] };
     delete of.slope;
     const gait = sameLine(of, at) && !cell.includes(-1) ? gaitOfCell(panel, ...cell) : null;
-    if (gait && Math.hypot(Math.log(gait.slope / slope), Math.log(gait.start[0] / angle)) < 1e-3) return gait;
+    if (gait && hypot(Math.log(gait.slope / slope), Math.log(gait.start[0] / angle)) < 1e-3) return gait;
   }
   return null;
 }
@@ -141,7 +141,7 @@ function gaitOnMaps({ at, slope, angle }) {
 function gaitOfCell(panel, column, row) {
   const valueAt = (i, j) => ({ [panel.x.name]: panel.x.values[i], [panel.y.name]: panel.y.values[j] });
   const nodes = panel.rows.flatMap((j, a) => panel.columns.map((i, b) => ({ i, j, start: panel.starts[a][b] }))).filter(node => node.start);
-  const far = node => Math.hypot((node.i - column) / panel.x.values.length, (node.j - row) / panel.y.values.length);
+  const far = node => hypot((node.i - column) / panel.x.values.length, (node.j - row) / panel.y.values.length);
   nodes.sort((p, q) => far(p) - far(q));
   const target = valueAt(column, row), slopeOf = (values, fallback) => values.slope ?? panel.at.slope ?? fallback;
   for (const node of nodes.slice(0, 4)) {
@@ -156,7 +156,7 @@ function gaitOfCell(panel, column, row) {
         for (const key of Object.keys(target)) mix[key] = from[key] + (target[key] - from[key]) * k / parts;
         const here = makeWalker(k < parts && Object.keys(panel.moved ?? {}).length ? keysOf(panel, target) : keysOf(panel, mix));
         found = findGait(here, y, slopeOf(mix, slope0));
-        y = found && Math.abs(Math.log(found.y[0] / y[0])) < 0.5 ? found.y : null;
+        y = found && abs(Math.log(found.y[0] / y[0])) < 0.5 ? found.y : null;
       }
       if (!y) continue;
       const at = { ...panel.at, ...target };

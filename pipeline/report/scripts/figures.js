@@ -53,7 +53,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     const [px, py] = toPixels(pointer(event));
     let best = null, least = 24;
     series.forEach((curve, s) => away.has(curve.line) || curve.rows.forEach((row, r) => {
-      const [x, y] = toPixels(row), distance = Math.hypot(x - px, y - py);
+      const [x, y] = toPixels(row), distance = hypot(x - px, y - py);
       if (distance < least && isSeen(row)) { least = distance; best = [s, r]; }
     }));
     return best;
@@ -83,7 +83,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     return curve.starts ? { at: line.at, slope, angle: curve.starts[r][0], rates: curve.starts[r].slice(1), free: true } : null;
   }
   function placeIn(side, share) {
-    const apart = v => Math.abs(shareOf(side, v) - share);
+    const apart = v => abs(shareOf(side, v) - share);
     return side.values.reduce((best, v, i) => apart(v) < apart(side.values[best]) ? i : best, 0);
   }
   function cellAt([x, y]) {
@@ -113,7 +113,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     const isOf = curve => angles(curve) && (curve.command === gait.line?.command || lineOf(curve) && sameLine(lineOf(curve).at, gait.at));
     // Where slope and angle are the figure's own axes, the place follows from their scales.
     for (const curve of series.filter(isOf)) for (const one of frames) {
-      const off = ([x, y], r) => Math.hypot(...minus(putOn(one, [curve.rows[r][2], angles(curve)[r]]), [x, y]));
+      const off = ([x, y], r) => hypot(...minus(putOn(one, [curve.rows[r][2], angles(curve)[r]]), [x, y]));
       if (curve.rows.every((row, r) => off(row, r) < 0.3)) return putOn(one, [gait.slope, gait.start[0]]);
     }
     const place = (curve, r) => [Math.log(curve.rows[r][2]), Math.log(angles(curve)[r])];
@@ -124,7 +124,7 @@ for (const plot of document.querySelectorAll(".plot")) {
       curve.rows.forEach((row, r) => {
         const a = place(curve, r), b = curve.angles && r + 1 < curve.rows.length ? place(curve, r + 1) : a, d = minus(b, a), size = d[0] ** 2 + d[1] ** 2;
         const share = size && size < 1 ? Math.min(1, Math.max(0, ((target[0] - a[0]) * d[0] + (target[1] - a[1]) * d[1]) / size)) : 0;
-        const apart = Math.hypot(target[0] - a[0] - share * d[0], target[1] - a[1] - share * d[1]), next = curve.rows[r + (share > 0)];
+        const apart = hypot(target[0] - a[0] - share * d[0], target[1] - a[1] - share * d[1]), next = curve.rows[r + (share > 0)];
         if (apart < least) { least = apart; best = [row[0] + share * (next[0] - row[0]), row[1] + share * (next[1] - row[1])]; }
       });
     }
@@ -157,7 +157,7 @@ for (const plot of document.querySelectorAll(".plot")) {
       const value = pixel => { const t = Math.min(1, Math.max(0, (pixel - from) / (to - from))); return log ? limits[0] * (limits[1] / limits[0]) ** t : limits[0] + t * (limits[1] - limits[0]); };
       const [low, high] = seen[k].map(value), rough = (high - low) / 5, ten = 10 ** Math.floor(Math.log10(rough)), step = ten * [1, 2, 5, 10].find(n => n * ten >= rough), ticks = [];
       // As many digits as tell a number from the next.
-      const digits = tick => Math.min(15, Math.ceil(Math.log10(Math.abs(tick) / step)) + 1);
+      const digits = tick => Math.min(15, Math.ceil(Math.log10(abs(tick) / step)) + 1);
       if (log && high > 8 * low) for (let n = Math.floor(Math.log10(low)); n <= Math.log10(high); n++) ticks.push(10 ** n, ...(high < 200 * low ? [2 * 10 ** n, 5 * 10 ** n] : []));
       else for (let n = Math.ceil(low / step); n * step <= high; n++) ticks.push(n * step);
       for (const tick of ticks) {
@@ -203,9 +203,9 @@ for (const plot of document.querySelectorAll(".plot")) {
     const last = fingers.get(event.pointerId);
     if (!last) return;
     const [dx, dy] = [event.clientX - last.clientX, event.clientY - last.clientY], rest = [...fingers.values()].filter(one => one.pointerId !== event.pointerId);
-    if (!moved && Math.hypot(dx, dy) < 5) return;
+    if (!moved && hypot(dx, dy) < 5) return;
     if (rest.length === 1) {
-      const gap = one => Math.hypot(one.clientX - rest[0].clientX, one.clientY - rest[0].clientY);
+      const gap = one => hypot(one.clientX - rest[0].clientX, one.clientY - rest[0].clientY);
       look(view.w * gap(last) / gap(event), pointer({ clientX: (event.clientX + rest[0].clientX) / 2, clientY: (event.clientY + rest[0].clientY) / 2 }));
     } else if (view.w < width) {
       view.x -= dx / scale();

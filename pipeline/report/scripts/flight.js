@@ -5,6 +5,7 @@
 // a complex number is a pair [re, im]. A state is the list of angles, then of their rates, of the links that move by
 // themselves: stance leg and swing leg, or stance leg, swing thigh and swing shank while the knee is free.
 
+const { abs, cos, hypot, sin } = Math;
 const MAX_ANGLE = 1.2, MAX_TIME = 12, TIME_STEP = 1 / 32;
 const FALLS = { backward: "fell backward", forward: "fell forward", knee: "the knee never struck", foot: "the foot never struck", lost: "the motion was lost" };
 const VIOLATIONS = ["scuff", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls"];
@@ -13,7 +14,7 @@ const plus = (a, b) => [a[0] + b[0], a[1] + b[1]];
 const minus = (a, b) => [a[0] - b[0], a[1] - b[1]];
 const multiply = (a, b) => [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]];
 const conjugate = a => [a[0], -a[1]];
-const turned = (a, angle) => multiply(a, [Math.cos(angle), Math.sin(angle)]);
+const turned = (a, angle) => multiply(a, [cos(angle), sin(angle)]);
 const sum = values => values.reduce((total, value) => total + value, 0);
 
 // Links that move as one, by their places in the chain.
@@ -21,10 +22,10 @@ const GROUPS = { open: [[0], [1], [2], [3]], free: [[0, 1], [2], [3]], locked: [
 
 /** A walker from its table of keys: geometry, and the constants of its chain of links, each group moving as one. */
 function makeWalker(keys) {
-  const shank = keys.l_s - keys.R, sine = keys.eps_T ? keys.l_t * Math.sin(keys.eps_T) / shank : 0;
-  const epsS = Math.asin(sine), l = keys.l_t * Math.cos(keys.eps_T) + shank * Math.cos(epsS), leg = l + keys.R;
+  const shank = keys.l_s - keys.R, sine = keys.eps_T ? keys.l_t * sin(keys.eps_T) / shank : 0;
+  const epsS = Math.asin(sine), l = keys.l_t * cos(keys.eps_T) + shank * cos(epsS), leg = l + keys.R;
   const mass = 2 * (keys.m_t + keys.m_s) + keys.m_h, inLegs = v => [v[0] / leg, v[1] / leg];
-  const knee = inLegs([-keys.l_t * Math.sin(keys.eps_T), -keys.l_t * Math.cos(keys.eps_T)]);
+  const knee = inLegs([-keys.l_t * sin(keys.eps_T), -keys.l_t * cos(keys.eps_T)]);
   const thighCentre = inLegs(turned([-keys.w_t, -keys.c_t], -keys.eps_T));
   const shankCentre = inLegs(turned([-keys.w_s, -keys.c_s], epsS));
   const foot = minus([0, -l / leg], knee), none = [0, 0], back = v => [-v[0], -v[1]];
@@ -69,11 +70,11 @@ function makeWalker(keys) {
 function massMatrix(chain, q, M = new Float64Array(chain.n ** 2)) {
   const { n, R } = chain;
   for (let i = 0; i < n; i++) for (let j = 0; j < n; j++) {
-    const c = Math.cos(q[j] - q[i]), s = Math.sin(q[j] - q[i]), at = i * n + j;
+    const c = cos(q[j] - q[i]), s = sin(q[j] - q[i]), at = i * n + j;
     M[at] = chain.kr[at] * c - chain.ki[at] * s;
   }
   for (let j = 0; j < n; j++) {
-    const c = Math.cos(q[j]), s = Math.sin(q[j]);
+    const c = cos(q[j]), s = sin(q[j]);
     M[j] += R * (chain.sr[j] * s + chain.si[j] * c);
     M[j * n] += R * (chain.rr[j] * s + chain.ri[j] * c);
   }
@@ -83,14 +84,14 @@ function massMatrix(chain, q, M = new Float64Array(chain.n ** 2)) {
 
 /** Generalised forces of gravity and of the rates, f of M q'' = f. */
 function forces(chain, q, rate, slope, f = new Float64Array(chain.n)) {
-  const { n, R } = chain, down = Math.sin(slope), normal = -Math.cos(slope);
+  const { n, R } = chain, down = sin(slope), normal = -cos(slope);
   let pull = down;
   for (let i = 0; i < n; i++) {
-    const c = Math.cos(q[i]), s = Math.sin(q[i]);
+    const c = cos(q[i]), s = sin(q[i]);
     f[i] = -(chain.rr[i] * s + chain.ri[i] * c) * down + (chain.rr[i] * c - chain.ri[i] * s) * normal;
     for (let j = 0; j < n; j++) {
       const at = i * n + j, w = rate[j] * rate[j], between = q[j] - q[i];
-      f[i] += w * (chain.kr[at] * Math.sin(between) + chain.ki[at] * Math.cos(between));
+      f[i] += w * (chain.kr[at] * sin(between) + chain.ki[at] * cos(between));
     }
     pull += rate[i] * rate[i] * (chain.sr[i] * c - chain.si[i] * s);
   }
@@ -179,7 +180,7 @@ function flyPhase(chain, start, begin, slope) {
         end = advance(chain, x, first, slope, at);
         const [g, rate] = guard(end), step = g / rate;
         at = Math.min(h, Math.max(0, at - step));
-        if (Math.abs(step) < 1e-15) break;
+        if (abs(step) < 1e-15) break;
       }
       end = advance(chain, x, first, slope, at);
       samples.push([now + at, end, derivative(chain, end, slope)]);
@@ -208,7 +209,7 @@ function lockKnee(walker, x) {
 
 /** Velocity of the foot that lands, with the stance angle after heelstrike and the rates of both legs before it. */
 const landing = (walker, angle, [stance, swing]) =>
-  [-(walker.R + walker.l * Math.cos(angle)) * (stance - swing), walker.l * Math.sin(angle) * (stance + swing)];
+  [-(walker.R + walker.l * cos(angle)) * (stance - swing), walker.l * sin(angle) * (stance + swing)];
 
 /** Linear momentum that a unit rate of link j gives, as the rows of the chain have it. */
 const lever = (chain, q, j) => {

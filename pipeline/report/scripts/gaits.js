@@ -8,8 +8,8 @@ const stateAt = (walker, y) => strikeHeel(walker, y[0], [y[1], y[2]]);
 /** Section coordinates of a state just after heelstrike: the rates before it, of which those after it are linear. */
 function sectionOf(walker, x) {
   const n = x.length / 2, [u, v] = [[1, 0], [0, 1]].map(rates => strikeHeel(walker, x[0], rates).slice(n));
-  const det = u[0] * v[1] - v[0] * u[1], size = Math.hypot(...u) * Math.hypot(...v);
-  if (Math.abs(det) <= 1e-9 * size || walker.pointFoot) return [x[0], x[n] / u[0], 0];
+  const det = u[0] * v[1] - v[0] * u[1], size = hypot(...u) * hypot(...v);
+  if (abs(det) <= 1e-9 * size || walker.pointFoot) return [x[0], x[n] / u[0], 0];
   return [x[0], (x[n] * v[1] - v[0] * x[n + 1]) / det, (u[0] * x[n + 1] - u[1] * x[n]) / det];
 }
 
@@ -28,7 +28,7 @@ function stepMap(walker, y, slope) {
 
 /** Derivative of the step map by its coordinates and, last, by ln slope: rows of four; central differences. */
 function mapJacobian(walker, y, slope) {
-  const rate = Math.max(Math.abs(y[1]), Math.abs(y[2])), columns = [];
+  const rate = Math.max(abs(y[1]), abs(y[2])), columns = [];
   for (let k = 0; k < 4; k++) {
     const d = 1e-6 * (k === 3 ? 1 : k ? rate : y[0]);
     const [above, below] = [d, -d].map(h => k === 3 ? stepMap(walker, y, slope * Math.exp(h)) : stepMap(walker, y.map((v, i) => i === k ? v + h : v), slope));
@@ -42,7 +42,7 @@ function mapJacobian(walker, y, slope) {
 function solveRows(A, b) {
   const n = b.length, rows = A.map((row, i) => [...row, b[i]]);
   for (let k = 0; k < n; k++) {
-    const best = rows.slice(k).reduce((at, row, i) => Math.abs(row[k]) > Math.abs(rows[at][k]) ? k + i : at, k);
+    const best = rows.slice(k).reduce((at, row, i) => abs(row[k]) > abs(rows[at][k]) ? k + i : at, k);
     [rows[k], rows[best]] = [rows[best], rows[k]];
     for (let i = 0; i < n; i++) if (i !== k) {
       const factor = rows[i][k] / rows[k][k];
@@ -65,14 +65,14 @@ function findGait(walker, start, slope0, along = null) {
     // The derivative is kept while Newton's method gains a digit with it.
     J = image && (J ?? mapJacobian(walker, y, slope));
     if (!J) return null;
-    const rate = Math.max(Math.abs(y[1]), Math.abs(y[2])), scale = [y[0], rate, rate], residual = image.map((v, i) => v - y[i]);
+    const rate = Math.max(abs(y[1]), abs(y[2])), scale = [y[0], rate, rate], residual = image.map((v, i) => v - y[i]);
     const A = [0, 1, 2].map(i => [0, 1, 2].map(j => (i === j ? 1 : 0) - J[i][j]));
     let change;
     if (along) {
       const off = along[0] * Math.log(y[0] / start[0]) + along[1] * Math.log(slope / slope0);
       change = solveRows([...A.map((row, i) => [...row, -J[i][3]]), [along[0] / y[0], 0, 0, along[1]]], [...residual, -off]);
     } else change = [...solveRows(A, residual), 0];
-    const size = Math.max(...change.slice(0, 3).map((c, i) => Math.abs(c / scale[i])), Math.abs(change[3]));
+    const size = Math.max(...change.slice(0, 3).map((c, i) => abs(c / scale[i])), abs(change[3]));
     if (!Number.isFinite(size)) return null;
     const damp = Math.min(1, 0.3 / size);
     y = y.map((v, i) => v + damp * change[i]);
@@ -92,7 +92,7 @@ function multipliersOf(J) {
   const minor = (i, j) => J[i][i] * J[j][j] - J[i][j] * J[j][i];
   const det = J[0][0] * minor(1, 2) - J[0][1] * (J[1][0] * J[2][2] - J[1][2] * J[2][0]) + J[0][2] * (J[1][0] * J[2][1] - J[1][1] * J[2][0]);
   const c = [-det, minor(0, 1) + minor(0, 2) + minor(1, 2), -(J[0][0] + J[1][1] + J[2][2])];
-  const size = Math.max(Math.abs(c[2]), Math.sqrt(Math.abs(c[1])), Math.cbrt(Math.abs(c[0]))) || 1;
+  const size = Math.max(abs(c[2]), Math.sqrt(abs(c[1])), Math.cbrt(abs(c[0]))) || 1;
   const a = [c[0] / size ** 3, c[1] / size ** 2, c[2] / size];
   const value = z => plus(multiply(plus(multiply(plus(z, [a[2], 0]), z), [a[1], 0]), z), [a[0], 0]);
   const divide = (p, q) => { const r = multiply(p, conjugate(q)), d = q[0] ** 2 + q[1] ** 2; return d ? [r[0] / d, r[1] / d] : [0, 0]; };
@@ -100,8 +100,8 @@ function multipliersOf(J) {
   let roots = [[1, 0], [0.4, 0.9], [-0.65, 0.72]];
   for (let k = 0; k < 200; k++) roots = roots.map((z, i) =>
     minus(z, divide(value(z), roots.reduce((p, other, j) => i === j ? p : multiply(p, minus(z, other)), [1, 0]))));
-  const clean = roots.map(z => z.map(v => Math.abs(v) < 1e-9 ? 0 : v * size));
-  return clean.sort((p, q) => Math.hypot(...q) - Math.hypot(...p) || q[1] - p[1]);
+  const clean = roots.map(z => z.map(v => abs(v) < 1e-9 ? 0 : v * size));
+  return clean.sort((p, q) => hypot(...q) - hypot(...p) || q[1] - p[1]);
 }
 
 /** Rates of a chain for unit impulses along rows: r M^-1 r^T. */
@@ -115,14 +115,14 @@ function lossesOf(walker, step) {
   const angle = step.end[0], v = landing(walker, angle, step.before), chain = walker.kneed ? walker.free : walker.locked;
   const found = { normal: 0, tangential: 0, kneestrike: 0 };
   if (walker.massless) {
-    const toHip = [-walker.l * Math.sin(angle), walker.R + walker.l * Math.cos(angle)];
-    found.normal = 0.5 * ((toHip[0] * v[0] + toHip[1] * v[1]) / Math.hypot(...toHip)) ** 2;
+    const toHip = [-walker.l * sin(angle), walker.R + walker.l * cos(angle)];
+    found.normal = 0.5 * ((toHip[0] * v[0] + toHip[1] * v[1]) / hypot(...toHip)) ** 2;
   } else {
     const q = Array.from(step.end.subarray(0, chain.n)), levers = q.map((_, j) => lever(chain, q, j));
     const [[xx, xy], [, yy]] = compliance(chain, q, [levers.map(w => w[0]), levers.map(w => w[1])]);
     const turn = 0.5 * Math.atan2(-2 * xy, yy - xx);
-    const losses = [[Math.cos(turn), Math.sin(turn)], [-Math.sin(turn), Math.cos(turn)]].map(([ex, ey]) =>
-      [Math.abs(ey), 0.5 * (1 - (ex * ex * xx + 2 * ex * ey * xy + ey * ey * yy)) * (ex * v[0] + ey * v[1]) ** 2]);
+    const losses = [[cos(turn), sin(turn)], [-sin(turn), cos(turn)]].map(([ex, ey]) =>
+      [abs(ey), 0.5 * (1 - (ex * ex * xx + 2 * ex * ey * xy + ey * ey * yy)) * (ex * v[0] + ey * v[1]) ** 2]);
     losses.sort((p, q) => q[0] - p[0]);
     [found.normal, found.tangential] = losses.map(loss => loss[1]);
   }
@@ -139,12 +139,12 @@ const momentumOf = (chain, q, rate) => Array.from(q).reduce((total, _, j) => {
 }, [0, 0]);
 
 /** Angles, or rates, of the four links from those of the links that move by themselves. */
-const ofLinks = values => values.length === 2 ? [values[0], values[0], values[1], values[1]] : [values[0], values[0], values[1], values[2]];
+const ofLinks = ([stance, thigh, shank = thigh]) => [stance, stance, thigh, shank];
 
 /** Height of the swing foot's lowest point, without cancellation for short steps, and the parts of its rate by the four angles. */
 function footHeight(walker, [a, , b, c]) {
-  const bent = 2 * Math.sin((c - b) / 2) * turned(walker.foot, (b + c) / 2)[0];
-  return -2 * walker.l * Math.sin((a + b) / 2) * Math.sin((a - b) / 2) + bent;
+  const bent = 2 * sin((c - b) / 2) * turned(walker.foot, (b + c) / 2)[0];
+  return -2 * walker.l * sin((a + b) / 2) * sin((a - b) / 2) + bent;
 }
 const rising = ({ foot, knee }) => [[-foot[0], -foot[1]], [-knee[0], -knee[1]], knee, foot];
 const climbing = (walker, q, rate) => rising(walker).map((arm, j) => turned(arm, q[j])[0] * rate[j]);
@@ -158,26 +158,27 @@ function kneeTorque(walker, q, rate, acceleration, slope) {
 /** Names of the physical assumptions that a step violates (appendix A of the paper); null where a step ends in a fall. */
 function violationsOf(walker, start, step, slope) {
   if (step.fall) return null;
-  const broken = new Set(), ratio = ([x, y]) => y > 0 ? Math.abs(x) / y : Infinity;
+  const broken = new Set(), ratio = ([x, y]) => y > 0 ? abs(x) / y : Infinity;
+  const flag = (number, isBroken) => { if (isBroken) broken.add(VIOLATIONS[number]); };
   const contact = force => {
-    if (force[1] < 0) broken.add(VIOLATIONS[2]);
-    if (ratio(force) > (walker.keys.friction_limit ?? 1)) broken.add(VIOLATIONS[3]);
+    flag(2, force[1] < 0);
+    flag(3, ratio(force) > (walker.keys.friction_limit ?? 1));
   };
   step.phases.forEach((phase, number) => phase.samples.forEach(([time, x, dx], k) => {
     const n = x.length / 2, chain = n === 3 ? walker.free : walker.locked;
-    const [q, rate, acceleration] = [x.subarray(0, n), x.subarray(n), dx.subarray(n)].map(part => Array.from(part));
-    let force = [-chain.R * acceleration[0] - Math.sin(slope), Math.cos(slope)];
+    const q = x.subarray(0, n), rate = x.subarray(n), acceleration = dx.subarray(n);
+    let force = [-chain.R * acceleration[0] - sin(slope), cos(slope)];
     q.forEach((angle, j) => { force = plus(force, multiply([-(rate[j] ** 2), acceleration[j]], turned([chain.sr[j], chain.si[j]], angle))); });
     contact(force);
     const atEnd = (number === 0 && k === 0) || (number === step.phases.length - 1 && k === phase.samples.length - 1);
-    if (!walker.kneed || (!atEnd && footHeight(walker, ofLinks(q)) < 0)) broken.add(VIOLATIONS[0]);
+    flag(0, !walker.kneed || (!atEnd && footHeight(walker, ofLinks(q)) < 0));
     // Between two samples the foot is lowest where its rate, interpolated linearly, vanishes.
     const next = phase.samples[k + 1], [falls, rises] = [x, next?.[1] ?? x].map(y => sum(climbing(walker, ofLinks(y.subarray(0, n)), ofLinks(y.subarray(n)))));
     if (falls < 0 && rises > 0) {
       const lowest = advance(chain, x, dx, slope, (next[0] - time) * falls / (falls - rises));
-      if (footHeight(walker, ofLinks(lowest.subarray(0, n))) < 0) broken.add(VIOLATIONS[0]);
+      flag(0, footHeight(walker, ofLinks(lowest.subarray(0, n))) < 0);
     }
-    if (walker.kneed && kneeTorque(walker, ...[q, rate, acceleration].map(ofLinks), slope) < 0) broken.add(VIOLATIONS[1]);
+    flag(1, walker.kneed && kneeTorque(walker, ...[q, rate, acceleration].map(ofLinks), slope) < 0);
   }));
   const n = start.length / 2, chain = n === 3 ? walker.free : walker.locked, open = walker.open;
   const impulse = (at, after, before, velocity, atKnee) => {
@@ -185,21 +186,21 @@ function violationsOf(walker, start, step, slope) {
     contact(minus(momentumOf(open, q, change), velocity));
     if (!walker.kneed) return;
     const M = massMatrix(open, q), [x, y] = turned([-open.si[1], open.sr[1]], q[1]);
-    if (sum(change.map((c, j) => M[4 + j] * c)) - (atKnee ? 0 : x * velocity[0] + y * velocity[1]) < 0) broken.add(VIOLATIONS[1]);
+    flag(1, sum(change.map((c, j) => M[4 + j] * c)) - (atKnee ? 0 : x * velocity[0] + y * velocity[1]) < 0);
   };
   const before = [step.before[1], step.before[0], step.before[0]].slice(0, n);
   impulse(step.end.subarray(0, n), step.end.subarray(n), before, landing(walker, step.end[0], step.before), false);
   if (walker.kneed) {
     const x = step.phases[0].end, y = step.phases[1].samples[0][1];
     impulse(x.subarray(0, 3), [y[2], y[3], y[3]], x.subarray(3), [0, 0], true);
-    if (start[4] < start[5]) broken.add(VIOLATIONS[4]);
+    flag(4, start[4] < start[5]);
   }
-  const q = ofLinks(Array.from(start.subarray(0, n))), rate = ofLinks(Array.from(start.subarray(n)));
-  const acceleration = ofLinks(Array.from(derivative(chain, start, slope).subarray(n)));
+  const q = ofLinks(start.subarray(0, n)), rate = ofLinks(start.subarray(n));
+  const acceleration = ofLinks(derivative(chain, start, slope).subarray(n));
   const arms = rising(walker).map((arm, j) => turned(arm, q[j])), parts = climbing(walker, q, rate);
-  const velocity = sum(parts), still = Math.abs(velocity) <= 1e-12 * sum(parts.map(Math.abs));
+  const velocity = sum(parts), still = abs(velocity) <= 1e-12 * sum(parts.map(abs));
   const lift = sum(arms.map((arm, j) => arm[0] * acceleration[j] - rate[j] ** 2 * arm[1]));
-  if ((still ? lift : velocity) < 0) broken.add(VIOLATIONS[5]);
-  if (!still && velocity < 0 && !walker.massless) broken.add(VIOLATIONS[6]);
+  flag(5, (still ? lift : velocity) < 0);
+  flag(6, !still && velocity < 0 && !walker.massless);
   return VIOLATIONS.filter(name => broken.has(name));
 }

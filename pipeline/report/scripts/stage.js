@@ -14,7 +14,7 @@ function make(tag, name, text) {
   return node;
 }
 const minusSign = text => text.replace(/-/g, "−");
-const brief = (value, digits = 4) => !Number.isFinite(value) ? "–" : minusSign(Math.abs(value) >= 1e-4 && Math.abs(value) < 1e5 || !value ? String(Number(value.toPrecision(digits))) : Number(value.toPrecision(digits)).toExponential());
+const brief = (value, digits = 4) => !Number.isFinite(value) ? "–" : minusSign(abs(value) >= 1e-4 && abs(value) < 1e5 || !value ? String(Number(value.toPrecision(digits))) : Number(value.toPrecision(digits)).toExponential());
 
 /** State of a phase at a time: its cubic Hermite polynomial between two samples. */
 function sampleAt({ samples }, t) {
@@ -48,7 +48,7 @@ class Motion {
       this.steps.push(flyStep(this.walker, last.end, this.slope));
     }
   }
-  stride(step) { return 2 * (this.walker.l * Math.sin(step.end[0]) + this.walker.R * step.end[0]); }
+  stride(step) { return 2 * (this.walker.l * sin(step.end[0]) + this.walker.R * step.end[0]); }
   /** Which step a time falls into, the time within it and where its foot stands. */
   at(time) {
     const first = this.steps[0];
@@ -82,9 +82,9 @@ class Motion {
 function pose(walker, { step, t, foot }) {
   const phase = step.phases.find(part => t <= part.samples.at(-1)[0]) ?? step.phases.at(-1), x = sampleAt(phase, t), n = x.length / 2;
   const angles = [x[0], x[1], x[n - 1]], rates = [x[n], x[n + 1], x[2 * n - 1]], { R, l } = walker;
-  const centre = [foot - R * angles[0], R], hip = plus(centre, [-l * Math.sin(angles[0]), l * Math.cos(angles[0])]);
+  const centre = [foot - R * angles[0], R], hip = plus(centre, [-l * sin(angles[0]), l * cos(angles[0])]);
   const leg = (upper, lower) => {
-    const knee = plus(hip, turned(walker.knee, upper)), end = plus(knee, turned(walker.foot, lower)), down = angle => plus(end, [R * Math.sin(angle), -R * Math.cos(angle)]);
+    const knee = plus(hip, turned(walker.knee, upper)), end = plus(knee, turned(walker.foot, lower)), down = angle => plus(end, [R * sin(angle), -R * cos(angle)]);
     return { line: [hip, knee, down(lower)], sole: R ? [-.45, -.22, 0, .22, .45].map(k => down(lower + k)) : [end] };
   };
   return { hip, stance: leg(angles[0], angles[0]), swing: leg(angles[1], angles[2]), angles, rates };
@@ -149,9 +149,9 @@ function drawCircle(svg, gaits) {
   add("circle", { cx: centre, cy: centre, r: unit, fill: "none", stroke: "var(--muted)", "stroke-width": 1.5 });
   add("text", { x: centre + unit + 3, y: centre + 14, "font-size": 12, fill: "var(--muted)" }, "1");
   for (const { gait, ink, second } of gaits) for (const [re, im] of gait.multipliers ?? []) {
-    const size = Math.hypot(re, im), far = size > 1.28, [x, y] = far ? [re / size * 1.28, im / size * 1.28] : [re, im], at = { cx: centre + unit * x, cy: centre - unit * y };
+    const size = hypot(re, im), far = size > 1.28, [x, y] = far ? [re / size * 1.28, im / size * 1.28] : [re, im], at = { cx: centre + unit * x, cy: centre - unit * y };
     add("circle", { ...at, r: 5.5, fill: second ? "none" : ink, stroke: ink, "stroke-width": second ? 2 : 1, "data-multiplier": `${re} ${im}` });
-    if (far) add("text", { x: at.cx + (x < 0 ? 10 : -10), y: at.cy + (second ? 30 : -12), "text-anchor": x < 0 ? "start" : "end", "font-size": 13, fill: ink }, `${minusSign(re.toPrecision(3))}${im ? (im < 0 ? " − " : " + ") + Math.abs(im).toPrecision(3) + "i" : ""} ${x < 0 ? "←" : "→"}`);
+    if (far) add("text", { x: at.cx + (x < 0 ? 10 : -10), y: at.cy + (second ? 30 : -12), "text-anchor": x < 0 ? "start" : "end", "font-size": 13, fill: ink }, `${minusSign(re.toPrecision(3))}${im ? (im < 0 ? " − " : " + ") + abs(im).toPrecision(3) + "i" : ""} ${x < 0 ? "←" : "→"}`);
   }
 }
 

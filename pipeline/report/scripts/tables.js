@@ -34,7 +34,7 @@ for (const row of document.querySelectorAll("tr[data-gait]")) {
   row.cells[0].prepend(button, " ");
   row.addEventListener("click", event => { if (event.target === button || !event.target.closest("a, button")) select(wish, { dock: true }); });
   document.addEventListener("gait", ({ detail }) => row.classList.toggle("chosen",
-    !detail.free && sameLine(detail.at, wish.at) && Math.hypot(Math.log(detail.slope / wish.slope), Math.log(detail.start[0] / wish.angle)) < 1e-3));
+    !detail.free && sameLine(detail.at, wish.at) && hypot(Math.log(detail.slope / wish.slope), Math.log(detail.start[0] / wish.angle)) < 1e-3));
 }
 
 // Ledger: filter by words and verdict.

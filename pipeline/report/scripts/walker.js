@@ -126,7 +126,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     if (nodes.length < 2) return;
     range.max = nodes.length - 1;
     range.step = (nodes.length - 1) / 1000;
-    if (document.activeElement !== range || Math.abs(range.value - gait.place) > 1) range.value = gait.place;
+    if (document.activeElement !== range || abs(range.value - gait.place) > 1) range.value = gait.place;
     range.setAttribute("aria-valuetext", `slope ${brief(gait.slope, 5)}, stance angle ${brief(gait.start[0], 5)}, ${gait.radius < 1 ? "stable" : "unstable"}`);
   }
   let wanted = null;
@@ -148,7 +148,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     const place = gait;
     setTimeout(() => {
       if (gait !== place) return;
-      const found = gaitsAt(gait.line, gait.slope).filter(item => Math.abs(item.start[0] / gait.start[0] - 1) > 1e-5);
+      const found = gaitsAt(gait.line, gait.slope).filter(item => abs(item.start[0] / gait.start[0] - 1) > 1e-5);
       found.forEach((item, k) => chooser.append(new Option(`${item.label}, θ* = ${brief(item.start[0], 4)}${item.radius < 1 ? ", stable" : ""}`, k)));
       chooser.onchange = () => {
         other = found[chooser.value] ?? null;
@@ -162,7 +162,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
 
   // A push changes the rates of both legs by a share of the stance rate; then the walker is simulated freely.
   function push(sign) {
-    const n = gait.start.length / 2, size = sign * Number(find("strength").value) * Math.abs(gait.start[n]);
+    const n = gait.start.length / 2, size = sign * Number(find("strength").value) * abs(gait.start[n]);
     motion = motion.pushed(time, [-size, -size]);
     second = null;
     outcome();
@@ -188,7 +188,7 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     const after = angles.length, word = n => `${n} step${n === 1 ? "" : "s"}`;
     // The first step from which on every one is within a hundredth of the gait's.
     let back = after;
-    while (aim && back > 0 && Math.abs(angles[back - 1] / aim - 1) < 0.01) back--;
+    while (aim && back > 0 && abs(angles[back - 1] / aim - 1) < 0.01) back--;
     const cause = FALLS[last.fall] ?? "", fell = cause.startsWith("the") ? cause : `it ${cause}`;
     text.textContent = last.fall ? `${after ? `After ${word(after)}` : "In its first step"} ${fell}.`
       : !aim || after - back <= 4 ? `It still walks after ${word(after)}, but not in this gait.`
