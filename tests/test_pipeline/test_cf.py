@@ -173,7 +173,9 @@ def test_tables_are_in_the_walkers_units(archives):
         assert counted["cascade/period"].long_name == "steps of the periodic gait"
 
 
-@pytest.mark.parametrize(("walker", "key", "unit"), [("C", "R", "m"), ("C", "eps_T", "rad"), ("E", "R", "1")])
+@pytest.mark.parametrize(
+    ("walker", "key", "unit"), [("C", "R", "m"), ("C", "eps_T", "rad"), ("E", "R", "1"), ("C", "detuning", "1")]
+)
 def test_values_of_a_curves_key_have_its_unit(walker, key, unit):
     options = {"key": key, "from": 0.1, "to": 0.2}
     study = studies._study(
