@@ -128,58 +128,58 @@ def test_the_page_shows_measurements_and_residuals(archive, tmp_path):
     assert f"residual of period (s) is {largest['period (s)']:.3g}; the largest" in text and ">γ (rad)" in text
 
 
+def _archived(tmp_path, study, measurements):
+    """Archive of a study with these measurements."""
+    (tmp_path / "s.toml").write_text(study + '[figures.overlay]\nfile = "m.csv"\n')
+    (tmp_path / "m.csv").write_text(measurements)
+    path = tmp_path / "s.nc"
+    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    return path
+
+
 def test_a_measurement_between_the_values_of_an_axis_is_listed_without_a_computed_value(tmp_path):
-    (tmp_path / "s.toml").write_text(
+    study = (
         'name = "s"\nwalker = "E"\n[axes]\nslope = [0.001, 0.002]\nfoot_mass_ratio = [0.01, 0.02]\n'
-        '[figures.overlay]\nfile = "m.csv"\n[want]\nvariables = ["stance_angle", "period"]\n'
+        '[want]\nvariables = ["stance_angle", "period"]\n'
     )
     # The period is measured nowhere: a column of empty cells.
     heading = "slope [rad],foot_mass_ratio,stance_angle [rad],period\n"
-    (tmp_path / "m.csv").write_text(heading + "0.002,0.01,0.126,\n0.002,0.015,0.127,\n")
-    path = tmp_path / "s.nc"
-    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    path = _archived(tmp_path, study, heading + "0.002,0.01,0.126,\n0.002,0.015,0.127,\n")
     left = measured.residuals(read_archive(path))
     assert left["foot_mass_ratio"].tolist() == [0.01, 0.015] and left["computed"].isna().tolist() == [False, True]
-    (tmp_path / "m.csv").write_text(heading + "0.002,0.01,,\n")
-    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
-    pages.write([path], tmp_path)
+    pages.write([_archived(tmp_path, study, heading + "0.002,0.01,,\n")], tmp_path)
     assert "own measurements" in (tmp_path / "s.html").read_text()
 
 
 def test_a_branch_study_compares_between_folds(tmp_path):
-    (tmp_path / "b.toml").write_text(
+    study = (
         'name = "b"\nkind = "branch"\nwalker = "physical"\n[axes]\nslope = { from = 0.015, to = 0.06, n = 60 }\n'
-        '[figures.overlay]\nfile = "m.csv"\n[want]\nfigures = ["locus"]\n'
+        '[want]\nfigures = ["locus"]\n'
     )
-    (tmp_path / "m.csv").write_text("slope [rad],stance_angle [rad]\n0.045,0.28\n0.045,0.22\n")
-    path = tmp_path / "b.nc"
-    assert commands.main(["run", f"{tmp_path}/b.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    path = _archived(tmp_path, study, "slope [rad],stance_angle [rad]\n0.045,0.28\n0.045,0.22\n")
     computed = measured.residuals(read_archive(path))["computed"].to_numpy()
     assert computed[0] > 0.27 and computed[1] < 0.24  # on either side of the fold at 0.053
 
 
 def test_a_measurement_on_a_line_without_branches_is_not_compared_with_another_line(tmp_path):
     """Walker A detuned to the physical one does not walk on slopes as small as these."""
-    (tmp_path / "b.toml").write_text(
+    study = (
         'name = "b"\nkind = "branch"\nwalker = "A"\n[axes]\nslope = { from = 0.0015, to = 0.003, n = 8 }\n'
-        'detuning = [0.0, 1.0]\n[figures.overlay]\nfile = "m.csv"\n'
+        "detuning = [0.0, 1.0]\n"
     )
-    (tmp_path / "m.csv").write_text("slope [rad],detuning,stance_angle [rad]\n0.002,0.0,0.126\n0.002,1.0,0.126\n")
-    path = tmp_path / "b.nc"
-    assert commands.main(["run", f"{tmp_path}/b.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    measurements = "slope [rad],detuning,stance_angle [rad]\n0.002,0.0,0.126\n0.002,1.0,0.126\n"
+    path = _archived(tmp_path, study, measurements)
     computed = measured.residuals(read_archive(path)).set_index("detuning")["computed"]
     assert computed[0.0] == pytest.approx(0.1256, rel=1e-3) and np.isnan(computed[1.0])
 
 
 def test_measurements_of_walkers_that_differ_by_little_are_told_apart(tmp_path):
-    (tmp_path / "s.toml").write_text(
+    study = (
         'name = "s"\nwalker = "E"\n[axes]\nslope = [0.001, 0.002]\nfoot_mass_ratio = [0.0, 1e-9, 2e-9]\n'
-        '[figures.overlay]\nfile = "m.csv"\n[want]\nvariables = ["stance_angle"]\n'
+        '[want]\nvariables = ["stance_angle"]\n'
     )
     heading = "slope [rad],foot_mass_ratio,stance_angle [rad]\n"
-    (tmp_path / "m.csv").write_text(heading + "0.002,1e-9,0.126\n0.002,2e-9,0.127\n0.002,0.0,0.128\n")
-    path = tmp_path / "s.nc"
-    assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
+    path = _archived(tmp_path, study, heading + "0.002,1e-9,0.126\n0.002,2e-9,0.127\n0.002,0.0,0.128\n")
     left = measured.residuals(read_archive(path))
     assert left["foot_mass_ratio"].tolist() == [0.0, 1e-9, 2e-9] and left["measured"].tolist() == [0.128, 0.126, 0.127]
 
