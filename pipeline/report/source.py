@@ -149,7 +149,7 @@ class Source:
     def run_options(self) -> str:
         """Options of the command that made the archive: an accuracy that is not written in the study."""
         accuracy = float(self.grid.attrs.get("accuracy", 0.0))
-        return f" --accuracy {accuracy:g}" if accuracy and accuracy != self.study.get("accuracy") else ""
+        return f" --accuracy {accuracy!r}" if accuracy and accuracy != self.study.get("accuracy") else ""
 
     @property
     def whole(self) -> str:

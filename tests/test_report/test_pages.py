@@ -50,13 +50,13 @@ def test_pages_hold_to_their_budgets_and_name_no_outside_address(report):
         assert not re.search(r"https?:|//[a-z0-9-]+\.[a-z]|@import|url\((?!#)", text), path.name
 
 
-@pytest.mark.parametrize(("line", "option"), [("", " --accuracy 1e-06"), ("accuracy = 1e-6\n", "")])
+@pytest.mark.parametrize(("line", "option"), [("", " --accuracy 1.23456789e-06"), ("accuracy = 1.23456789e-6\n", "")])
 def test_the_commands_of_a_page_make_its_archive(tmp_path, line, option):
     """One that was run to an accuracy and has another name than its study since."""
     text = f'name = "sweep"\n{line}walker = "D"\n[axes]\nslope = [0.01]\n'
     path = write(tmp_path / "moved.nc", text, {"stance_angle": ("slope", [0.2])}, {"slope": [0.01]}, {"D": POINT})
     with netCDF4.Dataset(path, "a") as file:
-        file.accuracy = 1e-6
+        file.accuracy = 1.23456789e-6
     pages.write([path], tmp_path)
     commands = f"gaitsweep run sweep.toml{option}\ngaitsweep report data/archive/sweep.nc</code>"
     assert commands in (tmp_path / "sweep.html").read_text()
