@@ -1,9 +1,14 @@
 """Processor time of the tasks on one core of 2023, for plans and times to go before any task is measured.
 
-Like the registry, this module imports nothing but the standard library.
+Like the registry, this module imports no solver.
 """
 
 from dataclasses import dataclass
+
+import numpy as np
+
+#: Width of a panel of slopes, for which the cells of a plane are made, in ln slope.
+PANEL = 0.125
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,7 @@ COSTS = {
     "atlas": (Cost(0.13, 0.55), Cost(1.3, 3.0, ("searches",))),
     "atlas side by side": (Cost(0.05, 0.16),),
     "cell": (Cost(0.7, 4.2),),
+    "panel": (Cost(0.2, 0.8),),
     "trace": (Cost(0.05, 0.15),),
     "branch": (Cost(0.04, 0.15),),
     "orbit": (Cost(1.3e-3, 2e-3, (_STEPS,)), Cost(4e-6, 2.1e-5, ("slopes", "starts", _STEPS))),
@@ -53,8 +59,22 @@ POINTS = {
     "long": Cost(1.8e-5, 7e-5, ("points",)),
     "interpolated": Cost(1.3e-6, 1.3e-6, ("points",)),
     "plane": Cost(7e-5, 2.3e-4, ("points",)),
-    "short": Cost(2e-4, 1e-3, ("points",)),
+    "short": Cost(4e-4, 1e-3, ("points",)),
     "cycles": Cost(2e-3, 3e-3, ("points", "gait_steps")),
     "violations": Cost(1.4e-4, 4.4e-4, ("points",)),
     "proofs": Cost(0.3, 1.2, ("points",)),
 }
+
+
+def panels_of(slope: np.ndarray) -> np.ndarray:
+    """Return the ln slopes at which the panels of slopes begin.
+
+    Parameters
+    ----------
+    slope : ndarray, shape (n,) [rad]
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return np.asarray(np.floor(np.log(slope) / PANEL) * PANEL)

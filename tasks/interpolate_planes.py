@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -110,7 +111,7 @@ class Sheet:
         return value_bounds(self.coefficients[:, self.names.index("heelstrike_rate_ratio")])
 
 
-def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float) -> list[Sheet]:
+def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float, points: int) -> list[Sheet]:
     """Fit polynomials to the gaits of every patch of a cell.
 
     Parameters
@@ -120,25 +121,27 @@ def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float) -> 
     want : sequence of str
         Names of variables.
     accuracy : float
+    points : int
+        How many points of the study the cell has.
 
     Returns
     -------
     list of Sheet
-        Empty where a patch has none that reaches the accuracy.
+        Empty where a patch has none that reaches the accuracy with fewer gaits than points.
     """
     found = []
     for patch in cell.patches:
-        sheet = _sheet(family, cell, patch, want, accuracy)
+        sheet = _sheet(family, cell, patch, want, accuracy, points)
         if sheet is None:
             return []
         found.append(sheet)
     return found
 
 
-def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accuracy: float) -> Sheet | None:
+def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accuracy: float, points: int) -> Sheet | None:
     sizes, d = patch.sizes, len(family.keys)
     drawn = cell.box.draw(_DRAWN, 1 + d, f"sheet {patch.numbers[0]}")
-    while True:
+    while math.prod(sizes) + _DRAWN < points:
         names, sampled = _sampled(family, cell, patch, np.vstack([tensor_nodes(sizes), drawn]), want, accuracy)
         if not sampled.good:
             return None
@@ -155,6 +158,7 @@ def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accura
         if larger == sizes:
             return None
         sizes = larger
+    return None
 
 
 def _sampled(

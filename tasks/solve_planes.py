@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
@@ -12,8 +13,9 @@ import numpy as np
 from tasks import status
 from tasks.accuracy import always, is_interpolated
 from tasks.continuation.lockstep import lanes_of
+from tasks.costs import panels_of
 from tasks.families.box import Box
-from tasks.families.cell import PANEL, Cell, Family, make
+from tasks.families.cell import Cell, Cells, Family
 from tasks.fixed_points.polish import Polished, join, settle
 from tasks.interpolate_planes import (
     PREDICTED_WITHIN,
@@ -74,15 +76,21 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
         name: value.reshape(len(keys), len(slope), *value.shape[1:])
         for name, value in nothing_solved(want, len(keys) * len(slope), width).items()
     }
-    panels = np.floor(np.log(slope) / PANEL) * PANEL
-    for low in np.unique(panels).tolist():
+    panels = panels_of(slope)
+    cells = _cells(family, box, tuple(np.unique(panels).tolist()), values)
+    for part in itertools.chain(*cells.values()):
+        if part.why:
+            accepted &= ~_inside(part.box, keys, box)
+    for low, parts in cells.items():
         at_panel = np.flatnonzero(panels == low)
-        for number, part in enumerate(_cells(family, box, low, values)):
+        for number, part in enumerate(parts):
             inside = np.flatnonzero(_inside(part.box, keys, box) & accepted)
             if not len(inside):
                 continue
-            interpolated = is_interpolated(want, accuracy) and not part.why
-            made = _sheets(family, box, low, values, number, tuple(want), accuracy) if interpolated else []
+            made: list[Sheet] = []
+            if is_interpolated(want, accuracy):
+                room = part.box.count(values) * len(at_panel)
+                made = _sheets(family, box, tuple(cells), values, low, number, tuple(want), accuracy, room)
             asked = part, keys[inside], slope[at_panel], want, wanted, friction_limit
             solved, accepted[inside] = solve(family, *asked, made, accuracy)
             for name, value in solved.items():
@@ -105,23 +113,28 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
 
 
 @functools.lru_cache(256)
-def _cells(family: Family, box: Box, low: float, values: tuple[tuple[float, ...], ...]) -> list[Cell]:
-    """Cells of a box for the panel from `low` on, for the lines at some values of its keys."""
-    return make(family, box, low, lambda part: part.count(values))
+def _cells(
+    family: Family, box: Box, panels: tuple[float, ...], values: tuple[tuple[float, ...], ...]
+) -> dict[float, list[Cell]]:
+    """Cells of a box for each panel, for the lines at some values of its keys."""
+    cells = Cells(family, box, values)
+    return {low: cells.make(low) for low in panels}
 
 
 @functools.lru_cache(256)
 def _sheets(
     family: Family,
     box: Box,
-    low: float,
+    panels: tuple[float, ...],
     values: tuple[tuple[float, ...], ...],
+    low: float,
     number: int,
     want: tuple[str, ...],
     accuracy: float,
+    points: int,
 ) -> list[Sheet]:
-    """Polynomials of one of the cells of a box; none where they do not reach the accuracy."""
-    return sheets(family, _cells(family, box, low, values)[number], want, accuracy)
+    """Polynomials of one of the cells of a box; none where they do not reach the accuracy, or have too few points."""
+    return sheets(family, _cells(family, box, panels, values)[low][number], want, accuracy, points)
 
 
 def _inside(part: Box, keys: np.ndarray, whole: Box) -> np.ndarray:

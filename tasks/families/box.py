@@ -72,6 +72,11 @@ class Box:
         sides = zip(map(np.asarray, values), self.low, self.high, strict=True)
         return int(np.prod([((v >= a) & (v <= b)).sum() for v, a, b in sides]))
 
+    def common(self, other: Box) -> Box:
+        """Return the part that another box of the same keys has too; that of two which have none is empty."""
+        low, high = np.maximum(self.low, other.low), np.minimum(self.high, other.high)
+        return Box(self.keys, tuple(low.tolist()), tuple(high.tolist()), self.log)
+
     def nodes(self, n: int | tuple[int, ...]) -> np.ndarray:
         """Return Chebyshev nodes, the last key fastest.
 
@@ -177,14 +182,8 @@ Part = TypeVar("Part")
 _MOST_UNEVEN = 2
 
 
-def divide(
-    box: Box,
-    make: Callable[[Box, str], Part],
-    is_worth: Callable[[Box], bool],
-    splits: int,
-    halved: tuple[int, ...] = (),
-) -> list[Part]:
-    """Make the parts into which a box must be divided.
+def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box], bool], splits: int) -> list[Part]:
+    """Make the parts into which a box must be divided, the largest first.
 
     Parameters
     ----------
@@ -195,22 +194,26 @@ def divide(
         Whether a box is worth its making.
     splits : int
         How often the box may be halved.
-    halved : tuple of int, optional
-        How often it was, along each key.
 
     Returns
     -------
     list
+        Lower halves before upper ones.
     """
-    if not is_worth(box):
-        return [make(box, "few walkers")]
-    try:
-        return [make(box, "")]
-    except Refused as refused:
-        if not splits:
-            return [make(box, str(refused))]
-        so_far = np.array(halved or [0] * len(box.keys))
-        axis = refused.axis if so_far[refused.axis] < so_far.min() + _MOST_UNEVEN else int(so_far.argmin())
-        so_far[axis] += 1
-        halves = box.halves(axis)
-    return [part for half in halves for part in divide(half, make, is_worth, splits - 1, tuple(so_far.tolist()))]
+    # The place of a part: for each time that it was halved the half, 0 or 1, and the key.
+    parts: dict[tuple[tuple[int, int], ...], Part] = {}
+    left: list[tuple[tuple[tuple[int, int], ...], Box]] = [((), box)]
+    for place, part in left:  # which grows
+        if not is_worth(part):
+            parts[place] = make(part, "few walkers")
+            continue
+        try:
+            parts[place] = make(part, "")
+        except Refused as refused:
+            if len(place) == splits:
+                parts[place] = make(part, str(refused))
+                continue
+            halved = np.bincount([key for _, key in place], minlength=len(box.keys))
+            axis = refused.axis if halved[refused.axis] < halved.min() + _MOST_UNEVEN else int(halved.argmin())
+            left += [((*place, (i, axis)), half) for i, half in enumerate(part.halves(axis))]
+    return [parts[place] for place in sorted(parts)]

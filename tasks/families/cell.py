@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from tasks.continuation.atlas import survey_lines
 from tasks.continuation.branch import Branch
 from tasks.continuation.refine import COARSE
+from tasks.costs import PANEL
 from tasks.families.box import Box, Refused, divide, roots
 from tasks.families.patch import Patch, along, basis, fit, side_of_fold, tails
 from tasks.families.pieces import Piece, match, pieces_of, towards_middle
@@ -25,8 +26,6 @@ from tasks.step.problem import Lanes
 from tasks.walkers.resolve import resolve_many
 from tasks.walkers.walker_array import WalkerArray
 
-#: Width of a panel in ln slope.
-PANEL = 0.125
 #: Lines surveyed along each key: always, and where pieces end in the panel.
 _FEW, _MANY = 3, 5
 #: Nodes along a piece and along a key with which a patch begins, and at most.
@@ -45,8 +44,9 @@ _CLEAR = 0.03
 _FAR = 1.0
 #: Coordinates of lines at the corners of a box, and how near a patch, which is extrapolated, is to its piece there.
 _CORNER, _ALIKE = 0.999, 0.1
-#: How often a box is halved, and from how many lines on its patches are worth their making.
-_MOST_SPLITS, _LEAST_LINES = 6, 24
+#: How often a box is halved, from how many lines on its patches are worth their making, and what share of the lines of
+#: the whole may have been surveyed when another part begins.
+_MOST_SPLITS, _LEAST_LINES, _SHARE = 6, 24, 0.25
 
 
 @dataclass(frozen=True)
@@ -83,25 +83,50 @@ class Cell:
     why: str = ""
 
 
-def make(family: Family, box: Box, low: float, count: Callable[[Box], int], splits: int = _MOST_SPLITS) -> list[Cell]:
-    """Make the cells of a box for the panel from ln slope `low` on.
+class Cells:
+    """Makes the cells of a box for one panel after the other, as far as they are worth it.
 
     Parameters
     ----------
     family : Family
     box : Box
-    low : float
-    count : callable
-        Number of lines in a box.
-    splits : int
-        How often it may be halved.
+    values : sequence of sequences of float
+        Values of each key in the box that a study has [the walker's units].
     """
 
-    def cell(box: Box, why: str) -> Cell:
-        maker = _Maker(family, box, low)
-        return Cell(box, maker.structure, [] if why else maker.patches(), why)
+    def __init__(self, family: Family, box: Box, values: Sequence[Sequence[float]]):
+        self.family, self.box, self.values = family, box, values
+        #: Parts whose lines are surveyed one by one, and what was surveyed so far: parts and nodes along each key.
+        self.alone: list[Box] = []
+        self.surveyed: set[tuple[Box, int]] = set()
 
-    return divide(box, cell, lambda part: count(part) >= _LEAST_LINES, splits)
+    def make(self, low: float, splits: int = _MOST_SPLITS) -> list[Cell]:
+        """Make the cells for the panel from ln slope `low` on; the box may be halved so often."""
+        cells = divide(self.box, functools.partial(self._cell, low), self._is_worth, splits)
+        self.alone += [cell.box for cell in cells if cell.why and self._left(cell.box)]
+        return cells
+
+    def _cell(self, low: float, box: Box, why: str) -> Cell:
+        maker = _Maker(self.family, box, low)
+        try:
+            return Cell(box, maker.structure, [] if why else maker.patches(), why)
+        finally:
+            self.surveyed |= {(box, n) for n in maker.surveyed}
+
+    def _is_worth(self, part: Box) -> bool:
+        """Whether a part has lines enough, and those surveyed so far leave some for a new one."""
+        spent = sum(_number_of_lines(len(box.keys), n) for box, n in self.surveyed)
+        is_new = (part, _FEW) not in self.surveyed
+        return self._left(part) >= _LEAST_LINES and not (is_new and spent > _SHARE * self.box.count(self.values))
+
+    def _left(self, part: Box) -> int:
+        """About how many lines of a part are not surveyed one by one for the sake of another panel."""
+        return part.count(self.values) - sum(part.common(other).count(self.values) for other in self.alone)
+
+
+def _number_of_lines(d: int, n: int) -> int:
+    """How many lines are surveyed for n nodes along each of d keys."""
+    return int(n**d + (1 + 2**d) * (n == _FEW))
 
 
 @functools.lru_cache(64)
@@ -123,6 +148,12 @@ class _Maker:
         self.family, self.box, self.low, self.high = family, box, low, low + PANEL
         self.d = len(box.keys)
         self.structure = common_structure(family.walkers(box.nodes(_FEW)))
+        #: Nodes along each key of the lines that were surveyed.
+        self.surveyed: set[int] = set()
+
+    def survey(self, n: int) -> tuple[list[Branch], ...]:
+        self.surveyed.add(n)
+        return _survey(self.family, self.box, self.structure, n)
 
     def problem(self, points: np.ndarray) -> Lanes:
         return Lanes(self.family.walkers(points), self.structure)
@@ -166,7 +197,7 @@ class _Maker:
 
     def groups(self, n: int) -> list[list[Piece]]:
         """Pieces that come near the panel on any of n^d node lines, each on all of them."""
-        surveyed = _survey(self.family, self.box, self.structure, n)[: n**self.d]
+        surveyed = self.survey(n)[: n**self.d]
         lines = [pieces_of(branches) for branches in surveyed]
         groups: list[list[Piece]] = []
         for group in match(lines, towards_middle(n, self.d), self.low - _CLEAR, self.high + _CLEAR):
@@ -358,7 +389,7 @@ class _Maker:
 
         The node lines lie inside: up to the border ends that vary much may come nearer than their polynomial tells.
         """
-        surveyed = _survey(self.family, self.box, self.structure, _FEW)[_FEW**self.d + 1 :]
+        surveyed = self.survey(_FEW)[_FEW**self.d + 1 :]
         for unit, branches in zip(self.box.corners(_CORNER)[:, None], surveyed, strict=True):
             ends = [patch.ends_at(unit) for patch in patches]
             for piece in self.near_panel(branches, 0.5 * _CLEAR):
@@ -374,7 +405,7 @@ class _Maker:
     def check(self, patches: list[Patch]) -> None:
         """Survey a line drawn by lot: it must have these pieces and no others; it shows the errors of their ends."""
         unit = _lot(self.box)
-        branches = _survey(self.family, self.box, self.structure, _FEW)[_FEW**self.d]
+        branches = self.survey(_FEW)[_FEW**self.d]
         pieces = self.near_panel(branches, _CLEAR)
         for patch in patches:
             ends = patch.ends_at(unit)

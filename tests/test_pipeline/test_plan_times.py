@@ -18,6 +18,7 @@ STUDIES = {
     "a line": LINE,
     "a hundred lines": LINE.replace('"D"', '"E"') + "R = { from = 0.0, to = 0.3, n = 100 }\n",
     "1e5 points": LINE.replace("n = 20", "n = 100000"),
+    "a plane": LINE.replace('"D"', '"E"').replace("n = 20", "n = 8") + "R = { from = 0.0, to = 0.1, n = 150 }\n",
     "a kneed line": LINE.replace('"D"', '"C"'),
     "cascade": 'name = "s"\nkind = "cascade"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n',
     "basin": 'name = "s"\nkind = "basin"\nwalker = "D"\n[axes]\nslope = [0.009]\n',
@@ -64,6 +65,9 @@ def test_costs_grow_with_what_is_asked(tmp_path):
     basin = STUDIES["basin"]
     many = seconds(basin.replace("[0.009]", "[0.009, 0.01]"), "basin")
     assert many == pytest.approx(2 * seconds(basin, "basin"))
+    plane = LINE.replace('"D"', '"E"') + "R = { from = 0.0, to = 0.1, n = 1000 }\n"
+    narrow = plane.replace("from = 0.001", "from = 0.019")
+    assert seconds(plane, "atlas") > 5 * seconds(narrow, "atlas")  # cells are made for every panel of slopes
     # A list counts by its length; a study of a straight and a kneed walker is their mean.
     assert seconds(STUDIES["cascade"] + "[options]\nfamilies = [1, 3]\n", "cascade") == pytest.approx(
         2 * seconds(STUDIES["cascade"], "cascade")

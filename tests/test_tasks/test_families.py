@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from tasks import interpolate_planes, solve_planes
+from tasks.costs import PANEL
 from tasks.families import cell as cells
 from tasks.families import panels, pieces
 from tasks.families.box import Box, Refused, roots
-from tasks.families.cell import PANEL, Family, _Maker, make
+from tasks.families.cell import Cells, Family, _Maker
 from tasks.families.patch import along, basis, coordinate, fit
 from tasks.families.pieces import Piece
 from tasks.measures.gaits import nothing_solved
@@ -36,7 +37,8 @@ def cell_of(name, slope):
     walker, keys, _ = PLANES[name]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
     box = Box(tuple(keys), *(tuple(side) for side in zip(*keys.values(), strict=True)))
-    (cell,) = make(family, box, float(np.floor(np.log(slope) / PANEL) * PANEL), lambda part: 1000)
+    values = [np.linspace(*side, 30) for side in keys.values()]
+    (cell,) = Cells(family, box, values).make(float(np.floor(np.log(slope) / PANEL) * PANEL))
     return family, cell
 
 
@@ -136,7 +138,11 @@ def test_a_block_has_as_many_sentences_as_its_lines_give_it(monkeypatch):
     monkeypatch.setattr(solve_planes, "lines_side_by_side", surveyed)
     R = np.linspace(0.1, 0.2, n)
     structure = common_structure(resolve_many("B", {"R": R}))
-    monkeypatch.setattr(solve_planes, "_cells", lambda family, box, *_: [cells.Cell(box, structure, [], "refused")])
+    monkeypatch.setattr(
+        solve_planes,
+        "_cells",
+        lambda family, box, lows, _: {low: [cells.Cell(box, structure, [], "refused")] for low in lows},
+    )
     cell = {"keys": ["R"], "low": [0.1], "high": [0.2], "values": [R]}
     lines_of_it = [{"walker": "B", "set": {"R": float(r)}} for r in R]
     ((_, out),) = lines({"lines": lines_of_it, "slope": np.array([0.01]), "want": ALWAYS, "cell": cell}, [])
@@ -265,8 +271,85 @@ def test_few_lines_serve_where_only_their_polynomial_ends_near_the_panel(monkeyp
 def test_a_box_of_few_lines_is_left_to_lines():
     walker, keys, _ = PLANES["B"]
     family = Family.of({"walker": walker, "set": {}}, tuple(keys))
-    (cell,) = make(family, Box(tuple(keys), (0.1, 0.1), (0.11, 0.11)), -4.625, lambda part: 10)
+    (cell,) = Cells(family, Box(tuple(keys), (0.1, 0.1), (0.11, 0.11)), [[0.1], np.linspace(0.1, 0.11, 23)]).make(
+        -4.625
+    )
     assert cell.why == "few walkers" and not cell.patches
+
+
+class RefusingMaker:
+    """Refuses every box that reaches below 0.1 in the first key, after it has surveyed few and many lines."""
+
+    def __init__(self, family, box, low):
+        self.box, self.low, self.structure, self.surveyed = box, low, None, set()
+
+    def patches(self):
+        self.surveyed |= {3}
+        MADE.append((self.low, self.box))
+        if self.box.low[0] < 0.1:
+            self.surveyed |= {5}
+            raise Refused("it is made to", len(MADE) % 2)
+        return []
+
+
+#: Panels and boxes of which patches were wanted.
+MADE = []
+
+
+@pytest.mark.parametrize(("each", "tried"), [(30, 6), (40, 11), (12, 1)])
+def test_a_box_is_not_halved_when_a_quarter_as_many_lines_are_surveyed(each, tried, monkeypatch):
+    """A box and each of its parts take 39 lines: 9 + 25 at nodes, 4 at corners, and one."""
+    monkeypatch.setattr(cells, "_Maker", RefusingMaker)
+    MADE.clear()
+    values = [np.linspace(0.0, 0.09, each)] * 2
+    family = Family.of({"walker": "B", "set": {}}, ("m_s", "R"))
+    made = Cells(family, Box(("m_s", "R"), (0.0, 0.0), (0.09, 0.09)), values)
+    found = made.make(-4.5)
+    assert len(MADE) == tried and 39 * (tried - 1) <= each**2 / 4 < 39 * tried
+    assert {cell.why for cell in found} <= {"few walkers", "it is made to"} and not any(cell.patches for cell in found)
+    assert [cell.why for cell in made.make(-4.375)] == ["few walkers"] and len(MADE) == tried  # all lines are alone
+
+
+def test_lines_that_are_surveyed_for_one_panel_are_predicted_for_no_other(monkeypatch):
+    monkeypatch.setattr(cells, "_Maker", RefusingMaker)
+    MADE.clear()
+    values = [np.linspace(0.0, 0.2, 40), np.linspace(0.0, 0.2, 40)]
+    family = Family.of({"walker": "B", "set": {}}, ("m_s", "R"))
+    made = Cells(family, Box(("m_s", "R"), (0.0, 0.0), (0.2, 0.2)), values)
+    first = made.make(-4.5)
+    alone = sum(cell.box.count(values) for cell in first if cell.why)
+    assert 0 < alone < 1600 and made._left(made.box) == 1600 - alone
+    tried = len(MADE)
+    made.make(-4.375)
+    again = [box for _, box in MADE[tried:]]
+    assert again and all(made._left(box) >= 24 for box in again)
+    assert not any(box in [cell.box for cell in first if cell.why] for box in again)
+
+
+def test_lines_of_a_part_refused_for_one_panel_are_followed_at_all_slopes(monkeypatch):
+    params = block("B", 6)
+    low, high = (float(np.floor(np.log(s) / PANEL) * PANEL) for s in params["slope"])
+    right = solve_planes._cells
+
+    def refused_below(family, box, lows, values):
+        found = dict(right(family, box, lows, values))
+        assert sorted(found) == [low, high]
+        found[high] = [cells.Cell(each.box, each.structure, [], "refused") for each in found[high]]
+        return found
+
+    monkeypatch.setattr(solve_planes, "_cells", refused_below)
+    ((_, found),) = lines(params, [])
+    alone = [points for _, points in lines_side_by_side({k: v for k, v in params.items() if k != "cell"}, [])]
+    for name in set(WANT) - {"reason"}:
+        assert np.array_equal(found[name], np.concatenate([each[name] for each in alone]), equal_nan=True)
+
+
+def test_polynomials_of_more_gaits_than_points_are_not_fitted():
+    family, cell = cell_of("B", 0.004)
+    sheet = interpolate_planes.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)[0]
+    needed = int(np.prod(sheet.sizes)) + 64
+    assert interpolate_planes._sheet(family, cell, sheet.patch, ("stance_angle",), 1e-3, needed) is None
+    assert interpolate_planes._sheet(family, cell, sheet.patch, ("stance_angle",), 1e-3, needed + 1) is not None
 
 
 #: Variables of a plane that polynomials may give.
@@ -325,9 +408,9 @@ def test_lines_of_a_plane_whose_stability_errors_could_change_are_integrated(mon
 
 def test_a_polynomial_whose_gaits_may_have_either_label_is_not_used(monkeypatch):
     family, cell = cell_of("B", 0.004)
-    assert interpolate_planes.sheets(family, cell, ("stance_angle",), 1e-3)
+    assert interpolate_planes.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
     monkeypatch.setattr(interpolate_planes.Sheet, "ratio_range", lambda self: (0.4, 0.6))
-    assert not interpolate_planes.sheets(family, cell, ("stance_angle",), 1e-3)
+    assert not interpolate_planes.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
 
 
 def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):
