@@ -1,11 +1,9 @@
 """Processor time of the tasks on one core of 2023, for plans and times to go before any task is measured.
 
-Like the registry, this module imports no solver.
+Like the registry, this module imports nothing but the standard library.
 """
 
 from dataclasses import dataclass
-
-import numpy as np
 
 #: Width of a panel of slopes, for which the cells of a plane are made, in ln slope.
 PANEL = 0.125
@@ -64,17 +62,3 @@ POINTS = {
     "violations": Cost(1.4e-4, 4.4e-4, ("points",)),
     "proofs": Cost(0.3, 1.2, ("points",)),
 }
-
-
-def panels_of(slope: np.ndarray) -> np.ndarray:
-    """Return the ln slopes at which the panels of slopes begin.
-
-    Parameters
-    ----------
-    slope : ndarray, shape (n,) [rad]
-
-    Returns
-    -------
-    ndarray, shape (n,)
-    """
-    return np.asarray(np.floor(np.log(slope) / PANEL) * PANEL)

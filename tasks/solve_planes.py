@@ -13,9 +13,10 @@ import numpy as np
 from tasks import status
 from tasks.accuracy import always, is_interpolated
 from tasks.continuation.lockstep import lanes_of
-from tasks.costs import panels_of
+from tasks.costs import PANEL
 from tasks.families.box import Box
-from tasks.families.cell import Cell, Cells, Family
+from tasks.families.cell import Cell, Family
+from tasks.families.division import Cells
 from tasks.fixed_points.polish import Polished, join, settle
 from tasks.interpolate_planes import (
     PREDICTED_WITHIN,
@@ -76,7 +77,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
         name: value.reshape(len(keys), len(slope), *value.shape[1:])
         for name, value in nothing_solved(want, len(keys) * len(slope), width).items()
     }
-    panels = panels_of(slope)
+    panels = np.floor(np.log(slope) / PANEL) * PANEL
     cells = _cells(family, box, tuple(np.unique(panels).tolist()), values)
     for part in itertools.chain(*cells.values()):
         if part.why:

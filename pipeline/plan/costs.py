@@ -11,7 +11,7 @@ from pipeline.plan import graph
 from pipeline.study.model import Study
 from tasks import registry
 from tasks.accuracy import nodes_for
-from tasks.costs import COSTS, OTHERS, POINTS, STARTING, Cost, panels_of
+from tasks.costs import COSTS, OTHERS, PANEL, POINTS, STARTING, Cost
 from tasks.registry import OPTIONS, VARIABLES
 
 #: Panels of slopes from which on most lines of a plane are surveyed besides, in the mean of studies.
@@ -41,7 +41,7 @@ def seconds(study: Study, name: str) -> float:
     if name == "atlas" and study.plane and graph.over_plane(study):
         lines_a_cell = math.prod(len(a) / n for a, n in zip(study.plane.axes, study.plane.parts, strict=True))
         # The more panels of slopes, the more surely branches end in one of them, and lines are surveyed as well.
-        panels = len(np.unique(panels_of(study.slope)))
+        panels = len(np.unique(np.floor(np.log(study.slope) / PANEL)))
         surveyed = min(1.0, panels / _PANELS_WITH_ENDS) * _total(study, COSTS["atlas side by side"])
         return (_total(study, COSTS["cell"]) + panels * _total(study, COSTS["panel"])) / lines_a_cell + surveyed
     if name == "design":

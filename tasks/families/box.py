@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -167,6 +166,15 @@ class Box:
         seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
         return np.random.Generator(np.random.PCG64(seed)).uniform(-1, 1, (n, d))
 
+    def lot(self) -> np.ndarray:
+        """Draw the coordinates of one line.
+
+        Returns
+        -------
+        ndarray, shape (1, d)
+        """
+        return self.draw(1, len(self.keys), "line")
+
 
 class Refused(Exception):
     """Why a box cannot be described as one, and the key along which it should be halved."""
@@ -174,46 +182,3 @@ class Refused(Exception):
     def __init__(self, why: str, axis: int = 0):
         super().__init__(why)
         self.axis = axis
-
-
-Part = TypeVar("Part")
-#: How many times more often a box may be halved along one key than along another: what changes in it may lie along a
-#: curve that no halves along one key leave.
-_MOST_UNEVEN = 2
-
-
-def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box], bool], splits: int) -> list[Part]:
-    """Make the parts into which a box must be divided, the largest first.
-
-    Parameters
-    ----------
-    box : Box
-    make : callable
-        Makes a part of a box or raises Refused; with a reason, makes an empty one that gives it.
-    is_worth : callable
-        Whether a box is worth its making.
-    splits : int
-        How often the box may be halved.
-
-    Returns
-    -------
-    list
-        Lower halves before upper ones.
-    """
-    # The place of a part: for each time that it was halved the half, 0 or 1, and the key.
-    parts: dict[tuple[tuple[int, int], ...], Part] = {}
-    left: list[tuple[tuple[tuple[int, int], ...], Box]] = [((), box)]
-    for place, part in left:  # which grows
-        if not is_worth(part):
-            parts[place] = make(part, "few walkers")
-            continue
-        try:
-            parts[place] = make(part, "")
-        except Refused as refused:
-            if len(place) == splits:
-                parts[place] = make(part, str(refused))
-                continue
-            halved = np.bincount([key for _, key in place], minlength=len(box.keys))
-            axis = refused.axis if halved[refused.axis] < halved.min() + _MOST_UNEVEN else int(halved.argmin())
-            left += [((*place, (i, axis)), half) for i, half in enumerate(part.halves(axis))]
-    return [parts[place] for place in sorted(parts)]

@@ -1,11 +1,11 @@
-"""Cells: the patches of a box of keys for a panel of slopes, checked, or the boxes it is split into."""
+"""Cells: the patches of a box of keys for a panel of slopes, checked."""
 
 from __future__ import annotations
 
 import functools
 import itertools
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +15,7 @@ from tasks.continuation.atlas import survey_lines
 from tasks.continuation.branch import Branch
 from tasks.continuation.refine import COARSE
 from tasks.costs import PANEL
-from tasks.families.box import Box, Refused, divide, roots
+from tasks.families.box import Box, Refused, roots
 from tasks.families.patch import Patch, along, basis, fit, side_of_fold, tails
 from tasks.families.pieces import Piece, match, pieces_of, towards_middle
 from tasks.fixed_points.newton import lipschitz, newton, newton_step
@@ -27,12 +27,12 @@ from tasks.walkers.resolve import resolve_many
 from tasks.walkers.walker_array import WalkerArray
 
 #: Lines surveyed along each key: always, and where pieces end in the panel.
-_FEW, _MANY = 3, 5
+FEW, _MANY = 3, 5
 #: Nodes along a piece and along a key with which a patch begins, and at most.
 _FIRST, _MOST = 4, 11
 #: A patch is good if Newton corrects its predictions at points drawn by lot by no more; one that stays worse is used up
 #: to the second.
-_GOOD, _FAIR = 1e-6, 5e-3
+_GOOD, _FAIR = 1e-6, 2e-2
 _DRAWN = 48
 #: Nodes along a piece that ends in the panel: as many as leave coefficients no larger than a coarse atlas resolves.
 _ALONG, _COARSE_TAIL = (8, 16, 32, 48), 1e-5
@@ -44,9 +44,6 @@ _CLEAR = 0.03
 _FAR = 1.0
 #: Coordinates of lines at the corners of a box, and how near a patch, which is extrapolated, is to its piece there.
 _CORNER, _ALIKE = 0.999, 0.1
-#: How often a box is halved, from how many lines on its patches are worth their making, and what share of the lines of
-#: the whole may have been surveyed when another part begins.
-_MOST_SPLITS, _LEAST_LINES, _SHARE = 6, 24, 0.25
 
 
 @dataclass(frozen=True)
@@ -83,76 +80,47 @@ class Cell:
     why: str = ""
 
 
-class Cells:
-    """Makes the cells of a box for one panel after the other, as far as they are worth it.
+def make(family: Family, box: Box, low: float, surveyed: set[tuple[Box, int]], why: str = "") -> Cell:
+    """Make the cell of a box for a panel.
 
     Parameters
     ----------
     family : Family
     box : Box
-    values : sequence of sequences of float
-        Values of each key in the box that a study has [the walker's units].
+    low : float
+        Ln slope at which the panel begins.
+    surveyed : set of (Box, int)
+        Takes up the box with the nodes along each key of which lines are surveyed, `FEW` or more.
+    why : str, optional
+        Why the cell is to have no patches.
+
+    Raises
+    ------
+    Refused
+        If the gaits in the box cannot be described as one.
     """
-
-    def __init__(self, family: Family, box: Box, values: Sequence[Sequence[float]]):
-        self.family, self.box, self.values = family, box, values
-        #: Parts whose lines are surveyed one by one, and what was surveyed so far: parts and nodes along each key.
-        self.alone: list[Box] = []
-        self.surveyed: set[tuple[Box, int]] = set()
-
-    def make(self, low: float, splits: int = _MOST_SPLITS) -> list[Cell]:
-        """Make the cells for the panel from ln slope `low` on; the box may be halved so often."""
-        cells = divide(self.box, functools.partial(self._cell, low), self._is_worth, splits)
-        self.alone += [cell.box for cell in cells if cell.why and self._left(cell.box)]
-        return cells
-
-    def _cell(self, low: float, box: Box, why: str) -> Cell:
-        maker = _Maker(self.family, box, low)
-        try:
-            return Cell(box, maker.structure, [] if why else maker.patches(), why)
-        finally:
-            self.surveyed |= {(box, n) for n in maker.surveyed}
-
-    def _is_worth(self, part: Box) -> bool:
-        """Whether a part has lines enough, and those surveyed so far leave some for a new one."""
-        spent = sum(_number_of_lines(len(box.keys), n) for box, n in self.surveyed)
-        is_new = (part, _FEW) not in self.surveyed
-        return self._left(part) >= _LEAST_LINES and not (is_new and spent > _SHARE * self.box.count(self.values))
-
-    def _left(self, part: Box) -> int:
-        """About how many lines of a part are not surveyed one by one for the sake of another panel."""
-        return part.count(self.values) - sum(part.common(other).count(self.values) for other in self.alone)
-
-
-def _number_of_lines(d: int, n: int) -> int:
-    """How many lines are surveyed for n nodes along each of d keys."""
-    return int(n**d + (1 + 2**d) * (n == _FEW))
+    maker = _Maker(family, box, low, surveyed)
+    return Cell(box, maker.structure, [] if why else maker.patches(), why)
 
 
 @functools.lru_cache(64)
 def _survey(family: Family, box: Box, structure: Structure, n: int) -> tuple[list[Branch], ...]:
     """Branches of n^d node lines, the same for all panels; after the few those of one drawn by lot and of corners."""
-    points = np.vstack([box.nodes(n), box.at(_lot(box)), box.at(box.corners(_CORNER))]) if n == _FEW else box.nodes(n)
+    points = np.vstack([box.nodes(n), box.at(box.lot()), box.at(box.corners(_CORNER))]) if n == FEW else box.nodes(n)
     return tuple(survey_lines(Lanes(family.walkers(points), structure), COARSE))
-
-
-def _lot(box: Box) -> np.ndarray:
-    """Coordinates (1, d) of the line drawn by lot."""
-    return box.draw(1, len(box.keys), "line")
 
 
 class _Maker:
     """Makes the patches of one box and panel."""
 
-    def __init__(self, family: Family, box: Box, low: float):
+    def __init__(self, family: Family, box: Box, low: float, surveyed: set[tuple[Box, int]]):
         self.family, self.box, self.low, self.high = family, box, low, low + PANEL
         self.d = len(box.keys)
-        self.structure = common_structure(family.walkers(box.nodes(_FEW)))
-        #: Nodes along each key of the lines that were surveyed.
-        self.surveyed: set[int] = set()
+        self.structure = common_structure(family.walkers(box.nodes(FEW)))
+        self.surveyed = surveyed
 
     def survey(self, n: int) -> tuple[list[Branch], ...]:
-        self.surveyed.add(n)
+        self.surveyed.add((self.box, n))
         return _survey(self.family, self.box, self.structure, n)
 
     def problem(self, points: np.ndarray) -> Lanes:
@@ -172,7 +140,7 @@ class _Maker:
 
     def of_few_lines(self) -> list[Patch] | None:
         """Patches of pieces that end near the panel nowhere in the box, by a few lines; None if more are needed."""
-        groups = self.groups(_FEW)
+        groups = self.groups(FEW)
         cuts = [self.cuts(group) for group in groups]
         if not np.isnan(cuts).any():
             return [self.regular(group, cut) for group, cut in zip(groups, cuts, strict=True)]
@@ -389,7 +357,7 @@ class _Maker:
 
         The node lines lie inside: up to the border ends that vary much may come nearer than their polynomial tells.
         """
-        surveyed = self.survey(_FEW)[_FEW**self.d + 1 :]
+        surveyed = self.survey(FEW)[FEW**self.d + 1 :]
         for unit, branches in zip(self.box.corners(_CORNER)[:, None], surveyed, strict=True):
             ends = [patch.ends_at(unit) for patch in patches]
             for piece in self.near_panel(branches, 0.5 * _CLEAR):
@@ -404,8 +372,8 @@ class _Maker:
 
     def check(self, patches: list[Patch]) -> None:
         """Survey a line drawn by lot: it must have these pieces and no others; it shows the errors of their ends."""
-        unit = _lot(self.box)
-        branches = self.survey(_FEW)[_FEW**self.d]
+        unit = self.box.lot()
+        branches = self.survey(FEW)[FEW**self.d]
         pieces = self.near_panel(branches, _CLEAR)
         for patch in patches:
             ends = patch.ends_at(unit)

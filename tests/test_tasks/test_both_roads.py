@@ -15,7 +15,8 @@ from tasks.accuracy import always
 from tasks.continuation.atlas import from_arrays
 from tasks.costs import PANEL
 from tasks.families.box import Box
-from tasks.families.cell import Cells, Family, Refused, _Maker
+from tasks.families.cell import Family, Refused, _Maker
+from tasks.families.division import Cells
 from tasks.registry import ALWAYS, GAITS
 from tasks.solve_planes import lines, solve
 from tasks.solve_points import lines as lines_side_by_side
@@ -290,7 +291,7 @@ def test_wrong_patches_change_no_accepted_value(name):
     a, b = wrong.patches
     a.gaits, a.sizes, a.ends, b.gaits, b.sizes, b.ends = b.gaits, b.sizes, b.ends, a.gaits, a.sizes, a.ends
     assert_unchanged(*solved(wrong))
-    maker = _Maker(family, box, low)
+    maker = _Maker(family, box, low, set())
     maker.check(right.patches)
     for k in range(len(right.patches)):
         fewer = copy.deepcopy(right)

@@ -14,8 +14,9 @@ from tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude,
 from tasks.continuation.extremes import Points, best, find
 from tasks.continuation.refine import COARSE
 from tasks.families import landscape as landscapes
-from tasks.families.box import Box, Refused, divide
+from tasks.families.box import Box, Refused
 from tasks.families.cell import Family
+from tasks.families.division import divide
 from tasks.families.landscape import _Surveyor, is_known, make
 from tasks.families.manifold import Cut
 from tasks.families.manifold_maker import Maker, _Extension

@@ -11,7 +11,8 @@ from tasks.costs import PANEL
 from tasks.families import cell as cells
 from tasks.families import panels, pieces
 from tasks.families.box import Box, Refused, roots
-from tasks.families.cell import Cells, Family, _Maker
+from tasks.families.cell import Family, _Maker
+from tasks.families.division import Cells
 from tasks.families.patch import along, basis, coordinate, fit
 from tasks.families.pieces import Piece
 from tasks.measures.gaits import nothing_solved
@@ -228,7 +229,7 @@ def cell():
 
 def test_an_invented_branch_is_found(cell):
     family, right = cell
-    maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL))
+    maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL), set())
     maker.check(right.patches)
     moved = copy.deepcopy(right.patches)
     moved[0].gaits[0] += 0.5
@@ -238,7 +239,7 @@ def test_an_invented_branch_is_found(cell):
 
 def test_ends_are_looked_for_up_to_the_edges_of_a_box(cell):
     family, right = cell
-    maker = _Maker(family, right.box, -4.625)
+    maker = _Maker(family, right.box, -4.625, set())
     unit = right.box.unit(right.box.nodes(3))
     pieces = [Piece(None, 0, 0, 0, 1, ("fold", "fold"), (-9.0, -4.625 - 0.05 + 0.055 * x)) for x in unit[:, 0]]
     assert max(piece.q[1] for piece in pieces) < -4.625
@@ -252,7 +253,7 @@ def test_few_lines_serve_where_only_their_polynomial_ends_near_the_panel(monkeyp
     keys = {"detuning": (0.5, 1.0), "m_h": (0.0, 0.75)}
     family = Family.of({"walker": "C", "set": {}}, tuple(keys))
     box = Box(tuple(keys), (0.5, 0.0), (1.0, 0.75))
-    maker = _Maker(family, box, float(np.floor(np.log(0.04) / PANEL) * PANEL))
+    maker = _Maker(family, box, float(np.floor(np.log(0.04) / PANEL) * PANEL), set())
     assert any(np.isnan(maker.cuts(group)).any() for group in maker.groups(3))
     patches = maker.of_few_lines()
     assert len(patches) == 2
@@ -280,14 +281,14 @@ def test_a_box_of_few_lines_is_left_to_lines():
 class RefusingMaker:
     """Refuses every box that reaches below 0.1 in the first key, after it has surveyed few and many lines."""
 
-    def __init__(self, family, box, low):
-        self.box, self.low, self.structure, self.surveyed = box, low, None, set()
+    def __init__(self, family, box, low, surveyed):
+        self.box, self.low, self.structure, self.surveyed = box, low, None, surveyed
 
     def patches(self):
-        self.surveyed |= {3}
+        self.surveyed.add((self.box, 3))
         MADE.append((self.low, self.box))
         if self.box.low[0] < 0.1:
-            self.surveyed |= {5}
+            self.surveyed.add((self.box, 5))
             raise Refused("it is made to", len(MADE) % 2)
         return []
 

@@ -1,0 +1,100 @@
+"""How a box of keys is divided where it cannot be described as one: into cells for panels of slopes, or landscapes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from tasks.families.box import Box, Refused
+from tasks.families.cell import FEW, Cell, Family, make
+
+#: How many times more often a box may be halved along one key than along another: what changes in it may lie along a
+#: curve that no halves along one key leave.
+_MOST_UNEVEN = 2
+#: How often a box is halved, from how many lines on its patches are worth their making, and what share of the lines of
+#: the whole may have been surveyed when another part begins.
+_MOST_SPLITS, _LEAST_LINES, _SHARE = 6, 24, 0.25
+
+Part = TypeVar("Part")
+
+
+def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box], bool], splits: int) -> list[Part]:
+    """Make the parts into which a box must be divided, the largest first.
+
+    Parameters
+    ----------
+    box : Box
+    make : callable
+        Makes a part of a box or raises Refused; with a reason, makes an empty one that gives it.
+    is_worth : callable
+        Whether a box is worth its making.
+    splits : int
+        How often the box may be halved.
+
+    Returns
+    -------
+    list
+        Lower halves before upper ones.
+    """
+    # The place of a part: for each time that it was halved the half, 0 or 1, and the key.
+    parts: dict[tuple[tuple[int, int], ...], Part] = {}
+    left: list[tuple[tuple[tuple[int, int], ...], Box]] = [((), box)]
+    for place, part in left:  # which grows
+        if not is_worth(part):
+            parts[place] = make(part, "few walkers")
+            continue
+        try:
+            parts[place] = make(part, "")
+        except Refused as refused:
+            if len(place) == splits:
+                parts[place] = make(part, str(refused))
+                continue
+            halved = np.bincount([key for _, key in place], minlength=len(box.keys))
+            axis = refused.axis if halved[refused.axis] < halved.min() + _MOST_UNEVEN else int(halved.argmin())
+            left += [((*place, (i, axis)), half) for i, half in enumerate(part.halves(axis))]
+    return [parts[place] for place in sorted(parts)]
+
+
+class Cells:
+    """Makes the cells of a box for one panel after the other, as far as they are worth it.
+
+    Parameters
+    ----------
+    family : Family
+    box : Box
+    values : sequence of sequences of float
+        Values of each key in the box that a study has [the walker's units].
+    """
+
+    def __init__(self, family: Family, box: Box, values: Sequence[Sequence[float]]):
+        self.family, self.box, self.values = family, box, values
+        #: Parts whose lines are surveyed one by one, and what was surveyed so far: parts and nodes along each key.
+        self.alone: list[Box] = []
+        self.surveyed: set[tuple[Box, int]] = set()
+
+    def make(self, low: float, splits: int = _MOST_SPLITS) -> list[Cell]:
+        """Make the cells for the panel from ln slope `low` on; the box may be halved so often."""
+
+        def cell(box: Box, why: str) -> Cell:
+            return make(self.family, box, low, self.surveyed, why)
+
+        cells = divide(self.box, cell, self._is_worth, splits)
+        self.alone += [each.box for each in cells if each.why and self._left(each.box)]
+        return cells
+
+    def _is_worth(self, part: Box) -> bool:
+        """Whether a part has lines enough, and those surveyed so far leave some for a new one."""
+        spent = sum(_number_of_lines(len(box.keys), n) for box, n in self.surveyed)
+        is_new = (part, FEW) not in self.surveyed
+        return self._left(part) >= _LEAST_LINES and not (is_new and spent > _SHARE * self.box.count(self.values))
+
+    def _left(self, part: Box) -> int:
+        """About how many lines of a part are not surveyed one by one for the sake of another panel."""
+        return part.count(self.values) - sum(part.common(other).count(self.values) for other in self.alone)
+
+
+def _number_of_lines(d: int, n: int) -> int:
+    """How many lines are surveyed for n nodes along each of d keys."""
+    return int(n**d + (1 + 2**d) * (n == FEW))
