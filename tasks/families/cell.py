@@ -80,7 +80,7 @@ class Cell:
     why: str = ""
 
 
-def make(family: Family, box: Box, low: float, surveyed: set[tuple[Box, int]], why: str = "") -> Cell:
+def make_cell(family: Family, box: Box, low: float, surveyed: set[tuple[Box, int]], why: str = "") -> Cell:
     """Make the cell of a box for a panel.
 
     Parameters

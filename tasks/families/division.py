@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from tasks.families.box import Box, Refused
-from tasks.families.cell import FEW, Cell, Family, make
+from tasks.families.cell import FEW, Cell, Family, make_cell
 
 #: How many times more often a box may be halved along one key than along another: what changes in it may lie along a
 #: curve that no halves along one key leave.
@@ -69,7 +69,7 @@ class Cells:
     """
 
     def __init__(self, family: Family, box: Box, values: Sequence[Sequence[float]]):
-        self.family, self.box, self.values = family, box, values
+        self.family, self.box, self.values = family, box, [np.asarray(each) for each in values]
         #: Parts whose lines are surveyed one by one, and what was surveyed so far: parts and nodes along each key.
         self.alone: list[Box] = []
         self.surveyed: set[tuple[Box, int]] = set()
@@ -78,7 +78,7 @@ class Cells:
         """Make the cells for the panel from ln slope `low` on; the box may be halved so often."""
 
         def cell(box: Box, why: str) -> Cell:
-            return make(self.family, box, low, self.surveyed, why)
+            return make_cell(self.family, box, low, self.surveyed, why)
 
         cells = divide(self.box, cell, self._is_worth, splits)
         self.alone += [each.box for each in cells if each.why and self._left(each.box)]
