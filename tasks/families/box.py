@@ -60,12 +60,12 @@ class Box:
         sides = zip(self.low, self.high, self._is_log.tolist(), strict=True)
         return tuple(b / a if is_log else 1.0 for a, b, is_log in sides)
 
-    def count(self, values: Sequence[Sequence[float]]) -> int:
+    def count(self, values: Sequence[Sequence[float] | np.ndarray]) -> int:
         """Return how many points of a grid lie inside or on the border.
 
         Parameters
         ----------
-        values : sequence of sequences of float
+        values : sequence of sequences of float, or of arrays
             Of each key, in the walker's units.
         """
         sides = zip(map(np.asarray, values), self.low, self.high, strict=True)
