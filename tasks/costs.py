@@ -26,7 +26,7 @@ class Cost:
 #: Costs of a task that is not named here.
 OTHERS = (Cost(0.01, 0.01),)
 #: Time to start a run of any size: its processes, compiled code and archive.
-STARTING = (Cost(0.75, 1.05),)
+STARTING = (Cost(0.65, 0.95),)
 _STEPS = "transient+steps"
 #: Costs of each task, which add up. That of a line computed side by side with others includes no points.
 COSTS = {

@@ -84,14 +84,13 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
             accepted &= ~_inside(part.box, keys, box)
     for low, parts in cells.items():
         at_panel = np.flatnonzero(panels == low)
-        for number, part in enumerate(parts):
+        for part in parts:
             inside = np.flatnonzero(_inside(part.box, keys, box) & accepted)
             if not len(inside):
                 continue
             made: list[Sheet] = []
             if is_interpolated(want, accuracy):
-                room = part.box.count(values) * len(at_panel)
-                made = _sheets(family, box, tuple(cells), values, low, number, tuple(want), accuracy, room)
+                made = _sheets(family, part, tuple(want), accuracy, part.box.count(values) * len(at_panel))
             asked = part, keys[inside], slope[at_panel], want, wanted, friction_limit
             solved, accepted[inside] = solve(family, *asked, made, accuracy)
             for name, value in solved.items():
@@ -113,7 +112,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     return [({}, joined | {"reasons": np.array(reasons)})]
 
 
-@functools.lru_cache(256)
+@functools.lru_cache(16)  # blocks of lines come cell by cell
 def _cells(
     family: Family, box: Box, panels: tuple[float, ...], values: tuple[tuple[float, ...], ...]
 ) -> dict[float, list[Cell]]:
@@ -122,20 +121,8 @@ def _cells(
     return {low: cells.make(low) for low in panels}
 
 
-@functools.lru_cache(256)
-def _sheets(
-    family: Family,
-    box: Box,
-    panels: tuple[float, ...],
-    values: tuple[tuple[float, ...], ...],
-    low: float,
-    number: int,
-    want: tuple[str, ...],
-    accuracy: float,
-    points: int,
-) -> list[Sheet]:
-    """Polynomials of one of the cells of a box; none where they do not reach the accuracy, or have too few points."""
-    return sheets(family, _cells(family, box, panels, values)[low][number], want, accuracy, points)
+#: Polynomials of a cell, made once for all blocks of its lines.
+_sheets = functools.lru_cache(256)(sheets)
 
 
 def _inside(part: Box, keys: np.ndarray, whole: Box) -> np.ndarray:

@@ -14,7 +14,7 @@ from tasks.accuracy import nodes_for
 from tasks.costs import COSTS, OTHERS, PANEL, POINTS, STARTING, Cost
 from tasks.registry import OPTIONS, VARIABLES
 
-#: Panels of slopes from which on most lines of a plane are surveyed besides, in the mean of studies.
+#: From so many panels of slopes on, plans take all lines of a plane to be surveyed as well.
 _PANELS_WITH_ENDS = 32
 
 

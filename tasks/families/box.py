@@ -72,7 +72,7 @@ class Box:
         return int(np.prod([((v >= a) & (v <= b)).sum() for v, a, b in sides]))
 
     def common(self, other: Box) -> Box:
-        """Return the part that another box of the same keys has too; that of two which have none is empty."""
+        """Return the part that another box of the same keys has too; it holds nothing if there is none."""
         low, high = np.maximum(self.low, other.low), np.minimum(self.high, other.high)
         return Box(self.keys, tuple(low.tolist()), tuple(high.tolist()), self.log)
 

@@ -70,7 +70,7 @@ class Family:
         return resolve_many(walker, {**fixed, **dict(zip(self.keys, points.T.copy(), strict=True))})
 
 
-@dataclass
+@dataclass(eq=False)
 class Cell:
     """A box with its patches; where they were refused, `why` says so, and its lines are surveyed one by one."""
 

@@ -13,8 +13,8 @@ from tasks.families.cell import FEW, Cell, Family, make_cell
 #: How many times more often a box may be halved along one key than along another: what changes in it may lie along a
 #: curve that no halves along one key leave.
 _MOST_UNEVEN = 2
-#: How often a box is halved, from how many lines on its patches are worth their making, and what share of the lines of
-#: the whole may have been surveyed when another part begins.
+#: How often a box is halved at most; how many lines make its patches worth their making; and how many lines may have
+#: been surveyed for its parts when another one is tried, as a share of those that it holds.
 _MOST_SPLITS, _LEAST_LINES, _SHARE = 6, 24, 0.25
 
 Part = TypeVar("Part")
@@ -58,7 +58,7 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
 
 
 class Cells:
-    """Makes the cells of a box for one panel after the other, as far as they are worth it.
+    """Makes the cells of a box for one panel after the other, as far as that takes less than its lines one by one.
 
     Parameters
     ----------
@@ -74,18 +74,18 @@ class Cells:
         self.alone: list[Box] = []
         self.surveyed: set[tuple[Box, int]] = set()
 
-    def make(self, low: float, splits: int = _MOST_SPLITS) -> list[Cell]:
-        """Make the cells for the panel from ln slope `low` on; the box may be halved so often."""
+    def make(self, low: float) -> list[Cell]:
+        """Make the cells for the panel from ln slope `low` on."""
 
         def cell(box: Box, why: str) -> Cell:
             return make_cell(self.family, box, low, self.surveyed, why)
 
-        cells = divide(self.box, cell, self._is_worth, splits)
+        cells = divide(self.box, cell, self._is_worth, _MOST_SPLITS)
         self.alone += [each.box for each in cells if each.why and self._left(each.box)]
         return cells
 
     def _is_worth(self, part: Box) -> bool:
-        """Whether a part has lines enough, and those surveyed so far leave some for a new one."""
+        """Whether a part has lines enough, and was tried before or may be tried after all that was surveyed."""
         spent = sum(_number_of_lines(len(box.keys), n) for box, n in self.surveyed)
         is_new = (part, FEW) not in self.surveyed
         return self._left(part) >= _LEAST_LINES and not (is_new and spent > _SHARE * self.box.count(self.values))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from tasks.continuation.branch import Branch
 from tasks.fixed_points.polish import Guesses
@@ -115,6 +114,9 @@ def match(lines: list[list[Piece]], neighbour: list[int], low: float, high: floa
     list of list of Piece or None
         For each group, its piece on every line; None where there is none.
     """
+    # This takes as long to import as all other modules that solve points together: only planes need it.
+    from scipy.optimize import linear_sum_assignment
+
     groups: list[list[Piece | None]] = []
     for i in sorted(range(len(lines)), key=lambda i: _depth(neighbour, i)):
         here, before = lines[i], neighbour[i]

@@ -68,6 +68,12 @@ def test_costs_grow_with_what_is_asked(tmp_path):
     plane = LINE.replace('"D"', '"E"') + "R = { from = 0.0, to = 0.1, n = 1000 }\n"
     narrow = plane.replace("from = 0.001", "from = 0.019")
     assert seconds(plane, "atlas") > 5 * seconds(narrow, "atlas")  # cells are made for every panel of slopes
+
+    def of_more_panels(n):
+        of = [seconds(study.replace("n = 1000", f"n = {n}"), "atlas") for study in (plane, narrow)]
+        return of[0] - of[1]
+
+    assert of_more_panels(100) > 1.5 * of_more_panels(1000)  # which fewer lines share
     # A list counts by its length; a study of a straight and a kneed walker is their mean.
     assert seconds(STUDIES["cascade"] + "[options]\nfamilies = [1, 3]\n", "cascade") == pytest.approx(
         2 * seconds(STUDIES["cascade"], "cascade")

@@ -321,6 +321,16 @@ def test_a_box_is_halved_along_both_keys():
     assert max((b.high[1] - b.low[1]) / (b.high[0] - b.low[0]) for b in parts) <= 4
 
 
+def test_lower_halves_stand_before_upper_ones_however_often_they_are_halved():
+    def make_part(box, why):
+        if not why and box.low[0] == 0.0:
+            raise Refused("at zero", 0)
+        return box
+
+    parts = divide(Box(("a",), (0.0,), (1.0,)), make_part, lambda box: True, 3)
+    assert [box.low[0] for box in parts] == [0.0, 0.125, 0.25, 0.5]
+
+
 def lanes(walker, **keys):
     return Lanes(resolve_many(walker, {key: np.array([value]) for key, value in keys.items()}))
 

@@ -253,10 +253,11 @@ def test_few_lines_serve_where_only_their_polynomial_ends_near_the_panel(monkeyp
     keys = {"detuning": (0.5, 1.0), "m_h": (0.0, 0.75)}
     family = Family.of({"walker": "C", "set": {}}, tuple(keys))
     box = Box(tuple(keys), (0.5, 0.0), (1.0, 0.75))
-    maker = _Maker(family, box, float(np.floor(np.log(0.04) / PANEL) * PANEL), set())
+    surveyed = set()
+    maker = _Maker(family, box, float(np.floor(np.log(0.04) / PANEL) * PANEL), surveyed)
     assert any(np.isnan(maker.cuts(group)).any() for group in maker.groups(3))
     patches = maker.of_few_lines()
-    assert len(patches) == 2
+    assert len(patches) == 2 and surveyed == {(box, 3)}
     assert not any(any(patch.events) for patch in patches)
     verified = cells.verify_steps
 
@@ -267,6 +268,17 @@ def test_few_lines_serve_where_only_their_polynomial_ends_near_the_panel(monkeyp
 
     monkeypatch.setattr(cells, "verify_steps", one_ends)
     assert maker.of_few_lines() is None
+
+
+def test_patches_whose_predictions_err_by_a_fiftieth_are_refused(cell):
+    family, right = cell
+    maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL), set())
+    patch = copy.deepcopy(right.patches[0])
+    patch.error = 0.0199
+    assert maker.measured(patch) is patch
+    patch.error = 0.0201
+    with pytest.raises(Refused, match="err by 0.02"):
+        maker.measured(patch)
 
 
 def test_a_box_of_few_lines_is_left_to_lines():
@@ -297,7 +309,7 @@ class RefusingMaker:
 MADE = []
 
 
-@pytest.mark.parametrize(("each", "tried"), [(30, 6), (40, 11), (12, 1)])
+@pytest.mark.parametrize(("each", "tried"), [(30, 6), (39, 10), (40, 11), (12, 1)])
 def test_a_box_is_not_halved_when_a_quarter_as_many_lines_are_surveyed(each, tried, monkeypatch):
     """A box and each of its parts take 39 lines: 9 + 25 at nodes, 4 at corners, and one."""
     monkeypatch.setattr(cells, "_Maker", RefusingMaker)
@@ -355,6 +367,15 @@ def test_polynomials_of_more_gaits_than_points_are_not_fitted():
 
 #: Variables of a plane that polynomials may give.
 SMOOTH = tuple(name for name in (*WANT, "multiplier_error_bound", "loss_normal") if name != "residual")
+
+
+def test_polynomials_are_fitted_for_all_points_of_a_cell(monkeypatch):
+    """At its 30 by 30 lines, at one slope of the first panel and two of the second."""
+    fitted = []
+    monkeypatch.setattr(solve_planes, "_sheets", lambda *a: fitted.append(a[-1]) or [])
+    params = block("B", 2)
+    lines({**params, "slope": np.array([0.004, 0.01, 0.0101]), "want": SMOOTH, "accuracy": 1e-3}, [])
+    assert fitted == [900, 1800]
 
 
 @pytest.mark.parametrize("name", PLANES)
