@@ -20,6 +20,7 @@ from typing import Any
 import jinja2
 import pandas as pd
 
+from pipeline import paths
 from pipeline.archive.citation import PAPER
 from pipeline.archive.read import damage
 from pipeline.errors import ArchiveError
@@ -33,6 +34,9 @@ _TEMPLATES, _SCRIPTS = Path(__file__).parent / "templates", Path(__file__).paren
 
 #: Modules of the script, each of which may call those before it.
 _MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables")
+
+#: Ends the names of drafts, by which a report finds those of one that was killed; drawn by lot, so nobody else's do.
+_DRAFT = "0f880eeb4f27a9a9d8dbbd8e0c329cc6"
 
 #: Names of pages that belong to no study.
 _RESERVED = ("index", "ledger")
@@ -168,11 +172,16 @@ def _readable(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _locked(out: Path) -> Iterator[None]:
-    """Hold the folder while its pages are combined: of two reports into it, one waits for the other."""
+    """Hold the folder while its pages are combined: of two reports into it, one waits for the other.
+
+    Drafts there are left from a report that was killed, and are removed.
+    """
     folder = os.open(out, os.O_RDONLY)
     try:
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(folder, fcntl.LOCK_EX)
+            for draft in out.glob(f".*.{_DRAFT}"):
+                draft.unlink()
         yield
     finally:
         os.close(folder)
@@ -356,9 +365,13 @@ def _csv(frame: pd.DataFrame) -> str:
 
 def _publish(path: Path, text: str) -> None:
     """Replace a file at once: a reader sees the old text or the new."""
-    draft = path.with_name(f"{path.name}.tmp.{os.getpid()}")
+    draft = paths.of(path, _DRAFT)
     try:
         draft.write_text(text, encoding="utf-8")
         os.replace(draft, path)
+    except OSError as error:
+        error.filename = str(path)  # a draft means nothing to its reader
+        raise
     finally:
-        draft.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            draft.unlink()

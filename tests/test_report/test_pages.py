@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pipeline import paths
 from pipeline.archive import read as archive_reader
 from pipeline.archive.citation import PAPER
 from pipeline.errors import ArchiveError
@@ -207,6 +208,19 @@ def test_pages_made_in_one_process_or_several_have_the_same_bytes(report, archiv
         path.name: path.read_bytes() for path in report.iterdir()
     }
     assert pool.called
+
+
+def test_drafts_of_a_report_that_was_killed_are_removed_by_the_next(archives, tmp_path, monkeypatch):
+    """And no file of somebody else, as the draft of an archive in the same folder."""
+    gone = [paths.of(tmp_path / name, pages._DRAFT) for name in ("x.html", "index.html", "ledger.csv")]
+    others = [paths.of(tmp_path / "x.nc", "0" * 32), tmp_path / ".x.html.5", tmp_path / f"x.html.{pages._DRAFT}"]
+    for file in (*gone, *others):
+        file.write_text("")
+    monkeypatch.setattr(pages.os, "replace", Mock(side_effect=PermissionError(13, "Permission denied", "draft")))
+    with pytest.raises(PermissionError) as refused:
+        pages.write(archives[:1], tmp_path)
+    assert refused.value.filename.startswith(str(tmp_path / "")) and ".csv" in refused.value.filename
+    assert set(tmp_path.iterdir()) == set(others)
 
 
 def test_a_report_adds_to_the_pages_already_there(report, archives, tmp_path):
