@@ -154,9 +154,7 @@ def simulate(
     StudyError
         If an argument is invalid.
     """
-    steps = whole_number("steps", steps, 1)
-    if steps > _MAX_STEPS:
-        raise Location("", "steps").wrong(f"must be at most {_MAX_STEPS:,}", steps)
+    steps = whole_number("steps", steps, _MAX_STEPS)
     pushed = {k: _numbers("pushes", v, 2) for k, v in _by_step("pushes", pushes, steps).items()}
     heights = {k: number("ground", v) for k, v in _by_step("ground", ground, steps).items()}
     params = _params(walker, slope, state, keys)

@@ -52,8 +52,8 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     if not isinstance(archive, str | Path):
         raise ArchiveError(f"An archive must be a file; got {type(archive).__name__}.")
     path = Path(archive)
-    if path.is_file():
-        read.probe_once(path.resolve(), path.stat().st_mtime_ns)
+    read.size_of(path)
+    read.probe_once(path.resolve(), path.stat().st_mtime_ns)
     with read.open_archive(path) as file:  # what cannot be read of a damaged file is told as such
         tables = list(read.tables(file))
         if table is None:
@@ -142,9 +142,7 @@ def run(
     GaitsweepError
         If the run cannot start or continue; finished results are kept.
     """
-    jobs = broadcast.whole_number("jobs", jobs, 1)
-    if jobs > MAX_JOBS:
-        raise Location("", "jobs").wrong(f"must be at most {MAX_JOBS:,}", jobs)
+    jobs = broadcast.whole_number("jobs", jobs, MAX_JOBS)
     if not isinstance(cluster, str | None):
         raise Location("", "cluster").wrong("must be tcp://HOST:PORT or local:N", cluster)
     if not isinstance(archive, str | Path | None) or (archive is not None and not Path(archive).name):
@@ -234,9 +232,7 @@ def gaits(
     Points are solved as by a study, line by line: the branches of the last lines are remembered, which makes later
     calls faster and does not change them.
     """
-    steps = broadcast.whole_number("steps", steps, 1)
-    if steps > MAX_STEPS:
-        raise Location("", "steps").wrong(f"must be at most {MAX_STEPS}", steps)
+    steps = broadcast.whole_number("steps", steps, MAX_STEPS)
     asked = 0.0 if accuracy is None else parse.accuracy(accuracy, Location("", "accuracy"))
     names = [variables] if isinstance(variables, str) else variables
     if not isinstance(names, Iterable | None):
@@ -290,7 +286,7 @@ def solve(
         broadcast.number("slope", slope),
         broadcast.changes(keys),
         every,
-        broadcast.whole_number("steps", steps, 1),
+        broadcast.whole_number("steps", steps, MAX_STEPS),
         accuracy,
     )
     rows = [

@@ -58,6 +58,22 @@ def is_nameable(path: Path) -> bool:
     return "\\" not in name and "\ufffd" not in name
 
 
+def size_of(path: Path) -> int:
+    """Size of an archive [byte].
+
+    Raises
+    ------
+    ArchiveError
+        If there is no such file, or it cannot be looked at.
+    """
+    try:
+        if path.is_file():
+            return path.stat().st_size
+    except OSError as error:  # its name is too long, or its folder may not be read
+        raise ArchiveError(f"{path} cannot be read: {error.strerror}.") from error
+    raise ArchiveError(f"There is no archive {path}.")
+
+
 @contextlib.contextmanager
 def open_archive(path: Path) -> Iterator[Any]:
     """Open an archive of this schema for reading.
@@ -67,8 +83,7 @@ def open_archive(path: Path) -> Iterator[Any]:
     ArchiveError
         If it cannot be read or is not an archive of gaitsweep.
     """
-    if not path.is_file():
-        raise ArchiveError(f"There is no archive {path}.")
+    size_of(path)
     if not is_nameable(path):
         raise ArchiveError(f"The netCDF library opens no file of such a name as {path}; name it from its own folder.")
     opened = open_netcdf(path)
@@ -209,14 +224,14 @@ def probe(paths: Iterable[Path]) -> None:
     Raises
     ------
     ArchiveError
-        If one crashes or hangs it.
+        If one crashes or hangs it, or is not there.
     WorkerError
         If there is no other process, as where a user may have no more.
     """
     # Threads of a numerical library are not needed, and may be refused.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     for path in paths:
-        size = path.stat().st_size if path.is_file() else 0
+        size = size_of(path)
         command = [sys.executable, "-P", "-m", "pipeline.archive.read", str(path)]
         try:
             null = subprocess.DEVNULL
@@ -294,8 +309,7 @@ def check_replaceable(path: Path) -> None:
 def not_attempted(path: Path) -> int | None:
     """Number of points of an archive that were not attempted; None if there is no archive."""
     try:
-        if path.exists():
-            probe([path])
+        probe([path])
         with open_archive(path) as file:
             return int(file.not_attempted)
     except (ArchiveError, WorkerError, ValueError, TypeError, AttributeError):

@@ -24,7 +24,9 @@ _EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        raise StudyError(f"{message[:1].upper()}{message[1:]} ({self.prog} --help).")
+        from pipeline.study.location import clip
+
+        raise StudyError(f"{message[:1].upper()}{clip(message[1:], 500)} ({self.prog} --help).")
 
 
 class _Version(argparse.Action):

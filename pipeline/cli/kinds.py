@@ -6,10 +6,10 @@ from argparse import ArgumentTypeError
 from pathlib import Path
 
 
-def count(text: str) -> int:
+def count(text: str, most: int = 10**9) -> int:
     """A whole number from 1."""
-    if not text.isdecimal() or not 1 <= int(text) <= 10**9:
-        raise ArgumentTypeError(f"must be a whole number of at least 1; got {text}")
+    if not text.isdecimal() or len(text) > 10 or not 1 <= int(text) <= most:
+        raise ArgumentTypeError(f"must be a whole number from 1 to {most:,}; got {text[:60]}")
     return int(text)
 
 
@@ -17,9 +17,7 @@ def jobs(text: str) -> int:
     """A number of processes on one computer."""
     from pipeline.execution.executors import MAX_JOBS
 
-    if count(text) > MAX_JOBS:
-        raise ArgumentTypeError(f"must be at most {MAX_JOBS:,}; got {text}")
-    return int(text)
+    return count(text, MAX_JOBS)
 
 
 def archive(text: str) -> Path:

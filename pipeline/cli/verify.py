@@ -17,12 +17,11 @@ def report(archive: Path, as_json: bool) -> int:
     ArchiveError
         If there is no such file.
     """
+    read.size_of(archive)
     try:
         read.probe([archive])
         problems = verify.verify(archive)
     except ArchiveError as error:
-        if not archive.is_file():
-            raise
         problems = [str(error)]
     if as_json:
         print(json.dumps({"archive": str(archive), "valid": not problems, "problems": problems}))

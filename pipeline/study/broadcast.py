@@ -66,16 +66,16 @@ def changes(keys: Mapping[str, object]) -> dict[str, float | bool]:
     return {key: bool(value) if key == "knees" else number(key, value) for key, value in keys.items()}
 
 
-def whole_number(name: str, value: object, least: int) -> int:
-    """Check that an argument is a whole number, of Python or numpy.
+def whole_number(name: str, value: object, most: int) -> int:
+    """Check that an argument is a whole number from 1, of Python or numpy.
 
     Raises
     ------
     StudyError
-        If it is not, or is less than `least`.
+        If it is not, or is greater than `most`.
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise Location("", name).wrong(f"must be a whole number from {least}", value)
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= most:
+        raise Location("", name).wrong(f"must be a whole number from 1 to {most:,}", value)
     return int(value)
 
 

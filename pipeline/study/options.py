@@ -61,7 +61,7 @@ def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> Non
     if what == "steps" and not (_count(value) and value <= MAX_STEPS):
         raise place.wrong(f"must be a whole number from 1 to {MAX_STEPS}", value)
     if what == "counts" and not (isinstance(value, list) and value and all(map(_count, value))):
-        raise place.wrong("must be a list of whole numbers from 1", value)
+        raise place.wrong(f"must be a list of whole numbers from 1 to {_MAX:,}", value)
     if what in _NUMBERS:
         fits, bound = _NUMBERS[what]
         if not fits(place.number(value)):

@@ -90,7 +90,8 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     if name is None:
         raise top.error("A study needs a `name`")
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
-        raise top.at("name").wrong("must be letters, digits, dots, dashes or underscores", name)
+        allowed = "must be up to 100 letters, digits, dots, dashes or underscores, the first a letter or digit"
+        raise top.at("name").wrong(allowed, name)
     kind = table.get("kind", "grid")
     if not isinstance(kind, str):
         raise top.at("kind").wrong(f"must be one of {', '.join(kinds())}", kind)

@@ -50,7 +50,7 @@ def solve(
     if not 0 < slope < 0.5:
         raise Location("", "slope").wrong("must lie in (0, 0.5) rad", slope)
     if not 1 <= steps <= MAX_STEPS:
-        raise Location("", "steps").wrong(f"must lie in [1, {MAX_STEPS}]", steps)
+        raise Location("", "steps").wrong(f"must be a whole number from 1 to {MAX_STEPS}", steps)
     if every and steps > 1:
         raise Location("", "steps").wrong("must be 1 for gaits whose legs pass more than once", steps)
     walker = files.walker(definition, Path())

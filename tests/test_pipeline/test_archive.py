@@ -619,6 +619,7 @@ def test_a_command_that_was_suspended_blames_no_archive(tmp_path, reader):
         "import sys; from pathlib import Path; from pipeline.archive import read\n"
         f"sys.executable, read._TIMEOUT = {reader(1)!r}, 3.0; read.probe([Path('any.nc')])"
     )
+    (tmp_path / "any.nc").touch()
     process = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path, env={**os.environ, "PYTHONPATH": ROOT})
     while not (tmp_path / "begun").exists() and process.poll() is None:
         time.sleep(0.02)
@@ -630,6 +631,7 @@ def test_an_archive_on_which_the_library_hangs_is_damaged(tmp_path, monkeypatch,
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "executable", reader(60))
     monkeypatch.setattr(read, "_TIMEOUT", 0.3)
+    (tmp_path / "a.nc").touch()
     began, before = time.monotonic(), descendants(os.getpid())
     with pytest.raises(ArchiveError, match="the netCDF library hangs on it"):
         read.probe([tmp_path / "a.nc"])

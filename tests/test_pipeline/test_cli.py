@@ -117,6 +117,10 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
     assert "1,000,000 points" in found[0] and int(found[-1]) < 200 * 1024
 
 
+LONG_NAME = [300 * "x" + ".nc"]
+CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {} (gaitsweep run --help)."
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -124,7 +128,7 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
         (["run", "none.toml"], "There is no file none.toml."),
         (
             ["run", "s.toml", "--jobs", "0"],
-            "Argument --jobs: must be a whole number of at least 1; got 0 (gaitsweep run --help).",
+            "Argument --jobs: must be a whole number from 1 to 1,000; got 0 (gaitsweep run --help).",
         ),
         (
             ["run", "s.toml", "t.toml", "--archive", "x.nc"],
@@ -138,7 +142,7 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
         ),
         (
             ["run", "s.toml", "--jobs", "1001"],
-            "Argument --jobs: must be at most 1,000; got 1001 (gaitsweep run --help).",
+            "Argument --jobs: must be a whole number from 1 to 1,000; got 1001 (gaitsweep run --help).",
         ),
         (["run", "s.toml", "--archive", "s.toml/x.nc"], "s.toml cannot be written: File exists."),
         (
@@ -158,8 +162,15 @@ def test_a_plan_of_a_million_points_is_quick_and_small(tmp_path, axes):
         ),
         (["plan", "s.toml", "s.toml"], "Two studies are called toy."),
         (["verify", "none.nc"], "There is no archive none.nc."),
+        *(
+            ([command, *LONG_NAME * n], f"{LONG_NAME[0]} cannot be read: File name too long.")
+            for command, n in (("verify", 1), ("report", 1), ("diff", 2), ("prove", 1))
+        ),
+        (["run", "s.toml", "--chunk", 999 * "9"], CHUNK.format(60 * "9")),
+        (["completion", 999 * "x"], f"Argument shell: invalid choice: '{'x' * 465}... (gaitsweep completion --help)."),
         (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
-        (["diff", "s.toml", "none.nc"], "s.toml is no netCDF file that can be read."),
+        (["diff", "s.toml", "none.nc"], "There is no archive none.nc."),
+        (["diff", "s.toml", "s.toml"], "s.toml is no netCDF file that can be read."),
         (["solve", "--walker", "D", "--slope", "0.7"], "`slope` must lie in (0, 0.5) rad; got 0.7."),
         (
             ["solve", "--walker", "Q", "--slope", "0.1"],

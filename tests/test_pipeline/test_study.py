@@ -27,11 +27,15 @@ seconds = 5
 memory = "1.5 GiB"
 """
 
+NAMED = "`name` must be up to 100 letters, digits, dots, dashes or underscores, the first a letter or digit"
+
 #: What a user may write instead of a line of the good study, and what is said about it.
 WRONG = {
     'name = "s"': {
-        'name = "../s"': "`name` must be letters, digits, dots, dashes or underscores; got '../s' (s.toml, name).",
-        'name = "my study"': "`name` must be letters, digits, dots, dashes or underscores; got 'my study' (s.toml, name).",
+        'name = "../s"': f"{NAMED}; got '../s' (s.toml, name).",
+        'name = "my study"': f"{NAMED}; got 'my study' (s.toml, name).",
+        'name = "-s"': f"{NAMED}; got '-s' (s.toml, name).",
+        'name = "' + 101 * "s" + '"': NAMED + "; got '" + 56 * "s" + " (s.toml, name).",
         "": "A study needs a `name` (s.toml).",
         'name = "s"\nwalkr = "E"': "Unknown key `walkr`, did you mean `walker`? (s.toml).",
         'name = "s"\nkind = "brunch"': "Unknown name `brunch`, did you mean `branch`? (s.toml, kind).",
@@ -110,7 +114,11 @@ WRONG_OPTIONS = [
     ),
     ("orbit", 'gait = "loong"', "Unknown name `loong`, did you mean `long`? (s.toml, options.gait)."),
     ("orbit", 'spread = "1e-3"', "`spread` must be a number; got '1e-3' (s.toml, options.spread)."),
-    ("cascade", "families = 3", "`families` must be a list of whole numbers from 1; got 3 (s.toml, options.families)."),
+    (
+        "cascade",
+        "families = 3",
+        "`families` must be a list of whole numbers from 1 to 1,000,000; got 3 (s.toml, options.families).",
+    ),
     (
         "basin",
         "stance_rate = [0.2, 0.1]",
