@@ -4,7 +4,9 @@ import json
 import os
 import subprocess
 import sys
+import time
 
+import numpy as np
 import pytest
 
 from conftest import ROOT, STUDY
@@ -37,9 +39,19 @@ def processor_time(folder, *arguments):
     return used.ru_utime + used.ru_stime
 
 
+def slowness():
+    """Processor time of a fixed piece of work, over that on the core of the plan's costs; at least 1."""
+    begun = time.process_time()
+    numbers = np.random.default_rng(1).random(200_000)
+    for _ in range(10):
+        np.exp(np.sort(numbers))
+        sorted((x * x for x in numbers[:100_000].tolist()), reverse=True)
+    return max(1.0, (time.process_time() - begun) / 0.31)
+
+
 @pytest.mark.parametrize("name", [*STUDIES, "more slopes than are stored"])
 def test_the_time_of_a_plan_is_that_of_its_run(name, tmp_path, monkeypatch, capsys):
-    """Within a factor of 1.5 on a quiet machine; twice that is allowed here, for time itself varies on shared ones."""
+    """Within a factor of three of a core as slow as this one, which may be shared."""
     monkeypatch.chdir(tmp_path)
     if name not in STUDIES:  # a few points, which took as long as the start of a worker
         (tmp_path / "s.toml").write_text(LINE.replace("n = 20", "n = 4"))
@@ -48,9 +60,11 @@ def test_the_time_of_a_plan_is_that_of_its_run(name, tmp_path, monkeypatch, caps
     assert commands.main(["plan", "s.toml", "--json"]) == 0
     (plan,) = json.loads(capsys.readouterr().out)
     taken = processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1")
-    for _ in range(3):  # a shared machine may be slow by a factor of two, for half a minute
+    for _ in range(3):  # the first run may compile, and the machine may be slow for half a minute
         if taken > 3 * plan["seconds"]:
-            taken = min(taken, processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1", "--fresh"))
+            before = slowness()
+            taken = processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1", "--fresh")
+            taken /= (before + slowness()) / 2
     assert 1 / 3 < plan["seconds"] / taken < 3, f"{plan['seconds']:.2f} s planned, {taken:.2f} s taken"
 
 
