@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.archive import attributes, chunks, layout
 from pipeline.archive.written import Written, line_description, write_strings
 from pipeline.plan.missing import Plan
-from pipeline.statuses import ANSWERS
+from pipeline.statuses import ALL_STATUSES, ANSWERS
 from pipeline.store import lines
 from pipeline.store.finished import FinishedChunk, digest, extent_of, status_rows
 from pipeline.store.packing import Packed, pack_values
@@ -45,6 +45,7 @@ class PointWriter:
         #: Points in a chunk, if it is a part of one line.
         self.extent = 0 if plan.blocks else layout.line_extent(self.grid.sizes)
         self._ranges = functools.lru_cache(64)(self._read_ranges)
+        self._unreached = functools.lru_cache(256)(self._pack_unreached)
         self._digest = functools.lru_cache(1024)(lambda start, stop: digest(self.study.slope[start:stop]))
         self.columns = [GAITS.index(g) for g in self.study.gaits]
         others_wanted = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
@@ -70,6 +71,12 @@ class PointWriter:
             if set(ANSWERS).issuperset(itertools.chain(*rows)):
                 self._count(rows, (chunk.head.sentences[k] for k in chunk.head.used(self.columns)))
                 return
+        if self._is_unreached(box):
+            slopes, number = self.grid.slopes(box), int(self.grid.lines_in(box)[1][0])
+            row = (ALL_STATUSES["not_attempted"],) * len(self.columns)
+            self._count(Counter({row: len(slopes)}), [lines.NOT_ATTEMPTED])
+            self._add_failure(lines.NOT_ATTEMPTED, len(slopes), number, slopes[0])
+            return
         for _, numbers, data in self._lines(box, ()):
             status, reason = (
                 data[name][..., self.columns].reshape(-1, len(self.columns)) for name in ("status", "reason")
@@ -94,8 +101,11 @@ class PointWriter:
         for k in np.unique(reasons):
             failed_rows = rows[reasons == k]
             line, slope = divmod(int(failed_rows[0]), len(slopes))
-            example = f"{line_description(self.study, int(numbers[line]))} slope={float(slopes[slope])!r}"
-            self.written.add_failure(str(data["reasons"][k]), len(failed_rows), example)
+            self._add_failure(str(data["reasons"][k]), len(failed_rows), int(numbers[line]), slopes[slope])
+
+    def _add_failure(self, reason: str, points: int, number: int, slope: float) -> None:
+        example = f"{line_description(self.study, number)} slope={float(slope)!r}"
+        self.written.add_failure(reason, points, example)
 
     def _lines(
         self, box: layout.Box, names: tuple[str, ...]
@@ -108,13 +118,27 @@ class PointWriter:
     def _read_ranges(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self.plan.journal.ranges(self.plan.line_keys(number)["points"].key)
 
+    def _stored(self, box: layout.Box) -> list[int]:
+        """Numbers of the journal's blocks that may hold points of a part of one line, latest first."""
+        slopes = self.grid.slopes(box)
+        numbers, low, high = self._ranges(int(self.grid.lines_in(box)[1][0]))
+        stored: list[int] = numbers[(low <= slopes.max()) & (high >= slopes.min())][::-1].tolist()
+        return stored
+
+    def _is_unreached(self, box: layout.Box) -> bool:
+        """Whether a box is a part of one line of which nothing is known: its points need not be looked at."""
+        if not self.extent or self._stored(box):
+            return False
+        atlas = self.plan.line_keys(int(self.grid.lines_in(box)[1][0])).get("atlas")
+        outcome = self.plan.journal.outcome(atlas.key) if atlas else None
+        return outcome is None or outcome.status == "ok"
+
     def _finished(self, box: layout.Box) -> FinishedChunk | None:
         """The finished chunk that holds the points of a box, if the latest that is stored of them is one."""
         if not self.extent:
             return None
-        slopes, span = self.grid.slopes(box), self.grid.slope_span(box)
-        numbers, low, high = self._ranges(int(self.grid.lines_in(box)[1][0]))
-        for number in numbers[(low <= slopes.max()) & (high >= slopes.min())][::-1].tolist():
+        span = self.grid.slope_span(box)
+        for number in self._stored(box):
             block = self.plan.journal.block(number)
             if self.plan.want <= block.variables:
                 head = block.finished.head if block.finished else None
@@ -167,12 +191,13 @@ class PointWriter:
     def _pieces(self, box: layout.Box, pool: ThreadPoolExecutor) -> Iterator[_Piece]:
         """Chunks of every variable in a box."""
         chunk = self._finished(box)
-        if chunk:
-            start = tuple(s.start for s in box)
+        if chunk or self._is_unreached(box):
+            start, points = tuple(s.start for s in box), len(self.grid.slopes(box))
             for name, shape in self.shapes.items():
+                unreached = functools.partial(self._unreached, name, points)
                 for g, column in enumerate(self.columns):
                     corner = (*start, g, *(0,) * (len(shape) - len(start) - 1))
-                    yield name, corner, functools.partial(self._copy, chunk, name, column)
+                    yield name, corner, functools.partial(self._copy, chunk, name, column) if chunk else unreached
             return
         for name, values in self._region(box).items():
             for corner, part in layout.split(values, box, self.shapes[name]):
@@ -189,6 +214,12 @@ class PointWriter:
         points = extent_of(name, head.points, self.multipliers)
         absent = VARIABLES[name].absent, self.dtypes[name]
         return head.piece(chunk.payload, name, column) or pack_values(np.full(points, *absent), shape)
+
+    def _pack_unreached(self, name: str, points: int) -> Packed:
+        """The piece of a chunk none of whose points is known."""
+        states = {"status": ALL_STATUSES["not_attempted"], "reason": self._numbers.get(lines.NOT_ATTEMPTED, 0)}
+        shape, extent = (extent_of(name, n, self.multipliers) for n in (points, self.extent))
+        return pack_values(np.full(shape, states.get(name, VARIABLES[name].absent), self.dtypes[name]), extent)
 
     @functools.cached_property
     def _numbers(self) -> dict[str, int]:

@@ -21,9 +21,11 @@ from pipeline.archive import layout, points, read, verify, write
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.execution.archive_chunks import ArchiveChunks
 from pipeline.plan.missing import Plan
+from pipeline.statuses import ALL_STATUSES
 from pipeline.store import finished, lines, segment
 from pipeline.store.journal import Journal
 from pipeline.store.journal_file import CorruptJournalError, repair
+from pipeline.store.rows import Result
 from pipeline.study import parse
 from processes import damaged, wait_for_points
 from processes import sidecar_path as sidecar
@@ -414,6 +416,34 @@ def test_an_archive_is_written_whatever_of_a_journal_is_finished(tmp_path, monke
         archives.append((tmp_path / f"{way}.nc").read_bytes())
     assert len(set(archives)) == 1
     assert Counter(put_together) == {"rows": 3, "both": 2, "another grid": 3}  # the others are copied unopened
+
+
+@pytest.mark.parametrize("atlas", ["none", "ok", "timed_out"])
+def test_points_that_nobody_has_reached_are_archived_unseen(tmp_path, monkeypatch, atlas):
+    """With the bytes of an archive that looks at each, and as failures of their atlas where that failed."""
+    monkeypatch.setattr(layout, "CHUNK", 20)
+    monkeypatch.setattr("tasks.registry.SHORT_LINE", 10)
+    monkeypatch.setattr("pipeline.plan.graph.SHORT_LINE", 10)
+    (tmp_path / "s.toml").write_text(
+        'name = "s"\nwalker = "E"\n[axes]\nslope = { from = 0.01, to = 0.1, n = 50 }\n'
+        '[want]\nvariables = ["stance_angle"]\n'
+    )
+    seen, region = [], points.PointWriter._region
+    monkeypatch.setattr(points.PointWriter, "_region", lambda self, box: (seen.append(box[-1]), region(self, box))[1])
+    with contextlib.closing(Journal(tmp_path / "s.journal")) as journal:
+        plan = Plan(parse.read(tmp_path / "s.toml"), journal)
+        if atlas != "none":
+            journal.add_result(*plan.line_keys(0)["atlas"], Result(atlas, "It took too long.", 0, b""), 0.1)
+        _store(journal, plan, np.arange(25, 50), 0)
+        fast = write.write(plan, tmp_path / "fast.nc")
+        assert seen == [slice(0, 17), slice(17, 34), slice(34, 50)][0 if atlas == "timed_out" else 1 :]
+        monkeypatch.setattr(points.PointWriter, "_is_unreached", lambda *a: False)
+        slow = write.write(plan, tmp_path / "slow.nc")
+    assert fast == slow
+    assert (tmp_path / "fast.nc").read_bytes() == (tmp_path / "slow.nc").read_bytes()
+    with read.open_archive(tmp_path / "fast.nc") as file:
+        expected = [ALL_STATUSES["timed_out" if atlas == "timed_out" else "not_attempted"]] * 25
+        assert file["status"][:25, 0].tolist() == expected and file["stance_angle"][:25].mask.all()
 
 
 def _store(journal, plan, numbers, extent):
