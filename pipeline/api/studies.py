@@ -164,7 +164,7 @@ def _study(wanted: str | Path | Mapping[str, Any], accuracy: float | None = None
         table = tomllib.loads(wanted)
     except tomllib.TOMLDecodeError as error:
         raise StudyError(f"The study cannot be read: {error}.") from error
-    return parse.parse(table if accuracy is None else {**table, "accuracy": accuracy}, wanted, Path("study"))
+    return parse.parse(table, wanted, Path("study"), accuracy)
 
 
 def _to_toml(value: Any, key: str) -> str:

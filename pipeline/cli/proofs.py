@@ -19,7 +19,7 @@ def run(options: argparse.Namespace) -> int:
             raise StudyError(f"`--{name}` goes with {'a `--walker`' if options.archive else 'an archive'}.")
     search: list[str] = []
     if options.archive is None:
-        answer = prove.walker(options.walker, options.slope, dict(options.set), options.gait, options.accuracy)
+        answer = prove.walker(options.walker, options.slope, options.set, options.gait, options.accuracy)
         found, search = iter(answer["gaits"]), answer["search"]
     else:
         found = prove.archive(options.archive, options.sample, options.accuracy, options.jobs)

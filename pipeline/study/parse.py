@@ -62,10 +62,10 @@ def read(path: str | Path, asked: float | None = None) -> Study:
     """
     path = Path(path)
     text, table = read_toml(path, str(path))
-    return parse(table if asked is None else {**table, "accuracy": asked}, text, path)
+    return parse(table, text, path, asked)
 
 
-def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
+def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None = None) -> Study:
     """Check the table of a study.
 
     Parameters
@@ -75,6 +75,8 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
         Source of the table, for the archive.
     path : Path
         Name of the study in errors; files it names are relative to its folder.
+    asked : float, optional
+        Accuracy instead of the table's own.
 
     Raises
     ------
@@ -98,7 +100,9 @@ def parse(table: Mapping[str, Any], text: str, path: Path) -> Study:
     if kind not in kinds():
         raise top.at("kind").unknown(kind, kinds())
     gaits = _names(table.get("gaits", list(GAITS)), GAITS, top.at("gaits"))
-    asked = accuracy(table["accuracy"], top.at("accuracy")) if "accuracy" in table else 0.0
+    own = table.get("accuracy"), top.at("accuracy")
+    value, place = own if asked is None else (asked, Location("", "accuracy"))
+    asked = 0.0 if value is None else accuracy(value, place)
     if asked and kind != "grid":
         raise top.at("accuracy").error(f"`accuracy` is of the gaits of a grid; this study is a `{kind}`")
     want: dict[str, Any] = dict(_want(table.get("want", {}), kind, asked, top.at("want")))

@@ -187,6 +187,14 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
         ),
         *(
             (
+                [command, "--walker", "D", "--slope", "0.01", "--set", "R=0.1", "--set", "m_h=1", "--set", "R=0.2"],
+                f"Argument --set: `R` is given twice (gaitsweep {command} --help).",
+            )
+            for command in ("solve", "prove")
+        ),
+        (["plan", "s.toml", "--accuracy", "5"], "`accuracy` must lie in [1e-15, 0.01]; got 5.0."),
+        *(
+            (
                 [command, "--walker", "D", "--slope", "0.01", "--set", f"knees={value}"],
                 f"Argument --set: `knees` must be true or false; got {value} (gaitsweep {command} --help).",
             )
