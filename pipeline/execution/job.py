@@ -17,7 +17,7 @@ class Job:
     """A task over one line, over a chunk of its points (`indices` of slopes), or, without `work`, over the study.
 
     With `block` it is the atlas and all points of some of its lines. `study` are the `StudyJobs` that it belongs to,
-    `seconds` is the estimated time.
+    `missing` is how many points of the line are to be solved, which `work` does not hold, `seconds` the estimated time.
     """
 
     study: Any = field(repr=False)
@@ -26,6 +26,7 @@ class Job:
     params: Mapping[str, Any]
     work: LineWork | None = None
     block: BlockWork | None = None
+    missing: int = 0
     inputs: tuple[bytes, ...] = ()
     indices: np.ndarray | None = None
     probe: bool = False

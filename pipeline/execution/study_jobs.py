@@ -29,6 +29,7 @@ from pipeline.plan.costs import seconds_after
 from pipeline.plan.inputs import study_inputs
 from pipeline.plan.missing import BlockWork, LineWork, Plan
 from pipeline.store import lines
+from pipeline.store.finished import status_rows
 from pipeline.store.rows import Result
 from tasks.registry import GAITS, SECONDS_PER_PROOF
 
@@ -253,12 +254,13 @@ class StudyJobs:
     def _open_line(self, work: LineWork, inputs: tuple[bytes, ...]) -> None:
         self.costs.open_line(work.number, work.missing)
         is_long = not self._is_even and len(work.missing) * self.cost > TARGET_SECONDS
-        points = self._line_job("points", dataclasses.replace(work, missing=work.missing[:0].copy()), inputs)
+        points = self._line_job("points", work, inputs)
         self._queue.open(points, work.missing, _FIRST_CHUNK if is_long else 0)
 
     def _line_job(self, name: str, work: LineWork, inputs: tuple[bytes, ...] = ()) -> Job:
         params, seconds = graph.line_params(self.study, name, work.line), seconds_of(self.study, name)
-        return Job(self, name, work.keys[name], params, work, inputs=inputs, seconds=seconds)
+        missing, work = len(work.missing), dataclasses.replace(work, missing=np.arange(0))  # many jobs may wait
+        return Job(self, name, work.keys[name], params, work, missing=missing, inputs=inputs, seconds=seconds)
 
     def chunk_size(self, job: Job | None = None) -> int:
         """Points in the next chunk: about a second of work, less where workers would otherwise be idle."""
@@ -320,7 +322,7 @@ class StudyJobs:
             if outcome == "ok":
                 self._open.append(job.work.number)
             else:
-                lost = len(job.work.missing)
+                lost = job.missing
                 with self._lock:
                     self.costs.points -= lost
         self.listen("task", {**_event(job, result), "outcome": outcome, "reason": reason, "lost": lost})
@@ -360,10 +362,20 @@ class StudyJobs:
         self.points_measured += n
         self.costs.add(line, indices, seconds, probe)
 
+    def _solved_before(self, job: Job, indices: np.ndarray) -> Counter[str]:
+        """Points by outcome that a job solves again, to finish their chunk."""
+        whole = self.chunks.whole(indices)
+        if whole is None or whole.stop - whole.start == len(indices):
+            return Counter()
+        again = np.setdiff1d(np.arange(whole.start, whole.stop), indices, assume_unique=True)
+        status, *_ = lines.states(self.journal, job.keys.key, self.tokens, self.study.slope[again])
+        return lines.count(status_rows(status), self.columns)
+
     def _record_points(self, job: Job, work: LineWork, indices: np.ndarray, result: dict[str, Any]) -> None:
         """Store a chunk of points and update the costs."""
+        before = self._solved_before(job, indices)
         with self.hold:
-            counts = self._store(job, result, len(indices))
+            counts = self._store(job, result, len(indices)) - before
         self._measure(work.number, indices, result["seconds"], job.probe)
         is_long = not self._is_even and self.costs.seconds_left(work.number) > _PROBED_SECONDS
         if is_long and work.number not in self.costs.probed:

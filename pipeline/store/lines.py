@@ -151,7 +151,7 @@ def unsolved(
         if want <= block.variables:
             inside, positions = places.find(block)
             present[positions] = ~has_failed(block.states, gaits)[inside] if retry else True
-    return np.flatnonzero(~present)
+    return np.arange(places.size, dtype=np.int32)[~present]
 
 
 def states(

@@ -127,6 +127,20 @@ def test_a_line_whose_jobs_end_together_is_probed_once_and_loses_no_point(tmp_pa
         assert not len(plan.line(0).missing)
 
 
+def test_jobs_that_wait_do_not_hold_the_points_of_their_lines(tmp_path):
+    """Atlases of a hundred lines of ten million slopes held four gigabytes."""
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "E"\n[axes]\n' + PEAK)
+    study = parse.read(tmp_path / "s.toml")
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        jobs = StudyJobs(Plan(study, journal), Engine(2), lambda *_: None, study.points)
+        jobs.advance()
+        atlas, _ = jobs.take()
+        jobs._open_line(jobs.plan.line(0), ())
+        waiting = [atlas, *jobs._queue.jobs]
+        assert [job.name for job in waiting[:2]] == ["atlas", "points"]
+        assert all(len(job.work.missing) == 0 and job.missing == len(study.slope) for job in waiting)
+
+
 def test_a_result_that_comes_while_its_line_is_probed_does_not_have_it_probed_again(tmp_path, monkeypatch):
     (tmp_path / "s.toml").write_text('name = "s"\nwalker = "E"\n[axes]\n' + PEAK)
     study, probed = parse.read(tmp_path / "s.toml"), []

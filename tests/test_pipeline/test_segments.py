@@ -206,6 +206,7 @@ def test_chunks_of_which_a_few_points_are_known_are_solved_whole(toy, small):
     assert toy.bytes() == small[0]
     # Of some chunks of twenty one point is known, of others none.
     assert sum(event["points"] for event in chunks(toy)) == 400 - 16 and stored(toy) == (416, 400)
+    assert sum(sum(event["counts"].values()) for event in chunks(toy)) == 400 - 16
 
 
 def test_archives_of_the_first_schema_are_still_read(toy):
