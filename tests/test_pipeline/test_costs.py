@@ -141,6 +141,17 @@ def test_jobs_that_wait_do_not_hold_the_points_of_their_lines(tmp_path):
         assert all(len(job.work.missing) == 0 and job.missing == len(study.slope) for job in waiting)
 
 
+def test_the_points_of_a_line_whose_atlas_fails_are_left_no_longer(tmp_path):
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "E"\n[axes]\n' + PEAK)
+    study, told = parse.read(tmp_path / "s.toml"), []
+    with contextlib.closing(Journal(tmp_path / "j")) as journal:
+        jobs = StudyJobs(Plan(study, journal), Engine(2), lambda *event: told.append(event), study.points)
+        jobs.advance()
+        atlas, _ = jobs.take()
+        jobs.record(atlas, {"outcome": "raised", "reason": "It raised.", "data": b"", "seconds": 0.1})
+        assert told[-1][1]["lost"] == len(study.slope) and jobs.costs.points == study.points - len(study.slope)
+
+
 def test_a_result_that_comes_while_its_line_is_probed_does_not_have_it_probed_again(tmp_path, monkeypatch):
     (tmp_path / "s.toml").write_text('name = "s"\nwalker = "E"\n[axes]\n' + PEAK)
     study, probed = parse.read(tmp_path / "s.toml"), []
