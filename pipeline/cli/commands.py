@@ -29,16 +29,6 @@ class _Parser(argparse.ArgumentParser):
         raise StudyError(f"{message[:1].upper()}{clip(message[1:], 500)} ({self.prog} --help).")
 
 
-class _Set(argparse.Action):
-    """Collects walker keys and their values."""
-
-    def __call__(self, parser: argparse.ArgumentParser, options: argparse.Namespace, setting: Any, *_: Any) -> None:
-        key, value = setting
-        if key in options.set:
-            raise argparse.ArgumentError(self, f"`{key}` is given twice")
-        options.set = {**options.set, key: value}
-
-
 class _Version(argparse.Action):
     def __call__(self, *_: Any) -> NoReturn:
         from pipeline.archive.provenance import version
@@ -108,7 +98,9 @@ def parser() -> argparse.ArgumentParser:
     c = add(_solve, "all gaits at one point")
     c.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
     c.add_argument("--slope", required=True, type=kinds.number, metavar="S", help="rad")
-    c.add_argument("--set", action=_Set, type=kinds.setting, default={}, metavar="KEY=VALUE", help="a walker key")
+    c.add_argument(
+        "--set", action=kinds.Settings, type=kinds.setting, default={}, metavar="KEY=VALUE", help="a walker key"
+    )
     _add_accuracy(c)
     c.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
     c.add_argument(
@@ -121,7 +113,7 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--walker", metavar="NAME|FILE.toml")
     c.add_argument("--slope", type=kinds.decimal, metavar="S", help="rad")
     c.add_argument(
-        "--set", action=_Set, type=kinds.decimal_setting, default={}, metavar="KEY=VALUE", help="a walker key"
+        "--set", action=kinds.Settings, type=kinds.decimal_setting, default={}, metavar="KEY=VALUE", help="a walker key"
     )
     c.add_argument("--gait", metavar="G", help="only the gait of this label")
     c.add_argument("--sample", type=kinds.count, metavar="N", help="only so many gaits of the archive, a fixed draw")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentTypeError
+from argparse import Action, ArgumentError, ArgumentParser, ArgumentTypeError, Namespace
 from pathlib import Path
+from typing import Any
 
 
 def count(text: str, most: int = 10**9) -> int:
@@ -70,3 +71,14 @@ def decimal_setting(text: str) -> tuple[str, str | bool]:
     """A walker key and its value, with all its digits."""
     key, value = setting(text)
     return key, value if isinstance(value, bool) else text.partition("=")[2]
+
+
+class Settings(Action):
+    """Collects walker keys and their values."""
+
+    def __call__(self, parser: ArgumentParser, options: Namespace, setting: Any, *_: Any) -> None:
+        """Add a key that is not there yet."""
+        key, value = setting
+        if key in options.set:
+            raise ArgumentError(self, f"`{key}` is given twice")
+        options.set = {**options.set, key: value}
