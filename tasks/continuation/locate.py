@@ -135,10 +135,14 @@ def settle_on_branches(
     w, ends = guesses.w.copy(), np.cumsum([len(segment) for *_, segment in places])
     for lane in np.flatnonzero(~at.converged).tolist():
         number = int(np.searchsorted(ends, lane, side="right"))
-        walker, branch, segment = places[number]
+        walker, branch, segments = places[number]
+        segment = int(segments[lane - ends[number] + len(segments)])
         beyond = functools.partial(_beyond, np.log(guesses.slope[lane]))
-        located = locate_root(branch, int(segment[lane - ends[number] + len(segment)]), beyond)
-        point, _ = run(walker, located)
+        # By all four nodes around; by its own two where the others mislead, as where two of them all but coincide.
+        for part, at_segment in ((branch, segment), (branch.part(np.array([segment, segment + 1])), 0)):
+            point, _ = run(walker, locate_root(part, at_segment, beyond))
+            if point.ok[0]:
+                break
         w[:, lane] = np.concatenate([point.X[:-1, 0], point.times[:, 0]])
     return settle(problem, replace(guesses, w=w), accuracy=accuracy)
 

@@ -202,7 +202,8 @@ def solved(
     wide, wide_times = exact.array(y), exact.array(times)
     inverse, derivatives = stride.inverse[:, :, lane], 0
     m, measure = len(y), joint_sizes(y[:, None], len(times))[:, 0]
-    before = size = np.inf
+    # A first step larger than the gait leads to motions that may take for ever.
+    before, size = 2.0, np.inf
     for _ in range(_MAX_STEPS):
         residual, impact = exact(wide, wide_times, parameters)
         step = inverse @ np.array([float(v) for v in residual])
