@@ -21,7 +21,10 @@ from pipeline.errors import ArchiveError, GaitsweepError, WorkerError, is_shorta
 
 SCHEMA = 2
 _READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
-_TIMEOUT, _MIN_SPEED = 30.0, 5e6  # time [s] and speed [byte/s] allowed to read an archive
+_TIMEOUT, _MIN_SPEED = (
+    30.0,
+    2e5,
+)  # time [s] and speed [byte/s] allowed to read an archive, which may hold much of little
 _TICK, _MAX_CHARGED = 0.1, 0.5  # interval of checks of the process that reads it, and most charged to it for one [s]
 _MAX_VALUES = 1 << 20  # values read at a time
 _MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
@@ -272,13 +275,15 @@ def probe_once(path: Path, modified: int) -> None:
 def _read_whole(path: Path) -> None:
     """Read all variables; errors are left to the actual reader."""
     with contextlib.suppress(Exception), open_archive(path) as file:
+        file.set_auto_mask(False)  # which takes longer than to read
         groups = [file]
         for group in groups:
             for variable in group.variables.values():
                 with contextlib.suppress(Exception):
-                    rows = max(1, _MAX_VALUES // max(1, int(np.prod(variable.shape[1:]))))
-                    for start in range(0, variable.shape[0] if variable.shape else 1, rows):
-                        variable[start : start + rows] if variable.shape else variable[...]
+                    stored = variable.chunking()
+                    chunk = [1] * variable.ndim if stored == "contiguous" else stored
+                    for box in layout.regions(dict(enumerate(variable.shape)), chunk, _MAX_VALUES):
+                        variable[box or ...]
             groups += group.groups.values()
 
 

@@ -87,7 +87,9 @@ def test_a_journal_of_a_billion_points(toy, tell, slopes, lines):
     assert log.read_text().count('"begin"') == 1 and files < 60 and growth < MEMORY + 16 * slopes
     largest = json.loads(sidecar_path(toy, ".run.json").read_text())["account"]["parent_memory"]
     assert largest < 4 * MEMORY + 32 * slopes
-    size = (toy.folder / "data" / "archive" / "toy.nc").stat().st_size
+    archive = toy.folder / "data" / "archive" / "toy.nc"
+    toy("verify", archive)
+    size = archive.stat().st_size
     tell(
         f"{slopes * lines:,} points: {files} files open, memory grew by {growth / 1e6:.0f} MB to at most"
         f" {largest / 1e6:.0f} MB; {size / 1e9:.1f} GB"
