@@ -281,8 +281,9 @@ def _read_whole(path: Path) -> None:
             for variable in group.variables.values():
                 with contextlib.suppress(Exception):
                     stored = variable.chunking()
-                    chunk = [1] * variable.ndim if stored == "contiguous" else stored
-                    for box in layout.regions(dict(enumerate(variable.shape)), chunk, _MAX_VALUES):
+                    chunk = (1,) * variable.ndim if stored == "contiguous" else tuple(stored)
+                    sizes = {str(dim): n for dim, n in enumerate(variable.shape)}
+                    for box in layout.regions(sizes, chunk, _MAX_VALUES):
                         variable[box or ...]
             groups += group.groups.values()
 
