@@ -21,10 +21,8 @@ from pipeline.errors import ArchiveError, GaitsweepError, WorkerError, is_shorta
 
 SCHEMA = 2
 _READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
-_TIMEOUT, _MIN_SPEED = (
-    30.0,
-    2e5,
-)  # time [s] and speed [byte/s] allowed to read an archive, which may hold much of little
+# Time [s] and speed [byte/s] allowed to read an archive, which may hold much in few bytes.
+_TIMEOUT, _MIN_SPEED = 30.0, 2e5
 _TICK, _MAX_CHARGED = 0.1, 0.5  # interval of checks of the process that reads it, and most charged to it for one [s]
 _MAX_VALUES = 1 << 20  # values read at a time
 _MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
