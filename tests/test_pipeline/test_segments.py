@@ -390,11 +390,16 @@ def test_a_chunk_is_whole_if_nine_tenths_of_it_are_missing():
     assert ArchiveChunks(95, 0).whole(np.arange(95)) is None
 
 
-def test_an_archive_is_written_whatever_of_a_journal_is_finished(tmp_path, monkeypatch):
-    """Chunks of the same line finished, in rows, retried, or of another grid: equal bytes."""
+@pytest.fixture
+def chunks_of_17(monkeypatch):
+    """A line of fifty slopes is a long one, of three chunks."""
     monkeypatch.setattr(layout, "CHUNK", 20)
     monkeypatch.setattr("tasks.registry.SHORT_LINE", 10)
     monkeypatch.setattr("pipeline.plan.graph.SHORT_LINE", 10)
+
+
+def test_an_archive_is_written_whatever_of_a_journal_is_finished(tmp_path, monkeypatch, chunks_of_17):
+    """Chunks of the same line finished, in rows, retried, or of another grid: equal bytes."""
     (tmp_path / "s.toml").write_text(
         'name = "s"\nwalker = "E"\ngaits = ["long"]\n[axes]\nslope = { from = 0.01, to = 0.1, n = 50 }\n'
         '[want]\nvariables = ["stance_angle"]\n'
@@ -420,11 +425,8 @@ def test_an_archive_is_written_whatever_of_a_journal_is_finished(tmp_path, monke
 
 
 @pytest.mark.parametrize("atlas", ["none", "ok", "timed_out"])
-def test_points_that_nobody_has_reached_are_archived_unseen(tmp_path, monkeypatch, atlas):
+def test_points_that_nobody_has_reached_are_archived_unseen(tmp_path, monkeypatch, chunks_of_17, atlas):
     """With the bytes of an archive that looks at each, and as failures of their atlas where that failed."""
-    monkeypatch.setattr(layout, "CHUNK", 20)
-    monkeypatch.setattr("tasks.registry.SHORT_LINE", 10)
-    monkeypatch.setattr("pipeline.plan.graph.SHORT_LINE", 10)
     (tmp_path / "s.toml").write_text(
         'name = "s"\nwalker = "E"\n[axes]\nslope = { from = 0.01, to = 0.1, n = 50 }\n'
         '[want]\nvariables = ["stance_angle"]\n'
