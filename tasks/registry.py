@@ -211,7 +211,7 @@ TASKS = {
         Task(
             "atlas",
             "tasks.solve_points:atlas",
-            22,
+            23,
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),

@@ -72,7 +72,7 @@ def _from_tracks(m: int, down: Track, up: Track, tolerance: float) -> Procedure[
     if len(raw.Z) < 4:
         return []
     check = yield Call(check_steps, (raw.Z[:, : m + 1].T, raw.Z[:, m + 1 :].T))
-    steps = check.step
+    steps, gait = check.step, raw.Z[start]
     if not steps[start]:
         return []
     if is_closed := down.stop_reason == CLOSED:
@@ -87,10 +87,10 @@ def _from_tracks(m: int, down: Track, up: Track, tolerance: float) -> Procedure[
             if is_closed and steps.all():
                 branch = _cut_at_fold(branch)
             branch = yield from densify(branch, tolerance)
-            branch = yield from without_jumps(branch.in_order())
-            branch = yield from checked(branch)
+            branch = yield from without_jumps(branch.in_order(gait), gait)
+            branch = yield from checked(branch, gait)
             if len(branch.Z) >= _FEWEST:
-                branches += yield from _without_gaps(branch, tolerance)
+                branches += yield from _without_gaps(branch, gait, tolerance)
     return branches
 
 
@@ -173,8 +173,8 @@ def _is_no_step(point: Point) -> Procedure[bool]:
     return not (yield from is_step(point))
 
 
-def _without_gaps(branch: Branch, tolerance: float) -> Procedure[list[Branch]]:
-    """Measure the branch; where an earlier strike interrupts it, keep the parts on either side."""
+def _without_gaps(branch: Branch, gait: np.ndarray, tolerance: float) -> Procedure[list[Branch]]:
+    """Measure the branch that began at a gait; where an earlier strike interrupts it, keep the parts on either side."""
     distance, check = yield from measure(branch, tolerance)
     steps = check.step
     steps[[0, -1]] = True
@@ -193,7 +193,7 @@ def _without_gaps(branch: Branch, tolerance: float) -> Procedure[list[Branch]]:
         part = yield from _with_ends(branch, first, last)
         if part is not None:
             part = yield from densify(part, tolerance)
-            part = yield from checked(part)
+            part = yield from checked(part, gait)
             if len(part.Z) >= _FEWEST:
                 yield from measure(part, tolerance)
                 branches.append(part)

@@ -130,11 +130,34 @@ class Branch:
         """Return the slopes of ends at which the branch could be continued no further [rad]."""
         return [float(np.exp(self.q[-i])) for i in (0, 1) if self.why[i] in LOST]
 
-    def in_order(self) -> Branch:
-        """Branch without the nodes that, seen from its middle, do not lie along it, with nothing measured yet.
+    def part_of(self, gait: np.ndarray, cuts: np.ndarray) -> Branch:
+        """Branch of that part which has a gait as node, or of the longest where none has.
+
+        Parameters
+        ----------
+        gait : ndarray, shape (c,)
+            A row of Z.
+        cuts : ndarray of int, shape (k,)
+            Segments between the parts, rising.
+        """
+        apart = np.linalg.norm(np.diff(self.Z, axis=0), axis=1)
+
+        def worth(nodes: np.ndarray) -> tuple[bool, float]:
+            # Not the number of nodes: a short part that bends has many.
+            return bool((gait == self.Z[nodes]).all(axis=1).any()), float(apart[nodes[:-1]].sum())
+
+        return self.part(max(np.split(np.arange(len(self.Z)), cuts + 1), key=worth))
+
+    def in_order(self, gait: np.ndarray) -> Branch:
+        """Branch without the nodes that, seen from a gait or from its middle, do not lie along it, not measured yet.
 
         Neighbours lie along a branch if the chord between them makes less than 60 degrees with the tangents at both;
         where rounding moves nodes by more than they are apart, they do not.
+
+        Parameters
+        ----------
+        gait : ndarray, shape (c,)
+            A row of Z.
         """
         Z, T = self.Z, self.direction
 
@@ -144,14 +167,15 @@ class Branch:
             least = np.minimum((chord * T[a]).sum(axis=-1), (chord * T[b]).sum(axis=-1))
             return np.asarray((least > 0.5 * length) | (length < _COINCIDENT))
 
-        n = len(Z)
+        n, at = len(Z), np.flatnonzero((gait == self.Z).all(axis=1))
         if along(np.arange(n - 1), np.arange(1, n)).all():
             return self
-        kept = [n // 2]
-        for i in range(n // 2 + 1, n):
+        start = int(at[0]) if len(at) else n // 2
+        kept = [start]
+        for i in range(start + 1, n):
             if along(kept[-1], i):
                 kept.append(i)
-        for i in reversed(range(n // 2)):
+        for i in reversed(range(start)):
             if along(i, kept[0]):
                 kept.insert(0, i)
         return self.part(np.array(kept))

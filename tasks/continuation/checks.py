@@ -27,8 +27,13 @@ _MAX_END = 1e-4
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
-def checked(branch: Branch) -> Procedure[Branch]:
+def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
     """Check a branch as a whole; split the segments that fail, and cut it where that does not help.
+
+    Parameters
+    ----------
+    gait : ndarray, shape (c,)
+        Where the branch began, a row of Z: of a branch that is cut the part with it remains.
 
     Returns
     -------
@@ -52,8 +57,7 @@ def checked(branch: Branch) -> Procedure[Branch]:
     else:
         failing = yield from _failing(branch)
     if failing.any():
-        runs = np.split(np.arange(len(branch.Z)), np.flatnonzero(failing) + 1)
-        branch = branch.part(max(runs, key=len))
+        branch = branch.part_of(gait, np.flatnonzero(failing))
     return (yield from _with_consistent_ends(branch)) if len(branch.Z) > 1 else branch
 
 

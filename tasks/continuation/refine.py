@@ -86,16 +86,20 @@ def densify(branch: Branch, tolerance: float) -> Procedure[Branch]:
     return branch
 
 
-def without_jumps(branch: Branch) -> Procedure[Branch]:
-    """Check the branch as a whole: where Newton jumped to another branch, only the part with most nodes is kept."""
+def without_jumps(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
+    """Check the branch as a whole: where Newton jumped to another branch, only the part that has a gait is kept.
+
+    Parameters
+    ----------
+    gait : ndarray, shape (c,)
+        Where the branch began, a row of Z.
+    """
     m = branch.m
     Z, border = branch.Z.T, branch.direction.T
     point = yield Call(correct, (Z[: m + 1], Z[m + 1 :], border), (("max_iterations", 1),))
     side = np.sign(branch_point_determinant(point, border))
     jumps = (side[1:] * side[:-1] < 0) & (np.linalg.norm(np.diff(Z, axis=1), axis=0) > MAX_CROSSING_STEP)
-    if not jumps.any():
-        return branch
-    return branch.part(max(np.split(np.arange(len(side)), np.flatnonzero(jumps) + 1), key=len))
+    return branch.part_of(gait, np.flatnonzero(jumps)) if jumps.any() else branch
 
 
 def locate_gaps(branch: Branch, distance: np.ndarray, check: StepCheck) -> Procedure[list[float]]:

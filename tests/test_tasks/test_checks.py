@@ -26,7 +26,7 @@ def plain(branch, nodes=None):
 def test_a_sound_branch_passes_unchanged(name):
     problem, found = branches(name)
     for branch in found:
-        assert run(problem, checked(branch)) is branch
+        assert run(problem, checked(branch, branch.Z[0])) is branch
 
 
 def test_a_part_of_a_branch_keeps_what_is_known_of_the_end_it_has():
@@ -54,7 +54,7 @@ def test_a_branch_of_few_nodes_is_mended():
     branch = max(found, key=lambda b: len(b.Z))
     few = plain(branch, np.linspace(0, len(branch.Z) - 1, 5).astype(int))
     assert run(problem, checks._failing(few)).any()
-    mended = run(problem, checked(few))
+    mended = run(problem, checked(few, few.Z[0]))
     assert mended.why == branch.why and len(mended.Z) > len(few.Z)
     assert not run(problem, checks._failing(mended)).any()
     # What was inserted lies on the branch.
@@ -75,7 +75,22 @@ def test_a_node_beside_a_fold_is_not_the_fold(x, side):
 def test_one_node_is_left_as_it_is():
     problem, found = branches("D")
     one = found[0].part(np.array([5]))
-    assert run(problem, checked(one)) is one
+    assert run(problem, checked(one, one.Z[0])) is one
+
+
+def test_of_a_branch_that_is_cut_the_part_with_its_gait_remains_or_the_longest():
+    _, found = branches("B")
+    branch = found[0]
+    n, cuts = len(branch.Z), np.array([2])
+    assert len(branch.part_of(branch.Z[1], cuts).Z) == 3
+    assert len(branch.part_of(branch.Z[2], cuts).Z) == 3
+    assert len(branch.part_of(branch.Z[3], cuts).Z) == n - 3
+    # A short part of many nodes before a long one of two.
+    apart = np.linalg.norm(np.diff(branch.Z, axis=0), axis=1)
+    last = next(k for k in range(3, n) if apart[2:k].sum() > 2 * apart[:2].sum())
+    few = plain(branch, np.array([0, 1, 2, last, n - 1]))
+    for cut, kept in (([2], [last, n - 1]), ([0, 1], [2, last, n - 1])):
+        np.testing.assert_array_equal(few.part_of(branch.Z[0] + 1e-12, np.array(cut)).Z, branch.Z[kept])
 
 
 def test_a_narrow_window_is_sampled_on_few_segments(monkeypatch):
@@ -116,7 +131,7 @@ def test_a_branch_that_cannot_be_mended_is_cut_and_reported():
     Z[k] = other.Z[np.argmin(np.abs(other.q - branch.q[k]))]
     Z[k, branch.m] = branch.q[k] + 0.3 * (branch.q[k] - branch.q[k + 8])
     damaged = replace(branch, Z=Z)
-    kept = run(problem, checked(damaged))
+    kept = run(problem, checked(damaged, Z[-1]))
     assert "no further point" in kept.why and len(kept.lost()) >= 1
     assert np.isin(kept.Z[:, 0], branch.Z[:, 0]).mean() > 0.9
     assert "lost" in [p["kind"] for p in special_points(problem, kept)]
@@ -129,4 +144,5 @@ def test_a_branch_that_cannot_be_mended_is_cut_and_reported():
 def test_an_end_whose_condition_does_not_hold_is_none(end):
     problem, found = branches("C", detuning=0.3)
     branch = next(b for b in found if b.why[1] != end)
-    assert run(problem, checked(replace(branch, why=(branch.why[0], end)))).why == (branch.why[0], "no further point")
+    claimed = replace(branch, why=(branch.why[0], end))
+    assert run(problem, checked(claimed, branch.Z[0])).why == (branch.why[0], "no further point")

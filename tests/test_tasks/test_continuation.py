@@ -365,12 +365,15 @@ def test_a_folds_bound_holds_in_other_units():
 def test_nodes_that_do_not_lie_along_a_branch_are_removed():
     _, found = branches("C")
     branch = found[0]
-    assert branch.in_order() is branch
+    assert branch.in_order(branch.Z[0]) is branch
     Z = branch.Z.copy()
     k = len(Z) // 3
     Z[k] += 2 * (Z[k - 1] - Z[k])  # beyond its neighbour
-    mended = replace(branch, Z=Z).in_order()
-    assert len(mended.Z) == len(Z) - 1 and mended.in_order() is mended
+    for start in (Z[0], Z[-1], Z[0] + 1e-12):
+        mended = replace(branch, Z=Z).in_order(start)
+        assert len(mended.Z) == len(Z) - 1 and mended.in_order(start) is mended
+    # Seen from itself, it is the others that do not lie along the branch.
+    assert (Z[k] == replace(branch, Z=Z).in_order(Z[k]).Z).all(axis=1).any()
 
 
 def test_of_a_branch_that_jumps_to_another_only_one_part_is_kept():
@@ -383,10 +386,11 @@ def test_of_a_branch_that_jumps_to_another_only_one_part_is_kept():
     after = short[:, problem.m] > long[k, problem.m]
     Z, tangent = np.vstack([long[: k + 1], short[after]]), np.vstack([T_long[: k + 1], T_short[after]])
     joined = Branch(problem.m, Z, tangent, np.zeros(len(Z)), ("", ""))
-    kept = run(problem, without_jumps(joined))
-    np.testing.assert_array_equal(kept.Z, max(long[: k + 1], short[after], key=len))
-    assert "no further point" in kept.why
-    whole = run(problem, without_jumps(up[0]))
+    for start, part in ((long[k], long[: k + 1]), (short[after][0], short[after])):
+        kept = run(problem, without_jumps(joined, start))
+        np.testing.assert_array_equal(kept.Z, part)
+        assert "no further point" in kept.why
+    whole = run(problem, without_jumps(up[0], up[0].Z[0]))
     assert whole is up[0]
 
 
