@@ -215,7 +215,7 @@ TASKS = {
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),
-        Task("points", "tasks.solve_points:points", 14, needs=("atlas",), seconds_per_point=3e-5),
+        Task("points", "tasks.solve_points:points", 15, needs=("atlas",), seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 3, needs=("atlas",)),
         Task("branch", "tasks.follow_branches:branch", 11, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 5, needs=("atlas",)),

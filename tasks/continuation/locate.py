@@ -28,6 +28,8 @@ TestFunction = Callable[[Point, np.ndarray], float | bool]
 
 #: Splits of a segment on which an end or a fold lies, and the largest error of its polynomial over its length.
 _MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
+#: Farthest that Newton's method may move a guess of a branch, commonly by less than 1e-5: beyond lie others' gaits.
+_MAX_MOVE = 1e-4
 #: Error of a fold's ln slope up to which doubles locate it well enough.
 _SHARP = 1e-13
 
@@ -117,7 +119,8 @@ def settle_on_branches(
 ) -> Polished:
     """Settle guesses that lie on branches; those that Newton's method loses are first located along their branches.
 
-    Steps that almost end in a fall make so much of a guess's error that at a fixed slope Newton's method diverges.
+    Steps that almost end in a fall make so much of a guess's error that at a fixed slope Newton's method diverges, or
+    leads to another gait.
 
     Parameters
     ----------
@@ -130,10 +133,11 @@ def settle_on_branches(
         As for `settle`.
     """
     at = settle(problem, guesses, accuracy=accuracy)
-    if at.converged.all():
+    settled = at.converged & _is_near(at, guesses.w)
+    if settled.all():
         return at
     w, ends = guesses.w.copy(), np.cumsum([len(segment) for *_, segment in places])
-    for lane in np.flatnonzero(~at.converged).tolist():
+    for lane in np.flatnonzero(~settled).tolist():
         number = int(np.searchsorted(ends, lane, side="right"))
         walker, branch, segments = places[number]
         segment = int(segments[lane - ends[number] + len(segments)])
@@ -144,7 +148,16 @@ def settle_on_branches(
             if point.ok[0]:
                 break
         w[:, lane] = np.concatenate([point.X[:-1, 0], point.times[:, 0]])
-    return settle(problem, replace(guesses, w=w), accuracy=accuracy)
+    at = settle(problem, replace(guesses, w=w), accuracy=accuracy)
+    at.converged &= _is_near(at, w)
+    return at
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def _is_near(at: Polished, w: np.ndarray) -> np.ndarray:
+    """Whether gaits lie where Newton's method began, shape (n,)."""
+    reached = np.vstack([np.log(at.y[:1] * at.scale), at.y[1:] / at.y[0], at.times])
+    return np.asarray(np.abs(reached - w).max(axis=0) < _MAX_MOVE)
 
 
 def _beyond(q: float, point: Point, _: np.ndarray) -> float:

@@ -134,6 +134,7 @@ def test_a_branch_that_cannot_be_mended_is_cut_and_reported():
     kept = run(problem, checked(damaged, Z[-1]))
     assert "no further point" in kept.why and len(kept.lost()) >= 1
     assert np.isin(kept.Z[:, 0], branch.Z[:, 0]).mean() > 0.9
+    assert (run(problem, checked(damaged, Z[0])).Z[0] == Z[0]).all() and (kept.Z[-1] == Z[-1]).all()
     assert "lost" in [p["kind"] for p in special_points(problem, kept)]
     run(problem, measure(kept, COARSE))
     assert all("continuation was lost at" in sentence for sentence in np.array(_reasons([kept], "searched"))[[1, 5]])

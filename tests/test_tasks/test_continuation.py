@@ -372,8 +372,9 @@ def test_nodes_that_do_not_lie_along_a_branch_are_removed():
     for start in (Z[0], Z[-1], Z[0] + 1e-12):
         mended = replace(branch, Z=Z).in_order(start)
         assert len(mended.Z) == len(Z) - 1 and mended.in_order(start) is mended
-    # Seen from itself, it is the others that do not lie along the branch.
-    assert (Z[k] == replace(branch, Z=Z).in_order(Z[k]).Z).all(axis=1).any()
+    # Seen from one end this node does not lie along the branch, from the other and from itself its neighbour does not.
+    for start, without in ((0, k), (-1, k - 1), (k, k - 1)):
+        np.testing.assert_array_equal(replace(branch, Z=Z).in_order(Z[start]).Z, np.delete(Z, without, axis=0))
 
 
 def test_of_a_branch_that_jumps_to_another_only_one_part_is_kept():

@@ -9,7 +9,8 @@ import pytest
 
 from lines import FAILURES, branches, of_label, repeats, solved
 from pipeline.bench.bounds import compared
-from tasks.continuation.locate import settle_on_branches
+from tasks.continuation import locate
+from tasks.continuation.locate import locate_root, settle_on_branches
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.polish import UNKNOWN, join, settle
 from tasks.mechanics.lumped import lump
@@ -51,8 +52,42 @@ def test_a_guess_that_newton_loses_is_located_on_its_branch():
     np.testing.assert_allclose(settled.y * settled.scale, wanted.y * wanted.scale, rtol=2e-15)
     both = [join([bad, good, bad]), [(problem, branch, np.append(at, at)), (problem, branch, at)]]
     assert np.array_equal(settle_on_branches(problem, *both).y, np.hstack([settled.y, wanted.y, settled.y]))
+    # Newton's method leads to the other gait.
+    ((_, other, _),) = found[1].guesses(np.array([q]))
+    stray = replace(good, w=np.delete(other[0], problem.m)[:, None] + 1e-3)
+    astray = settle(problem, stray)
+    assert astray.converged.all() and abs(np.log(astray.y[0] / wanted.y[0])) > 1e-2
+    np.testing.assert_array_equal(settle_on_branches(problem, stray, [(problem, branch, at)]).y, settled.y)
     away = settle_on_branches(problem, replace(bad, slope=3 * bad.slope), [(problem, branch, at)])
     assert not away.converged.any()
+
+
+def test_a_gait_to_which_newton_jumps_from_its_branch_has_not_converged(monkeypatch):
+    problem, found = branches("D")
+    branch = found[0]
+    segment = len(branch.q) // 2
+    q = branch.q[segment : segment + 2] @ [0.3, 0.7]
+    ((_, Z, at),) = [each for each in branch.guesses(np.array([q])) if segment in each[2]]
+    good = branch.known_guesses(Z, at, np.exp([q]))
+    gait = settle(problem, good)
+    assert locate._is_near(gait, good.w).all()
+    for i in range(len(good.w)):
+        w = good.w.copy()
+        w[i] += 2e-4
+        assert not locate._is_near(gait, w).any()
+    # From where it is located, too, Newton's method leads to the other gait.
+    ((_, other, _),) = found[1].guesses(np.array([q]))
+    stray = other.T + 1e-3
+
+    def elsewhere(part, segment, test):
+        point, direction = yield from locate_root(part, segment, test)
+        k = problem.m + 1
+        return replace(point, X=stray[:k], times=stray[k:]), direction
+
+    monkeypatch.setattr(locate, "locate_root", elsewhere)
+    guess = replace(good, w=np.delete(stray, problem.m, axis=0))
+    assert settle(problem, guess).converged.all()
+    assert not settle_on_branches(problem, guess, [(problem, branch, at)]).converged.any()
 
 
 @pytest.mark.parametrize("name", POINTS)
