@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 #: Width of a panel of slopes, for which the cells of a plane are made, in ln slope.
 PANEL = 0.125
+#: Share of the lines of a plane that may be surveyed for its cells before the others are computed one by one.
+MAX_SURVEYED = 0.25
 
 
 @dataclass(frozen=True)

@@ -7,15 +7,15 @@ from typing import TypeVar
 
 import numpy as np
 
+from tasks.costs import MAX_SURVEYED
 from tasks.families.box import Box, Refused
 from tasks.families.cell import FEW, Cell, Family, make_cell
 
 #: How many times more often a box may be halved along one key than along another: what changes in it may lie along a
 #: curve that no halves along one key leave.
 _MOST_UNEVEN = 2
-#: How often a box is halved at most; how many lines make its patches worth their making; and how many lines may have
-#: been surveyed for its parts when another one is tried, as a share of those that it holds.
-_MOST_SPLITS, _LEAST_LINES, _SHARE = 6, 24, 0.25
+#: How often a box is halved at most, and the fewest lines for which a part's patches are worth making.
+_MAX_SPLITS, _MIN_LINES = 6, 24
 
 Part = TypeVar("Part")
 
@@ -80,7 +80,7 @@ class Cells:
         def cell(box: Box, why: str) -> Cell:
             return make_cell(self.family, box, low, self.surveyed, why)
 
-        cells = divide(self.box, cell, self._is_worth, _MOST_SPLITS)
+        cells = divide(self.box, cell, self._is_worth, _MAX_SPLITS)
         self.alone += [each.box for each in cells if each.why and self._left(each.box)]
         return cells
 
@@ -88,7 +88,7 @@ class Cells:
         """Whether a part has lines enough, and was tried before or may be tried after all that was surveyed."""
         spent = sum(_number_of_lines(len(box.keys), n) for box, n in self.surveyed)
         is_new = (part, FEW) not in self.surveyed
-        return self._left(part) >= _LEAST_LINES and not (is_new and spent > _SHARE * self.box.count(self.values))
+        return self._left(part) >= _MIN_LINES and not (is_new and spent > MAX_SURVEYED * self.box.count(self.values))
 
     def _left(self, part: Box) -> int:
         """About how many lines of a part are not surveyed one by one for the sake of another panel."""

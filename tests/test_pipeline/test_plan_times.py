@@ -40,18 +40,18 @@ def processor_time(folder, *arguments):
 
 
 def slowness():
-    """Processor time of a fixed piece of work, over that on the core of the plan's costs; at least 1."""
+    """Processor time of a fixed piece of work, over that on the core of the plan's costs."""
     begun = time.process_time()
     numbers = np.random.default_rng(1).random(200_000)
     for _ in range(10):
         np.exp(np.sort(numbers))
         sorted((x * x for x in numbers[:100_000].tolist()), reverse=True)
-    return max(1.0, (time.process_time() - begun) / 0.31)
+    return (time.process_time() - begun) / 0.31
 
 
 @pytest.mark.parametrize("name", [*STUDIES, "more slopes than are stored"])
 def test_the_time_of_a_plan_is_that_of_its_run(name, tmp_path, monkeypatch, capsys):
-    """Within a factor of three of a core as slow as this one, which may be shared."""
+    """Within a factor of three on a core as fast as this one, which may be shared."""
     monkeypatch.chdir(tmp_path)
     if name not in STUDIES:  # a few points, which took as long as the start of a worker
         (tmp_path / "s.toml").write_text(LINE.replace("n = 20", "n = 4"))
@@ -60,8 +60,8 @@ def test_the_time_of_a_plan_is_that_of_its_run(name, tmp_path, monkeypatch, caps
     assert commands.main(["plan", "s.toml", "--json"]) == 0
     (plan,) = json.loads(capsys.readouterr().out)
     taken = processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1")
-    for _ in range(3):  # the first run may compile, and the machine may be slow for half a minute
-        if taken > 3 * plan["seconds"]:
+    for _ in range(3):  # the first run may compile, and the machine may be slow or fast for half a minute
+        if not 1 / 3 < plan["seconds"] / taken < 3:
             before = slowness()
             taken = processor_time(tmp_path, "run", "s.toml", "--quiet", "--jobs", "1", "--fresh")
             taken /= (before + slowness()) / 2
@@ -88,6 +88,10 @@ def test_costs_grow_with_what_is_asked(tmp_path):
         return of[0] - of[1]
 
     assert of_more_panels(100) > 1.5 * of_more_panels(1000)  # which fewer lines share
+    # But for no more than a quarter above the lines one by one, whose points take longer.
+    few = LINE.replace('"D"', '"E"') + "R = { from = 0.0, to = 0.1, n = 64 }\n"
+    alone = 0.05 + 20 * (4e-4 - 7e-5)
+    assert seconds(few, "atlas") == pytest.approx(1.25 * alone) and seconds(plane, "atlas") < 0.7 * alone
     # A list counts by its length; a study of a straight and a kneed walker is their mean.
     assert seconds(STUDIES["cascade"] + "[options]\nfamilies = [1, 3]\n", "cascade") == pytest.approx(
         2 * seconds(STUDIES["cascade"], "cascade")
