@@ -39,7 +39,17 @@ MEASURES = {
     "flip": "1/|1 + multiplier|",
     "vanishing rate": "largest over smallest rate",
     "label tie": "1/|gait ratio - 1/2|",
+    "re-pairing": "1/distance to the nearest gait of another branch at the slope",
 }
+#: Keys that change the walker's structure where they vanish, and their largest value here.
+VANISHING = (
+    ("E", "foot_mass_ratio", 0.1),
+    ("B", "R", 0.1),
+    ("C", "m_h", 1.0),
+    ("A", "detuning", 0.1),
+    ("C", "detuning", 0.1),
+)
+SMALLEST = 1e-12
 #: Worst gaits kept of each measure, and gaits of a line that are solved again in extended precision.
 WORST, REFERENCES = 10, 3
 #: Generations of a full and of a quick hunt, and lines of a generation for each coordinate.
@@ -100,11 +110,12 @@ class Hunted:
 
 @dataclass(frozen=True)
 class Range:
-    """A walker of the catalogue and the ranges of the keys that are moved."""
+    """A walker of the catalogue and the ranges of the keys that are moved, evenly or in their logarithms."""
 
     walker: str
     low: dict[str, float]
     high: dict[str, float]
+    logarithmic: bool = False
 
     def keys(self, unit: np.ndarray) -> dict[str, float]:
         """Values of the keys.
@@ -114,15 +125,17 @@ class Range:
         unit : ndarray, shape (number of keys or more,)
             Coordinates from 0 to 1.
         """
+        ends = [(key, low, self.high[key]) for key, low in self.low.items()]
         return {
-            key: float(low + share * (self.high[key] - low))
-            for (key, low), share in zip(self.low.items(), unit, strict=False)
+            key: float(low * (high / low) ** share if self.logarithmic else low + share * (high - low))
+            for (key, low, high), share in zip(ends, unit, strict=False)
         }
 
 
 def ranges() -> list[Range]:
-    """All that is hunted: for each walker its derived key, and masses, lengths and offsets off by up to 30 %."""
+    """All that is hunted: derived keys, keys that vanish, and masses, lengths and offsets off by up to 30 %."""
     hunted = [Range(name, {key: low}, {key: high}) for name, (key, low, high) in DERIVED.items()]
+    hunted += [Range(name, {key: SMALLEST * high}, {key: high}, logarithmic=True) for name, key, high in VANISHING]
     for name in WALKERS:
         table = CATALOGUE[name].table()
         around = [{key: float(table[key] * (1 + s * SPREAD)) for key in KEYS if table[key]} for s in (-1, 1)]
@@ -244,12 +257,12 @@ def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: lis
     slope : ndarray, shape (n,) [rad]
     """
     outcome = Hunted(lines=1)
-    found = [(branch, *each) for branch in branches for each in branch.guesses(np.log(slope))]
+    found = [(number, *each) for number, branch in enumerate(branches) for each in branch.guesses(np.log(slope))]
     if not found:
         return outcome
-    guesses = join([branch.known_guesses(Z, segment, slope[index]) for branch, index, Z, segment in found])
+    guesses = join([branches[k].known_guesses(Z, segment, slope[index]) for k, index, Z, segment in found])
     start = time.process_time()
-    at = settle_on_branches(problem, guesses, [(problem, branch, segment) for branch, _, _, segment in found])
+    at = settle_on_branches(problem, guesses, [(problem, branches[k], segment) for k, _, _, segment in found])
     seconds = (time.process_time() - start) / len(guesses.slope)
     angle, settled = at.y[0] * at.scale, at.converged & at.step
     outcome.gaits = len(angle)
@@ -260,6 +273,9 @@ def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: lis
     outcome.wrong = [("not converged", gait(k, float(at.bound[k]))) for k in np.flatnonzero(~settled).tolist()]
     values = {name: np.where(settled, value, -np.inf) for name, value in _measured(problem, at, guesses).items()}
     values["time"] = np.where(settled, seconds, -np.inf)
+    number = np.repeat([k for k, *_ in found], [len(index) for _, index, *_ in found])
+    place = np.vstack([np.log(angle), at.y[1:] / at.y[0]])
+    values["re-pairing"] = np.where(settled, _nearness(guesses.slope, number, place), -np.inf)
     # In extended precision the gaits whose bounds are largest, and those nearest a fold.
     hard = np.unique([np.argsort(-values[name])[:REFERENCES] for name in ("error bound", "fold")])
     hard = hard[settled[hard]]
@@ -292,3 +308,11 @@ def _measured(problem: Problem, at: Polished, guesses: Guesses) -> dict[str, np.
         }
     # Exact hits count as the largest number.
     return {name: np.nan_to_num(value, nan=-np.inf) for name, value in measures.items()}
+
+
+def _nearness(slope: np.ndarray, branch: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """1/distance of each gait, by angle and rates (m, n), to the nearest of another branch at its slope; else -inf."""
+    distance = np.abs(place[:, :, None] - place[:, None]).max(axis=0)
+    distance[(slope[:, None] != slope) | (branch[:, None] == branch) | ~np.isfinite(distance)] = np.inf
+    with np.errstate(divide="ignore"):
+        return np.where(distance < np.inf, 1 / distance, -np.inf).max(axis=1)

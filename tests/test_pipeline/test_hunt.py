@@ -3,6 +3,7 @@
 import json
 import shlex
 
+import numpy as np
 import pytest
 
 from pipeline.bench import hunt
@@ -12,7 +13,7 @@ from pipeline.cli.commands import main
 @pytest.fixture(scope="module")
 def feet():
     """A small hunt over the walker with point feet."""
-    (where,) = [each for each in hunt.ranges() if each.walker == "E" and len(each.low) == 1]
+    (where,) = [each for each in hunt.ranges() if each.walker == "E" and len(each.low) == 1 and not each.logarithmic]
     return where, hunt.maximise("error bound", where, 0, 1)
 
 
@@ -41,6 +42,18 @@ def test_a_hunt_climbs(feet):
     climbed = hunt.maximise("vanishing rate", where, 1, 1)
     assert climbed.worst["vanishing rate"][0].value >= first.worst["vanishing rate"][0].value
     assert climbed.lines > first.lines
+
+
+def test_keys_vanish_and_branches_come_near_each_other():
+    (where,) = [each for each in hunt.ranges() if each.walker == "E" and each.logarithmic]
+    assert where.keys(np.array([0.0])) == {"foot_mass_ratio": pytest.approx(1e-13)}
+    assert where.keys(np.array([1.0])) == {"foot_mass_ratio": pytest.approx(0.1)}
+    assert where.keys(np.array([0.5])) == {"foot_mass_ratio": pytest.approx(1e-7)}
+    # Of a slope's gaits on other branches the nearest counts, by its farthest coordinate.
+    place = np.array([[1.0, 1.5, 1.1, 1.0, np.nan], [2.0, 2.0, 2.2, 2.0, 2.0]])
+    near = hunt._nearness(np.array([0.1, 0.1, 0.1, 0.2, 0.1]), np.array([0, 1, 2, 1, 3]), place)
+    np.testing.assert_allclose(near[:3], [5, 2.5, 5])
+    assert (near[3:] == -np.inf).all()
 
 
 def test_what_is_wrong_is_told_with_its_command(feet, monkeypatch):
