@@ -20,8 +20,8 @@ print(table[["gait", "stance_angle", "period", "stable"]])
 
 # %% [markdown]
 # ## Your own walker
-# A walker is a table. This one is the catalogue's E, whose point feet have a tenth of the mass each, with round feet.
-# A walker file works as well, by its name.
+# A walker is a table. This one is E of the catalogue, whose point feet have a tenth of the mass each, but with round
+# feet. The name of a walker file works as well.
 
 # %%
 round_feet = {"base": "E", "R": 0.3}
@@ -29,8 +29,8 @@ print(solve(round_feet, 0.009)[["gait", "stance_angle", "period", "stable"]])
 
 # %% [markdown]
 # ## Arrays in, gaits out
-# Slopes and keys may be arrays; the result has their dimensions, then `gait`. Nothing is written, and lines that have
-# been seen are fast.
+# Slopes and keys may be arrays; the result has their dimensions, then `gait`. Nothing is written, and lines already
+# computed are fast.
 
 # %%
 curves = gaits(round_feet, np.geomspace(1e-3, 0.05, 200), m_h=[[0.0], [0.5]])
@@ -39,8 +39,8 @@ print("stable up to", stable_to.values.round(4), "rad without and with a mass at
 
 # %% [markdown]
 # ## Modes, and a push
-# At a gait the step map's eigenvalues are the multipliers; along its eigenvectors a disturbance grows or decays by
-# them. A push changes the rates at the start of a step.
+# At a gait the step map's eigenvalues are the multipliers, the factors by which a disturbance along an eigenvector
+# grows or decays in a step. A push changes the rates at the start of a step.
 
 # %%
 slope, hip = 0.009, {"m_h": 0.5}
@@ -53,8 +53,8 @@ for push in (0.005, 0.05):
 
 # %% [markdown]
 # ## A sweep
-# A study says what is wanted, and nothing else is computed. Its points are stored: if the cell is run again, nothing
-# is computed; if values are added to an axis, only those are.
+# A study states what is wanted; nothing else is computed. Its points are stored: if the cell is run again, nothing is
+# computed; if values are added to an axis, only those are computed.
 
 # %%
 sweep = run(
@@ -75,7 +75,7 @@ print(sweep.status.to_series().value_counts())
 
 # %% [markdown]
 # ## Power laws
-# Fits and other tables are read by their names, which `sweep.attrs["tables"]` lists.
+# Fits and other tables are loaded by name; `sweep.attrs["tables"]` lists the names.
 
 # %%
 laws = load("data/archive/round-feet.nc", "fits/scaling")
@@ -99,5 +99,5 @@ figure.savefig("round-feet.png", dpi=150)
 
 # %% [markdown]
 # ## Pages
-# `gaitsweep report data/archive/round-feet.nc` makes pages of the same archive. The study asks for `loglog`, so the
+# `gaitsweep report data/archive/round-feet.nc` makes pages from the same archive. The study requests `loglog`, so the
 # page shows the same figure, with the values and the command for every point.

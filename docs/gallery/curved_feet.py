@@ -3,8 +3,8 @@
 #
 # M. Garcia, A. Chatterjee, A. Ruina and M. Coleman, *J. Biomech. Eng.* 120 (1998) 281–288: the simplest walker is
 # stable up to a slope of 0.0151. P. Adamczyk, S. Collins and A. Kuo, *J. Exp. Biol.* 209 (2006) 3953–3963, equation
-# 7: with feet of radius ρ (in legs) a heelstrike costs (1 − ρ)² of what it costs on point feet, for short steps. Here
-# the same walker, D, has round feet whose mass still vanishes.
+# 7: for short steps, the heelstrike loss with feet of radius ρ (in leg lengths) is (1 − ρ)² times that with point
+# feet. Here the same walker, D, has round feet of vanishing mass.
 
 # %%
 import matplotlib.pyplot as plt
@@ -16,8 +16,8 @@ radius = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
 
 # %% [markdown]
 # ## The collision
-# The energy lost over the square of the hip's speed and of the angle between the legs, over that of point feet, as
-# steps become short.
+# The energy lost, divided by the squares of the hip's speed and of the angle between the legs, relative to point feet,
+# in the limit of short steps.
 
 # %%
 short = gaits("D", 1e-6, R=radius).sel(gait="long")
@@ -28,7 +28,7 @@ for rho, computed in zip(radius, ratio, strict=True):
 
 # %% [markdown]
 # ## How far the gaits are stable
-# One call for all radii and slopes.
+# One call covers all radii and slopes.
 
 # %%
 slope = np.linspace(1e-4, 0.12, 4000)

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # A design map: stability over foot radius and foot mass
 #
-# How steep may the slope be before the long gait of a straight-legged walker loses its stability, for feet of any
-# radius and mass? The corner of the map, point feet without mass, is the simplest walker: M. Garcia, A. Chatterjee,
-# A. Ruina and M. Coleman, *J. Biomech. Eng.* 120 (1998) 281–288, print 0.0151.
+# How steep may the slope be before the long gait of a straight-legged walker loses stability, for feet of any radius
+# and mass? The corner of the map, massless point feet, is the simplest walker, for which M. Garcia, A. Chatterjee,
+# A. Ruina and M. Coleman, *J. Biomech. Eng.* 120 (1998) 281–288, report 0.0151.
 
 # %%
 import matplotlib.pyplot as plt
@@ -18,8 +18,8 @@ slope = xr.DataArray(np.geomspace(1e-3, 0.1, 1500), dims="slope")
 
 # %% [markdown]
 # ## One call
-# DataArrays broadcast by the names of their dimensions. Each pair of keys is a line, whose branches are found once;
-# its slopes then take microseconds, and later calls are fast.
+# DataArrays broadcast by dimension name. Each pair of keys is a line, whose branches are computed once; each slope then
+# takes microseconds, and later calls are fast.
 
 # %%
 design = gaits("E", slope, R=radius, foot_mass_ratio=mass, variables=["multipliers"]).sel(gait="long")

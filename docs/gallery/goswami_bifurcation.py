@@ -1,9 +1,9 @@
 # %% [markdown]
 # # The compass gait's period doublings, in degrees
 #
-# Two legs with a point mass each and one at the hip (a = b = 0.5 m, m = 5 kg, m_H = 10 kg), as A. Goswami, B. Thuilot
-# and B. Espiau, *Compass-like biped robot, part I*, INRIA report 2996 (1996), drew it: step period against slope, the
-# first period doubling at 4.37° and the second at 4.9°.
+# Two legs with a point mass each, and one at the hip (a = b = 0.5 m, m = 5 kg, m_H = 10 kg). The figure is that of A.
+# Goswami, B. Thuilot and B. Espiau, *Compass-like biped robot, part I*, INRIA report 2996 (1996): step period against
+# slope, with the first period doubling at 4.37° and the second at 4.9°.
 
 # %%
 import matplotlib.pyplot as plt
@@ -29,7 +29,7 @@ print(f"the gait of one step is stable up to about {last:.2f} degrees")
 
 # %% [markdown]
 # ## Doublings, and orbits after a transient
-# Studies of the kinds `cascade` and `orbit` locate the doublings and iterate the step map; their archives are tables.
+# Studies of kind `cascade` locate the doublings, those of kind `orbit` iterate the step map; their archives are tables.
 
 # %%
 window = {"from": float(np.radians(3.0)), "to": float(np.radians(5.2)), "n": 120}

@@ -3,8 +3,8 @@
 #
 # T. McGeer, *Passive walking with knees*, IEEE Conference on Robotics and Automation (1990), prints the parameters of
 # a kneed walker (figure 2) and the eigenvalues of its step-to-step modes (table 1): −0.001, 0.073 and a pair of
-# magnitude 0.447 and phase ±0.947 rad. Lengths are in units of the leg and masses of the whole walker, 68 % of it at
-# the hip.
+# magnitude 0.447 and phase ±0.947 rad. Lengths are in units of the leg, masses in units of the whole walker's mass,
+# 68 % of which is at the hip.
 
 # %%
 import matplotlib.pyplot as plt
@@ -36,8 +36,8 @@ def modes(eps_k, slope=0.0456):
 
 # %% [markdown]
 # ## Eigenvalues
-# The smallest is exactly zero, as four rates just after a heelstrike follow from three numbers. What the printed
-# digits of ε_K leave open is shown beside the others.
+# The smallest is exactly zero, because four rates just after a heelstrike follow from three numbers. The uncertainty
+# due to the printed digits of ε_K is shown for the others.
 
 # %%
 here = modes(0.2)
@@ -50,7 +50,7 @@ print(f"third eigenvalue: printed 0.073, computed {single.real:.3f}")
 
 # %% [markdown]
 # ## Modes
-# Columns of `eigenvectors` are changes of (stance angle, stance rate, thigh rate) that a step multiplies by its
+# Columns of `eigenvectors` are changes of (stance angle, stance rate, thigh rate) that a step multiplies by the
 # eigenvalue.
 
 # %%

@@ -2,8 +2,8 @@
 # # A step down
 #
 # M. Wisse and A. L. Schwab, *First steps in passive dynamic walking* (CLAWAR 2004), give the gait of a small walker
-# on round feet at a slope of 0.01: stance angle 0.2015 rad, rates −1.4052 and −1.1205 rad/s. From there it meets
-# ground that is suddenly lower or higher.
+# with round feet on a slope of 0.01: stance angle 0.2015 rad, rates −1.4052 and −1.1205 rad/s. From this gait the
+# walker meets ground that is suddenly lower or higher.
 
 # %%
 import matplotlib.pyplot as plt
@@ -20,7 +20,7 @@ printed = (0.2015, -1.4052, -1.1205)
 
 # %% [markdown]
 # ## It is a gait
-# From the printed state the steps converge to the gait, whose digits it gives.
+# Starting from the printed state, the steps converge to the gait, which agrees with the printed digits.
 
 # %%
 walk = simulate(walker, 0.01, printed, 60)
@@ -31,7 +31,7 @@ print("multipliers:", np.round(step_map(walker, 0.01, gait).eigenvalues, 4))
 
 # %% [markdown]
 # ## Lower ground, once
-# After the third step the ground is lower by 1 mm, and stays so. The legs then stand at two different angles.
+# After the third step the ground is 1 mm lower and stays so. The legs then stand at two different angles.
 
 # %%
 down = simulate(walker, 0.01, gait, 40, ground={3: -1e-3}, motion=True)

@@ -2,8 +2,8 @@
 # # What a millimetre does: the tolerance of a walker of your own
 #
 # A walker is a table; this one is that of M. Garcia, A. Chatterjee and A. Ruina, *Dynamics and Stability of Systems*
-# 15 (2000) 75–99, figure 3, with its knees locked. They print that it walks down to a slope of 0.016 (section 5.1).
-# How does that slope depend on the lengths to which the legs are built?
+# 15 (2000) 75–99, figure 3, with its knees locked. They report that it walks at slopes down to 0.016 (section 5.1).
+# How does this slope depend on the lengths of the legs as built?
 
 # %%
 import matplotlib.pyplot as plt
@@ -34,7 +34,7 @@ print(f"smallest slope: printed 0.016, computed {at_rest:.4f}")
 
 # %% [markdown]
 # ## One millimetre more, one less
-# Every length in turn; a call takes its two values as an array.
+# Each length is varied in turn; a call takes its two values as an array.
 
 # %%
 millimetre = 1e-3
@@ -45,8 +45,8 @@ for key in ("w_t", "w_s", "c_t", "c_s", "r_t", "r_s", "R"):
     print(f"{key}: {effect[key][0]:+.4f} for a millimetre less, {effect[key][1]:+.4f} for one more")
 
 # %% [markdown]
-# The printed lengths are rounded, `w_t` and `w_s` to half a millimetre: the printed slope lies within what that
-# leaves open.
+# The printed lengths are rounded, `w_t` and `w_s` to half a millimetre: the printed slope lies within the resulting
+# uncertainty.
 
 # %%
 figure, axes = plt.subplots()
