@@ -31,7 +31,7 @@ print("multipliers:", np.round(step_map(walker, 0.01, gait).eigenvalues, 4))
 
 # %% [markdown]
 # ## Lower ground, once
-# After the third step the ground is 1 mm lower and stays so. The legs then stand at two different angles.
+# At the end of step 3 the ground is 1 mm lower and stays so. The legs then stand at two different angles.
 
 # %%
 down = simulate(walker, 0.01, gait, 40, ground={3: -1e-3}, motion=True)
