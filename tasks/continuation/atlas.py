@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tasks.continuation.branch import Branch
+from tasks.continuation.branch import MIN_NODES, Branch
 from tasks.continuation.checks import checked
 from tasks.continuation.ends import BranchEnd, locate_end
 from tasks.continuation.locate import (
@@ -54,8 +54,6 @@ _SHARES = 3
 _SAME = 1e-4
 #: Nodes nearer than this are the same but for rounding, which at a fold moves them along the branch.
 _TWIN = 1e-10
-#: Nodes of the shortest branch.
-_FEWEST = 3
 #: With fewer gaits than this all are refined at once; with more one of each line, for the next may lie on its branch.
 _FEW = 8
 
@@ -89,7 +87,7 @@ def _from_tracks(m: int, down: Track, up: Track, tolerance: float) -> Procedure[
             branch = yield from densify(branch, tolerance)
             branch = yield from without_jumps(branch.in_order(gait), gait)
             branch = yield from checked(branch, gait)
-            if len(branch.Z) >= _FEWEST:
+            if len(branch.Z) >= MIN_NODES:
                 branches += yield from _without_gaps(branch, gait, tolerance)
     return branches
 
@@ -151,7 +149,7 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
             ends[side] = BranchEnd(raw.why[side], *fall, raw.end_errors[side])
             first, last = first + (side == 0), last - (side == 1)
     # Of a run that is but the node beyond a fall, none remains.
-    if last - first + 1 + len(ends) < _FEWEST:
+    if last - first + 1 + len(ends) < MIN_NODES:
         return None
     branch = raw.part(np.arange(first, last + 1))
     why, errors = list(raw.why), list(raw.end_errors)
@@ -164,7 +162,7 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
     kept[1] &= not (twins[0] and 0 in ends)
     kept[-2] &= not (twins[-1] and 1 in ends)
     branch = branch.part(np.flatnonzero(kept))
-    if len(branch.Z) < _FEWEST:
+    if len(branch.Z) < MIN_NODES:
         return None
     return replace(branch, why=(why[0], why[1]), end_errors=(errors[0], errors[1]))
 
@@ -194,7 +192,7 @@ def _without_gaps(branch: Branch, gait: np.ndarray, tolerance: float) -> Procedu
         if part is not None:
             part = yield from densify(part, tolerance)
             part = yield from checked(part, gait)
-            if len(part.Z) >= _FEWEST:
+            if len(part.Z) >= MIN_NODES:
                 yield from measure(part, tolerance)
                 branches.append(part)
     return branches

@@ -10,6 +10,8 @@ import numpy as np
 from tasks.continuation.tracking import MAX_SLOPE, MIN_SLOPE
 from tasks.fixed_points.polish import UNKNOWN, Guesses
 
+#: Nodes of the shortest branch.
+MIN_NODES = 3
 #: Nodes nearer than this are one: that of a fold may be its neighbour but for rounding.
 _COINCIDENT = 1e-8
 #: Kinds of ends that are none: where continuation was lost, or what lies beyond failed a check.
@@ -131,7 +133,7 @@ class Branch:
         return [float(np.exp(self.q[-i])) for i in (0, 1) if self.why[i] in LOST]
 
     def part_of(self, gait: np.ndarray, cuts: np.ndarray) -> Branch:
-        """Branch of that part which has a gait as node, or of the longest where none has.
+        """Branch of that part which has a gait as node, or of the longest where none has or it is too short.
 
         Parameters
         ----------
@@ -144,12 +146,13 @@ class Branch:
 
         def worth(nodes: np.ndarray) -> tuple[bool, float]:
             # Not the number of nodes: a short part that bends has many.
-            return bool((gait == self.Z[nodes]).all(axis=1).any()), float(apart[nodes[:-1]].sum())
+            has_gait = len(nodes) >= MIN_NODES and (gait == self.Z[nodes]).all(axis=1).any()
+            return bool(has_gait), float(apart[nodes[:-1]].sum())
 
         return self.part(max(np.split(np.arange(len(self.Z)), cuts + 1), key=worth))
 
     def in_order(self, gait: np.ndarray) -> Branch:
-        """Branch without the nodes that, seen from a gait or from its middle, do not lie along it, not measured yet.
+        """Branch without the nodes that do not lie along it, seen from a gait or else its middle, not measured yet.
 
         Neighbours lie along a branch if the chord between them makes less than 60 degrees with the tangents at both;
         where rounding moves nodes by more than they are apart, they do not.
@@ -170,14 +173,17 @@ class Branch:
         n, at = len(Z), np.flatnonzero((gait == self.Z).all(axis=1))
         if along(np.arange(n - 1), np.arange(1, n)).all():
             return self
-        start = int(at[0]) if len(at) else n // 2
-        kept = [start]
-        for i in range(start + 1, n):
-            if along(kept[-1], i):
-                kept.append(i)
-        for i in reversed(range(start)):
-            if along(i, kept[0]):
-                kept.insert(0, i)
+        for start in (*at[:1].tolist(), n // 2):
+            kept = [start]
+            for i in range(start + 1, n):
+                if along(kept[-1], i):
+                    kept.append(i)
+            for i in reversed(range(start)):
+                if along(i, kept[0]):
+                    kept.insert(0, i)
+            # A gait whose own tangent is off has no neighbours along it.
+            if len(kept) >= MIN_NODES:
+                break
         return self.part(np.array(kept))
 
     def lies_between(self, segment: np.ndarray, Z: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.lockstep import Call, Procedure, run
+from tasks.continuation.lockstep import Call, Procedure, lanes_of, run
 from tasks.continuation.root import root_search
 from tasks.continuation.tracking import Point, correct
 from tasks.fixed_points.polish import Guesses, Polished, settle
@@ -132,25 +132,28 @@ def settle_on_branches(
     accuracy : float
         As for `settle`.
     """
-    at = settle(problem, guesses, accuracy=accuracy)
-    settled = at.converged & _is_near(at, guesses.w)
-    if settled.all():
-        return at
-    w, ends = guesses.w.copy(), np.cumsum([len(segment) for *_, segment in places])
-    for lane in np.flatnonzero(~settled).tolist():
+    gaits = settle(problem, guesses, accuracy=accuracy)
+    lost = np.flatnonzero(~(gaits.converged & _is_near(gaits, guesses.w)))
+    if not len(lost):
+        return gaits
+    again, is_located = lanes_of(guesses, lost), np.zeros(len(lost), bool)
+    ends = np.cumsum([len(segment) for *_, segment in places])
+    for i, lane in enumerate(lost.tolist()):
         number = int(np.searchsorted(ends, lane, side="right"))
         walker, branch, segments = places[number]
         segment = int(segments[lane - ends[number] + len(segments)])
         beyond = functools.partial(_beyond, np.log(guesses.slope[lane]))
         # By all four nodes around; by its own two where the others mislead, as where two of them all but coincide.
-        for part, at_segment in ((branch, segment), (branch.part(np.array([segment, segment + 1])), 0)):
-            point, _ = run(walker, locate_root(part, at_segment, beyond))
-            if point.ok[0]:
+        for part, own in ((branch, segment), (branch.part(np.array([segment, segment + 1])), 0)):
+            point, _ = run(walker, locate_root(part, own, beyond))
+            is_located[i] = point.ok[0] and part.lies_between(np.array([own]), point.Z)[0]
+            if is_located[i]:
+                again.w[:, i] = np.concatenate([point.X[:-1, 0], point.times[:, 0]])
                 break
-        w[:, lane] = np.concatenate([point.X[:-1, 0], point.times[:, 0]])
-    at = settle(problem, replace(guesses, w=w), accuracy=accuracy)
-    at.converged &= _is_near(at, w)
-    return at
+    located = settle(problem.some(lost), again, accuracy=accuracy)
+    located.converged &= is_located & _is_near(located, again.w)
+    gaits.assign(lost, located)
+    return gaits
 
 
 @np.errstate(invalid="ignore", divide="ignore")

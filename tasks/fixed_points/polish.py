@@ -70,6 +70,21 @@ class Polished:
     step: np.ndarray
     leg_passes: np.ndarray
 
+    def assign(self, lanes: np.ndarray, other: Polished) -> None:
+        """Replace some lanes by those of other gaits.
+
+        Parameters
+        ----------
+        lanes : ndarray of int, shape (k,)
+        other : Polished
+            Of k lanes.
+        """
+        for name, values in vars(self).items():
+            if isinstance(values, Stride):
+                values.assign(lanes, other.stride)
+            else:
+                values[..., lanes] = getattr(other, name)
+
 
 @dataclass(frozen=True)
 class Guesses:

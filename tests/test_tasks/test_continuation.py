@@ -377,6 +377,21 @@ def test_nodes_that_do_not_lie_along_a_branch_are_removed():
         np.testing.assert_array_equal(replace(branch, Z=Z).in_order(Z[start]).Z, np.delete(Z, without, axis=0))
 
 
+def test_a_gait_without_neighbours_does_not_decide_what_remains_of_its_branch():
+    branch = branches("D")[1][0]
+    n, k = len(branch.Z), len(branch.Z) // 3
+    for gait, cuts, nodes in (
+        (k, [k - 2, k], range(k - 1)),
+        (1, [1], range(2, n)),
+        (k, [k - 3, k], range(k - 2, k + 1)),
+    ):
+        np.testing.assert_array_equal(branch.part_of(branch.Z[gait], np.array(cuts)).Z, branch.Z[list(nodes)])
+    # A tangent at right angles to the branch.
+    tangent = branch.tangent.copy()
+    tangent[k] = np.eye(tangent.shape[1])[0] - branch.direction[k, 0] * branch.direction[k]
+    assert len(replace(branch, tangent=tangent).in_order(branch.Z[k]).Z) == n - 1
+
+
 def test_of_a_branch_that_jumps_to_another_only_one_part_is_kept():
     """The long gait and the short one, whose orientation determinants differ in sign."""
     problem, found = branches("D")
