@@ -20,7 +20,7 @@ Arrays = dict[str, np.ndarray]
 #: Largest number of points between two gaits of a branch.
 _MAX_PARTS = 1024
 #: Shortest part of a segment that is sampled: an edge of the window may be at a gait.
-_LEAST_PIECE = 1e-9
+_MIN_PIECE = 1e-9
 #: Distance of the ends of a branch along it to what ends it.
 _END_DISTANCE = 1e-6
 _COLUMNS = (
@@ -82,13 +82,13 @@ def _sample(
     places = [place for place, _ in at]
     for edge in (low, high):
         for guess in branch.guesses(float(np.log(edge))):
-            if any(abs(guess.place - place) < _LEAST_PIECE for place in places):
+            if any(abs(guess.place - place) < _MIN_PIECE for place in places):
                 continue  # a gait of the branch lies on the edge
             places.append(guess.place)
             cycle = solve_cycle(problem, guess, edge)
             at += [(guess.place, cycle)] if cycle.ok else []
     # Parts of segments in the window, which may lie between two gaits of the branch.
-    pieces = [(a, b) for a, b in itertools.pairwise(sorted(places)) if a + _LEAST_PIECE < b <= int(a) + 1]
+    pieces = [(a, b) for a, b in itertools.pairwise(sorted(places)) if a + _MIN_PIECE < b <= int(a) + 1]
     parts = min(_MAX_PARTS, 1 + max(0, least - len(at)) // max(1, len(pieces)))
     for start, end in pieces:
         i = int(start)

@@ -28,7 +28,7 @@ _UNITS = (0.75, 0.625, 0.875)
 #: Largest error bound of a converged gait.
 _MAX_BOUND = 1e-3
 #: Least distance of a gait's sections from each other, rounding's, beside flips too [rad].
-_LEAST_APART = 1e-10
+_MIN_DISTANCE = 1e-10
 #: Iterations across a branch, and the largest last step of a corrected gait.
 _MAX_ACROSS, _MAX_STEP = 6, 1e-11
 
@@ -138,7 +138,7 @@ def _keeps_apart(Y: np.ndarray, guess: np.ndarray) -> bool:
     n = Y.shape[1]
     sooner = [k for k in range(1, n) if n % k == 0]
     distances, guessed = ([float(np.abs(x - np.roll(x, k, axis=1)).max()) for k in sooner] for x in (Y, guess))
-    return all(a > max(0.5 * b, _LEAST_APART) for a, b in zip(distances, guessed, strict=True))
+    return all(a > max(0.5 * b, _MIN_DISTANCE) for a, b in zip(distances, guessed, strict=True))
 
 
 def _correct_across(problem: Problem, guess: Guess, slope: float) -> Cycle:

@@ -35,7 +35,7 @@ from tasks.step.problem import Lanes
 from tasks.walkers.walker_array import WalkerArray
 
 #: Errors of the ends of pieces are taken to be no smaller, in ln slope.
-_LEAST_END_ERROR = 1e-9
+_MIN_END_ERROR = 1e-9
 #: Gaits of two pieces nearer than this could be one.
 _APART = 1e-7
 #: Points solved at a time, and where most are given by polynomials.
@@ -203,7 +203,7 @@ def _away_from_events(cell: Cell, keys: np.ndarray, slope: np.ndarray) -> np.nda
         ends = patch.ends_at(unit)
         for end in (0, 1):
             inwards = (q - ends[:, [end]]) * (1, -1)[end]
-            error = PREDICTED_WITHIN * max(patch.end_errors[end], _LEAST_END_ERROR)
+            error = PREDICTED_WITHIN * max(patch.end_errors[end], _MIN_END_ERROR)
             away &= (np.abs(inwards) > error if patch.events[end] else inwards >= 0).all(axis=1)
     return away
 

@@ -13,7 +13,7 @@ from pipeline.study import model
 from tasks.registry import GAITS, TASKS
 
 #: Points solved in one call.
-_MOST_POINTS = 8192
+_MAX_POINTS = 8192
 
 
 def plane_of(
@@ -82,7 +82,7 @@ def cells(
     assert study.plane
     places = [np.searchsorted(axis.values, keys[axis.name]) for axis in study.line_axes]
     order = np.argsort(np.ravel_multi_index(places, study.line_shape[1:]))
-    most = max(1, _MOST_POINTS // len(study.slope))
+    most = max(1, _MAX_POINTS // len(study.slope))
     solve = dispatch.resolve(TASKS["atlas"].over_plane)
     shared = {"slope": study.slope, "want": study.variables, **graph.point_params(study)}
     for cell in study.cells():

@@ -35,7 +35,7 @@ from pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
 _MAX_REPAIRS = 3  # damages of a journal in one run, after which it is given up
-_LEAST_BYTES = 0.005  # of a packed number in an archive: 16,384 equal ones take 104 bytes at best
+_MIN_BYTES = 0.005  # of a packed number in an archive: 16,384 equal ones take 104 bytes at best
 _MAX_REASONS = 10  # reasons listed at the end of a run
 _SNAPSHOT_PAUSE = 20  # minimum interval, in multiples of the time of writing one
 
@@ -116,7 +116,7 @@ def _attempt(studies: list[StudyRun], options: Options, signals: Signals) -> Non
 
 def _check_room(study: Study, path: Path) -> None:
     """Refuse a grid whose archive the disk cannot hold, however few gaits exist and however well they are packed."""
-    needed, free = _LEAST_BYTES * study.points * len(graph.variables(study)), shutil.disk_usage(path.parent).free
+    needed, free = _MIN_BYTES * study.points * len(graph.variables(study)), shutil.disk_usage(path.parent).free
     if study.kind == "grid" and needed > free:
         raise DiskFullError(
             f"{study.points:,} points need {needed / 1e9:,.1f} GB at least; {free / 1e9:,.1f} are free."

@@ -19,7 +19,7 @@ from pipeline.store.rows import BLOCK, Block, TaskKey
 from pipeline.study.model import Axis, Study
 
 SIZE = 64  # lines in a block: enough to fill registers, few enough to show progress
-_MOST_POINTS = 8192  # in a block of a plane, whose lines lie in one cell
+_MAX_POINTS = 8192  # in a block of a plane, whose lines lie in one cell
 #: Constants of the finalizer of splitmix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195).
 _INCREMENT, _FIRST, _SECOND = (np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
 
@@ -69,7 +69,7 @@ class Blocks:
         """Lines of a plane cell by cell, the bounds of blocks among them, and the place of each line."""
         if not graph.over_plane(self.study):
             return None
-        most = max(1, _MOST_POINTS // len(self.study.slope))
+        most = max(1, _MAX_POINTS // len(self.study.slope))
         cells = list(self.study.cells())
         sizes = [len(part) for cell in cells for part in np.array_split(cell, -(-len(cell) // most))]
         order = np.concatenate(cells)

@@ -14,9 +14,9 @@ import numpy as np
 
 #: So many lines over one or two keys are divided into cells, whose gaits polynomials predict; so many designs lie in
 #: one cell.
-_LEAST_PLANE, _LEAST_DESIGNS = 64, 400
+_MIN_LINES, _MIN_DESIGNS = 64, 400
 #: Designs that one job computes: of a cell, and of lines that are surveyed one by one.
-_MOST_OF_CELL, _MOST_ALONE = 1 << 16, 32
+_MAX_CELL_DESIGNS, _MAX_SURVEYED_DESIGNS = 1 << 16, 32
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class Study:
         ]
         axes = sorted(sorted(axes, key=len)[-2:], key=lambda axis: axis.name)
         of_designs = self.kind == "design"
-        if not axes or math.prod(map(len, axes)) < (_LEAST_DESIGNS if of_designs else _LEAST_PLANE):
+        if not axes or math.prod(map(len, axes)) < (_MIN_DESIGNS if of_designs else _MIN_LINES):
             return None
         if of_designs:
             return Plane(tuple(axes), (1,) * len(axes))
@@ -190,7 +190,7 @@ class Study:
         if self.kind != "design":
             return np.array([number])
         cell, part = divmod(number, self._batches_each)
-        most = _MOST_OF_CELL if self.plane else _MOST_ALONE
+        most = _MAX_CELL_DESIGNS if self.plane else _MAX_SURVEYED_DESIGNS
         places = np.arange(part * most, min((part + 1) * most, self._designs))
         if not self.plane:
             return cell * self._designs + places
@@ -219,7 +219,7 @@ class Study:
 
     @property
     def _batches_each(self) -> int:
-        return -(-self._designs // (_MOST_OF_CELL if self.plane else _MOST_ALONE))
+        return -(-self._designs // (_MAX_CELL_DESIGNS if self.plane else _MAX_SURVEYED_DESIGNS))
 
     def name_of(self, number: int) -> str:
         """Label of the walker of a line."""

@@ -13,7 +13,7 @@ from tasks.families.cell import FEW, Cell, Family, make_cell
 
 #: How many times more often a box may be halved along one key than along another: what changes in it may lie along a
 #: curve that no halves along one key leave.
-_MOST_UNEVEN = 2
+_MAX_UNEVENNESS = 2
 #: How often a box is halved at most, and the fewest lines for which a part's patches are worth making.
 _MAX_SPLITS, _MIN_LINES = 6, 24
 
@@ -52,7 +52,7 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
                 parts[place] = make(part, str(refused))
                 continue
             halved = np.bincount([key for _, key in place], minlength=len(box.keys))
-            axis = refused.axis if halved[refused.axis] < halved.min() + _MOST_UNEVEN else int(halved.argmin())
+            axis = refused.axis if halved[refused.axis] < halved.min() + _MAX_UNEVENNESS else int(halved.argmin())
             left += [((*place, (i, axis)), half) for i, half in enumerate(part.halves(axis))]
     return [parts[place] for place in sorted(parts)]
 

@@ -42,13 +42,13 @@ _TIE = 1e-3
 _RIVALS = ("fold", "flip")
 _RIVAL = {"smallest_slope": 0.05, "largest_stable_slope": 0.1, "fastest_stable_speed": 0.05, "least_cost": 0.0}
 #: Rounds in which lines are surveyed and manifolds added, and lines of each.
-_ROUNDS, _MOST_LINES = 6, 8
+_ROUNDS, _MAX_LINES = 6, 8
 #: Share of the lattice whose designs are left to lines rather than the box is halved, as a single one is.
 _RARE = 0.02
 #: Points nearer than this are one.
 _SAME = 1e-6
 #: Boxes of fewer designs than this are left to lines; a box is halved so often.
-_LEAST_DESIGNS, _MOST_SPLITS = 64, 8
+_MIN_DESIGNS, _MAX_SPLITS = 64, 8
 
 
 @dataclass
@@ -272,7 +272,7 @@ class _Surveyor:
             if pattern not in patterns and place.tobytes() not in known:
                 places.append(place)
                 shares.append(len(members) / len(self.lattice))
-        return np.array(places[:_MOST_LINES]).reshape(-1, self.d), shares[:_MOST_LINES]
+        return np.array(places[:_MAX_LINES]).reshape(-1, self.d), shares[:_MAX_LINES]
 
     def roughest(self) -> int:
         """The key along which what the surveyed lines have changes most, or else the widest."""
@@ -293,7 +293,7 @@ def make(
     box: Box,
     window: tuple[float, float],
     count: Callable[[Box], int],
-    splits: int = _MOST_SPLITS,
+    splits: int = _MAX_SPLITS,
     log_speed: float | None = None,
 ) -> list[Landscape]:
     """Make the landscapes of a box, or of the parts into which it is divided.
@@ -316,4 +316,4 @@ def make(
         surveyor = _Surveyor(family, box, window, log_speed)
         return Landscape(box, surveyor.structure, why=why) if why else surveyor.landscape()
 
-    return divide(box, landscape, lambda part: count(part) >= _LEAST_DESIGNS, splits)
+    return divide(box, landscape, lambda part: count(part) >= _MIN_DESIGNS, splits)

@@ -23,7 +23,7 @@ _GOAL = 1e-10
 #: Distance from an end at which its gaits must be steps.
 _INSIDE = 1e-3
 #: Share of the way to a turn within which designs are surveyed, and the least that counts.
-_AT_TURN, _LEAST_SHARE = 1e-5, 1e-12
+_AT_TURN, _MIN_SHARE = 1e-5, 1e-12
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Cut:
         factor : ndarray, shape (n,)
             By which what is smooth of the derivatives of the scalar is to be multiplied.
         """
-        log_root = 0.5 * np.log(np.maximum(1 - self.share(unit), _LEAST_SHARE))
+        log_root = 0.5 * np.log(np.maximum(1 - self.share(unit), _MIN_SHARE))
         return np.multiply.outer(np.array(self.powers[:-1]), log_root), np.exp(self.powers[-1] * log_root)
 
     def at(self, unit: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ _FAIR = 1e-4
 _DRAWN = 24
 #: First and least share of the way in which a point is carried from one design to another, and largest distance from
 #: its prediction.
-_STRIDE, _LEAST_STRIDE, _MAX_STRIDE_ERROR = 0.125, 1 / 256, 0.3
+_STRIDE, _MIN_STRIDE, _MAX_STRIDE_ERROR = 0.125, 1 / 256, 0.3
 #: Displacement that shows how Newton's method converges.
 _DISPLACED = 1e-4
 #: How far a manifold that does not cover the box is followed along a key, and how far it is kept beyond the place from
@@ -191,7 +191,7 @@ class _Extension:
             share[new] += step[fair]
             stride[new] *= 1.5
             stride[active[~fair]] *= 0.5
-            active = active[(share[active] < 1 - 1e-12) & (stride[active] > _LEAST_STRIDE)]
+            active = active[(share[active] < 1 - 1e-12) & (stride[active] > _MIN_STRIDE)]
         return here + own.growth(nodes)[0], share >= 1 - 1e-12
 
     def cut(self, lost: np.ndarray) -> Cut:

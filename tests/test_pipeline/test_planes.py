@@ -107,7 +107,7 @@ def test_few_lines_are_no_plane(tmp_path, axes):
 
 
 def test_a_plane_that_no_disk_holds_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.execution.runner._LEAST_BYTES", 10**12)
+    monkeypatch.setattr("pipeline.execution.runner._MIN_BYTES", 10**12)
     with pytest.raises(DiskFullError, match=r"^144 points need 1,296,000.0 GB at least; [\d,.]+ are free\.$"):
         run(tmp_path, STUDY.format(walker="B", axes=AXES))
     assert not (tmp_path / "plane.nc").exists()
