@@ -68,8 +68,8 @@ def shortage(error: BaseException, folder: Path) -> OSError | None:
         with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
             while (n := file.tell()) < _LITTLE:
                 file.write(bytes(_LITTLE - n))
-    except OSError as found:
-        return found if is_shortage(found) else None
+    except OSError as failure:
+        return failure if is_shortage(failure) else None
     return None
 
 

@@ -170,7 +170,7 @@ def largest_steps(problem: Lanes, y: np.ndarray, slope: float, limit: float) -> 
     that. It is survived if after 200 steps the walker is back within a thousandth of its gait.
     """
     n, most = y.shape[1], int(np.ceil(round(limit / STEP_RESOLUTION, 6)))
-    found = np.full((2, n), most)
+    largest = np.full((2, n), most)
     for k in range(0, n, _LANES // _AT_ONCE):
         part = np.arange(k, min(k + _LANES // _AT_ONCE, n))
         own, home = problem.some(part), _Neighbourhoods(problem.some(part), y[:, part], slope)
@@ -182,11 +182,11 @@ def largest_steps(problem: Lanes, y: np.ndarray, slope: float, limit: float) -> 
                 survived = _survived(own, home, each, slope, sign * np.tile(heights, len(left)))
                 survived = survived.reshape(len(left), -1)
                 failed = ~survived.all(axis=1)
-                found[row, part[left[failed]]] = first - 1 + survived[failed].argmin(axis=1)
+                largest[row, part[left[failed]]] = first - 1 + survived[failed].argmin(axis=1)
                 left = left[~failed]
                 if not len(left):
                     break
-    return np.minimum((found * STEP_RESOLUTION).round(9), limit)
+    return np.minimum((largest * STEP_RESOLUTION).round(9), limit)
 
 
 def _survived(problem: Lanes, home: _Neighbourhoods, lanes: np.ndarray, slope: float, height: np.ndarray) -> np.ndarray:

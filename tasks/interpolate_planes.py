@@ -129,13 +129,13 @@ def sheets(family: Family, cell: Cell, want: Sequence[str], accuracy: float, poi
     list of Sheet
         Empty where a patch has none that reaches the accuracy with fewer gaits than points.
     """
-    found = []
+    fitted = []
     for patch in cell.patches:
         sheet = _sheet(family, cell, patch, want, accuracy, points)
         if sheet is None:
             return []
-        found.append(sheet)
-    return found
+        fitted.append(sheet)
+    return fitted
 
 
 def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accuracy: float, points: int) -> Sheet | None:

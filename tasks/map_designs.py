@@ -83,8 +83,8 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         )
         if possible:
             each = [{**line, "set": {k: float(v[i]) for k, v in keys.items()}} for i in possible]
-            asked = {"lines": each, "slope": np.array([at_slope]), "want": _GAIT, "cell": params["cell"]}
-            gaits[:, possible] = _long(lines_of_plane(asked, [])[0][1])
+            request = {"lines": each, "slope": np.array([at_slope]), "want": _GAIT, "cell": params["cell"]}
+            gaits[:, possible] = _long(lines_of_plane(request, [])[0][1])
     others = np.flatnonzero(~accepted)
     for structure, numbers in _alike(walkers, others).items():
         for k in range(0, len(numbers), _LINES):
@@ -95,8 +95,8 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             if at_slope is not None and "cell" not in params:
                 for i, of_line in zip(part.tolist(), branches, strict=True):
                     own = {**line, "set": {key: float(value[i]) for key, value in keys.items()}}
-                    asked = {"line": own, "slope": np.array([at_slope]), "want": _GAIT}
-                    gaits[:, [i]] = _long(points(asked, [to_arrays(of_line)]))
+                    request = {"line": own, "slope": np.array([at_slope]), "want": _GAIT}
+                    gaits[:, [i]] = _long(points(request, [to_arrays(of_line)]))
     if at_slope is not None:
         _disturb(walkers, gaits, at_slope, ground, rows)
     columns = rows.columns(walkers) | rows.further(options)

@@ -125,7 +125,7 @@ def _describe(problem: Problem, cycle: Cycle) -> dict[str, Any]:
 def _special_points(problem: Problem, branch: CycleBranch) -> list[dict[str, Any]]:
     """Ends, folds and flips of a branch, in order along it."""
     first, *_, last = branch.cycles
-    found = [_record(problem, branch.ends[0], first, _end_error(branch.ends[0], first))]
+    records = [_record(problem, branch.ends[0], first, _end_error(branch.ends[0], first))]
     for a, b in zip(branch.cycles[:-1], branch.cycles[1:], strict=True):
         tests: tuple[tuple[str, Test], ...] = (("fold", fold_test), ("flip", flip_test))
         for kind, test in tests:
@@ -134,8 +134,8 @@ def _special_points(problem: Problem, branch: CycleBranch) -> list[dict[str, Any
                 path.points.append(b)
                 cycle = path.locate_root(test)
                 if cycle.ok:
-                    found.append(_record(problem, kind, cycle, slope_error(problem, cycle, kind)))
-    return [*found, _record(problem, branch.ends[1], last, _end_error(branch.ends[1], last))]
+                    records.append(_record(problem, kind, cycle, slope_error(problem, cycle, kind)))
+    return [*records, _record(problem, branch.ends[1], last, _end_error(branch.ends[1], last))]
 
 
 def _end_error(kind: str, cycle: Cycle) -> float:

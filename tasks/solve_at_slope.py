@@ -61,14 +61,14 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     if steps > 1:
         return _solve_cycles(line, slope, steps, params.get("accuracy", 0.0))
     branches = atlases.survey(problem, COARSE)
-    asked = {"slope": np.array([slope]), "want": _WANT, "accuracy": params.get("accuracy", 0.0)}
-    point = points({"line": line, **asked}, [atlases.to_arrays(branches)])
+    request = {"slope": np.array([slope]), "want": _WANT, "accuracy": params.get("accuracy", 0.0)}
+    point = points({"line": line, **request}, [atlases.to_arrays(branches)])
     gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
     log = [atlases.searched(problem.walker)]
     log.append(f"{len(branches)} branches continued over {sum(len(b.Z) for b in branches)} points")
     if params.get("all") or not gaits:
-        others, nearest = _search_slope(problem, slope, gaits, asked["accuracy"])
+        others, nearest = _search_slope(problem, slope, gaits, request["accuracy"])
         log.append(_describe_starts(problem, slope))
         gaits += [other for other in others if other["passes"] == 1]
         non_anthropomorphic = [other for other in others if other["passes"] != 1 and params.get("all")]

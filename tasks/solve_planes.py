@@ -91,8 +91,8 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
             made: list[Sheet] = []
             if is_interpolated(want, accuracy):
                 made = _sheets(family, part, tuple(want), accuracy, part.box.count(values) * len(at_panel))
-            asked = part, keys[inside], slope[at_panel], want, wanted, friction_limit
-            solved, accepted[inside] = solve(family, *asked, made, accuracy)
+            of_part = part, keys[inside], slope[at_panel], want, wanted, friction_limit
+            solved, accepted[inside] = solve(family, *of_part, made, accuracy)
             for name, value in solved.items():
                 out[name][np.ix_(inside, at_panel)] = value
     to_accuracy({name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}, accuracy)
@@ -103,8 +103,8 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
         out["reason"] = out["reason"].astype(np.int32)
         sentences: dict[str, int] = {}
         for i, (_, points) in zip(others, surveyed, strict=True):
-            said = points["reasons"].tolist()
-            own = np.array([len(reasons) + sentences.setdefault(sentence, len(sentences)) for sentence in said])
+            of_line = points["reasons"].tolist()
+            own = np.array([len(reasons) + sentences.setdefault(sentence, len(sentences)) for sentence in of_line])
             for name in out:
                 out[name][i] = own[points[name]] if name == "reason" else points[name]
         reasons += sentences
@@ -185,9 +185,9 @@ def solve(
         some = slice(k, k + lines)
         part = {name: value[k * s : (k + lines) * s] for name, value in out.items()}
         accepted[some] = _away_from_events(cell, keys[some], slope)
-        asked = family, cell, keys[some], slope, solved, wanted, part
-        integrated = ~_interpolate_block(*asked, made, accuracy) if made else np.ones(len(keys[some]), bool)
-        accepted[some] &= _solve_block(*asked, friction_limit, accuracy, np.flatnonzero(integrated & accepted[some]))
+        shared = family, cell, keys[some], slope, solved, wanted, part
+        integrated = ~_interpolate_block(*shared, made, accuracy) if made else np.ones(len(keys[some]), bool)
+        accepted[some] &= _solve_block(*shared, friction_limit, accuracy, np.flatnonzero(integrated & accepted[some]))
     return {name: value.reshape(n, s, *value.shape[1:]) for name, value in out.items()}, accepted
 
 

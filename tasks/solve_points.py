@@ -171,13 +171,13 @@ def _solve_lines(
         interpolated, integrated = polynomials.parts(slope[part]) if polynomials else ([], None)
         pieces = [_pieces(branches, slope[part], wanted, integrated) for branches in atlas]
         parts = [interpolated for _ in lines]
-        here = [i for i, each in enumerate(pieces) if each]
-        guesses = [join([piece.guesses for piece in pieces[i]]) for i in here]
+        with_pieces = [i for i, each in enumerate(pieces) if each]
+        guesses = [join([piece.guesses for piece in pieces[i]]) for i in with_pieces]
         counts = [len(each.slope) for each in guesses]
-        if here:
-            places = [(problems[i], piece.branch, piece.segment) for i in here for piece in pieces[i]]
-            at = settle_on_branches(problem.some(np.repeat(here, counts)), join(guesses), places, accuracy)
-        for i, each, count, end in zip(here, guesses, counts, np.cumsum(counts).tolist(), strict=True):
+        if with_pieces:
+            places = [(problems[i], piece.branch, piece.segment) for i in with_pieces for piece in pieces[i]]
+            at = settle_on_branches(problem.some(np.repeat(with_pieces, counts)), join(guesses), places, accuracy)
+        for i, each, count, end in zip(with_pieces, guesses, counts, np.cumsum(counts).tolist(), strict=True):
             gaits = describe(
                 problems[i],
                 problems[i].walker,
@@ -212,9 +212,9 @@ def _prove(out: Arrays, line: Mapping[str, Any], slope: np.ndarray) -> None:
     from tasks.proofs.records import prove_stored  # needs the extra `proof`
 
     for i, g in np.argwhere(np.isin(out["status"], status.SOLVED)).tolist():
-        asked = {"walker": line["walker"], "set": line.get("set"), "slope": float(slope[i]), "gait": GAITS[g]}
+        request = {"walker": line["walker"], "set": line.get("set"), "slope": float(slope[i]), "gait": GAITS[g]}
         values = {name: float(out[name][i, g]) for name in PROVED_FROM}
-        proof = prove_stored({**asked, "accuracy": PROOF_ACCURACY, "values": values})
+        proof = prove_stored({**request, "accuracy": PROOF_ACCURACY, "values": values})
         if "proved" in out:
             out["proved"][i, g] = PROVED["proved" if proof["proved"] else "not_proved"]
         if "proved_radius" in out and proof["proved"]:

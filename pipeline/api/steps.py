@@ -218,6 +218,6 @@ def _attributes(name: str, is_si: bool) -> dict[str, Any]:
     if name in _LONG_NAMES:
         kind, long_name = _LONG_NAMES[name]
         return {"long_name": long_name, "units": SI_UNITS[kind] if is_si or kind == "angle" else "1"}
-    told = attributes.of_variable(VARIABLES[name], is_si)
-    del told["ancillary_variables"]
-    return told
+    of_variable = attributes.of_variable(VARIABLES[name], is_si)
+    del of_variable["ancillary_variables"]
+    return of_variable

@@ -233,14 +233,14 @@ def gaits(
     calls faster and does not change them.
     """
     steps = broadcast.whole_number("steps", steps, MAX_STEPS)
-    asked = 0.0 if accuracy is None else parse.accuracy(accuracy, Location("", "accuracy"))
+    bound = 0.0 if accuracy is None else parse.accuracy(accuracy, Location("", "accuracy"))
     names = [variables] if isinstance(variables, str) else variables
     if not isinstance(names, Iterable | None):
         raise Location("", "variables").wrong("must be a list of names", names)
-    wanted = parse.variables(None if names is None else list(names), Location("", "variables"), asked)
+    wanted = parse.variables(None if names is None else list(names), Location("", "variables"), bound)
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
         raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
-    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys}, steps, asked)
+    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys}, steps, bound)
 
 
 @in_turn

@@ -117,9 +117,9 @@ def _positions(case: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
         return np.searchsorted(every, values), every
     place, own = np.zeros(len(values), int), []
     for c in cases:
-        mine, inverse = np.unique(values[case == c], return_inverse=True)
+        distinct, inverse = np.unique(values[case == c], return_inverse=True)
         place[case == c] = inverse
-        own.append(mine)
+        own.append(distinct)
     return place, np.array(own)
 
 

@@ -257,12 +257,12 @@ def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: lis
     slope : ndarray, shape (n,) [rad]
     """
     outcome = Hunted(lines=1)
-    found = [(number, *each) for number, branch in enumerate(branches) for each in branch.guesses(np.log(slope))]
-    if not found:
+    pieces = [(number, *each) for number, branch in enumerate(branches) for each in branch.guesses(np.log(slope))]
+    if not pieces:
         return outcome
-    guesses = join([branches[k].known_guesses(Z, segment, slope[index]) for k, index, Z, segment in found])
+    guesses = join([branches[k].known_guesses(Z, segment, slope[index]) for k, index, Z, segment in pieces])
     start = time.process_time()
-    at = settle_on_branches(problem, guesses, [(problem, branches[k], segment) for k, _, _, segment in found])
+    at = settle_on_branches(problem, guesses, [(problem, branches[k], segment) for k, _, _, segment in pieces])
     seconds = (time.process_time() - start) / len(guesses.slope)
     angle, settled = at.y[0] * at.scale, at.converged & at.step
     outcome.gaits = len(angle)
@@ -273,7 +273,7 @@ def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: lis
     outcome.wrong = [("not converged", gait(k, float(at.bound[k]))) for k in np.flatnonzero(~settled).tolist()]
     values = {name: np.where(settled, value, -np.inf) for name, value in _measured(problem, at, guesses).items()}
     values["time"] = np.where(settled, seconds, -np.inf)
-    number = np.repeat([k for k, *_ in found], [len(index) for _, index, *_ in found])
+    number = np.repeat([k for k, *_ in pieces], [len(index) for _, index, *_ in pieces])
     place = np.vstack([np.log(angle), at.y[1:] / at.y[0]])
     values["re-pairing"] = np.where(settled, _nearness(guesses.slope, number, place), -np.inf)
     # In extended precision the gaits whose bounds are largest, and those nearest a fold.

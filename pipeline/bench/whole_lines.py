@@ -69,14 +69,14 @@ class WholeLines:
     wrong: list[tuple[str, Input]] = field(default_factory=list)
 
     def __str__(self) -> str:
-        told = [
+        numbers = [
             f"{getattr(self, each.name):.3g} {each.name.replace('_', ' ')}"
             if each.type == "float"
             else f"{getattr(self, each.name):,} {each.name}"
             for each in fields(self)
             if each.name != "wrong"
         ]
-        return f"{', '.join(told)}, {len(self.wrong)} wrong"
+        return f"{', '.join(numbers)}, {len(self.wrong)} wrong"
 
 
 def whole_lines(seeds: Sequence[int], say: Callable[[str], None] | None = None) -> WholeLines:
@@ -166,20 +166,20 @@ def _check_in_other_units(
     table |= {key: table[key] * _UNITS[kind] for key, kind in KEYS.items() if kind in _UNITS}
     other = Lanes(resolve_many(table, {"g": np.array([table["g"]])}))
     for branch in branches:
-        for found in special_points(problem, branch):
-            kind, at = str(found["kind"]), float(found["slope"])
+        for special in special_points(problem, branch):
+            kind, at = str(special["kind"]), float(special["slope"])
             if kind not in defining.SCALARS or kind == "window":
                 continue
             outcome.special += 1
-            guess = _nearest(branch, np.log([found["stance_angle"], at]))
+            guess = _nearest(branch, np.log([special["stance_angle"], at]))
             solved = defining.solve(other, kind, guess[:, None])
             off = abs(float(np.expm1(solved.Z[branch.m, 0] - np.log(at))))
             if not solved.ok[0] or off > _ANOTHER:
                 continue
             outcome.confirmed += 1
             outcome.farthest_special = max(outcome.farthest_special, off)
-            if off > found["error_bound"] + solved.error[0] + _ROUNDED:
-                outcome.wrong.append((kind, Input(name, changes, at, float(found["stance_angle"]), off)))
+            if off > special["error_bound"] + solved.error[0] + _ROUNDED:
+                outcome.wrong.append((kind, Input(name, changes, at, float(special["stance_angle"]), off)))
     one, two = (
         points({"line": line, "slope": slope, "want": _WANT}, [atlas({"line": line, "coarse": True}, [])])
         for line in ({"walker": name, "set": changes}, {"walker": table, "set": {}})

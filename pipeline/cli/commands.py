@@ -256,8 +256,8 @@ def _plan(options: argparse.Namespace) -> int:
     for study, path in _archives(options):
         journal = Journal(paths.sidecar_path(path, ".journal"), write=False)
         planned = missing.Plan(study, journal, options.retry_failed)
-        told = text.plan_record if options.json else text.plan
-        records.append(told(planned, missing.summary(planned), path))
+        describe = text.plan_record if options.json else text.plan
+        records.append(describe(planned, missing.summary(planned), path))
     print(json.dumps(records) if options.json else "\n".join(line for record in records for line in record))
     return 0
 

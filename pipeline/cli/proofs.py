@@ -20,11 +20,11 @@ def run(options: argparse.Namespace) -> int:
     search: list[str] = []
     if options.archive is None:
         answer = prove.walker(options.walker, options.slope, options.set, options.gait, options.accuracy)
-        found, search = iter(answer["gaits"]), answer["search"]
+        proofs, search = iter(answer["gaits"]), answer["search"]
     else:
-        found = prove.archive(options.archive, options.sample, options.accuracy, options.jobs)
+        proofs = prove.archive(options.archive, options.sample, options.accuracy, options.jobs)
     gaits = []
-    for gait in found:
+    for gait in proofs:
         gaits.append(gait)
         if not options.json:
             print(prove.shown(gait), flush=True)

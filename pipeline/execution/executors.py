@@ -65,9 +65,9 @@ def _run_elsewhere(software_of_run: dict[str, str], number: int, request: Reques
     WorkerError
         If the node has other versions than the run.
     """
-    for name, here in software().items():
-        if here != (wanted := software_of_run.get(name)):
-            raise WorkerError(f"The cluster's worker on {platform.node()} has {name} {here}; the run has {wanted}.")
+    for name, version in software().items():
+        if version != (wanted := software_of_run.get(name)):
+            raise WorkerError(f"The cluster's worker on {platform.node()} has {name} {version}; the run has {wanted}.")
     return _run_job(number, request)
 
 

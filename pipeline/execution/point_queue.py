@@ -56,8 +56,8 @@ class PointQueue:
     def take(self) -> tuple[Job, int]:
         """Take the next job, and its number of points."""
         job = self.jobs.popleft()
-        if self._is_dear(job):
-            self._divide_dear(job)
+        if self._is_expensive(job):
+            self._divide_expensive(job)
             job = self.jobs.popleft()
         assert job.indices is not None
         n = self.chunks.cut(job.indices, self.size(job))
@@ -65,7 +65,7 @@ class PointQueue:
             self.jobs.appendleft(dataclasses.replace(job, indices=job.indices[n:]))
         return dataclasses.replace(job, indices=job.indices[:n]), n
 
-    def _is_dear(self, job: Job) -> bool:
+    def _is_expensive(self, job: Job) -> bool:
         """Whether a chunk of the archive takes too long for a job, and its points may differ in cost."""
         if not self.chunks.extent or job.indices is None or not job.work or job.work.number not in self.costs.probed:
             return False
@@ -73,11 +73,11 @@ class PointQueue:
         seconds = self.costs.cost_per_point(job.work.number)[regions].sum()
         return bool(regions[0] < regions[-1] and seconds > MAX_EXCESS * TARGET_SECONDS)
 
-    def _divide_dear(self, job: Job) -> None:
+    def _divide_expensive(self, job: Job) -> None:
         """Divide the dear chunks of a line by region, in an order that samples them."""
-        dear = [job, *(each for each in self.jobs if each.work is job.work and self._is_dear(each))]
-        self.jobs = deque(each for each in self.jobs if not any(each is other for other in dear))
-        pieces = self.costs.by_region(_joined(dear), parts=2)
+        expensive = [job, *(each for each in self.jobs if each.work is job.work and self._is_expensive(each))]
+        self.jobs = deque(each for each in self.jobs if not any(each is other for other in expensive))
+        pieces = self.costs.by_region(_joined(expensive), parts=2)
         _, *order = golden_ratio_order(len(pieces))
         self.jobs.extend(dataclasses.replace(job, indices=pieces[k]) for k in (*order, 0))
 

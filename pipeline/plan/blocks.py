@@ -208,7 +208,7 @@ def stored_blocks(journal: Journal, key: str, others: StoredLines | None, digest
     digests : ndarray of uint64, shape (n, 2)
         Of its lines.
     """
-    found = list(journal.blocks(key))
+    blocks = list(journal.blocks(key))
     if others:
-        found += [journal.block(number) for number in others.find(digests)]
-    return iter(sorted(found, key=lambda block: block.id))
+        blocks += [journal.block(number) for number in others.find(digests)]
+    return iter(sorted(blocks, key=lambda block: block.id))

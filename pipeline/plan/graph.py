@@ -107,8 +107,8 @@ def is_interpolated(study: Study) -> bool:
 
 def point_params(study: Study) -> dict[str, Any]:
     """Parameters of points on which their values depend, beside their line and slopes."""
-    asked = {"accuracy": study.accuracy, "interpolated": is_interpolated(study)} if study.accuracy else {}
-    return {**study.options, **asked}
+    accuracy_params = {"accuracy": study.accuracy, "interpolated": is_interpolated(study)} if study.accuracy else {}
+    return {**study.options, **accuracy_params}
 
 
 def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:

@@ -179,8 +179,8 @@ def fits(source: Source) -> list[Table]:
 def landmarks(source: Source) -> Table | None:
     """Landmarks that the paper prints or numbers, beside those computed and what rounding allows."""
     names = ["landmark", "walker", "point", "printed", "slope", "slope_low", "slope_high", "stance_angle"]
-    found = [source.tables[n] for n in ("landmarks", "crises") if n in source.tables]
-    frame = pd.concat([t[names] for t in found if set(names) <= set(t.columns)] or [pd.DataFrame(columns=names)])
+    tables = [source.tables[n] for n in ("landmarks", "crises") if n in source.tables]
+    frame = pd.concat([t[names] for t in tables if set(names) <= set(t.columns)] or [pd.DataFrame(columns=names)])
     if frame.empty:
         return None
     heads = ["landmark", "walker", "point"]

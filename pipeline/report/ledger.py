@@ -105,7 +105,7 @@ def tally(ledger: Iterable[Family]) -> dict[str, list[ClaimRow]]:
     """Claims by verdict, the best verdict first."""
     rows = [row for family in ledger for row in family.verdicts]
     order = list(dict.fromkeys([*_SIGNS, *(row.verdict for row in rows)]))
-    return {verdict: found for verdict in order if (found := [row for row in rows if row.verdict == verdict])}
+    return {verdict: members for verdict in order if (members := [row for row in rows if row.verdict == verdict])}
 
 
 def table(ledger: Iterable[Family]) -> pd.DataFrame:

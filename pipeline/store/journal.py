@@ -231,8 +231,8 @@ class Journal:
         numbers : ndarray of int, shape (n,)
         low, high : ndarray, shape (n,) [rad]
         """
-        found = self._read("SELECT id, low, high FROM points WHERE line = ? ORDER BY id", line)
-        numbers, low, high = zip(*found, strict=True) if found else ((), (), ())
+        stored = self._read("SELECT id, low, high FROM points WHERE line = ? ORDER BY id", line)
+        numbers, low, high = zip(*stored, strict=True) if stored else ((), (), ())
         with self._unpacking():
             return np.array(numbers, int), np.array(low, float), np.array(high, float)
 

@@ -179,26 +179,26 @@ def bordered_newton(
     active = np.arange(n)
     for iteration in range(limits.max_iterations):
         normal, points = border[:, active], Z[:, active]
-        here = linearise(active, points)
-        own = len(Z) - len(here.times_by)
-        matrix = bordered_matrix(here.derivative, normal, here.times_by)
+        system = linearise(active, points)
+        own = len(Z) - len(system.times_by)
+        matrix = bordered_matrix(system.derivative, normal, system.times_by)
         off = (normal * (start[:, active] - points)).sum(axis=0)
-        right = np.concatenate([-here.residual, off[:, None]], axis=1)
+        right = np.concatenate([-system.residual, off[:, None]], axis=1)
         solvable = replace_singular(matrix, right)
         change = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
         size = np.abs(change[:own]).max(axis=0)
-        new_times = points[own:] + (here.late + matvec(here.times_by, change))
+        new_times = points[own:] + (system.late + matvec(system.times_by, change))
         moving = solvable & (size <= limits.max_step) & np.isfinite(new_times).all(axis=0)
         Z[:, active[moving]] = np.vstack([points[:own] + change[:own], new_times])[:, moving]
         done = moving & (
-            (size < rounding_step(matrix, here)) | ((size < limits.small) & (size > limits.shrinking * error[active]))
+            (size < rounding_step(matrix, system)) | ((size < limits.small) & (size > limits.shrinking * error[active]))
         )
         ok[active], error[active] = done, size
         # A lane that is done keeps its own last step, so its bits do not depend on the others.
         if not iteration:
-            at = here
+            at = system
         else:
-            at.assign(active, here)
+            at.assign(active, system)
         active = active[moving & ~done]
         if not len(active):
             break

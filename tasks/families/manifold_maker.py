@@ -172,27 +172,27 @@ class _Extension:
         """
         own = coordinates or Coordinates()
         n, start, ends = len(nodes), own.own(self.unit[None]), own.own(nodes)
-        here, rows = np.repeat(self.Z[:, None], n, axis=1), np.zeros((len(self.Z), n))
+        points, rows = np.repeat(self.Z[:, None], n, axis=1), np.zeros((len(self.Z), n))
         rows[:] = gradient(self.problem(self.unit[None]), self.kind, self.Z[:, None])
-        here -= own.growth(self.unit[None])[0]
-        rate, share, stride = np.zeros_like(here), np.zeros(n), np.full(n, _STRIDE)
+        points -= own.growth(self.unit[None])[0]
+        rate, share, stride = np.zeros_like(points), np.zeros(n), np.full(n, _STRIDE)
         active = np.arange(n)
         while len(active):
             step = np.minimum(stride[active], 1 - share[active])
             unit = own.unit(start + (share[active] + step)[:, None] * (ends[active] - start))
-            guess = here[:, active] + step * rate[:, active]
+            guess = points[:, active] + step * rate[:, active]
             growth, _ = own.growth(unit)
             solved = solve(self.problem(unit), self.kind, guess + growth, self.target, rows[:, active])
             off = np.abs(solved.Z - growth - guess).max(axis=0)
             fair = solved.ok & (off < _MAX_STRIDE_ERROR)
             new, Z = active[fair], (solved.Z - growth)[:, fair]
-            rate[:, new] = (Z - here[:, new]) / step[fair]
-            here[:, new], rows[:, new] = Z, solved.rows[:, fair]
+            rate[:, new] = (Z - points[:, new]) / step[fair]
+            points[:, new], rows[:, new] = Z, solved.rows[:, fair]
             share[new] += step[fair]
             stride[new] *= 1.5
             stride[active[~fair]] *= 0.5
             active = active[(share[active] < 1 - 1e-12) & (stride[active] > _MIN_STRIDE)]
-        return here + own.growth(nodes)[0], share >= 1 - 1e-12
+        return points + own.growth(nodes)[0], share >= 1 - 1e-12
 
     def cut(self, lost: np.ndarray) -> Cut:
         """The curve at which the manifold is cut, which does not extend to some designs, `lost` (n, d)."""
@@ -222,10 +222,10 @@ class _Extension:
         start, across = np.zeros((places, self.d)), self.across(axis)
         start[:, across] = roots(places)
         start[:, axis] = -side
-        here, ok = self.carried(start)
+        points, ok = self.carried(start)
         if not ok.all():
             raise Refused(f"a {self.kind} is lost on its way to {(~ok).sum()} designs", across)
-        ends, where, turned = self.followed(here, start, axis, side)
+        ends, where, turned = self.followed(points, start, axis, side)
         if turned.all():
             if powers := self.powers(where, start, ends, axis, side):
                 other = roots(_VANISHING if self.d == 2 else 1)
@@ -244,7 +244,7 @@ class _Extension:
         return Cut(axis, side, curve, False)
 
     def followed(
-        self, here: np.ndarray, start: np.ndarray, axis: int, side: int
+        self, points: np.ndarray, start: np.ndarray, axis: int, side: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Follow points along one key until no gaits beside them are stable any more, or two sheets meet.
 
@@ -257,19 +257,19 @@ class _Extension:
             Where two sheets meet, so that points cannot be followed.
         """
         n = len(start)
-        u, here = start[:, axis].copy(), here.copy()
-        rows, rate = gradient(self.problem(start), self.kind, here), np.zeros_like(here)
+        u, points = start[:, axis].copy(), points.copy()
+        rows, rate = gradient(self.problem(start), self.kind, points), np.zeros_like(points)
         stride, counts, ended = np.full(n, 0.02), np.zeros(n, bool), np.zeros(n, bool)
         turned, active = np.zeros(n, bool), np.arange(n)
         while len(active):
             at = start[active].copy()
             at[:, axis] = u[active] + side * stride[active]
-            guess = here[:, active] + stride[active] * rate[:, active]
+            guess = points[:, active] + stride[active] * rate[:, active]
             solved = solve(self.problem(at), self.kind, guess, self.target, rows[:, active])
             fair = solved.ok & (np.abs(solved.Z - guess).max(axis=0) < 0.05)
             new = active[fair]
-            rate[:, new] = (solved.Z[:, fair] - here[:, new]) / stride[new]
-            here[:, new], rows[:, new], u[new] = solved.Z[:, fair], solved.rows[:, fair], at[fair, axis]
+            rate[:, new] = (solved.Z[:, fair] - points[:, new]) / stride[new]
+            points[:, new], rows[:, new], u[new] = solved.Z[:, fair], solved.rows[:, fair], at[fair, axis]
             # Gaits of a speed count whether they are stable or not.
             stable = (other_multipliers(self.kind, solved.at.stride.jacobian)[fair] < 1) | (self.kind == "speed")
             ended[new] = counts[new] & ~stable
@@ -280,7 +280,7 @@ class _Extension:
             if (np.abs(u) > _FARTHEST).any():
                 raise Refused(f"a {self.kind} counts far beyond the box", self.across(axis))
             active = active[~ended[active] & ~turned[active]]
-        return u, here, turned
+        return u, points, turned
 
     def vanishing(self, unit: np.ndarray, axis: int) -> np.ndarray:
         """Coordinates (n,) of a key at which the smallest slope vanishes, by Newton's method from designs near them.

@@ -119,18 +119,18 @@ def match(lines: list[list[Piece]], neighbour: list[int], low: float, high: floa
 
     groups: list[list[Piece | None]] = []
     for i in sorted(range(len(lines)), key=lambda i: _depth(neighbour, i)):
-        here, before = lines[i], neighbour[i]
-        new = set(range(len(here)))
+        pieces, before = lines[i], neighbour[i]
+        new = set(range(len(pieces)))
         known = [g for g, group in enumerate(groups) if before != i and group[before] is not None]
-        if here and known:
-            cost = np.array([[_distance(groups[g][before], piece, low, high) for piece in here] for g in known])  # type: ignore[arg-type]
+        if pieces and known:
+            cost = np.array([[_distance(groups[g][before], piece, low, high) for piece in pieces] for g in known])  # type: ignore[arg-type]
             for row, column in zip(*linear_sum_assignment(cost), strict=True):
                 if cost[row, column] < _FAR:
-                    groups[known[row]][i] = here[column]
+                    groups[known[row]][i] = pieces[column]
                     new.remove(int(column))
         for column in sorted(new):
             groups.append([None] * len(lines))
-            groups[-1][i] = here[column]
+            groups[-1][i] = pieces[column]
     return groups
 
 

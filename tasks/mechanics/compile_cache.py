@@ -44,18 +44,18 @@ def _is_intact(folder: Path) -> bool:
         with contextlib.closing(sqlite3.connect(folder / _CACHE, timeout=_TIMEOUT)) as cache:
             if cache.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
                 return False
-            found = {
+            entries = {
                 f"{number} {zlib.crc32(bitcode)} {flags} {environment}": zlib.crc32(code)
                 for number, environment, flags, bitcode, code in cache.execute(_ENTRIES)
             }
         with contextlib.closing(sqlite3.connect(folder / _SUMS, timeout=_TIMEOUT)) as db:
             db.execute("CREATE TABLE IF NOT EXISTS sums (entry TEXT PRIMARY KEY, sum INTEGER)")
             known = dict(db.execute("SELECT entry, sum FROM sums"))
-            new = found.keys() - known.keys()
+            new = entries.keys() - known.keys()
             if new:
-                db.executemany("INSERT OR IGNORE INTO sums VALUES (?, ?)", ((entry, found[entry]) for entry in new))
+                db.executemany("INSERT OR IGNORE INTO sums VALUES (?, ?)", ((entry, entries[entry]) for entry in new))
                 db.commit()
-        return all(known.get(entry, code) == code for entry, code in found.items())
+        return all(known.get(entry, code) == code for entry, code in entries.items())
     except TypeError:
         return False  # a value of another type
     except sqlite3.Error as error:

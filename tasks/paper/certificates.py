@@ -50,12 +50,12 @@ def backed(name: str, finding: ClaimResult, folder: Path = FOLDER) -> ClaimResul
     middle, radius = map(Fraction, certificates[0]["slope"])
     if abs(Fraction(finding.value) - middle) > radius + Fraction(ROUNDING) * middle:
         return finding
-    said = "; ".join(part for certificate in certificates for part in _said(certificate))
+    statements = "; ".join(part for certificate in certificates for part in _statements(certificate))
     verdict = PROVED if finding.verdict == REPRODUCED else finding.verdict
-    return replace(finding, verdict=verdict, computed=f"{finding.computed}; proved: {said}")
+    return replace(finding, verdict=verdict, computed=f"{finding.computed}; proved: {statements}")
 
 
-def _said(certificate: Mapping[str, Any]) -> Iterator[str]:
+def _statements(certificate: Mapping[str, Any]) -> Iterator[str]:
     if certificate["kind"] == "tube":
         low, high = certificate["slope"]
         yield f"a stable {certificate['gait']} step at every slope from {low} to {high}"

@@ -172,11 +172,11 @@ def _cells() -> tuple[_Cell, ...]:
                 computed = f"P ∝ v^{power:.3f}, θ* ∝ γ^{angle:.4f}"
                 cells.append(_Cell(name, f"{gait}-step scaling", when, printed, computed, deviation))
         for when, printed in (("vanishing", vanishing), ("larger", larger)):
-            found = row[f"faster_{when}"]
-            cells.append(_Cell(name, "faster gait", when, printed, found, 0.0 if found == printed else 1.0))
-        is_checked, found = name in CHECKED_FOR_CHAOS, int(row["chaotic"])
-        deviation = (0.0 if found else 1.0) if is_checked else np.nan
-        cells.append(_Cell(name, "chaos", "", "yes" if is_checked else "not checked", words[found], deviation))
+            faster = row[f"faster_{when}"]
+            cells.append(_Cell(name, "faster gait", when, printed, faster, 0.0 if faster == printed else 1.0))
+        is_checked, is_chaotic = name in CHECKED_FOR_CHAOS, int(row["chaotic"])
+        deviation = (0.0 if is_chaotic else 1.0) if is_checked else np.nan
+        cells.append(_Cell(name, "chaos", "", "yes" if is_checked else "not checked", words[is_chaotic], deviation))
     return tuple(cells)
 
 

@@ -97,20 +97,20 @@ def _bracketed(family: Family, guess: Sequence[arb], half: float, function: Call
 def _zero(family: Family, guess: Sequence[arb], function: Callable[[Tube], arb], half: float, size: float) -> Tube:
     """A point of the branch near a zero of the function, by the secant method."""
     p = family.parameter
-    here = point(family, guess, 1e-12)
-    value, reach = function(here).mid(), 1e-4 * abs(here.middle[p])
+    current = point(family, guess, 1e-12)
+    value, reach = function(current).mid(), 1e-4 * abs(current.middle[p])
     for _ in range(MAX_SECANTS):
-        fine = 1e-4 * float(abs(reach / here.middle[p]))
-        there = point(family, _along(here, reach), max(size, min(fine, 1e-10)))
-        other = function(there).mid()
+        fine = 1e-4 * float(abs(reach / current.middle[p]))
+        trial = point(family, _along(current, reach), max(size, min(fine, 1e-10)))
+        other = function(trial).mid()
         if other == value:
             break
-        reach, here, value = (-other * reach / (other - value)).mid(), there, other
+        reach, current, value = (-other * reach / (other - value)).mid(), trial, other
         if abs(reach) < half / 100:
-            return here
-        reach = max(min(reach, 0.02 * abs(here.middle[p])), -0.02 * abs(here.middle[p]))
+            return current
+        reach = max(min(reach, 0.02 * abs(current.middle[p])), -0.02 * abs(current.middle[p]))
     raise NotProvedError("No zero of the test function is found near the guess.")
 
 
-def _along(here: Tube, reach: arb) -> list[arb]:
-    return [(c + t * reach).mid() for c, t in zip(here.middle, tangent_of(here), strict=True)]
+def _along(current: Tube, reach: arb) -> list[arb]:
+    return [(c + t * reach).mid() for c, t in zip(current.middle, tangent_of(current), strict=True)]

@@ -72,21 +72,21 @@ def zeros(
             stretch = Stretch(stretch.kind, last.low, stretch.high, last.stance.union(stretch.stance))
         stretches.append(stretch)
     crossings = []
-    for before, here, after in zip([None, *stretches], stretches, [*stretches[1:], None], strict=False):
-        if here.kind in SIGNS:
+    for before, current, after in zip([None, *stretches], stretches, [*stretches[1:], None], strict=False):
+        if current.kind in SIGNS:
             if after is not None and after.kind in SIGNS:
                 raise NotProvedError(f"Grazing: the {name} guard changes sign between phases.")
             continue
         if before is None or before.kind not in SIGNS or (after is not None and after.kind not in SIGNS):
             raise NotProvedError(f"Grazing: the {name} guard and its rate are not told from zero at the same time.")
-        rises = here.kind == "rises"
+        rises = current.kind == "rises"
         if after is None and not strike and before.kind == ("-" if rises else "+"):
             raise NotProvedError(f"Whether the {name} guard vanishes at the end of the step is not decided.")
         changes = after.kind != before.kind if after else strike and before.kind == ("-" if rises else "+")
         if changes and before.kind != ("-" if rises else "+"):
             raise NotProvedError(f"Grazing: the {name} guard changes sign against its rate.")
         if changes:
-            crossings.append(Zero(rises, here.low, here.high, here.stance))
+            crossings.append(Zero(rises, current.low, current.high, current.stance))
     return stretches[0].kind, crossings
 
 

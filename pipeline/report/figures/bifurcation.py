@@ -47,8 +47,8 @@ def bifurcation(source: Source) -> Sketch | None:
         axes.plot(rows["slope"], rows["stance_angle"], ".", ms=size, mew=0, color=ink, rasterized=raster)
         set_heading(axes, (shorten(title(at)) + ": " if at else "") + "stance angle θ* of successive steps (rad)")
         walker = str(at.get("walker", source.walker))
-        here = landmarks.rows(source, walker)
-        shown = here[here["printed"].between(0.8 * rows["slope"].min(), 1.2 * rows["slope"].max())]
+        of_walker = landmarks.rows(source, walker)
+        shown = of_walker[of_walker["printed"].between(0.8 * rows["slope"].min(), 1.2 * rows["slope"].max())]
         landmarks.draw_over_slopes(axes, shown)
         printed.append(shown)
         marks.append(_marks(source, axes, rows, title(at)))

@@ -95,13 +95,13 @@ def angles(source: Source) -> Sketch | None:
         _draw_strobe(below, step)
     data = pd.concat(pieces, ignore_index=True)
     kneed = any(step.kneestrike for step in steps)
-    said = "; ".join(f"the {s.gait} gait of walker {s.label} at γ = {plain(s.slope)} rad" for s in steps)
+    listing = "; ".join(f"the {s.gait} gait of walker {s.label} at γ = {plain(s.slope)} rad" for s in steps)
     caption = (
-        f"Two steps of {said}. The heavy line is the leg drawn heavy in the cartoon, first in stance, then in swing."
+        f"Two steps of {listing}. The heavy line is the leg drawn heavy in the cartoon, first in stance, then in swing."
         + (" Dashed: the shank while the knee is free, until kneestrike." if kneed else "")
     )
     alt = (
-        f"Joint angles over two steps of {said}, "
+        f"Joint angles over two steps of {listing}, "
         f"between {plain(data['angle'].min(), 3)} and {plain(data['angle'].max(), 3)} rad; the walker is drawn below."
     )
     return Sketch(figure, "A walking cycle", caption, alt, data, marks)

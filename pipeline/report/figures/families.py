@@ -141,8 +141,8 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
     left, right = axes.get_xlim()
     for line, name in zip(lines, names, strict=True):
         own = line.set.get("foot_mass_ratio", np.nan)
-        found = table[np.isclose(table["foot_mass_ratio"], own, rtol=1e-9, atol=0)]
-        for row in found[np.isfinite(found["slope_transition_fitted"])].itertuples():
+        fits = table[np.isclose(table["foot_mass_ratio"], own, rtol=1e-9, atol=0)]
+        for row in fits[np.isfinite(fits["slope_transition_fitted"])].itertuples():
             cross = row.slope_transition_fitted
             ink: Any = {"color": INK, "lw": 0.6, "zorder": 4}
             below, above = np.array([line.data["slope"].values.min(), 3 * cross]), np.array([cross / 30, right])
@@ -169,7 +169,7 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
             words.append(f"{name} at γ = {plain(cross, 4)} rad")
     axes.set_xlim(left, right)
     ratio = source.tables.get("fits/transition_ratio")
-    said = f"Thin black: lines fitted to the short step beside its transition; they cross for {', '.join(words)}"
+    sentence = f"Thin black: lines fitted to the short step beside its transition; they cross for {', '.join(words)}"
     if (
         words
         and ratio is not None
@@ -178,8 +178,8 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
     ):
         fitted, predicted = (plain(ratio[name].iloc[0], 3) for name in ("fitted_lines", "predicted"))
         ends = (plain(source.grid["slope"].values[i], 2) for i in (0, -1))
-        said += f", a ratio of {fitted} as fitted to slopes from {' to '.join(ends)} (the 3/2 law: {predicted})"
-    return f"{said}. " if words else ""
+        sentence += f", a ratio of {fitted} as fitted to slopes from {' to '.join(ends)} (the 3/2 law: {predicted})"
+    return f"{sentence}. " if words else ""
 
 
 def _scaling_laws(source: Source, line: Line, gait: str) -> pd.DataFrame:

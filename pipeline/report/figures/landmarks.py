@@ -22,9 +22,9 @@ _TUNED = ("A", "C")
 
 def rows(source: Source, walker: str | None = None) -> pd.DataFrame:
     """Rows of the tables `landmarks` and `crises` with a printed number, of one walker or of all."""
-    found = [source.tables[name] for name in ("landmarks", "crises") if name in source.tables]
-    found = [table[_COLUMNS] for table in found if set(_COLUMNS) <= set(table.columns)]
-    table = pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=_COLUMNS)
+    tables = [source.tables[name] for name in ("landmarks", "crises") if name in source.tables]
+    tables = [table[_COLUMNS] for table in tables if set(_COLUMNS) <= set(table.columns)]
+    table = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=_COLUMNS)
     table = table.astype(dict.fromkeys(_COLUMNS[2:], float))
     table = table[np.isfinite(table["printed"])]
     return table if walker is None else table[table["walker"] == walker]

@@ -32,8 +32,8 @@ _MARK: Any = {"fmt": "s", "color": INK, "mfc": PAPER, "ms": 5, "capsize": 2.5, "
 
 def table(source: Source) -> pd.DataFrame:
     """The measurements in the archive; no rows if there are none."""
-    found = source.tables.get("overlay")
-    return pd.DataFrame() if found is None else found
+    overlay = source.tables.get("overlay")
+    return pd.DataFrame() if overlay is None else overlay
 
 
 def variables(source: Source) -> list[str]:
@@ -141,7 +141,7 @@ def residuals(source: Source) -> pd.DataFrame:
 
 def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series, value: float) -> float:
     """The computed value nearest to a measured one among the gaits at its slope; NaN if there is none."""
-    found = []
+    computed = []
     for curve in curves:
         wanted = str(row.get("gait", "") or "")
         part = curve if not wanted else curve[curve["gait"] == wanted]
@@ -150,8 +150,8 @@ def _nearest(curves: list[pd.DataFrame], variable: str, row: pd.Series, value: f
         part = part.dropna(subset=[variable]).sort_values("slope")
         slope = float(row.get("slope", part["slope"].iloc[0] if len(part) else np.nan))
         if len(part) and part["slope"].iloc[0] <= slope <= part["slope"].iloc[-1]:
-            found.append(float(np.interp(slope, part["slope"], part[variable])))
-    return min(found, key=lambda y: abs(y - value)) if found else np.nan
+            computed.append(float(np.interp(slope, part["slope"], part[variable])))
+    return min(computed, key=lambda y: abs(y - value)) if computed else np.nan
 
 
 def measured(source: Source) -> Sketch | None:

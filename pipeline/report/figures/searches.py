@@ -126,13 +126,13 @@ def cascade(source: Source) -> Sketch | None:
     figure.legend(handles=keys, loc="outside upper left", ncols=3)
     limits = _columns(source, "accumulation", {"slope", "ratio"})
     ratios = [] if limits is None else [plain(r, 5) for r in limits["ratio"].dropna()]
-    said = f" The last ratio{'s are' if len(ratios) > 1 else ' is'} {', '.join(ratios)}." if ratios else ""
+    sentence = f" The last ratio{'s are' if len(ratios) > 1 else ' is'} {', '.join(ratios)}." if ratios else ""
     return Sketch(
         figure,
         "Period doublings",
         "Distances in slope between successive period doublings of each family; dotted, the geometric law of "
-        f"Feigenbaum through the last.{said}",
-        f"Distances between successive flips of {len(pieces)} families, each about 4.67 times the next.{said}",
+        f"Feigenbaum through the last.{sentence}",
+        f"Distances between successive flips of {len(pieces)} families, each about 4.67 times the next.{sentence}",
         pd.concat(pieces, ignore_index=True),
         marks,
     )
@@ -164,7 +164,7 @@ def curves(source: Source) -> Sketch | None:
     touching = turns[turns["turn"] == "key"] if turns is not None else pd.DataFrame()
     # Where curves of flips or ends turn back, two such points meet on one branch.
     touching = touching[touching["kind"].astype(str) == "fold"] if "kind" in touching else touching
-    said = []
+    touches = []
     for row in touching.itertuples():
         axes.plot([row.slope], [row.value], "o", color=INK, mfc=PAPER, ms=7, zorder=5)
         axes.annotate(
@@ -175,7 +175,7 @@ def curves(source: Source) -> Sketch | None:
             ha="center",
             fontsize=8.5,
         )
-        said.append(f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad")
+        touches.append(f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad")
     axes.set_xlabel("slope γ (rad)")
     unit = print_units(table.attrs.get("units", {}).get("value", ""))
     set_heading(axes, SYMBOLS.get(key, key.replace("_", " ")) + (f" ({unit})" if unit else ""))
@@ -188,7 +188,11 @@ def curves(source: Source) -> Sketch | None:
         figure,
         "Curves of special points",
         f"{' and '.join(k.replace('_', ' ') + 's' for k in kinds).capitalize()} over slope and {key}."
-        + (f" Where the curve turns back in {key}, two branches touch and re-pair: {'; '.join(said)}." if said else ""),
+        + (
+            f" Where the curve turns back in {key}, two branches touch and re-pair: {'; '.join(touches)}."
+            if touches
+            else ""
+        ),
         f"Curves of {', '.join(kinds)} over slope and {key}, with {len(touching)} places where branches touch.",
         table,
         marks,

@@ -50,13 +50,13 @@ def addresses(source: Source, table: pd.DataFrame) -> list[str]:
     if not {"slope", "stance_angle"} <= set(table.columns):
         return [""] * len(table)
     columns = [c for c in source.line_columns(table) if c != "walker"]
-    found = []
+    texts = []
     for row in table.to_dict("records"):
         start = {name: float(row[name]) for name in ("slope", "stance_angle")}
         settings = {c: float(row[c]) for c in columns}
         known = all(np.isfinite(list(start.values())))
-        found.append(address(str(row.get("walker", source.walker)), settings, **start) if known else "")
-    return found
+        texts.append(address(str(row.get("walker", source.walker)), settings, **start) if known else "")
+    return texts
 
 
 def lines(source: Source) -> list[dict[str, Any]]:
@@ -68,7 +68,7 @@ def lines(source: Source) -> list[dict[str, Any]]:
     """
     if source.steps > 1:
         return []
-    found = _of_grid(source) if set(START[1:]) <= set(source.grid.data_vars) else {}
+    by_line = _of_grid(source) if set(START[1:]) <= set(source.grid.data_vars) else {}
     for name in _TABLES:
         table = source.tables.get(name)
         if table is not None and {"slope", "stance_angle"} <= set(table.columns):
@@ -78,8 +78,8 @@ def lines(source: Source) -> list[dict[str, Any]]:
                 walker = str(at.pop("walker", source.walker))
                 known = name == "branches" and set(START[:4]) <= set(rows.columns)
                 branches = [part for _, part in rows.groupby("branch", sort=False)] if known else []
-                found.setdefault((walker, *map(float, at.values())), (walker, at, branches))
-    chosen = list(found.values())[:_MAX_LINES]
+                by_line.setdefault((walker, *map(float, at.values())), (walker, at, branches))
+    chosen = list(by_line.values())[:_MAX_LINES]
     total = sum(len(branch) for _, _, branches in chosen for branch in branches)
     records: list[dict[str, Any]] = []
     for walker, at, branches in chosen:
@@ -100,7 +100,7 @@ def lines(source: Source) -> list[dict[str, Any]]:
 
 def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[str, dict[str, Any], list[pd.DataFrame]]]:
     """Lines of a grid with their branches: the pieces of each joined at its folds."""
-    found = {}
+    by_line = {}
     for line in source.lines[:_MAX_LINES]:
         branches: dict[int, list[pd.DataFrame]] = {}
         for piece in line.curves(*START[1:]):
@@ -110,8 +110,8 @@ def _of_grid(source: Source) -> dict[tuple[Any, ...], tuple[str, dict[str, Any],
                 piece.iloc[::-1] if len(piece) and piece["piece"].iloc[0] % 2 else piece
             )
         joined = [pd.concat(pieces) for number, pieces in branches.items() if number >= 0]
-        found[(line.walker, *line.set.values())] = (line.walker, line.set, joined)
-    return found
+        by_line[(line.walker, *line.set.values())] = (line.walker, line.set, joined)
+    return by_line
 
 
 def _nodes(branch: pd.DataFrame, total: int, kneed: bool) -> list[list[float | None]]:
@@ -135,15 +135,15 @@ def _first(walker: str, settings: Mapping[str, Any], branches: list[pd.DataFrame
 
 def brief(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The first gaits of the first lines alone, for the index."""
-    found = []
+    shortened = []
     for record in [record for record in records if record["first"]][:2]:
         start = dict(parse_qsl(record["first"]))
         gaits = [gait for branch in record["branches"] for gait in branch]
         near = min(
             gaits, key=lambda gait: abs(gait[0] - float(start["slope"])) + abs(gait[1] - float(start["stance_angle"]))
         )
-        found.append({**record, "branches": [[near]]})
-    return found
+        shortened.append({**record, "branches": [[near]]})
+    return shortened
 
 
 def cells(
