@@ -24,7 +24,7 @@ PREDICTED_WITHIN = 8.0
 #: By how much the Lipschitz constant may exceed that at the nearest places where it was measured.
 _LIPSCHITZ_SAFETY = 4.0
 #: Most nodes of a polynomial along the piece and along each key, and points drawn to check it.
-_MOST, _DRAWN = 13, 64
+_MAX_NODES, _DRAWN = 13, 64
 
 
 def patch_guesses(patch: Patch, w: np.ndarray, node: np.ndarray, slope: np.ndarray) -> Guesses:
@@ -154,7 +154,7 @@ def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accura
         grow = tail > 0.1 * accuracy / len(tail)
         grow |= not grow.any()
         # Along a piece that ends there may be more to begin with.
-        larger = tuple(max(n, min(n + 2 * int(more), _MOST)) for n, more in zip(sizes, grow, strict=True))
+        larger = tuple(max(n, min(n + 2 * int(more), _MAX_NODES)) for n, more in zip(sizes, grow, strict=True))
         if larger == sizes:
             return None
         sizes = larger

@@ -22,7 +22,7 @@ _DIFFERENCE = 1e-6
 #: Bound in standard deviations of the measured rounding.
 _SAFETY = 4.0
 #: Rounding of a slope as the exponential of its logarithm.
-_LEAST = 8 * EPS
+_MIN_ERROR = 8 * EPS
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def slope_error(problem: Problem, cycle: Cycle, kind: str) -> float:
         # To first order the slope does not depend on where along the branch the fold is located.
         across = np.linalg.svd(derivative[:, :-1])[0][:, -1]
         across /= across @ derivative[:, -1]
-        return float(abs(across @ residual) + _SAFETY * np.linalg.norm(across * images)) + _LEAST
+        return float(abs(across @ residual) + _SAFETY * np.linalg.norm(across * images)) + _MIN_ERROR
     turned = _deviation([each.A for each in rounded], EPS / 2 * np.abs(steps.A))
     test, by_A = _test(steps.A)
     by_section = np.zeros((m, n))
@@ -85,7 +85,7 @@ def slope_error(problem: Problem, cycle: Cycle, kind: str) -> float:
     moves = np.linalg.solve(matrix.T, np.append(np.zeros(m * n), 1.0))
     off = moves @ np.append(residual, test)
     rounding = np.hypot(np.linalg.norm(moves[:-1] * images), moves[-1] * np.linalg.norm(by_A * turned))
-    return float(abs(off) + _SAFETY * rounding) + _LEAST
+    return float(abs(off) + _SAFETY * rounding) + _MIN_ERROR
 
 
 def _by_fifteen(Y: np.ndarray) -> np.ndarray:

@@ -29,7 +29,7 @@ from tasks.walkers.walker_array import WalkerArray
 #: Lines surveyed along each key: always, and where pieces end in the panel.
 FEW, _MANY = 3, 5
 #: Nodes along a piece and along a key with which a patch begins, and at most.
-_FIRST, _MOST = 4, 11
+_FIRST, _MAX_NODES = 4, 11
 #: A patch is good if Newton corrects its predictions at points drawn by lot by no more; one that stays worse is used up
 #: to the second.
 _GOOD, _FAIR = 1e-6, 2e-2
@@ -212,7 +212,7 @@ class _Maker:
         patch = self.patch(group, (False, False), (False, False), sizes, q, self.gaits_of(group, q, sizes))
         while self.error(patch) > _GOOD:
             grow = tails(patch.gaits, sizes) > 0.1 * _GOOD
-            larger = tuple(min(size + 2 * int(more), _MOST) for size, more in zip(sizes, grow, strict=True))
+            larger = tuple(min(size + 2 * int(more), _MAX_NODES) for size, more in zip(sizes, grow, strict=True))
             if larger == sizes:
                 break
             sizes = larger

@@ -8,7 +8,7 @@ import pytest
 
 from lines import _atlas
 from tasks import locate_cascade
-from tasks.continuation.cycle_events import _LEAST, _test, slope_error
+from tasks.continuation.cycle_events import _MIN_ERROR, _test, slope_error
 from tasks.mechanics.lumped import lump
 from tasks.step.extended_precision import _extended_step_map
 from tasks.step.problem import Problem
@@ -128,7 +128,7 @@ def test_a_slope_that_is_off_is_told(first):
         for off in (1e-9, -3e-8):
             moved = replace(event.cycle, q=event.cycle.q + off)
             assert slope_error(problem, moved, event.kind) == pytest.approx(abs(off), rel=1e-3)
-        assert _LEAST < slope_error(problem, event.cycle, event.kind) < 1e-12
+        assert _MIN_ERROR < slope_error(problem, event.cycle, event.kind) < 1e-12
 
 
 def test_the_derivative_of_the_test_function_is_that_of_the_determinant():
