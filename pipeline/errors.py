@@ -4,8 +4,8 @@ import errno
 import os
 from pathlib import Path
 
-_LITTLE = 1 << 20  # what a disk that is not full has room for [byte]
-#: Errors of a process that gets no more files, processes or memory, whatever file it was about to open.
+_LITTLE = 1 << 20  # fits on any disk that is not full [byte]
+#: Errors of a process that is out of files, processes or memory, whatever file it was opening.
 _LIMITS = (errno.EMFILE, errno.ENFILE, errno.EAGAIN, errno.ENOMEM)
 
 
@@ -54,7 +54,7 @@ def reached_limit(error: BaseException) -> OSError | None:
 
 
 def shortage(error: BaseException, folder: Path) -> OSError | None:
-    """The error of the system for want of space, files, threads or memory behind `error`, if that is its cause.
+    """The system's error for lack of space, files, threads or memory, if that caused `error`.
 
     Libraries do not say why they cannot write, and free space does not show quotas: a MiB is written to the folder.
     """
@@ -74,7 +74,7 @@ def shortage(error: BaseException, folder: Path) -> OSError | None:
 
 
 def is_shortage(error: OSError) -> bool:
-    """Whether the operating system reports a want of space, files, processes or memory."""
+    """Whether the operating system reports a lack of space, files, processes or memory."""
     return is_disk_full(error) or error.errno in _LIMITS
 
 

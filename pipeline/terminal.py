@@ -9,7 +9,7 @@ import sys
 
 
 def prepare() -> None:
-    """Open standard streams that are closed on nothing, so that no other file takes their place.
+    """Open closed standard streams on the null device, so that no other file takes their place.
 
     Letters that the encoding of standard output lacks are printed by number, as on standard error.
     """
@@ -46,7 +46,7 @@ def say(text: str, end: str = "\n") -> None:
 
 
 def silence(stream: int) -> None:
-    """Send what is written to a standard stream from now on nowhere, what is still in its buffer included."""
+    """Discard what is written to a standard stream from now on, and what is still in its buffer."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream)
     os.close(nowhere)

@@ -1,4 +1,4 @@
-"""What becomes of walkers beside their long gait at one slope: attractors, and steps of the ground they survive."""
+"""Fate of walkers near their long gait at one slope: attractors, and steps of the ground they survive."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tasks.step.simulate import STRUCK, stride
 from tasks.step.uneven_ground import step_onto
 from tasks.walkers.walker_array import WalkerArray
 
-#: Relative displacement of initial states from the gait, steps that are dropped, and the longest period told apart.
+#: Relative displacement of initial states from the gait, steps that are dropped, and the longest period identified.
 _DISPLACED, _DROPPED, _MAX_PERIOD = 1e-3, 2000, 32
 #: Relative change after a period up to which an orbit repeats; steps over which it must.
 _REPEATS, _COMPARED = 1e-5, 64
@@ -17,7 +17,7 @@ _REPEATS, _COMPARED = 1e-5, 64
 _AT_REST = 1e-11
 #: Resolution of steps of the ground, over the leg, and how many are tried at once.
 STEP_RESOLUTION, _AT_ONCE = 1e-3, 8
-#: Steps after which a walker must be back at its gait, and how near, relative; between looks whether it surely will be.
+#: Steps after which a walker must be back at its gait, and how near, relative; steps between checks that it will be.
 _RECOVERY, _BACK, _BETWEEN = 200, 1e-3, 6
 #: Distance from a stable gait, over its angle, within which walkers may be taken to return, and how much larger than
 #: measured the curvature of the step map may be.
@@ -56,7 +56,7 @@ class _Neighbourhoods:
     """Where walkers surely return to their gaits: balls in the norm in which the linear step map contracts.
 
     The norm is that of the P that solves P - J' P J = I; a step shortens it by at least c = sqrt(1 - 1/|P|) but for the
-    curvature of the map, which is measured at a displaced state. Of gaits that are not stable there are none.
+    curvature of the map, which is measured at a displaced state. Unstable gaits have none.
     """
 
     def __init__(self, problem: Lanes, y: np.ndarray, slope: float):
@@ -90,7 +90,7 @@ class _Neighbourhoods:
 
 
 def attractors(problem: Lanes, y: np.ndarray, slope: float) -> np.ndarray:
-    """Find what attracts walkers that start beside a gait.
+    """Find the attractors of walkers that start beside a gait.
 
     Parameters
     ----------

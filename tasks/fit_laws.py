@@ -17,7 +17,7 @@ Arrays = dict[str, np.ndarray]
 _Run = tuple[tuple[int, int], np.ndarray, np.ndarray]
 #: Factor of the smallest abscissa within which a law begins there: the first points of a plateau may be left out.
 _NEAR = 2.0
-#: What stands where there is no plateau.
+#: Entries where there is no plateau.
 _NO_LAW = power_law.PowerLaw(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, 0)
 #: The laws fitted: name, abscissa, ordinate.
 _QUANTITIES = (

@@ -290,7 +290,7 @@ def _continue(problem: Problem, path: Path, closing: list[Cycle]) -> _Trace:
 
 
 def _end(before: Cycle, after: Cycle) -> str:
-    """What ends a branch between two gaits as near as branches are followed."""
+    """What ends a branch between two gaits as close as branches are followed."""
     if after.slope >= _MAX_SLOPE:
         return "window"
     if not _keeps_period(before, after):

@@ -153,7 +153,7 @@ def _sheet(family: Family, cell: Cell, patch: Patch, want: Sequence[str], accura
             return sheet if has_one_label(*sheet.ratio_range(), error) else None
         grow = tail > 0.1 * accuracy / len(tail)
         grow |= not grow.any()
-        # Along a piece that ends there may be more to begin with.
+        # A piece that ends may begin with more.
         larger = tuple(max(n, min(n + 2 * int(more), _MAX_NODES)) for n, more in zip(sizes, grow, strict=True))
         if larger == sizes:
             return None

@@ -19,7 +19,7 @@ from tasks.measures.gaits import Arrays, Part, describe
 from tasks.measures.smooth import Smooth
 from tasks.step.problem import Problem
 
-#: Share of the accuracy that polynomials may use; numbers are rounded besides.
+#: Share of the accuracy that polynomials may use; numbers are also rounded.
 SHARE = 0.9
 #: Gaits nearer an end of their branch in ln slope are integrated, and so are those whose errors reach it.
 _NEAR_END, _END_SAFETY = 1e-9, 8.0

@@ -96,7 +96,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     basins = {f"basin/{k}": np.concatenate([t[k] for t in tables]) for k in (tables[0] if tables else {})}
     fixed = {f"fixed_points/{k}": np.array(v) for k, v in gaits.items()}
     edges = {f"stable_manifold/{k}": np.array(v) for k, v in manifolds.items() if problem.m == 3 or k != "swing_rate"}
-    # Points of a slope are counted, whatever the saddle.
+    # Points of a slope are numbered across saddles.
     _, first, place = np.unique(manifolds["slope"], return_index=True, return_inverse=True)
     edges["stable_manifold/point"] = np.arange(len(place)) - first[place]
     return basins | fixed | edges | {f"areas/{k}": np.array(v) for k, v in areas.items()}

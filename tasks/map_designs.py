@@ -33,7 +33,7 @@ Arrays = dict[str, np.ndarray]
 _NO_WALKER, _NO_GAIT, _NEVER_STABLE = "no walker", "no gait", "never stable"
 #: Columns of the fastest stable gait: its slope, and its state just after heelstrike.
 _START = ("fastest_slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate")
-#: What the gaits at a slope are known by.
+#: Variables that describe gaits at a slope.
 _GAIT = ("stance_angle", "stance_rate", "thigh_rate", "spectral_radius")
 #: Lines surveyed, and designs solved, at a time.
 _LINES, _DESIGNS = 32, 2048
@@ -62,7 +62,7 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
 
     Notes
     -----
-    What it has of a design depends on the design and its cell alone.
+    The row of a design depends on the design and its cell alone.
     """
     line = params["line"]
     keys = {key: np.atleast_1d(np.asarray(value, float)) for key, value in line.get("set", {}).items()}
@@ -77,7 +77,7 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     rows, accepted, gaits = _Rows(n, log_speed), np.zeros(n, bool), np.full((4, n), np.nan)
     if "cell" in params:
         accepted = _over_plane(line, keys, params["cell"], window, rows)
-        # Of designs that cannot be none is solved.
+        # Invalid designs are not solved.
         possible = (
             sorted(i for own in _alike(walkers, np.arange(n)).values() for i in own) if at_slope is not None else []
         )
@@ -109,7 +109,7 @@ def _long(solved: Arrays) -> np.ndarray:
 
 
 def _disturb(walkers: WalkerArray, gaits: np.ndarray, slope: float, ground: float, rows: _Rows) -> None:
-    """Store what attracts walkers beside their long gaits at a slope, and the steps of the ground that they survive."""
+    """Store the attractors beside walkers' long gaits at a slope, and the steps of the ground that they survive."""
     for structure, numbers in _alike(walkers, np.flatnonzero(np.isfinite(gaits[0]))).items():
         own = walkers.some(numbers)
         problem, time_unit = Lanes(own, structure), np.sqrt(own.leg / own.g)
@@ -132,7 +132,7 @@ def _walkers(walker: Any, keys: Mapping[str, np.ndarray], n: int) -> WalkerArray
 
 
 def _alike(walkers: WalkerArray, numbers: np.ndarray) -> dict[Structure, np.ndarray]:
-    """Numbers of the walkers of each structure, without those that cannot be."""
+    """Numbers of the walkers of each structure, without invalid ones."""
     possible: dict[int, Walker] = {}
     for i in numbers.tolist():
         with contextlib.suppress(WalkerError):

@@ -1,4 +1,4 @@
-"""Proofs of every gait of a walker at one slope: what `gaitsweep prove --walker` asks."""
+"""Proofs of every gait of a walker at one slope: for `gaitsweep prove --walker`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     WalkerError
-        If the walker cannot be.
+        If the walker is invalid.
     """
     table = params["walker"] if isinstance(params["walker"], Mapping) else {}
     check_written({**table, **(params.get("set") or {}), "slope": params["slope"]})

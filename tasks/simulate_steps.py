@@ -66,7 +66,7 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     WalkerError
-        If the walker or the state cannot be.
+        If the walker or the state is invalid.
     """
     walker = resolve(params["walker"], params.get("set"))
     problem = section_problem(walker)

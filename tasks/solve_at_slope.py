@@ -23,7 +23,7 @@ from tasks.walkers.walker import Walker
 
 #: Variables measured for one point: all but proofs.
 _WANT = tuple(v for v in VARIABLES if VARIABLES[v].group != "proofs")
-#: What is told of each gait, and the further variables after it.
+#: First columns of a gait, and all columns.
 _FIRST = (
     *("gait", "slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time"),
     *("multipliers", "stable", "speed", "froude_speed", "cost_of_transport", "power", "step_length"),
@@ -52,7 +52,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     WalkerError
-        If the walker cannot be.
+        If the walker is invalid.
     """
     line = {"walker": params["walker"], "set": params.get("set") or {}}
     slope = float(params["slope"])

@@ -27,7 +27,7 @@ Arrays = dict[str, np.ndarray]
 _UNITS = (0.75, 0.625, 0.875)
 #: Largest error bound of a converged gait.
 _MAX_BOUND = 1e-3
-#: Least distance of a gait's sections from each other, rounding's, beside flips too [rad].
+#: Smallest distance between a gait's sections, that of rounding, also beside flips [rad].
 _MIN_DISTANCE = 1e-10
 #: Iterations across a branch, and the largest last step of a corrected gait.
 _MAX_ACROSS, _MAX_STEP = 6, 1e-11

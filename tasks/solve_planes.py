@@ -34,9 +34,9 @@ from tasks.solve_points import lines as lines_side_by_side
 from tasks.step.problem import Lanes
 from tasks.walkers.walker_array import WalkerArray
 
-#: Errors of the ends of pieces are taken to be no smaller, in ln slope.
+#: Smallest error assumed for the ends of pieces, in ln slope.
 _MIN_END_ERROR = 1e-9
-#: Gaits of two pieces nearer than this could be one.
+#: Gaits of two pieces closer than this could be identical.
 _APART = 1e-7
 #: Points solved at a time, and where most are given by polynomials.
 _BLOCK, _INTERPOLATED_BLOCK = 4096, 1 << 14
@@ -56,7 +56,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     Returns
     -------
     list of (dict, dict)
-        One pair for all lines: no atlas, and what `points` returns, line by line. What it has of a line depends on the
+        One pair for all lines: no atlas, and what `points` returns, line by line. The result of a line depends on the
         line, the cell and the slopes alone: a line that is not accepted at one of them is followed by itself at all.
     """
     all_lines, slope = params["lines"], np.asarray(params["slope"], float)
@@ -194,7 +194,7 @@ def solve(
 def _away_from_events(cell: Cell, keys: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """Whether all slopes of lines are farther from the ends of pieces than their errors, shape (n,).
 
-    A piece goes on beyond the end at which it is cut. That lies at one distance from the event at its other end, which
+    A piece goes on beyond the end at which it is cut. The cut lies at one distance from the event at the other, which
     beside the border of the box may be less than where the panel ends: there is no prediction.
     """
     unit, q = cell.box.unit(keys), np.log(slope)
@@ -219,7 +219,7 @@ def _interpolate_block(
     made: Sequence[Sheet],
     accuracy: float,
 ) -> np.ndarray:
-    """Store the gaits of those lines in `out`, shape (n s, ...), that polynomials give, and return which these are."""
+    """Store the gaits of lines that polynomials give in `out`, shape (n s, ...), and return which lines these are."""
     parts, sure = interpolate(family, cell, made, keys, slope, solved, accuracy)
     kept = []
     for part in parts:

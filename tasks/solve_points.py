@@ -32,7 +32,7 @@ from tasks.walkers.walker import Walker
 _BLOCK = 4096
 #: The same where most lanes are those of polynomials.
 _INTERPOLATED_BLOCK = 1 << 14
-#: What a proof of a gait is held against, and the largest relative radius of its box.
+#: Variables that a gait's proof is compared with, and the largest relative radius of its box.
 PROVED_FROM = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "kneestrike_time", "error_bound")
 PROOF_ACCURACY = 1e-12
 #: Branches of the latest lines by walker and tolerance: studies of one command often have lines in common. Nothing else
@@ -128,7 +128,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
 
 
 def _survey(walkers: Sequence[Walker], structure: Structure, tolerance: float) -> list[list[Branch]]:
-    """Branches of lines of one structure; of lines that were surveyed before, those."""
+    """Branches of lines of one structure, reused for lines surveyed before."""
     keys = [(repr(walker), tolerance) for walker in walkers]
     new = [i for i, key in enumerate(keys) if key not in _surveyed]
     if new:

@@ -191,7 +191,7 @@ def _lines(
         if n:
             yield {"walker": walker, "set": fixed}, np.arange(n)
         return
-    # Equal bytes, so that every NaN is a value like another.
+    # Compared as bytes, so that NaN equals NaN.
     rows = np.ascontiguousarray(np.stack([flat[name].astype(float) for name in varying], axis=1))
     keys = rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
@@ -205,7 +205,7 @@ def _lines(
 def _constants(
     line: dict[str, Any], checks: list[dict[str, Any]], varying: Mapping[str, Any]
 ) -> dict[str, str | float]:
-    """Keys that all walkers share, as attributes; of one line all that do not vary."""
+    """Keys that all walkers share, as attributes; for a single line, all that do not vary."""
     table = dispatch.resolve("tasks.walkers.resolve:resolve")(line["walker"], line["set"]).table()
     moved = {key for check in checks for key, owner in check["varied"].items() if owner in varying}
     constants = {**line["set"], **table, "knees": "true" if table["knees"] else "false"}
@@ -213,7 +213,7 @@ def _constants(
 
 
 def _check(line: dict[str, Any]) -> dict[str, Any] | StudyError:
-    """What `tasks` knows of the walker of a line, or why it cannot be."""
+    """What `tasks` reports of a line's walker, or why it is invalid."""
     try:
         return dispatch.ask("check_walker", line)
     except StudyError as error:
@@ -233,7 +233,7 @@ class _Line:
 
     @property
     def is_short(self) -> bool:
-        """Whether it is a short line, as that of a study with so few slopes."""
+        """Whether it is short, as in a study with as few slopes."""
         return len(self.slopes) <= SHORT_LINE
 
     def points_params(self, wanted: tuple[str, ...]) -> dict[str, Any]:
@@ -242,7 +242,7 @@ class _Line:
         return {**params, "accuracy": self.accuracy, "interpolated": self.is_interpolated(wanted)}
 
     def is_interpolated(self, wanted: tuple[str, ...]) -> bool:
-        """Whether polynomials give its points, as they give those of a study with so many slopes."""
+        """Whether polynomials give its points, as in a study with as many slopes."""
         return self.steps == 1 and not self.is_short and is_interpolated(wanted, self.accuracy)
 
     def points_key(self, wanted: tuple[str, ...]) -> bytes:
@@ -267,7 +267,7 @@ class _Line:
 def _solve_plane(
     walker: str | dict[str, Any], lines: list[_Line], wanted: tuple[str, ...], points: _Points
 ) -> list[_Line]:
-    """Solve lines that make up a plane of keys as a study over it does; the lines that are left."""
+    """Solve lines that form a plane of keys as a study would; returns the remaining lines."""
     if len(lines) < 2 or lines[0].steps > 1 or any(not np.array_equal(x.slopes, lines[0].slopes) for x in lines[1:]):
         return lines
     sets = [one.line["set"] for one in lines]
@@ -297,7 +297,7 @@ def _survey(lines: list[_Line]) -> None:
     params = {"lines": [line.line for line in unknown], "slope": np.empty(0), "want": ()}
     try:
         results = dispatch.resolve(TASKS["atlas"].side_by_side)(params, [])
-    except Exception:  # each is tried by itself, and its own error is its points' reason
+    except Exception:  # each is tried alone, and its own error becomes its points' reason
         return
     for line, (atlas, _) in zip(unknown, results, strict=True):
         _ATLASES.get(keys[id(line)], functools.partial(dict, atlas))
@@ -313,7 +313,7 @@ def _solve(one: _Line, wanted: tuple[str, ...], points: _Points) -> None:
         return points
 
     try:
-        # A slider comes back to values that it has shown; points of long lines cost less than to keep them.
+        # A slider returns to earlier values; points of long lines are cheaper to recompute than to keep.
         result = _POINTS.get(one.points_key(wanted), solve) if one.is_short else solve()
     except Exception as error:  # as in a study, a task that raises is a status at its points
         points.fail(one.at, f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")

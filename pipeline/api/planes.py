@@ -12,7 +12,7 @@ from pipeline.plan import graph
 from pipeline.study import model
 from tasks.registry import GAITS, TASKS
 
-#: Points solved in one call.
+#: Most points per call.
 _MAX_POINTS = 8192
 
 

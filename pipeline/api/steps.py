@@ -179,7 +179,7 @@ def simulate(
 
 
 def _params(walker: object, slope: object, state: object, keys: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of a call of `tasks`, checked but for what only it knows."""
+    """Parameters of a call of `tasks`, checked as far as possible without it."""
     value = number("slope", slope)
     if not 0 < value < 0.5:
         raise Location("", "slope").wrong("must lie in (0, 0.5) rad", value)
@@ -197,7 +197,7 @@ def _numbers(name: str, value: Any, count: int) -> list[float]:
 
 
 def _by_step(name: str, value: Any, steps: int) -> Mapping[int, Any]:
-    """What is to happen at some steps."""
+    """Checked values by step."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):

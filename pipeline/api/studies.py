@@ -54,7 +54,7 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     path = Path(archive)
     read.size_of(path)
     read.probe_once(path.resolve(), path.stat().st_mtime_ns)
-    with read.open_archive(path) as file:  # what cannot be read of a damaged file is told as such
+    with read.open_archive(path) as file:  # unreadable parts of a damaged file are reported as such
         tables = list(read.tables(file))
         if table is None:
             grid = _decode(dataset(file).load()).assign_attrs(tables=tables)
@@ -176,7 +176,7 @@ def _to_toml(value: Any, key: str) -> str:
     if isinstance(value, list | tuple | range):
         return "[" + ", ".join(_to_toml(v, key) for v in value) + "]"
     if isinstance(value, str | Path):
-        # TOML has neither surrogate pairs nor a bare DEL. Half a pair stays escaped, for which the text is refused.
+        # TOML has neither surrogate pairs nor a bare DEL. Half a pair stays escaped, and the text is refused.
         text = json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
         return text.encode(errors="backslashreplace").decode()
     if isinstance(value, float) and not math.isfinite(value):

@@ -1,4 +1,4 @@
-"""Tables that are arrays over the grid: orbits, basins and their edges, with flags in the place of words."""
+"""Tables that are arrays over the grid: orbits, basins and their edges, with flags for words."""
 
 from __future__ import annotations
 

@@ -23,12 +23,12 @@ def put(owner: Any, values: dict[str, Any]) -> None:
     Raises
     ------
     RuntimeError
-        If it cannot, or does not have them then: where memory is short the library may lose them and report nothing.
+        If they cannot be set, or are missing afterwards: short of memory, the library may lose them silently.
     """
     try:
         owner.setncatts(values)
         kept = set(owner.ncattrs())
-    except AttributeError as error:  # what netCDF4 raises, whatever the library says
+    except AttributeError as error:  # netCDF4 raises it for any library error
         raise RuntimeError(str(error)) from error
     if not kept.issuperset(values):
         raise RuntimeError("attributes are lost")

@@ -40,7 +40,7 @@ def chunk_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
 
 def grid_chunk(sizes: Mapping[str, int]) -> tuple[int, ...]:
     """Shape of a chunk of the grid: many short lines, or a part of a long one, which a worker can finish by itself."""
-    from tasks.registry import SHORT_LINE  # here, for the report reads archives without any task
+    from tasks.registry import SHORT_LINE  # local: the report reads archives without any task
 
     slopes = sizes["slope"]
     if slopes <= SHORT_LINE:
@@ -57,7 +57,7 @@ def line_extent(sizes: Mapping[str, int]) -> int:
 
 
 def filters(n: int) -> dict[str, int]:
-    """Filters of a variable of n values; HDF5 keeps no checksum of nothing."""
+    """Filters of a variable of n values; HDF5 keeps no checksum of empty data."""
     return {**FILTERS, "fletcher32": n > 0}
 
 
@@ -67,7 +67,7 @@ def is_of_characters(dim: str) -> bool:
 
 
 def dims(variable: Any) -> tuple[str, ...]:
-    """Dimensions of a variable as it is read: strings have none of their characters."""
+    """Dimensions of a variable as read: strings lose that of their characters."""
     return tuple(dim for dim in variable.dimensions if not is_of_characters(dim))
 
 

@@ -1,6 +1,6 @@
 """The main group of a study of kind `grid`: every variable over the grid and its gaits, in packed chunks.
 
-A chunk that a worker has finished is copied from the journal, unopened. Others are put together from the journal's
+A chunk that a worker has finished is copied from the journal, unopened. Others are assembled from the journal's
 blocks, region by region, and packed in threads; both ways give the same bytes.
 """
 
@@ -126,7 +126,7 @@ class PointWriter:
         return stored
 
     def _is_unreached(self, box: layout.Box) -> bool:
-        """Whether a box is a part of one line of which nothing is known: its points need not be looked at."""
+        """Whether a box is part of one line without any results: its points need not be read."""
         if not self.extent or self._stored(box):
             return False
         atlas = self.plan.line_keys(int(self.grid.lines_in(box)[1][0])).get("atlas")
@@ -134,7 +134,7 @@ class PointWriter:
         return outcome is None or outcome.status == "ok"
 
     def _finished(self, box: layout.Box) -> FinishedChunk | None:
-        """The finished chunk that holds the points of a box, if the latest that is stored of them is one."""
+        """The finished chunk that holds a box's points, if it is their latest stored result."""
         if not self.extent:
             return None
         span = self.grid.slope_span(box)
@@ -169,7 +169,7 @@ class PointWriter:
                 (*self.grid.sizes, *description.dims),
                 **layout.FILTERS,
                 **_quantization(description, self.study.accuracy),
-                # Of one gait: trailing gaits that nobody has are known only when all points are.
+                # For one gait: which trailing gaits are absent is known only once all points are.
                 chunksizes=(*self.chunk, *(1, self.multipliers)[: len(description.dims)]),
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
@@ -247,7 +247,7 @@ class PointWriter:
 
 
 def _quantization(variable: Variable, accuracy: float) -> dict[str, Any]:
-    """How netCDF is told that values have only the bits that an accuracy leaves them; bounds have fewer."""
+    """Options by which netCDF records how many bits an accuracy leaves values; bounds have fewer."""
     bits = significant_bits(accuracy)
     if bits == MANTISSA or variable.dtype != "f8" or variable.name.endswith("error_bound"):
         return {}

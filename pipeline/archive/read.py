@@ -23,7 +23,7 @@ SCHEMA = 2
 _READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
 # Time [s] and speed [byte/s] allowed to read an archive, which may hold much in few bytes.
 _TIMEOUT, _MIN_SPEED = 30.0, 2e5
-_TICK, _MAX_CHARGED = 0.1, 0.5  # interval of checks of the process that reads it, and most charged to it for one [s]
+_TICK, _MAX_CHARGED = 0.1, 0.5  # interval of checks of the reading process, and largest time charged to it for one [s]
 _MAX_VALUES = 1 << 20  # values read at a time
 _MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
 
@@ -70,7 +70,7 @@ def size_of(path: Path) -> int:
     try:
         if path.is_file():
             return path.stat().st_size
-    except OSError as error:  # its name is too long, or its folder may not be read
+    except OSError as error:  # the name is too long, or the folder unreadable
         raise ArchiveError(f"{path} cannot be read: {error.strerror}.") from error
     raise ArchiveError(f"There is no archive {path}.")
 
@@ -113,7 +113,7 @@ def open_archive(path: Path) -> Iterator[Any]:
 
 
 def _check_limits(path: Path) -> None:
-    """Raise an error if it is the system that opens no file any more; the netCDF library does not say so."""
+    """Raise the system's error if it opens no more files; the netCDF library does not report it."""
     try:
         open(path, "rb").close()
     except OSError as error:
@@ -141,15 +141,15 @@ def _damage(file: Any) -> Iterator[str]:
 
 
 def _faults(file: Any) -> Iterator[str]:
-    """What is not as it was written, or not as gaitsweep writes it; an archive need not be complete."""
-    from pipeline.archive import structure  # whose tables of the registry only a fault needs
+    """Damage and departures from gaitsweep's layout; an archive need not be complete."""
+    from pipeline.archive import structure  # only a fault needs its registry tables
 
     yield from _damage(file)
     yield from (misfit for misfit in structure.misfits(file) if "not_attempted" not in misfit)
 
 
 def damage(path: Path) -> str:
-    """What is not as it was written in an archive, or not as gaitsweep writes it; empty if nothing is."""
+    """Damage to an archive and departures from gaitsweep's layout; empty if there are none."""
     try:
         with open_netcdf(path) as file:
             return next(_faults(file), "")
@@ -181,7 +181,7 @@ def _points(variable: Any) -> dict[str, int]:
 
 
 def _chunk(variable: Any) -> tuple[int, ...]:
-    """Shape of the chunks in which a variable of points was written, whoever has stored it otherwise since."""
+    """Shape of the chunks in which a variable of points was written, even if it was rechunked since."""
     points = _points(variable)
     inner = variable.shape[len(points) :]
     if getattr(variable.group(), "gaitsweep_schema", 1) == 1:
@@ -273,7 +273,7 @@ def probe_once(path: Path, modified: int) -> None:
 def _read_whole(path: Path) -> None:
     """Read all variables; errors are left to the actual reader."""
     with contextlib.suppress(Exception), open_archive(path) as file:
-        file.set_auto_mask(False)  # which takes longer than to read
+        file.set_auto_mask(False)  # masking takes longer than reading
         groups = [file]
         for group in groups:
             for variable in group.variables.values():

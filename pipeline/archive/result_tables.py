@@ -51,7 +51,7 @@ def write(file: Any, plan: Plan) -> None:
 
 
 def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
-    """Name, outcome and reason of failed tasks; points tell of an atlas that they alone need."""
+    """Name, outcome and reason of failed tasks; points report an atlas that only they need."""
     for name, layer in plan.layers.items():
         if name != "points" and (name != "atlas" or plan.atlas_readers):
             for _, key, _ in _task_runs(plan, name, layer.per_line):
@@ -107,7 +107,7 @@ def _repeat(coordinates: Mapping[str, Any], columns: Columns) -> Columns:
 
 
 def _stack(parts: list[Columns]) -> Columns:
-    """The rows of all parts; a column that some lack, as that of a rate of other walkers, is NaN or empty there."""
+    """The rows of all parts; a column that some lack, such as a rate of other walkers, is NaN or empty there."""
     absent = {name: "" if values.dtype.kind == "U" else np.nan for part in parts for name, values in part.items()}
     lengths = [len(next(iter(part.values()))) for part in parts]
     return {

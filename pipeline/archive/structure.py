@@ -1,4 +1,4 @@
-"""Whether an archive is laid out as gaitsweep does it, whoever wrote it: attributes, dimensions, types and codes."""
+"""Whether an archive has gaitsweep's layout, whoever wrote it: attributes, dimensions, types and codes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tasks.registry import GAITS, VARIABLES
 _CF_ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references")
 _ATTRIBUTES = (*_CF_ATTRIBUTES, "provenance", "study", "kind", "checksums")
 _FLAGS = {"status": "flag_values", "violations": "flag_masks"}
-#: What a check meets in a file of which nothing can be taken for granted.
+#: Errors that a check may raise on an arbitrary file.
 _UNEXPECTED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 def misfits(file: Any) -> Iterator[str]:
-    """What in an open archive is laid out in another way than gaitsweep does it, one sentence each."""
+    """Departures of an open archive from gaitsweep's layout, one sentence each."""
     for check in (_attributes, _dimensions, _types, _states, _groups):
         try:
             yield from check(file)

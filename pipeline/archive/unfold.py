@@ -10,9 +10,9 @@ import xarray as xr
 
 
 def dataset(group: Any, **options: Any) -> xr.Dataset:
-    """Return a group of an open archive, not yet read; to open the file once more can crash the library.
+    """Return a group of an open archive, not yet read; opening the file again can crash the library.
 
-    Who opened the file closes it.
+    Whoever opened the file closes it.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ def check_path(path: Path) -> None:
 
 
 def _target(path: Path) -> Path:
-    """The file to replace: of a link its target. As it was given, for the folder above may have any name."""
+    """The file to replace, or a link's target; otherwise as given: the folder may have any name."""
     return path.resolve() if path.is_symlink() else path
 
 
@@ -108,7 +108,7 @@ def _write(plan: Plan, draft: Path, threads: int) -> Written:
     writer.fill(draft, threads)
     with read.open_netcdf(draft, "a") as file:
         wanted["attributes"] |= _write_checksums(file, writer)
-    # Where memory is short HDF5 may leave out an attribute and report nothing.
+    # Short of memory, HDF5 may silently omit an attribute.
     with read.open_netcdf(draft) as file:
         if _described(file) != wanted:
             raise RuntimeError("it does not read back")

@@ -18,7 +18,7 @@ LINES = {"D": (1e-4, 0.015), "E": (1e-3, 0.1), "B": (1e-3, 0.1), "A": (1e-3, 0.0
 #: Accuracies measured; 0 is as good as doubles give.
 ACCURACIES = {False: (1e-2, 1e-4, 1e-6, 1e-9, 1e-11, 1e-12, 0.0, 1e-15), True: (1e-3, 1e-6, 0.0)}
 _OF_PLANES = (1e-4, 1e-6, 0.0)
-#: What is wanted, besides status, labels and error bounds.
+#: Wanted variables, besides status, labels and error bounds.
 WANTED = {"two variables": ["stance_angle", "period"], "with multipliers": ["stance_angle", "period", "multipliers"]}
 #: Slopes of a line, and lines along each key of a plane: where polynomials give the gaits, where steps are integrated,
 #: and where more digits than those of doubles are.

@@ -36,7 +36,7 @@ class Case:
 
 
 class Difference(NamedTuple):
-    """Processor time [s] and gaits that a larger study has more than a smaller one, and those of the smaller one."""
+    """Processor time [s] and gaits by which a larger study exceeds a smaller one, and those of the smaller one."""
 
     seconds: float
     gaits: int

@@ -68,7 +68,7 @@ class Input:
 
     @property
     def command(self) -> str:
-        """What prints the gait."""
+        """Command that prints it."""
         keys = "".join(f" --set {key}={value!r}" for key, value in self.keys.items())
         return f"gaitsweep solve --walker {self.walker} --slope {self.slope!r}{keys}"
 
@@ -210,7 +210,7 @@ def _evaluated(where: Range, unit: np.ndarray) -> tuple[dict[str, np.ndarray], H
     values, outcome = {name: np.full(len(unit), -np.inf) for name in MEASURES}, Hunted()
     lines: list[tuple[int, dict[str, float], Walker]] = []
     for i, keys in enumerate(map(where.keys, unit)):
-        with contextlib.suppress(WalkerError):  # values that no walker can have
+        with contextlib.suppress(WalkerError):  # invalid walkers
             lines.append((i, keys, resolve(where.walker, keys)))
     for numbers, problem, surveyed in survey_walkers([walker for *_, walker in lines]):
         for lane, (number, branches) in enumerate(zip(numbers, surveyed, strict=True)):

@@ -1,4 +1,4 @@
-"""Gaits that a survey misses: of random lines, each searched besides at one slope from many times as many guesses."""
+"""Gaits that a survey misses: random lines, each also searched at one slope from many times as many guesses."""
 
 from __future__ import annotations
 

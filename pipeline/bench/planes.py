@@ -1,4 +1,4 @@
-"""Processor time of planes of keys: what a cell takes to make, and what every further walker adds."""
+"""Processor time of planes of keys: the cost of making a cell, and of every further walker."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PLANES: dict[str, tuple[float, dict[str, tuple[float, float]]]] = {
 }
 #: Walkers along each key in the smaller and in the larger study of a full and of a quick run.
 _ACROSS = {False: (40, 120), True: (32, 48)}
-_BEYOND = 1e-9  # by which a cell is made larger, relative
+_BEYOND = 1e-9  # relative enlargement of a cell
 
 
 def table(quick: bool) -> list[dict[str, float | str]]:
@@ -75,7 +75,7 @@ def _made(table: dict[str, Any]) -> tuple[list[float], float]:
         block = [study.line(number) for number in numbers.tolist()]
         cell = study.plane.cell(block[0]["set"])
         took = []
-        # A cell a little larger is made anew by code that the first has loaded; the second time it is known.
+        # A slightly larger cell is made anew by code already loaded; the second time it is cached.
         for beyond in (0.0, _BEYOND, _BEYOND):
             larger = cell | {"high": [high * (1 + beyond) for high in cell["high"]]}
             params = {"lines": block, "slope": study.slope, "want": ALWAYS, "cell": larger}

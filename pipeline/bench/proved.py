@@ -43,7 +43,7 @@ class Proved:
 
 
 def proved(gaits: int, kneed: bool, seed: int = 5, jobs: int = 2, say: Callable[[str], None] | None = None) -> Proved:
-    """Prove random gaits, of the catalogue's walkers and of random ones, and hold their bounds against the boxes.
+    """Prove random gaits, of the catalogue's walkers and of random ones, and compare their bounds with the boxes.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def proved(gaits: int, kneed: bool, seed: int = 5, jobs: int = 2, say: Callable[
 
     Notes
     -----
-    Balls have at least 106 bits, and a box at most a tenth of the bound, so a bound that were too small would be seen.
+    Balls have at least 106 bits, and a box at most a tenth of the bound, so a bound that is too small would show.
     """
     outcome = Proved()
     work = Parallel(n_jobs=jobs, return_as="generator", batch_size=4)

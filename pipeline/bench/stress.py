@@ -51,7 +51,7 @@ class Outcomes:
     counts: dict[str, Counter[str]] = field(default_factory=dict)
     accepted: list[Accepted] = field(default_factory=list)
     strides: int = 0
-    #: Tries with an unforeseen end, which are bugs.
+    #: Tries that ended unexpectedly, which are bugs.
     wrong: list[str] = field(default_factory=list)
 
     @property

@@ -19,11 +19,11 @@ from tasks.step.problem import Lanes, Problem
 from tasks.walkers.resolve import resolve, resolve_many
 from tasks.walkers.walker import KEYS, Walker, WalkerError
 
-#: Slopes of a line, of which at most so many lie beside folds and ends, the others anywhere.
+#: Slopes of a line, and the most of them beside folds and ends; the others lie anywhere.
 _SLOPES, _BESIDE = 40, 26
 #: Powers of ten of the latter's relative distances, and the range in which they are taken [rad].
 _DISTANCES, _RANGE = (-12, -2), (1e-6, 0.69)
-#: Every so manieth line's special points and some of its gaits are solved again in other units, and these units.
+#: Interval of lines whose special points and some gaits are solved again in other units, and these units.
 _IN_OTHER_UNITS, _UNITS = 7, {"length": 0.3048, "mass": 7.3, "acceleration": 1.62}
 #: By how much a walker's keys, rounded in other units, may move a slope or a gait, relatively.
 _ROUNDED = 1e-9
@@ -35,7 +35,7 @@ _ANSWERS = [STATUSES["converged"], STATUSES["no_gait"]]
 
 @dataclass
 class WholeLines:
-    """What became of the points of random lines.
+    """Outcomes of the points of random lines.
 
     Attributes
     ----------

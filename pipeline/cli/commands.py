@@ -168,7 +168,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options = parser().parse_args(words)
             codes.append(options.function(options))
         finally:
-            sys.stdout.flush()  # here, for at the end of the interpreter nobody could tell what cannot be printed
+            sys.stdout.flush()  # here: a failure to print could not be reported at interpreter exit
     return codes[-1]
 
 

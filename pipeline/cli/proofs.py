@@ -1,4 +1,4 @@
-"""`gaitsweep prove`: what it asks of its options and what it prints."""
+"""`gaitsweep prove`: checks of its options, and its output."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pipeline.errors import StudyError
 
 
 def run(options: argparse.Namespace) -> int:
-    """Prove what the options ask for and print it; the exit code."""
+    """Prove what the options request and print it; returns the exit code."""
     if (options.archive is None) == (options.walker is None) or (options.walker is None) != (options.slope is None):
         raise StudyError("Prove either the gaits of an archive, or those of a `--walker` on a `--slope`.")
     for name in ("set", "gait") if options.archive else ("sample",):

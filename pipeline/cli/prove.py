@@ -20,7 +20,7 @@ from tasks.registry import GAITS
 
 #: Relative radii that may be asked for.
 LEAST, MOST = 1e-30, 1e-6
-#: What is read of every gait, if the archive has it.
+#: Variables read for every gait, if the archive has them.
 _VALUES = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "kneestrike_time", "period", "error_bound")
 _NEEDED = ("stance_angle", "stance_rate", "thigh_rate", "period", "error_bound")
 #: Seed of the draw that `--sample` makes.
@@ -88,7 +88,7 @@ def archive(path: Path, sample: int | None, accuracy: float, jobs: int) -> Itera
     ----------
     path : Path
     sample : int or None
-        Prove only so many, a fixed draw.
+        Prove only this many, a fixed draw.
     accuracy : float
         Largest relative radius.
     jobs : int

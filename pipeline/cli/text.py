@@ -80,7 +80,7 @@ def plan_record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
 
 
 def _omitted(planned: Plan) -> list[str]:
-    """What the study could have wanted and does not: groups of which it wants nothing, other variables, and tasks."""
+    """What the study does not want: whole groups, other variables, and tasks."""
     tasks, variables = planned.omissions()
     names = [name for name in tasks if name in (*FITS, "trace", "claims")]
     if planned.study.kind != "grid":

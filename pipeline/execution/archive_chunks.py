@@ -11,7 +11,7 @@ TARGET_SECONDS = 1.0  # work in a job [s]
 CHUNKS_PER_WORKER = 4  # jobs for each worker at least, where there is enough work
 _MIN_SECONDS = 0.25  # less work than this is not divided [s]
 MAX_EXCESS = 4  # how much longer a job may be to be a whole chunk of the archive
-_WHOLE = 0.9  # least share of a chunk that is missing for all of it to be solved
+_WHOLE = 0.9  # smallest missing share of a chunk for which all of it is solved
 
 
 def seconds_of_chunk(share: float, limit: float) -> float:
@@ -83,7 +83,7 @@ class ArchiveChunks:
         return max((n for n in bounds if n <= size), default=bounds[0] if bounds[0] <= MAX_EXCESS * size else size)
 
     def _bounds(self, indices: np.ndarray, chunks: int) -> np.ndarray:
-        """Positions at which, every so many chunks, another begins; without temporaries as long as the line."""
+        """Positions at which every `chunks`-th chunk begins; without temporaries as long as the line."""
         step = chunks * self.extent
         first, last = indices[[0, -1]].tolist()
         starts = np.arange((first // step + 1) * step, last + 1, step, dtype=indices.dtype)
@@ -100,7 +100,7 @@ class ArchiveChunks:
         Returns
         -------
         slice or None
-            A point depends on its line alone, so to solve some again changes nothing.
+            A point depends on its line alone, so solving some again changes nothing.
         """
         if not self.extent:
             return None

@@ -41,7 +41,7 @@ def connect(address: str) -> Iterator[Any]:
         if name.startswith(("distributed", "tornado", "asyncio")):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     if address.startswith(("tls:", "wss:")) and not _has_certificates():
-        # A client without them hangs at its end.
+        # Without them a client hangs on closing.
         raise StudyError(f"`--cluster` {address} needs certificates in dask's configuration, distributed.comm.tls.")
     with contextlib.ExitStack() as stack:
         hook = sys.unraisablehook
@@ -96,7 +96,7 @@ def results(
     slots, counted = workers(client), time.monotonic()
 
     def submit() -> None:
-        # Of workers that leave, the jobs stay.
+        # Jobs of workers that leave stay.
         for job in itertools.islice(jobs, max(0, 2 * slots - pending.count())):
             pending.add(client.submit(run, *job, pure=False))
 

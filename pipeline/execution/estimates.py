@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 _REGIONS = 64
-_PROBE, _MAX_PROBE = 50, 256  # a probe is one part in so many of its region, and at most so many points
+_PROBE, _MAX_PROBE = 50, 256  # parts of a region of which a probe is one, and most points of it
 
 
 class Costs:
@@ -116,7 +116,7 @@ class Costs:
         """
         counts = self._counts_by_region(indices)
         shares = counts * (self.cost_per_point(line) if np.count_nonzero(counts) > 1 else 1.0)
-        shares = shares if shares.any() else counts  # points so cheap that nothing of them was measured
+        shares = shares if shares.any() else counts  # points too cheap to be measured
         counts_and_seconds = np.stack([counts, seconds * shares / shares.sum()])
         self.totals += counts_and_seconds
         self.mean = self.totals[1].sum() / self.totals[0].sum()

@@ -30,7 +30,7 @@ class Engine:
     def parallel(self) -> Iterator[Callable[[_Jobs], _Results]]:
         """Provide a function that runs numbered requests and yields their numbered results as they arrive.
 
-        They are to be closed inside.
+        They must be closed inside.
         """
         if self.address is None:
             import joblib
@@ -40,7 +40,7 @@ class Engine:
                 warnings.catch_warnings(),
                 joblib.Parallel(self.jobs, pre_dispatch=2 * self.jobs, **options) as parallel,
             ):
-                # A run that is stopped says so itself; joblib would tell of the tasks that end with it.
+                # A run that is stopped says so itself; joblib would report the tasks that end with it.
                 warnings.filterwarnings("ignore", r"\d+ tasks (which were|have been) ", UserWarning, "joblib")
                 yield lambda jobs: parallel(joblib.delayed(_run_job)(number, request) for number, request in jobs)
         else:
@@ -58,7 +58,7 @@ class Engine:
 
 
 def _run_elsewhere(software_of_run: dict[str, str], number: int, request: Request) -> tuple[int, dict[str, Any]]:
-    """Run a numbered request on a node of a cluster; of other software the run would archive other numbers as its own.
+    """Run a numbered request on a cluster node; numbers of other software must not be archived as the run's own.
 
     Raises
     ------

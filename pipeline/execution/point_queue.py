@@ -27,7 +27,7 @@ class PointQueue:
     Attributes
     ----------
     jobs : deque of Job
-        May be larger than a worker shall take at once.
+        May be larger than a worker should take at once.
     """
 
     def __init__(self, costs: Costs, chunks: ArchiveChunks, size: Callable[[Job | None], int]):
@@ -74,7 +74,7 @@ class PointQueue:
         return bool(regions[0] < regions[-1] and seconds > MAX_EXCESS * TARGET_SECONDS)
 
     def _divide_expensive(self, job: Job) -> None:
-        """Divide the dear chunks of a line by region, in an order that samples them."""
+        """Divide the expensive chunks of a line by region, in an order that samples them."""
         expensive = [job, *(each for each in self.jobs if each.work is job.work and self._is_expensive(each))]
         self.jobs = deque(each for each in self.jobs if not any(each is other for other in expensive))
         pieces = self.costs.by_region(_joined(expensive), parts=2)

@@ -34,8 +34,8 @@ from pipeline.store.journal_file import CorruptJournalError, forget, repair
 from pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
-_MAX_REPAIRS = 3  # damages of a journal in one run, after which it is given up
-_MIN_BYTES = 0.005  # of a packed number in an archive: 16,384 equal ones take 104 bytes at best
+_MAX_REPAIRS = 3  # damages of a journal in one run before it is given up
+_MIN_BYTES = 0.005  # per packed number in an archive: 16,384 equal ones take 104 bytes at best
 _MAX_REASONS = 10  # reasons listed at the end of a run
 _SNAPSHOT_PAUSE = 20  # minimum interval, in multiples of the time of writing one
 
@@ -99,7 +99,7 @@ def run(
 
 
 def _attempt(studies: list[StudyRun], options: Options, signals: Signals) -> None:
-    """Run what is missing of the studies that are open; of a damaged journal it is known only now what that is."""
+    """Run what the open studies lack; for a damaged journal this is known only now."""
     engine = Engine(options.jobs, options.cluster)
     by_jobs: dict[StudyJobs, StudyRun] = {}
     with contextlib.ExitStack() as stack:
@@ -270,7 +270,7 @@ class StudyRun:
             try:
                 _write_record(record, self._record)
             except OSError as failure:
-                if not error:  # one line is enough, and this is the lesser matter
+                if not error:  # one line is enough, and this error matters less
                     terminal.say(f"gaitsweep: {unwritten(record, failure)}")
         self.is_open = False
         self._resources.close()

@@ -158,7 +158,7 @@ class Scheduler:
             del self._uses[key], self._results[key]
 
     def _finish(self) -> None:
-        """Begin the next wave of studies whose present one is recorded; finish those that have none."""
+        """Begin the next wave of studies whose current one is recorded; finish those without one."""
         for study in list(self.studies):
             if study.is_over:
                 study.advance()

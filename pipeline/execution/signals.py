@@ -15,7 +15,7 @@ from typing import Any
 from pipeline.errors import StoppedError
 from pipeline.execution import worker_process
 
-_ONE = 1.0  # signals within this time are one: `timeout` sends it to its command and again to the group [s]
+_ONE = 1.0  # signals within this time count once: `timeout` sends it to its command and again to the group [s]
 
 
 class Signals:
@@ -55,7 +55,7 @@ class Signals:
             raise
         finally:
             sys.unraisablehook = hook
-            if not self.received:  # the same one once more must not keep the run from saying how it ended
+            if not self.received:  # a repeat must not keep the run from reporting how it ended
                 self.restore()
 
     def restore(self) -> None:

@@ -112,7 +112,7 @@ class StudyJobs:
         self._ran = False
         self._failed: list[int] = []  # numbers of lines that failed in their blocks
         self._alone: set[int] = set()  # numbers of lines of blocks that are computed by themselves
-        self._open: deque[int] = deque()  # numbers of lines whose jobs beside the atlas are due
+        self._open: deque[int] = deque()  # numbers of lines whose jobs besides the atlas are due
         self._queue = PointQueue(self.costs, self.chunks, self.chunk_size)  # points of open lines
         self._to_probe: dict[int, LineWork] = {}
 
@@ -141,7 +141,7 @@ class StudyJobs:
             self.fail(error)
 
     def take(self) -> tuple[Job, Request] | None:
-        """Take the next job and its request; None if the study has ended, or that fails, which ends it."""
+        """Take the next job and its request; None if the study has ended, or this fails, which ends it."""
         with self._lock:
             job = self.next
             if job is None:  # what was recorded meanwhile has ended the study
@@ -195,7 +195,7 @@ class StudyJobs:
         for work in self.plan.works():
             self._ran = True
             if isinstance(work, BlockWork):
-                # To divide the lines of a cell would be to make its patches twice.
+                # Dividing the lines of a cell would make its patches twice.
                 parts = np.array_split(work.lines, 1 if self.plane else math.ceil(len(work.lines) / self.lines_at_once))
                 yield from (self._block_job(dataclasses.replace(work, lines=part)) for part in parts)
                 continue

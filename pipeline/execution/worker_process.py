@@ -30,7 +30,7 @@ from pipeline.execution import wire
 from pipeline.store import rows
 from tasks.registry import GAITS
 
-_POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # interval of checks of a worker, and most time charged to it for one [s]
+_POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # interval of checks of a worker, and largest time charged to it for one [s]
 _LOAD_TIMEOUT = 300.0  # time a worker may take to load its task [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
 _PIECES = 16  # parts of a failed block
@@ -239,7 +239,7 @@ def run(request: Request) -> dict[str, Any]:
         answer = dict(_run_lines(request, 0, len(request.params["lines"])))
     else:
         outcome, parts = _ask(request, request.params)
-        if outcome in ("worker_died", "out_of_memory"):  # which may have had a cause outside; a second time it has not
+        if outcome in ("worker_died", "out_of_memory"):  # the cause may be external; a second time it is not
             outcome, parts = _ask(request, request.params)
         is_ok = outcome == "ok" and len(parts[1]) <= rows.MAX_DATA
         if outcome == "ok" and not is_ok:
@@ -275,7 +275,7 @@ def _divide(request: Request, slopes: np.ndarray, outcome: str, parts: Any) -> l
     if len(slopes) > 1:
         pieces = np.array_split(slopes, min(_PIECES, len(slopes)))
         return [row for piece in pieces for row in _run_block(request, piece)]
-    if outcome in ("worker_died", "timed_out", "out_of_memory"):  # which may have had a cause outside
+    if outcome in ("worker_died", "timed_out", "out_of_memory"):  # the cause may be external
         outcome, parts = _ask(request, {**request.params, "slope": slopes})
         if outcome == "ok":
             return [(slopes.tobytes(), parts[1], parts[2])]

@@ -94,7 +94,7 @@ class Blocks:
         axes = sorted(zip(self.study.line_axes, indices, strict=True), key=lambda pair: pair[0].name)
         values = [axis.values.astype(float)[index] for axis, index in axes]
         if self._plane and self.study.plane:
-            # What a line of a plane gives depends on its cell.
+            # The results of a line of a plane depend on its cell.
             for axis, index in axes:
                 sides = self.study.plane.sides(axis, axis.values)
                 values += [side[index] for side in (*sides, *self._neighbours(axis, sides))]
@@ -116,16 +116,16 @@ class Blocks:
         return last[1]
 
     def keys(self, block: int) -> TaskKey:
-        """Key of a block, and that which it has in all versions of the tasks."""
+        """Key of a block, for this version of the tasks and for all."""
         return TaskKey(self.key(block), _hash(self.digests(self.numbers(block), versioned=False)))
 
     @functools.cached_property
     def _last(self) -> list[tuple[int, str]]:
-        """The last block and its key, which is mostly asked for several times in a row."""
+        """The last block and its key, usually requested several times in a row."""
         return [(-1, "")]
 
     def _neighbours(self, axis: Axis, sides: tuple[np.ndarray, ...]) -> list[np.ndarray]:
-        """For each value of an axis a number of all its values in the same cell, which decide how it is split."""
+        """For each value of an axis a number for all values in its cell, which decide how that is split."""
         marks = np.zeros(len(axis) if sides else 0, np.uint64)
         for low, high in np.unique(sides, axis=1).T if sides else ():
             # A value on the upper border counts here too, though its line belongs to the next cell.
@@ -204,7 +204,7 @@ def stored_blocks(journal: Journal, key: str, others: StoredLines | None, digest
     key : str
         Of the block.
     others : StoredLines, optional
-        Where lines may be beside the blocks of that key.
+        Where lines may be besides the blocks of that key.
     digests : ndarray of uint64, shape (n, 2)
         Of its lines.
     """

@@ -106,7 +106,7 @@ def is_interpolated(study: Study) -> bool:
 
 
 def point_params(study: Study) -> dict[str, Any]:
-    """Parameters of points on which their values depend, beside their line and slopes."""
+    """Parameters of points on which their values depend, besides their line and slopes."""
     accuracy_params = {"accuracy": study.accuracy, "interpolated": is_interpolated(study)} if study.accuracy else {}
     return {**study.options, **accuracy_params}
 

@@ -79,7 +79,7 @@ class Plan:
 
     @property
     def atlas_readers(self) -> list[str]:
-        """Tasks that read atlases, beside points or the task of the study's kind, whose statuses tell of failures."""
+        """Tasks that read atlases, besides points or the task of the study's kind, whose statuses report failures."""
         own = ("points", self.study.kind)
         return [name for name, layer in self.layers.items() if "atlas" in layer.needs and name not in own]
 
@@ -196,7 +196,7 @@ class Plan:
             elif (
                 ran
                 or any(need in todo or (need == "points" and outcome.seen < last) for need in needs)
-                or self.journal.is_outdated(key, needs)  # by a run that was killed before it came to this task
+                or self.journal.is_outdated(key, needs)  # by a run that was killed before it reached this task
             ):
                 todo[name] = keys[name], "its inputs change"
             elif outcome.status != "ok" and self.retry:
@@ -338,8 +338,8 @@ def summary(plan: Plan) -> Summary:
 
 
 def _seconds(plan: Plan, todo: dict[str, int]) -> float:
-    """Estimated processor time of so many tasks of each layer [s]."""
-    # What points of short lines took is not measured: their time is that of their blocks, atlases included.
+    """Estimated processor time of some tasks of each layer [s]."""
+    # Points of short lines are not timed: their time is that of their blocks, atlases included.
     measured = None if graph.is_short(plan.study) else plan.journal.seconds_per_point()
     seconds = 0.0
     for name, count in todo.items():

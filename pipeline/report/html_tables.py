@@ -24,7 +24,7 @@ MAX_ROWS, MAX_LISTED = 60, 20_000
 #: Reasons in the table of outcomes; each point of a large study may have its own.
 _MAX_REASONS = 200
 
-#: Answers for one gait of a point, from the lightest; a failure weighs more than any.
+#: Answers for one gait of a point, least serious first; a failure outranks them all.
 _WEIGHTS = ("no_gait", "fell", "converged")
 
 #: Rows of the longest table that a page shows unfolded.

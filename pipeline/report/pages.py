@@ -35,7 +35,7 @@ _TEMPLATES, _SCRIPTS = Path(__file__).parent / "templates", Path(__file__).paren
 #: Modules of the script, each of which may call those before it.
 _MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables")
 
-#: Ends the names of drafts, by which a report finds those of one that was killed; drawn by lot, so nobody else's do.
+#: Suffix of drafts, by which a report finds those of a killed one; random, so that no other file has it.
 _DRAFT = "0f880eeb4f27a9a9d8dbbd8e0c329cc6"
 
 #: Names of pages that belong to no study.
@@ -370,7 +370,7 @@ def _publish(path: Path, text: str) -> None:
         draft.write_text(text, encoding="utf-8")
         os.replace(draft, path)
     except OSError as error:
-        error.filename = str(path)  # a draft means nothing to its reader
+        error.filename = str(path)  # not the draft, unknown to the reader
         raise
     finally:
         with contextlib.suppress(OSError):

@@ -90,7 +90,7 @@ def _transposed(caption: str, frame: pd.DataFrame, keys: set[str]) -> Table:
     rows = []
     for column in columns:
         flag = set(frame[column]) <= {0, 1} and frame[column].dtype.kind in "iu"
-        # What is left of a condition that is met exactly is rounding.
+        # The residual of a condition that is met exactly is rounding.
         met = column.endswith("_offset")
         values = [cell(bool(v)) if flag else cell(0.0 if met and abs(v) < 1e-15 else v) for v in frame[column]]
         rows.append([cell(column if column in keys else _FIGURE10.get(column, head(column))), *values])

@@ -1,7 +1,7 @@
 """Finished chunks: consecutive points of a line, packed by a worker as an archive holds them.
 
-A head says what there is; the pieces, one for each variable and gait, follow each other in the payload. Who writes an
-archive copies them unopened; who needs the values unpacks them.
+A head lists the contents; the pieces, one for each variable and gait, follow each other in the payload. Writers of
+archives copy them unopened; readers of the values unpack them.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def finish(
         `status` and `reason`, shape (n, gait), and the other variables, shape (n, gaits[, multipliers]), without
         trailing gaits that do not exist.
     sentences : list of str
-        What `reason` counts.
+        Sentences of `reason`.
     extent, multipliers : int
         Points in a chunk of the archive, at least n, and multipliers.
 
@@ -126,7 +126,7 @@ class Head:
     size : int [byte]
         Of its payload.
     sentences : list of str
-        What `reason` counts.
+        Sentences of `reason`.
     """
 
     def __init__(self, data: bytes):

@@ -30,8 +30,8 @@ from pipeline.store.segment import Segment
 
 _SYNC_INTERVAL = 0.5  # finished work that a power failure may cost [s]
 _MIN_SMALL_BLOCKS, _SMALL_BLOCK = 64, 1000  # a line in more blocks than this, of fewer points, is compacted
-_MIN_MEASURED = 1000  # points from which on their mean cost is not that of starting workers
-_LARGE_JOURNAL = 100_000  # points from which on blocks take megabytes and larger pages are faster
+_MIN_MEASURED = 1000  # points beyond which starting workers no longer dominates their mean cost
+_LARGE_JOURNAL = 100_000  # points beyond which blocks take megabytes and larger pages are faster
 
 
 class Journal:
@@ -253,7 +253,7 @@ class Journal:
 
     @contextlib.contextmanager
     def _unpacking(self) -> Iterator[None]:
-        """Bytes that were never packed, whatever their checksum, are a damage."""
+        """Treat bytes that were never packed as damage, whatever their checksum."""
         try:
             yield
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:

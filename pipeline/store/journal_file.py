@@ -44,7 +44,7 @@ def connect(path: Path | None, write: bool = True, page: int = 0, check: bool = 
     if write and not may_write:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     if path and not write and not (may_write and os.access(path.parent, os.W_OK)):
-        # SQLite creates a shared lock file even to read, and leaves it where it may not write the journal, in the way
+        # SQLite creates a shared lock file even to read; where it may not write the journal, it leaves it in the way
         # of who may; in a read-only folder only the files of a writer can be used.
         is_written = path.with_name(path.name + "-wal").exists()
         how = "mode=ro" if is_written else "immutable=1"
@@ -65,7 +65,7 @@ def connect(path: Path | None, write: bool = True, page: int = 0, check: bool = 
                 db.execute(statement)
             db.execute("COMMIT")
         schema = {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
-        # An incomplete index would hide rows; reading the whole journal is cheap beside computing them.
+        # An incomplete index would hide rows; reading the whole journal is cheaper than computing them.
         if check and schema != set(rows.SCHEMA):
             raise sqlite3.DatabaseError("malformed")
         if write and db.execute("PRAGMA integrity_check(1)").fetchone() != ("ok",):
@@ -208,7 +208,7 @@ def raise_for(error: Exception, path: Path) -> NoReturn:
     if isinstance(error, sqlite3.ProgrammingError):
         raise error
     code = getattr(error, "sqlite_errorcode", 0)
-    # SQLite reports a full disk as an error of input or output, too, but so it does a folder in the place of its log.
+    # SQLite also reports a full disk as an input or output error, as it does a folder in place of its log.
     is_output_error = code & 0xFF == sqlite3.SQLITE_IOERR and code not in _READ_ERRORS
     cannot_open = code & 0xFF == sqlite3.SQLITE_CANTOPEN
     cause = shortage(error, path.parent) if is_output_error or cannot_open or isinstance(error, OSError) else None

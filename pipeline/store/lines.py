@@ -37,7 +37,7 @@ class Places:
     def __init__(self, slopes: np.ndarray, lines: np.ndarray | None = None):
         self.slopes, self.lines = slopes, lines
         self.order: np.ndarray
-        if np.all(slopes[1:] > slopes[:-1]):  # as mostly: no copies as long as a line
+        if np.all(slopes[1:] > slopes[:-1]):  # usually: no copies as long as a line
             self.order, self.sorted = np.arange(len(slopes), dtype=np.int32), slopes
         else:
             self.order = np.argsort(slopes, kind="stable")
@@ -63,7 +63,7 @@ class Places:
         lines = block.states["lines"]
         n = len(block.slopes) // max(1, len(lines))
         inside, indices = self._find_slopes(block.slopes[:n])
-        if np.array_equal(lines, self.lines):  # as nearly always
+        if np.array_equal(lines, self.lines):  # nearly always
             rows = numbers = np.arange(len(lines))
         else:
             own, others = (np.ascontiguousarray(each).view("V16").ravel() for each in (self.lines, lines))
@@ -210,7 +210,7 @@ def read_states(
 
 
 def of_atlas(reason: str) -> str:
-    """Reason of a failed atlas as that of what needs it."""
+    """Reason of a failed atlas, for results that need it."""
     return f"The atlas of the line: {reason[:1].lower()}{reason[1:]}"
 
 

@@ -132,7 +132,7 @@ def is_intact(table: str, row: tuple[Any, ...]) -> bool:
 
 
 def is_readable(table: str, row: tuple[Any, ...]) -> bool:
-    """Whether what a row holds can be unpacked; only somebody who knows the checksums can write one that cannot."""
+    """Whether a row's data can be unpacked; data that cannot must have forged checksums."""
     try:
         if table == "results":
             return row[3] in ("ok", *ENDINGS) and (row[3] != "ok" or serialize.load(row[-1]) is not None)

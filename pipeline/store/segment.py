@@ -1,6 +1,6 @@
 """The segment file beside a journal: payloads of finished chunks, appended as workers packed them.
 
-Rows of the journal hold offset, length and checksum of each. What lies behind the last of them is the rest of a write
+Rows of the journal hold offset, length and checksum of each. Anything behind the last of them remains from a write
 that was interrupted.
 """
 
@@ -42,7 +42,7 @@ class Segment:
             return file.read(len(MAGIC)) == MAGIC
 
     def resume(self, end: int) -> None:
-        """Continue to write at `end`, without what lies behind it."""
+        """Continue to write at `end`, discarding what follows it."""
         self._end = max(end, len(MAGIC))
         if self.size > self._end:
             os.ftruncate(self._open(), self._end)
@@ -57,7 +57,7 @@ class Segment:
         """
         file, start = self._open(os.O_CREAT), self._end
         self._is_dirty = True
-        if start == len(MAGIC):  # on the disk before anything else, for by this it is known as ours
+        if start == len(MAGIC):  # on the disk before anything else: it identifies the file as ours
             _write(file, MAGIC, 0)
             os.fsync(file)
         _write(file, payload, start)
@@ -75,7 +75,7 @@ class Segment:
         _write(self._open(), MAGIC, 0)
 
     def sync(self) -> None:
-        """Put what was written on the disk."""
+        """Flush what was written to the disk."""
         if self._file is not None and self._is_dirty:
             os.fsync(self._file)
             self._is_dirty = False

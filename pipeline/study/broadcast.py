@@ -1,4 +1,4 @@
-"""What is asked in Python: a walker, and arrays of slopes and keys that are broadcast to one grid of points."""
+"""Requests from Python: a walker, and arrays of slopes and keys that are broadcast to one grid of points."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def broadcast(values: Mapping[str, Any]) -> tuple[dict[str, xr.DataArray], tuple
         whole = xr.DataArray(np.broadcast_to(0.0, shape), dims=[f"dim_{i}" for i in range(len(shape))])
         _, *grid = xr.broadcast(whole, *aligned)
     except ValueError as error:
-        # Of xarray's own words only the first line says what is wrong.
+        # Only the first line of xarray's message says what is wrong.
         raise StudyError(f"The DataArrays do not fit each other: {clip(str(error).splitlines()[0], 200)}.") from error
     arrays = dict(zip(named, aligned, strict=True))
     for name, array in arrays.items():

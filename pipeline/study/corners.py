@@ -1,4 +1,4 @@
-"""The walkers of a study at the corners of its grid: whether each can be, and if not, where the study is wrong."""
+"""The walkers of a study at the corners of its grid: whether each is valid, and if not, where the study is wrong."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def check_walkers(study: Study, top: Location) -> Study:
     Raises
     ------
     StudyError
-        If a walker cannot be.
+        If a walker is invalid.
     """
     ends = [sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes]
     names = [a.name for a in study.line_axes]
@@ -41,7 +41,7 @@ def _fault(walker: str | dict[str, Any], values: dict[str, float], error: ValueE
     key = getattr(error, "key", "walker")
     if key in values:
         return top.at("axes", key)
-    # A key that an axis owns is wrong where it is set, though the walker can be without the axis.
+    # A key that an axis owns is wrong where it is set, though the walker is valid without the axis.
     if getattr(error, "bound", "").startswith("is set by") or not _can_be(walker, {}):
         return top.at("walker")
     at_fault = [name for name in values if _can_be(walker, {k: v for k, v in values.items() if k != name})]

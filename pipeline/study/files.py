@@ -54,7 +54,7 @@ def walker(
     location : Location, optional
         Place of the value in a study.
     number : callable
-        What reads the decimals of files.
+        Reads the decimals of files.
 
     Raises
     ------

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-#: So many lines over one or two keys are divided into cells, whose gaits polynomials predict; so many designs lie in
-#: one cell.
+#: Fewest lines over one or two keys that are divided into cells, whose gaits polynomials predict; fewest designs in a
+#: cell.
 _MIN_LINES, _MIN_DESIGNS = 64, 400
-#: Designs that one job computes: of a cell, and of lines that are surveyed one by one.
+#: Most designs that one job computes: of a cell, and of lines surveyed one by one.
 _MAX_CELL_DESIGNS, _MAX_SURVEYED_DESIGNS = 1 << 16, 32
 
 
@@ -143,7 +143,7 @@ class Study:
 
     @functools.cached_property
     def plane(self) -> Plane | None:
-        """The longest one or two axes of keys, if they hold so many lines that gaits are interpolated over them."""
+        """The longest one or two axes of keys, if they hold enough lines for gaits to be interpolated over them."""
         axes = [
             a for a in self.line_axes if len(a) > 1 and all(a.name in check.get("widths", ()) for check in self.checks)
         ]
@@ -175,7 +175,7 @@ class Study:
 
     @property
     def batches(self) -> int:
-        """Number of jobs of a task over lines: one for each, but of designs one for many."""
+        """Number of jobs of a task over lines: one per line, or one for many designs."""
         if self.kind != "design":
             return self.lines
         return self.lines // self._designs * self._batches_each

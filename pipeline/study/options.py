@@ -1,4 +1,4 @@
-"""Check the `[options]` of a study: every one known to its kind, and of the sort it must be."""
+"""Check the `[options]` of a study: every one known to its kind, and of the right sort."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     Raises
     ------
     StudyError
-        If one is unknown or cannot be.
+        If one is unknown or invalid.
     """
     if not isinstance(options, Mapping):
         raise place.wrong("must be a table", options)
@@ -33,7 +33,7 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
         if name not in known:
             raise place.unknown(name, known, "key")
         _check(value, known[name].holds, axes, place.at(name))
-    # An option at its default is as one left out.
+    # An option at its default counts as left out.
     options = {name: value for name, value in options.items() if value != known[name].default}
     whole = registry.options(kind, options) if known else {}
     if kind == "curve" and not whole["from"] < whole["to"]:

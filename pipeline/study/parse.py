@@ -137,7 +137,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
 
 
 def _check_of_one_step(study: Study, top: Location) -> None:
-    """Check that a study of gaits of several steps wants nothing that is known of those of one step only."""
+    """Check that a study of gaits of several steps wants nothing known for one step only."""
     wanted = {"variables": study.variables, "fits": study.fits, "figures": study.figures, "claims": study.claims}
     for key, names in wanted.items():
         for name in names:

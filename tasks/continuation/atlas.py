@@ -50,11 +50,11 @@ ANCHORS = (
     *(0.33, 0.0048, 0.07, 0.001, 0.015, 0.22, 0.0033, 0.048, 0.0007),
 )
 _SHARES = 3
-#: Gaits of one slope nearer than this are one; where a branch turns a coarse polynomial is no more accurate.
+#: Gaits of one slope closer than this are identical; where a branch turns a coarse polynomial is no more accurate.
 _SAME = 1e-4
 #: Nodes nearer than this are the same but for rounding, which at a fold moves them along the branch.
 _TWIN = 1e-10
-#: With fewer gaits than this all are refined at once; with more one of each line, for the next may lie on its branch.
+#: Fewer gaits than this are refined all at once; more, one per line, since the next may lie on its branch.
 _FEW = 8
 
 
@@ -75,7 +75,7 @@ def _from_tracks(m: int, down: Track, up: Track, tolerance: float) -> Procedure[
         return []
     if is_closed := down.stop_reason == CLOSED:
         order = _loop(len(down.Z), steps, raw.tangent[:, m])
-        # A loop that consists of steps is cut at a fold, between which and itself it lies; another where there is none.
+        # A loop of steps alone is cut at a fold, where it begins and ends; any other where a gait is no step.
         raw, steps = Branch(m, raw.Z[order], raw.tangent[order], np.zeros(len(order)), ("", "")), steps[order]
     branches: list[Branch] = []
     for first, last in _runs(steps):
@@ -148,7 +148,7 @@ def _with_ends(raw: Branch, first: int, last: int) -> Procedure[Branch | None]:
             )
             ends[side] = BranchEnd(raw.why[side], *fall, raw.end_errors[side])
             first, last = first + (side == 0), last - (side == 1)
-    # Of a run that is but the node beyond a fall, none remains.
+    # Of a run of only the node beyond a fall, none remains.
     if last - first + 1 + len(ends) < MIN_NODES:
         return None
     branch = raw.part(np.arange(first, last + 1))
@@ -214,14 +214,14 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
         branch, at = yield from narrow_segment(branch, int(segment), is_before)
         point, direction = yield from locate_root(branch, at, slope_rate)
         point = yield from sharpened_fold(point)
-        # A node may be the fold but for the last digits: between the two there is no polynomial.
+        # A node may equal the fold to all but the last digits: between them there is no polynomial.
         if np.linalg.norm(branch.Z[at : at + 2] - row(point), axis=1).min() > _TWIN:
             branch = branch.insert(at + 1, row(point), row_tangent(point, direction))
     return branch
 
 
 def searched(walker: Walker) -> str:
-    """Return with how many initial guesses a survey of the walker's line begins, and where, in words."""
+    """Describe how many initial guesses a survey of the walker's line uses, and where."""
     guesses = sum(w.shape[1] for w in starts(walker, ANCHORS, _SHARES))
     return f"{guesses} initial guesses at {len(ANCHORS)} slopes from {min(ANCHORS):g} to {max(ANCHORS):g}"
 

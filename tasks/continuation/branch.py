@@ -12,11 +12,11 @@ from tasks.fixed_points.polish import UNKNOWN, Guesses
 
 #: Nodes of the shortest branch.
 MIN_NODES = 3
-#: Nodes nearer than this are one: that of a fold may be its neighbour but for rounding.
+#: Nodes closer than this are the same: a fold's may differ from its neighbour by rounding only.
 _COINCIDENT = 1e-8
-#: Kinds of ends that are none: where continuation was lost, or what lies beyond failed a check.
+#: Kinds that are no true ends: continuation was lost, or what lies beyond failed a check.
 LOST = ("no further point", "too many points", "not a step")
-#: Worth of the event times as coordinates of segments, beside that of other coordinates.
+#: Weight of the event times as coordinates of segments, relative to other coordinates.
 _WORTH_OF_TIMES = 0.02
 
 
@@ -46,7 +46,7 @@ class Branch:
     leg_passes : ndarray of int, shape (n,)
         How often the swing leg passes the stance leg.
     safe : ndarray of bool, shape (n,)
-        Whether, by the motion at the nodes, every gait on the segment after each is a step whose legs pass so often.
+        Whether, by the motion at the nodes, every gait on the segment after each is a step whose legs pass that often.
     """
 
     m: int
@@ -133,7 +133,7 @@ class Branch:
         return [float(np.exp(self.q[-i])) for i in (0, 1) if self.why[i] in LOST]
 
     def part_of(self, gait: np.ndarray, cuts: np.ndarray) -> Branch:
-        """Branch of that part which has a gait as node, or of the longest where none has or it is too short.
+        """Branch of the part that has a gait as node, or of the longest if none has or it is too short.
 
         Parameters
         ----------
@@ -152,7 +152,7 @@ class Branch:
         return self.part(max(np.split(np.arange(len(self.Z)), cuts + 1), key=worth))
 
     def in_order(self, gait: np.ndarray) -> Branch:
-        """Branch without the nodes that do not lie along it, seen from a gait or else its middle, not measured yet.
+        """Branch without nodes that do not lie along it, as seen from a gait or its middle; not measured yet.
 
         Neighbours lie along a branch if the chord between them makes less than 60 degrees with the tangents at both;
         where rounding moves nodes by more than they are apart, they do not.
@@ -259,14 +259,14 @@ class Branch:
 
     def pieces(self) -> list[tuple[int, int]]:
         """First and last nodes of the pieces over which the slope is monotone."""
-        # A fold's node may lie so near the next that their slopes differ by rounding only; their tangents do not.
+        # A fold's node may be so near the next that their slopes differ by rounding only; their tangents do not.
         change, rate = np.diff(self.q), self.tangent[:, self.m]
         rising = np.sign(np.where(np.abs(change) < 1e-13, rate[:-1] + rate[1:], change))
         cuts = [0, *(np.nonzero(np.diff(rising))[0] + 1).tolist(), len(self.q) - 1]
         return list(itertools.pairwise(cuts))
 
     def folds(self) -> np.ndarray:
-        """Return the nodes that are folds; that at which a closed branch is cut is its first and its last.
+        """Return the nodes that are folds; the one at which a closed branch is cut is its first and last.
 
         Returns
         -------
@@ -306,7 +306,7 @@ class Branch:
         return number if rises else len(firsts) - 1 - number
 
     def known_guesses(self, Z: np.ndarray, segment: np.ndarray, slope: np.ndarray) -> Guesses:
-        """Guesses with what the branch's nodes tell of their segments.
+        """Guesses with what is known of their segments.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Checks of whole branches, beside those of order and orientation: lengths, held-out points, folds and ends.
+"""Checks of whole branches, besides those of order and orientation: lengths, held-out points, folds and ends.
 
 All are procedures, which run side by side (`tasks.continuation.lockstep`).
 """
@@ -16,7 +16,7 @@ from tasks.continuation.tracking import correct, fall_margin
 
 #: Least length of a chord over that of the polynomial between two nodes, and parts in which that is measured.
 _MIN_CHORD, _PARTS = 0.5, 8
-#: Segments of a branch whose polynomial is held against a point that is solved anew, and where on them.
+#: Segments of a branch whose polynomial is compared with a newly solved point, and where on them.
 _HELD_OUT, _PLACE = 8, 0.382
 #: Share of the chord by which such a point may move, and the distance that may be rounding.
 _MAX_MOVE, _ROUNDING = 1e-2, 1e-7
@@ -39,7 +39,7 @@ def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
     -------
     Branch
         Of which every segment is at most twice as long as its chord, held-out points lie where the polynomials are,
-        and the slope turns at folds alone. Where it was cut, and at an end that is none, there is `no further point`.
+        and the slope turns at folds alone. Where it was cut, and at a false end, there is `no further point`.
     """
     if len(branch.Z) == 1:
         return branch
@@ -77,7 +77,7 @@ def _failing(branch: Branch) -> Procedure[np.ndarray]:
     chord = np.linalg.norm(branch.Z[held_out + 1] - branch.Z[held_out], axis=1)
     moved = np.linalg.norm(point.Z.T - rows, axis=1)
     failing[held_out] |= ~point.ok | ~(moved < np.maximum(_MAX_MOVE * chord, _ROUNDING))
-    # Nodes so near each other leave no room for another.
+    # Nodes this close leave no room for another.
     failing[np.linalg.norm(np.diff(branch.Z, axis=0), axis=1) < _ROUNDING] = False
     return failing
 
@@ -94,7 +94,7 @@ def _too_long(branch: Branch) -> np.ndarray:
 
 
 def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
-    """The branch, whose ends at which their own condition does not hold are none."""
+    """The branch; ends whose own condition fails become `no further point`."""
     m, why = branch.m, list(branch.why)
     Z = branch.Z[[0, -1]].T
     point = yield Call(correct, (Z[: m + 1], Z[m + 1 :], branch.direction[[0, -1]].T), (("max_iterations", 1),))

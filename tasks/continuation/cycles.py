@@ -393,7 +393,7 @@ def doubled(problem: Problem, flip: Cycle, expected: float) -> Path | None:
             if 0.02 * abs(expected) < distance < 0.3 * abs(expected):
                 return Path(problem, first, direction, 0.3 * a)
             a *= np.sqrt(0.1 * abs(expected) / distance)
-        else:  # so near the flip that Newton's steps are rounding: between there and the last point
+        else:  # Newton's steps are rounding this near the flip: between here and the last point
             a *= np.sqrt(farther[-1][0] / a) if farther and farther[-1][0] > a else 0.3
     if not first.ok and farther:
         a, first = farther[-1]

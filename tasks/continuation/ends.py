@@ -30,7 +30,7 @@ from tasks.step.verify_step import verify
 _SHARES = 1 - 0.1 ** np.arange(1, 7)
 #: Value of an end's test function below which rounding may decide whether a gait is a step.
 _MIN_DISTANCE = 1e-6
-#: At time 0 the knee's guard has a root that is no strike: one nearer to it than this is not told from it
+#: At time 0 the knee's guard has a root that is no strike: one closer than this cannot be distinguished from it
 #: [sqrt(leg/g)].
 _EARLIEST_KNEESTRIKE = 2e-6
 
@@ -54,7 +54,7 @@ _ENDS: dict[str, TestFunction] = {
 
 
 def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
-    """Locate the end of walking between two neighbouring nodes, of which `good` is a step and `bad` is none."""
+    """Locate the end of walking between two neighbouring nodes, of which `good` is a step and `bad` is not."""
     segment = min(good, bad)
     axis = branch.axis[segment]
     at_good = yield from correct_at(branch, segment, branch.Z[good, axis])
@@ -92,7 +92,7 @@ def _walks_up_to(branch: Branch, good: int, segment: int, end: BranchEnd) -> Pro
     check = yield Call(check_steps, (points.X, points.times))
     each = [lanes_of(points, np.array([i])) for i in range(len(_SHARES))]
     values = np.array([_ENDS[end.kind](point, end.direction) for point in each])
-    # Corrected points lie not quite where the polynomial is; those beyond the end do not count.
+    # Corrected points lie slightly off the polynomial; those beyond the end do not count.
     before = (np.sign(values) == np.sign(values[0])) & (np.abs(values) > _MIN_DISTANCE)
     return bool((check.step | ~points.ok | ~before).all())
 
@@ -129,7 +129,7 @@ def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Pr
         # The value at half as many samples shows the error of the cubic's minimum.
         error = abs((yield from distance(point, direction, 8 * SAMPLES)) / (at_b - at_a) * (b - a))
     else:
-        # Only samples tell where it is: as many as points are verified with, and finer ones how far that is off.
+        # Only samples locate it: as many as points are verified with, and finer ones to show the error.
         a, _ = yield from bisect(a, b, 40)
         fine, _ = yield from bisect(*nodes, 48, _is_step_finely)
         point, direction = yield from correct_at(branch, segment, a)
@@ -140,6 +140,6 @@ def _earlier_strike_end(branch: Branch, segment: int, good: int, bad: int) -> Pr
 
 
 def _is_step_finely(point: Point) -> Procedure[bool]:
-    """Whether a corrected point is a step that happens, by four times as many samples as a doubt is settled with."""
+    """Whether a corrected point is a step that happens, by four times as many samples as settle a doubt."""
     stride, _ = yield Call(sampled_steps, (point.X, point.times), (("samples", 64 * SAMPLES),))
     return bool(verify(stride.motion, stride.closing, stride.times).step[0])

@@ -96,7 +96,7 @@ def join(parts: Sequence[Points]) -> Points:
 
 
 def nothing(problem: Lanes, n: int) -> Points:
-    """Return n points that are none: they do not walk."""
+    """Return n placeholders, which do not walk."""
     Z, none, no = np.full((problem.m + 1 + problem.phases, n), np.nan), np.full(n, np.nan), np.zeros(n, bool)
     return Points(np.zeros(n, int), np.full(n, "", "U32"), Z, Z, none, none, none, no, no, no, none, no)
 
@@ -378,7 +378,7 @@ def _located(
     line = nodes.line[node]
     own = problem.some(line)
     is_end = kind not in SCALARS or kind.startswith("end_")
-    # An end is a node itself; whether its gaits are steps its neighbour tells.
+    # An end is itself a node; its neighbour shows whether its gaits are steps.
     inner = np.where(np.append(nodes.branch, -1)[node + 1] == nodes.branch[node], node + 1, node - 1)
     walks = nodes.walks[inner] if is_end else nodes.walks[node] | nodes.walks[inner]
     if kind in SCALARS:

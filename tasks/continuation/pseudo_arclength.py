@@ -264,7 +264,7 @@ class StepControl:
 
 
 class Tracks:
-    """Curves under way: the last points of n of them.
+    """Curves in progress: the last points of n of them.
 
     Attributes
     ----------
@@ -297,7 +297,7 @@ class Tracks:
         correct : callable
             The corrected points (with `Z`, `direction` and `ok`) of predicted ones (c, j), in planes normal to (c, j).
         judge : callable
-            Which of the corrected points are fair (j,), beside what the step control demands, and what it is to keep
+            Which of the corrected points are fair (j,), besides what the step control demands, and what it is to keep
             near its target (j,), by the points, the predicted ones and the distances between them.
 
         Returns
@@ -318,7 +318,7 @@ class Tracks:
         new = active[fair]
         tangent = np.where(cosine >= 0, point.direction, -point.direction)[:, fair]
         Z = point.Z[:, fair]
-        # The tangent turns on as it did over the last step.
+        # The tangent keeps turning as over the last step.
         chord = np.linalg.norm((Z - self.Z[:, new])[: self.measured], axis=0)
         self.turning[:, new] = (tangent - self.tangent[:, new]) / chord
         self.Z[:, new], self.tangent[:, new] = Z, tangent

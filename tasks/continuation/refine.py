@@ -22,18 +22,18 @@ from tasks.step.verify_step import StepCheck, verify
 FINE, COARSE = 2e-13, 1e-6
 
 
-#: Beside a fold two gaits must be told apart: a middle may move by so much of the distance in ln slope.
+#: Beside a fold two gaits must be distinguished: share of the distance in ln slope by which a middle may move.
 _FOLD_SHARE = 1e-3
 _MAX_ROUNDS = 5
 
 
-#: A change of fewer times the estimated rounding is taken for rounding; with 8, branches have up to 2 % fewer nodes.
+#: A change below this multiple of the estimated rounding is rounding; with 8, branches have up to 2 % fewer nodes.
 _ROUNDING_MARGIN = 7
 #: A split that leaves more than this share of the change may show rounding: one more is tried, and no other.
 _MIN_IMPROVEMENT = 0.25
 
 
-#: Nodes to either side over whose measured rounding a segment's is averaged.
+#: Nodes on either side over which a segment's measured rounding is averaged.
 _ROUNDING_WINDOW = 4
 
 
@@ -62,7 +62,7 @@ def _refine(
     moved = np.where(ok, np.where(late > COARSE, np.maximum(moved, late), moved), np.inf)
     sign = np.sign((point.direction.T * border).sum(axis=1))[:, None]
     new_Z, new_T = point.Z.T, point.direction.T * sign
-    # Below the rounding of the fixed point no split helps, be it by estimate or because the last split did not.
+    # Below the rounding of the fixed point no split helps: by estimate, or because the last split did not.
     allowed = np.clip(_FOLD_SHARE * branch.distance_from_fold()[segments], FINE, tolerance)
     keep = ok & (moved > np.maximum(allowed, _ROUNDING_MARGIN * rounding(point.stride).max(axis=0)))
     keep &= before[segments] > 0
@@ -130,8 +130,8 @@ def locate_gaps(branch: Branch, distance: np.ndarray, check: StepCheck) -> Proce
             if fine[k] > max(fine[k - 1], fine[k + 1]) - fine[k]:
                 break
             low, high = place[k - 1], place[k + 1]
-    # Where the released knee begins to move against its stop it may strike at once, though at neither node its guard
-    # has an extremum from which that could be seen.
+    # Where the released knee begins to move against its stop it may strike at once, with no extremum of its guard at
+    # either node to show it.
     for i in np.flatnonzero(np.diff(check.hyperextends) & check.step[1:] & check.step[:-1]):
         low, high = i + 0.0, i + 1.0
         for _ in range(_MAX_ROUNDS):

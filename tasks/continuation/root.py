@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator
 import numpy as np
 
 _MAX_STEPS = 60
-#: A curve has closed if between two points it passes its start no farther from it than this share of their distance.
+#: A curve has closed if between two points it passes its start within this share of their distance.
 _CLOSED_WITHIN = 1e-2
 
 

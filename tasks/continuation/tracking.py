@@ -155,7 +155,7 @@ def _stop_reasons(X: np.ndarray, times: np.ndarray, count: np.ndarray) -> np.nda
     return np.select(tests, [1, 2, 3, 2, 4, 5], 0)
 
 
-#: Why a track stops that has come back to where it began.
+#: Why a track that returns to its start stops.
 CLOSED = "closed"
 _STOP_REASONS = (
     "",
@@ -250,7 +250,7 @@ def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple
 
 
 class _Branches(Tracks):
-    """Branches under way: beside their last points all of them in the order they were found, and why they stopped."""
+    """Branches in progress: their last points, all points in the order they were found, and why they stopped."""
 
     def __init__(self, first: Point, lanes: np.ndarray, orientation: np.ndarray):
         tangent = first.direction[:, lanes]

@@ -67,7 +67,7 @@ def lost(
     strides : int
         Steps after the transient.
     at_once, rounds : int
-        In each round the bracket is divided by so many slopes, simulated side by side.
+        In each round the bracket is divided by this many slopes, simulated side by side.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 """The stable manifold of a saddle in a plane of initial conditions: the states from which orbits tend to the saddle.
 
-It parts the initial conditions that leave the saddle to either side, and is the edge of a basin of attraction where
+It separates initial conditions that leave the saddle to either side, and is the edge of a basin of attraction where
 one side leads to the gait and the other to a fall.
 """
 
@@ -39,7 +39,7 @@ class Saddle(NamedTuple):
 
 
 def saddle_at(problem: Problem, y: np.ndarray, slope: float) -> Saddle | None:
-    """A gait as a saddle; None if it is none.
+    """A gait as a saddle; None if not one.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def stable_manifold(problem: Problem, saddle: Saddle, slope: float, grid: np.nda
         at_x, near = _leave(problem, saddle, slope, x)
         best, nearest = np.where(near < nearest, x, best), np.minimum(nearest, near)
         changes = at_x * at_b < 0
-        # The end that stays twice counts half, else it would stay for ever.
+        # An end kept twice counts half, else it would stay for ever.
         a, at_a = np.where(changes, b, a), np.where(changes, at_b, 0.5 * at_a)
         b, at_b = x, at_x
     return best[:, nearest < _REACHED]

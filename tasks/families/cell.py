@@ -30,8 +30,8 @@ from tasks.walkers.walker_array import WalkerArray
 FEW, _MANY = 3, 5
 #: Nodes along a piece and along a key with which a patch begins, and at most.
 _FIRST, _MAX_NODES = 4, 11
-#: A patch is good if Newton corrects its predictions at points drawn by lot by no more; one that stays worse is used up
-#: to the second.
+#: Largest Newton correction of a good patch's predictions at random points; a patch that stays worse is used up to the
+#: second.
 _GOOD, _FAIR = 1e-6, 2e-2
 _DRAWN = 48
 #: Nodes along a piece that ends in the panel: as many as leave coefficients no larger than a coarse atlas resolves.
@@ -40,7 +40,7 @@ _ALONG, _COARSE_TAIL = (8, 16, 32, 48), 1e-5
 _MEASURED = (6, 3)
 #: A piece that goes on farther than this beyond the panel, in ln slope, is cut, at most twice as far.
 _CLEAR = 0.03
-#: Ends farther than this from the panel are as good as there, in ln slope.
+#: Ends farther than this from the panel are taken to be this far, in ln slope.
 _FAR = 1.0
 #: Coordinates of lines at the corners of a box, and how near a patch, which is extrapolated, is to its piece there.
 _CORNER, _ALIKE = 0.999, 0.1
@@ -90,7 +90,7 @@ def make_cell(family: Family, box: Box, low: float, surveyed: set[tuple[Box, int
     low : float
         Ln slope at which the panel begins.
     surveyed : set of (Box, int)
-        Takes up the box with the nodes along each key of which lines are surveyed, `FEW` or more.
+        Receives the box with the nodes along each key of which lines are surveyed, `FEW` or more.
     why : str, optional
         Why the cell is to have no patches.
 
@@ -105,7 +105,7 @@ def make_cell(family: Family, box: Box, low: float, surveyed: set[tuple[Box, int
 
 @functools.lru_cache(64)
 def _survey(family: Family, box: Box, structure: Structure, n: int) -> tuple[list[Branch], ...]:
-    """Branches of n^d node lines, the same for all panels; after the few those of one drawn by lot and of corners."""
+    """Branches of n^d node lines, the same for all panels; after the few, those of a random line and of corners."""
     points = np.vstack([box.nodes(n), box.at(box.lot()), box.at(box.corners(_CORNER))]) if n == FEW else box.nodes(n)
     return tuple(survey_lines(Lanes(family.walkers(points), structure), COARSE))
 
@@ -144,7 +144,7 @@ class _Maker:
         cuts = [self.cuts(group) for group in groups]
         if not np.isnan(cuts).any():
             return [self.regular(group, cut) for group, cut in zip(groups, cuts, strict=True)]
-        # A polynomial of a few ends may have one near the panel that is not: gaits at the edges of the box show it.
+        # A polynomial through few ends may wrongly place one near the panel: gaits at the edges of the box show it.
         cuts = [self.cuts(group, between=False) for group in groups]
         if np.isnan(cuts).any():
             return None
@@ -320,7 +320,7 @@ class _Maker:
         return result.w
 
     def error(self, patch: Patch) -> float:
-        """Set and return the largest correction of predictions at points drawn by lot, and the side of a fold."""
+        """Set and return the largest correction of predictions at random points, and the side of a fold."""
         drawn = self.box.draw(_DRAWN, 1 + self.d, f"patch {patch.numbers[0]}")
         share, unit = along(0.5 * (1 + drawn[:, 0]), patch.folds, patch.vanishing), drawn[:, 1:]
         ends = patch.ends_at(unit)
@@ -345,7 +345,7 @@ class _Maker:
         w, _ = patch.predict(unit, q, patch.ends_at(unit))
         problem = self.problem(keys)
         patch.lipschitz = lipschitz(problem, np.vstack([w[:m], q]), w[m:]).reshape(sizes[0], -1).max(axis=1)
-        if any(patch.vanishing):  # rounding grows over the size of steps from node to node: each gait's is measured
+        if any(patch.vanishing):  # rounding over step size grows from node to node: it is measured at each gait
             patch.rounding_std = np.full((sizes[0], 2 + problem.map.start_size // 2), np.nan)
             return patch
         std = rounding_std(problem, w, q)
@@ -355,7 +355,7 @@ class _Maker:
     def is_lacking(self, patches: list[Patch]) -> bool:
         """Whether a line at a corner has a piece near the panel of which there is no patch.
 
-        The node lines lie inside: up to the border ends that vary much may come nearer than their polynomial tells.
+        The node lines lie inside: up to the border ends that vary much may come nearer than their polynomial predicts.
         """
         surveyed = self.survey(FEW)[FEW**self.d + 1 :]
         for unit, branches in zip(self.box.corners(_CORNER)[:, None], surveyed, strict=True):
@@ -367,11 +367,11 @@ class _Maker:
         return False
 
     def near_panel(self, branches: list[Branch], beyond: float) -> list[Piece]:
-        """Pieces that come into the panel, or so far from it."""
+        """Pieces that reach the panel, or `beyond` of it."""
         return [p for p in pieces_of(branches) if p.q[1] > self.low - beyond and p.q[0] < self.high + beyond]
 
     def check(self, patches: list[Patch]) -> None:
-        """Survey a line drawn by lot: it must have these pieces and no others; it shows the errors of their ends."""
+        """Survey a random line: it must have these pieces and no others; it shows the errors of their ends."""
         unit = self.box.lot()
         branches = self.survey(FEW)[FEW**self.d]
         pieces = self.near_panel(branches, _CLEAR)

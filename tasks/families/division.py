@@ -11,10 +11,10 @@ from tasks.costs import MAX_SURVEYED
 from tasks.families.box import Box, Refused
 from tasks.families.cell import FEW, Cell, Family, make_cell
 
-#: How many times more often a box may be halved along one key than along another: what changes in it may lie along a
-#: curve that no halves along one key leave.
+#: Largest excess of halvings along one key over those along another: changes in a box may follow a curve that halving
+#: along one key never leaves.
 _MAX_UNEVENNESS = 2
-#: How often a box is halved at most, and the fewest lines for which a part's patches are worth making.
+#: Most halvings of a box, and fewest lines for which making its patches pays.
 _MAX_SPLITS, _MIN_LINES = 6, 24
 
 Part = TypeVar("Part")
@@ -29,7 +29,7 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
     make : callable
         Makes a part of a box or raises Refused; with a reason, makes an empty one that gives it.
     is_worth : callable
-        Whether a box is worth its making.
+        Whether making a box pays.
     splits : int
         How often the box may be halved.
 
@@ -58,7 +58,7 @@ def divide(box: Box, make: Callable[[Box, str], Part], is_worth: Callable[[Box],
 
 
 class Cells:
-    """Makes the cells of a box for one panel after the other, as far as that takes less than its lines one by one.
+    """Makes the cells of a box panel by panel, as long as that takes less than its lines one by one.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Cells:
         return cells
 
     def _is_worth(self, part: Box) -> bool:
-        """Whether a part has lines enough, and was tried before or may be tried after all that was surveyed."""
+        """Whether a part has enough lines, and was tried before or may be tried after all that was surveyed."""
         spent = sum(_number_of_lines(len(box.keys), n) for box, n in self.surveyed)
         is_new = (part, FEW) not in self.surveyed
         return self._left(part) >= _MIN_LINES and not (is_new and spent > MAX_SURVEYED * self.box.count(self.values))

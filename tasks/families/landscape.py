@@ -33,9 +33,9 @@ from tasks.mechanics.lumped import Structure, common_structure
 
 #: Lines surveyed along each key, and designs along each key at which the manifolds are compared.
 _NODES, _LATTICE = (-0.99, 0.0, 0.99), 15
-#: Further lines that are drawn by lot.
+#: Further random lines.
 _DRAWN = 2
-#: Of predictions that differ by less both are solved.
+#: Predictions that differ by less are both solved.
 _TIE = 1e-3
 #: Kinds of points that get a manifold, if one can be made, already where their value comes this near the best of a
 #: line: points of other kinds become the best only where another point changes its flags.
@@ -43,11 +43,11 @@ _RIVALS = ("fold", "flip")
 _RIVAL = {"smallest_slope": 0.05, "largest_stable_slope": 0.1, "fastest_stable_speed": 0.05, "least_cost": 0.0}
 #: Rounds in which lines are surveyed and manifolds added, and lines of each.
 _ROUNDS, _MAX_LINES = 6, 8
-#: Share of the lattice whose designs are left to lines rather than the box is halved, as a single one is.
+#: Share of the lattice whose designs are left to lines instead of halving the box, as a single one is.
 _RARE = 0.02
-#: Points nearer than this are one.
+#: Points closer than this are identical.
 _SAME = 1e-6
-#: Boxes of fewer designs than this are left to lines; a box is halved so often.
+#: Boxes of fewer designs than this are left to lines; most halvings of a box.
 _MIN_DESIGNS, _MAX_SPLITS = 64, 8
 
 
@@ -88,7 +88,7 @@ def points_at(
     window : (float, float)
         Least and largest ln slope.
     every : bool
-        All points: else of those that the predictions range behind a point that serves, none.
+        All points; otherwise none that the predictions rank behind a usable one.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def is_known(flags: np.ndarray, patterns: set[bytes]) -> np.ndarray:
 
 
 def _flags(points: Points, window: tuple[float, float]) -> np.ndarray:
-    """Of which quantities points may be the extremes, and the side to which the speed grows, in bits, shape (n,)."""
+    """Quantities of which points may be the extremes, and the side to which the speed grows, in bits, shape (n,)."""
     every = roles(points, window)
     bits = [*every.values(), every["fastest_stable_speed"] & points.faster]
     return np.asarray(sum(2**k * bit for k, bit in enumerate(bits)), np.int8)
@@ -190,7 +190,7 @@ class _Surveyor:
         self.shares += shares or [1.0] * len(unit)
 
     def landscape(self) -> Landscape:
-        """Survey lines and add manifolds until the lattice holds nothing that no line has."""
+        """Survey lines and add manifolds until the lattice holds nothing new."""
         nodes = np.array(list(itertools.product(_NODES, repeat=self.d)))
         self.survey(np.vstack([nodes, self.box.draw(_DRAWN, self.d, "design")]))
         for _ in range(_ROUNDS):
@@ -259,7 +259,7 @@ class _Surveyor:
         return patterns - others
 
     def unknown(self, patterns: set[bytes]) -> tuple[np.ndarray, list[float]]:
-        """Designs (n, d) of the lattice with flags as on no line so far, one for each, and what share has these."""
+        """Designs (n, d) of the lattice with flags of no line so far, one for each, and the share with these."""
         _, near, flags = points_at(self.maker, self.manifolds, self.lattice, self.window, every=True)
         every: dict[bytes, list[int]] = {}
         for i in np.flatnonzero(near).tolist():
@@ -275,7 +275,7 @@ class _Surveyor:
         return np.array(places[:_MAX_LINES]).reshape(-1, self.d), shares[:_MAX_LINES]
 
     def roughest(self) -> int:
-        """The key along which what the surveyed lines have changes most, or else the widest."""
+        """The key along which the surveyed lines change most, or else the widest."""
         kinds = []
         for points in self.points[: len(_NODES) ** self.d]:
             kinds.append(" ".join(str(points.kind[k]) for (k,) in best(points, 1, self.window).values() if k >= 0))

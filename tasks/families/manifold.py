@@ -16,13 +16,13 @@ from tasks.step.step_map import SAMPLES
 
 #: Factor by which a point may lie farther from its prediction, and err more, than those drawn.
 _SAFETY = 8.0
-#: Least error of predictions: below is rounding.
+#: Smallest error of predictions: below is rounding.
 LEAST = 1e-9
 #: Error above which a further Newton step is taken.
 _GOAL = 1e-10
 #: Distance from an end at which its gaits must be steps.
 _INSIDE = 1e-3
-#: Share of the way to a turn within which designs are surveyed, and the least that counts.
+#: Share of the way to a turn within which designs are surveyed, and the smallest that counts.
 _AT_TURN, _MIN_SHARE = 1e-5, 1e-12
 
 
@@ -67,9 +67,9 @@ class Cut:
         Returns
         -------
         Z : ndarray, shape (c, n)
-            To be added to what is smooth of the points.
+            To be added to the smooth part of the points.
         factor : ndarray, shape (n,)
-            By which what is smooth of the derivatives of the scalar is to be multiplied.
+            Multiplies the smooth part of the derivatives of the scalar.
         """
         log_root = 0.5 * np.log(np.maximum(1 - self.share(unit), _MIN_SHARE))
         return np.multiply.outer(np.array(self.powers[:-1]), log_root), np.exp(self.powers[-1] * log_root)
@@ -220,7 +220,7 @@ class Manifold:
     coefficients : ndarray, shape (product of sizes, 2 c)
         Of Z and of the derivatives of the kind's scalar.
     moved : float
-        Largest Newton step from predictions at points drawn by lot.
+        Largest Newton step from predictions at random points.
     linear, quadratic : float
         Largest error after a Newton step, over the step and over its square.
     """

@@ -24,7 +24,7 @@ _SIZES, _COMPARED, _GOOD = (5, 7, 9, 13, 17, 25, 33), 9, 1e-6
 #: Largest error of the predictions of a useful manifold.
 _FAIR = 1e-4
 _DRAWN = 24
-#: First and least share of the way in which a point is carried from one design to another, and largest distance from
+#: First and smallest share of the way in which a point is carried from one design to another, and largest distance from
 #: its prediction.
 _STRIDE, _MIN_STRIDE, _MAX_STRIDE_ERROR = 0.125, 1 / 256, 0.3
 #: Displacement that shows how Newton's method converges.
@@ -35,7 +35,7 @@ _FARTHEST, _BEYOND, _PLACES, _DEGREE = 3.0, 0.1, (13, 21), 4
 #: Newton steps to a turn, and largest last coefficient of the curve of turns.
 _TURNS, _SMOOTH = 12, 1e-6
 #: Coefficients of a curve on which steps vanish, largest Newton step to it, largest distance from it of points that do
-#: so there, how much farther points are whose growth shows with which powers, and how far these may be from whole
+#: so there, how much farther the points are whose growth shows the powers, and how far these may be from whole
 #: numbers.
 _VANISHING, _NEAR, _BESIDE, _FARTHER, _IRREGULAR = 33, 0.1, 0.01, 0.1, 0.2
 
@@ -94,7 +94,7 @@ class Maker:
         ------
         Refused
             If it is not smooth enough, ends in the box in another way than along a curve, or goes on where no walker
-            can be.
+            is valid.
         """
         try:
             return _Extension(self, kind, target, unit, Z).manifold()
@@ -118,7 +118,7 @@ class _Extension:
         for ratio in [(), self.box.ratio] if self.box.ratio else [()]:
             manifold = self.through_nodes(sizes, Coordinates(cut, ratio))
             if self.box.ratio:
-                # With so many nodes it shows which coordinate is the better one. Beside a turn poor predictions lead to
+                # This many nodes show which coordinate is the better one. Beside a turn poor predictions lead to
                 # the other sheet.
                 more = (_COMPARED,) * self.d
                 manifold = self.through_nodes(more, manifold.coordinates, None if cut else manifold)
@@ -342,7 +342,7 @@ class _Extension:
         raise Refused(f"a {self.kind} is lost where it counts", axis)
 
     def measured(self, manifold: Manifold) -> Manifold:
-        """The manifold with what is measured at points drawn by lot."""
+        """The manifold with what is measured at random points."""
         unit, cut = self.box.draw(_DRAWN, self.d, f"{self.kind} {manifold.sizes}"), manifold.coordinates.cut
         unit = cut.unit(unit) if cut else unit
         guess, rows = manifold.predict(unit)

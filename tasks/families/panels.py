@@ -1,6 +1,6 @@
 """Panels: polynomials of the gaits on one piece of a branch over ranges of ln slope.
 
-A panel's content is a function of the line, the range and the accuracy alone; which are made follows from the slopes.
+A panel's content is a function of the line, the range and the accuracy alone; the slopes determine which are made.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class Panel:
         numbers = np.array([self.low, self.high, *self.folds, *self.part])
         seed = int.from_bytes(hashlib.sha256(numbers.tobytes()).digest()[:8], "little")
         angle = np.arange(nodes + 1) + np.random.default_rng(seed).random(nodes + 1) - 0.5
-        # Beyond the outermost nodes there is half a gap only, and very near its end a gait beside a fold is rounding.
+        # Beyond the outermost nodes there is only half a gap, and very near its end a gait beside a fold is rounding.
         angle[0], angle[-1] = 0.4 * angle[0] + 0.3, nodes - 0.3 + 0.4 * (angle[-1] - nodes)
         return np.concatenate([roots(nodes), -np.cos(np.pi * angle / nodes)])
 
@@ -199,7 +199,7 @@ def value_bounds(coefficients: np.ndarray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Sampled:
-    """What was solved at nodes and, behind them, at points drawn to check the polynomials.
+    """Solutions at nodes and, after them, at points drawn to check the polynomials.
 
     `values` and `size`, (n, c), are quantities and the sizes over which their errors count; `bound` is that of the
     errors; `passes` is how often the legs pass; `good` is whether all were found, with as many passes.

@@ -125,7 +125,7 @@ def evaluate(points: np.ndarray, sizes: tuple[int, ...], coefficients: np.ndarra
     -------
     ndarray, shape (n, c)
     """
-    # A product of matrices rounds in another way if the number of rows is another: it gets blocks of one shape.
+    # A matrix product rounds differently for another number of rows: it gets blocks of one shape.
     n, rows = len(points), np.zeros((len(points) + -len(points) % _ROWS, len(coefficients)))
     rows[:n] = basis(points, sizes)
     return (rows.reshape(-1, _ROWS, len(coefficients)) @ coefficients).reshape(len(rows), coefficients.shape[1])[:n]

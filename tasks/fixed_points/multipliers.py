@@ -95,7 +95,7 @@ def _adjugate_norms(jacobian: np.ndarray, values: np.ndarray) -> np.ndarray:
         norm = largest - 2 * total.real * (twice * jacobian).sum(axis=(0, 1))
         norm += 2 * product.real * np.einsum("iin->n", twice) + np.abs(total) ** 2 * square
         norm += 3 * np.abs(product) ** 2 - 2 * (total * product.conj()).real * trace
-    # What cancels is known to the root of rounding.
+    # Terms that cancel are known to the root of rounding.
     return np.sqrt(np.maximum(norm, 0.0) + 1e-14 * largest)
 
 

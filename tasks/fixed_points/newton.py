@@ -133,7 +133,7 @@ def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
     estimates, lanes = np.full(X.shape[1], np.nan), np.arange(X.shape[1])
     for h in _DIFFERENCES:
         estimates[lanes] = _lipschitz(problem.some(lanes), w[:, lanes], X[m, lanes], h)
-        # Where the derivative changes by much over the difference, it must be smaller.
+        # Where the derivative changes much over the difference, that must be smaller.
         lanes = lanes[~(estimates[lanes] * h < _MAX_CHANGE)]
         if not len(lanes):
             break

@@ -29,7 +29,7 @@ _MAX_BOUND = 1e-3
 _MAX_CONTRACTION = 0.1
 #: States side by side by which the rounding of a gait alone is measured; a fine atlas averages over its nodes.
 _NEAR_STATES = 3
-#: Relative distance from the fixed point at which multipliers are as good as at it.
+#: Relative distance from the fixed point up to which multipliers are as accurate as there.
 _NEAR = 2e-12
 
 
@@ -129,7 +129,7 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         Of one walker, or of a walker for each guess.
     guesses : Guesses
     sampled : bool
-        Sample every motion that is integrated: cheaper where of no guess it is known that its step happens.
+        Sample every motion that is integrated: cheaper where no guess's step is known to happen.
     accuracy : float
         Bound that nearly suffices; 0 for as good a bound as doubles give.
     """
@@ -143,7 +143,7 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     stride.knee = stride.knee + matvec(stride.knee_by_y, stride.newton)
     gait = apply_newton_step(problem, stride, problem.parameters(slope, scale))
     y, times, state = gait.y, gait.times, gait.state
-    # How far the values move where the unknowns do by 1, each in its unit.
+    # How far the values move if the unknowns move by 1, each in its unit.
     moves = matvec(np.abs(gait.by_unknowns), joint_sizes(y, problem.phases))
     error = gait.sensitivity * (SAFETY_FACTOR * std + EPS / 2) + moves * 2 * lipschitz * eta**2
     bound = (error / gait.size).max(axis=0) + 2 * EPS
@@ -225,7 +225,7 @@ def _polish(
     w, before = w.copy(), np.full(len(q), np.inf)
     stride, scale = problem.stride(w, q)
     if samples:
-        # Few guesses are gaits already; those that are leave a doubt about their motion, and are integrated again.
+        # Few guesses are gaits already; the motion of those is in doubt, and they are integrated again.
         stride.motion = [np.full((samples + 1, *phase.shape[1:]), np.nan) for phase in stride.motion]
     for _ in range(MAX_STEPS):
         step = newton_step(stride, w)

@@ -72,7 +72,7 @@ def apply_newton_step(problem: Problem, stride: Stride, parameters: np.ndarray) 
 
 #: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
 _UNITS = (1.0, 0.75, 1.25, 0.9375)
-#: Distance of neighbouring states: enough to round anew, and where steps are long still near enough to the gait.
+#: Distance of neighbouring states: enough to round differently, and near enough to the gait even for long steps.
 _NEIGHBOUR = 1e-11
 
 

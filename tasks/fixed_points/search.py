@@ -20,7 +20,7 @@ from tasks.walkers.walker import Walker
 _MAX_STEP_BY_ITERATION = {1: (20.0, 20.0, 10.0, 6.0), 2: (20.0, 6.0, 4.0, 3.0)}
 #: Guesses in one cell of this size after three steps converge to one gait: the nearest to it continues.
 _MERGE_CELL = 0.1
-#: Periods of the lattice in whose place those come in which point feet exchange places.
+#: Periods of the lattice replaced by those in which point feet exchange places.
 _EXCHANGED = (1, 2)
 #: Largest rate over angle of a guess.
 _MAX_RATE = 20.0

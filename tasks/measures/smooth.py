@@ -20,7 +20,7 @@ _RATES = ("stance_rate", "thigh_rate", "shank_rate")
 _LOSSES = ("loss_normal", "loss_tangential", "loss_kneestrike")
 _RATIO = "heelstrike_rate_ratio"
 _MULTIPLIERS = ("multiplier_real", "multiplier_imag", "spectral_radius", "multiplier_error_bound")
-#: What follows from angle and period.
+#: Variables that follow from angle and period.
 _TRAVEL = ("speed", "froude_speed", "power", "cost_of_transport")
 
 

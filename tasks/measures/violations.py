@@ -23,7 +23,7 @@ FRICTION_LIMIT = 1.0
 _BLOCK = 128
 #: A velocity this small relative to its summands counts as zero.
 _ROUNDING = 1e-12
-#: Peaks of the samples that are looked at beside the highest.
+#: Peaks of the samples examined besides the highest.
 _FURTHER_PEAKS = 2
 #: Coefficients, times 24, of the quartic through values at 0, 1, 2, 3, 4.
 _POWERS = (

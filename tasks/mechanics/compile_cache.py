@@ -1,4 +1,4 @@
-"""heyoka's compile cache, whose machine code no checksum of its own protects.
+"""heyoka's compile cache, which has no checksums of its machine code.
 
 A damaged byte there crashes a process or changes numbers. Beside the cache, a file keeps the checksum of every entry as
 it was first seen; a cache with another entry than that, or one that cannot be read, is removed and fills again.
@@ -14,10 +14,10 @@ from pathlib import Path
 import heyoka as hy
 
 _LIMIT = 256 << 20  # size of the cache [byte]
-_TIMEOUT = 30.0  # for another process that writes [s]
+_TIMEOUT = 30.0  # wait for other writing processes [s]
 _CACHE, _SUMS = "cache.db", "checksums.db"
 _ENTRIES = "SELECT hash, env_fingerprint, comp_flag, bitcode, obj FROM cache"
-#: What damage an error of SQLite tells of; of others, such as a folder that cannot be written, the cache is innocent.
+#: SQLite errors that mean damage; others, such as a folder that cannot be written, are not the cache's fault.
 _DAMAGES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
 
 

@@ -17,7 +17,7 @@ from tasks.mechanics.lumped import Structure
 
 #: Taylor steps a flow may take before it counts as lost; a step of a gait takes 5 to 40.
 _MAX_STEPS = 120
-#: The vectorised sine reduces the arguments of a whole register in another way if one of them is larger [rad].
+#: The vectorised sine reduces the arguments of a whole register differently if one of them is larger [rad].
 _LARGE_ANGLE = 10.0
 LANES = hy.recommended_simd_size()
 #: Tolerance of the exact flows: order 18, whose truncation error is a fiftieth of rounding.
@@ -163,7 +163,7 @@ class Flow:
 
 
 def _differ(reached: np.ndarray, duration: np.ndarray) -> np.ndarray:
-    """Whether motions ended elsewhere than asked; heyoka's clock may be off by its last digit, and no more."""
+    """Whether motions ended at another time than asked; heyoka's clock may be off by its last digit only."""
     return np.asarray(~(np.abs(reached - duration) <= 1e-15 * np.abs(duration)))
 
 

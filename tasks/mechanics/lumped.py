@@ -39,7 +39,7 @@ def lump(walker: Walker, number: type = float) -> dict[str, Any]:
     return _lump(key, walker.massless_leg, walker.eps_T != 0, walker.knees, number)
 
 
-# Of walkers that cannot be, which an array may hold, constants are NaN.
+# Constants of invalid walkers, which an array may hold, are NaN.
 @np.errstate(divide="ignore", invalid="ignore")
 def _lump_all(walkers: Sequence[Walker] | WalkerArray, number: type) -> dict[str, np.ndarray]:
     """Lumped constants of several walkers, all with or all without knees, as `lump` has them, in arrays (n,)."""
@@ -68,7 +68,7 @@ def _lump(key: dict[str, Any], massless: Any, bent: Any, knees: bool, number: ty
     knee = _Vector(-key["l_t"] * sin_T, -key["l_t"] * cos_T) / length
     thigh = _Vector(-key["c_t"] * sin_T - key["w_t"] * cos_T, -key["c_t"] * cos_T + key["w_t"] * sin_T) / length
     shank = _Vector(key["c_s"] * sin_S - key["w_s"] * cos_S, -key["c_s"] * cos_S - key["w_s"] * sin_S) / length
-    # Of a massless leg only ratios of the swing leg's constants remain: a unit mass where the shank's was.
+    # For a massless leg only ratios of the swing leg's constants remain: a unit mass where the shank's was.
     eps = _choose(massless, zero, one)
     m_t, m_s = _choose(massless, zero, key["m_t"] / mass), _choose(massless, one, key["m_s"] / mass)
     S_b, S_c = thigh * m_t + knee * m_s, shank * m_s
@@ -142,7 +142,7 @@ def _cosine(x: Any) -> Any:
 
 
 def _aligned(v: _Vector) -> _Vector:
-    """Vector with zero for a part that is zero but for rounding: tuned as exactly as doubles can be is tuned."""
+    """Vector with parts that are only rounding set to zero: tuned to within doubles is tuned."""
     x, y = (np.abs(c.astype(float)) if isinstance(c, np.ndarray) else abs(float(c)) for c in (v.x, v.y))
     size = 4e-16 * np.maximum(x, y)
     return _Vector(_choose(x > size, v.x, v.x - v.x), _choose(y > size, v.y, v.y - v.y))

@@ -7,7 +7,7 @@ import numpy as np
 from tasks.mechanics.lumped import lump
 from tasks.walkers.walker import Walker
 
-#: Periods among which those are sought in which both legs exchange places [sqrt(leg/g)].
+#: Periods searched for those in which both legs exchange places [sqrt(leg/g)].
 _PERIODS = np.linspace(1.0, 6.0, 51)
 
 

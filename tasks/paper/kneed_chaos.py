@@ -1,6 +1,6 @@
 """Beyond period one: period doublings, chaos, counts of gaits, re-pairing (sections 3, 5.2, 7 and 8 of the paper).
 
-A claim reads the tables of the study that wants it, and computes those that the study has not.
+A claim reads the tables of the study that wants it, and computes those that the study lacks.
 """
 
 from __future__ import annotations

@@ -171,7 +171,7 @@ def _fitting(
 
 
 def narrower(state: State, middle: State, derivative: arb_mat, spread: list[arb]) -> State:
-    """Of every coordinate the narrower ball: the one given, or the mean value form around the middle's state.
+    """The narrower ball of every coordinate: the one given, or the mean value form around the middle's state.
 
     Parameters
     ----------

@@ -111,7 +111,7 @@ def prove(
         Its box is the smaller one; uniqueness holds in it as well.
     """
     proof = _proof(setting, guess, accuracy, label, reach)
-    if proof.unique and (proof.stable is None or not proof.first_strike):  # a smaller box may tell
+    if proof.unique and (proof.stable is None or not proof.first_strike):  # a smaller box may decide
         finer = _proof(setting, guess, accuracy * SHARPER, label, reach)
         proof = finer if finer.proved else proof
     return proof

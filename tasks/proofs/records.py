@@ -44,7 +44,7 @@ def prove_stored(params: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def proof_of(params: Mapping[str, Any]) -> tuple[Setting, Proof]:
-    """The proof behind `prove_stored`, not yet held against the values' bound.
+    """The proof behind `prove_stored`, not yet compared with the values' bound.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def distance(proof: Proof, values: Mapping[str, Any]) -> arb:
             for name, x in proof.box.items()
             if name != "kneestrike_time" and values.get(name) is not None
         ]
-        # A value that is no number lies nowhere, which no comparison would say.
+        # A value that is NaN lies nowhere, which no comparison would show.
         return next((x for x in apart if x.is_nan()), max(apart, key=lambda x: float(x.upper())))
 
 

@@ -79,7 +79,7 @@ def is_stable(matrix: arb_mat) -> bool | None:
 
 
 def _last_fails(margins: list[arb]) -> bool:
-    """The last condition reads so while the others hold; where one of them fails, it has spoken already."""
+    """Whether the last condition fails; it has this form while the others hold, whose failures are decided first."""
     return bool(len(margins) == 4 and margins[3] < 0 and margins[2] > 0)
 
 

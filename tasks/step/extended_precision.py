@@ -159,7 +159,7 @@ class ExtendedGait:
     last_step : float
         Relative size of the last Newton step.
     rounding : float
-        Relative error besides: that of the number itself and of rounding it to a double.
+        Further relative error: that of the number itself and of rounding it to a double.
     """
 
     y: np.ndarray

@@ -30,7 +30,7 @@ CAUSES = ("walks", "fell backward", "fell forward", "knee never struck", "foot n
 MAX_ANGLE, MAX_TIME = 1.2, 12.0
 #: Time step of the scan [sqrt(leg/g)], by whether there are knees: a free shank swings faster.
 _TIME_STEP = {False: 0.125, True: 0.0625}
-#: Time steps that are taken before strikes are looked for: at most so many, and so many of all lanes together.
+#: Most time steps taken before strikes are looked for: of a lane, and of all lanes together.
 _MAX_BLOCK, _BLOCK = 8, 4096
 #: Angle, and change of an angle in a time step, at which a block ends [rad].
 _WILD = 4.0

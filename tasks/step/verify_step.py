@@ -195,7 +195,7 @@ def _behind(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Whether a guard that falls in some intervals does so with a negative stance angle, shape (intervals, n).
 
-    Both are given with their rates per interval. Returned besides is whether in one of them that angle changes its
+    Both are given with their rates per interval. Also returned is whether in one of them that angle changes its
     sign, shape (n,): finer samples tell better.
     """
     ahead = stance[0] >= 0
@@ -245,7 +245,7 @@ def verify(
     times : ndarray, shape (k, n) [sqrt(leg/g)]
         The solved event times, which must follow each other.
     margin : float or ndarray, shape (n,)
-        How far the guards may besides lie from the samples: leaves a doubt where their signs could change.
+        How far the guards may also lie from the samples: leaves a doubt where their signs could change.
 
     Returns
     -------

@@ -31,7 +31,7 @@ def from_table(table: Mapping[str, Any]) -> Walker:
     Raises
     ------
     WalkerError
-        If a key is unknown or missing, or the walker cannot be.
+        If a key is unknown or missing, or the walker is invalid.
     """
     values = {key: value for key, value in table.items() if key != "name"}
     base = values.pop("base", None)
@@ -121,7 +121,7 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     Raises
     ------
     WalkerError
-        If the walker, a key or a value cannot be.
+        If the walker, a key or a value is invalid.
     """
     changes: dict[str, Any] = dict(overrides or {})
     if isinstance(walker, Mapping):
@@ -193,7 +193,7 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     Raises
     ------
     WalkerError
-        If none of the walkers can be.
+        If no walker is valid.
     """
     arrays = {key: value for key, value in overrides.items() if isinstance(value, np.ndarray)}
     for own in zip(*arrays.values(), strict=True) if arrays else [()]:
@@ -233,7 +233,7 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     WalkerError
-        If the walker, a key or a value cannot be.
+        If the walker, a key or a value is invalid.
     """
     overrides = params.get("set") or {}
     walker = resolve(params["walker"], overrides)

@@ -96,7 +96,7 @@ def _nearest(start: Walker, free: list[str]) -> tuple[Walker, list[float]]:
         return replace(start, **values)
 
     def residual(change: np.ndarray) -> np.ndarray:
-        # Over the start's leg, whatever keys move: a scale that stays.
+        # Over the initial leg, whatever keys move: a fixed scale.
         return np.array(list(statics(at(change)).values())) / start.leg
 
     # Gauss-Newton with least-norm steps: the nearest point of the tuned manifold in relative change.

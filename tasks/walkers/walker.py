@@ -35,7 +35,7 @@ _MAX_SHOWN = 60  # characters of a wrong value in an error
 
 
 class WalkerError(ValueError):
-    """A walker that cannot be: the key, its value and the bound it breaks."""
+    """An invalid walker: the key, its value and the bound it breaks."""
 
     def __init__(self, key: str, value: object, bound: str):
         super().__init__(f"`{_clip(key)}` {bound}; got {_clip(str(value))}.")

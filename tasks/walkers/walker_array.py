@@ -12,7 +12,7 @@ from tasks.walkers.walker import KEYS, Walker
 class WalkerArray(Walker):
     """Walkers of one kind: each number is one for all, or an array of one for each, shape (n,).
 
-    Numbers are not checked: of a walker that cannot be, what follows from them is NaN or meaningless.
+    Numbers are not checked: for an invalid walker, what follows from them is NaN or meaningless.
     """
 
     def __post_init__(self) -> None:

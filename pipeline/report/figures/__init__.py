@@ -61,7 +61,7 @@ def draw(source: Source, name: str, salt: str) -> Drawing | None:
     if function is None:
         return None
     with style(), warnings.catch_warnings():
-        # Words stay words in the SVG: the reader's fonts have the glyphs that the font of the layout has not.
+        # Words stay words in the SVG: the reader's fonts have the glyphs that the font of the layout lacks.
         warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         sketch = function(source)
         if sketch is None:

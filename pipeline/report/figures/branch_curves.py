@@ -156,7 +156,7 @@ def _mark(kind: str) -> dict[str, Any]:
 
 
 def _main_label(branch: pd.DataFrame, taken: Iterable[str]) -> tuple[str, str]:
-    """The label that most gaits of a branch have, and that whose colour it has: another where the first is taken."""
+    """The label of most gaits of a branch, and the label that colours it: another where the first is taken."""
     if "gait" not in branch:
         return "", ""
     label = str(branch["gait"].mode().iloc[0])

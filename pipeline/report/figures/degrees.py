@@ -25,7 +25,7 @@ def add_degrees(figure: Figure) -> None:
         place: Any = axes.get_subplotspec()
         if place.is_first_row() and _is_in_radians(axes, panels, "x"):
             _add(axes, "x")
-        # Panels that do not share their scale have each its own.
+        # Panels that do not share a scale each have their own.
         alone = len(axes.get_shared_y_axes().get_siblings(axes)) == 1
         if (place.is_last_col() or alone) and _is_in_radians(axes, panels, "y"):
             _add(axes, "y")

@@ -22,7 +22,7 @@ _SHOWN = {
     "largest_stable_slope": "largest stable γ (rad)",
     "fastest_froude_speed": "fastest stable Fr",
 }
-#: Columns of the figure's data, beside the keys.
+#: Columns of the figure's data, besides the keys.
 _DATA = (*_SHOWN, "smallest_at", "stability_lost_by", "fastest_slope")
 #: Values of derived keys at which walkers of the paper lie: the tuned one and the physical one.
 _NAMED = {"detuning": (0.0, 1.0)}

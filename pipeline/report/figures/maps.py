@@ -38,7 +38,7 @@ _SHOWN = ("speed", "froude_speed", "stance_angle", "period", "spectral_radius")
 _MAX_ROWS = 4
 
 #: Colours of outcomes other than gaits and falls, and of falls: muted, so that gaits stand out, and of different hues,
-#: so that they are told apart on light and on dark pages.
+#: so that they can be distinguished on light and dark pages.
 _OTHER_COLOURS, _FALL_COLOURS = ("#b8a23a", "#9a74c4", "#4a9c74"), ("#8fa3b866", "#b59a8566", "#6c8f6c99", "#8d9399cc")
 
 
@@ -145,7 +145,7 @@ def _cell_marks(
     names: tuple[str, str, str],
     fixed: dict[str, Any],
 ) -> list[Marks]:
-    """Marks of a map's cells, each with its whole command, for every cell belongs to another line."""
+    """Marks of a map's cells, each with its whole command, since every cell belongs to another line."""
     down, along, _ = names
     frame = thin(frame, 180)
     values = {SYMBOLS.get(n, n): frame[n].to_numpy() for n in names}

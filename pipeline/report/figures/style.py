@@ -119,7 +119,7 @@ def _is_narrow(low: float, high: float) -> bool:
 
 
 def _digits(axis: Axis) -> int:
-    """Digits that tell the ticks of a narrow logarithmic axis apart."""
+    """Digits that distinguish the ticks of a narrow logarithmic axis."""
     low, high = axis.get_view_interval()
     return 2 if high > 2 * low else 4
 
