@@ -380,12 +380,12 @@ def test_nodes_that_do_not_lie_along_a_branch_are_removed():
 def test_a_gait_without_neighbours_does_not_decide_what_remains_of_its_branch():
     branch = branches("D")[1][0]
     n, k = len(branch.Z), len(branch.Z) // 3
-    for gait, cuts, nodes in (
+    for start, cuts, nodes in (
         (k, [k - 2, k], range(k - 1)),
         (1, [1], range(2, n)),
         (k, [k - 3, k], range(k - 2, k + 1)),
     ):
-        np.testing.assert_array_equal(branch.part_of(branch.Z[gait], np.array(cuts)).Z, branch.Z[list(nodes)])
+        np.testing.assert_array_equal(branch.part_of(branch.Z[start], np.array(cuts)).Z, branch.Z[list(nodes)])
     # A tangent at right angles to the branch.
     tangent = branch.tangent.copy()
     tangent[k] = np.eye(tangent.shape[1])[0] - branch.direction[k, 0] * branch.direction[k]
