@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.locate import correct_at, row, row_tangent
+from tasks.continuation.locate import correct_and_evaluate
 from tasks.continuation.lockstep import Call, Procedure
 from tasks.continuation.tracking import correct, fall_margin
 
@@ -45,20 +45,30 @@ def checked(branch: Branch, gait: np.ndarray) -> Procedure[Branch]:
         return branch
     for _ in range(_MAX_ROUNDS):
         failing = yield from _failing(branch)
-        split = False
-        for segment in np.flatnonzero(failing)[::-1].tolist():
-            alone = branch.part(np.array([segment, segment + 1]))
-            middle = float(alone.Z[:, alone.axis[0]].mean())
-            point, direction = yield from correct_at(alone, 0, middle)
-            if point.ok[0] and alone.lies_between(np.array([0]), point.Z)[0]:
-                branch, split = branch.insert(segment + 1, row(point), row_tangent(point, direction)), True
-        if not split:
+        if not failing.any():
             break
+        split = yield from _split(branch, np.flatnonzero(failing))
+        if len(split.Z) == len(branch.Z):
+            break
+        branch = split
     else:
         failing = yield from _failing(branch)
     if failing.any():
         branch = branch.part_of(gait, np.flatnonzero(failing))
     return (yield from _with_consistent_ends(branch)) if len(branch.Z) > 1 else branch
+
+
+def _split(branch: Branch, segments: np.ndarray) -> Procedure[Branch]:
+    """The branch with nodes in the middles of segments, predicted by their own two nodes, where they lie on them."""
+    m = branch.m
+    alone = [branch.part(np.array([k, k + 1])) for k in segments]
+    Z = np.vstack([part.evaluate(np.array([0]), part.Z[:, part.axis].mean(axis=0)) for part in alone])
+    border = branch.direction[segments] + branch.direction[segments + 1]
+    border /= np.linalg.norm(border, axis=1, keepdims=True)
+    point = yield Call(correct_and_evaluate, (Z[:, : m + 1].T, Z[:, m + 1 :].T, border.T))
+    tangent = point.direction.T * np.where((point.direction.T * border).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    kept = point.ok & branch.lies_between(segments, point.Z)
+    return branch.insert(segments[kept] + 1, point.Z.T[kept], tangent[kept])
 
 
 def _failing(branch: Branch) -> Procedure[np.ndarray]:

@@ -65,12 +65,25 @@ def correct_at(branch: Branch, segment: int, x: float) -> Procedure[tuple[Point,
     Z = branch.evaluate(np.array([segment]), np.array([x]))
     direction = branch.direction[segment] + branch.direction[segment + 1]
     direction = direction / np.linalg.norm(direction)
-    point = yield Call(_correct_and_evaluate, (Z[:, : m + 1].T, Z[:, m + 1 :].T, direction[:, None]))
+    point = yield Call(correct_and_evaluate, (Z[:, : m + 1].T, Z[:, m + 1 :].T, direction[:, None]))
     return point, direction
 
 
-def _correct_and_evaluate(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray) -> Point:
-    """Correct points; the corrector's derivative is that before its last step, this one's that at the point itself."""
+def correct_and_evaluate(problem: Problem, X: np.ndarray, times: np.ndarray, border: np.ndarray) -> Point:
+    """Correct points; the corrector's derivative is that before its last step, this one's that at the point itself.
+
+    Parameters
+    ----------
+    problem : Problem
+    X : ndarray, shape (m + 1, n)
+    times : ndarray, shape (k, n) [sqrt(leg/g)]
+    border : ndarray, shape (m + 1 + k, n)
+        Directions along which the points may not move.
+
+    Returns
+    -------
+    Point
+    """
     point = correct(problem, X, times, border)
     at_point = correct(problem, point.X, point.times, border, max_iterations=1)
     at_point.ok = point.ok

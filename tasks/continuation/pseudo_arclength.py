@@ -282,6 +282,8 @@ class Tracks:
         self.control, self.measured = control, measured
         self.Z, self.tangent, self.turning = Z.copy(), tangent.copy(), np.zeros(Z.shape)
         self.step = np.full(Z.shape[1], step)
+        # The points before the last ones, the tangents there, and the distances; 0 where there are none.
+        self.before, self.back = (Z.copy(), tangent.copy()), np.zeros(Z.shape[1])
 
     def advance(
         self,
@@ -310,7 +312,7 @@ class Tracks:
         h, border = self.step[active], self.tangent[:, active].copy()
         guess = self.Z[:, active] + h * border + 0.5 * h * h * self.turning[:, active]
         border[self.measured or len(border) :] = 0.0
-        point = correct(guess, border)
+        point = correct(self._near(active, guess, border), border)
         error = np.linalg.norm((point.Z - guess)[: self.measured], axis=0)
         cosine = (point.direction * border).sum(axis=0)
         fair, measure = judge(point, guess, error)
@@ -321,10 +323,25 @@ class Tracks:
         # The tangent keeps turning as over the last step.
         chord = np.linalg.norm((Z - self.Z[:, new])[: self.measured], axis=0)
         self.turning[:, new] = (tangent - self.tangent[:, new]) / chord
+        for values, last in zip(self.before, (self.Z, self.tangent), strict=True):
+            values[:, new] = last[:, new]
+        self.back[new] = chord
         self.Z[:, new], self.tangent[:, new] = Z, tangent
         self.step[new] = self.control.after(h[fair], measure[fair])
         self.step[active[~fair]] *= self.control.reduction
         return point, fair
+
+    def _near(self, active: np.ndarray, guess: np.ndarray, border: np.ndarray) -> np.ndarray:
+        """Where Newton's method begins, in the planes of the predicted points: the cubic through the last two.
+
+        Before a fall it converges only from so near that a parabola allows but tiny steps.
+        """
+        back, h = self.back[active], self.step[active]
+        has_two = back > 0
+        length = np.where(has_two, back, 1.0)
+        a, b = (tuple(each[:, active] for each in pair) for pair in (self.before, (self.Z, self.tangent)))
+        off = np.where(has_two, hermite(*a, *b, length, 1 + h / length) - guess, 0.0)
+        return np.asarray(guess + off - border * (border * off).sum(axis=0))
 
 
 def root_between(
