@@ -12,6 +12,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "detuning": ("number", "position between the exactly tuned walker (0) and the physical one (1)"),
     "special_points/error_bound": ("number", "largest relative error of the slope"),
     "turnings/error_bound": ("number", "largest relative error of the slope"),
+    "cascade/error_bound": ("number", "largest relative error of the slope"),
     "kind": ("number", "kind of special point"),
     "start": ("number", "number of the initial condition, from 0"),
     "stride": ("number", "number of the step, from 0"),

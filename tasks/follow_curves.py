@@ -76,14 +76,15 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     rows: dict[str, list[Any]] = {k: [] for k in _CURVES}
     turns: dict[str, list[Any]] = {k: [] for k in _TURNINGS}
     for begin in _beginnings(own, low, high):
-        if not _is_ordinary(walker_at, begin, usual, DIFFERENCE * (high - low)):
+        beside = np.clip(begin + DIFFERENCE * (high - low) * np.array([-1.0, 0.0, 1.0]), low, high)
+        if not _is_ordinary(walker_at, beside.tolist(), usual):
             begin += 1e-3 * (usual - begin)
         problem = Problem(walker_at(begin))
         branches = atlases.from_arrays(inputs[0]) if begin == own else atlases.survey(problem)
         seeds = _seeds(problem, branches, options["kinds"], window)
         seen: list[tuple[str, np.ndarray]] = []
         for kind, U, times in seeds:
-            equations = equations_of(kind, walker_at, usual, high - low)
+            equations = equations_of(kind, walker_at, usual, (low, high))
             U = equations.begin(U, times, begin)
             border = np.zeros(len(U))
             border[-1] = 1.0
@@ -113,10 +114,10 @@ def _beginnings(own: float, low: float, high: float) -> list[float]:
     return list(dict.fromkeys([min(max(own, low), high), *sorted((low, high), key=lambda end: abs(end - own))]))
 
 
-def _is_ordinary(walker_at: Callable[[float], Walker], value: float, usual: float, h: float) -> bool:
-    """Whether a curve can begin at a value: neighbouring walkers exist, and their maps have the usual dimension."""
+def _is_ordinary(walker_at: Callable[[float], Walker], values: list[float], usual: float) -> bool:
+    """Whether a curve can begin among neighbouring values: walkers exist, and their maps have the usual dimension."""
     try:
-        return all(walker_at(v).point_foot == walker_at(usual).point_foot for v in (value - h, value, value + h))
+        return all(walker_at(v).point_foot == walker_at(usual).point_foot for v in values)
     except WalkerError:
         return False
 

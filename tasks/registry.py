@@ -218,18 +218,18 @@ TASKS = {
         Task("points", "tasks.solve_points:points", 15, needs=("atlas",), seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 3, needs=("atlas",)),
         Task("branch", "tasks.follow_branches:branch", 11, needs=("atlas",)),
-        Task("orbit", "tasks.iterate_orbits:orbit", 5, needs=("atlas",)),
-        Task("cascade", "tasks.locate_cascade:cascade", 9, needs=("atlas",)),
-        Task("basin", "tasks.map_basin:basin", 6, needs=("atlas",)),
-        Task("curve", "tasks.follow_curves:curve", 7, needs=("atlas",)),
-        Task("design", "tasks.map_designs:design", 13),
-        Task("census", "tasks.count_gaits:census", 8),
+        Task("orbit", "tasks.iterate_orbits:orbit", 6, needs=("atlas",)),
+        Task("cascade", "tasks.locate_cascade:cascade", 10, needs=("atlas",)),
+        Task("basin", "tasks.map_basin:basin", 7, needs=("atlas",)),
+        Task("curve", "tasks.follow_curves:curve", 8, needs=("atlas",)),
+        Task("design", "tasks.map_designs:design", 14),
+        Task("census", "tasks.count_gaits:census", 9),
         Task("scaling", "tasks.fit_laws:scaling", 4, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 4, needs=("points",)),
         Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",)),
         Task("corners", "tasks.locate_landmarks:corners", 1, needs=("atlas",)),
-        Task("crises", "tasks.locate_landmarks:crises", 3, needs=("atlas", "cascade", "corners")),
-        Task("claims", "tasks.check_claims:claims", 12, needs=("points", "atlas")),
+        Task("crises", "tasks.locate_landmarks:crises", 4, needs=("atlas", "cascade", "corners")),
+        Task("claims", "tasks.check_claims:claims", 13, needs=("points", "atlas")),
     )
 }
 
@@ -354,6 +354,9 @@ def options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
 
 #: Points whose curves a study of kind `curve` follows.
 FOLLOWED = ("fold", "flip", "end_kneestrike_at_heelstrike", "end_tangential_heelstrike")
+
+#: Kinds whose slopes are a window, between the least and the largest.
+WINDOWED = ("branch", "cascade", "curve", "design")
 
 #: What is known of gaits of one step only: what a study of longer ones cannot want.
 OF_ONE_STEP = ("transition", "landmarks", "crises", "angles", "claims", "proved", "proved_radius")

@@ -131,7 +131,7 @@ def check_state(state: np.ndarray) -> None:
         If the stance leg is not in front of the ground's normal, or so far that the walker has fallen.
     """
     if not 0 < state[0] < MAX_ANGLE:
-        raise WalkerError("state", f"{float(state[0])!r} rad", f"must have a stance angle in (0, {MAX_ANGLE}) rad")
+        raise WalkerError("state", f"{float(state[0])!r} rad", f"must have a stance angle in (0, {MAX_ANGLE:.4g}) rad")
 
 
 def to_section(problem: Problem, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:

@@ -58,6 +58,8 @@ def load(archive: str | Path, table: str | None = None) -> Any:
         tables = list(read.tables(file))
         if table is None:
             grid = _decode(dataset(file).load()).assign_attrs(tables=tables)
+            for name in grid.variables:  # how strings lie in this file; a part of them lies otherwise in another
+                grid[name].encoding.pop("char_dim_name", None)
             return _Grid(grid.data_vars, grid.coords, grid.attrs)
         if table not in tables:
             raise ArchiveError(f"{path} has no table {table}; it has {', '.join(tables) or 'none'}.")
@@ -97,7 +99,8 @@ def _decode(grid: xr.Dataset) -> xr.Dataset:
         grid = grid.assign(violations=((bits & masks) != 0).assign_attrs(long_name=bits.long_name))
     if "multiplier_real" in grid and "multiplier_imag" in grid:
         multipliers = grid.multiplier_real + 1j * grid.multiplier_imag
-        grid = grid.assign(multipliers=multipliers.assign_attrs(long_name="eigenvalues of the step map", units="1"))
+        long_name = grid.multiplier_real.long_name.removeprefix("real part of ")
+        grid = grid.assign(multipliers=multipliers.assign_attrs(long_name=long_name, units="1"))
     return grid
 
 

@@ -52,8 +52,8 @@ def over_steps(long_name: str, steps: int) -> str:
     """Meaning of a quantity of one step, for gaits that repeat after several."""
     if steps == 1:
         return long_name
-    iterate = f"the step map's {steps}-th iterate's eigenvalues"
-    return long_name.replace("one step", f"{steps} steps").replace("the step map's eigenvalues", iterate)
+    iterated = f"the {steps} times iterated step map's eigenvalues"
+    return long_name.replace("one step", f"{steps} steps").replace("the step map's eigenvalues", iterated)
 
 
 def of_variable(variable: Variable, is_si: bool, is_mixed: bool = False, steps: int = 1) -> dict[str, Any]:

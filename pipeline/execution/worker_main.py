@@ -113,12 +113,12 @@ def _try(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]
 
 
 def _sentence(error: BaseException) -> str:
-    """Message of an exception on one line, the same in every process."""
+    """Message of an exception on one line without a full stop, the same in every process."""
     try:
         text = " ".join(str(error).split())
     except Exception:
         text = ""
-    text = re.sub(r"0x[0-9a-f]{6,}", "0x...", text)[:300]
+    text = re.sub(r"0x[0-9a-f]{6,}", "0x...", text)[:300].removesuffix(".")
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 

@@ -92,22 +92,22 @@ class Point:
 
 
 class Curve:
-    """The equations of folds or flips over slope and a key; `scale` is the key's unit in U."""
+    """The equations of folds or flips over slope and a key; `scale`, its range, is the key's unit in U."""
 
-    def __init__(self, kind: str, walker_at: Callable[[float], Walker], value: float, scale: float):
-        self.kind, self.walker_at, self.scale = kind, walker_at, scale
+    def __init__(self, kind: str, walker_at: Callable[[float], Walker], value: float, limits: tuple[float, float]):
+        self.kind, self.walker_at, self.limits, self.scale = kind, walker_at, limits, limits[1] - limits[0]
         self.structure = structure_of(walker_at(value))
         self.map: StrideMap = stride_map(self.structure)
         self.m = self.map.m
 
     def walker(self, U: np.ndarray) -> Walker:
-        """Return the walker at a point.
+        """Return the walker at a point, or at the limit of the key where it lies beyond.
 
         Parameters
         ----------
         U : ndarray, shape (u,)
         """
-        return self.walker_at(float(U[-1] * self.scale))
+        return self.walker_at(float(np.clip(U[-1] * self.scale, *self.limits)))
 
     def begin(self, X: np.ndarray, times: np.ndarray, value: float) -> np.ndarray:
         """Return U for a line's point at a value of the key.
@@ -131,9 +131,17 @@ class Curve:
         """Section coordinates and parameters at points U (u, n), each with a walker of its own."""
         angle = np.exp(U[0])
         size = np.full(U.shape[1], np.exp2(np.floor(np.log2(angle[0]))))
-        constants = constants_of([self.walker(u) for u in U.T], self.structure)
-        parameters = np.vstack([np.exp(U[-2]), size, constants])
+        parameters = np.vstack([np.exp(U[-2]), size, self._constants(U[-1] * self.scale)])
         return np.vstack([angle, angle * U[1 : self.m]]) / size, parameters
+
+    def _constants(self, values: np.ndarray) -> np.ndarray:
+        """Constants at values of the key (n,); beyond its limits, where there may be no walker, continued linearly."""
+
+        def of(values: np.ndarray) -> np.ndarray:
+            return constants_of([self.walker_at(value) for value in values.tolist()], self.structure)
+
+        inner = np.clip(values, *self.limits)
+        return of(values) if (inner == values).all() else 2 * of(inner) - of(2 * inner - values)
 
     def system(
         self, U: np.ndarray, times: np.ndarray, h: float = DIFFERENCE
@@ -279,7 +287,7 @@ class End(Curve):
         return bool(early and final[2, 0] + final[3, 0] < 1e-6 * y[0, 0])
 
 
-def equations_of(kind: str, walker_at: Callable[[float], Walker], value: float, scale: float) -> Curve:
+def equations_of(kind: str, walker_at: Callable[[float], Walker], value: float, limits: tuple[float, float]) -> Curve:
     """Return the equations of a kind of special point over slope and a key.
 
     Parameters
@@ -290,10 +298,10 @@ def equations_of(kind: str, walker_at: Callable[[float], Walker], value: float, 
         The walker at a value of the key.
     value : float
         An ordinary value: constants that vanish only at special ones stay parameters.
-    scale : float
-        About the range of the key.
+    limits : tuple of float
+        Least and largest value of the key.
     """
-    return (End if kind in ENDS else Curve)(kind, walker_at, value, scale)
+    return (End if kind in ENDS else Curve)(kind, walker_at, value, limits)
 
 
 def _neighbours(U: np.ndarray, h: float) -> np.ndarray:

@@ -20,12 +20,11 @@ from tasks.continuation.root import passes
 from tasks.fixed_points.newton import LONGEST_PERIOD
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Problem
+from tasks.step.simulate import MAX_LOG_ANGLE
 from tasks.step.step_map import Stride
 
 #: Slopes over which branches are followed [rad]; below, double precision no longer resolves a gait's tangent.
 MIN_SLOPE, MAX_SLOPE = 1e-13, 0.7
-#: Largest ln of a stance angle that is no fall.
-_MAX_LOG_ANGLE = 0.5
 _NEWTON = Newton(max_iterations=8, max_step=1.0, small=1e-9, shrinking=0.2)
 #: Steps of branches turn by at most 0.3 rad; what is kept near its target is the distance from the predicted point.
 _CONTROL = StepControl(
@@ -185,7 +184,7 @@ def fall_margin(X: np.ndarray, times: np.ndarray) -> np.ndarray:
     -------
     ndarray, shape (n,)
     """
-    return np.maximum(X[0] - _MAX_LOG_ANGLE, times[-1] - LONGEST_PERIOD)
+    return np.maximum(X[0] - MAX_LOG_ANGLE, times[-1] - LONGEST_PERIOD)
 
 
 def follow(problem: Problem, w: np.ndarray, log_slope: np.ndarray) -> list[tuple[Track, Track]]:

@@ -158,11 +158,12 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     first, unit = problem.section(guesses.w[:, lost])
     y[:, lost], times[:, lost] = first * (unit / scale[lost]), guesses.w[problem.m :, lost]
     for lane in np.flatnonzero(~(converged & (bound <= enough))).tolist():
+        near_it = y[:, lane], times[:, lane], slope[lane], scale[lane]
         wide = extended_precision.refine(
-            problem, lane, stride, y[:, lane], times[:, lane], slope[lane], scale[lane], bound[lane], accuracy
+            problem, lane, stride, *near_it, bound[lane], amplification[lane], 0.9 * accuracy
         )
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
-        bound[lane] = 2 * wide.last_step * max(1.0, amplification[lane]) + wide.rounding
+        bound[lane] = wide.bound
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
     step = strikes_fall_in_order(stride.closing, times)
     lanes = np.nonzero(leg_passes == UNKNOWN)[0]

@@ -158,8 +158,8 @@ class ExtendedGait:
         Just after heelstrike.
     last_step : float
         Relative size of the last Newton step.
-    rounding : float
-        Further relative error: that of the number itself and of rounding it to a double.
+    bound : float
+        Of the relative error, rounding to doubles included; infinite where it was not estimated.
     """
 
     y: np.ndarray
@@ -167,7 +167,7 @@ class ExtendedGait:
     impact: np.ndarray
     state: np.ndarray
     last_step: float
-    rounding: float = 0.0
+    bound: float = np.inf
 
 
 def solved(
@@ -262,6 +262,7 @@ def refine(
     slope: float,
     scale: float,
     bound: float,
+    amplification: float,
     accuracy: float = 0.0,
 ) -> ExtendedGait:
     """Solve for a gait to the last digits of a double, in long double where that suffices, else in 128 bits.
@@ -272,8 +273,10 @@ def refine(
         As in `solved`.
     bound : float
         Relative error bound of the gait in doubles.
+    amplification : float
+        Relative change of its values with a Newton step.
     accuracy : float
-        Bound that is wanted; 0 for any.
+        Bound that suffices; 0 for any.
 
     Returns
     -------
@@ -281,22 +284,23 @@ def refine(
         Rounded to doubles.
     """
 
+    def at(tier: int) -> tuple[ExtendedGait, float]:
+        gait = solved(problem, lane, stride, y, times, slope, scale, tier)
+        return gait, 2 * gait.last_step * max(1.0, amplification) + rounding(tier)
+
     def rounding(tier: int) -> float:
         return (bound if bound < 1 else 1.0) * TIERS[tier][1] / EPS + 4 * EPS
 
-    tier = 0 if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0) else 1
-    gait = solved(problem, lane, stride, y, times, slope, scale, tier)
-    if not tier and not np.isfinite(gait.last_step):
-        tier, gait = 1, solved(problem, lane, stride, y, times, slope, scale, 1)
+    if bound < ESCALATE_AGAIN and not 0 < accuracy < rounding(0):
+        gait, error = at(0)
+        suffices = error <= accuracy if accuracy else np.isfinite(gait.last_step)
+    else:
+        suffices = False
+    if not suffices:
+        gait, error = at(1)
 
     def rounded(values: np.ndarray) -> np.ndarray:
         return np.array([float(v) for v in values])
 
-    return ExtendedGait(
-        rounded(gait.y),
-        rounded(gait.times),
-        rounded(gait.impact),
-        rounded(gait.state),
-        gait.last_step,
-        rounding(tier),
-    )
+    in_doubles = (rounded(each) for each in (gait.y, gait.times, gait.impact, gait.state))
+    return ExtendedGait(*in_doubles, gait.last_step, error)

@@ -26,8 +26,9 @@ from tasks.step.symbols import end_of_step, lock_knee
 #: Outcomes of a step. All but STRUCK are falls.
 STRUCK, BACKWARD, FORWARD, NO_KNEESTRIKE, NO_HEELSTRIKE, LOST = range(6)
 CAUSES = ("walks", "fell backward", "fell forward", "knee never struck", "foot never struck", "motion lost")
-#: Stance angle beyond which a walker has fallen [rad], and the longest time a step may take [sqrt(leg/g)].
-MAX_ANGLE, MAX_TIME = 1.2, 12.0
+#: Stance angle beyond which a walker has fallen [rad] and its ln, and the longest time a step may take [sqrt(leg/g)].
+MAX_LOG_ANGLE = 0.5
+MAX_ANGLE, MAX_TIME = float(np.exp(MAX_LOG_ANGLE)), 12.0
 #: Time step of the scan [sqrt(leg/g)], by whether there are knees: a free shank swings faster.
 _TIME_STEP = {False: 0.125, True: 0.0625}
 #: Most time steps taken before strikes are looked for: of a lane, and of all lanes together.

@@ -66,7 +66,7 @@ def test_a_grid_holds_what_python_solves(archives):
         np.testing.assert_array_equal(grid[name], solved[name])
         assert grid[name].attrs["long_name"] == solved[name].attrs["long_name"]
     assert grid.period.long_name == "duration of 2 steps" and grid.attrs["steps"] == 2 == gaits.attrs["steps"]
-    assert "2-th iterate" in grid.multiplier_real.long_name
+    assert "2 times iterated step map" in grid.multiplier_real.long_name
     single = load_single(archives)
     assert "steps" not in single.attrs and single.period.long_name == "duration of one step"
 

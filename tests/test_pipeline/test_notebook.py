@@ -83,6 +83,8 @@ def test_a_loaded_grid_can_be_written(mine, tmp_path):
     part = xr.load_dataset(tmp_path / "part.nc")
     assert "multipliers" not in part and part.multiplier_imag.equals(found.multiplier_imag[:2])
     assert (part.status == found.status[:2]).all() and part.violations.dtype == bool
+    found.sel(gait="long").to_netcdf(tmp_path / "long.nc")  # a shorter string, without a warning
+    assert xr.load_dataset(tmp_path / "long.nc").gait == "long"
 
 
 def test_a_sweep_and_a_single_solve_agree(mine):

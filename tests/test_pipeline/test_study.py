@@ -133,6 +133,11 @@ WRONG_OPTIONS = [
     ("curve", 'key = "R"\nfrom = 2', "`from` must be less than `to` = 1.0; got 2 (s.toml, options.from)."),
     ("curve", 'key = "R"\nfrom = -0.1\nto = 0.1', "`R` must be >= 0; got -0.1 (s.toml, options.from)."),
     ("curve", "to = 0.5", "`detuning` needs walker A or C; got 0.0 (s.toml, options.key)."),
+    (
+        "cascade",
+        "families = [1]",
+        "The slopes of a `cascade` are a window: give at least two; got 0.01 (s.toml, axes.slope).",
+    ),
     ("curve", 'kinds = ["folds"]', "Unknown name `folds`, did you mean `fold`? (s.toml, options.kinds)."),
 ]
 

@@ -13,7 +13,7 @@ def atlas(params, inputs):
     """A scale that every point of the line leans on."""
     line = params["line"]
     if line["set"].get("w_t") == 13.0:
-        raise ValueError("no atlas here")
+        raise ValueError("no atlas here.")
     return {"scale": np.array([1.0 + sum(line["set"].values())])}
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import pipeline
 from lines import WANT, branches, solved
 from tasks import interpolate_points, solve_at_slope, status
 from tasks.accuracy import OF_INTEGRATION, is_interpolated, nodes_for, significant_bits
@@ -451,6 +452,14 @@ def test_samples_of_a_panel_lie_in_every_gap_between_its_nodes_but_not_on_its_en
     low[0], high[-1] = 0.1, -0.1
     assert (places > low - 1e-9).all() and (places < high + 1e-9).all()
     assert (np.ptp(places, axis=0) > 0.9 * (high - low)).all()
+
+
+@pytest.mark.parametrize(("name", "slopes"), [("D", [1e-8]), ("A", np.geomspace(1e-8, 1e-5, 40))])
+def test_more_digits_are_used_where_long_double_does_not_suffice(name, slopes):
+    """Its rounding did, but not with its last step: an accuracy of 3e-14 was missed where one of 1e-14 was met."""
+    for accuracy in (1e-13, 3e-14, 1e-14, 3e-15):
+        gaits = pipeline.gaits(name, np.array(slopes), accuracy=accuracy).isel(gait=[0, 1])
+        assert (gaits.status == 0).all() and (gaits.error_bound <= accuracy).all()
 
 
 def test_a_solved_gait_less_accurate_than_asked_is_said_to_be(monkeypatch):

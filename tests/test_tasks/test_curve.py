@@ -23,7 +23,7 @@ TIMES = np.array([1.69557706, 2.31306058])
 
 
 def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
-    folds = Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[-1], 1.0)
+    folds = Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[-1], (0.0, 1.0))
     key = np.append(np.zeros(4), 1.0)
     points = follow(folds, folds.correct(FOLD, TIMES, key), -1.0, WINDOW)
     found = [p for a, b in itertools.pairwise(points) if (p := turning(folds, a, b, -1)) is not None]
@@ -43,7 +43,7 @@ def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
 
 
 def test_event_times_after_a_change_are_those_of_the_changed_point():
-    folds = Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[-1], 1.0)
+    folds = Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[-1], (0.0, 1.0))
     after = folds.system(FOLD, TIMES)[2]
     own = after(np.zeros(5))
     for i in range(4):  # the key moves on the curve's own scale, by differences
@@ -173,8 +173,10 @@ def test_a_curve_begins_where_neighbouring_walkers_have_its_equations():
     def walker_at(ratio):
         return resolve("E", {"foot_mass_ratio": ratio})
 
-    assert _is_ordinary(walker_at, 0.1, 0.2, 1e-4)
-    assert not _is_ordinary(walker_at, 0.0, 0.2, 1e-4)
+    assert _is_ordinary(walker_at, [0.1 - 1e-4, 0.1, 0.1 + 1e-4], 0.2)
+    assert _is_ordinary(walker_at, [0.0, 1e-4], 0.2)
+    assert not _is_ordinary(walker_at, [-1e-4, 0.0, 1e-4], 0.2)
+    assert not _is_ordinary(lambda radius: resolve("E", {"R": radius}), [0.0, 1e-4], 0.2)  # another dimension
 
 
 def flips(walker, **overrides):
@@ -268,3 +270,21 @@ def test_a_curve_that_is_lost_says_so():
     # One that begins on the border has its first point there.
     points = _follow_both_directions(curve, curve.through(0.0, 0.0), {"q": (0.0, 1.0), "key": (0.0, 2.0)})
     assert [points[0].stopped, points[-1].stopped] == ["border", "border"] and points[0].U[-1] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("walker", "key", "high", "slope"),
+    [("E", "foot_mass_ratio", 0.1, 0.015088437941119463562), ("A", "m_h", 1.0, None)],
+)
+def test_a_curve_reaches_a_border_beyond_which_there_is_no_walker(walker, key, high, slope):
+    """Differences over the key need walkers on either side: curves ended before, as if they could not be continued."""
+    line, own = {"walker": walker, "set": {key: 0.5 * high}}, ((key, 0.5 * high),)
+    options = {"slope": np.array([0.01, 0.1]), "key": key, "from": 0.0, "to": high, "kinds": ["flip"]}
+    curves = curve({"line": line, **options}, [_atlas(walker, own)])
+    (end,) = np.flatnonzero(curves["curves/value"] == 0.0)
+    assert curves["curves/stopped"][end] == "border"
+    if slope is None:
+        problem, found = branches(walker, **{key: 0.0})
+        points = [point for branch in found for point in special_points(problem, branch)]
+        (slope,) = [point["slope"] for point in points if point["kind"] == "flip"]
+    assert curves["curves/slope"][end] == pytest.approx(slope, rel=1e-12)

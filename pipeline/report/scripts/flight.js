@@ -5,8 +5,8 @@
 // a complex number is a pair [re, im]. A state is the list of angles, then of their rates, of the links that move by
 // themselves: stance leg and swing leg, or stance leg, swing thigh and swing shank while the knee is free.
 
-const { abs, cos, hypot, sin } = Math;
-const MAX_ANGLE = 1.2, MAX_TIME = 12, TIME_STEP = 1 / 32;
+const { abs, cos, exp, hypot, sin } = Math;
+const MAX_ANGLE = exp(0.5), MAX_TIME = 12, TIME_STEP = 1 / 32;
 const FALLS = { backward: "fell backward", forward: "fell forward", knee: "the knee never struck", foot: "the foot never struck", lost: "the motion was lost" };
 const VIOLATIONS = ["scuff", "stance knee unlocks", "contact tension", "friction", "release hyperextends", "release penetrates", "trailing foot pulls"];
 
