@@ -149,7 +149,7 @@ def settle_on_branches(
     lost = np.flatnonzero(~(gaits.converged & _is_near(gaits, guesses.w)))
     if not len(lost):
         return gaits
-    again, is_located = lanes_of(guesses, lost), np.zeros(len(lost), bool)
+    again = lanes_of(guesses, lost)
     ends = np.cumsum([len(segment) for *_, segment in places])
     for i, lane in enumerate(lost.tolist()):
         number = int(np.searchsorted(ends, lane, side="right"))
@@ -159,12 +159,11 @@ def settle_on_branches(
         # By all four nodes around; by its own two where the others mislead, as where two of them all but coincide.
         for part, own in ((branch, segment), (branch.part(np.array([segment, segment + 1])), 0)):
             point, _ = run(walker, locate_root(part, own, beyond))
-            is_located[i] = point.ok[0] and part.lies_between(np.array([own]), point.Z)[0]
-            if is_located[i]:
+            if point.ok[0] and part.lies_between(np.array([own]), point.Z)[0]:
                 again.w[:, i] = np.concatenate([point.X[:-1, 0], point.times[:, 0]])
                 break
     located = settle(problem.some(lost), again, accuracy=accuracy)
-    located.converged &= is_located & _is_near(located, again.w)
+    located.converged &= _is_near(located, again.w)
     gaits.assign(lost, located)
     return gaits
 

@@ -1,19 +1,23 @@
 """Checks of whole branches: a sound one passes unchanged, a damaged one is mended, cut or reported."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lines import branches
-from tasks.continuation import checks
+from tasks.continuation import checks, tracking
+from tasks.continuation.atlas import from_arrays
 from tasks.continuation.branch import Branch
 from tasks.continuation.checks import checked
 from tasks.continuation.lockstep import run
+from tasks.continuation.pseudo_arclength import Tracks
 from tasks.continuation.refine import COARSE, measure
 from tasks.continuation.sampling import within
 from tasks.continuation.special_points import special_points
-from tasks.solve_points import _reasons
+from tasks.continuation.tracking import correct
+from tasks.solve_points import _reasons, atlas
 from tasks.status import outside
 
 
@@ -122,6 +126,30 @@ def test_a_polynomial_that_goes_astray_between_two_nodes_is_longer_than_its_chor
     assert checks._too_long(replace(branch, tangent=tangent))[k - 1 : k + 1].any()
 
 
+def test_segments_are_split_side_by_side_by_nodes_between_their_own():
+    problem, found = branches("D")
+    branch, other = (plain(b) for b in found)
+    n, k = len(branch.Z), len(branch.Z) // 3
+    split = run(problem, checks._split(branch, np.arange(k, n - 1)))
+    new = np.arange(k + 1, len(split.Z), 2)
+    assert len(split.Z) == 2 * n - 1 - k
+    np.testing.assert_array_equal(np.delete(split.Z, new, axis=0), branch.Z)
+    assert ((split.direction[new] * (split.Z[new + 1] - split.Z[new - 1])).sum(axis=1) > 0).all()
+    point = correct(problem, *np.split(split.Z[new].T, [problem.m + 1]), split.direction[new].T)
+    np.testing.assert_allclose(point.Z.T, split.Z[new], atol=1e-12)
+    # A tangent that bends the polynomial to the other gait, which is not taken for one between the nodes.
+    m, (low, high) = problem.m, branch.q[k - 1 : k + 1]
+    ((_, beside, _),) = other.guesses(np.array([(low + high) / 2]))
+    tangent = branch.tangent.copy()
+    bend = np.delete(beside[0] - branch.at(np.array([k - 0.5]))[0], m)
+    tangent[k, np.arange(len(tangent[k])) != m] -= 8 / (high - low) * tangent[k, m] * bend
+    alone = replace(branch, tangent=tangent).part(np.array([k - 1, k]))
+    middle = alone.evaluate(np.array([0]), np.array([(low + high) / 2]))
+    assert alone.axis == m and correct(problem, *np.split(middle.T, [m + 1]), branch.direction[k - 1 : k].T).ok
+    strange = run(problem, checks._split(replace(branch, tangent=tangent), np.array([k - 1, n - 3])))
+    np.testing.assert_array_equal(np.delete(strange.Z, n - 2, axis=0), branch.Z)
+
+
 def test_a_branch_that_cannot_be_mended_is_cut_and_reported():
     """A node of the other gait in its midst: the slope turns where there is no fold."""
     problem, found = branches("D")
@@ -147,3 +175,19 @@ def test_an_end_whose_condition_does_not_hold_is_none(end):
     branch = next(b for b in found if b.why[1] != end)
     claimed = replace(branch, why=(branch.why[0], end))
     assert run(problem, checked(claimed, branch.Z[0])).why == (branch.why[0], "no further point")
+
+
+def test_a_branch_before_a_fall_takes_few_corrections(monkeypatch):
+    """Its tail took 900 steps, and each of its 1,200 failing segments was split by itself: half a minute."""
+    calls = Counter()
+
+    def counted(module, name):
+        original = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *a, **k: calls.update([name]) or original(*a, **k))
+
+    counted(Tracks, "advance")
+    counted(tracking, "bordered_newton")
+    legs = {"units": "SI", "g": 9.81, "knees": False, "l": 1.0, "m": 3, "c": 0.3, "r": 0.2, "R": 0.3}
+    branches = from_arrays(atlas({"line": {"walker": legs, "set": {}}, "coarse": True}, []))
+    assert max(branch.Z[:, -1].max() for branch in branches) > 10  # a period close to the longest
+    assert calls["advance"] < 400 and calls["bordered_newton"] < 500

@@ -54,6 +54,13 @@ def test_event_times_after_a_change_are_those_of_the_changed_point():
         np.testing.assert_allclose(after(change) - own, 0.5 * (there - back), rtol=1e-5, atol=1e-12)
 
 
+def test_beyond_its_limits_a_curve_has_the_walker_there_and_constants_continued_linearly():
+    folds = Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[-1], (0.0, 1.0))
+    assert folds.walker(np.append(FOLD[:-1], 1.5)) == folds.walker_at(1.0)
+    beyond, at, before = folds._constants(np.array([1.25, 1.0, 0.75])).T
+    np.testing.assert_allclose(beyond - at, at - before, rtol=1e-12)
+
+
 def test_flips_agree_with_those_located_line_by_line():
     found = curve(
         {"line": LINE, "slope": np.array([0.01, 0.2]), "key": "detuning", "from": -0.02, "to": 0.22, "kinds": ["flip"]},

@@ -10,6 +10,7 @@ import pytest
 from lines import FAILURES, branches, of_label, repeats, solved
 from pipeline.bench.bounds import compared
 from tasks.continuation import locate
+from tasks.continuation.branch import Branch
 from tasks.continuation.locate import locate_root, settle_on_branches
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points.polish import UNKNOWN, join, settle
@@ -36,14 +37,19 @@ def guesses(name):
     return problem, min(each, key=lambda g: abs(np.exp(g.w[0, 0]) - angle))
 
 
-def test_a_guess_that_newton_loses_is_located_on_its_branch():
-    """If its slope lies on its segment; elsewhere it stays lost."""
-    problem, found = branches("D")
-    branch = found[0]
+def between_nodes():
+    """A gait of D between nodes: problem, branch and segment, its guess, and unknowns and q of the other gait."""
+    problem, (branch, beside) = branches("D")
     segment = len(branch.q) // 2
     q = branch.q[segment : segment + 2] @ [0.3, 0.7]
     ((_, Z, at),) = [each for each in branch.guesses(np.array([q])) if segment in each[2]]
-    good = branch.known_guesses(Z, at, np.exp([q]))
+    ((_, other, _),) = beside.guesses(np.array([q]))
+    return problem, branch, at, branch.known_guesses(Z, at, np.exp([q])), other.T
+
+
+def test_a_guess_that_newton_loses_is_located_on_its_branch():
+    """If its slope lies on its segment; elsewhere it stays lost."""
+    problem, branch, at, good, other = between_nodes()
     bad = replace(good, w=good.w + 2.0)
     wanted = settle(problem, good)
     assert wanted.converged.all() and not settle(problem, bad).converged.any()
@@ -53,8 +59,7 @@ def test_a_guess_that_newton_loses_is_located_on_its_branch():
     both = [join([bad, good, bad]), [(problem, branch, np.append(at, at)), (problem, branch, at)]]
     assert np.array_equal(settle_on_branches(problem, *both).y, np.hstack([settled.y, wanted.y, settled.y]))
     # Newton's method leads to the other gait.
-    ((_, other, _),) = found[1].guesses(np.array([q]))
-    stray = replace(good, w=np.delete(other[0], problem.m)[:, None] + 1e-3)
+    stray = replace(good, w=np.delete(other, problem.m, axis=0) + 1e-3)
     astray = settle(problem, stray)
     assert astray.converged.all() and abs(np.log(astray.y[0] / wanted.y[0])) > 1e-2
     np.testing.assert_array_equal(settle_on_branches(problem, stray, [(problem, branch, at)]).y, settled.y)
@@ -62,32 +67,37 @@ def test_a_guess_that_newton_loses_is_located_on_its_branch():
     assert not away.converged.any()
 
 
+def test_only_guesses_that_are_lost_are_settled_again(monkeypatch):
+    problem, branch, at, good, _ = between_nodes()
+    settled = []
+    monkeypatch.setattr(locate, "settle", lambda p, g, **k: settled.append(g.w.shape[1]) or settle(p, g, **k))
+    guesses = join([good, replace(good, w=good.w + 2.0), good])
+    assert settle_on_branches(problem, guesses, [(problem, branch, np.repeat(at, 3))]).converged.all()
+    assert settled == [3, 1]
+
+
 def test_a_gait_to_which_newton_jumps_from_its_branch_has_not_converged(monkeypatch):
-    problem, found = branches("D")
-    branch = found[0]
-    segment = len(branch.q) // 2
-    q = branch.q[segment : segment + 2] @ [0.3, 0.7]
-    ((_, Z, at),) = [each for each in branch.guesses(np.array([q])) if segment in each[2]]
-    good = branch.known_guesses(Z, at, np.exp([q]))
+    problem, branch, at, good, other = between_nodes()
     gait = settle(problem, good)
     assert locate._is_near(gait, good.w).all()
     for i in range(len(good.w)):
         w = good.w.copy()
         w[i] += 2e-4
         assert not locate._is_near(gait, w).any()
-    # From where it is located, too, Newton's method leads to the other gait.
-    ((_, other, _),) = found[1].guesses(np.array([q]))
-    stray = other.T + 1e-3
+    # It is located elsewhere, at the other gait or near it.
+    for off, lies_between in ((0.0, Branch.lies_between), (1e-3, lambda *_: np.array([True]))):
+        stray = other + off
 
-    def elsewhere(part, segment, test):
-        point, direction = yield from locate_root(part, segment, test)
-        k = problem.m + 1
-        return replace(point, X=stray[:k], times=stray[k:]), direction
+        def elsewhere(part, segment, test, stray=stray):
+            point, direction = yield from locate_root(part, segment, test)
+            k = problem.m + 1
+            return replace(point, X=stray[:k], times=stray[k:]), direction
 
-    monkeypatch.setattr(locate, "locate_root", elsewhere)
-    guess = replace(good, w=np.delete(stray, problem.m, axis=0))
-    assert settle(problem, guess).converged.all()
-    assert not settle_on_branches(problem, guess, [(problem, branch, at)]).converged.any()
+        monkeypatch.setattr(locate, "locate_root", elsewhere)
+        monkeypatch.setattr(Branch, "lies_between", lies_between)
+        guess = replace(good, w=np.delete(stray, problem.m, axis=0) + 1e-3)
+        assert settle(problem, guess).converged.all()
+        assert not settle_on_branches(problem, guess, [(problem, branch, at)]).converged.any()
 
 
 @pytest.mark.parametrize("name", POINTS)

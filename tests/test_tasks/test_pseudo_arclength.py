@@ -76,6 +76,26 @@ def test_a_step_that_turns_too_far_is_refused_and_halved():
     np.testing.assert_array_equal(tracks.Z[:, 0], [0.5, 0.0, 0.0])
 
 
+def test_newtons_method_begins_on_the_cubic_through_the_last_two_points():
+    """In the plane of the predicted point, so that the corrected one is the same: only sooner reached."""
+    radius = np.sqrt(SQUARES)
+    tracks = Tracks(
+        CONTROL, np.array([radius, 0 * radius, 0 * radius]), np.array([0 * radius, 0 * radius + 1, radius]), 0.1, 2
+    )
+    for k in range(3):
+        begun, predicted, has_two = [], [], tracks.back > 0
+        tracks.advance(
+            np.arange(3),
+            lambda guess, border, begun=begun: begun.append((guess, border)) or circles(SQUARES)(guess, border),
+            lambda point, guess, e, at=predicted: at.append((point.Z, guess)) or (np.ones(3, bool), e),
+        )
+        ((start, border),), ((reached, guess),) = begun, predicted
+        np.testing.assert_allclose(((start - guess) * border).sum(axis=0), 0.0, atol=1e-15)
+        near, far = (np.linalg.norm((reached - Z)[:2], axis=0) for Z in (start, guess))
+        assert (near[has_two] < 0.7 * far[has_two]).all() and (start == guess)[:, ~has_two].all()
+        assert has_two.sum() == (0, 2, 3)[k]
+
+
 def test_a_root_is_located_between_two_points():
     def correct(Z, direction):
         return circles(SQUARES[:1])(Z[:, None], direction[:, None]).Z[:, 0]
