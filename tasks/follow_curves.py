@@ -18,8 +18,8 @@ from tasks.continuation.codimension_one import (
     ENDS,
     SCALARS,
     Curve,
+    End,
     Point,
-    equations_of,
     follow,
     turning,
 )
@@ -84,7 +84,7 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         seeds = _seeds(problem, branches, options["kinds"], window)
         seen: list[tuple[str, np.ndarray]] = []
         for kind, U, times in seeds:
-            equations = equations_of(kind, walker_at, usual, (low, high))
+            equations = (End if kind in ENDS else Curve)(kind, walker_at, usual, (low, high))
             U = equations.begin(U, times, begin)
             border = np.zeros(len(U))
             border[-1] = 1.0

@@ -270,10 +270,8 @@ READS = {
     ),
 }
 
-#: Tasks over a whole study that a study's `fits` may name.
+#: Tasks over a whole study that a study's `fits` may name, and names that its `figures` may hold.
 FITS = ("scaling", "transition", "landmarks", "crises")
-
-#: Names a study's `figures` may hold.
 FIGURES = tuple(name for name in READS if name not in FITS)
 
 #: Tasks whose tables claims read beside those of the study's own task, and tasks whose results are in no table.
@@ -357,7 +355,6 @@ FOLLOWED = ("fold", "flip", "end_kneestrike_at_heelstrike", "end_tangential_heel
 
 #: Kinds whose slopes are a window, between the least and the largest.
 WINDOWED = ("branch", "cascade", "curve", "design")
-
 #: What is known of gaits of one step only: what a study of longer ones cannot want.
 OF_ONE_STEP = ("transition", "landmarks", "crises", "angles", "claims", "proved", "proved_radius")
 

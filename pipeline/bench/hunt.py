@@ -138,8 +138,8 @@ def ranges() -> list[Range]:
     hunted += [Range(name, {key: SMALLEST * high}, {key: high}, logarithmic=True) for name, key, high in VANISHING]
     for name in WALKERS:
         table = CATALOGUE[name].table()
-        around = [{key: float(table[key] * (1 + s * SPREAD)) for key in KEYS if table[key]} for s in (-1, 1)]
-        hunted.append(Range(name, *around))
+        low, high = ({key: float(table[key] * (1 + s * SPREAD)) for key in KEYS if table[key]} for s in (-1, 1))
+        hunted.append(Range(name, low, high))
     return hunted
 
 

@@ -6,15 +6,13 @@ of P by y and slope are exact, all others are central differences, evaluated as 
 
 Where walking ends in a tangential heelstrike its time is no smooth function of the rest. So the time is an unknown,
 U = (w, T, q, k), with the equation that the foot is on the ground, and g is the rate of the heelstrike guard. Where
-heelstrike coincides with kneestrike, g is the height of the foot at kneestrike. Nothing is singular where the two ends
-meet. Curves are followed by pseudo-arclength continuation.
+heelstrike coincides with kneestrike, g is the height of the foot at kneestrike. Nothing is singular where both meet.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -92,7 +90,19 @@ class Point:
 
 
 class Curve:
-    """The equations of folds or flips over slope and a key; `scale`, its range, is the key's unit in U."""
+    """The equations of folds or flips over slope and a key; `scale`, its range, is the key's unit in U.
+
+    Parameters
+    ----------
+    kind : str
+        Of SCALARS, or of ENDS for `End`.
+    walker_at : callable
+        The walker at a value of the key.
+    value : float
+        An ordinary value: constants that vanish only at special ones stay parameters.
+    limits : tuple of float
+        Least and largest value of the key.
+    """
 
     def __init__(self, kind: str, walker_at: Callable[[float], Walker], value: float, limits: tuple[float, float]):
         self.kind, self.walker_at, self.limits, self.scale = kind, walker_at, limits, limits[1] - limits[0]
@@ -136,12 +146,10 @@ class Curve:
 
     def _constants(self, values: np.ndarray) -> np.ndarray:
         """Constants at values of the key (n,); beyond its limits, where there may be no walker, continued linearly."""
-
-        def of(values: np.ndarray) -> np.ndarray:
-            return constants_of([self.walker_at(value) for value in values.tolist()], self.structure)
-
         inner = np.clip(values, *self.limits)
-        return of(values) if (inner == values).all() else 2 * of(inner) - of(2 * inner - values)
+        places = [inner] if (inner == values).all() else [inner, 2 * inner - values]
+        at = [constants_of([self.walker_at(v) for v in each.tolist()], self.structure) for each in places]
+        return 2 * at[0] - at[1] if len(at) > 1 else at[0]
 
     def system(
         self, U: np.ndarray, times: np.ndarray, h: float = DIFFERENCE
@@ -287,23 +295,6 @@ class End(Curve):
         return bool(early and final[2, 0] + final[3, 0] < 1e-6 * y[0, 0])
 
 
-def equations_of(kind: str, walker_at: Callable[[float], Walker], value: float, limits: tuple[float, float]) -> Curve:
-    """Return the equations of a kind of special point over slope and a key.
-
-    Parameters
-    ----------
-    kind : str
-        Of SCALARS or ENDS.
-    walker_at : callable
-        The walker at a value of the key.
-    value : float
-        An ordinary value: constants that vanish only at special ones stay parameters.
-    limits : tuple of float
-        Least and largest value of the key.
-    """
-    return (End if kind in ENDS else Curve)(kind, walker_at, value, limits)
-
-
 def _neighbours(U: np.ndarray, h: float) -> np.ndarray:
     """U, then U + h and U - h along each axis, shape (u, 1 + 2 u)."""
     lanes = [U]
@@ -343,7 +334,7 @@ def follow(
             back = np.linalg.norm(last.U - points[-2].U)
             track.turning = engine.column(last.tangent - points[-2].tangent, 0 * last.times) / back
             track.tangent[u:, 0] = (last.times - points[-2].times) / back
-        corrected, fair = track.advance(np.array([0]), partial(curve._correct_lanes, u=u), judge)
+        corrected, fair = track.advance(np.array([0]), lambda Z, border: curve._correct_lanes(Z, border, u), judge)
         if fair[0]:
             new = curve._point(corrected, last.tangent)
             if (leaves := _exit(curve, last, new, window)) is None:

@@ -332,16 +332,13 @@ class Tracks:
         return point, fair
 
     def _near(self, active: np.ndarray, guess: np.ndarray, border: np.ndarray) -> np.ndarray:
-        """Where Newton's method begins, in the planes of the predicted points: the cubic through the last two.
-
-        Before a fall it converges only from so near that a parabola allows but tiny steps.
-        """
-        back, h = self.back[active], self.step[active]
-        has_two = back > 0
-        length = np.where(has_two, back, 1.0)
-        a, b = (tuple(each[:, active] for each in pair) for pair in (self.before, (self.Z, self.tangent)))
-        off = np.where(has_two, hermite(*a, *b, length, 1 + h / length) - guess, 0.0)
-        return np.asarray(guess + off - border * (border * off).sum(axis=0))
+        """Where Newton's method begins in the planes of the predicted points: on the cubic through the last two."""
+        # Before a fall it converges only from so near that a parabola allows but tiny steps.
+        has_two = self.back[active] > 0
+        length = np.where(has_two, self.back[active], 1.0)
+        a, a_tangent, b, b_tangent = (each[:, active] for each in (*self.before, self.Z, self.tangent))
+        off = hermite(a, a_tangent, b, b_tangent, length, 1 + self.step[active] / length) - guess
+        return guess + np.where(has_two, off - border * (border * off).sum(axis=0), 0.0)
 
 
 def root_between(

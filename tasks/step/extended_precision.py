@@ -302,5 +302,5 @@ def refine(
     def rounded(values: np.ndarray) -> np.ndarray:
         return np.array([float(v) for v in values])
 
-    in_doubles = (rounded(each) for each in (gait.y, gait.times, gait.impact, gait.state))
-    return ExtendedGait(*in_doubles, gait.last_step, error)
+    y, times, impact, state = (rounded(each) for each in (gait.y, gait.times, gait.impact, gait.state))
+    return ExtendedGait(y, times, impact, state, gait.last_step, error)

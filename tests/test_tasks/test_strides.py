@@ -114,7 +114,7 @@ def test_falls_have_their_causes(simplest):
         with pytest.raises(StepFailed):
             SimplestWalker().step(y[0, 0], (y[1, 0], y[1, 0] * np.cos(2 * y[0, 0])), 0.009)
     # A leg that begins beyond the angle of a fall has fallen, however it moves.
-    assert stride(simplest, np.array([[1.25], [0.5]]), np.array([0.009])).outcome[0] == FORWARD
+    assert stride(simplest, np.array([[1.7], [0.5]]), np.array([0.009])).outcome[0] == FORWARD
     assert len(CAUSES) == len(set(CAUSES))
 
 
