@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from pipeline import bench
-from pipeline.bench import bench_page, machine, peers, problems
+from pipeline.bench import accuracies, bench_page, lines, machine, peers, problems
 from pipeline.bench.harness import Case, largest_error, time_in_turns
 
 SLOPE = 0.005
@@ -65,6 +65,10 @@ def test_numba_takes_the_same_step(simplest):
 def test_one_run_writes_an_archive_and_a_page(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(problems, "THEIRS", {"scipy DOP853": (1e-7, 1e-5)})
     monkeypatch.setattr(peers, "HAS_NUMBA", False)
+    # The smallest studies that have every row of the page.
+    monkeypatch.setattr(lines, "KEYS", {"E": lines.KEYS["E"]})
+    monkeypatch.setattr(lines, "LINES", {True: (2, 4)})
+    monkeypatch.setattr(accuracies, "_QUICK", 0.05)
     assert bench.main(True, tmp_path / "out", ("D",), 40) == 0
     assert capsys.readouterr().out.strip().endswith("bench.html")
     with xr.open_dataset(tmp_path / "out" / "bench.nc") as found:
