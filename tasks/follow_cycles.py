@@ -13,6 +13,7 @@ import numpy as np
 from tasks.continuation.branch import Branch
 from tasks.continuation.cycles import MAX_POINTS, Cycle, Path, at_slope, correct, doubled, flip_test, really_walks
 from tasks.continuation.root import bracketed_root, hermite
+from tasks.continuation.tracking import MIN_SLOPE
 from tasks.locate_cascade import search_cycles
 from tasks.step.problem import Problem
 
@@ -200,8 +201,7 @@ def _flips(problem: Problem, branch: Branch) -> Iterator[Cycle]:
     w = np.delete(branch.Z, m, axis=1).T
     angle = np.exp(w[0])
     Y, times = np.vstack([angle, angle * w[1:m]]), w[m:]
-    step, _ = problem.stride(w, q)
-    sign = np.sign([np.linalg.det(np.eye(m) + step.jacobian[:, :, i]) for i in range(len(q))])
+    sign = _flip_sign(problem, branch)
     crosses = (sign[:-1] * sign[1:] < 0) & (branch.leg_passes[:-1] == 1)
     # The derivative has a pole where a strike turns tangential: that sign change is no flip.
     for segment, why in zip((slice(1), slice(-1, None)), branch.why, strict=True):
@@ -216,6 +216,19 @@ def _flips(problem: Problem, branch: Branch) -> Iterator[Cycle]:
             flip = path.locate_root(flip_test)
             if flip.ok:
                 yield flip
+
+
+def _flip_sign(problem: Problem, branch: Branch) -> np.ndarray:
+    """Sign of det(I + A) at the nodes of a branch, shape (n,): negative with an odd number of multipliers below -1."""
+    m = branch.m
+    step, _ = problem.stride(np.delete(branch.Z, m, axis=1).T, branch.q)
+    return np.sign([np.linalg.det(np.eye(m) + step.jacobian[:, :, i]) for i in range(len(branch.q))])
+
+
+def _beyond_flips(problem: Problem, branches: list[Branch]) -> np.ndarray:
+    """Slopes at which gaits have doubled already, as those of heavy feet at vanishing slopes, shape (n,) [rad]."""
+    doubled = [b.q[(_flip_sign(problem, b) < 0) & (b.leg_passes == 1)] for b in branches]
+    return np.array([np.exp(np.median(q)) for q in doubled if len(q)])
 
 
 def _reversed(cycle: Cycle) -> Cycle:
@@ -271,7 +284,7 @@ def _continue(problem: Problem, path: Path, closing: list[Cycle]) -> _Trace:
         if abs(after.multipliers()[0]) > MAX_MULTIPLIER:
             end = "multiplier_limit"
             break
-        if after.slope < _MAX_SLOPE and _keeps_period(before, after) and really_walks(problem, after):
+        if MIN_SLOPE < after.slope < _MAX_SLOPE and _keeps_period(before, after) and really_walks(problem, after):
             if flip_test(before) * flip_test(after) < 0:
                 flip = path.locate_root(flip_test)
                 flips += [flip] if flip.ok else []
@@ -291,7 +304,7 @@ def _continue(problem: Problem, path: Path, closing: list[Cycle]) -> _Trace:
 
 def _end(before: Cycle, after: Cycle) -> str:
     """What ends a branch between two gaits as close as branches are followed."""
-    if after.slope >= _MAX_SLOPE:
+    if not MIN_SLOPE < after.slope < _MAX_SLOPE:
         return "window"
     if not _keeps_period(before, after):
         return "lost"
@@ -312,9 +325,16 @@ def _keeps_period(before: Cycle, after: Cycle) -> bool:
 def _searched(
     problem: Problem, branches: list[Branch], n: int, flips: list[Cycle], known: list[CycleBranch]
 ) -> list[CycleBranch]:
-    """Branches of gaits of period n that a search near the first flip of one step finds besides the known ones."""
+    """Branches of gaits of period n that a search near the first flip of one step finds besides the known ones.
+
+    If there is no flip, gaits of two steps are searched for at slopes at which those of one step have doubled.
+    """
     followed: list[CycleBranch] = []
-    for slope in min(flip.slope for flip in flips) * _SEARCHED if flips and n > 2 else ():
+    if flips:
+        slopes = min(flip.slope for flip in flips) * _SEARCHED[: None if n > 2 else 0]
+    else:
+        slopes = _beyond_flips(problem, branches) if n == 2 else np.zeros(0)
+    for slope in slopes:
         for cycle in search_cycles(problem, branches, float(slope), n, _STARTS):
             is_far = abs(cycle.multipliers()[0]) > MAX_MULTIPLIER
             if is_far or any(_holds(problem, branch, cycle) for branch in (*known, *followed)):

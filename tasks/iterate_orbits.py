@@ -128,8 +128,8 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
     for s in np.unique(lane_slope):
         at_slope = lane_slope == s
         value, error = estimate(means[:, :, at_slope])
-        for i in range(len(value)):
-            row = (s, i, value[i], error[i], strides * int(at_slope.sum()))
+        for i, k in enumerate(np.argsort(-value, kind="stable").tolist()):
+            row = (s, i, value[k], error[k], strides * int(at_slope.sum()))
             for column, x in zip(rows.values(), row, strict=True):
                 column.append(x)
     table = {f"lyapunov/{k}": np.array(v, float if k not in ("index", "strides") else int) for k, v in rows.items()}

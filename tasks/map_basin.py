@@ -24,8 +24,8 @@ _POINTS = ("slope", "gait", "stance_angle", "stance_rate", "swing_rate")
 LANES = 16384
 #: Distance from a stable gait, in its eigenvector coordinates and over its norm, inside which it captures an orbit.
 _CAPTURE_DISTANCE = 3e-3
-#: Longest period identified at the end, and the distance at which an orbit counts as repeating.
-_MAX_PERIOD, _REPEAT_DISTANCE = 16, 1e-5
+#: Longest period identified at the end, and the relative distance at which an orbit counts as repeating.
+_MAX_PERIOD, _REPEAT_DISTANCE = 16, 5e-5
 
 
 def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
@@ -203,7 +203,7 @@ def _periods(problem: Problem, y: np.ndarray, slope: float) -> np.ndarray:
     for k in range(1, _MAX_PERIOD + 1):
         y, lanes, walks = _advance(problem, y, lanes, slope, names)
         first = first[:, walks]
-        repeats = np.abs(y - first).max(axis=0) < _REPEAT_DISTANCE
+        repeats = np.abs(y - first).max(axis=0) < _REPEAT_DISTANCE * np.abs(first).max(axis=0)
         names[lanes[repeats]] = f"period {k}"
         y, lanes, first = y[:, ~repeats], lanes[~repeats], first[:, ~repeats]
         if not len(lanes):

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline import serialize
 from pipeline.plan.missing import Plan
-from tasks.registry import READS, VARIABLES
+from tasks.registry import GAITS, READS, VARIABLES
 
 _MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
 
@@ -35,8 +35,11 @@ def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
 
 
 def _points(plan: Plan, names: list[str], slopes: np.ndarray) -> Iterator[dict[str, Any]]:
-    """Points of each line."""
+    """Points of each line, of the wanted gaits: what an earlier run has stored of others is none of the study's."""
+    others = [k for k, gait in enumerate(GAITS) if gait not in plan.study.gaits]
     for indices, data in plan.read(np.arange(plan.study.lines), names, slopes):
+        for name in data.keys() - {"slope", "reason", "reasons"}:
+            data[name][:, :, others] = VARIABLES[name].absent
         shared = {name: data.pop(name) for name in ("slope", "reasons")}
         for k in range(len(indices)):
             yield {"slope": shared["slope"], **{name: v[k] for name, v in data.items()}, "reasons": shared["reasons"]}

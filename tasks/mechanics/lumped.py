@@ -14,9 +14,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from heyoka import real128
 
 from tasks.walkers.walker import NUMBERS, Walker
 from tasks.walkers.walker_array import WalkerArray
+
+#: Offset of a centre of mass, over its distance, below which it is computed in 128 bits.
+_NEARLY_TUNED = 1e-2
 
 
 def lump(walker: Walker, number: type = float) -> dict[str, Any]:
@@ -225,5 +229,16 @@ def constants_of(walkers: Sequence[Walker] | WalkerArray, structure: Structure) 
     ndarray, shape (len(structure.constants), n)
         In units of each walker's leg, its mass and g.
     """
-    lumped = _lump_all(walkers, np.longdouble)
-    return np.array([lumped[k] for k in structure.constants], float).reshape(-1, len(walkers))
+    constants = _lump_all(walkers, np.longdouble)
+    values = np.array([constants[k] for k in structure.constants], float).reshape(-1, len(walkers))
+    # Offsets of nearly tuned legs are differences, of which long double leaves too few digits.
+    near = np.zeros(len(walkers), bool)
+    for name in ("S_a", "S_b", *(("S_c",) if "S_c_re" in constants else ())):
+        x, y = np.abs(constants[f"{name}_re"]), np.abs(constants[f"{name}_im"])
+        near |= (x > 0) & (x < _NEARLY_TUNED * y)
+    if near.any():
+        lanes = np.flatnonzero(near)
+        some = walkers.some(lanes) if isinstance(walkers, WalkerArray) else [walkers[i] for i in lanes]
+        constants = _lump_all(some, real128)
+        values[:, lanes] = np.array([constants[k] for k in structure.constants], real128).astype(float)
+    return values

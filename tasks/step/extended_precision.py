@@ -88,8 +88,12 @@ class _ExtendedStepMap:
 
     def parameters(self, walker: Walker, slope: float, scale: float) -> np.ndarray:
         """Parameters of the compiled functions."""
-        constants = lump(walker, self.number)
-        return self.array([slope, scale, *(constants[k] for k in self.structure.constants)])
+        # Long double leaves differences in them too few digits.
+        constants = lump(walker, hy.real128)
+        wide = [constants[k] for k in self.structure.constants]
+        if self.number is not hy.real128:
+            wide = [self.number(float(v)) + self.number(float(v - float(v))) for v in wide]
+        return self.array([slope, scale, *wide])
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """State just after heelstrike at y."""

@@ -1,6 +1,7 @@
 """`from pipeline import load, run, solve`: the command line's results as Datasets and tables."""
 
 import json
+import pathlib
 import sys
 import time
 import types
@@ -305,3 +306,18 @@ def test_a_terminal_has_no_bar_of_a_notebook(monkeypatch):
     assert progress.notebook_bar() is None
     _in_a_notebook(monkeypatch, types.SimpleNamespace())
     assert progress.notebook_bar() is None
+
+
+def test_laws_are_fitted_to_the_wanted_gaits_only(tmp_path, monkeypatch):
+    """Those that an earlier run has stored were fitted too: another archive than that of a fresh run."""
+    monkeypatch.chdir(tmp_path)
+    slope = {"from": 1e-4, "to": 0.05, "n": 260, "spacing": "log"}
+    study = {"name": "one", "walker": "E", "axes": {"slope": slope}, "want": {"variables": ["stance_angle"]}}
+    study["want"]["fits"] = ["scaling"]
+    pipeline.run(study, jobs=1, quiet=True)
+    long = study | {"gaits": ["long"]}
+    pipeline.run(long, jobs=1, quiet=True)
+    pipeline.run(long, jobs=1, quiet=True, fresh=True, archive="fresh.nc")
+    resumed, fresh = (pathlib.Path(name).read_bytes() for name in ("data/archive/one.nc", "fresh.nc"))
+    assert resumed == fresh
+    assert pipeline.load("fresh.nc", "fits/scaling").set_index("gait").exponent["short"].isna().all()

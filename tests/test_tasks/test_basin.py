@@ -205,3 +205,12 @@ def test_rates_of_a_census_are_those_after_heelstrike(monkeypatch):
     known = solved("C", slope)
     for name in ("stance_angle", "stance_rate", "period"):
         assert sorted(counted[f"census/{name}"]) == pytest.approx(sorted(known[name][0, :2]), rel=1e-9), name
+
+
+@pytest.mark.parametrize("slope", [1e-6, 1e-10])
+def test_periods_are_told_apart_at_any_slope(slope):
+    """Orbits of E alternate between angles 6 % apart; compared without their size, those of small ones seemed equal."""
+    found = basin(
+        {"line": {"walker": "E", "set": {}}, "slope": np.array([slope]), "size": 12, "steps": 800}, [_atlas("E", ())]
+    )
+    assert "period 2" in found["areas/outcome"] and "period 1" not in found["areas/outcome"]

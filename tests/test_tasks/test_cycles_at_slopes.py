@@ -13,7 +13,7 @@ from extended import Walker, _derivative
 from lines import branches as atlas_of
 from tasks import follow_cycles
 from tasks.continuation.cycles import Cycle, at_slope
-from tasks.follow_cycles import CycleBranch, _at_flip, _end, cubic, cycle_branches, from_arrays, to_arrays
+from tasks.follow_cycles import CycleBranch, _at_flip, _end, _flips, cubic, cycle_branches, from_arrays, to_arrays
 from tasks.solve_at_slope import solve_one
 from tasks.solve_cycles import _beside_flip, _keeps_apart, _worst, cycle_points, solve_cycle
 from tasks.status import NOT_CONVERGED
@@ -182,10 +182,27 @@ def test_a_gait_on_two_branches_is_listed_once():
     assert found["period"][0, 0] != coarse["period"][0, 0] == pytest.approx(found["period"][0, 0], rel=1e-4)
 
 
-def test_a_walker_without_flips_has_no_doubled_gaits():
-    none = pipeline.gaits("E", 0.001, steps=2)
+def test_gaits_that_no_flip_begins_are_searched_for():
+    """The long gait of E has doubled at any slope: its two steps, by the step map, were not found."""
+    found = pipeline.gaits("E", [1e-6, 0.004, 0.006], steps=2).sel(gait="long")
+    np.testing.assert_allclose(found.stance_angle[1:], [0.13273476092302, 0.15360049], rtol=1e-8)
+    for gait in (found.isel(dim_0=i) for i in range(3)):
+        state = [float(gait[name]) for name in ("stance_angle", "stance_rate", "thigh_rate")]
+        steps = [pipeline.step_map("E", gait.slope.item(), state)]
+        steps.append(pipeline.step_map("E", gait.slope.item(), steps[0].state))
+        np.testing.assert_allclose(steps[1].state, state, rtol=1e-12)
+        radius = np.abs(np.linalg.eigvals(steps[1].jacobian @ steps[0].jacobian)).max()
+        assert gait.spectral_radius.item() == pytest.approx(radius, rel=1e-9)
+    # They double again, which leads to gaits of four steps; and end where branches of one step do.
+    assert (pipeline.gaits("E", 0.006, steps=4).status == 0).any()
+    problem, known = atlas_of("E")
+    assert min(c.slope for branch in cycle_branches(problem, known, 2) for c in branch.cycles) > 1e-13
+
+
+def test_no_gait_is_found_where_nothing_begins_one():
+    none = pipeline.gaits("E", 0.001, steps=3)
     assert (none.status == 1).all() and none.stance_angle.isnull().all()
-    assert "No gait of period 2 found: no flip of fewer steps begins one." in none.reason_text.values
+    assert "No gait of period 3 found: no flip of fewer steps begins one." in none.reason_text.values
 
 
 @pytest.mark.parametrize(("slope", "n"), [(0.0151, 2), (0.016, 2), (0.018, 4), (0.015, 3)])
@@ -204,9 +221,8 @@ def test_the_error_bound_holds_in_other_units(slope, n):
 )
 def test_a_strike_that_turns_tangential_is_no_flip(walker, keys):
     """There the derivative has a pole, and det(I + A) another sign."""
-    none = pipeline.gaits(walker, 0.05, steps=2, **keys)
-    assert (none.status == 1).all(), none.reason_text.values
-    _, known = atlas_of(walker, **keys)
+    problem, known = atlas_of(walker, **keys)
+    assert not [flip for branch in known for flip in _flips(problem, branch)]
     assert any(branch.why[0] == "end_tangential_heelstrike" for branch in known)
 
 

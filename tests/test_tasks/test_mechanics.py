@@ -1,12 +1,15 @@
 """Flows, impacts and the stride map against the second derivation (tests/oracle.py)."""
 
+import mpmath
 import numpy as np
 import pytest
 
 from oracle import Oracle, SimplestWalker
 from tasks.fixed_points.search import search
+from tasks.mechanics.lumped import constants_of, structure_of
 from tasks.step.problem import Problem
 from tasks.walkers.catalogue import CATALOGUE
+from tasks.walkers.resolve import resolve, resolve_many
 from tasks.walkers.walker import Walker
 
 #: Asymmetric on purpose: every constant of the lumped equations is there.
@@ -146,3 +149,26 @@ def test_a_lost_lane_costs_only_itself():
     assert np.isnan(mixed.image[:, 2]).all()
     keep = [0, 1, 3, 4, 5]
     assert np.array_equal(mixed.image[:, keep], good.image[:, keep])
+
+
+@pytest.mark.parametrize("name", ["A", "C"])
+@pytest.mark.parametrize("detuning", [1e-13, 2.36e-5, 0.02, 0.3])
+def test_the_offset_of_a_nearly_tuned_leg_has_all_its_digits(name, detuning):
+    """It is the leg's first moment about the line from hip to foot centre, in which thigh and shank all but cancel."""
+    walker = resolve(name, {"detuning": detuning})
+    with mpmath.workdps(60):
+        k = {key: mpmath.mpf(value) for key, value in walker.table().items() if isinstance(value, float)}
+        d = k["l_s"] - k["R"]
+        eps_s = mpmath.asin(k["l_t"] * mpmath.sin(k["eps_T"]) / d)
+        leg = k["l_t"] * mpmath.cos(k["eps_T"]) + d * mpmath.cos(eps_s) + k["R"]
+        thigh = k["c_t"] * mpmath.sin(k["eps_T"]) + k["w_t"] * mpmath.cos(k["eps_T"])
+        shank = k["l_t"] * mpmath.sin(k["eps_T"]) - k["c_s"] * mpmath.sin(eps_s) + k["w_s"] * mpmath.cos(eps_s)
+        mass = 2 * (k["m_t"] + k["m_s"]) + k.get("m_h", 0)
+        offset = float(-(k["m_t"] * thigh + k["m_s"] * shank) / mass / leg)
+    structure = structure_of(walker)
+    alone = constants_of([walker], structure)[:, 0]
+    found = alone[structure.constants.index("S_a_re")]
+    assert found == pytest.approx(offset, rel=2.3e-16) and found != 0
+    # The same in an array of walkers, of which some are nearly tuned.
+    several = constants_of(resolve_many(name, {"detuning": np.array([0.5, detuning])}), structure)
+    np.testing.assert_array_equal(several[:, 1], alone)

@@ -186,3 +186,11 @@ def test_blocks_of_a_basin_change_no_bit(monkeypatch):
     assert len(set(wide["basin/outcome"])) > 3
     for name, column in wide.items():
         assert np.array_equal(column, narrow[name], equal_nan=column.dtype.kind == "f"), name
+
+
+def test_exponents_are_sorted():
+    """Over few steps those of a pair of equal size came in any order."""
+    means = np.repeat([[[-0.9, -0.9], [-0.5, -0.6]]], 20, axis=0)
+    table = orbits._exponents(means, np.array([0.01, 0.01]), 40)
+    assert table["lyapunov/exponent"] == pytest.approx([-0.55, -0.9])
+    assert table["lyapunov/index"].tolist() == [0, 1]

@@ -45,7 +45,7 @@ def linear(source: Source) -> Sketch | None:
 
 
 def _families(source: Source, scale: str) -> Sketch | None:
-    lines = [line for line in source.lines if "stance_angle" in line.data and line.data.sizes["slope"] > 1]
+    lines = [line for line in source.lines if "stance_angle" in line.data]
     if not lines:
         return None
     names = _line_titles(source, lines)

@@ -113,7 +113,7 @@ def power(source: Source) -> Sketch | None:
 
 
 def _draw(source: Source, quantity: _Quantity) -> Sketch | None:
-    lines = [line for line in source.lines if set(quantity.reads) <= set(line.data) and line.data.sizes["slope"] > 1]
+    lines = [line for line in source.lines if set(quantity.reads) <= set(line.data)]
     if not any(np.isfinite(line.data[quantity.reads[0]]).any() for line in lines):
         return None
     figure = canvas(330)
