@@ -125,6 +125,8 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
         accuracy=asked,
         **want,
     )
+    if "transition" in study.fits and "short" not in gaits:
+        raise top.at("gaits").error("`transition` is a law of short gaits, which `gaits` leaves out")
     # The slopes of designs are a window.
     count = study.lines if kind == "design" else study.points
     if count > MAX_POINTS:

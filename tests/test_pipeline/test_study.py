@@ -151,6 +151,14 @@ def write(tmp_path):
     return write
 
 
+def test_a_law_of_gaits_that_are_not_wanted_is_refused(write):
+    text = 'name = "s"\nwalker = "E"\ngaits = ["long"]\n[axes]\nslope = [0.01, 0.02]\n[want]\nfits = ["transition"]\n'
+    with pytest.raises(StudyError) as error:
+        parse.read(write(text))
+    assert str(error.value) == "`transition` is a law of short gaits, which `gaits` leaves out (s.toml, gaits)."
+    assert parse.read(write(text.replace("long", "short"))).fits == ("transition",)
+
+
 def test_a_good_study_is_read(write):
     found = parse.read(write(GOOD))
     assert found.points == 14 and found.lines == 2
