@@ -233,12 +233,12 @@ def constants_of(walkers: Sequence[Walker] | WalkerArray, structure: Structure) 
     values = np.array([constants[k] for k in structure.constants], float).reshape(-1, len(walkers))
     # Offsets of nearly tuned legs are differences, of which long double leaves too few digits.
     near = np.zeros(len(walkers), bool)
-    for name in ("S_a", "S_b", *(("S_c",) if "S_c_re" in constants else ())):
-        x, y = np.abs(constants[f"{name}_re"]), np.abs(constants[f"{name}_im"])
-        near |= (x > 0) & (x < _NEARLY_TUNED * y)
-    if near.any():
-        lanes = np.flatnonzero(near)
-        some = walkers.some(lanes) if isinstance(walkers, WalkerArray) else [walkers[i] for i in lanes]
+    for name in ("S_a", "S_b", "S_c", "H") if walkers[0].knees else ("S_a", "S_b"):
+        small, large = np.sort(np.abs([constants[f"{name}_re"], constants[f"{name}_im"]]), axis=0)
+        near |= (small > 0) & (small < _NEARLY_TUNED * large)
+    lanes = np.flatnonzero(near).tolist()
+    if lanes:
+        some = walkers.some(np.array(lanes)) if isinstance(walkers, WalkerArray) else [walkers[i] for i in lanes]
         constants = _lump_all(some, real128)
         values[:, lanes] = np.array([constants[k] for k in structure.constants], real128).astype(float)
     return values

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from heyoka import real128
 
 from pipeline.bench.bounds import RANDOM
 from pipeline.bench.stress import random_walker
@@ -330,9 +331,14 @@ def test_constants_of_several_walkers_are_those_of_each():
     assert structures == [structure_of(walker) for walker in walkers]
     for structure in dict.fromkeys(structures):
         alike = [walker for walker, other in zip(walkers, structures, strict=True) if other == structure]
-        each = [lump(walker, np.longdouble) for walker in alike]
-        expected = [[float(lumped[name]) for lumped in each] for name in structure.constants]
-        np.testing.assert_array_equal(constants_of(alike, structure), np.reshape(expected, (-1, len(alike))))
+        constants = constants_of(alike, structure)
+        np.testing.assert_array_equal(constants, np.hstack([constants_of([walker], structure) for walker in alike]))
+        # Once rounded.
+        exact = [lump(walker, real128) for walker in alike]
+        expected = np.reshape(
+            [[float(lumped[name]) for lumped in exact] for name in structure.constants], constants.shape
+        )
+        np.testing.assert_allclose(constants, expected, rtol=2.3e-16, atol=0)
         lanes = Lanes(alike, structure).some(np.arange(len(alike))[::-1])
         one = np.ones(1)
         for i, walker in enumerate(reversed(alike)):
