@@ -168,7 +168,7 @@ def test_the_offset_of_a_nearly_tuned_leg_has_all_its_digits(name, detuning):
     structure = structure_of(walker)
     alone = constants_of([walker], structure)[:, 0]
     found = alone[structure.constants.index("S_a_re")]
-    assert found == pytest.approx(offset, rel=2.3e-16) and found != 0
+    assert found == pytest.approx(offset, rel=2.3e-16, abs=0) and found != 0
     # The same in an array of walkers, of which some are nearly tuned.
     several = constants_of(resolve_many(name, {"detuning": np.array([0.5, detuning])}), structure)
     np.testing.assert_array_equal(several[:, 1], alone)

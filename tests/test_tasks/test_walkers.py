@@ -327,6 +327,10 @@ def test_constants_of_several_walkers_are_those_of_each():
     """In arrays as by numbers, to the last bit; their structures too."""
     drawn = [random_walker(family, seed) for family in RANDOM for seed in range(12)]
     walkers = [*CATALOGUE.values(), *drawn, *(resolve("A", {"detuning": v}) for v in (0.0, 1e-9, 1.2))]
+    # A shank whose centre of mass lies in the thigh's direction, almost.
+    k = CATALOGUE["physical"]
+    eps_s = np.arcsin(k.l_t * np.sin(k.eps_T) / (k.l_s - k.R))
+    walkers.append(resolve("physical", {"w_s": float(k.c_s * np.tan(eps_s + k.eps_T) * (1 + 1e-9))}))
     structures = structures_of(walkers)
     assert structures == [structure_of(walker) for walker in walkers]
     for structure in dict.fromkeys(structures):
