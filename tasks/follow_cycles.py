@@ -330,10 +330,11 @@ def _searched(
     If there is no flip, gaits of two steps are searched for at slopes at which those of one step have doubled.
     """
     followed: list[CycleBranch] = []
-    if flips:
-        slopes = min(flip.slope for flip in flips) * _SEARCHED[: None if n > 2 else 0]
-    else:
-        slopes = _beyond_flips(problem, branches) if n == 2 else np.zeros(0)
+    slopes = np.zeros(0)
+    if flips and n > 2:
+        slopes = min(flip.slope for flip in flips) * _SEARCHED
+    elif not flips and n == 2:
+        slopes = _beyond_flips(problem, branches)
     for slope in slopes:
         for cycle in search_cycles(problem, branches, float(slope), n, _STARTS):
             is_far = abs(cycle.multipliers()[0]) > MAX_MULTIPLIER
