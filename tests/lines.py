@@ -41,6 +41,13 @@ def branches(walker, **overrides):
     return Problem(resolve(walker, overrides)), from_arrays(found)
 
 
+def some(found):
+    """What was found, as a list that is not empty: a loop over nothing asserts nothing."""
+    found = list(found)
+    assert found
+    return found
+
+
 def of_label(out, label):
     g = GAITS.index(label)
     return {k: v[0, g] for k, v in out.items() if k != "reasons"}

@@ -19,7 +19,8 @@ from tasks.mechanics.lumped import Structure
 _MAX_STEPS = 120
 #: The vectorised sine reduces the arguments of a whole register differently if one of them is larger [rad].
 _LARGE_ANGLE = 10.0
-LANES = hy.recommended_simd_size()
+#: Numbers in a SIMD register; a processor with wide registers can do as one with narrower ones.
+LANES = int(os.environ.get("GAITSWEEP_LANES") or hy.recommended_simd_size())
 #: Tolerance of the exact flows: order 18, whose truncation error is a fiftieth of rounding.
 _FINE = 1.75e-15
 #: Tolerance of a search's flows, which only give the exact ones their initial guesses.

@@ -10,11 +10,13 @@ import hashlib
 import json
 import os
 import re
+import resource
 import shutil
 import sqlite3
 import subprocess
 import sys
 from collections import Counter, defaultdict
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ PYTEST = ("-q", "-p", "no:cacheprovider", "-W", "ignore", "--tb=line")
 #: Tests that take less than this are tried first, and those of the same file come along [s].
 CHEAP = 1.0
 
+_USED = pytest.StashKey[float]()  # processor time until the last report of this process [s]
 _took: Counter[str] = Counter()
 _failed: set[str] = set()
 
@@ -71,7 +74,8 @@ def record() -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        For each run, `name` (its copy of the project), `files` (a checksum of each file of tests) and `took` [s].
+        For each run, `name` (its copy of the project), `files` (a checksum of each file of tests) and `took`, the
+        processor time of each test and of the processes it started [s].
     """
     kept = STATE / "recorded.json"
     recordings: list[dict[str, Any]] = json.loads(kept.read_text()) if kept.exists() else []
@@ -177,8 +181,17 @@ def pytest_runtest_logstart(nodeid: str) -> None:
         running.switch_context(nodeid)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    used = sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    report.user_properties = [("used", used - item.config.stash.get(_USED, 0.0))]
+    item.config.stash[_USED] = used
+    return report
+
+
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    _took[report.nodeid] += report.duration
+    _took[report.nodeid] += dict(report.user_properties).get("used", 0.0)
     if not report.passed:
         _failed.add(report.nodeid)
 

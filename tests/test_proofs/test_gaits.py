@@ -7,7 +7,7 @@ import pytest
 from flint import arb, ctx
 
 from exact_gaits import GAITS, guess, reference, setting
-from lines import gait
+from lines import gait, some
 from tasks import prove_gaits
 from tasks.proofs.body import body
 from tasks.proofs.enclosed_step import dimensions
@@ -176,7 +176,7 @@ def test_the_gaits_beside_a_fold(slope, proved):
 
 def test_a_heelstrike_that_all_but_grazes_is_refused_or_right():
     asked = {"walker": "physical-straight", "slope": "0.0561178", "gait": "short", "accuracy": 1e-12}
-    for g in prove_one(asked)["gaits"]:
+    for g in some(prove_one(asked)["gaits"]):
         assert g["proved"] or "Grazing" in g["reason"] or "Krawczyk" in g["reason"]
         assert g["first_strike"] is g["proved"]
         assert g["unique"] or "Grazing" not in g["reason"]

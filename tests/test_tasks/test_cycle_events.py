@@ -6,7 +6,7 @@ import heyoka as hy
 import numpy as np
 import pytest
 
-from lines import _atlas
+from lines import _atlas, some
 from tasks import locate_cascade
 from tasks.continuation.cycle_events import _MIN_ERROR, _test, slope_error
 from tasks.mechanics.lumped import lump
@@ -111,7 +111,7 @@ CASES = [
 @pytest.mark.parametrize(("walker", "low", "high", "longest"), CASES)
 def test_the_bound_of_a_flips_slope_holds_against_113_bits(walker, low, high, longest, tell):
     problem, events = family(walker, low, high, longest)
-    for event in events:
+    for event in some(events):
         slope = flip_in_113_bits(problem, event.cycle)
         error = abs(float((R(event.cycle.slope) - slope) / slope))
         tell(f"{walker}, period {event.cycle.period}: error {error:.1e}, bound {event.error:.1e}")

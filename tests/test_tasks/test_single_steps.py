@@ -11,13 +11,15 @@ from tasks.map_step import map_step
 from tasks.simulate_steps import simulate_steps
 from tasks.walkers.resolve import resolve
 
-# A state off every gait, within two per cent of one, so that some steps are taken.
 SLOPES = {"D": 0.009, "E": 0.005, "B": 0.01, "A": 0.02, "C": 0.02, "physical": 0.036}
-STATES = {
-    name: np.array([g[k] for k in ("stance_angle", "stance_rate", "thigh_rate")])
-    for name, g in ((name, gait(name, slope, "long")) for name, slope in SLOPES.items())
-}
+# Off every gait, within two per cent of one, so that some steps are taken.
 AWAY = np.array([1.004, 0.997, 1.02])
+
+
+def at_gait(name):
+    """State of the long gait."""
+    found = gait(name, SLOPES[name], "long")
+    return np.array([found[k] for k in ("stance_angle", "stance_rate", "thigh_rate")])
 
 
 def oracle_of(name):
@@ -45,7 +47,7 @@ def derivative(f, at, h):
 
 @pytest.mark.parametrize("name", SLOPES)
 def test_the_step_map_agrees_with_the_rigid_bodies(name):
-    state, slope = STATES[name] * AWAY, SLOPES[name]
+    state, slope = at_gait(name) * AWAY, SLOPES[name]
     answer = pipeline.step_map(name, slope, state)
     image, step = oracle_map(name, state, slope)
     assert answer.state == pytest.approx(image, rel=2e-9)
@@ -59,7 +61,7 @@ def test_the_step_map_agrees_with_the_rigid_bodies(name):
 
 @pytest.mark.parametrize("name", SLOPES)
 def test_the_derivatives_are_those_of_the_rigid_bodies(name):
-    state, slope = STATES[name] * AWAY, SLOPES[name]
+    state, slope = at_gait(name) * AWAY, SLOPES[name]
     answer = pipeline.step_map(name, slope, state)
     for k in range(3):
         unit = np.eye(3)[k]
@@ -72,8 +74,8 @@ def test_the_derivatives_are_those_of_the_rigid_bodies(name):
 @pytest.mark.parametrize("name", SLOPES)
 def test_at_a_gait_the_eigenvalues_are_its_multipliers(name):
     known = gait(name, SLOPES[name], "long")
-    answer = pipeline.step_map(name, SLOPES[name], STATES[name])
-    assert answer.state == pytest.approx(STATES[name], rel=1e-12)
+    answer = pipeline.step_map(name, SLOPES[name], at_gait(name))
+    assert answer.state == pytest.approx(at_gait(name), rel=1e-12)
     multipliers = known["multiplier_real"][:3] + 1j * known["multiplier_imag"][:3]
     assert np.abs(answer.eigenvalues - multipliers).max() < 1e-11
     vectors = answer.eigenvectors
@@ -86,7 +88,7 @@ def test_at_a_gait_the_eigenvalues_are_its_multipliers(name):
 
 def test_a_knee_that_first_hyperextends_has_not_struck():
     """The flexion falls to zero at the start of such a step too, which ends no phase."""
-    state = STATES["C"] * [1, 1, 2.2]
+    state = at_gait("C") * [1, 1, 2.2]
     steps, mapped = pipeline.simulate("C", 0.02, state, 1), pipeline.step_map("C", 0.02, state)
     assert float(steps.thigh_rate[0] - steps.shank_rate[0]) < 0
     assert float(steps.kneestrike_time[0]) == pytest.approx(mapped.times.kneestrike, rel=1e-12)
@@ -114,7 +116,7 @@ def test_the_step_map_is_exact_where_the_knee_swings_fast():
 @pytest.mark.parametrize("name", ["D", "B"])
 def test_a_swing_leg_that_turns_over_the_hip_strikes_no_heel(name):
     """Its foot passes the ground beside the stance foot from above, where the legs are parallel again."""
-    state = STATES[name] * [1, 1, -40]
+    state = at_gait(name) * [1, 1, -40]
     steps = pipeline.simulate(name, SLOPES[name], state, 1)
     assert steps.outcome == "fell forward"
     with pytest.raises(StudyError, match="fell forward"):
@@ -124,7 +126,7 @@ def test_a_swing_leg_that_turns_over_the_hip_strikes_no_heel(name):
 @pytest.mark.parametrize("name", ["D", "B", "C"])
 def test_steps_follow_each_other_as_the_map_says(name):
     """Two methods: events located on Taylor polynomials, and event times as unknowns of the map."""
-    state, slope = STATES[name] * AWAY, SLOPES[name]
+    state, slope = at_gait(name) * AWAY, SLOPES[name]
     steps = pipeline.simulate(name, slope, state, 3)
     for k in range(3):
         here = [float(steps[v][k]) for v in ("stance_angle", "stance_rate", "thigh_rate")]
@@ -162,7 +164,7 @@ def oracle_over(name, state, slope, height):
 
 @pytest.mark.parametrize(("name", "height"), [("B", -0.002), ("E", 0.0005), ("C", -0.004), ("physical", 0.003)])
 def test_uneven_ground_agrees_with_the_rigid_bodies(name, height):
-    state, slope = STATES[name], SLOPES[name]
+    state, slope = at_gait(name), SLOPES[name]
     steps = pipeline.simulate(name, slope, state, 2, ground={0: height})
     rates = start(name, state)
     time, after = oracle_over(name, np.array([state[0], -state[0], -state[0], *rates, rates[-1]])[:6], slope, height)
@@ -177,11 +179,11 @@ def test_uneven_ground_agrees_with_the_rigid_bodies(name, height):
 
 
 def test_a_push_along_a_mode_decays_with_its_multiplier():
-    modes = pipeline.step_map("C", 0.02, STATES["C"])
+    modes = pipeline.step_map("C", 0.02, at_gait("C"))
     assert abs(modes.eigenvalues[0].imag) == 0
     mode = 1e-6 * modes.eigenvectors[:, 0].real
-    steps = pipeline.simulate("C", 0.02, STATES["C"] + mode, 3)
-    off = np.array([steps[v].values for v in ("stance_angle", "stance_rate", "thigh_rate")]) - STATES["C"][:, None]
+    steps = pipeline.simulate("C", 0.02, at_gait("C") + mode, 3)
+    off = np.array([steps[v].values for v in ("stance_angle", "stance_rate", "thigh_rate")]) - at_gait("C")[:, None]
     for k in range(4):
         assert off[:, k] == pytest.approx(modes.eigenvalues[0].real ** k * mode, abs=1e-10)
 
@@ -189,18 +191,18 @@ def test_a_push_along_a_mode_decays_with_its_multiplier():
 @pytest.mark.parametrize("name", ["B", "C"])
 def test_a_push_changes_the_rates_when_it_comes(name):
     push = (0.01, -0.02)
-    steps = pipeline.simulate(name, SLOPES[name], STATES[name], 3, pushes={1: push})
-    still = pipeline.simulate(name, SLOPES[name], STATES[name], 3)
+    steps = pipeline.simulate(name, SLOPES[name], at_gait(name), 3, pushes={1: push})
+    still = pipeline.simulate(name, SLOPES[name], at_gait(name), 3)
     for v, change in (("stance_angle", 0.0), ("stance_rate", 0.01), ("thigh_rate", -0.02), ("shank_rate", -0.02)):
         assert steps[v].values[:2] - still[v].values[:2] == pytest.approx([0.0, change], abs=1e-15)
     rates = [float(steps[v][1]) for v in ("stance_rate", "thigh_rate", "shank_rate")]
-    slow = oracle_of(name).step(STATES[name][0], rates[: 3 if name == "C" else 2], SLOPES[name])
+    slow = oracle_of(name).step(at_gait(name)[0], rates[: 3 if name == "C" else 2], SLOPES[name])
     assert float(steps.stance_angle[2]) == pytest.approx(slow.theta, rel=1e-8)
 
 
 @pytest.mark.parametrize(("name", "phases"), [("B", 1), ("C", 2)])
 def test_the_motion_leads_from_strike_to_strike(name, phases):
-    steps = pipeline.simulate(name, SLOPES[name], STATES[name], 2, motion=True, ground={1: -0.001})
+    steps = pipeline.simulate(name, SLOPES[name], at_gait(name), 2, motion=True, ground={1: -0.001})
     assert steps.theta_st.dims == ("step", "phase", "sample") and steps.sizes["phase"] == phases
     walk = steps.isel(step=slice(2))
     first, last = walk.isel(phase=0, sample=0), walk.isel(phase=-1, sample=-1)
@@ -223,13 +225,13 @@ def test_the_motion_leads_from_strike_to_strike(name, phases):
 
 
 def test_falls_are_outcomes_with_a_sentence():
-    slow = pipeline.simulate("D", 0.009, STATES["D"] * [1, 0.8, 0.8], 5)
-    fast = pipeline.simulate("D", 0.009, STATES["D"] * [1, 1.5, 1.5], 5, motion=True)
+    slow = pipeline.simulate("D", 0.009, at_gait("D") * [1, 0.8, 0.8], 5)
+    fast = pipeline.simulate("D", 0.009, at_gait("D") * [1, 1.5, 1.5], 5, motion=True)
     assert slow.outcome == "fell backward" and slow.reason == "Step 0: fell backward." and slow.steps_taken == 0
     assert fast.outcome == "fell forward" and np.isnan(fast.stance_angle[1:]).all()
     # The motion of the fall itself is there to be drawn.
     assert float(fast.theta_st[0, 0, -1]) == pytest.approx(-np.exp(0.5)) and np.isnan(fast.theta_st[1:]).all()
-    later = pipeline.simulate("D", 0.009, STATES["D"], 5, ground={2: -0.01})
+    later = pipeline.simulate("D", 0.009, at_gait("D"), 5, ground={2: -0.01})
     assert later.reason == "Step 3: fell forward." and later.steps_taken == 3
 
 
@@ -247,19 +249,19 @@ def test_a_gait_of_large_angle_walks():
 
 def test_a_motion_that_overflows_is_lost(capfd):
     for push in (1e200, 1e15):
-        walk = pipeline.simulate("D", 0.009, STATES["D"], 3, pushes={0: (push, 0.0)})
+        walk = pipeline.simulate("D", 0.009, at_gait("D"), 3, pushes={0: (push, 0.0)})
         assert walk.reason == "Step 0: motion lost."
-    assert pipeline.simulate("C", 0.02, STATES["C"] * [1, 1e200, 1], 3, motion=True).outcome == "motion lost"
+    assert pipeline.simulate("C", 0.02, at_gait("C") * [1, 1e200, 1], 3, motion=True).outcome == "motion lost"
     assert capfd.readouterr() == ("", "")
 
 
 def test_units_are_the_walkers(tmp_path):
-    steps = pipeline.simulate("C", 0.02, STATES["C"], 2, motion=True)
+    steps = pipeline.simulate("C", 0.02, at_gait("C"), 2, motion=True)
     assert (steps.stance_rate.units, steps.period.units, steps.foot_x.units) == ("rad s-1", "s", "m")
-    assert pipeline.simulate("D", 0.009, STATES["D"], 1).period.units == "1"
+    assert pipeline.simulate("D", 0.009, at_gait("D"), 1).period.units == "1"
     steps.to_netcdf(tmp_path / "steps.nc")
     # Time in units of sqrt(leg/g): without a unit the same steps take another number.
-    plain = pipeline.simulate("C", 0.02, STATES["C"] * [1, 2**0.5, 2**0.5], 1, g=2 * 9.81)
+    plain = pipeline.simulate("C", 0.02, at_gait("C") * [1, 2**0.5, 2**0.5], 1, g=2 * 9.81)
     assert float(plain.period[0]) == pytest.approx(float(steps.period[0]) / 2**0.5, rel=1e-12)
 
 
@@ -288,13 +290,13 @@ def test_units_are_the_walkers(tmp_path):
     ],
 )
 def test_wrong_input_is_one_sentence(function, arguments, words):
-    usual = {"walker": "C", "slope": 0.02, "state": STATES["C"], **({"steps": 5} if function == "simulate" else {})}
+    usual = {"walker": "C", "slope": 0.02, "state": at_gait("C"), **({"steps": 5} if function == "simulate" else {})}
     with pytest.raises(StudyError, match=f"^{words}"):
         getattr(pipeline, function)(**{**usual, **arguments})
 
 
 def test_the_tasks_take_plain_data():
     """What `pipeline` calls by name, without its checks."""
-    params = {"walker": "D", "set": None, "slope": 0.009, "state": STATES["D"].tolist()}
+    params = {"walker": "D", "set": None, "slope": 0.009, "state": at_gait("D").tolist()}
     assert map_step(params)["kneestrike_time"] is None
     assert simulate_steps({**params, "steps": 2})["cause"] == "walks"
