@@ -1,5 +1,6 @@
 """What several test folders share: the command line over toy tasks, in processes of its own."""
 
+import functools
 import hashlib
 import json
 import math
@@ -9,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
@@ -140,6 +142,22 @@ SOAK = pytest.StashKey[Soak]()
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[SOAK] = Soak()
+
+
+@functools.cache
+def _tiers() -> tuple[dict[str, int], frozenset[str]]:
+    """Order of the files of tests, and what is left to `make check`."""
+    tiers = tomllib.loads((ROOT / "tests" / "tiers.toml").read_text())
+    return {file: k for k, file in enumerate(tiers["dearest_first"])}, frozenset(tiers["thorough"])
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that `make test` leaves out, and begin with the dearest files, so that no worker ends alone."""
+    order, thorough = _tiers()
+    for item in items:
+        if {item.nodeid, item.nodeid.split("[")[0], item.nodeid.split("::")[0]} & thorough:
+            item.add_marker("thorough")
+    items.sort(key=lambda item: order.get(item.nodeid.split("::")[0], -1))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

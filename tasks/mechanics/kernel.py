@@ -142,7 +142,7 @@ class Flow:
             integrate(slice(k, k + self.lanes), slice(k, k + self.lanes))
         lost = _differ(reached, duration)
         lost[:n] |= np.abs(final[: self.angles // 2, :n] * scale).max(axis=0) > _LARGE_ANGLE
-        for k in np.flatnonzero(lost.reshape(-1, self.lanes).any(axis=1)) * self.lanes:
+        for k in (np.flatnonzero(lost.reshape(-1, self.lanes).any(axis=1)) * self.lanes).tolist():
             for lane in range(k, k + self.lanes):
                 reached[lane] = np.nan
                 integrate([lane] * self.lanes, slice(lane, lane + 1))

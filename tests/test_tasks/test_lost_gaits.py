@@ -187,8 +187,7 @@ def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
 
 
 def test_a_branch_that_is_lost_before_a_fall_keeps_its_part_from_which_it_was_followed():
-    """Near its end its step makes 1e12 of an error, so rounding decides where it is lost; no more than half of its nodes
-    may lie there."""
+    """Its step makes 1e12 of an error near its end: rounding decides where it is lost; few nodes lie there."""
     keys = {
         "m_t": 1.92417253908927,
         "m_s": 1.0244571768418904,
