@@ -1,54 +1,77 @@
-# make setup | paper | test | bench | soak | prove | mutants
-PYTHON ?= python3.11
-VENV := .venv
-BIN := $(VENV)/bin
-READY := $(VENV)/.ready
+# make setup | paper | test | check | lint | bench | soak | prove | mutants | lock
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+READY := .venv/.ready
+COMPLETE := .venv/.complete
+# The registry that pip is set to use, if it is set.
+INDEX = $(shell "$(PYTHON)" -m pip config list 2>/dev/null | sed -n "s/.*\.index-url='\(.*\)'/--default-index \1/p" | head -1)
+INSTALL = $(BIN)/uv pip install --quiet --python $(BIN)/python --require-hashes $(INDEX) \
+  --constraint requirements.lock --requirement pyproject.toml
+TIER = not thorough and not soak
 DRAW ?= 1
 N ?= 300
 SECONDS ?= 7000
 STUDIES := $(wildcard data/studies/paper/*.toml)
 
-.PHONY: setup paper test bench soak prove mutants lock clean
+.PHONY: setup paper test check lint bench soak prove mutants lock clean
 .DEFAULT_GOAL := test
 
 setup: $(READY)
 
 # Built anew only when the lock or the project's description changes.
 $(READY): requirements.lock pyproject.toml
-	test -x $(BIN)/python || $$(command -v $(PYTHON) || command -v python3) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@"$(PYTHON)" -c 'import pip, sys, venv; assert sys.version_info >= (3, 11)' 2>/dev/null || \
+	  { echo 'gaitsweep needs Python 3.11 or later, with pip and venv: make PYTHON=/path/to/python3' >&2; exit 1; }
+	test -x $(BIN)/python || "$(PYTHON)" -m venv --without-pip .venv
+	sed -n '/^uv==/,/[^\]$$/p' requirements.lock >.venv/uv.txt
+	"$(PYTHON)" -m pip --python $(BIN)/python install --quiet --disable-pip-version-check --require-hashes -r .venv/uv.txt
+	$(INSTALL) --group setup --extra cluster --extra proof
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
+	touch $@
+
+# With all that tests and measurements use.
+$(COMPLETE): $(READY)
+	$(INSTALL) --all-extras
 	touch $@
 
 paper: $(READY)
 	$(BIN)/gaitsweep run $(STUDIES)
 	$(BIN)/gaitsweep report data/archive/*.nc -o reports
 
-test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+test: $(COMPLETE)
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "$(TIER)"
 
-bench: $(READY)
+# All tests but the soaks.
+check: TIER = not soak
+check: lint test
+
+lint: $(COMPLETE)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(COMPLETE)
 	$(BIN)/gaitsweep bench -o reports
 
 # All tests, the long ones too for two hours, and the branches of the code that they reach. Begun again, it goes on.
-soak: $(READY)
+soak: $(COMPLETE)
 	SOAK_SECONDS=$(SECONDS) $(BIN)/python -m coverage run -m pytest -m "soak or not soak" --timeout=3600
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report --skip-covered
 
-prove: $(READY)
+prove: $(COMPLETE)
 	$(BIN)/python -m pipeline.cli.prove data/reference/proofs
 
 # Mutants of the core drawn by lot, two at a time; the same command resumes, AGAIN=again retries survivors.
-mutants: $(READY)
+mutants: $(COMPLETE)
 	$(BIN)/python tests/mutants/draw.py $(DRAW) $(N) $(AGAIN)
 
-# Write the lock anew from the ranges in pyproject.toml; needs pip-tools.
+# Write the lock anew from the ranges in pyproject.toml, for every Python that it allows.
 lock:
-	pip-compile --generate-hashes --all-extras --allow-unsafe --strip-extras --no-header \
-	  --no-annotate --no-emit-index-url --no-emit-trusted-host --no-emit-find-links --no-emit-options \
-	  --output-file requirements.lock pyproject.toml
+	$(BIN)/uv pip compile --quiet --universal --generate-hashes --all-extras --group setup --no-header --no-annotate \
+	  $(INDEX) --output-file requirements.lock pyproject.toml
 
 clean:
-	rm -rf $(VENV) mutants data/archive
+	rm -rf .venv mutants data/archive
 	find reports -mindepth 1 ! -name README.md -delete
