@@ -52,7 +52,7 @@ lint: $(COMPLETE)
 	$(BIN)/lint-imports
 
 bench: $(COMPLETE)
-	$(BIN)/gaitsweep bench -o reports
+	PYTHONPATH=tests $(BIN)/python -m benchmarks -o reports
 
 # All tests, the long ones too for two hours, and the branches of the code that they reach. Begun again, it goes on.
 soak: $(COMPLETE)

@@ -146,10 +146,6 @@ def parser() -> argparse.ArgumentParser:
     )
     c = add(_completion, "shell script that completes commands")
     c.add_argument("shell", choices=("bash", "zsh"))
-    c = add(_bench, "run time against error, compared with other codes")
-    c.add_argument("--quick", action="store_true")
-    c.add_argument("--hunt", action="store_true", help="search for the worst inputs too")
-    c.add_argument("-o", dest="out", type=Path, default=Path("reports"), metavar="DIR")
     return top
 
 
@@ -385,12 +381,6 @@ def _completion(options: argparse.Namespace) -> int:
 
     print(completion.script(parser(), options.shell), end="")
     return 0
-
-
-def _bench(options: argparse.Namespace) -> int:
-    import importlib
-
-    return importlib.import_module("pipeline.bench").main(options.quick, options.out, hunts=options.hunt)
 
 
 if __name__ == "__main__":

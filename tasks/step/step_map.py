@@ -157,7 +157,7 @@ class StrideMap:
         self._finish = self._compile_finish()
 
     def _function(self, outputs: list[Any], variables: list[Any]) -> CompiledFunction:
-        """Compile a function; the bench's reference overrides this with wider numbers."""
+        """Compile a function; `tests/soak/extended_reference.py` overrides this with wider numbers."""
         return CompiledFunction(outputs, variables)
 
     def _compile_start(self) -> CompiledFunction:

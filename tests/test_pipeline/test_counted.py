@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.bench.counted import STUDIES, work
+from benchmarks.counted import STUDIES, work
 from pipeline.execution import worker_process
 from pipeline.execution.runner import Options, run
 from pipeline.plan import graph

@@ -10,7 +10,7 @@ import pytest
 
 import extended
 from lines import FAILURES
-from pipeline.bench.missed import neighbour
+from soak.missed import neighbour
 from tasks.accuracy import always
 from tasks.continuation.atlas import from_arrays
 from tasks.costs import PANEL

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import brentq
 
 from lines import branches, gait, solved, some
-from pipeline.bench.bounds import compared
-from pipeline.bench.stress import random_walker
+from soak.bounds import compared
+from soak.stress import random_walker
 from tasks.continuation import atlas
 from tasks.continuation.atlas import survey
 from tasks.continuation.branch import Branch

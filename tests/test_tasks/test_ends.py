@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lines import FAILURES, branches, of_label, repeats, solved
-from pipeline.bench.bounds import compared
+from soak.bounds import compared
 from tasks.continuation import locate
 from tasks.continuation.branch import Branch
 from tasks.continuation.locate import locate_root, settle_on_branches

@@ -7,8 +7,8 @@ import pytest
 
 from lines import FAILURES, branches, of_label, repeats, solved, some
 from oracle import Oracle, StepFailed
-from pipeline.bench.bounds import compared
-from pipeline.bench.missed import missed
+from soak.bounds import compared
+from soak.missed import missed
 from tasks.continuation import atlas
 from tasks.continuation.refine import COARSE, FINE
 from tasks.continuation.special_points import special_points

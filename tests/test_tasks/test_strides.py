@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from oracle import Oracle, SimplestWalker, StepFailed
-from pipeline.bench.stress import random_walker
+from soak.stress import random_walker
 from tasks.mechanics.kernel import Flow, integrating_seconds
 from tasks.registry import ALWAYS
 from tasks.solve_points import lines

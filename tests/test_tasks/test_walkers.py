@@ -8,8 +8,8 @@ import pytest
 from heyoka import real128
 
 from lines import some
-from pipeline.bench.bounds import RANDOM
-from pipeline.bench.stress import random_walker
+from soak.bounds import RANDOM
+from soak.stress import random_walker
 from tasks.measures.losses import velocity_ratio
 from tasks.mechanics.lumped import constants_of, lump, structure_of, structures_of
 from tasks.solve_at_slope import solve_one

@@ -1,14 +1,15 @@
 """Counted work, and the share of a line's time that is spent in compiled flows and maps."""
 
-from __future__ import annotations
-
+import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
-from pipeline.bench import problems
+from benchmarks import problems
 from tasks import solve_points
 from tasks.fixed_points import polish
 from tasks.measures import gaits as measured
@@ -17,34 +18,6 @@ from tasks.mechanics.kernel import FLOWS, Flow
 from tasks.registry import ALWAYS, GAITS, VARIABLES
 from tasks.step import extended_precision
 from tasks.step.step_map import StrideMap
-
-
-class Clock:
-    """Context that adds up the time spent in some methods."""
-
-    def __init__(self, *methods: tuple[type, str]):
-        self.methods, self.seconds = methods, 0.0
-        self._originals: list[Any] = []
-
-    def __enter__(self) -> Clock:
-        for owner, name in self.methods:
-            kept = getattr(owner, name)
-            self._originals.append(kept)
-
-            def timed(*args: Any, kept: Any = kept, **kwargs: Any) -> Any:
-                start = time.perf_counter()
-                try:
-                    return kept(*args, **kwargs)
-                finally:
-                    self.seconds += time.perf_counter() - start
-
-            setattr(owner, name, timed)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for (owner, name), kept in zip(self.methods, self._originals, strict=True):
-            setattr(owner, name, kept)
-
 
 #: Studies that want fewer and fewer variables: a name, the variables, and the gaits.
 STUDIES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
@@ -56,74 +29,51 @@ STUDIES: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
 )
 
 
-class Calls:
-    """Context that counts the lanes passed to some functions of modules."""
-
-    def __init__(self, *watched: tuple[Any, str, Callable[..., int]]):
-        self.watched, self.lanes = watched, {name: 0 for _, name, _ in watched}
-        self._originals: list[Any] = []
-
-    def __enter__(self) -> Calls:
-        for owner, name, size in self.watched:
+@contextlib.contextmanager
+def _watched(watch: Callable[..., Any], *places: tuple[Any, str]) -> Iterator[None]:
+    """Call `watch(name, function, *arguments)` in place of functions of modules and methods of classes."""
+    with contextlib.ExitStack() as stack:
+        for owner, name in places:
             kept = getattr(owner, name)
-            self._originals.append(kept)
 
-            def counting(*args: Any, kept: Any = kept, name: str = name, size: Any = size, **kwargs: Any) -> Any:
-                self.lanes[name] += size(*args)
-                return kept(*args, **kwargs)
+            def instead(*arguments: Any, name: str = name, kept: Any = kept, **options: Any) -> Any:
+                return watch(name, kept, *arguments, **options)
 
-            setattr(owner, name, counting)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for (owner, name, _size), original in zip(self.watched, self._originals, strict=True):
-            setattr(owner, name, original)
+            stack.enter_context(mock.patch.object(owner, name, instead))
+        yield
 
 
 def work(
     name: str, atlas: dict[str, np.ndarray], slopes: np.ndarray, want: Sequence[str], gaits: Sequence[str] = GAITS
 ) -> dict[str, float]:
-    """Count the work of the points of one line.
-
-    Parameters
-    ----------
-    name : str
-        Name of a walker.
-    atlas : dict of ndarray
-        The line's atlas as arrays.
-    slopes : ndarray, shape (n,) [rad]
-    want : sequence of str
-        Names of the wanted variables.
-    gaits : sequence of str
-        Wanted labels.
-
-    Returns
-    -------
-    dict
-        `gaits` solved; `strides`, steps integrated, each with its Jacobian; `event checks`, steps whose guards were
-        sampled; `eigenvalue problems`; `strides for violations`; `more digits`, gaits refined in extended precision;
-        `idle lanes`, which fill SIMD groups; `bytes` of the wanted variables.
-    """
+    """Count the work of the points of one line."""
     params = {"line": {"walker": name, "set": {}}, "slope": slopes, "want": want, "gaits": gaits}
     solve_points.points({**params, "slope": slopes[:1]}, [atlas])
     for flow in FLOWS.values():
         flow.evaluations = flow.idle = 0
-    with Calls(
-        (polish, "verify_steps", lambda problem, w, *others: w.shape[1]),
-        (measured, "multipliers", lambda jacobian, width: jacobian.shape[2]),
-        (violations, "measure", lambda walker, motion, impact, times, slope, limit: len(slope)),
-        (extended_precision, "refine", lambda *args: 1),
-    ) as calls:
+    lanes: Counter[str] = Counter()
+    sizes: dict[str, Callable[..., int]] = {
+        "verify_steps": lambda problem, w, *others: w.shape[1],
+        "multipliers": lambda jacobian, width: jacobian.shape[2],
+        "measure": lambda walker, motion, impact, times, slope, limit: len(slope),
+        "refine": lambda *others: 1,
+    }
+
+    def count(name: str, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        lanes[name] += sizes[name](*arguments)
+        return function(*arguments, **options)
+
+    with _watched(count, *zip((polish, measured, violations, extended_precision), sizes, strict=True)):
         points = solve_points.points(params, [atlas])
     flows = [flow for flow in FLOWS.values() if flow.evaluations]
     variables = [v for v in VARIABLES if v in want or v in ALWAYS]
     return {
         "gaits": float((points["status"] == 0).sum()),
         "strides": float(sum(flow.evaluations for flow in flows if flow.angles == 4)),
-        "event checks": float(calls.lanes["verify_steps"]),
-        "eigenvalue problems": float(calls.lanes["multipliers"]),
-        "strides for violations": float(calls.lanes["measure"]),
-        "more digits": float(calls.lanes["refine"]),
+        "event checks": float(lanes["verify_steps"]),
+        "eigenvalue problems": float(lanes["multipliers"]),
+        "strides for violations": float(lanes["measure"]),
+        "more digits": float(lanes["refine"]),
         "idle lanes": float(sum(flow.idle for flow in flows)),
         "bytes": float(sum(points[v].nbytes for v in variables)),
     }
@@ -142,7 +92,16 @@ def line(f: problems.Family, n: int) -> dict[str, float]:
     solve_points.points(params, [f.atlas])
     for flow in FLOWS.values():
         flow.evaluations = 0
-    with Clock((Flow, "_advance"), (StrideMap, "_apply")) as clock:
+    inside = 0.0
+
+    def clock(name: str, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+        nonlocal inside
+        start = time.perf_counter()
+        found = function(*arguments, **options)
+        inside += time.perf_counter() - start
+        return found
+
+    with _watched(clock, (Flow, "_advance"), (StrideMap, "_apply")):
         start = time.perf_counter()
         points = solve_points.points(params, [f.atlas])
         wall = time.perf_counter() - start
@@ -157,15 +116,13 @@ def line(f: problems.Family, n: int) -> dict[str, float]:
         "microseconds a gait": 1e6 * wall / max(gaits, 1),
         "strides a gait": strides / max(gaits, 1),
         "flights a gait": flights / max(gaits, 1),
-        "share in flows and maps": clock.seconds / wall,
+        "share in flows and maps": inside / wall,
     }
 
 
 def roofline(f: problems.Family, peak: float, repeats: int = 5) -> list[dict[str, float | str]]:
     """Floating-point rate of each flow of a walker's points, from its decomposition, and its share of the peak rate.
 
-    Notes
-    -----
     A Taylor step of order p costs about p^2 operations for each product, quotient, power, sine or cosine among the
     u-variables (twice that for the last two), 2 p for each linear one and 2 p for each state's sum.
     """

@@ -1,14 +1,12 @@
 """Whole random lines: every point settles, bounds hold, and special points are those of the walker in other units."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from pipeline.bench.hunt import Input, hardest
-from pipeline.bench.missed import MAX_SLOPE, MIN_SLOPE, neighbour, survey_walkers
+from soak.hunt import Input, hardest
+from soak.missed import MAX_SLOPE, MIN_SLOPE, neighbour, survey_walkers
 from tasks.continuation import defining
 from tasks.continuation.atlas import to_arrays
 from tasks.continuation.branch import Branch
@@ -80,19 +78,7 @@ class WholeLines:
 
 
 def whole_lines(seeds: Sequence[int], say: Callable[[str], None] | None = None) -> WholeLines:
-    """Solve the points of random lines, many of them beside folds and ends, and check them.
-
-    Parameters
-    ----------
-    seeds : sequence of int
-        Of the lines.
-    say : callable, optional
-        Called with each line of progress.
-
-    Returns
-    -------
-    WholeLines
-    """
+    """Solve the points of random lines, many of them beside folds and ends, and check them."""
     outcome = WholeLines()
     drawn: list[tuple[int, str, dict[str, float], Walker]] = []
     for seed in seeds:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import oracle
-from pipeline.bench import stress
-from pipeline.bench.bounds import bounds
-from pipeline.bench.stress import random_walker
+from soak import stress
+from soak.bounds import bounds
+from soak.stress import random_walker
 from tasks.solve_points import atlas, points
 from tasks.step import extended_precision
 from tasks.walkers.catalogue import CATALOGUE

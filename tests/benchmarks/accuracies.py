@@ -1,7 +1,5 @@
 """Processor time of gaits against their error: studies of each accuracy, beside the peers at each tolerance."""
 
-from __future__ import annotations
-
 import functools
 import tempfile
 from pathlib import Path
@@ -9,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import Case, what_more_take
+from benchmarks.planes import PLANES
 from pipeline import api
-from pipeline.bench.harness import Case, what_more_take
-from pipeline.bench.planes import PLANES
 
 #: Walkers and the slopes of their lines.
 LINES = {"D": (1e-4, 0.015), "E": (1e-3, 0.1), "B": (1e-3, 0.1), "A": (1e-3, 0.05), "C": (1e-3, 0.05)}
@@ -30,23 +28,7 @@ _COMPARED = {"line": 600, "plane": 10}
 
 
 def cases(quick: bool, walkers: tuple[str, ...]) -> list[Case]:
-    """Time studies of each accuracy.
-
-    Parameters
-    ----------
-    quick : bool
-        Fewer accuracies and smaller studies.
-    walkers : tuple of str
-        Names of walkers.
-
-    Returns
-    -------
-    list of Case
-        One for each walker, study and accuracy, of the problem "line" or "plane": `seconds` of processor time of a
-        gait, archive included, measured by the difference of two studies in which loading, compiling, branches and
-        cells cancel; the error is the largest of the stance angles over those that are as good as doubles give, of
-        which the error is their bound.
-    """
+    """Time studies of each accuracy."""
     measured = []
     for name in walkers:
         if name in LINES:

@@ -1,7 +1,5 @@
 """The page of the bench: tables and work-precision plots in one file."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any
@@ -9,11 +7,11 @@ from typing import Any
 import jinja2
 import matplotlib
 import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure
 
-from pipeline.bench import accuracies
-from pipeline.bench.harness import Case
-from pipeline.bench.hunt import MEASURES
-from pipeline.bench.run import Measurements
+from benchmarks.harness import Case, Measurements
+from benchmarks.problems import LANES
 
 _PLOTTED = ("stride", "jacobian", "fixed point")
 #: What `work` counts in each problem.
@@ -33,59 +31,58 @@ details{margin:.5rem 0}
 </style></head><body>
 <h1>Run time against error</h1>
 <p>All methods are timed in turns in one run on one thread. Times are for one answer: the median, the least and the
-greatest of the rounds. Errors are the largest error over the largest entry, against {{ kind }}. Where no error is
-given, the method missed the event or is the reference itself.
-{% if quick %}This is a quick run, with fewer rounds.{% endif %}</p>
+greatest of the rounds. Errors are the largest error over the largest entry, against {{ measured.kind }}. Where no
+error is given, the method missed the event or is the reference itself.
+{% if measured.quick %}This is a quick run, with fewer rounds.{% endif %}</p>
 <p>gaitsweep integrates {{ lanes }} steps at a time over given event times, as in its Newton's method. A peer integrates
 one step, locates its events, and calls its algebra from Python, which takes about ten microseconds. The right-hand side
-for scipy is {% if numba %}compiled by numba{% else %}not compiled, for numba is not installed{% endif %}.</p>
+for scipy is compiled by numba.</p>
 <div class="wide"><table><caption>Computer</caption><tbody>
-{% for k, v in machine.items() %}<tr><th scope="row">{{ k }}</th><td>{{ v }}</td></tr>{% endfor %}</tbody></table></div>
+{% for k, v in measured.machine.items() %}<tr><th scope="row">{{ k }}</th><td>{{ v }}</td></tr>{% endfor %}
+</tbody></table></div>
 <h2>A line of slopes</h2>
 <p>At each grid point all gaits are solved, with multipliers, energies and error bounds.</p>
-{{ table(work) }}
+{{ table(tables.counts) }}
+<h2>Grids</h2>
+<p>Processor time of all processes for grids of slopes and one key, with multipliers, error bounds and the archive,
+beyond that of a study of one point; also in Newton solves of a gait of D by scipy, to 13 digits, in this run.</p>
+{{ table(tables.grids) }}
 <h2>Lines</h2>
 <p>Processor time of a line of 20 slopes, searched from nothing, with all its gaits, multipliers, error bounds and its
 part of the archive; lines of one key run side by side. A peer solves the long gait alone, from its neighbour's.</p>
-{{ table(lines) }}
+{{ table(tables.lines) }}
 <h2>Accuracies</h2>
 <p>Processor time of a gait of a long line, and of a plane of two keys, its part of the archive included, by the
 accuracy that a study asks for; "best" is as good as doubles give. Where polynomials reach the accuracy no step is
 integrated. Below, the curve of each walker stands beside those of the peers.</p>
-{{ table(accuracies) }}
+{{ table(tables.accuracies) }}
 <h2>Planes</h2>
 <p>Processor time of walkers that differ in two keys, at one slope: of each gait that is added to a plane, with its
 multipliers, error bound and part of the archive, and of making a cell, over which the gaits are predicted.</p>
-{{ table(planes) }}
+{{ table(tables.planes) }}
 <h2>Gaits missed</h2>
 <p>Lines of random walkers near those of the catalogue, each searched besides at one random slope from twelve times as
 many initial guesses as the lattice has: gaits of that search, and those of them that the line's survey lacks.</p>
-{{ table(missed) }}
+{{ table(tables.missed) }}
 <h2>Work against wanted variables</h2>
 <p>The same line for studies that want fewer and fewer variables. Each step includes its Jacobian; an event check
 samples the guards of a step that the atlas does not already guarantee; bytes are those of the wanted variables.</p>
-{{ table(less) }}
+{{ table(tables.less) }}
 <h2>Random walkers</h2>
 <p>Outcomes of Newton's method for random walkers, slopes from 1e-12 to 0.3 and initial guesses. Most guesses do not
 converge, and most random walkers have no gait.</p>
-{{ table(outcomes) }}
+{{ table(tables.outcomes) }}
 <h2>Error bounds</h2>
 <p>Error bounds of gaits at random slopes, with their errors as computed in extended precision.</p>
-{{ table(bounds) }}
+{{ table(tables.bounds) }}
 <p>By decade of the slope: gaits whose error exceeds the bound, and how many times the error the bound is.</p>
-{{ table(deception) }}
-{% if hunted %}<h2>The worst inputs</h2>
-<p>Found by differential evolution and the Nelder-Mead method over walkers, their keys and slopes, beside folds and ends
-as near as a relative distance of 1e-12: for each of {{ measures | length }} measures the ten worst lines, with the
-command that prints their gaits; behind them whatever is wrong.</p>
-<ul>{% for name, meaning in measures.items() %}<li>{{ name }}: {{ meaning }}</li>{% endfor %}</ul>
-{{ table(hunted) }}{% endif %}
+{{ table(tables.deception) }}
 <h2>The Taylor step and peak performance</h2>
 <p>Operations are estimated from the u-variables of the decomposition and the order. An integration step is timed
 through one call from Python, so the rate of short steps is underestimated.</p>
-{{ table(flows) }}
+{{ table(tables.flows) }}
 {% for name, problems in families.items() %}<h2>Walker {{ name }}</h2>
-{% for problem, part in problems.items() %}{% if part.plot %}<figure>{{ part.plot }}</figure>{% endif %}
+{% for problem, part in problems.items() %}{% if part.plot %}<figure>{{ part.plot | safe }}</figure>{% endif %}
 <details{% if not part.plot %} open{% endif %}><summary>{{ words(problem) }}: table</summary>
 {{ table(part.rows) }}</details>
 {% endfor %}{% endfor %}
@@ -93,10 +90,10 @@ through one call from Python, so the rate of short steps is underestimated.</p>
 """
 
 
-def write(measurements: Measurements, path: Path) -> None:
+def write(measured: Measurements, path: Path) -> None:
     """Draw and write the page."""
     families: dict[str, dict[str, Any]] = {}
-    for case in measurements.cases:
+    for case in measured.cases:
         part = families.setdefault(case.family, {}).setdefault(case.problem, {"cases": []})
         part["cases"].append(case)
     for name, parts in families.items():
@@ -108,35 +105,14 @@ def write(measurements: Measurements, path: Path) -> None:
             # Beside the peers, each gait of which is solved from its neighbour's.
             peers = [case for case in parts["grid"]["cases"] if not case.method.startswith("ours")]
             parts[problem]["plot"] = _plot(f"Walker {name}: one gait of a {problem}", parts[problem]["cases"] + peers)
-    environment = jinja2.Environment(autoescape=jinja2.select_autoescape(default=True, default_for_string=True))
-    from markupsafe import Markup
-
-    for parts in families.values():
-        for part in parts.values():
-            part["plot"] = Markup(part["plot"])
-    from pipeline.bench.problems import LANES
-
+    environment = jinja2.Environment(autoescape=True)
     text = environment.from_string(_TEMPLATE).render(
-        machine=measurements.machine,
-        kind=measurements.kind,
-        quick=measurements.quick,
+        measured=measured,
+        tables=measured.tables,
         lanes=LANES,
         families=families,
-        numba=measurements.machine["numba"] != "not installed",
         table=lambda rows: Markup(_table(rows)),
         words=_words,
-        work=[{"walker": k, **v} for k, v in measurements.work.items()],
-        less=[{"walker": k, **v} for k, of in measurements.less.items() for v in of],
-        outcomes=measurements.outcomes,
-        bounds=measurements.bounds,
-        lines=measurements.lines,
-        planes=measurements.planes,
-        accuracies=accuracies.table([case for case in measurements.cases if case.problem in ("line", "plane")]),
-        missed=measurements.missed,
-        deception=measurements.deception,
-        hunted=measurements.hunted,
-        measures=MEASURES,
-        flows=[{"walker": k, **v} for k, of in measurements.flows.items() for v in of],
     )
     path.write_text(text, encoding="utf-8")
 
@@ -182,9 +158,6 @@ def _table(rows: list[dict[str, Any]]) -> str:
 
 def _plot(title: str, cases: list[Case]) -> str:
     """Time against error on logarithmic axes as SVG, one curve per method, with the range of times as bars."""
-    matplotlib.use("Agg")
-    from matplotlib.figure import Figure
-
     methods: dict[str, list[Case]] = {}
     for case in cases:
         if np.isfinite(case.error):

@@ -1,14 +1,15 @@
 """The bench: its harness, its references and its peers, on the smallest run there is."""
 
-import re
+from collections import Counter
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from pipeline import bench
-from pipeline.bench import accuracies, bench_page, lines, machine, peers, problems
-from pipeline.bench.harness import Case, largest_error, time_in_turns
+from benchmarks import accuracies, grids, lines, machine, peers, planes, problems
+from benchmarks.__main__ import main
+from benchmarks.harness import Difference, largest_error
+from soak import bounds, missed, stress
 
 SLOPE = 0.005
 
@@ -16,14 +17,6 @@ SLOPE = 0.005
 @pytest.fixture(scope="module")
 def simplest():
     return problems.family("D", SLOPE)
-
-
-def test_cases_take_turns():
-    order = []
-    cases = [Case("D", "stride", name, 0.0, lambda name=name: order.append(name)) for name in "ab"]
-    time_in_turns(cases, 3, 0.0)
-    assert "".join(order) == "ab" + "ababab"
-    assert all(len(case.seconds) == 3 for case in cases)
 
 
 def test_an_error_is_over_the_largest_entry_and_nan_where_nothing_was_found():
@@ -36,7 +29,7 @@ def test_the_reference_is_a_gait(simplest):
     # The reference's own Newton step has nothing left to do but its rounding; double's is within the bound it gives.
     y, times, parameters = problems._lane(simplest, simplest.precise)
     again = simplest.precise.settled_stride(simplest.exact_y, times, parameters)
-    assert float(abs(again["newton"]).max()) < 1e-25 if simplest.kind == "real128" else 1e-17
+    assert float(abs(again["newton"]).max()) < (1e-25 if simplest.kind == "real128" else 1e-17)
     assert largest_error(y, simplest.exact_y) < 1e-12
 
 
@@ -56,20 +49,28 @@ def test_scipy_takes_the_same_step(simplest, method):
 
 
 def test_numba_takes_the_same_step(simplest):
-    pytest.importorskip("numba")
     peer = peers.Peer(simplest.algebra, SLOPE, peers.by_numba(), 1e-13)
     found = peer.stride(simplest.y[:, 0] * simplest.scale[0])
     assert largest_error(found[:2], simplest.exact["image"].astype(float) * simplest.scale[0]) < 1e-11
 
 
 def test_one_run_writes_an_archive_and_a_page(tmp_path, monkeypatch, capsys):
+    # The smallest studies that have every row of the page; what is searched has tests of its own.
     monkeypatch.setattr(problems, "THEIRS", {"scipy DOP853": (1e-7, 1e-5)})
-    monkeypatch.setattr(peers, "HAS_NUMBA", False)
-    # The smallest studies that have every row of the page.
+    monkeypatch.setattr(grids, "SIZES", {True: ((6, 2),)})
     monkeypatch.setattr(lines, "KEYS", {"E": lines.KEYS["E"]})
-    monkeypatch.setattr(lines, "LINES", {True: (2, 4)})
-    monkeypatch.setattr(accuracies, "_QUICK", 0.05)
-    assert bench.main(True, tmp_path / "out", ("D",), 40) == 0
+    monkeypatch.setattr(accuracies, "ACCURACIES", {True: (1e-3,)})
+    monkeypatch.setattr(accuracies, "_COMPARED", {"line": 30})
+    monkeypatch.setattr(planes, "_ACROSS", {True: (8, 9)})
+    for module in (lines, accuracies, planes):
+        monkeypatch.setattr(module, "what_more_take", lambda study, fewer, more: Difference(1e-3, more, 1e-3, fewer))
+    one = Counter(D=1)
+    monkeypatch.setattr(missed, "missed", lambda count: missed.Missed(one, one))
+    monkeypatch.setattr(stress, "lanes", lambda count: stress.Outcomes({"point feet": Counter({"gait, long": count})}))
+    monkeypatch.setattr(
+        bounds, "bounds", lambda each, walkers: bounds.Bounds(["D"], *np.full((4, 1), 1e-3), np.zeros(1))
+    )
+    main(tmp_path / "out", True, ("D",), 40)
     assert capsys.readouterr().out.strip().endswith("bench.html")
     with xr.open_dataset(tmp_path / "out" / "bench.nc") as found:
         assert set(found.problem.values) == {"stride", "jacobian", "fixed point", "grid", "branch", "line"}
@@ -79,18 +80,12 @@ def test_one_run_writes_an_archive_and_a_page(tmp_path, monkeypatch, capsys):
         # A point leaves the atlas by one Newton step, seldom by two.
         assert 1 <= float(counts.strides_a_gait[0]) < 1.5
         assert 0 < float(counts.share_in_flows_and_maps[0]) < 1
-    with xr.open_dataset(tmp_path / "out" / "bench.nc", group="missed") as found:
-        assert list(found.walker.values)[-1] == "all" and float(found.gaits[-1]) > float(found.missed[-1])
+    with xr.open_dataset(tmp_path / "out" / "bench.nc", group="grids") as found:
+        assert found.gaits.item() == 24 and found.s_of_one_point.item() > 0
     page = (tmp_path / "out" / "bench.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 4
-    assert "two variables" in page and "with multipliers" in page
+    assert "6 slopes × 2 foot_mass_ratio" in page and "two variables" in page and "with multipliers" in page
     assert "Walker D" in page
-
-
-def test_a_table_has_counts_in_all_their_digits_and_other_numbers_in_four():
-    cells = dict(zip("abcdef", (12345.0, 0.0, 123.456, 1.5e-9, float("inf"), float("nan")), strict=True))
-    found = re.findall("<td>(.*?)</td>", bench_page._table([cells]))
-    assert found == ["12345", "0", "123.5", "1.5e-09", "inf", "nan"]
 
 
 def test_the_machine_is_named_by_its_make_alone():

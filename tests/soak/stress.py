@@ -1,7 +1,5 @@
 """Counted outcomes of random walkers, slopes and initial guesses, far beyond those of the paper."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace

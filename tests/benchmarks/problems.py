@@ -1,16 +1,14 @@
 """The timed problems: one step, its Jacobian, a fixed point, a grid and the branches of one walker."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
 import heyoka as hy
 import numpy as np
 
-from pipeline.bench import peers
-from pipeline.bench.extended_reference import Precise, best_kind
-from pipeline.bench.harness import Case, largest_error
+from benchmarks import peers
+from benchmarks.harness import Case, largest_error
+from soak.extended_reference import Precise, best_kind
 from tasks import solve_points
 from tasks.continuation import atlas as atlases
 from tasks.fixed_points.multipliers import multipliers
@@ -64,22 +62,12 @@ class Family:
 
     @property
     def scale(self) -> np.ndarray:
-        """Powers of two that divide the states.
-
-        Returns
-        -------
-        ndarray, shape (LANES,)
-        """
+        """Powers of two that divide the states."""
         return np.exp2(np.floor(np.log2(np.exp(self.w[0]))))
 
     @property
     def y(self) -> np.ndarray:
-        """Scaled section coordinates of every lane.
-
-        Returns
-        -------
-        ndarray, shape (m, LANES)
-        """
+        """Scaled section coordinates of every lane."""
         angle = np.exp(self.w[0])
         return np.vstack([angle, angle * self.w[1 : self.problem.m]]) / self.scale
 
@@ -168,7 +156,7 @@ class Lanes:
 def _peer_integrators(f: Family) -> dict[str, Any]:
     """Integration to an event, by each peer."""
     integrators = {name: peers.by_scipy(name.split()[1]) for name in THEIRS if name.startswith("scipy")}
-    if peers.HAS_NUMBA and "numba DOP853" in THEIRS:
+    if "numba DOP853" in THEIRS:
         integrators["numba DOP853"] = peers.by_numba()
     if "heyoka scalar" in THEIRS:
         integrators["heyoka scalar"] = peers.Scalar(f.problem)
@@ -194,7 +182,7 @@ def strides(f: Family, quick: bool) -> list[Case]:
     for name, integrate in _peer_integrators(f).items():
         for tolerance in _tolerances(name, quick):
             peer = peers.Peer(f.algebra, f.slope, integrate, tolerance)
-            case = Case(f.name, "stride", name, tolerance, lambda peer=peer: peer.stride(y))  # type: ignore[misc]
+            case = Case(f.name, "stride", name, tolerance, lambda peer=peer: peer.stride(y))
             case.error = largest_error(case.run()[: f.problem.m], exact * f.precise.kind(f.scale[0]))
             cases.append(case)
     return cases
@@ -231,7 +219,7 @@ def jacobians(f: Family, quick: bool) -> list[Case]:
             continue
         for tolerance in _tolerances(name, quick, newton=True):
             peer = peers.Peer(f.algebra, f.slope, integrate, tolerance)
-            case = Case(f.name, "jacobian", f"{name}, differences", tolerance, lambda peer=peer: peer.jacobian(y))  # type: ignore[misc]
+            case = Case(f.name, "jacobian", f"{name}, differences", tolerance, lambda peer=peer: peer.jacobian(y))
             case.error = largest_error(case.run(), exact)
             cases.append(case)
 
@@ -286,7 +274,7 @@ def fixed_points(f: Family, quick: bool) -> list[Case]:
             continue
         for tolerance in _tolerances(name, quick, newton=True):
             peer = peers.Peer(f.algebra, f.slope, integrate, tolerance)
-            case = Case(f.name, "fixed point", f"{name}, differences", tolerance, lambda peer=peer: peer.fixed_point(y))  # type: ignore[misc]
+            case = Case(f.name, "fixed point", f"{name}, differences", tolerance, lambda peer=peer: peer.fixed_point(y))
             case.error = largest_error(case.run()[:m], exact * f.precise.kind(f.scale[0]))
             cases.append(case)
     return cases

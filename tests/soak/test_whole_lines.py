@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.bench import whole_lines as module
-from pipeline.bench.whole_lines import whole_lines
+from benchmarks import whole_lines as module
+from soak.whole_lines import whole_lines
 from tasks.continuation import defining
 
 #: Seeds of a walker with straight legs, and of one whose special points are solved in other units too.

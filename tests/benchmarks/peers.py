@@ -1,18 +1,16 @@
 """The peers: scipy's integrators with their events, DOP853 compiled by numba, and heyoka's scalar integrator.
 
 Their right-hand side is written in scalars with the lumped constants of `tasks.mechanics.equations` and compiled by
-numba if that is installed, so that it does not slow scipy down. Angles are not scaled; tolerances are relative to the
+numba, so that it does not slow scipy down. Angles are not scaled; tolerances are relative to the
 step's angle.
 """
 
-from __future__ import annotations
-
-import importlib.util
 import math
 from collections.abc import Callable
 from typing import Any
 
 import heyoka as hy
+import numba
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.integrate._ivp import dop853_coefficients as dop853
@@ -22,7 +20,6 @@ from tasks.mechanics.impacts import heelstrike, kneestrike
 from tasks.mechanics.lumped import lump
 from tasks.step.problem import Problem
 
-HAS_NUMBA = importlib.util.find_spec("numba") is not None
 #: Time after the start of a phase from which its guard counts [sqrt(leg/g)].
 EARLY = 0.1
 #: Time at which an integration without an event is given up [sqrt(leg/g)].
@@ -33,16 +30,7 @@ _SWING = ("S_b_re", "S_b_im", "C_bb", "S_c_re", "S_c_im", "C_cc", "H_re", "H_im"
 CONSTANTS = (*_STANCE, *_SWING)
 
 
-def _compile_with_numba(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function by numba; return it unchanged if numba is not installed."""
-    if not HAS_NUMBA:
-        return function
-    import numba
-
-    return numba.njit(function)
-
-
-@_compile_with_numba
+@numba.njit
 def _two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
     """Derivatives of x, into `out`, for stance leg and locked swing leg; S_b and C_bb in c are those of the leg."""
     slope, R, l, eps = c[0], c[1], c[2], c[3]
@@ -64,7 +52,7 @@ def _two_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
     out[0], out[1], out[2], out[3] = u, v, stance, (f1 - couple * stance) / c[9]
 
 
-@_compile_with_numba
+@numba.njit
 def _three_links(x: np.ndarray, c: np.ndarray, out: np.ndarray) -> None:
     """Derivatives of x, into `out`, for stance leg, swing thigh and swing shank; c holds slope and `CONSTANTS`."""
     slope, R, l, eps = c[0], c[1], c[2], c[3]
@@ -117,20 +105,7 @@ class Algebra:
             self.lock = hy.cfunc([x[0], x[1], *kneestrike(p, x[:3], x[3:])], vars=[*x, *p.variables])
 
     def start(self, y: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """State just after heelstrike.
-
-        Parameters
-        ----------
-        y : ndarray, shape (m,) or (m, n)
-            Section coordinates.
-        parameters : ndarray, shape (p,) or (p, n)
-            Slope, scale and constants of the walker.
-
-        Returns
-        -------
-        ndarray, shape (4 or 6,) or (4 or 6, n)
-            Angles, then rates.
-        """
+        """State just after heelstrike."""
         return self.begin(np.concatenate([y, parameters]))[: 6 if self.kneed else 4]
 
 
@@ -152,18 +127,7 @@ class Peer:
             self.locked[9] += self.locked[12] + 2 * self.locked[13]
 
     def stride(self, y: np.ndarray) -> np.ndarray:
-        """One step, unscaled.
-
-        Parameters
-        ----------
-        y : ndarray, shape (m,)
-            Section coordinates.
-
-        Returns
-        -------
-        ndarray, shape (m + phases,)
-            Image on the section, then event times [time units].
-        """
+        """One step, unscaled."""
         state = self.algebra.start(y, self.parameters)
         times = []
         if self.algebra.kneed:
@@ -175,17 +139,7 @@ class Peer:
         return np.concatenate([self.algebra.image(np.concatenate([state, self.parameters])), times])
 
     def jacobian(self, y: np.ndarray) -> np.ndarray:
-        """Jacobian of the step map by central differences, with increments that suit the tolerance.
-
-        Parameters
-        ----------
-        y : ndarray, shape (m,)
-            Section coordinates.
-
-        Returns
-        -------
-        ndarray, shape (m, m)
-        """
+        """Jacobian of the step map by central differences, with increments that suit the tolerance."""
         m = self.algebra.m
         h = abs(y[0]) * max(self.tolerance, 1e-16) ** (1 / 3)
         columns = []
@@ -196,20 +150,7 @@ class Peer:
         return np.stack(columns, axis=1)
 
     def fixed_point(self, y: np.ndarray, most: int = 12) -> np.ndarray:
-        """Fixed point and multipliers, by Newton's method with differences.
-
-        Parameters
-        ----------
-        y : ndarray, shape (m,)
-            Guess on the section.
-        most : int
-            Largest number of Newton steps.
-
-        Returns
-        -------
-        ndarray, shape (2 m,)
-            The fixed point, then the magnitudes of its multipliers, the largest first.
-        """
+        """Fixed point and multipliers, by Newton's method with differences."""
         m = self.algebra.m
         size = np.inf
         for _ in range(most):
@@ -224,19 +165,7 @@ class Peer:
 
 
 def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
-    """Integration to an event by one of scipy's methods.
-
-    Parameters
-    ----------
-    method : str
-        Name of the method for `scipy.integrate.solve_ivp`.
-
-    Returns
-    -------
-    callable
-        `integrate(rhs, constants, state, guard, tolerance)`, which returns time and state of the
-        event, NaN if there is none.
-    """
+    """Integration to an event by one of scipy's methods."""
 
     def integrate(
         rhs: Callable[..., None], constants: np.ndarray, state: np.ndarray, kind: int, tolerance: float
@@ -254,7 +183,7 @@ def by_scipy(method: str) -> Callable[..., tuple[float, np.ndarray]]:
 
         if not np.isfinite(state).all():
             return math.nan, state
-        guard.terminal, guard.direction = True, -1  # type: ignore[attr-defined]
+        guard.terminal, guard.direction = True, -1
         solution = solve_ivp(
             field,
             (0.0, LONGEST),
@@ -316,7 +245,7 @@ class Scalar:
 _A, _B, _E3, _E5 = (table.copy() for table in (dop853.A[:12, :12], dop853.B, dop853.E3, dop853.E5))
 
 
-@_compile_with_numba
+@numba.njit
 def _dop853_step(rhs: Any, c: np.ndarray, x: np.ndarray, h: float, K: np.ndarray, new: np.ndarray) -> None:
     """One step of DOP853 from x, into `new`; the stages go into K, whose first row is given."""
     for s in range(1, 12):
@@ -333,7 +262,7 @@ def _dop853_step(rhs: Any, c: np.ndarray, x: np.ndarray, h: float, K: np.ndarray
         new[i] = x[i] + h * total
 
 
-@_compile_with_numba
+@numba.njit
 def _dop853_error(x: np.ndarray, new: np.ndarray, h: float, K: np.ndarray, absolute: float, relative: float) -> float:
     """Error of a step over its tolerance, from the embedded methods of orders five and three."""
     five, three = 0.0, 0.0
@@ -349,7 +278,7 @@ def _dop853_error(x: np.ndarray, new: np.ndarray, h: float, K: np.ndarray, absol
     return h * five / math.sqrt(denominator * len(x)) if denominator > 0 else 0.0
 
 
-@_compile_with_numba
+@numba.njit
 def _guard(kind: int, t: float, x: np.ndarray) -> float:
     """The guard of kneestrike (1) or heelstrike (0), which is negative while it does not count yet."""
     if t < EARLY:
@@ -357,7 +286,7 @@ def _guard(kind: int, t: float, x: np.ndarray) -> float:
     return x[1] - x[2] if kind else x[0] + x[1]
 
 
-@_compile_with_numba
+@numba.njit
 def _dop853_until_guard(
     rhs: Any, c: np.ndarray, start: np.ndarray, kind: int, tolerance: float
 ) -> tuple[float, np.ndarray]:

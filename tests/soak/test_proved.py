@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipeline.bench.proved import _NAMES, Proved, _compared, proved
+from soak.proved import _NAMES, Proved, _compared, proved
 from tasks import solve_points
 
 

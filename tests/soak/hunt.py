@@ -1,7 +1,5 @@
 """The worst inputs: optimisers move a walker's keys and slopes to where its gaits are hardest to solve."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable
@@ -11,8 +9,8 @@ import numpy as np
 from joblib import Parallel, delayed
 from scipy.optimize import differential_evolution, minimize
 
-from pipeline.bench.bounds import compared
-from pipeline.bench.missed import DERIVED, KEYS, SPREAD, WALKERS, survey_walkers
+from soak.bounds import compared
+from soak.missed import DERIVED, KEYS, SPREAD, WALKERS, survey_walkers
 from tasks.continuation.branch import Branch
 from tasks.continuation.locate import settle_on_branches
 from tasks.continuation.lockstep import lanes_of
@@ -52,8 +50,8 @@ VANISHING = (
 SMALLEST = 1e-12
 #: Worst gaits kept of each measure, and gaits of a line that are solved again in extended precision.
 WORST, REFERENCES = 10, 3
-#: Generations of a full and of a quick hunt, and lines of a generation for each coordinate.
-GENERATIONS, POPULATION = {False: 2, True: 0}, 3
+#: Generations of a hunt, and lines of a generation for each coordinate.
+GENERATIONS, POPULATION = 2, 3
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ class Hunted:
     gaits: int = 0
     compared: int = 0
 
-    def add(self, other: Hunted) -> None:
+    def add(self, other: "Hunted") -> None:
         """Merge another hunt; of the gaits of one walker only the worst is kept."""
         for name, known in self.worst.items():
             best: dict[tuple[object, ...], Input] = {}
@@ -95,13 +93,10 @@ class Hunted:
         self.gaits += other.gaits
         self.compared += other.compared
 
-    def rows(self) -> list[dict[str, float | str]]:
-        """Rows of the table: the worst of each measure, then what is wrong."""
+    def rows(self) -> list[str]:
+        """The worst of each measure, then what is wrong: value, stance angle [rad] and command of each."""
         found = [(name, one) for name, of in self.worst.items() for one in of] + self.wrong
-        return [
-            {"measure": name, "value": one.value, "stance angle": one.angle, "command": one.command}
-            for name, one in found
-        ]
+        return [f"{name} {one.value:.4g}, stance angle {one.angle!r}: {one.command}" for name, one in found]
 
     def __str__(self) -> str:
         worst = "; ".join(f"{name} {of[0].value:.3g}" for name, of in self.worst.items() if of)
@@ -118,13 +113,7 @@ class Range:
     logarithmic: bool = False
 
     def keys(self, unit: np.ndarray) -> dict[str, float]:
-        """Values of the keys.
-
-        Parameters
-        ----------
-        unit : ndarray, shape (number of keys or more,)
-            Coordinates from 0 to 1.
-        """
+        """Values of the keys."""
         ends = [(key, low, self.high[key]) for key, low in self.low.items()]
         return {
             key: float(low * (high / low) ** share if self.logarithmic else low + share * (high - low))
@@ -143,29 +132,12 @@ def ranges() -> list[Range]:
     return hunted
 
 
-def hunt(quick: bool, seed: int = 1, jobs: int = 2, say: Callable[[str], None] | None = None) -> Hunted:
-    """Maximise every measure over every range, by differential evolution and then by the Nelder-Mead method.
-
-    Parameters
-    ----------
-    quick : bool
-        Over single keys only, with the first generation alone.
-    seed : int
-        Seed of the random numbers.
-    jobs : int
-        Processes.
-    say : callable, optional
-        Called with each line of progress.
-
-    Returns
-    -------
-    Hunted
-        Every gait that was solved counts for every measure.
-    """
-    asked = [(name, where) for where in ranges() for name in MEASURES if len(where.low) == 1 or not quick]
-    outcome, generations = Hunted(), GENERATIONS[quick]
+def hunt(seed: int = 1, jobs: int = 2, say: Callable[[str], None] | None = None) -> Hunted:
+    """Maximise every measure over every range, by differential evolution and then by the Nelder-Mead method."""
+    asked = [(name, where) for where in ranges() for name in MEASURES]
+    outcome = Hunted()
     work = Parallel(n_jobs=jobs, return_as="generator")
-    each = work(delayed(maximise)(name, where, generations, seed + k) for k, (name, where) in enumerate(asked))
+    each = work(delayed(maximise)(name, where, GENERATIONS, seed + k) for k, (name, where) in enumerate(asked))
     for (name, where), found in zip(asked, each, strict=True):
         outcome.add(found)
         if say:
@@ -174,15 +146,7 @@ def hunt(quick: bool, seed: int = 1, jobs: int = 2, say: Callable[[str], None] |
 
 
 def maximise(name: str, where: Range, generations: int, seed: int) -> Hunted:
-    """Maximise one measure over one range.
-
-    Parameters
-    ----------
-    name : str
-        Of `MEASURES`.
-    where : Range
-    generations, seed : int
-    """
+    """Maximise one measure over one range."""
     outcome, size = Hunted(), len(where.low) + 2
 
     def cost(population: np.ndarray) -> np.ndarray:
@@ -223,18 +187,7 @@ def _evaluated(where: Range, unit: np.ndarray) -> tuple[dict[str, np.ndarray], H
 
 
 def _slopes_of(branches: list[Branch], share: np.ndarray) -> np.ndarray:
-    """Slopes of a line: one by itself, and at one relative distance on either side of every end and fold.
-
-    Parameters
-    ----------
-    branches : list of Branch
-    share : ndarray, shape (2,)
-        From 0 to 1, of the ranges of slopes and of distances.
-
-    Returns
-    -------
-    ndarray, shape (n,) [rad]
-    """
+    """Slopes of a line: one by itself, and at one relative distance on either side of every end and fold."""
     slope = MIN_SLOPE * (MAX_SLOPE / MIN_SLOPE) ** share[0]
     ends = np.array([branch.q[k] for branch in branches for piece in branch.pieces() for k in piece])
     distance = NEAREST * (FARTHEST / NEAREST) ** share[1]
@@ -243,19 +196,7 @@ def _slopes_of(branches: list[Branch], share: np.ndarray) -> np.ndarray:
 
 
 def hardest(walker: str, keys: dict[str, float], problem: Problem, branches: list[Branch], slope: np.ndarray) -> Hunted:
-    """Solve the gaits of a line at some slopes, and find the worst by every measure.
-
-    Parameters
-    ----------
-    walker : str
-        Its name.
-    keys : dict
-        The keys that are set.
-    problem : Problem
-        Of that walker.
-    branches : list of Branch
-    slope : ndarray, shape (n,) [rad]
-    """
+    """Solve the gaits of a line at some slopes, and find the worst by every measure."""
     outcome = Hunted(lines=1)
     pieces = [(number, *each) for number, branch in enumerate(branches) for each in branch.guesses(np.log(slope))]
     if not pieces:

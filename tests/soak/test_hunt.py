@@ -6,8 +6,8 @@ import shlex
 import numpy as np
 import pytest
 
-from pipeline.bench import hunt
 from pipeline.cli.commands import main
+from soak import hunt
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +35,6 @@ def test_its_commands_print_the_gaits(feet, capsys):
         assert (command, main([*words, "--json"])) == ("gaitsweep", 0)
         angles = [gait["stance_angle"] for gait in json.loads(capsys.readouterr().out)]
         assert min(abs(angle / one.angle - 1) for angle in angles) < 1e-6
-
-
-def test_a_hunt_climbs(feet):
-    where, first = feet
-    climbed = hunt.maximise("vanishing rate", where, 1, 1)
-    assert climbed.worst["vanishing rate"][0].value >= first.worst["vanishing rate"][0].value
-    assert climbed.lines > first.lines
 
 
 def test_keys_vanish_and_branches_come_near_each_other():
@@ -77,11 +70,12 @@ def test_what_is_wrong_is_told_with_its_command(feet, monkeypatch):
     )
     monkeypatch.setattr(hunt, "settle_on_branches", lost)
     assert {what for what, _ in hunt.maximise("error bound", where, 0, 1).wrong} >= {"not converged"}
-    assert found.rows()[-1]["command"] == found.wrong[-1][1].command
+    assert found.rows()[-1].endswith(found.wrong[-1][1].command)
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
 def test_no_hunted_input_is_wrong(tell):
-    found = hunt.hunt(False, say=tell)
+    found = hunt.hunt(say=tell)
+    tell("\n".join([str(found), *found.rows()]))
     assert not found.wrong

@@ -1,7 +1,5 @@
 """The error bound of random gaits beside their proved distance from the true gait."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -10,7 +8,7 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from pipeline.bench.stress import random_walker
+from soak.stress import random_walker
 from tasks import solve_points, status
 from tasks.registry import GAITS
 from tasks.walkers.catalogue import CATALOGUE
@@ -45,19 +43,6 @@ class Proved:
 def proved(gaits: int, kneed: bool, seed: int = 5, jobs: int = 2, say: Callable[[str], None] | None = None) -> Proved:
     """Prove random gaits, of the catalogue's walkers and of random ones, and compare their bounds with the boxes.
 
-    Parameters
-    ----------
-    gaits : int
-        How many.
-    kneed : bool
-        Whether the walkers have knees.
-
-    Returns
-    -------
-    Proved
-
-    Notes
-    -----
     Balls have at least 106 bits, and a box at most a tenth of the bound, so a bound that is too small would show.
     """
     outcome = Proved()

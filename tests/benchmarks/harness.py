@@ -1,10 +1,9 @@
-"""Timing of methods in turns, so that noise affects all of them alike."""
-
-from __future__ import annotations
+"""What is measured, and timing of methods in turns, so that noise affects all of them alike."""
 
 import json
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.api import run
-from pipeline.bench.extended_reference import convert
+from soak.extended_reference import convert
 
 
 @dataclass
@@ -35,6 +34,17 @@ class Case:
     seconds: list[float] = field(default_factory=list)
 
 
+@dataclass
+class Measurements:
+    """The results of one run of the bench: cases, tables by name, and the floating-point type of the references."""
+
+    machine: dict[str, str]
+    quick: bool
+    kind: str = ""
+    cases: list[Case] = field(default_factory=list)
+    tables: dict[str, list[dict[str, float | str]]] = field(default_factory=lambda: defaultdict(list))
+
+
 class Difference(NamedTuple):
     """Processor time [s] and gaits by which a larger study exceeds a smaller one, and those of the smaller one."""
 
@@ -45,15 +55,7 @@ class Difference(NamedTuple):
 
 
 def time_in_turns(cases: Sequence[Case], rounds: int, least: float) -> None:
-    """Time every case once per round, in turns; a round of a case lasts at least `least` seconds.
-
-    Parameters
-    ----------
-    cases : sequence of Case
-        Each has been run before, so that no compilation is timed.
-    rounds : int
-    least : float [s]
-    """
+    """Time every case once per round, in turns; a round of a case lasts at least `least` seconds."""
     calls = []
     for case in cases:
         start = time.perf_counter()
@@ -67,11 +69,11 @@ def time_in_turns(cases: Sequence[Case], rounds: int, least: float) -> None:
             case.seconds.append((time.perf_counter() - start) / (count * case.units))
 
 
-def solve_study(study: dict[str, Any]) -> tuple[float, int]:
-    """Processor time of a study by one worker and of writing its archive [s], and the number of its gaits."""
+def solve_study(study: dict[str, Any], jobs: int = 1) -> tuple[float, int]:
+    """Processor time of a study by its workers and of writing its archive [s], and the number of its gaits."""
     with tempfile.TemporaryDirectory() as folder:
         begin = time.process_time()
-        archive = run(study, jobs=1, archive=Path(folder, "study.nc"), quiet=True)
+        archive = run(study, jobs=jobs, archive=Path(folder, "study.nc"), quiet=True)
         # From the run's record, as `run` also reads the archive.
         account = json.loads(Path(folder, "study.run.json").read_text())["account"]
     seconds = account["workers_cpu"] + account["parent_cpu"] - begin
@@ -85,18 +87,7 @@ def what_more_take(study: Callable[[int], dict[str, Any]], fewer: int, more: int
 
 
 def largest_error(result: np.ndarray, exact: np.ndarray) -> float:
-    """Largest error of an array over its largest entry, computed in long double.
-
-    Parameters
-    ----------
-    result, exact : ndarray
-        Arrays of any floating-point type.
-
-    Returns
-    -------
-    float
-        The relative error; NaN if the shapes differ.
-    """
+    """Largest error of an array over its largest entry, computed in long double."""
     if result.shape != exact.shape:
         return float("nan")
     difference = convert(result.ravel(), np.longdouble) - convert(exact.ravel(), np.longdouble)

@@ -1,14 +1,12 @@
 """Error bounds of random gaits against their errors in extended precision."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.bench.extended_reference import convert
-from pipeline.bench.stress import random_walker
+from soak.extended_reference import convert
+from soak.stress import random_walker
 from tasks.continuation import atlas as atlases
 from tasks.fixed_points.polish import Guesses, settle
 from tasks.fixed_points.rounding import apply_newton_step
@@ -91,24 +89,6 @@ def bounds(
 ) -> Bounds:
     """Bounds and errors of gaits at random slopes.
 
-    Parameters
-    ----------
-    each : int
-        Number of slopes per walker.
-    seed : int
-        Seed of the random numbers.
-    walkers : sequence of (str, Walker), optional
-        Names and walkers; default: the catalogue and random walkers of `RANDOM`.
-    say : callable, optional
-        Called with each line of progress.
-
-    Returns
-    -------
-    Bounds
-        One entry per gait.
-
-    Notes
-    -----
     A gait solved in double precision is solved again in long double, whose rounding is 2000 times finer. One that
     needed long double is solved in 128 bits. One that needed 128 bits is compared with the same solution, which tests
     the rounding to double alone.
@@ -139,13 +119,7 @@ def bounds(
 
 
 def compared(problem: Problem, guesses: Guesses) -> list[tuple[float, float, float, float, int]]:
-    """Bounds of converged gaits with their errors.
-
-    Returns
-    -------
-    list of tuple
-        Slope [rad], bound, error, condition number and tier of precision of each converged gait.
-    """
+    """Bounds of converged gaits with their errors."""
     at, slope = settle(problem, guesses), guesses.slope
     product = describe(problem, problem.walker, at, slope, WANT)
     time_unit, rows = _time_unit(problem.walker), []

@@ -1,7 +1,5 @@
 """Gaits that a survey misses: random lines, each also searched at one slope from many times as many guesses."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -62,22 +60,7 @@ def neighbour(seed: int) -> tuple[str, dict[str, float], float]:
 
 
 def missed(count: int, seed: int = 1, say: Callable[[str], None] | None = None) -> Missed:
-    """Compare surveys of random lines with a dense search at a slope of each.
-
-    Parameters
-    ----------
-    count : int
-        Number of lines.
-    seed : int
-        Seed of the random numbers.
-    say : callable, optional
-        Called with each line of progress.
-
-    Returns
-    -------
-    Missed
-        Of gaits that are steps, with one passage of the legs.
-    """
+    """Compare surveys of random lines with a dense search at a slope of each."""
     outcome = Missed()
     drawn: list[tuple[str, dict[str, float], float, Walker]] = []
     for k in range(count):
@@ -102,17 +85,7 @@ def missed(count: int, seed: int = 1, say: Callable[[str], None] | None = None) 
 
 
 def survey_walkers(walkers: Sequence[Walker]) -> Iterator[tuple[list[int], Lanes, list[list[Branch]]]]:
-    """Survey the lines of walkers, those of one structure side by side.
-
-    Yields
-    ------
-    numbers : list of int
-        Of some walkers.
-    problem : Lanes
-        With a lane for each of them.
-    branches : list of list of Branch
-        Those of each.
-    """
+    """Survey the lines of walkers, those of one structure side by side."""
     structures = structures_of(walkers)
     for structure in dict.fromkeys(structures):
         alike = [i for i, other in enumerate(structures) if other == structure]

@@ -1,7 +1,5 @@
 """Processor time of planes of keys: the cost of making a cell, and of every further walker."""
 
-from __future__ import annotations
-
 import functools
 import time
 from pathlib import Path
@@ -9,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.bench.harness import what_more_take
+from benchmarks.harness import what_more_take
 from pipeline.study.parse import parse
 from tasks.registry import ALWAYS
 from tasks.solve_planes import lines
@@ -27,18 +25,6 @@ _BEYOND = 1e-9  # relative enlargement of a cell
 def table(quick: bool) -> list[dict[str, float | str]]:
     """Measure planes of walkers at one slope.
 
-    Parameters
-    ----------
-    quick : bool
-        Fewer walkers, and those without knees alone.
-
-    Returns
-    -------
-    list of dict
-        Rows of the table, times in s.
-
-    Notes
-    -----
     Two studies have the same cells and differ in their number of walkers; the difference is what further gaits take,
     with multipliers, error bounds, journal and archive.
     """

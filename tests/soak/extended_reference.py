@@ -1,7 +1,5 @@
 """The step map and its fixed points in extended precision, from the same symbols as gaitsweep's."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import heyoka as hy
@@ -35,20 +33,7 @@ def best_kind() -> tuple[str, Any]:
 
 
 def convert(values: Any, kind: Any) -> np.ndarray:
-    """Convert values between floating-point types, as the sum of two doubles.
-
-    Parameters
-    ----------
-    values : array_like, shape (n,)
-        Numbers of any floating-point type.
-    kind : type
-        Type of the result.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        The values in that type.
-    """
+    """Convert values between floating-point types, as the sum of two doubles."""
     sums = []
     for x in values:
         leading = float(x)
@@ -76,16 +61,7 @@ class Precise:
         return flow, motion.parameters(fp_type=self.kind, compact_mode=True)
 
     def array(self, values: Any) -> np.ndarray:
-        """Convert values to the wider type.
-
-        Parameters
-        ----------
-        values : array_like, shape (n,)
-
-        Returns
-        -------
-        ndarray, shape (n,)
-        """
+        """Convert values to the wider type."""
         return convert(values, self.kind)
 
     def _integrate(
@@ -103,22 +79,7 @@ class Precise:
         return np.concatenate([flat.reshape(-1, size), [self.array([0.0] * size)]]).T.reshape(-1)
 
     def stride(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> dict[str, np.ndarray]:
-        """Image, Jacobian, Newton step and corrected event times of one step, as in `tasks.step.step_map`.
-
-        Parameters
-        ----------
-        y : ndarray, shape (m,)
-            Scaled section coordinates.
-        times : ndarray, shape (phases,) [time units]
-            Event times.
-        parameters : ndarray, shape (p,)
-            Slope, scale and constants of the walker.
-
-        Returns
-        -------
-        dict of ndarray
-            `image` (m,), `jacobian` (m, m), `newton` (m,), `times` (phases,) and `times_by_y` (phases, m).
-        """
+        """Image, Jacobian, Newton step and corrected event times of one step, as in `tasks.step.step_map`."""
         m = self.m
         begin = self.algebra.begin(np.concatenate([y, parameters]))
         size = self.algebra.start_size
@@ -147,24 +108,7 @@ class Precise:
     def settled_stride(
         self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, turns: int = 4
     ) -> dict[str, np.ndarray]:
-        """One step, its event times corrected until they are exact.
-
-        Parameters
-        ----------
-        y : ndarray, shape (m,)
-            Scaled section coordinates.
-        times : ndarray, shape (phases,) [time units]
-            Event times.
-        parameters : ndarray, shape (p,)
-            Slope, scale and constants of the walker.
-        turns : int
-            Number of corrections.
-
-        Returns
-        -------
-        dict of ndarray
-            `image` (m,), `jacobian` (m, m), `newton` (m,), `times` (phases,) and `times_by_y` (phases, m).
-        """
+        """One step, its event times corrected until they are exact."""
         step = self.stride(y, times, parameters)
         for _ in range(turns):
             step = self.stride(y, step["times"], parameters)
@@ -173,26 +117,7 @@ class Precise:
     def fixed_point(
         self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, turns: int = 5
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """Newton's method from a fixed point in double precision.
-
-        Parameters
-        ----------
-        y : ndarray, shape (m,)
-            Scaled section coordinates.
-        times : ndarray, shape (phases,) [time units]
-            Event times.
-        parameters : ndarray, shape (p,)
-            Slope, scale and constants of the walker.
-        turns : int
-            Number of Newton steps.
-
-        Returns
-        -------
-        y : ndarray, shape (m,)
-            The fixed point, scaled.
-        step : dict of ndarray
-            Its step, as from `stride`.
-        """
+        """Newton's method from a fixed point in double precision."""
         for _ in range(turns):
             step = self.stride(y, times, parameters)
             y = y + step["newton"]

@@ -1,13 +1,13 @@
 """The computer that the bench ran on, without its name."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform
+import re
 import time
 from pathlib import Path
 
+import heyoka as hy
 import numpy as np
 from threadpoolctl import threadpool_limits
 
@@ -16,28 +16,14 @@ PACKAGES = ("heyoka", "numpy", "scipy", "numba", "xarray", "netCDF4", "matplotli
 
 def describe() -> dict[str, str]:
     """CPU, cores and versions of the packages."""
-    import heyoka as hy
-
-    model = "unknown"
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                model = line.partition(":")[2].strip()
-                break
-    except OSError:
-        pass
-    entries = {
-        "cpu": model,
+    cpu = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"))
+    return {
+        "cpu": cpu[1] if cpu else "unknown",
         "cores": str(len(os.sched_getaffinity(0))),
         "lanes of double": str(hy.recommended_simd_size()),
         "python": platform.python_version(),
+        **{name: importlib.metadata.version(name) for name in PACKAGES},
     }
-    for name in PACKAGES:
-        try:
-            entries[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            entries[name] = "not installed"
-    return entries
 
 
 def peak_flops(size: int = 384, repeats: int = 8) -> float:
