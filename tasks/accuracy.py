@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from tasks.registry import ALWAYS, COSTLY, VARIABLES
 
 #: Variables that only integrated steps have: a study with an accuracy names them if it wants them.
-OF_INTEGRATION = ("residual", "energy_imbalance")
+OF_INTEGRATION = tuple(v.name for v in VARIABLES.values() if not v.is_smooth and v.group not in COSTLY)
 #: Accuracies that may be asked for.
 ACCURACIES = (1e-15, 1e-2)
 #: Most accurate bound that polynomials reach, with some margin.
@@ -34,6 +34,4 @@ def significant_bits(accuracy: float) -> int:
 
 def is_interpolated(want: Iterable[str], accuracy: float) -> bool:
     """Whether polynomials may give the points: all variables are smooth, and the accuracy is within their reach."""
-    want = set(want)
-    integrated = {VARIABLES[name].group for name in want} & set(COSTLY) or want & set(OF_INTEGRATION)
-    return accuracy >= INTERPOLATED_FROM and not integrated
+    return accuracy >= INTERPOLATED_FROM and all(VARIABLES[name].is_smooth for name in want)

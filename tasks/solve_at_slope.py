@@ -14,8 +14,8 @@ from tasks.fixed_points.labels import places
 from tasks.fixed_points.polish import unmeasured
 from tasks.fixed_points.search import search, starts
 from tasks.map_step import map_step
-from tasks.measures.losses import contact_mass, velocity_ratio
-from tasks.registry import GAITS, SI_UNITS, VARIABLES, VIOLATIONS
+from tasks.measures.losses import contact_mass
+from tasks.registry import GAITS, VARIABLES, VIOLATIONS
 from tasks.solve_points import atlas, points, solve
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
@@ -41,7 +41,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     params : mapping
         `walker` (name or table), `slope` [rad], `set` (keys to change), `all` (also gaits whose legs pass more
         than once), `steps` after which the gaits repeat (1 if omitted), `accuracy`, the largest error bound wanted
-        (0 for any).
+        (0 for any), `violation_limits`, those of violations that are not the registry's.
 
     Returns
     -------
@@ -59,16 +59,18 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     problem = Problem(resolve(line["walker"], line["set"]))
     steps = int(params.get("steps", 1))
     if steps > 1:
-        return _solve_cycles(line, slope, steps, params.get("accuracy", 0.0))
+        return _solve_cycles(line, slope, params)
     branches = atlases.survey(problem, COARSE)
+    limits = params.get("violation_limits")
     request = {"slope": np.array([slope]), "want": _WANT, "accuracy": params.get("accuracy", 0.0)}
+    request |= {"violation_limits": limits}
     point = points({"line": line, **request}, [atlases.to_arrays(branches)])
     gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
     log = [atlases.searched(problem.walker)]
     log.append(f"{len(branches)} branches continued over {sum(len(b.Z) for b in branches)} points")
     if params.get("all") or not gaits:
-        others, nearest = _search_slope(problem, slope, gaits, request["accuracy"])
+        others, nearest = _search_slope(problem, slope, gaits, request["accuracy"], limits)
         log.append(_describe_starts(problem, slope))
         gaits += [other for other in others if other["passes"] == 1]
         non_anthropomorphic = [other for other in others if other["passes"] != 1 and params.get("all")]
@@ -91,13 +93,13 @@ def _converged(point: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _answer(records: list[dict[str, Any]], is_si: bool, log: list[str]) -> dict[str, Any]:
     units = {"slope": "rad", **{k: VARIABLES[k].units(is_si) for k in _WANT}}
-    units |= {"step_length": SI_UNITS["length"] if is_si else "1"}
     return {"gaits": records, "columns": list(_COLUMNS), "units": units, "search": log}
 
 
-def _solve_cycles(line: dict[str, Any], slope: float, steps: int, accuracy: float) -> dict[str, Any]:
+def _solve_cycles(line: dict[str, Any], slope: float, asked: Mapping[str, Any]) -> dict[str, Any]:
     """Gaits that repeat after some steps, of which the branches alone are searched."""
-    walker, params = resolve(line["walker"], line["set"]), {"line": line, "steps": steps, "accuracy": accuracy}
+    names = ("steps", "accuracy", "violation_limits")
+    walker, params = resolve(line["walker"], line["set"]), {"line": line, **{k: asked[k] for k in names if k in asked}}
     point = points({**params, "slope": np.array([slope]), "want": _WANT}, [atlas(params, [])])
     labels = [GAITS[g] for g in range(len(GAITS)) if point["status"][0, g] in status.SOLVED]
     records = []
@@ -105,7 +107,7 @@ def _solve_cycles(line: dict[str, Any], slope: float, steps: int, accuracy: floa
         state = [gait[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
         # The heelstrike is at another angle than the one before.
         end = map_step({"walker": line["walker"], "set": line["set"], "slope": slope, "state": state})["state"][0]
-        records.append(_record(label, slope, gait, walker, steps, float(end)))
+        records.append(_record(label, slope, gait, walker, float(end)))
     log = [] if records else [str(point["reasons"][1])]
     return _answer(records, walker.si, log)
 
@@ -120,13 +122,17 @@ def _name(place: int) -> str:
 
 
 def _search_slope(
-    problem: Problem, slope: float, gaits: list[dict[str, Any]], accuracy: float
+    problem: Problem,
+    slope: float,
+    gaits: list[dict[str, Any]],
+    accuracy: float,
+    limits: Mapping[str, float] | None,
 ) -> tuple[list[dict[str, Any]], str]:
     """Gaits that a search at the slope finds besides the known ones, and its nearest miss in words."""
     w, _, verdict = search(problem, slope)
     if verdict is None:
         return [], "Nearest miss: no initial guess led to a solution of the step's equations."
-    solved = solve(problem, unmeasured(problem, w, np.full(w.shape[1], slope)), _WANT, accuracy)
+    solved = solve(problem, unmeasured(problem, w, np.full(w.shape[1], slope)), _WANT, accuracy, limits)
     others = []
     for lane in np.nonzero(verdict.step)[0]:
         angle = solved["stance_angle"][lane]
@@ -146,23 +152,20 @@ def _search_slope(
 
 
 def _record(
-    label: str, slope: float, value: dict[str, Any], walker: Walker, steps: int = 1, end: float | None = None
+    label: str, slope: float, value: dict[str, Any], walker: Walker, end: float | None = None
 ) -> dict[str, Any]:
     """One gait as a plain dict, its heelstrike at the angle `end` or that of its start; an absent quantity is None."""
     plain = {k: _plain(v) for k, v in value.items() if np.ndim(v) == 0}
     pairs = np.stack([value["multiplier_real"], value["multiplier_imag"]], axis=-1)
     angle = np.atleast_1d(value["stance_angle"] if end is None else end)
-    rate_ratio = np.atleast_1d(value["heelstrike_rate_ratio"])
     record = {
         **plain,
         "gait": label,
         "slope": slope,
         "multipliers": pairs.tolist(),
         "stable": bool(plain["spectral_radius"] < 1),
-        "step_length": plain["speed"] * plain["period"] / steps,
         "violations": _flags(value.get("violations")),
         "status": "less_accurate" if value["status"] == status.LESS_ACCURATE else "converged",
-        "velocity_ratio": _plain(velocity_ratio(walker, angle, rate_ratio)[0]),
         "contact_mass_matrix": (walker.total_mass * contact_mass(walker, angle)[0]).tolist(),
     }
     return {name: record.get(name) for name in _COLUMNS}

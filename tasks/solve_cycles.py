@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,18 +11,22 @@ from tasks import status
 from tasks.accuracy import always
 from tasks.continuation.cycles import Cycle, at_slope, really_walks, system
 from tasks.continuation.lockstep import lanes_of
-from tasks.fixed_points.labels import places
-from tasks.fixed_points.step_check import gait_ratio
 from tasks.follow_cycles import MAX_MULTIPLIER, CycleBranch, Guess, is_same
-from tasks.measures import violations
-from tasks.measures.gaits import to_accuracy
-from tasks.measures.kinematics import step_length
-from tasks.measures.losses import heelstrike_losses, kneestrike_loss
+from tasks.measures.gaits import (
+    Arrays,
+    Part,
+    Steps,
+    energy_imbalance,
+    nothing_solved,
+    store,
+    to_accuracy,
+    without_knees,
+)
+from tasks.measures.kinematics import travel
 from tasks.registry import GAITS, VARIABLES
 from tasks.step.problem import EPS, Problem, sizes
 from tasks.step.step_map import Stride
 
-Arrays = dict[str, np.ndarray]
 #: Units in which steps are evaluated again, to see their rounding.
 _UNITS = (0.75, 0.625, 0.875)
 #: Largest error bound of a converged gait.
@@ -46,28 +50,24 @@ def cycle_points(problem: Problem, branches: list[CycleBranch], params: Mapping[
     branches : list of CycleBranch
         The line's, of period n.
     params : mapping
-        `steps`, n > 1; `slope`, ndarray, shape (k,) [rad]; `want`, names of variables; `friction_limit`, as for points.
+        `steps`, n > 1; `slope`, ndarray, shape (k,) [rad]; `want`, names of variables; `violation_limits`, as for
+        points.
 
     Returns
     -------
     dict
-        As `tasks.solve_points.points` returns it: `stance_angle` and rates at the largest stance angle of the n steps,
-        `kneestrike_time` and `heelstrike_rate_ratio` of the step that begins there; `period` and losses of all n;
-        speed, power and residual over all n; the multipliers of n steps; violations of any of them, each amount the
-        worst.
+        As `tasks.solve_points.points` returns it: what the registry's `over_steps` says of the n steps' variables, of
+        which the first begins at the largest stance angle; frequency, speed, power and residual over all n; the
+        multipliers of n steps.
     """
-    n, friction_limit = int(params["steps"]), float(params.get("friction_limit", violations.FRICTION_LIMIT))
+    n, accuracy = int(params["steps"]), params.get("accuracy", 0.0)
     slope = np.asarray(params["slope"], float)
-    accuracy = params.get("accuracy", 0.0)
     want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
-    width = 4 if problem.walker.knees else 3
-    out: Arrays = {}
-    for name in want:
-        shape = (len(slope), len(GAITS), width) if "multiplier" in VARIABLES[name].dims else (len(slope), len(GAITS))
-        out[name] = np.full(shape, VARIABLES[name].absent, VARIABLES[name].dtype)
+    out = nothing_solved(want, len(slope), 4 if problem.walker.knees else 3)
     out["reason"][:] = [1, 1, 2, 2]
     for k, value in enumerate(slope.tolist()):
-        _fill({name: values[k] for name, values in out.items()}, problem, branches, value, want, friction_limit)
+        gaits = _gaits(problem, branches, value, want, params.get("violation_limits"))
+        store({name: values[k : k + 1] for name, values in out.items()}, gaits, set(GAITS))
     long = _outside(branches, n)
     reasons = status.reasons(long, long)
     to_accuracy(out, accuracy)
@@ -84,32 +84,35 @@ def _outside(branches: list[CycleBranch], n: int) -> str:
     return f"No gait of period {n} at this slope: the branches found span {spans} ({limit})."
 
 
-def _fill(
-    out: Arrays, problem: Problem, branches: list[CycleBranch], slope: float, want: list[str], friction_limit: float
-) -> None:
-    """Solve every gait at one slope and store it by its label in `out`, arrays of shape (len(GAITS), ...)."""
-    gaits: list[tuple[Cycle, dict[str, Any]]] = []
+def _gaits(
+    problem: Problem,
+    branches: list[CycleBranch],
+    slope: float,
+    want: list[str],
+    limits: Mapping[str, float] | None,
+) -> list[Part]:
+    """Every gait at one slope."""
+    cycles: list[Cycle] = []
+    parts = []
+    failed = {name: values[:, 0] for name, values in nothing_solved(want, 1, 4 if problem.walker.knees else 3).items()}
     for number, branch in enumerate(branches):
         for guess in branch.guesses(float(np.log(slope))):
             cycle = solve_cycle(problem, guess, slope)
-            measured: dict[str, Any] = {"branch": number, "piece": guess.piece, "angle": guess.Y[0].max(), "ratio": 0.0}
-            if not cycle.ok:
-                measured |= {"status": status.NOT_CONVERGED, "reason": 3}
-            elif any(is_same(cycle, other) for other, _ in gaits if other.ok):
+            if cycle.ok and any(is_same(cycle, other) for other in cycles if other.ok):
                 continue
-            elif not really_walks(problem, cycle):
-                measured |= {"status": status.NOT_CONVERGED, "reason": 4}
-            else:
-                measured |= _measure(problem, _from_largest(cycle), slope, want, friction_limit)
-            gaits.append((cycle, measured))
-    if not gaits:
-        return
-    place = places(*(np.array([[m[key]] for _, m in gaits]) for key in ("angle", "ratio")))[:, 0]
-    for slot, (_, measured) in zip(place.tolist(), gaits, strict=True):
-        if 0 <= slot < len(GAITS):
-            for name, values in out.items():
-                if name in measured:
-                    values[slot] = measured[name]
+            solved = failed | _one(status=status.NOT_CONVERGED, reason=4 if cycle.ok else 3)
+            angle, ratio = np.array([guess.Y[0].max()]), np.zeros(1)
+            if cycle.ok and really_walks(problem, cycle):
+                solved = _measure(problem, _from_largest(cycle), slope, want, limits)
+                angle, ratio = solved["stance_angle"], solved["heelstrike_rate_ratio"]
+            parts.append(Part(np.zeros(1, int), angle, ratio, solved | _one(branch=number, piece=guess.piece)))
+            cycles.append(cycle)
+    return parts
+
+
+def _one(**values: float) -> Arrays:
+    """Values of a single gait."""
+    return {name: np.array([value]) for name, value in values.items()}
 
 
 def solve_cycle(problem: Problem, guess: Guess, slope: float) -> Cycle:
@@ -168,65 +171,49 @@ def _from_largest(cycle: Cycle) -> Cycle:
     return Cycle(Y, times, cycle.q, A, cycle.tangent, cycle.ok, cycle.error)
 
 
-def _measure(problem: Problem, cycle: Cycle, slope: float, want: list[str], friction_limit: float) -> dict[str, Any]:
-    """Variables of a gait in the walker's units, and its `angle` and `ratio`, which determine its label."""
+def _measure(
+    problem: Problem, cycle: Cycle, slope: float, want: list[str], limits: Mapping[str, float] | None
+) -> Arrays:
+    """Variables of a gait in the walker's units, shape (1[, multipliers])."""
     walker, n = problem.walker, cycle.period
-    time_unit, scale = np.sqrt(walker.leg / walker.g), np.exp2(np.floor(np.log2(cycle.Y[0])))
-    slopes = np.full(n, slope)
-    is_flown = any(VARIABLES[name].group == "violations" for name in want)
+    scale, slopes, at = np.exp2(np.floor(np.log2(cycle.Y[0]))), np.full(n, slope), np.array([slope])
     parameters = problem.parameters(slopes, scale)
-    step = problem.map(cycle.Y / scale, cycle.times, parameters, samples=violations.SAMPLES if is_flown else 0)
-    size = problem.map.start_size
-    begin = problem.map.start(cycle.Y / scale, parameters)[:size, 0] * scale[0]
-    rates = begin[size // 2 :] / time_unit
-    after = np.roll(cycle.Y[0], -1)
-    energy = walker.total_mass * walker.g * walker.leg
-    normal, tangential = heelstrike_losses(walker, after, step.impact * scale)
-    knee = kneestrike_loss(walker, step.knee * scale) if walker.knees else np.zeros(n)
-    length, period = float(step_length(walker, cycle.Y[0]).sum()), float(cycle.times[-1].sum()) * time_unit
-    drop, speed = length / walker.leg * np.sin(slope), length / period
-    losses = [float(x.sum()) for x in (normal, tangential, knee)]
+    stride = problem.map(cycle.Y / scale, cycle.times, parameters)
+    state = problem.map.start(cycle.Y / scale, parameters)[: problem.map.start_size] * scale
+    after = np.roll(np.arange(n), -1)
+    steps = Steps(problem, walker, stride, cycle.Y, state, cycle.times, scale, slopes, after).measure(want, limits)
+    if "unlocking_torque_time" in steps:  # of the step with the worst torque, after those before it
+        begins = np.cumsum(steps["period"]) - steps["period"]
+        worst = int(steps["unlocking_torque"].argmax())
+        steps["unlocking_torque_time"] = (begins + steps["unlocking_torque_time"])[[worst]]
+    measured = {name: _OVER_STEPS[VARIABLES[name].over_steps](values) for name, values in steps.items()}
+    measured |= travel(walker, at, measured["step_length"], measured["period"], n)
+    if "energy_imbalance" in want:
+        measured["energy_imbalance"] = energy_imbalance(walker, at, measured, n)
     bound, residual = _error(problem, cycle, slopes, scale)
-    multiplied = any(VARIABLES[name].group == "multipliers" for name in want)
-    values = np.zeros(4 if walker.knees else 3, complex)
-    values[: problem.m] = cycle.multipliers()
-    ratio = gait_ratio(step)
-    measured = {
-        "angle": cycle.Y[0, 0],
-        "ratio": ratio[0],
-        "stance_angle": begin[0],
-        "stance_rate": rates[0],
-        "thigh_rate": rates[1],
-        "shank_rate": rates[-1],
-        "period": period,
-        "kneestrike_time": cycle.times[0, 0] * time_unit if walker.knees else np.nan,
-        "multiplier_real": values.real,
-        "multiplier_imag": values.imag,
-        "spectral_radius": np.abs(values).max(),
-        "multiplier_error_bound": _multiplier_error(problem, cycle, slopes, scale, bound) if multiplied else np.nan,
-        "speed": speed,
-        "froude_speed": speed / np.sqrt(walker.g * walker.leg),
-        "cost_of_transport": np.sin(slope),
-        "power": walker.total_mass * walker.g * speed * np.sin(slope),
-        "loss_normal": losses[0] * energy,
-        "loss_tangential": losses[1] * energy,
-        "loss_kneestrike": losses[2] * energy if walker.knees else np.nan,
-        "energy_imbalance": (sum(losses) - drop) / drop,
-        "heelstrike_rate_ratio": ratio[0],
-        "residual": residual,
-        "error_bound": bound,
-        "status": status.CONVERGED if bound < _MAX_BOUND else status.NOT_CONVERGED,
-        "reason": 0 if bound < _MAX_BOUND else 3,
-    }
-    if is_flown:
-        motion = [m * scale for m in step.motion]
-        # Each step begins with the heelstrike that ends the one before it.
-        impact = np.roll(step.impact * scale, 1, axis=-1)
-        amounts = violations.measure(walker, motion, impact, cycle.times, slopes, friction_limit)
-        # Times of a gait count from its first step's start.
-        amounts["unlocking_torque_time"] += (np.cumsum(cycle.times[-1]) - cycle.times[-1]) * time_unit
-        measured |= _worst(amounts)
-    return measured
+    if any(VARIABLES[name].group == "multipliers" for name in want):
+        values = np.zeros(4 if walker.knees else 3, complex)
+        values[: problem.m] = cycle.multipliers()
+        measured |= {
+            "multiplier_real": values.real[None],
+            "multiplier_imag": values.imag[None],
+            "spectral_radius": np.abs(values).max(keepdims=True),
+            "multiplier_error_bound": np.array([_multiplier_error(problem, cycle, slopes, scale, bound)]),
+        }
+    code, reason = (status.CONVERGED, 0) if bound < _MAX_BOUND else (status.NOT_CONVERGED, 3)
+    found = _one(residual=residual, error_bound=bound, status=code, reason=reason)
+    return without_knees(want, walker, 1) | measured | found
+
+
+#: What a gait has of its steps' values, shape (n,), in an array of shape (1,).
+_OVER_STEPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "first": lambda values: values[:1],
+    "sum": lambda values: values.sum(keepdims=True),
+    "mean": lambda values: values.mean(keepdims=True),
+    "greatest": lambda values: values.max(keepdims=True),
+    "least": lambda values: np.fmin.reduce(values, keepdims=True),
+    "any": lambda values: np.bitwise_or.reduce(values, keepdims=True),
+}
 
 
 def _multiplier_error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray, bound: float) -> float:
@@ -250,15 +237,6 @@ def _evaluate(
     parameters = np.hstack([problem.parameters(slope, scale) for scale, _ in cases])
     steps = problem.map(Y, np.tile(cycle.times, len(cases)), parameters)
     return [lanes_of(steps, slice(k * n, k * n + n)) for k in range(len(cases))]
-
-
-def _worst(amounts: Arrays) -> dict[str, Any]:
-    """Violations of n steps as those of one gait."""
-    worst = {name: float(values.max()) for name, values in amounts.items() if values.dtype == float}
-    worst["least_normal_force"] = float(amounts["least_normal_force"].min())
-    if np.isfinite(amounts["unlocking_torque"]).all():
-        worst["unlocking_torque_time"] = float(amounts["unlocking_torque_time"][amounts["unlocking_torque"].argmax()])
-    return {**worst, "violations": int(np.bitwise_or.reduce(amounts["violations"]))}
 
 
 def _beside_flip(Y: np.ndarray, moved: np.ndarray) -> float:

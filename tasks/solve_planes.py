@@ -27,7 +27,6 @@ from tasks.interpolate_planes import (
     sheets,
     similarity,
 )
-from tasks.measures import violations
 from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from tasks.registry import GAITS, VARIABLES
 from tasks.solve_points import lines as lines_side_by_side
@@ -67,7 +66,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     accuracy = params.get("accuracy", 0.0)
     want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
     wanted = set(params.get("gaits") or GAITS)
-    friction_limit = params.get("friction_limit", violations.FRICTION_LIMIT)
+    limits = params.get("violation_limits")
     keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
     walkers, corners = family.walkers(keys), family.walkers(np.array([box.low, box.high]))
     # A massless leg's steps are the limit of those of light ones; its losses have formulas of their own.
@@ -91,7 +90,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
             made: list[Sheet] = []
             if is_interpolated(want, accuracy):
                 made = _sheets(family, part, tuple(want), accuracy, part.box.count(values) * len(at_panel))
-            of_part = part, keys[inside], slope[at_panel], want, wanted, friction_limit
+            of_part = part, keys[inside], slope[at_panel], want, wanted, limits
             solved, accepted[inside] = solve(family, *of_part, made, accuracy)
             for name, value in solved.items():
                 out[name][np.ix_(inside, at_panel)] = value
@@ -145,7 +144,7 @@ def solve(
     slope: np.ndarray,
     want: Sequence[str],
     wanted: set[str],
-    friction_limit: float = violations.FRICTION_LIMIT,
+    limits: Mapping[str, float] | None = None,
     made: Sequence[Sheet] = (),
     accuracy: float = 0.0,
 ) -> tuple[Arrays, np.ndarray]:
@@ -163,7 +162,8 @@ def solve(
         Names of variables.
     wanted : set of str
         Labels.
-    friction_limit : float
+    limits : mapping, optional
+        Limits of violations other than the registry's.
     made : sequence of Sheet
         Polynomials that give the gaits to an accuracy; where there are none the gaits are integrated.
     accuracy : float
@@ -187,7 +187,7 @@ def solve(
         accepted[some] = _away_from_events(cell, keys[some], slope)
         shared = family, cell, keys[some], slope, solved, wanted, part
         integrated = ~_interpolate_block(*shared, made, accuracy) if made else np.ones(len(keys[some]), bool)
-        accepted[some] &= _solve_block(*shared, friction_limit, accuracy, np.flatnonzero(integrated & accepted[some]))
+        accepted[some] &= _solve_block(*shared, limits, accuracy, np.flatnonzero(integrated & accepted[some]))
     return {name: value.reshape(n, s, *value.shape[1:]) for name, value in out.items()}, accepted
 
 
@@ -238,7 +238,7 @@ def _solve_block(
     solved: list[str],
     wanted: set[str],
     out: Arrays,
-    friction_limit: float,
+    limits: Mapping[str, float] | None,
     accuracy: float,
     lines: np.ndarray,
 ) -> np.ndarray:
@@ -268,7 +268,7 @@ def _solve_block(
     error, side = (np.repeat([getattr(patch, name) for patch in cell.patches], counts) for name in ("error", "side"))
     fine = are_predicted(at, guesses, error, side)
     np.logical_and.at(accepted, line, fine)
-    gaits = _describe(problem, walkers, at, guesses.slope, solved, friction_limit)
+    gaits = _describe(problem, walkers, at, guesses.slope, solved, limits)
     parts, ends_of = [], np.cumsum([len(i) for i in indices]).tolist()
     for patch, index, end in zip(cell.patches, indices, ends_of, strict=True):
         own = {name: value[end - len(index) : end] for name, value in gaits.items()}
@@ -286,15 +286,18 @@ def _solve_block(
 
 
 def _describe(
-    problem: Lanes, walkers: WalkerArray, at: Polished, slope: np.ndarray, want: list[str], friction_limit: float
+    problem: Lanes,
+    walkers: WalkerArray,
+    at: Polished,
+    slope: np.ndarray,
+    want: list[str],
+    limits: Mapping[str, float] | None,
 ) -> Arrays:
     """Measure the gaits: all at once, or walker by walker where violations are wanted."""
     if not any(VARIABLES[name].group == "violations" for name in want):
-        return describe(problem, walkers, at, slope, want, friction_limit)
+        return describe(problem, walkers, at, slope, want, limits)
     each = []
     for i in range(len(slope)):
         one = slice(i, i + 1)
-        each.append(
-            describe(problem.some(np.array([i])), walkers[i], lanes_of(at, one), slope[one], want, friction_limit)
-        )
+        each.append(describe(problem.some(np.array([i])), walkers[i], lanes_of(at, one), slope[one], want, limits))
     return {name: np.concatenate([gait[name] for gait in each]) for name in each[0]}

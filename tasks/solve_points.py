@@ -19,7 +19,6 @@ from tasks.continuation.refine import COARSE, FINE
 from tasks.fixed_points.polish import Guesses, join, settle
 from tasks.follow_cycles import cycle_branches, from_arrays, to_arrays
 from tasks.interpolate_points import Interpolation
-from tasks.measures import violations
 from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from tasks.mechanics.lumped import Structure, structures_of
 from tasks.registry import GAITS, PROVED, VARIABLES
@@ -75,7 +74,7 @@ def points(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     ----------
     params : mapping
         `line`; `slope`, ndarray, shape (n,) [rad]; `want`, names of variables; `gaits`, labels wanted;
-        `friction_limit`, the coefficient above which a gait is flagged; `steps` after which the gaits repeat;
+        `violation_limits`, those of violations that are not the registry's; `steps` after which the gaits repeat;
         `accuracy`, the largest error bound wanted, 0 for as good a one as doubles give; `interpolated`,
         whether polynomials give the points where they reach it.
     inputs : list
@@ -155,7 +154,7 @@ def _solve_lines(
     slope, accuracy = np.asarray(params["slope"], float), params.get("accuracy", 0.0)
     want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
     wanted = set(params.get("gaits") or GAITS)
-    friction_limit = params.get("friction_limit", violations.FRICTION_LIMIT)
+    limits = params.get("violation_limits")
     n, width = len(slope), 4 if problem.phases == 2 else 3
     proofs = [name for name in want if VARIABLES[name].group == "proofs"]
     solved = [name for name in VARIABLES if name in want or (proofs and name in PROVED_FROM) if name not in proofs]
@@ -184,7 +183,7 @@ def _solve_lines(
                 lanes_of(at, slice(end - count, end)),
                 each.slope,
                 tuple(solved),
-                friction_limit,
+                limits,
             )
             parts[i] = [*interpolated, *_parts(pieces[i], gaits)]
         for out, gaits_of_line in zip(results, parts, strict=True):
@@ -300,7 +299,13 @@ def _may_hold(branch: Branch, segment: np.ndarray, wanted: set[str]) -> np.ndarr
     return (~(low > 0.6) & ("long" in wanted)) | (~(high < 0.4) & ("short" in wanted))
 
 
-def solve(problem: Problem, guesses: Guesses, want: Sequence[str], accuracy: float = 0.0) -> Arrays:
+def solve(
+    problem: Problem,
+    guesses: Guesses,
+    want: Sequence[str],
+    accuracy: float = 0.0,
+    limits: Mapping[str, float] | None = None,
+) -> Arrays:
     """Polish guesses of one walker, verify that they are steps and measure the wanted variables, as `describe` does."""
     at = settle(problem, guesses, accuracy=accuracy)
-    return describe(problem, problem.walker, at, guesses.slope, want)
+    return describe(problem, problem.walker, at, guesses.slope, want, limits)

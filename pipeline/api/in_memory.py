@@ -117,6 +117,7 @@ def gaits(
     arguments: Mapping[str, Any],
     steps: int,
     accuracy: float = 0.0,
+    limits: Mapping[str, float] | None = None,
 ) -> xr.Dataset:
     """Solve the gaits of a walker at every point of a grid.
 
@@ -132,6 +133,8 @@ def gaits(
         Number of steps after which the gaits repeat.
     accuracy : float
         Largest error bound wanted; 0 for as good as doubles give.
+    limits : mapping, optional
+        Limits of violations that are not the registry's.
 
     Returns
     -------
@@ -165,7 +168,7 @@ def gaits(
         if isinstance(check, StudyError):
             points.fail(at, str(check))
         elif len(at):
-            solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True), steps, accuracy))
+            solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True), steps, accuracy, limits or {}))
     solvable = _solve_plane(walker, solvable, wanted, points)
     for k in range(0, len(solvable), _BLOCK):
         if steps == 1:
@@ -178,7 +181,7 @@ def gaits(
     coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si)) for name, a in varying.items()}
     first = next((line for (line, _), check in zip(lines, checks, strict=True) if check in answers), None)
     constants = _constants(first, answers, varying) if first else {}
-    return _dataset(points, grid[0], coordinates, constants, is_si, steps, accuracy)
+    return _dataset(points, grid[0], coordinates, constants, is_si, steps, accuracy, limits)
 
 
 def _lines(
@@ -230,6 +233,7 @@ class _Line:
     row: np.ndarray
     steps: int
     accuracy: float
+    limits: Mapping[str, float]
 
     @property
     def is_short(self) -> bool:
@@ -239,6 +243,7 @@ class _Line:
     def points_params(self, wanted: tuple[str, ...]) -> dict[str, Any]:
         """Parameters of its points."""
         params = {"line": self.line, "slope": self.slopes, "want": wanted, "steps": self.steps}
+        params |= {"violation_limits": dict(self.limits)} if self.limits else {}
         return {**params, "accuracy": self.accuracy, "interpolated": self.is_interpolated(wanted)}
 
     def is_interpolated(self, wanted: tuple[str, ...]) -> bool:
@@ -273,7 +278,7 @@ def _solve_plane(
     sets = [one.line["set"] for one in lines]
     fixed = {key: value for key, value in sets[0].items() if all(each[key] == value for each in sets)}
     keys = {key: np.array([each[key] for each in sets]) for key in sets[0] if key not in fixed}
-    study = planes.plane_of(walker, fixed, keys, lines[0].slopes, wanted, lines[0].accuracy)
+    study = planes.plane_of(walker, fixed, keys, lines[0].slopes, wanted, lines[0].accuracy, lines[0].limits)
     if study is None:
         return lines
     left = np.ones(len(lines), bool)
@@ -329,6 +334,7 @@ def _dataset(
     is_si: bool,
     steps: int,
     accuracy: float,
+    limits: Mapping[str, float] | None,
 ) -> xr.Dataset:
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
     used = np.unique(points.reason)
@@ -344,7 +350,7 @@ def _dataset(
         values = points.values[name]
         dims = (*grid.dims, *VARIABLES[name].dims)
         values = values.reshape((*grid.shape, *values.shape[1:]))
-        variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], is_si, steps=steps))
+        variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], is_si, steps=steps, limits=limits))
     text = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
     named = {"long_name": "gait by its character", "units": "1"}
     coords = {**grid.coords, "gait": ("gait", np.array(GAITS), named, _CHARACTERS)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ def plane_of(
     slopes: np.ndarray,
     wanted: tuple[str, ...],
     accuracy: float,
+    limits: Mapping[str, float],
 ) -> model.Study | None:
     """Return the study over a plane of keys that some lines make up, each once.
 
@@ -40,6 +42,8 @@ def plane_of(
         Names of variables.
     accuracy : float
         Largest error bound wanted; 0 for as good as doubles give.
+    limits : mapping
+        Limits of violations that are not the registry's.
 
     Returns
     -------
@@ -55,6 +59,7 @@ def plane_of(
     check = dispatch.ask("check_walker", {"walker": walker, "set": last})
     axes = (model.Axis("slope", slopes), *axes)
     study = model.Study("", "", "grid", (walker,), GAITS, axes, wanted, checks=(check,), accuracy=accuracy)
+    study = replace(study, options={"violation_limits": limits}) if limits else study
     return study if graph.over_plane(study) else None
 
 

@@ -20,7 +20,7 @@ from pipeline.archive.unfold import dataset, unfolded
 from pipeline.errors import ArchiveError, StudyError
 from pipeline.execution import runner
 from pipeline.execution.executors import MAX_JOBS
-from pipeline.study import broadcast, model, parse, single_point
+from pipeline.study import broadcast, model, options, parse, single_point
 from pipeline.study.location import Location
 from tasks.registry import MAX_STEPS
 
@@ -197,6 +197,7 @@ def gaits(
     steps: int = 1,
     accuracy: float | None = None,
     variables: Sequence[str] | None = None,
+    violation_limits: Mapping[str, float] | None = None,
     **keys: Any,
 ) -> xr.Dataset:
     """Solve the gaits of a walker over arrays of slopes and keys, in memory.
@@ -215,6 +216,8 @@ def gaits(
     variables : sequence of str, optional
         Names and groups of variables, as in a study; by default all but the violations, and with an accuracy those that
         a study has.
+    violation_limits : mapping, optional
+        Limits above which violations are flagged, by name, other than the defaults (docs/archive.md).
     **keys : float, array or DataArray
         Walker keys to change, `foot_mass_ratio` or `detuning`, in the walker's units; `knees` takes booleans.
 
@@ -243,7 +246,8 @@ def gaits(
     wanted = parse.variables(None if names is None else list(names), Location("", "variables"), bound)
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
         raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
-    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys}, steps, bound)
+    limits = options.violation_limits(violation_limits or {}, Location(""))
+    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys}, steps, bound, limits)
 
 
 @in_turn
@@ -254,6 +258,7 @@ def solve(
     *,
     steps: int = 1,
     accuracy: float | None = None,
+    violation_limits: Mapping[str, float] | None = None,
     **keys: float,
 ) -> pd.DataFrame:
     """Find every gait of a walker at one slope.
@@ -270,6 +275,8 @@ def solve(
         Number of steps after which a gait repeats, as for `gaits`.
     accuracy : float, optional
         Largest error bound wanted, as for `gaits`.
+    violation_limits : mapping, optional
+        As for `gaits`.
     **keys : float
         Walker keys to change, `foot_mass_ratio` or `detuning`.
 
@@ -291,6 +298,7 @@ def solve(
         every,
         broadcast.whole_number("steps", steps, MAX_STEPS),
         accuracy,
+        violation_limits or {},
     )
     rows = [
         {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -56,8 +57,17 @@ def over_steps(long_name: str, steps: int) -> str:
     return long_name.replace("one step", f"{steps} steps").replace("the step map's eigenvalues", iterated)
 
 
-def of_variable(variable: Variable, is_si: bool, is_mixed: bool = False, steps: int = 1) -> dict[str, Any]:
-    """CF attributes of a variable, for walkers in SI (`is_si`) or not, or some in SI and some not (`is_mixed`)."""
+def of_variable(
+    variable: Variable,
+    is_si: bool,
+    is_mixed: bool = False,
+    steps: int = 1,
+    limits: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """CF attributes of a variable, for walkers in SI (`is_si`) or not, or some in SI and some not (`is_mixed`).
+
+    `limits` are those of violations that are not the registry's.
+    """
     attrs: dict[str, Any] = {"long_name": over_steps(variable.long_name, steps), "units": variable.units(is_si)}
     flags = {"status": ALL_STATUSES, "proved": PROVED}.get(variable.name)
     if flags is not None:
@@ -65,8 +75,16 @@ def of_variable(variable: Variable, is_si: bool, is_mixed: bool = False, steps: 
     elif variable.name == "violations":
         masks = np.array([1 << i for i in range(len(VIOLATIONS))], np.int32)
         attrs |= {"flag_masks": masks, "flag_meanings": " ".join(VIOLATIONS)}
+        values = np.array(list(violation_limits(limits).values()))
+        units_of = "; ".join(f"{v.name}: {v.unit}" for v in VIOLATIONS.values())
+        attrs |= {"flag_limits": values, "flag_limit_units": units_of}
     if variable.name not in ("status", "reason"):
         attrs["ancillary_variables"] = "status reason"
     if is_mixed and variable.kind not in ("number", "angle"):
         attrs["comment"] = "in the units of each walker: see walker_units"
     return attrs
+
+
+def violation_limits(changed: Mapping[str, float] | None) -> dict[str, float]:
+    """Limit of every violation, by name in the order of their bits, some of them `changed`."""
+    return {v.name: v.limit for v in VIOLATIONS.values()} | dict(changed or {})

@@ -160,6 +160,7 @@ class PointWriter:
             attributes.put(multiplier, {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"})
             multiplier[:] = np.arange(self.multipliers)
         is_si, is_mixed = units.is_si(self.study), len({c["si"] for c in self.study.checks}) > 1
+        limits = self.study.options.get("violation_limits")
         for name in names:
             description = VARIABLES[name]
             is_wide = name == "reason" and len(self.sentences) > np.iinfo(np.int16).max
@@ -174,7 +175,7 @@ class PointWriter:
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
             self.shapes[name], self.dtypes[name] = tuple(variable.chunking()), variable.dtype
-            attributes.put(variable, attributes.of_variable(description, is_si, is_mixed, self.study.steps))
+            attributes.put(variable, attributes.of_variable(description, is_si, is_mixed, self.study.steps, limits))
 
     def fill(self, draft: Path, threads: int) -> None:
         """Write values box by box; while one box is packed the next is assembled."""

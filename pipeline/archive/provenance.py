@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tasks
+from pipeline.archive import attributes
 
 if TYPE_CHECKING:
     from pipeline.plan.missing import Plan
@@ -31,6 +32,9 @@ def provenance(plan: Plan) -> str:
         {
             "study": study.text,
             "walkers": [check["table"] for check in study.checks],
+            "violation_limits": list(
+                attributes.violation_limits(study.options.get("violation_limits")).items()  # in the order of their bits
+            ),
             "varied": {key: axis for check in study.checks for key, axis in check["varied"].items()},
             "tasks": {name: layer.task.version for name, layer in plan.layers.items()},
             "packages": {name: version(name) for name in _PACKAGES},

@@ -104,6 +104,14 @@ def parser() -> argparse.ArgumentParser:
     _add_accuracy(c)
     c.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
     c.add_argument(
+        "--limit",
+        action=kinds.Settings,
+        type=kinds.limit,
+        default={},
+        metavar="VIOLATION=VALUE",
+        help="flag a violation above this value instead of its default (listed by `plan --help`)",
+    )
+    c.add_argument(
         "--steps", type=kinds.count, default=1, metavar="N", help="gaits that repeat after N steps (default 1)"
     )
     c.add_argument("--degrees", action="store_true", help="slope and angles in degrees (--json: the slope only)")
@@ -302,7 +310,7 @@ def _solve(options: argparse.Namespace) -> int:
     from pipeline.study.single_point import solve
 
     slope = math.radians(options.slope) if options.degrees else options.slope
-    answer = solve(options.walker, slope, options.set, options.all, options.steps, options.accuracy)
+    answer = solve(options.walker, slope, options.set, options.all, options.steps, options.accuracy, options.limit)
     for line in answer.get("search", []):
         terminal.say(line)
     if options.degrees and answer.get("search"):

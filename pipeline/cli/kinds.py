@@ -61,6 +61,14 @@ def setting(text: str) -> tuple[str, float | bool]:
     return key, {"true": True, "false": False}[value] if value in ("true", "false") else number(value)
 
 
+def limit(text: str) -> tuple[str, float]:
+    """A violation and its limit."""
+    name, _, value = text.partition("=")
+    if not name or not value:
+        raise ArgumentTypeError(f"must be VIOLATION=VALUE; got {text}")
+    return name, number(value)
+
+
 def decimal(text: str) -> str:
     """A number as it is written, with all its digits."""
     number(text)
@@ -74,11 +82,11 @@ def decimal_setting(text: str) -> tuple[str, str | bool]:
 
 
 class Settings(Action):
-    """Collects walker keys and their values."""
+    """Collects names, of walker keys or violations, and their values."""
 
     def __call__(self, parser: ArgumentParser, options: Namespace, setting: Any, *_: Any) -> None:
-        """Add a key that is not there yet."""
-        key, value = setting
-        if key in options.set:
+        """Add a name that is not there yet."""
+        (key, value), known = setting, getattr(options, self.dest)
+        if key in known:
             raise ArgumentError(self, f"`{key}` is given twice")
-        options.set = {**options.set, key: value}
+        setattr(options, self.dest, {**known, key: value})

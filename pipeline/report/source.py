@@ -167,6 +167,11 @@ class Source:
         wanted = self.study.get("want", {}).get("figures", [])
         return [str(name) for name in wanted]
 
+    @property
+    def violation_limits(self) -> list[float]:
+        """Limits of violations in the order of their bits; an archive of an earlier version has none."""
+        return [float(limit) for _, limit in self.provenance.get("violation_limits", [])]
+
     @cached_property
     def walkers(self) -> dict[str, dict[str, Any]]:
         """Parameters of each walker before the axes change them, by the walker's name in the study."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from pipeline.study.location import Location
 from tasks import registry
-from tasks.registry import FOLLOWED, GAITS, MAX_STEPS, OPTIONS
+from tasks.registry import FOLLOWED, GAITS, MAX_STEPS, OPTIONS, VIOLATIONS
 
 _MAX = 10**6
 
@@ -24,6 +24,10 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     if not isinstance(options, Mapping):
         raise place.wrong("must be a table", options)
     known = OPTIONS.get(kind, {})
+    if "friction_limit" in options and "violation_limits" in known:  # the one limit that there was at first
+        others = {name: value for name, value in options.items() if name != "friction_limit"}
+        limits = {"friction": options["friction_limit"], **others.get("violation_limits", {})}
+        options = {**others, "violation_limits": limits}
     for old, new in registry.RENAMED_OPTIONS.items():
         if old in options and new in known and new not in options and known[new].holds != "steps":
             options = {new if name == old else name: value for name, value in options.items()}
@@ -34,6 +38,8 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
             raise place.unknown(name, known, "key")
         _check(value, known[name].holds, axes, place.at(name))
     # An option at its default counts as left out.
+    if "violation_limits" in options:
+        options = {**options, "violation_limits": violation_limits(options["violation_limits"], place)}
     options = {name: value for name, value in options.items() if value != known[name].default}
     whole = registry.options(kind, options) if known else {}
     if kind == "curve" and not whole["from"] < whole["to"]:
@@ -43,13 +49,43 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     return options
 
 
+def violation_limits(limits: object, place: Location) -> dict[str, float]:
+    """Check limits of violations, by name; those at their defaults count as left out.
+
+    Parameters
+    ----------
+    limits : object
+    place : Location
+        Of what holds them.
+
+    Raises
+    ------
+    StudyError
+        If they are no mapping, or one is unknown or negative.
+    """
+    if not isinstance(limits, Mapping):
+        raise place.at("violation_limits").wrong("must be a table of limits by the names of violations", limits)
+    changed = {}
+    for name, value in limits.items():
+        if name not in VIOLATIONS:
+            raise place.at("violation_limits").unknown(str(name), VIOLATIONS, "violation")
+        limit = place.at("violation_limits", name).number(value)
+        if limit < 0:
+            raise place.at("violation_limits", name).wrong("must be at least 0", value)
+        if limit != VIOLATIONS[name].limit:
+            changed[name] = limit
+    return changed
+
+
 def listing() -> str:
     """The options that each kind of study may set, with their defaults."""
     lines = ["options of a study's kind ([options] in its file) and their defaults:"]
     for kind, known in OPTIONS.items():
         lines += [
-            f"  {kind:<8} {name:<15}{json.dumps(option.default):<18} {option.meaning}" for name, option in known.items()
+            f"  {kind:<8} {name:<17}{json.dumps(option.default):<18} {option.meaning}" for name, option in known.items()
         ]
+    lines.append("limits of violations and their defaults (`violation_limits`):")
+    lines += [f"  {v.name:<22}{v.limit:<8g}{v.unit}: {v.reason}" for v in VIOLATIONS.values()]
     return "\n".join(lines)
 
 

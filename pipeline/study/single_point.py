@@ -9,6 +9,7 @@ from typing import Any
 from pipeline.dispatch import ask
 from pipeline.study import files
 from pipeline.study.location import Location
+from pipeline.study.options import violation_limits
 from pipeline.study.parse import accuracy
 from tasks.registry import MAX_STEPS
 
@@ -20,6 +21,7 @@ def solve(
     every: bool,
     steps: int = 1,
     asked: float | None = None,
+    limits: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Find the gaits of a walker at one slope.
 
@@ -36,6 +38,8 @@ def solve(
         Number of steps after which a gait repeats, at most MAX_STEPS.
     asked : float, optional
         Largest error bound wanted.
+    limits : mapping, optional
+        Limits of violations, by name.
 
     Returns
     -------
@@ -45,7 +49,7 @@ def solve(
     Raises
     ------
     StudyError
-        If the walker, a key, the slope or the accuracy is invalid.
+        If the walker, a key, the slope, the accuracy or a limit is invalid.
     """
     if not 0 < slope < 0.5:
         raise Location("", "slope").wrong("must lie in (0, 0.5) rad", slope)
@@ -55,6 +59,8 @@ def solve(
         raise Location("", "steps").wrong("must be 1 for gaits whose legs pass more than once", steps)
     walker = files.walker(definition, Path())
     params = {"walker": walker, "slope": slope, "set": dict(keys), "all": every, "steps": steps}
+    if limits:
+        params["violation_limits"] = violation_limits(limits, Location(""))
     if asked is not None:
         params["accuracy"] = accuracy(asked, Location("", "accuracy"))
     return ask("solve", params)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,9 +16,10 @@ from tasks.fixed_points.polish import Polished
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
 from tasks.measures.kinematics import step_length, travel
-from tasks.measures.losses import heelstrike_losses, kneestrike_loss
+from tasks.measures.losses import heelstrike_losses, kneestrike_loss, velocity_ratio
 from tasks.registry import GAITS, VARIABLES
 from tasks.step.problem import Problem, residual_sizes
+from tasks.step.step_map import Stride
 from tasks.walkers.walker import Walker
 
 Arrays = dict[str, np.ndarray]
@@ -72,6 +73,11 @@ def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
         With indices into the n points.
     wanted : set of str
         Labels to store.
+
+    Raises
+    ------
+    LookupError
+        If a part lacks a variable that walkers of its kind have: nothing computes it.
     """
     n = len(out["status"])
     angle, ratio = np.full((2, len(parts), n), np.nan)
@@ -86,6 +92,8 @@ def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
         if len(row) and row[-1] - row[0] == len(row) - 1 and (slot == slot[0]).all() and (np.diff(row) == 1).all():
             where = slice(row[0], row[-1] + 1), slot[0]  # several times as fast
         for name, values in out.items():
+            if name not in part.solved:
+                raise LookupError(f"Nothing computes the variable `{name}`.")
             solved = part.solved[name]
             values[where] = solved if len(keep) == len(solved) else solved[keep]
 
@@ -159,7 +167,7 @@ def describe(
     at: Polished,
     slope: np.ndarray,
     want: Sequence[str],
-    friction_limit: float = violations.FRICTION_LIMIT,
+    limits: Mapping[str, float] | None = None,
 ) -> Arrays:
     """Measure the wanted variables of gaits.
 
@@ -174,68 +182,145 @@ def describe(
     slope : ndarray, shape (n,) [rad]
     want : sequence of str
         Names of variables.
-    friction_limit : float
+    limits : mapping, optional
+        Limits of violations other than the registry's.
 
     Returns
     -------
     dict of ndarray, shape (n[, multipliers])
         In the walker's units; NaN where the guess is not converged to a step.
     """
+    stride = at.stride
     code = np.where(at.converged & at.step, status.CONVERGED, status.NOT_CONVERGED)
     solved = {
         "status": code,
         "reason": np.where(at.converged, np.where(at.step, 0, 4), 3),
-        "residual": np.abs(at.stride.residual / residual_sizes(at.stride.y, problem.phases)).max(axis=0),
+        "residual": np.abs(stride.residual / residual_sizes(stride.y, problem.phases)).max(axis=0),
         "error_bound": at.bound,
         "anthropomorphic": ~at.step | (at.leg_passes == 1),
         "passes": at.leg_passes,
     }
-    solved |= _measure(problem, walker, at, slope, want, friction_limit)
+    steps = Steps(problem, walker, stride, at.y * at.scale, at.state * at.scale, at.times, at.scale, slope)
+    solved |= without_knees(want, walker, len(slope)) | steps.measure(want, limits)
+    solved |= travel(walker, slope, solved["step_length"], solved["period"])
+    if "energy_imbalance" in want:
+        solved["energy_imbalance"] = energy_imbalance(walker, slope, solved, 1)
+    if any(VARIABLES[name].group == "multipliers" for name in want):
+        solved |= measured_multipliers(stride.jacobian, at.jacobian_error, walker.knees)
+    solved = {name: np.array(value) for name, value in solved.items()}
     for name, value in solved.items():
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
             value[code != status.CONVERGED] = np.nan
     return solved
 
 
-def _measure(
-    problem: Problem, walker: Walker, at: Polished, slope: np.ndarray, want: Sequence[str], friction_limit: float
-) -> Arrays:
-    """Variables of the groups wanted, in the walker's units."""
-    stride, scale = at.stride, at.scale
-    y, state, times = at.y * scale, at.state * scale, at.times
-    time_unit = np.sqrt(walker.leg / walker.g)
-    half = problem.map.start_size // 2
-    angle, period = y[0], times[-1] * time_unit
-    rates = state[half:] / time_unit
-    measured = {
-        "stance_angle": angle,
-        "stance_rate": rates[0],
-        "thigh_rate": rates[1],
-        "shank_rate": rates[-1],
-        "period": period,
-        "heelstrike_rate_ratio": gait_ratio(stride),
-        "kneestrike_time": times[0] * time_unit if walker.knees else np.full(len(slope), np.nan),
-    }
-    if any(VARIABLES[name].group == "multipliers" for name in want):
-        measured |= measured_multipliers(stride.jacobian, at.jacobian_error, walker.knees)
-    measured |= travel(walker, slope, angle, period)
-    if {"loss_normal", "loss_tangential", "loss_kneestrike", "energy_imbalance"} & set(want):
-        unit = walker.total_mass * walker.g * walker.leg
-        normal, tangential = heelstrike_losses(walker, angle, stride.impact * scale)
-        measured["loss_normal"], measured["loss_tangential"] = normal * unit, tangential * unit
-        knee = np.zeros(len(slope))
+def without_knees(names: Sequence[str], walker: Walker, n: int) -> Arrays:
+    """NaN for those of some variables that only knees have, if the walker has none."""
+    return {name: np.full(n, np.nan) for name in names if VARIABLES[name].is_of_knees and not walker.knees}
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Steps of a walker, or of one for each, in lanes.
+
+    Parameters
+    ----------
+    problem : Problem
+    walker : Walker
+        That walker, or an array of them, for which violations cannot be measured.
+    stride : Stride
+        Of sections over `scale`.
+    y, state : ndarray, shape (m, n) and (angles, n) [rad, sqrt(g/leg)]
+        Sections, and states just after the heelstrike with which each step begins.
+    times : ndarray, shape (phases, n) [sqrt(leg/g)]
+    scale : ndarray, shape (n,)
+    slope : ndarray, shape (n,) [rad]
+    order : ndarray of int, shape (n,), optional
+        The step after each: by default a step repeats.
+    """
+
+    problem: Problem
+    walker: Walker
+    stride: Stride
+    y: np.ndarray
+    state: np.ndarray
+    times: np.ndarray
+    scale: np.ndarray
+    slope: np.ndarray
+    after: np.ndarray | None = None
+
+    def measure(self, want: Sequence[str], limits: Mapping[str, float] | None = None) -> Arrays:
+        """Variables of the single steps.
+
+        Parameters
+        ----------
+        want : sequence of str
+            Names of variables; what costs little is measured in any case.
+        limits : mapping, optional
+            Limits of violations other than the registry's.
+
+        Returns
+        -------
+        dict of ndarray, shape (n,)
+            In the walker's units.
+        """
+        walker, stride, scale = self.walker, self.stride, self.scale
+        time_unit = np.sqrt(walker.leg / walker.g)
+        angle, end = self.y[0], self.y[0] if self.after is None else self.y[0][self.after]
+        rates = self.state[self.problem.map.start_size // 2 :] / time_unit
+        ratio = gait_ratio(stride)
+        measured = {
+            "stance_angle": angle,
+            "stance_rate": rates[0],
+            "thigh_rate": rates[1],
+            "shank_rate": rates[-1],
+            "period": self.times[-1] * time_unit,
+            "step_length": step_length(walker, angle, end),
+            "heelstrike_rate_ratio": ratio,
+            "velocity_ratio": velocity_ratio(walker, end, ratio),
+        }
         if walker.knees:
-            knee = kneestrike_loss(walker, stride.knee * scale)
-        measured["loss_kneestrike"] = knee * unit if walker.knees else np.full(len(slope), np.nan)
-        drop = step_length(walker, angle) / walker.leg * np.sin(slope)
-        measured["energy_imbalance"] = (normal + tangential + knee - drop) / drop
-    if any(VARIABLES[name].group == "violations" for name in want):
+            measured["kneestrike_time"] = self.times[0] * time_unit
+        if set(want) & {"loss_normal", "loss_tangential", "loss_kneestrike", "energy_imbalance"}:
+            unit = walker.total_mass * walker.g * walker.leg
+            normal, tangential = heelstrike_losses(walker, end, stride.impact * scale)
+            measured["loss_normal"], measured["loss_tangential"] = normal * unit, tangential * unit
+            if walker.knees:
+                measured["loss_kneestrike"] = kneestrike_loss(walker, stride.knee * scale) * unit
+        if any(VARIABLES[name].group == "violations" for name in want):
+            measured |= self._violations(limits)
+        return measured
+
+    def _violations(self, limits: Mapping[str, float] | None) -> Arrays:
         # Extremes need closer samples than the verification of a step: it is integrated again with those.
-        fine = problem.map(y / scale, times, problem.parameters(slope, scale), samples=violations.SAMPLES)
-        measured |= violations.measure(
-            walker, [m * scale for m in fine.motion], fine.impact * scale, times, slope, friction_limit
-        )
-    return {k: np.array(v) for k, v in measured.items()}
+        parameters = self.problem.parameters(self.slope, self.scale)
+        fine = self.problem.map(self.y / self.scale, self.times, parameters, samples=violations.SAMPLES)
+        before = fine.impact * self.scale
+        if self.after is not None:  # a step begins with the heelstrike that ends the one before it
+            before = before[:, np.argsort(self.after)]
+        motion = [m * self.scale for m in fine.motion]
+        return violations.measure(self.walker, motion, before, self.times, self.slope, limits)
+
+
+def energy_imbalance(walker: Walker, slope: np.ndarray, measured: Mapping[str, np.ndarray], steps: int) -> np.ndarray:
+    """What the energy lost in a gait's steps exceeds the drop of potential energy by, over that drop.
+
+    Parameters
+    ----------
+    walker : Walker
+    slope : ndarray, shape (n,) [rad]
+    measured : mapping
+        The losses of all steps and the mean step length, in the walker's units.
+    steps : int
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    names = ("loss_normal", "loss_tangential", *(("loss_kneestrike",) if walker.knees else ()))
+    losses = sum(measured[name] for name in names)
+    drop = walker.total_mass * walker.g * steps * measured["step_length"] * np.sin(slope)
+    return np.asarray((losses - drop) / drop)
 
 
 def measured_multipliers(jacobian: np.ndarray, error: np.ndarray, kneed: bool) -> Arrays:

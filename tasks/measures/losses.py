@@ -31,7 +31,8 @@ def velocity_ratio(walker: Walker, angle: np.ndarray, rate_ratio: np.ndarray) ->
     Paper, equation 12 with the sign of its first line corrected. Over that size, x' = (R + l cos angle) u and
     y' = -l sin angle (2 - u).
     """
-    return (walker.R + walker.l * np.cos(angle)) * rate_ratio / (walker.l * np.sin(angle) * (rate_ratio - 2))
+    with np.errstate(divide="ignore", invalid="ignore"):  # the legs may stand, or the foot move along the ground
+        return (walker.R + walker.l * np.cos(angle)) * rate_ratio / (walker.l * np.sin(angle) * (rate_ratio - 2))
 
 
 def contact_mass(walker: Walker, angle: np.ndarray) -> np.ndarray:

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from tasks import status
-from tasks.measures.gaits import Arrays, measured_multipliers
+from tasks.measures.gaits import Arrays, measured_multipliers, without_knees
 from tasks.measures.kinematics import step_length, travel
+from tasks.measures.losses import velocity_ratio
+from tasks.variables import VARIABLES
 from tasks.walkers.walker import Walker
 from tasks.walkers.walker_array import WalkerArray
 
@@ -19,9 +21,7 @@ from tasks.walkers.walker_array import WalkerArray
 _RATES = ("stance_rate", "thigh_rate", "shank_rate")
 _LOSSES = ("loss_normal", "loss_tangential", "loss_kneestrike")
 _RATIO = "heelstrike_rate_ratio"
-_MULTIPLIERS = ("multiplier_real", "multiplier_imag", "spectral_radius", "multiplier_error_bound")
-#: Variables that follow from angle and period.
-_TRAVEL = ("speed", "froude_speed", "power", "cost_of_transport")
+_MULTIPLIERS = tuple(v.name for v in VARIABLES.values() if v.group == "multipliers")
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,7 @@ class Smooth:
         """
         rates = _RATES if walker.knees else _RATES[:2]
         optional = [name for name in (*_LOSSES, "kneestrike_time") if name in want]
-        if not walker.knees:
-            optional = [name for name in optional if "knee" not in name]
+        optional = [name for name in optional if walker.knees or not VARIABLES[name].is_of_knees]
         entries = [f"{i}{j}" for i in range(m) for j in range(m)] if set(want) & set(_MULTIPLIERS) else []
         return cls(walker, ("stance_angle", *rates, "period", _RATIO, *optional, *entries))
 
@@ -100,13 +99,12 @@ class Smooth:
 
     def needed(self, want: Sequence[str]) -> list[int]:
         """Columns from which variables follow."""
-        derived = set(_TRAVEL) & set(want)
-        names = {name for name in self.names if name in want or name.isdigit()}
+        names = {name for name in self.names if name in want or name.isdigit()} | {"stance_angle"}
         if "shank_rate" in want and not self.walker.knees:
             names.add("thigh_rate")
-        if derived or names & {*_RATES, *_LOSSES}:
-            names.add("stance_angle")
-        if derived or "kneestrike_time" in want:
+        if "velocity_ratio" in want:
+            names.add(_RATIO)
+        if {"kneestrike_time", "step_frequency", "speed", "froude_speed", "power", "cost_of_transport"} & set(want):
             names.add("period")
         return [k for k, name in enumerate(self.names) if name in names]
 
@@ -160,9 +158,9 @@ class Smooth:
         known = {"status": status.CONVERGED, "reason": 0, "error_bound": error, "branch": branch, "piece": piece}
         solved = {name: np.broadcast_to(value, n) for name, value in known.items()}
         solved |= {name: columns[name] for name in want if name in _MULTIPLIERS}
-        return self._variables(slope, columns, [name for name in want if name not in solved]) | solved
+        return self._variables(slope, columns) | without_knees(want, self.walker, n) | solved
 
-    def _variables(self, slope: np.ndarray, columns: Mapping[str, np.ndarray], want: Sequence[str]) -> Arrays:
+    def _variables(self, slope: np.ndarray, columns: Mapping[str, np.ndarray]) -> Arrays:
         """Variables (n,) that follow from quantities, but for multipliers."""
         known: dict[str, np.ndarray] = {k: np.exp(columns[k]) for k in ("stance_angle", "period") if k in columns}
         for name in {*_RATES, *_LOSSES, "kneestrike_time", _RATIO} & set(columns):
@@ -172,11 +170,14 @@ class Smooth:
                 known[name] = columns[name] * self._drop(slope, known["stance_angle"])
             else:
                 known[name] = columns[name] * (known["period"] if name == "kneestrike_time" else 1.0)
-        if "shank_rate" in want and not self.walker.knees:
+        if "thigh_rate" in known and not self.walker.knees:
             known["shank_rate"] = known["thigh_rate"]
-        if set(_TRAVEL) & set(want):
-            known |= travel(self.walker, slope, known["stance_angle"], known["period"])
-        return {name: known[name] if name in known else np.full(len(slope), np.nan) for name in want}
+        known["step_length"] = step_length(self.walker, known["stance_angle"])
+        if _RATIO in known:
+            known["velocity_ratio"] = velocity_ratio(self.walker, known["stance_angle"], known[_RATIO])
+        if "period" in known:
+            known |= travel(self.walker, slope, known["step_length"], known["period"])
+        return known
 
     @property
     def _unit(self) -> Any:

@@ -5,7 +5,7 @@ Every item is a flag and an amount, computed on the chain of four links whose st
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +17,6 @@ from tasks.walkers.walker import Walker
 Arrays = dict[str, np.ndarray]
 #: Intervals of each phase; with extremes of a quartic through five samples, amounts are accurate to about 1e-8.
 SAMPLES = 96
-#: Friction coefficient above which a gait is flagged, unless a study sets another.
-FRICTION_LIMIT = 1.0
 #: Lanes measured at a time, to bound memory.
 _BLOCK = 128
 #: A velocity this small relative to its summands counts as zero.
@@ -187,12 +185,11 @@ def _released(chain: Chain, first: _Phase, slope: np.ndarray) -> Arrays:
         impulse = np.where(
             ~is_still & (velocity < 0), -velocity / chain.compliance(q, [rise], first.free_knee)[0][0], 0.0
         )
-    amounts = {"penetration_depth": sinks, "trailing_impulse": impulse, "release_penetrates": down}
+    amounts = {"penetration_depth": sinks, "trailing_impulse": impulse}
     if chain.kneed:
         over = first.q[3] - first.q[2]
         over[0] = over[-1] = 0.0
         amounts["hyperextension"] = greatest(over)[0]
-        amounts["release_hyperextends"] = rate[2] < rate[3]
     return amounts
 
 
@@ -219,7 +216,7 @@ def _heelstrike(chain: Chain, first: _Phase, impact: np.ndarray) -> tuple[np.nda
 def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
     """Items 1 to 3 between the impacts."""
     n = len(slope)
-    least, friction, scuff = np.full(n, np.inf), np.zeros(n), np.zeros(n)
+    least, friction, scuff, clearance = np.full(n, np.inf), np.zeros(n), np.zeros(n), np.full(n, np.nan)
     torque, when = np.full(n, -np.inf), np.zeros(n)
     for phase in phases:
         acceleration = chain.accelerations(phase.q, phase.rate, slope, phase.free_knee)
@@ -233,8 +230,11 @@ def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
         depth[0] = 0.0 if phase is phases[0] else depth[0]
         depth[-1] = 0.0 if phase is phases[-1] else depth[-1]
         scuff = np.maximum(scuff, greatest(depth)[0])
+        clearance = np.fmin(clearance, _least_inside(depth))
         if not chain.kneed:
-            scuff = np.maximum(scuff, _passing(chain, phase, acceleration))
+            passing = _passing(chain, phase, acceleration)
+            scuff = np.maximum(scuff, passing)
+            clearance = np.where(passing > 0, np.fmin(clearance, -passing), clearance)
             continue
         worst, position = greatest(-chain.holding(phase.q, phase.rate, acceleration, slope))
         is_worse = worst > torque
@@ -242,55 +242,68 @@ def _moving(chain: Chain, phases: list[_Phase], slope: np.ndarray) -> Arrays:
         torque = np.where(is_worse, worst, torque)
         when = np.where(is_worse, begin + position / (len(phase.time) - 1) * (end - begin), when)
     knee = {"unlocking_torque": torque, "unlocking_torque_time": when} if chain.kneed else {}
-    return {"scuff_depth": scuff, "least_normal_force": least, "friction_demand": friction, **knee}
+    return {
+        "scuff_depth": scuff,
+        "foot_clearance": np.fmin(clearance, _at_kneestrike(chain, phases)),
+        "least_normal_force": least,
+        "friction_demand": friction,
+        **knee,
+    }
 
 
-def _impacts(chain: Chain, phases: list[_Phase], impact: np.ndarray) -> tuple[Arrays, np.ndarray]:
-    """Items 2 and 3 at the impacts, and whether one of them requires contact tension."""
+def _least_inside(depth: np.ndarray) -> np.ndarray:
+    """Least height of a foot where it is lowest within a phase, by its sampled depth; NaN where it is so nowhere."""
+    is_low = np.zeros(depth.shape, bool)
+    is_low[1:-1] = (depth[1:-1] >= depth[:-2]) & (depth[1:-1] > depth[2:])
+    return np.where(is_low.any(axis=0), -greatest(depth, is_low)[0], np.nan)
+
+
+def _at_kneestrike(chain: Chain, phases: list[_Phase]) -> np.ndarray:
+    """Height of the foot at kneestrike if it falls before and rises after it, else NaN."""
+    if not chain.kneed:
+        return np.full(phases[0].q.shape[-1], np.nan)
+    before, after = ((chain.rise(p.q[:, k]) * p.rate[:, k]).sum(axis=0) for p, k in zip(phases, (-1, 0), strict=True))
+    return np.where((before < 0) & (after > 0), chain.height(phases[1].q[:, 0]), np.nan)
+
+
+def _impacts(chain: Chain, phases: list[_Phase], impact: np.ndarray) -> Arrays:
+    """Items 2 and 3 at the impacts."""
     ground, lock = _heelstrike(chain, phases[0], impact)
-    amounts = {"friction_demand_heelstrike": _ratio(ground)}
-    pulls = ground.imag < 0
+    amounts = {"friction_demand_heelstrike": _ratio(ground), "least_normal_impulse": ground.imag}
     if chain.kneed:
         q, jump = phases[1].q[:, 0], phases[1].rate[:, 0] - phases[0].rate[:, -1]
         M, ground = chain.matrix(q), chain.momentum(q, jump)
         amounts |= {
             "friction_demand_kneestrike": _ratio(ground),
+            "least_normal_impulse": np.minimum(amounts["least_normal_impulse"], ground.imag),
             "unlocking_impulse_heelstrike": -lock,
             "unlocking_impulse_kneestrike": -total(M[THIGH][j] * jump[j] for j in range(4)),
         }
-        pulls |= ground.imag < 0
-    return amounts, pulls
-
-
-def _dimensionless(
-    chain: Chain,
-    motion: list[np.ndarray],
-    impact: np.ndarray,
-    times: np.ndarray,
-    slope: np.ndarray,
-    friction_limit: float,
-) -> Arrays:
-    """Every amount that the walker has, and the flags that follow from them."""
-    phases = _phases(motion, times)
-    at_impacts, pulls = _impacts(chain, phases, impact)
-    amounts = _moving(chain, phases, slope) | at_impacts | _released(chain, phases[0], slope)
-
-    def worst(*names: str) -> np.ndarray:
-        return functools.reduce(np.maximum, [amounts[k] for k in names if k in amounts], np.full(len(slope), -np.inf))
-
-    unlocks = worst("unlocking_torque", "unlocking_impulse_kneestrike", "unlocking_impulse_heelstrike") > 0
-    slips = worst("friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike") > friction_limit
-    flags = {
-        "scuff": amounts["scuff_depth"] > 0,
-        "stance_knee_unlocks": unlocks,
-        "contact_tension": (amounts["least_normal_force"] < 0) | pulls,
-        "friction": slips,
-        "release_hyperextends": amounts.pop("release_hyperextends", np.zeros(len(slope), bool)),
-        "release_penetrates": amounts.pop("release_penetrates"),
-        "trailing_foot_pulls": amounts["trailing_impulse"] > 0,
-    }
-    amounts["violations"] = total(flags[name].astype(np.int32) << k for k, name in enumerate(VIOLATIONS))
     return amounts
+
+
+def flags(amounts: Mapping[str, np.ndarray], limits: Mapping[str, float] | None = None) -> np.ndarray:
+    """Bits of the assumptions that gaits violate by more than their limits.
+
+    Parameters
+    ----------
+    amounts : mapping
+        Variables of the group, shape (n,), over the walker's leg, its mass and g; NaN is no violation.
+    limits : mapping, optional
+        Limits other than the registry's, by the names of violations.
+
+    Returns
+    -------
+    ndarray of int32, shape (n,)
+    """
+    bits = np.zeros(len(amounts["scuff_depth"]), np.int32)
+    for k, violation in enumerate(VIOLATIONS.values()):
+        limit = (limits or {}).get(violation.name, violation.limit)
+        for name in violation.amounts:
+            if name in amounts:
+                excess = -amounts[name] if violation.is_least else amounts[name]
+                bits |= (excess > limit).astype(np.int32) << k
+    return bits
 
 
 def measure(
@@ -299,7 +312,7 @@ def measure(
     impact: np.ndarray,
     times: np.ndarray,
     slope: np.ndarray,
-    friction_limit: float = FRICTION_LIMIT,
+    limits: Mapping[str, float] | None = None,
 ) -> Arrays:
     """Measure every item of Appendix A, in the walker's units.
 
@@ -313,13 +326,13 @@ def measure(
     times : ndarray, shape (phases, n) [sqrt(leg/g)]
         Ends of the phases.
     slope : ndarray, shape (n,) [rad]
-    friction_limit : float
-        |tangential|/normal force or impulse above which `friction` is flagged.
+    limits : mapping, optional
+        Limits of violations other than the registry's.
 
     Returns
     -------
     dict
-        The variables of the registry's group `violations`, shape (n,). Those of knees are NaN without knees.
+        The variables of the registry's group `violations`, shape (n,), but for those of knees that the walker has not.
 
     Notes
     -----
@@ -330,18 +343,16 @@ def measure(
     """
     chain = Chain(walker)
     n = len(slope)
-    names = [v.name for v in VARIABLES.values() if v.group == "violations"]
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    for k in range(0, n, _BLOCK):
+    parts: list[Arrays] = []
+    for k in range(0, max(n, 1), _BLOCK):
         lanes = slice(k, k + _BLOCK)
         with np.errstate(invalid="ignore"):
-            amounts = _dimensionless(
-                chain, [m[..., lanes] for m in motion], impact[:, lanes], times[:, lanes], slope[lanes], friction_limit
-            )
-        for name in names:
-            parts[name].append(amounts[name] if name in amounts else np.full(len(slope[lanes]), np.nan))
+            phases = _phases([m[..., lanes] for m in motion], times[:, lanes])
+            amounts = _moving(chain, phases, slope[lanes]) | _impacts(chain, phases, impact[:, lanes])
+            amounts |= _released(chain, phases[0], slope[lanes])
+            parts.append(amounts | {"violations": flags(amounts, limits)})
     unit = _units(walker)
-    joined = {name: np.concatenate(part) if part else np.zeros(0) for name, part in parts.items()}
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return {name: x if x.dtype == np.int32 else x * unit[VARIABLES[name].kind] for name, x in joined.items()}
 
 

@@ -20,9 +20,10 @@ def _measure(walker: str, slopes: tuple[float, ...]) -> Arrays:
 
 
 def _flags(gaits: Arrays, name: str) -> np.ndarray:
-    """Whether each existing gait violates an assumption, shape (n,)."""
-    exists = np.isfinite(gaits["stance_angle"])
-    return (gaits["violations"][exists] >> VIOLATIONS.index(name) & 1).astype(bool)
+    """Whether each existing gait violates an assumption at all, by however little, shape (n,)."""
+    exists, violation = np.isfinite(gaits["stance_angle"]), VIOLATIONS[name]
+    amounts = np.array([gaits[amount][exists] for amount in violation.amounts])
+    return np.asarray((amounts < 0 if violation.is_least else amounts > 0).any(axis=0))
 
 
 @claim(

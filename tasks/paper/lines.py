@@ -16,7 +16,7 @@ from tasks.continuation.special_points import special_points
 from tasks.continuation.tracking import correct
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.step_check import gait_ratio
-from tasks.measures.kinematics import travel
+from tasks.measures.kinematics import step_length
 from tasks.measures.losses import velocity_ratio
 from tasks.registry import COSTLY, GAITS, VARIABLES
 from tasks.solve_points import atlas, points
@@ -173,7 +173,7 @@ def _evaluate_nodes(problem: Problem, branch: Branch) -> Arrays:
         "closing": nodes.stride.closing[-1] / nodes.stride.y[0],
         "short": ~(gait_ratio(nodes.stride) < 0.5),
         "spectral_radius": np.abs(multipliers(nodes.stride.jacobian, m)).max(axis=1),
-        "speed": travel(walker, slope, angle, times[-1] * time_unit)["speed"],
+        "speed": step_length(walker, angle) / (times[-1] * time_unit),
     }
 
 

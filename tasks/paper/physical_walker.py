@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tasks.measures.kinematics import travel
+from tasks.measures.kinematics import step_length
 from tasks.paper.claim import VERDICTS, ClaimResult, claim, compare, verdict
 from tasks.paper.lines import Arrays, line
 from tasks.paper.rounding_intervals import LANDMARKS, Interval, interval, place
@@ -198,7 +198,7 @@ def _from_point_3() -> Arrays:
     third, first = (kneed.special_of(k)[0] for k in ("release_hyperextension", "end_kneestrike_at_heelstrike"))
     X, times = place(kneed, LANDMARKS["point 3"])
     slope, angle = np.exp(X[-1:]), np.exp(X[:1])
-    speed = travel(kneed.walker, slope, angle, times[-1:] * np.sqrt(kneed.walker.leg / kneed.walker.g))["speed"]
+    speed = step_length(kneed.walker, angle) / (times[-1:] * np.sqrt(kneed.walker.leg / kneed.walker.g))
     at = {"slope": slope, "knee_share": times[:1] / times[-1:], "speed": speed}
     nodes = kneed.curve(third["branch"])
     rises = third["place"] < first["place"]

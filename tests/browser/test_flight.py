@@ -54,6 +54,12 @@ def solved(name, setting, slopes):
                 yield {"slope": float(slope)} | {str(k): point[k].values for k in point.data_vars}
 
 
+def keys_of(name, setting):
+    """Keys of a walker as a page has them, with the limits of violations."""
+    parameters = dispatch.ask("check_walker", {"walker": name, "set": setting})["parameters"]
+    return {**parameters, "violation_limits": [v.limit for v in VIOLATIONS.values()]}
+
+
 def apart(found, wanted):
     """Largest difference of the power sums of two sets of multipliers, which nearly equal ones determine well."""
     size = max(map(abs, wanted))
@@ -65,7 +71,7 @@ def test_a_step_of_the_script_is_the_archives(browser, structure):
     browser.get("about:blank")
     count = 0
     for name, setting, slopes in LINES[structure]:
-        keys = dispatch.ask("check_walker", {"walker": name, "set": setting})["parameters"]
+        keys = keys_of(name, setting)
         known = list(solved(name, setting, slopes))
         starts = [[p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)] for p in known]
         for start, gait, flown in zip(starts, known, run(browser, _FLY, keys, starts), strict=True):
@@ -87,21 +93,36 @@ def test_a_step_of_the_script_is_the_archives(browser, structure):
     assert count >= 200
 
 
-def test_friction_is_flagged_above_the_limit_of_the_study(browser):
+@pytest.mark.parametrize(
+    ("walker", "slope", "violation", "below", "above"),
+    [
+        ("D", 0.009, "friction", 0.15, 1.0),
+        ("C", 0.02, "scuff", 0.002, 0.005),
+        ("physical", 0.036, "stance_knee_unlocks", 1e-3, 5e-3),
+        ("C", 1e-4, "release_hyperextends", 1e-6, 1e-3),
+        ("physical-straight", 0.3, "release_penetrates", 0.01, 0.2),
+        ("physical-straight", 0.3, "trailing_foot_pulls", 1e-4, 1e-3),
+    ],
+)
+def test_a_violation_is_flagged_above_its_limit(browser, walker, slope, violation, below, above):
     browser.get("about:blank")
-    keys = dispatch.ask("check_walker", {"walker": "D", "set": {}})["parameters"]
-    known = list(solved("D", {}, [0.009]))
+    keys, number = keys_of(walker, {}), list(VIOLATIONS).index(violation)
+    known = list(solved(walker, {}, [slope]))
     starts = [[p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)] for p in known]
-    friction = 1 << VIOLATIONS.index("friction")
-    for limit, flagged in ((None, False), (1.0, False), (0.15, True)):  # the gaits demand 0.19
-        own = keys if limit is None else {**keys, "friction_limit": limit}
-        assert [bool(flown["flags"] & friction) for flown in run(browser, _FLY, own, starts)] == [flagged] * len(known)
+    for limit, is_flagged in ((below, True), (above, False)):
+        bits = gaits(walker, slope, variables=["violations"], violation_limits={violation: limit}).violations.values
+        keys["violation_limits"][number] = limit
+        flown = [gait["flags"] >> number & 1 for gait in run(browser, _FLY, keys, starts)]
+        assert flown == (bits[: len(known)] >> number & 1).tolist()
+        assert any(flown) == is_flagged
 
 
 def test_a_scuff_between_two_samples_is_flagged(browser):
     browser.get("about:blank")
     for name, slopes in (("C", [0.324, 0.325]), ("physical", [0.355])):
-        keys = dispatch.ask("check_walker", {"walker": name, "set": {}})["parameters"]
+        keys = {**keys_of(name, {}), "violation_limits": [0.0] * len(VIOLATIONS)}
         known = list(solved(name, {}, slopes))
         starts = [[p["slope"], float(p["stance_angle"]), *(float(p[rate]) for rate in _RATES)] for p in known]
-        assert [flown["flags"] for flown in run(browser, _FLY, keys, starts)] == [int(p["violations"]) for p in known]
+        assert [flown["flags"] & 1 for flown in run(browser, _FLY, keys, starts)] == [
+            int(p["scuff_depth"] > 0) for p in known
+        ]

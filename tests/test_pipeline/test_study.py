@@ -97,9 +97,13 @@ WRONG = {
         'memory = "2 GB/s"': "`memory` must be at least 64 MiB and at most 1024 TiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory).",
         f'memory = "{"9" * 400} GiB"': '`memory` must be at least 64 MiB and at most 1024 TiB, as in "2 GiB";'
         f" got '{'9' * 56} (s.toml, limits.memory).",
-        'memory = "2 GiB"\n[options]\nstarts = 3': "Unknown key `starts`, known: friction_limit, steps (s.toml, options).",
-        'memory = "2 GiB"\n[options]\nfriction_limit = 0': "`friction_limit` must be above 0; got 0"
-        " (s.toml, options.friction_limit).",
+        'memory = "2 GiB"\n[options]\nstarts = 3': "Unknown key `starts`, known: violation_limits, steps (s.toml, options).",
+        'memory = "2 GiB"\n[options]\nfriction_limit = -1': "`friction` must be at least 0; got -1"
+        " (s.toml, options.violation_limits.friction).",
+        'memory = "2 GiB"\n[options]\nviolation_limits = { scuf = 0.1 }': "Unknown violation `scuf`, did you mean `scuff`?"
+        " (s.toml, options.violation_limits).",
+        'memory = "2 GiB"\n[options]\nviolation_limits = 0.1': "`violation_limits` must be a table of limits by the names of"
+        " violations; got 0.1 (s.toml, options.violation_limits).",
     },
 }
 

@@ -33,14 +33,21 @@ KNEE = (
 _atlases: dict[str, dict] = {}
 
 
-def measured(name: str, slopes: list[float], want: tuple[str, ...] = STATE + GROUP) -> dict[str, np.ndarray]:
+#: Whatever exceeds an assumption by however little is flagged.
+NO_LIMITS = {**dict.fromkeys(VIOLATIONS, 0.0), "friction": 1.0}
+
+
+def measured(
+    name: str, slopes: list[float], want: tuple[str, ...] = STATE + GROUP, **options: object
+) -> dict[str, np.ndarray]:
     walker: object = name
     if name.endswith(".toml"):
         walker = tomllib.loads((WALKERS / name).read_text())["walker"]
     line = {"walker": walker, "set": {}}
     if name not in _atlases:
         _atlases[name] = atlas({"line": line}, [])
-    return points({"line": line, "slope": np.array(slopes), "want": want}, [_atlases[name]])
+    base = {"line": line, "slope": np.array(slopes), "want": want, "violation_limits": NO_LIMITS}
+    return points(base | options, [_atlases[name]])
 
 
 def gait(name: str, slope: float, label: str) -> dict[str, float]:
@@ -52,6 +59,10 @@ def gait(name: str, slope: float, label: str) -> dict[str, float]:
 
 def flags(bits: int) -> set[str]:
     return {name for k, name in enumerate(VIOLATIONS) if bits >> k & 1}
+
+
+def bit(name: str) -> int:
+    return 1 << list(VIOLATIONS).index(name)
 
 
 def lock_impulse(walker: oracle.Oracle, before: np.ndarray, contact: int, locked: tuple[int, ...]) -> float:
@@ -294,7 +305,7 @@ def test_a3_no_contact_pulls_on_the_stable_gaits():
         long = found["status"][:, 0] == 0
         assert long.any()
         assert (found["least_normal_force"][long, 0] > 0).all()
-        assert (found["violations"][long, 0] & (1 << VIOLATIONS.index("contact_tension")) == 0).all()
+        assert (found["violations"][long, 0] & bit("contact_tension") == 0).all()
 
 
 @pytest.mark.parametrize(("label", "slope"), [("short", 0.0079745), ("long", 2.2077e-4)])
@@ -317,8 +328,8 @@ def test_flags_say_what_the_amounts_say():
         "trailing_foot_pulls": found["trailing_impulse"] > 0,
     }
     for name, expected in amounts.items():
-        bit = found["violations"] >> VIOLATIONS.index(name) & 1 == 1
-        np.testing.assert_array_equal(bit[there], expected[there])
+        flagged = found["violations"] & bit(name) > 0
+        np.testing.assert_array_equal(flagged[there], expected[there])
     assert (found["violations"][~there] == 0).all()
 
 
@@ -383,16 +394,75 @@ def test_the_compass_walks_with_period_one_at_three_degrees_and_is_tuned():
     assert all(value == 0 for value in statics(resolve(table)).values())
 
 
-def test_a_study_sets_the_friction_limit():
-    line = {"walker": "physical", "set": {}}
-    measured("physical", [0.036])
-    want = ("violations", "friction_demand", "friction_demand_heelstrike", "friction_demand_kneestrike")
+@pytest.mark.parametrize(
+    ("walker", "slope", "label", "violation"),
+    [
+        ("C", 0.02, "long", "scuff"),
+        ("physical", 0.036, "long", "stance_knee_unlocks"),
+        ("C", 0.02, "short", "stance_knee_unlocks"),
+        ("D", 0.3, "long", "contact_tension"),
+        ("physical", 0.036, "long", "friction"),
+        ("C", 1e-4, "short", "release_hyperextends"),
+        ("physical-straight", 0.3, "long", "release_penetrates"),
+        ("physical-straight", 0.3, "long", "trailing_foot_pulls"),
+    ],
+)
+def test_a_violation_is_flagged_where_an_amount_exceeds_its_limit(walker, slope, label, violation):
+    found, own = gait(walker, slope, label), CATALOGUE[walker]
+    weight, time = own.total_mass * own.g, np.sqrt(own.leg / own.g)
+    units = {
+        "scuff_depth": own.leg,
+        "penetration_depth": own.leg,
+        "unlocking_torque": weight * own.leg,
+        "unlocking_impulse_kneestrike": weight * own.leg * time,
+        "unlocking_impulse_heelstrike": weight * own.leg * time,
+        "least_normal_impulse": weight * time,
+        "trailing_impulse": weight * time,
+    }
+    sign = -1 if VIOLATIONS[violation].is_least else 1
+    worst = max(sign * found[name] / units.get(name, 1.0) for name in VIOLATIONS[violation].amounts)
+    assert worst > 0
     for factor, flagged in ((0.999, True), (1.001, False)):
-        base = {"line": line, "slope": np.array([0.036]), "want": want}
-        amounts = points(base, [_atlases["physical"]])
-        worst = max(amounts[name][0, 0] for name in want[1:])
-        found = points({**base, "friction_limit": factor * worst}, [_atlases["physical"]])
-        assert ("friction" in flags(found["violations"][0, 0])) == flagged
+        limits = {violation: factor * worst}
+        bits = measured(walker, [slope], violation_limits=limits)["violations"][0, GAITS.index(label)]
+        assert (violation in flags(bits)) == flagged
+
+
+def test_the_default_limits_tell_walkers_apart():
+    """Of the stable gaits of the tuned straight legs none is flagged, of C's all scuff, of the machine's none does."""
+    for walker, slope, expected in (
+        ("A", 0.02, set()),
+        ("D", 0.009, set()),
+        ("C", 0.02, {"scuff"}),
+        ("physical", 0.036, {"stance_knee_unlocks"}),
+    ):
+        found = measured(walker, [slope], ("stance_angle", "violations"), violation_limits=None)
+        assert flags(found["violations"][0, 0]) == expected
+
+
+@pytest.mark.parametrize("name", VIOLATIONS)
+def test_a_limit_is_of_amounts_that_are_archived(name):
+    amounts = VIOLATIONS[name].amounts
+    assert amounts and all(VARIABLES[amount].group == "violations" for amount in amounts)
+    assert VIOLATIONS[name].limit >= 0 and VIOLATIONS[name].reason
+
+
+@pytest.mark.parametrize("name", ["A", "D", "C"])
+def test_the_foots_clearance_is_its_lowest_height_in_mid_swing(name):
+    """Straight legs scuff by it; a foot that scuffs nowhere clears the ground by it, as a simulation shows."""
+    found = gait(name, 0.02, "long")
+    assert found["foot_clearance"] == -found["scuff_depth"] < 0
+
+
+def test_the_machines_foot_clears_the_ground_by_what_a_simulation_shows():
+    found, walker = gait("physical", 0.036, "long"), CATALOGUE["physical"]
+    slow = oracle.Oracle(walker.table())
+    rates = [found["stance_rate"], found["thigh_rate"], found["shank_rate"]]
+    states = slow.step(found["stance_angle"], rates, 0.036, samples=600).states
+    heights = np.array([swing_foot(slow, state) for state in states])
+    low = heights[1:-1][(heights[1:-1] < heights[:-2]) & (heights[1:-1] < heights[2:])]
+    assert found["foot_clearance"] == pytest.approx(low.min(), rel=1e-4)
+    assert low.min() > 0
 
 
 @pytest.mark.parametrize("name", ["E", "C"])

@@ -31,12 +31,13 @@ def rounded(values: Iterable[float], digits: int = 7) -> list[float | None]:
 
 
 def parameters(source: Source, walker: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of a line's walker that its script flies, with the limit of friction; empty if one is missing."""
+    """Parameters of a line's walker that its script flies, and the limits of violations; empty if one is missing."""
     table = source.parameters(walker, dict(settings))
     kept = {k: v for k, v in table.items() if isinstance(v, (bool, int, float))}
     needed = {"l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "R", "eps_T", "m_h", "g", "knees"}
-    limit = source.study.get("options", {}).get("friction_limit", 1.0)
-    return {**kept, "units": str(table.get("units", "1")), "friction_limit": limit} if needed <= set(kept) else {}
+    if not needed <= set(kept):
+        return {}
+    return {**kept, "units": str(table.get("units", "1")), "violation_limits": source.violation_limits}
 
 
 def address(walker: str, settings: Mapping[str, Any], **start: float) -> str:

@@ -155,14 +155,14 @@ function kneeTorque(walker, q, rate, acceleration, slope) {
   return sum(acceleration.map((a, j) => M[4 + j] * a)) - f[1];
 }
 
-/** Names of the physical assumptions that a step violates (appendix A of the paper); null where a step ends in a fall. */
+/** Names of the physical assumptions that a step violates by more than their limits (appendix A of the paper); null where a step ends in a fall. */
 function violationsOf(walker, start, step, slope) {
   if (step.fall) return null;
-  const broken = new Set(), ratio = ([x, y]) => y > 0 ? abs(x) / y : Infinity;
-  const flag = (number, isBroken) => { if (isBroken) broken.add(VIOLATIONS[number]); };
+  const worst = VIOLATIONS.map(() => 0), ratio = ([x, y]) => y > 0 ? abs(x) / y : Infinity;
+  const note = (number, amount) => { worst[number] = Math.max(worst[number], amount); };
   const contact = force => {
-    flag(2, force[1] < 0);
-    flag(3, ratio(force) > (walker.keys.friction_limit ?? 1));
+    note(2, -force[1]);
+    note(3, ratio(force));
   };
   step.phases.forEach((phase, number) => phase.samples.forEach(([time, x, dx], k) => {
     const n = x.length / 2, chain = n === 3 ? walker.free : walker.locked;
@@ -171,14 +171,15 @@ function violationsOf(walker, start, step, slope) {
     q.forEach((angle, j) => { force = plus(force, multiply([-(rate[j] ** 2), acceleration[j]], turned([chain.sr[j], chain.si[j]], angle))); });
     contact(force);
     const atEnd = (number === 0 && k === 0) || (number === step.phases.length - 1 && k === phase.samples.length - 1);
-    flag(0, !walker.kneed || (!atEnd && footHeight(walker, ofLinks(q)) < 0));
+    if (!atEnd) note(0, -footHeight(walker, ofLinks(q)));
     // Between two samples the foot is lowest where its rate, interpolated linearly, vanishes.
     const next = phase.samples[k + 1], [falls, rises] = [x, next?.[1] ?? x].map(y => sum(climbing(walker, ofLinks(y.subarray(0, n)), ofLinks(y.subarray(n)))));
     if (falls < 0 && rises > 0) {
       const lowest = advance(chain, x, dx, slope, (next[0] - time) * falls / (falls - rises));
-      flag(0, footHeight(walker, ofLinks(lowest.subarray(0, n))) < 0);
+      note(0, -footHeight(walker, ofLinks(lowest.subarray(0, n))));
     }
-    flag(1, walker.kneed && kneeTorque(walker, ...[q, rate, acceleration].map(ofLinks), slope) < 0);
+    if (walker.kneed) note(1, -kneeTorque(walker, ...[q, rate, acceleration].map(ofLinks), slope));
+    if (n === 3 && number === 0) note(4, q[2] - q[1]);
   }));
   const n = start.length / 2, chain = n === 3 ? walker.free : walker.locked, open = walker.open;
   const impulse = (at, after, before, velocity, atKnee) => {
@@ -186,21 +187,27 @@ function violationsOf(walker, start, step, slope) {
     contact(minus(momentumOf(open, q, change), velocity));
     if (!walker.kneed) return;
     const M = massMatrix(open, q), [x, y] = turned([-open.si[1], open.sr[1]], q[1]);
-    flag(1, sum(change.map((c, j) => M[4 + j] * c)) - (atKnee ? 0 : x * velocity[0] + y * velocity[1]) < 0);
+    note(1, (atKnee ? 0 : x * velocity[0] + y * velocity[1]) - sum(change.map((c, j) => M[4 + j] * c)));
   };
   const before = [step.before[1], step.before[0], step.before[0]].slice(0, n);
   impulse(step.end.subarray(0, n), step.end.subarray(n), before, landing(walker, step.end[0], step.before), false);
   if (walker.kneed) {
     const x = step.phases[0].end, y = step.phases[1].samples[0][1];
     impulse(x.subarray(0, 3), [y[2], y[3], y[3]], x.subarray(3), [0, 0], true);
-    flag(4, start[4] < start[5]);
   }
   const q = ofLinks(start.subarray(0, n)), rate = ofLinks(start.subarray(n));
   const acceleration = ofLinks(derivative(chain, start, slope).subarray(n));
   const arms = rising(walker).map((arm, j) => turned(arm, q[j])), parts = climbing(walker, q, rate);
   const velocity = sum(parts), still = abs(velocity) <= 1e-12 * sum(parts.map(abs));
   const lift = sum(arms.map((arm, j) => arm[0] * acceleration[j] - rate[j] ** 2 * arm[1]));
-  flag(5, (still ? lift : velocity) < 0);
-  flag(6, !still && velocity < 0 && !walker.massless);
-  return VIOLATIONS.filter(name => broken.has(name));
+  if ((still ? lift : velocity) < 0) {
+    const heights = step.phases[0].samples.slice(1).map(([, x]) => footHeight(walker, ofLinks(x.subarray(0, n))));
+    const rises = heights.findIndex(height => height >= 0);
+    note(5, Math.max(0, ...heights.slice(0, rises < 0 ? undefined : rises).map(height => -height)));
+  }
+  if (!still && velocity < 0 && !walker.massless) {
+    const [s1, s2, thigh, shank] = arms.map(arm => arm[0]), row = n === 3 ? [s1 + s2, thigh, shank] : [s1 + s2, thigh + shank];
+    note(6, -velocity / compliance(chain, start.subarray(0, n), [row])[0][0]);
+  }
+  return VIOLATIONS.filter((_, number) => worst[number] > (walker.keys.violation_limits?.[number] ?? 0));
 }
