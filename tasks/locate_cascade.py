@@ -41,7 +41,7 @@ _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
 #: Columns of the tables.
 _CASCADE = ("family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", "walks")
 _ACCUMULATION = ("family", "flips", "slope", "low", "high", "ratio", "stopped")
-_LOST = ("family", "low", "high", "starts", "strides")
+_LOST = ("family", "low", "high", "starts", "strides", "reason")
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         Tables `cascade` (family, period, kind, slope, error_bound, ratio, stance_angle, walks), a row for each fold and
         flip, `accumulation` (family, flips, slope, low, high, ratio, stopped: why no further flip was located), and
-        `lost` (family, low, high, starts, strides):
-        the slopes [rad] between which the chaos beyond a family's doublings ends, in falls or a period-one gait.
+        `lost` (family, low, high, starts, strides, reason): the slopes [rad] between which the chaos beyond a family's
+        doublings ends, in falls or a period-one gait; `reason` says why one of them is NaN.
     """
     options = registry.options("cascade", params)
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
@@ -119,8 +119,9 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             if int(options["steps"]) and np.isfinite(value):
                 end = float(np.clip(value + _MAX_EXTENT * (value - flips[0]), slope[0], slope[-1]))
                 low, high = lost(problem, _spread_around(family[-1].cycle), value, end, int(options["steps"]))
+                reason = _unbracketed(low, high, value, end)
                 bracket = (low, high) if value > flips[0] else (high, low)  # doublings may lead to smaller slopes
-                ends.append(dict(zip(_LOST, (name, *bracket, _ORBITS, int(options["steps"])), strict=True)))
+                ends.append(dict(zip(_LOST, (name, *bracket, _ORBITS, int(options["steps"]), reason), strict=True)))
     return {
         f"{group}/{k}": np.array([r[k] for r in table])
         for group, columns, table in (
@@ -136,6 +137,13 @@ def _absent(n: int, slope: np.ndarray) -> str:
     """Why a family of period n has no gait to begin with."""
     searched = "No long gait" if n == 1 else f"No gait of period {n} was found"
     return f"{searched} at slopes from {slope[0]:.6g} to {slope[-1]:.6g}."
+
+
+def _unbracketed(low: float, high: float, accumulation: float, end: float) -> str:
+    """Why the loss of an attractor has no slope on one of its sides; empty where it has both."""
+    if np.isnan(low):
+        return f"Orbits are lost at the accumulation point already, at slope {accumulation:.6g}."
+    return f"Orbits persist to slope {end:.6g}, where the search ends." if np.isnan(high) else ""
 
 
 def _spread_around(cycle: Cycle) -> np.ndarray:

@@ -45,7 +45,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         Tables `basin` (slope, stance_angle, stance_rate[, swing_rate], outcome, steps), a row per initial condition;
         `fixed_points` (slope, gait, stance_angle, stance_rate, swing_rate, NaN for point feet), the gaits in the same
         coordinates, `stable_manifold` (likewise, and point, a number), points of those of saddles, and `areas`
-        (slope, outcome, area, standard_error, share, starts), in the walker's units, areas with rates over sqrt(g/leg).
+        (slope, outcome, area, standard_error, share, starts), in the walker's units; an area is of angles and rates.
 
     Notes
     -----
@@ -90,7 +90,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             table["swing_rate"] = starts[2] / time_unit
         tables.append(table | {"outcome": outcome, "steps": steps})
         for name, area, error in _areas(outcome.reshape(int(options["size"]), -1), cell):
-            row = (slope, name, area, error, np.mean(outcome == name), len(outcome))
+            row = (slope, name, area / time_unit, error / time_unit, np.mean(outcome == name), len(outcome))
             for column, value in zip(areas.values(), row, strict=True):
                 column.append(value)
     basins = {f"basin/{k}": np.concatenate([t[k] for t in tables]) for k in (tables[0] if tables else {})}

@@ -11,7 +11,7 @@ import numpy as np
 
 from tasks import registry
 from tasks.continuation.atlas import survey_lines, to_arrays
-from tasks.continuation.extremes import ANY_SLOPE, QUANTITIES, Points, best, find, in_window
+from tasks.continuation.extremes import ANY_SLOPE, COSTS, QUANTITIES, Points, best, find, in_window
 from tasks.continuation.refine import COARSE
 from tasks.disturb_designs import attractors, largest_steps, section
 from tasks.families.box import Box
@@ -209,7 +209,7 @@ class _Rows:
     """Rows of the table, one for each of n designs; slopes and speeds are logarithms, speeds over sqrt(g leg)."""
 
     def __init__(self, n: int, log_speed: float | None = None):
-        self.log_speed, names = log_speed, QUANTITIES if log_speed is not None else QUANTITIES[:-1]
+        self.log_speed, names = log_speed, QUANTITIES if log_speed is not None else QUANTITIES[: -len(COSTS)]
         self.value = {name: np.full(n, np.nan) for name in names}
         self.error = {name: np.full(n, np.nan) for name in names}
         self.kind = {name: np.full(n, _NO_WALKER, "U32") for name in names}
@@ -218,6 +218,7 @@ class _Rows:
         self.attractor = np.full(n, _NO_GAIT, "U32")
         self.steps = np.full((2, n), np.nan)
         self.stable_at_least_cost = np.full(n, np.nan)
+        self.gait_at = {name: np.full(n, "", "U8") for name in COSTS}
 
     def store(
         self,
@@ -245,6 +246,8 @@ class _Rows:
             self.kind[name][row] = points.kind[which]
             if name == "least_cost":
                 self.stable_at_least_cost[row] = points.stable[which]
+            if name in COSTS:
+                self.gait_at[name][row] = np.where(points.long[which], *GAITS[:2])
             absent = kept & (point < 0)
             self.kind[name][numbers[absent]] = _NO_GAIT
             if name != "smallest_slope":
@@ -261,8 +264,10 @@ class _Rows:
         """The columns that options ask for."""
         out: Arrays = {}
         if options["at_speed"] is not None:
-            out["least_cost_of_transport"] = np.sin(np.exp(self.value["least_cost"]))
-            out["least_cost_error"] = self.error["least_cost"]
+            for name in COSTS:
+                slope = np.exp(self.value[name])
+                out |= {f"{name}_of_transport": np.sin(slope), f"{name}_error": self.error[name]}
+                out |= {f"slope_at_{name}": slope, f"gait_at_{name}": self.gait_at[name]}
             out["stable_at_least_cost"] = self.stable_at_least_cost
         if options["at_slope"] is not None:
             out["attractor"] = self.attractor

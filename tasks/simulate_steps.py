@@ -59,7 +59,8 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
     -------
     dict
         In the walker's units, NaN after a fall: `stance_angle`, `thigh_angle`, `stance_rate`, `thigh_rate`,
-        `shank_rate`, shape (n + 1,), at the start of each step and after the last, pushes included; `period` and
+        `shank_rate`, shape (n + 1,), just after the heelstrike before each step and after the last, before the step's
+        push; `period` and
         `kneestrike_time`, shape (n,); `cause`, of CAUSES, and `steps_taken`. With `motion` also `time` (from
         the start of the step), `theta_st`, `theta_th`, `theta_sh` and `foot_x`, shape (n, phases, SAMPLES + 1).
 
@@ -82,10 +83,10 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
     motion = np.full((n, 4, phases, SAMPLES + 1), np.nan)
     outcome, taken = STRUCK, 0
     for k in range(n + 1):
-        x = _push(x, np.array(params.get("pushes", {}).get(k, (0.0, 0.0))) * time_unit / scale)
         states[k] = _all_angles(x) * scale
         if k == n:
             break
+        x = _push(x, np.array(params.get("pushes", {}).get(k, (0.0, 0.0))) * time_unit / scale)
         height = float(params.get("ground", {}).get(k, 0.0)) / walker.l
         step = take_step(problem, x, parameters[:, 0], height, bool(params.get("motion")))
         times[k, : len(step.times)], motion[k, :, : len(step.motion)] = step.times, np.moveaxis(step.motion, 1, 0)

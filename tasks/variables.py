@@ -16,6 +16,7 @@ STATUSES = {"converged": 0, "no_gait": 1, "not_converged": 2, "fell": 3, "less_a
 SI_UNITS = {
     "angle": "rad",
     "rate": "rad s-1",
+    "angle_rate": "rad2 s-1",
     "time": "s",
     "frequency": "s-1",
     "length": "m",

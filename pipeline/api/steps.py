@@ -133,7 +133,8 @@ def simulate(
     motion : bool
         Sample the motion of every step.
     pushes : mapping, optional
-        By the number of a step, from 0, the changes of (stance_rate, thigh_rate) at its start.
+        By the number of a step, from 0, the changes of (stance_rate, thigh_rate) at its start; the state recorded of
+        the step is that before the push.
     ground : mapping, optional
         By the number of a step the height by which the ground is higher where it ends (negative: a step down), at
         right angles to the slope, in the walker's unit of length. It stays so afterwards.
@@ -143,10 +144,11 @@ def simulate(
     Returns
     -------
     xarray.Dataset
-        Along `step`, from 0 to `steps`: `stance_angle`, `thigh_angle`, `stance_rate`, `thigh_rate`, `shank_rate` at the
-        start of the step, the last of them the state that is reached; `period` and `kneestrike_time`; NaN after a
-        fall. `outcome` says in words how the simulation ended, and `reason` in a sentence; `steps_taken` counts the
-        heelstrikes. With `motion` also `time` after the start of the step, `theta_st`, `theta_th`, `theta_sh` and
+        Along `step`, from 0 to `steps`: `stance_angle`, `thigh_angle`, `stance_rate`, `thigh_rate`, `shank_rate` just
+        after the heelstrike with which the step begins, the last of them the state that is reached; `period` and
+        `kneestrike_time`; NaN after a fall. `outcome` says in words how the simulation ended, and `reason` in a
+        sentence; `steps_taken` counts the heelstrikes. With `motion` also `time` after the start of the step,
+        `theta_st`, `theta_th`, `theta_sh` and
         `foot_x`, along `phase` (the knee free, locked) and `sample`.
 
     Raises

@@ -31,13 +31,15 @@ _STABLE = 1 - 1e-9
 ANY_SLOPE = "any slope"
 
 
-#: Kinds of points at which a quantity has no extreme; the least cost of a speed is that of the points that have it.
+#: Kinds of points at which a quantity has no extreme.
 _NOT_OF = {
     "smallest_slope": ("flip", "neimark_sacker", "fastest", "speed"),
     "largest_stable_slope": ("label", "fastest", "speed"),
     "fastest_stable_speed": ("label", "speed", ANY_SLOPE),
 }
-QUANTITIES = (*_NOT_OF, "least_cost")
+#: Costs are of the points that have the speed asked for: of all, and of the stable ones.
+COSTS = ("least_cost", "least_stable_cost")
+QUANTITIES = (*_NOT_OF, *COSTS)
 #: How far outside the window its own edges may lie, in ln slope.
 _EDGE = 1e-9
 
@@ -114,7 +116,7 @@ def may_be(name: str, kind: np.ndarray) -> np.ndarray:
     -------
     ndarray of bool, shape (n,)
     """
-    return kind == "speed" if name == "least_cost" else ~np.isin(kind, _NOT_OF[name])
+    return kind == "speed" if name in COSTS else ~np.isin(kind, _NOT_OF[name])
 
 
 def in_window(points: Points, window: tuple[float, float]) -> np.ndarray:
@@ -141,7 +143,7 @@ def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
     -------
     dict of ndarray of bool, shape (n,)
         Of the `smallest_slope` of a long or stable gait, the `largest_stable_slope`, the `fastest_stable_speed` and the
-        `least_cost` of transport at a speed.
+        `least_cost` of transport at a speed, and that of stable gaits.
     """
     kind, inside = points.kind, in_window(points, window)
     low = inside | (points.walks & (kind == ANY_SLOPE))
@@ -151,6 +153,7 @@ def roles(points: Points, window: tuple[float, float]) -> dict[str, np.ndarray]:
         "largest_stable_slope": stable,
         "fastest_stable_speed": stable,
         "least_cost": inside,
+        "least_stable_cost": stable,
     }
     return {name: which & may_be(name, kind) for name, which in every.items()}
 

@@ -13,6 +13,7 @@ from tasks.continuation.atlas import survey_lines
 from tasks.continuation.defining import SCALARS, foot_radius, log_froude
 from tasks.continuation.extremes import (
     ANY_SLOPE,
+    COSTS,
     QUANTITIES,
     Points,
     best,
@@ -40,7 +41,12 @@ _TIE = 1e-3
 #: Kinds of points that get a manifold, if one can be made, already where their value comes this near the best of a
 #: line: points of other kinds become the best only where another point changes its flags.
 _RIVALS = ("fold", "flip")
-_RIVAL = {"smallest_slope": 0.05, "largest_stable_slope": 0.1, "fastest_stable_speed": 0.05, "least_cost": 0.0}
+_RIVAL = {
+    "smallest_slope": 0.05,
+    "largest_stable_slope": 0.1,
+    "fastest_stable_speed": 0.05,
+    **dict.fromkeys(COSTS, 0.0),
+}
 #: Rounds in which lines are surveyed and manifolds added, and lines of each.
 _ROUNDS, _MAX_LINES = 6, 8
 #: Share of the lattice whose designs are left to lines instead of halving the box, as a single one is.

@@ -17,7 +17,7 @@ def describe(params: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     params : mapping
-        `name` (str or None) or `walker` (a table).
+        `name` (str or None) or `walker` (a table, whose `name` is shown if it has one).
 
     Returns
     -------
@@ -31,7 +31,7 @@ def describe(params: Mapping[str, Any]) -> dict[str, Any]:
         If there is no such walker.
     """
     if params.get("walker") is not None:
-        walkers = {"custom": resolve(params["walker"])}
+        walkers = {str(params["walker"].get("name", "custom")): resolve(params["walker"])}
     elif params.get("name"):
         walkers = {params["name"]: from_catalogue(params["name"])}
     else:

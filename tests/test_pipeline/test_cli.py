@@ -656,7 +656,7 @@ def test_degrees_of_a_rate_without_a_unit_of_time_are_no_angle(capsys):
 
 
 def test_solve_finds_gaits_of_several_steps(capsys):
-    gait = printed(capsys, "--walker", "D", "--slope", "0.016", "--steps", "2")
+    gait = printed(capsys, "--walker", "D", "--slope", "0.016", "--steps", "2", "--limit", "scuff=0")
     assert float(gait["period"]) == pytest.approx(2 * 3.88, abs=0.1) and gait["violations"] == "scuff"
     # The mean of both steps, each twice the sine of its angle.
     assert float(gait["step_length"]) == pytest.approx(2 * 0.239, abs=0.005)
@@ -842,3 +842,20 @@ def test_times_are_told_in_the_unit_that_people_use():
         3.6e12: "1,000,000,000 h",
     }
     assert {seconds: duration(seconds) for seconds in told} == told
+
+
+def test_a_walker_of_ones_own_is_shown_by_its_name(tmp_path, capsys):
+    for name, shown in (('name = "biped"\n', "biped: a walker of your own"), ("", "custom: a walker of your own")):
+        (tmp_path / "own.toml").write_text(f'[walker]\n{name}base = "A"\nm_h = 1.0\n')
+        assert commands.main(["walkers", f"{tmp_path}/own.toml"]) == 0
+        assert capsys.readouterr().out.splitlines()[0] == shown
+
+
+def test_solve_flags_violations_above_the_limits_that_it_is_given(capsys):
+    for limit, flags in (("scuff=0.01", []), ("scuff=0", ["scuff"])):
+        words = ["solve", "--walker", "C", "--slope", "0.02", "--json", "--limit", limit]
+        assert commands.main(words) == 0
+        long = json.loads(capsys.readouterr().out)[0]
+        assert long["gait"] == "long" and [name for name in long["violations"] if name == "scuff"] == flags
+    assert commands.main([*words[:-1], "scuf=1"]) == 2
+    assert "Unknown violation `scuf`, did you mean `scuff`?" in capsys.readouterr().err

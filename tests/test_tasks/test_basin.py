@@ -129,8 +129,8 @@ def test_outcomes_do_not_depend_on_the_grid():
     assert same.any()
 
 
-def test_areas_are_in_the_unit_that_they_name():
-    """Of walkers in SI units they were in rad/s."""
+def test_areas_are_in_the_units_of_their_axes():
+    """Of angle and rate, as the axes of the map: they were in rad^2 with rates over sqrt(g/leg)."""
     found = []
     for g in (1.0, 4.0):
         line, key = {"walker": "D", "set": {"g": g}}, (("g", g),)
@@ -139,7 +139,10 @@ def test_areas_are_in_the_unit_that_they_name():
     one, other = found
     assert other["basin/stance_rate"] == pytest.approx(2 * one["basin/stance_rate"])
     for name in ("area", "standard_error"):
-        assert one[f"areas/{name}"] == pytest.approx(other[f"areas/{name}"])
+        assert other[f"areas/{name}"] == pytest.approx(2 * one[f"areas/{name}"])
+    sides = [np.unique(other[f"basin/{name}"]) for name in ("stance_angle", "stance_rate")]
+    whole = np.prod([len(side) * (side[1] - side[0]) for side in sides])
+    assert other["areas/area"].sum() == pytest.approx(whole)
 
 
 @pytest.mark.parametrize("name", ["D", "E"])

@@ -163,3 +163,15 @@ def test_the_bracket_of_a_lost_attractor_is_narrowed_where_it_is_lost(monkeypatc
     assert asked[1] == pytest.approx([0.012, 0.014, 0.016, 0.018])
     assert crisis.lost(None, None, 0.001, 0.002, 50)[0] == 0.002
     assert crisis.lost(None, None, 0.014, 0.02, 50)[1] == 0.014
+
+
+def test_a_loss_without_a_slope_says_why(monkeypatch):
+    """Orbits that persist to the end of the search had NaN, unexplained."""
+    for bracket, sentence in (
+        ((0.02, np.nan), "Orbits persist to slope "),
+        ((np.nan, 0.02), "Orbits are lost at the accumulation point already"),
+        ((0.02, 0.03), ""),
+    ):
+        monkeypatch.setattr(locate_cascade, "lost", lambda *_, found=bracket: found)
+        found = doublings("D", 0.014, 0.0195, periods=8, steps=5)
+        assert found["lost/reason"][0].startswith(sentence) and bool(found["lost/reason"][0]) == bool(sentence)

@@ -52,6 +52,18 @@ def test_the_least_cost_is_that_of_the_flattest_gait_with_the_speed():
     assert np.isnan(computed("A", at_speed=20.0)["least_cost_of_transport"]).all()
 
 
+def test_the_least_cost_of_stable_gaits_is_told_from_that_of_short_unstable_ones():
+    """The paper, section 3: the simplest walker's short gait is faster at every slope, and never stable."""
+    speed = gait("D", 0.009, "long")["speed"]
+    found = computed("D", at_speed=speed)
+    assert found["slope_at_least_stable_cost"][0] == pytest.approx(0.009, rel=1e-9)
+    assert found["least_stable_cost_of_transport"][0] == pytest.approx(np.sin(0.009), rel=1e-9)
+    (slope,) = found["slope_at_least_cost"]
+    assert slope < 0.009 and gait("D", float(slope), "short")["speed"] == pytest.approx(speed, rel=1e-9)
+    labels = (found[f"gait_at_{name}"].tolist() for name in ("least_cost", "least_stable_cost"))
+    assert list(labels) == [["short"], ["long"]] and found["stable_at_least_cost"].tolist() == [0.0]
+
+
 @pytest.mark.parametrize(("walker", "slope"), [("D", 0.009), ("A", 0.02), ("C", 0.02)])
 def test_larger_steps_of_the_ground_are_not_survived(walker, slope):
     """A simulation of every one of the 200 steps, by another integrator, agrees on both sides of the limit."""
