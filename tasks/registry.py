@@ -161,6 +161,7 @@ CALLS = {
     "claims": "tasks.check_claims:check",
     "walkers": "tasks.walkers.describe:describe",
     "tune": "tasks.walkers.tuning:tune",
+    "untuned": "tasks.walkers.tuning:untuned",
     "check_walker": "tasks.walkers.resolve:check",
 }
 

@@ -19,6 +19,7 @@ from tasks.registry import GAITS, VARIABLES, VIOLATIONS
 from tasks.solve_points import atlas, points, solve
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
+from tasks.walkers.tuning import untuned
 from tasks.walkers.walker import Walker
 
 #: Variables measured for one point: all but proofs.
@@ -67,7 +68,7 @@ def solve_one(params: Mapping[str, Any]) -> dict[str, Any]:
     point = points({"line": line, **request}, [atlases.to_arrays(branches)])
     gaits = _converged(point)
     non_anthropomorphic: list[dict[str, Any]] = []
-    log = [atlases.searched(problem.walker)]
+    log = [*filter(None, [untuned(line)]), atlases.searched(problem.walker)]
     log.append(f"{len(branches)} branches continued over {sum(len(b.Z) for b in branches)} points")
     if params.get("all") or not gaits:
         others, nearest = _search_slope(problem, slope, gaits, request["accuracy"], limits)

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import NUMBERS, Walker, WalkerError
+from tasks.walkers.walker import KEYS, NUMBERS, Walker, WalkerError
 
 #: Largest residual, over the leg's length, at which the conditions count as met.
 _MAX_RESIDUAL = 1e-12
@@ -41,6 +42,39 @@ def leg_moment(walker: Walker) -> Any:
 def is_tuned(walker: Walker) -> bool:
     """Whether both static conditions hold to rounding."""
     return all(abs(x) < 1e-14 * walker.leg for x in statics(walker).values())
+
+
+def untuned(params: Mapping[str, Any]) -> str:
+    """Say that keys move a tuned walker of the catalogue off the static conditions.
+
+    Parameters
+    ----------
+    params : mapping
+        `walker` (name or table) and `set` (values of keys, in the walker's units).
+
+    Returns
+    -------
+    str
+        A sentence; empty where the walker is tuned, was not before, or is detuned on purpose by `detuning`.
+
+    Raises
+    ------
+    WalkerError
+        If the walker, a key or a value is invalid.
+    """
+    given, changes = params["walker"], dict(params.get("set") or {})
+    table = {"base": given} if isinstance(given, str) else dict(given)
+    if table.get("base") not in CATALOGUE or "detuning" in (*table, *changes):
+        return ""
+    base, walker = CATALOGUE[table["base"]], resolve(given, changes)
+    if not is_tuned(base) or is_tuned(walker):
+        return ""
+    keys = ", ".join(key for key in dict.fromkeys((*table, *changes)) if key in (*KEYS, "foot_mass_ratio"))
+    off = ", ".join(f"{name} {value:.3g}" for name, value in statics(walker).items())
+    return (
+        f"With this {keys}, {table['base']} is no longer tuned ({off}): it has no gaits at vanishing slopes. "
+        "`gaitsweep tune` shows the nearest walker that is."
+    )
 
 
 def tune(params: Mapping[str, Any]) -> dict[str, Any]:

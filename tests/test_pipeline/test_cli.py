@@ -859,3 +859,15 @@ def test_solve_flags_violations_above_the_limits_that_it_is_given(capsys):
         assert long["gait"] == "long" and [name for name in long["violations"] if name == "scuff"] == flags
     assert commands.main([*words[:-1], "scuf=1"]) == 2
     assert "Unknown violation `scuf`, did you mean `scuff`?" in capsys.readouterr().err
+
+
+def test_a_tuned_walker_that_a_key_moves_off_its_conditions_is_said_to_be_no_longer_tuned(tmp_path, capsys):
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "A"\n[axes]\nslope = [0.02]\nR = [0.2, 0.25]\n')
+    assert commands.main(["plan", str(tmp_path / "s.toml")]) == 0
+    assert "note: With this R, A is no longer tuned (leg_offset " in capsys.readouterr().out
+    (tmp_path / "s.toml").write_text('name = "s"\nwalker = "A"\n[axes]\nslope = [0.02]\nm_h = [0.2, 0.25]\n')
+    assert commands.main(["plan", str(tmp_path / "s.toml")]) == 0
+    assert "tuned" not in capsys.readouterr().out
+    for key, said in (("R=0.25", True), ("detuning=0.1", False), ("m_h=1", False)):
+        assert commands.main(["solve", "--walker", "A", "--slope", "0.02", "--set", key]) == 0
+        assert ("no longer tuned" in capsys.readouterr().err) == said
