@@ -64,8 +64,6 @@ class _Neighbourhoods:
         self.y, slopes = y, np.full(n, slope)
         self.P, self.radius = np.zeros((n, m, m)), np.zeros(n)
         at = stride(problem, y, slopes)
-        if at.jacobian is None:
-            return
         J = np.moveaxis(at.jacobian, -1, 0)
         lanes = np.flatnonzero(np.isfinite(J).all(axis=(1, 2)))
         radii = np.abs(np.linalg.eigvals(J[lanes])).max(axis=1)

@@ -179,7 +179,7 @@ def _advance(
 def _frame(problem: Problem, y: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray] | None:
     """A gait and the inverse of its eigenvectors, or None where it is not stable."""
     at = stride(problem, y[:, None], np.array([slope]))
-    if at.outcome[0] != STRUCK or at.jacobian is None:
+    if at.outcome[0] != STRUCK:
         return None
     values, vectors = np.linalg.eig(at.jacobian[:, :, 0])
     if np.abs(values).max() >= 1:

@@ -20,7 +20,7 @@ from tasks.continuation import pseudo_arclength as engine
 from tasks.continuation.joint import determinants, linearised
 from tasks.continuation.root import passes
 from tasks.mechanics.lumped import constants_of, structure_of
-from tasks.step.problem import Problem
+from tasks.step.problem import Lanes
 from tasks.step.simulate import STRUCK, scanner
 from tasks.step.simulate import stride as simulate_step
 from tasks.step.step_map import Stride, StrideMap, stride_map
@@ -235,7 +235,8 @@ class Curve:
         """Whether the strikes solved for are the first ones of the step, by simulation."""
         U = point.U
         y = np.append(np.exp(U[0]), np.exp(U[0]) * U[1 : self.m])[:, None]
-        step = simulate_step(Problem(self.walker(U)), y, np.exp(U[self.m : self.m + 1]), exact=False)
+        # At a special value the walker alone would have a map of fewer dimensions.
+        step = simulate_step(Lanes([self.walker(U)], self.structure), y, np.exp(U[self.m : self.m + 1]), exact=False)
         return bool(step.outcome[0] == STRUCK and np.abs(step.times[:, 0] - point.times).max() < 1e-3)
 
 

@@ -60,7 +60,7 @@ class SimulatedSteps:
     outcome : ndarray of int, shape (n,)
         Index of CAUSES.
     jacobian : ndarray, shape (m, m, n)
-        Empty where the steps are not exact.
+        NaN of falls, and empty where the steps are not exact.
     """
 
     image: np.ndarray
@@ -300,6 +300,8 @@ def stride(problem: Problem, y: np.ndarray, slope: np.ndarray, exact: bool = Tru
     """
     steps, scale, parameters = _scan(problem, y, slope)
     lanes = np.nonzero(steps.outcome == STRUCK)[0]
+    if exact:
+        steps.jacobian = np.full((len(y), *y.shape), np.nan)
     if exact and len(lanes):
         stride = problem.map(y[:, lanes] / scale[lanes], steps.times[:, lanes], parameters[:, lanes])
         _correct(steps, lanes, stride, scale[lanes])
@@ -308,8 +310,6 @@ def stride(problem: Problem, y: np.ndarray, slope: np.ndarray, exact: bool = Tru
 
 def _correct(steps: SimulatedSteps, lanes: np.ndarray, stride: Stride, scale: np.ndarray) -> None:
     """Put the exact map's images, times and Jacobians in place of the scan's."""
-    m = len(steps.image)
-    steps.jacobian = np.full((m, m, len(steps.outcome)), np.nan)
     steps.image[:, lanes], steps.times[:, lanes] = stride.image * scale, stride.times
     steps.jacobian[:, :, lanes] = stride.jacobian
     lost = ~np.isfinite(steps.image[:, lanes]).all(axis=0)

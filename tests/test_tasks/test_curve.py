@@ -281,7 +281,11 @@ def test_a_curve_that_is_lost_says_so():
 
 @pytest.mark.parametrize(
     ("walker", "key", "high", "slope"),
-    [("E", "foot_mass_ratio", 0.1, 0.015088437941119463562), ("A", "m_h", 1.0, None)],
+    [
+        ("E", "foot_mass_ratio", 0.1, 0.015088437941119463562),
+        ("A", "m_h", 1.0, None),
+        ("D", "R", 0.5, 0.015088437941119463562),  # a point foot's map has two dimensions; it raised ValueError
+    ],
 )
 def test_a_curve_reaches_a_border_beyond_which_there_is_no_walker(walker, key, high, slope):
     """Differences over the key need walkers on either side: curves ended before, as if they could not be continued."""
@@ -289,7 +293,7 @@ def test_a_curve_reaches_a_border_beyond_which_there_is_no_walker(walker, key, h
     options = {"slope": np.array([0.01, 0.1]), "key": key, "from": 0.0, "to": high, "kinds": ["flip"]}
     curves = curve({"line": line, **options}, [_atlas(walker, own)])
     (end,) = np.flatnonzero(curves["curves/value"] == 0.0)
-    assert curves["curves/stopped"][end] == "border"
+    assert curves["curves/stopped"][end] == "border" and curves["curves/walks"].all()
     if slope is None:
         problem, found = branches(walker, **{key: 0.0})
         points = [point for branch in found for point in special_points(problem, branch)]

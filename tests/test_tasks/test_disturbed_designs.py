@@ -10,6 +10,7 @@ from tasks.disturb_designs import attractors, section
 from tasks.map_designs import design
 from tasks.mechanics.lumped import structure_of
 from tasks.step.problem import Lanes
+from tasks.step.simulate import stride
 from tasks.step.uneven_ground import step_onto
 from tasks.walkers.resolve import resolve, resolve_many
 
@@ -148,3 +149,12 @@ def test_attractors_are_those_after_two_thousand_steps(monkeypatch):
     problem = Lanes([resolve("D"), resolve("D")])
     assert attractors(problem, np.ones((2, 2)), 0.01).tolist() == ["chaotic", "chaotic"]
     assert sum(taken[:-1]) == 2000
+
+
+@pytest.mark.parametrize("walker", ["D", "A", "C"])
+def test_walkers_that_all_fall_have_no_attractor(walker):
+    """The Jacobians of no step at all had no shape, and the map of designs ended with an error."""
+    problem = Lanes([resolve(walker)] * 2)
+    falling = np.vstack([np.full(2, 0.3), np.full((problem.m - 1, 2), 1e-3)])  # too slow to pass over the stance foot
+    assert np.isnan(stride(problem, falling, np.full(2, 0.01)).jacobian).all()
+    assert attractors(problem, falling, 0.01).tolist() == ["falls", "falls"]
