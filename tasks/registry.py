@@ -55,7 +55,7 @@ TASKS = {
         ),
         Task("points", "tasks.solve_points:points", 16, needs=("atlas",), seconds_per_point=3e-5),
         Task("trace", "tasks.trace_motion:trace", 3, needs=("atlas",)),
-        Task("branch", "tasks.follow_branches:branch", 11, needs=("atlas",)),
+        Task("branch", "tasks.follow_branches:branch", 12, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 6, needs=("atlas",)),
         Task("cascade", "tasks.locate_cascade:cascade", 11, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 8, needs=("atlas",)),

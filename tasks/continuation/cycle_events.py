@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.continuation.cycles import Cycle, system
+from tasks.fixed_points.rounding import UNITS, by_fifteen
 from tasks.step.problem import EPS, Problem, sizes
 
-#: Units in which steps are evaluated, to see their rounding; a number divisible by fifteen is exact in each.
-_UNITS = (1.0, 0.75, 1.25, 0.9375)
 #: Relative difference by which Jacobians are differentiated.
 _DIFFERENCE = 1e-6
 #: Bound in standard deviations of the measured rounding.
@@ -62,7 +61,7 @@ def slope_error(problem: Problem, cycle: Cycle, kind: str) -> float:
     m, n = cycle.Y.shape
     _, derivative, _, _ = system(problem, cycle.Y, cycle.times, cycle.q)
     steps = _evaluate(problem, cycle)
-    rounded = [_evaluate(problem, cycle, unit, _by_fifteen(cycle.Y)) for unit in _UNITS]
+    rounded = [_evaluate(problem, cycle, unit, by_fifteen(cycle.Y)) for unit in UNITS]
     residual = (steps.image - np.roll(cycle.Y, -1, axis=1)).T.ravel() / np.sqrt(n)
     images = _deviation([each.image for each in rounded], EPS / 2 * sizes(cycle.Y)).T.ravel() / np.sqrt(n)
     if kind == "fold":
@@ -86,12 +85,6 @@ def slope_error(problem: Problem, cycle: Cycle, kind: str) -> float:
     off = moves @ np.append(residual, test)
     rounding = np.hypot(np.linalg.norm(moves[:-1] * images), moves[-1] * np.linalg.norm(by_A * turned))
     return float(abs(off) + _SAFETY * rounding) + _MIN_ERROR
-
-
-def _by_fifteen(Y: np.ndarray) -> np.ndarray:
-    """Numbers near others that are divisible by fifteen, with few bits."""
-    mantissa, exponent = np.frexp(Y / 15)
-    return 15 * np.ldexp(np.rint(np.ldexp(mantissa, 45)), exponent - 45)
 
 
 def _deviation(values: list[np.ndarray], least: np.ndarray) -> np.ndarray:

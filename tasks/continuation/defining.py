@@ -16,8 +16,9 @@ import numpy as np
 
 from tasks.continuation.joint import determinants, joint, joint_by_X, rounding_step
 from tasks.continuation.pseudo_arclength import bordered_matrix, replace_singular
+from tasks.fixed_points.rounding import UNITS, by_fifteen
 from tasks.fixed_points.step_check import gait_ratio
-from tasks.step.problem import Lanes
+from tasks.step.problem import EPS, Lanes, Problem
 from tasks.step.step_map import Stride, matvec
 from tasks.walkers.walker_array import WalkerArray
 
@@ -100,14 +101,16 @@ def foot_radius(problem: Lanes) -> np.ndarray:
     -------
     ndarray, shape (n,)
     """
-    return _radius_and_unit(problem)[0]
+    return _radius_and_unit(problem, len(problem.lanes))[0]
 
 
-def _radius_and_unit(problem: Lanes) -> np.ndarray:
+def _radius_and_unit(problem: Problem, n: int) -> np.ndarray:
     """Radius of the foot over the leg, and the logarithm of sqrt(g leg), (2, n)."""
-    assert isinstance(problem.walkers, WalkerArray)
-    walkers = problem.walkers.some(problem.lanes)
-    both = np.empty((2, len(problem.lanes)))
+    walkers = problem.walker
+    if isinstance(problem, Lanes):
+        assert isinstance(problem.walkers, WalkerArray)
+        walkers = problem.walkers.some(problem.lanes)
+    both = np.empty((2, n))
     both[0], both[1] = walkers.R / walkers.leg, 0.5 * np.log(walkers.g * walkers.leg)
     return both
 
@@ -150,22 +153,26 @@ def log_froude_by_Z(Z: np.ndarray, radius: np.ndarray) -> np.ndarray:
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def evaluate(problem: Lanes, Z: np.ndarray, samples: int = 0) -> Evaluation:
+def evaluate(problem: Problem, Z: np.ndarray, samples: int = 0) -> Evaluation:
     """Evaluate steps at points.
 
     Parameters
     ----------
-    problem : Lanes
-        Of n lanes.
+    problem : Problem
+        Of one walker, or of n lanes.
     Z : ndarray, shape (c, n)
     samples : int
         Equal intervals of each phase at whose ends the motion is also returned.
     """
     m = problem.m
     stride, _ = problem.stride(np.vstack([Z[:m], Z[m + 1 :]]), Z[m], slope=True, samples=samples)
+    return _evaluation(problem, Z, stride)
+
+
+def _evaluation(problem: Problem, Z: np.ndarray, stride: Stride) -> Evaluation:
     residual, derivative = joint(stride, Z)
     times_by = joint_by_X(stride.times_by, stride, Z)
-    return Evaluation(Z, stride, residual, derivative, times_by, *_radius_and_unit(problem))
+    return Evaluation(Z, stride, residual, derivative, times_by, *_radius_and_unit(problem, Z.shape[1]))
 
 
 def _flip(at: Evaluation) -> np.ndarray:
@@ -200,6 +207,8 @@ SCALARS: dict[str, Callable[[Evaluation], np.ndarray]] = {
     "neimark_sacker": _neimark_sacker,
     "end_kneestrike_at_heelstrike": lambda at: at.Z[-1] - at.Z[at.m + 1],
     "end_tangential_heelstrike": lambda at: at.stride.closing[-1] / at.stride.y[0],
+    "end_tangential_kneestrike": lambda at: at.stride.closing[0] / at.stride.y[0],
+    "release_hyperextension": lambda at: (at.stride.start[4] - at.stride.start[5]) / at.stride.y[0],
     "fastest": _speed_maximum,
     "label": lambda at: gait_ratio(at.stride) - 0.5,
     "window": lambda at: at.Z[at.m],
@@ -227,13 +236,13 @@ def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.nd
     return SCALARS[kind](at) - target
 
 
-def gradient(problem: Lanes, kind: str, Z: np.ndarray) -> np.ndarray:
+def gradient(problem: Problem, kind: str, Z: np.ndarray) -> np.ndarray:
     """Return the derivatives of a scalar by Z, central differences.
 
     Parameters
     ----------
-    problem : Lanes
-        Of n lanes.
+    problem : Problem
+        Of one walker, or of n lanes.
     kind : str
     Z : ndarray, shape (c, n)
 
@@ -395,3 +404,58 @@ def solve(
     ok = np.isfinite(error)
     Z[:, ~ok] = guess[:, ~ok]
     return Solved(Z, rows, evaluate(problem, Z), error, ok)
+
+
+#: States side by side over which the variance of rounding is averaged, and how far apart they are, relatively.
+_STATES, _APART = 4, 1e-11
+#: Bound in standard deviations of the rounding, and the relative difference by which constants are varied.
+_SAFETY, _VARIED = 8.0, 1e-6
+
+
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def slope_error(problem: Problem, kind: str, Z: np.ndarray) -> float:
+    """Return a bound on the relative error of a special point's slope.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of one walker.
+    kind : str
+        Of SCALARS.
+    Z : ndarray, shape (c,)
+        The point.
+
+    Returns
+    -------
+    float
+        Infinite where the defining equations are singular.
+
+    Notes
+    -----
+    To first order the slope is off by what solves the linearised equations for their own values at the point, and by
+    as much as rounding changes these values. Beside the residual that is the scalar, above all: the determinants of
+    flips add the rounding of every derivative. Rounding is measured: in other units every operation rounds anew. That
+    of the walker's constants, which no change of units shows, is half a unit in each one's last place.
+    """
+    m, column = problem.m, Z[:, None]
+    matrix = evaluate(problem, column).bordered(gradient(problem, kind, column))[0]
+    if not np.isfinite(matrix).all() or not np.linalg.cond(matrix) < 1 / EPS:
+        return np.inf
+    by_values = np.linalg.solve(matrix.T, np.eye(len(matrix))[m])
+
+    (y, scale), n = problem.section(column), len(problem.parameters(column[m], column[m])) - 2
+    # Neighbouring states in every unit, then the point itself with each constant varied, and as it is.
+    states = np.repeat(by_fifteen(y * (1 + _APART * np.arange(_STATES))), len(UNITS), axis=1)
+    units = np.append(np.tile(UNITS, _STATES), np.ones(2 * n + 1))
+    varied = _VARIED * np.hstack([np.eye(n), -np.eye(n), np.zeros((n, 1))])
+    y = np.hstack([states, np.repeat(y, 2 * n + 1, axis=1)]) / units
+    points = np.repeat(column, len(units), axis=1)
+    parameters = problem.parameters(np.exp(points[m]), scale * units)
+    parameters[2:, -2 * n - 1 :] *= 1 + varied
+    at = _evaluation(problem, points, problem.map(y, points[m + 1 :], parameters, slope=True))
+    off = by_values @ np.vstack([at.residual.T, scalar(kind, at)])
+    rounded, by_constants = np.split(off[:-1], [_STATES * len(UNITS)])
+    std = np.sqrt(rounded.reshape(_STATES, -1).var(axis=1, ddof=1).mean())
+    constants = EPS / 2 * np.abs(np.diff(by_constants.reshape(2, n), axis=0) / (2 * _VARIED)).sum()
+    return float(np.nan_to_num(abs(off[-1]) + _SAFETY * std + constants, nan=np.inf))

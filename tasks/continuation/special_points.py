@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from tasks.continuation.branch import LOST, Branch
+from tasks.continuation.defining import SCALARS, slope_error
 from tasks.continuation.locate import TestFunction, fold_error, locate_root, oriented_tangent
 from tasks.continuation.lockstep import Procedure, side_by_side
 from tasks.continuation.tracking import Point, branch_point_determinant, correct
@@ -153,6 +154,8 @@ def _is_genuine(kind: str, point: Point) -> bool:
 def _record(kind: str, problem: Problem, point: Point, lane: int, error: float = 0.0) -> dict[str, float | str]:
     if kind == "fold":
         error = fold_error(point, lane)
+    elif kind in SCALARS and kind != "window":
+        error += slope_error(problem, kind, point.Z[:, lane])
     else:
         error += float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
     return {

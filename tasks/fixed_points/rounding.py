@@ -71,9 +71,24 @@ def apply_newton_step(problem: Problem, stride: Stride, parameters: np.ndarray) 
 
 
 #: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
-_UNITS = (1.0, 0.75, 1.25, 0.9375)
+UNITS = (1.0, 0.75, 1.25, 0.9375)
 #: Distance of neighbouring states: enough to round differently, and near enough to the gait even for long steps.
 _NEIGHBOUR = 1e-11
+
+
+def by_fifteen(y: np.ndarray) -> np.ndarray:
+    """Return numbers near others that are exact in each of the units: divisible by fifteen, with few bits.
+
+    Parameters
+    ----------
+    y : ndarray
+
+    Returns
+    -------
+    ndarray, same shape
+    """
+    mantissa, exponent = np.frexp(y / 15)
+    return np.asarray(15 * np.ldexp(np.rint(np.ldexp(mantissa, 45)), exponent - 45))
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
@@ -102,10 +117,9 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
     for neighbour in range(near):
         angle = np.exp(w[0] + _NEIGHBOUR * neighbour)
         scale = np.exp2(np.floor(np.log2(angle)))
-        mantissa, exponent = np.frexp(np.vstack([angle, angle * w[1:m]]) / scale / 15)
-        y = 15 * np.ldexp(np.rint(np.ldexp(mantissa, 45)), exponent - 45)
+        y = by_fifteen(np.vstack([angle, angle * w[1:m]]) / scale)
         values = []
-        for unit in _UNITS:
+        for unit in UNITS:
             parameters = problem.parameters(slope, scale * unit)
             gait = apply_newton_step(problem, problem.map(y / unit, w[m:], parameters), parameters)
             values.append(np.vstack([gait.values[:-1] * unit, gait.values[-1:]]))
@@ -132,7 +146,7 @@ def rounding(stride: Stride) -> np.ndarray:
     -----
     With J = I - DP, rounding of the image moves the fixed point by J^-1, and rounding of the start, carried through
     the step, by J^-1 DP = J^-1 - I, which is far smaller than |J^-1| |DP|. Rounding on the way lies between the two.
-    The estimate tells Newton when to stop and bounds special points; for gaits it is measured (`rounding_std`).
+    The estimate tells Newton when to stop; bounds measure it (`rounding_std`, `defining.slope_error`).
     """
     size = sizes(stride.y)
     # Off balance, a short step has rates that far exceed its section's; their rounding accumulates on the way.

@@ -79,11 +79,15 @@ class Precise:
         return np.concatenate([flat.reshape(-1, size), [self.array([0.0] * size)]]).T.reshape(-1)
 
     def stride(self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray) -> dict[str, np.ndarray]:
-        """Image, Jacobian, Newton step and corrected event times of one step, as in `tasks.step.step_map`."""
+        """Image, Jacobian, Newton step and corrected event times of one step, as in `tasks.step.step_map`.
+
+        Also the `residual` (m + phases,) of the joint equations at the given times, its `derivative` by y and the
+        durations of the phases, and `start` (angles,), the state just after heelstrike.
+        """
         m = self.m
         begin = self.algebra.begin(np.concatenate([y, parameters]))
         size = self.algebra.start_size
-        start, D = begin[:size], begin[size:].reshape(size, m)
+        start, D = after_heelstrike, _ = begin[:size], begin[size:].reshape(size, m)
         duration, parts, knee = times[0], self.array([]), self.array([])
         if self.kneed:
             final = self._integrate(self.free, start, D, parameters, times[0])
@@ -95,7 +99,7 @@ class Precise:
         directions = self._padded(final[4:], 4)
         out = self.algebra.finish(np.concatenate([y, final[:4], directions, parts, knee, parameters]))
         k = len(times)
-        image, jacobian, _, shifts, _, _, _, newton, *_ = np.split(out, np.cumsum(finish_sizes(m, k)))
+        image, jacobian, _, shifts, residual, derivative, _, newton, *_ = np.split(out, np.cumsum(finish_sizes(m, k)))
         # The durations' shifts and their derivatives by y; heelstrike comes after both, less the shift along the field.
         moved = shifts.reshape(k, m + 2)[:, : m + 1].copy()
         if self.kneed:
@@ -103,7 +107,16 @@ class Precise:
             moved[1, 1:] -= parts[:m]
         times, by = times + moved[:, 0], moved[:, 1:]
         jacobian = jacobian.reshape(m, m)
-        return {"image": image, "jacobian": jacobian, "newton": newton[:m], "times": times, "times_by_y": by}
+        return {
+            "image": image,
+            "jacobian": jacobian,
+            "newton": newton[:m],
+            "times": times,
+            "times_by_y": by,
+            "residual": residual,
+            "derivative": derivative.reshape(m + k, m + k + 1)[:, :-1],
+            "start": after_heelstrike,
+        }
 
     def settled_stride(
         self, y: np.ndarray, times: np.ndarray, parameters: np.ndarray, turns: int = 4

@@ -1,0 +1,101 @@
+"""Special points of branches in 113-bit arithmetic, to some thirty digits, for tests of their error bounds.
+
+The defining equations are evaluated in 113 bits, with the constants of the walker in as many; Newton's method takes
+the derivative in doubles, which only sets how fast it converges.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import heyoka as hy
+import numpy as np
+
+from pipeline.bench.extended_reference import Precise
+from tasks.continuation import defining
+from tasks.mechanics.lumped import Structure, lump
+from tasks.step.problem import Problem
+
+_MAX_STEPS = 30
+
+
+@functools.lru_cache
+def _precise(structure: Structure) -> Precise:
+    return Precise(structure, hy.real128)
+
+
+def _determinant(rows):
+    """By the first column: matrices have at most five rows."""
+    if len(rows) == 1:
+        return rows[0][0]
+    minors = [_determinant([r[1:] for j, r in enumerate(rows) if j != i]) for i in range(len(rows))]
+    return sum(((-1) ** i * rows[i][0] * minor for i, minor in enumerate(minors)), hy.real128(0.0))
+
+
+def _less_one(rows, sign=-1.0):
+    return [[x + hy.real128(sign * (i == j)) for j, x in enumerate(row)] for i, row in enumerate(rows)]
+
+
+def _scalar(kind, step, y, times):
+    """The scalar that vanishes at a special point, as `defining.SCALARS` has it."""
+    m, A, by = len(y), step["jacobian"], step["derivative"]
+    if kind == "flip":
+        return _determinant(_less_one(A, 1.0))
+    if kind == "neimark_sacker" and m == 2:
+        return _determinant(list(A)) - hy.real128(1.0)
+    if kind == "neimark_sacker":
+        pairs = ((0, 1), (0, 2), (1, 2))
+        return _determinant(_less_one([[A[i, k] * A[j, q] - A[i, q] * A[j, k] for k, q in pairs] for i, j in pairs]))
+    if kind == "fold":
+        rows = [[sum(r[j] * y[j] for j in range(m)), *(r[1:m] * y[0]), *r[m:]] for r in by]
+        return _determinant([[x / y[0] for x in row] for row in rows])
+    if kind == "end_kneestrike_at_heelstrike":
+        return times[1] - times[0]
+    if kind == "release_hyperextension":
+        return (step["start"][4] - step["start"][5]) / y[0]
+    at = {"end_tangential_heelstrike": len(by) - 1, "end_tangential_kneestrike": m}[kind]
+    return by[at, at] / y[0]
+
+
+def _gradient(problem, kind, Z, h):
+    steps = h * np.hstack([np.eye(len(Z)), -np.eye(len(Z))])
+    with np.errstate(all="ignore"):
+        up, down = defining.scalar(kind, defining.evaluate(problem, Z[:, None] + steps)).reshape(2, -1)
+    return (up - down) / (2 * h)
+
+
+def exact_slope(problem: Problem, kind: str, Z: np.ndarray):
+    """Slope of a special point [rad] in 113 bits, or None where Newton's method does not converge near Z.
+
+    Z, shape (m + 1 + k,), is the point in doubles: similarity coordinates, ln slope, event times.
+    """
+    found = (_newton(problem, kind, Z, h) for h in (1e-5, 1e-7, 1e-9))
+    return next((slope for slope in found if slope is not None), None)
+
+
+def _newton(problem, kind, Z, h):
+    structure, m, number = problem.structure, problem.m, hy.real128
+
+    def wide(values):
+        return np.array([number(x) for x in values], dtype=number)
+
+    at, rows = defining.evaluate(problem, Z[:, None]), _gradient(problem, kind, Z, h)
+    size = np.linalg.norm(rows)
+    matrix = at.bordered(rows[:, None] / size)[0]
+    exact = lump(problem.walker, number)
+    _, scale = problem.section(Z[:, None])
+    section = np.append(np.exp(Z[0]), np.exp(Z[0]) * Z[1:m]) / scale
+    y, times, slope, last = wide(section), wide(Z[m + 1 :]), number(float(np.exp(Z[m]))), 1e-3
+    for _ in range(_MAX_STEPS):
+        parameters = np.array([slope, number(float(scale[0])), *(exact[k] for k in structure.constants)], dtype=number)
+        step = _precise(structure).stride(y, times, parameters)
+        values = [*(step["residual"] / y[0]), _scalar(kind, step, y, times) / number(size)]
+        change = np.linalg.solve(matrix, [-float(x) for x in values])
+        if not np.abs(change).max() < 0.5 * last:
+            return None
+        dX, last = wide(change), np.abs(change).max()
+        y = np.array([y[0] + dX[0] * y[0], *(y[1:] + y[0] * dX[1:m] + dX[0] * y[1:])], dtype=number)
+        slope, times = slope + slope * dX[m], times + wide(at.times_by[:, :, 0] @ change)
+        if last < 1e-22:
+            return slope
+    return None

@@ -1,0 +1,84 @@
+"""Slopes of special points lie within their error bounds of the same points in 113 bits."""
+
+import heyoka as hy
+import numpy as np
+import pytest
+
+from exact_special_points import exact_slope
+from pipeline.bench.missed import neighbour
+from tasks.continuation import special_points as module
+from tasks.continuation.atlas import survey
+from tasks.continuation.defining import SCALARS
+from tasks.continuation.refine import COARSE
+from tasks.step.problem import Problem
+from tasks.walkers.resolve import resolve
+from tasks.walkers.walker import WalkerError
+
+#: Kinds that equations define, and lines of the long test.
+KINDS = set(SCALARS) - {"window", "label", "speed", "fastest"}
+LINES = 300
+
+
+@pytest.fixture
+def compared(monkeypatch):
+    """Special points of branches, each with the error of its slope over its bound: NaN where it is not known."""
+    record = module._record
+
+    def with_state(kind, problem, point, lane, *error):
+        return {**record(kind, problem, point, lane, *error), "Z": point.Z[:, lane]}
+
+    monkeypatch.setattr(module, "_record", with_state)
+
+    def each(problem, found):
+        points = [point for branch in found for point in module.special_points(problem, branch)]
+        for point in (point for point in points if point["kind"] in KINDS):
+            exact, slope = exact_slope(problem, point["kind"], point["Z"]), hy.real128(point["slope"])
+            error = np.nan if exact is None else abs(float((exact - slope) / exact))
+            yield point["kind"], exact, error / point["error_bound"]
+
+    return each
+
+
+@pytest.mark.parametrize(
+    ("walker", "keys"),
+    # Errors of their flips were up to five times their bounds.
+    [("D", {}), ("E", {"foot_mass_ratio": 0.08050684536489794})],
+)
+def test_special_points_lie_within_their_bounds(compared, walker, keys):
+    """Flips had the bounds of gaits at a given slope, which leave out how the multipliers round."""
+    problem = Problem(resolve(walker, keys))
+    found = list(compared(problem, survey(problem, COARSE)))
+    assert "flip" in {kind for kind, *_ in found}
+    assert {kind: share for kind, _, share in found if not share < 1} == {}
+    if walker == "D":  # by another derivation, in 113 bits too
+        assert abs(float(found[0][1] - hy.real128("0.015088437941119463562"))) < 1e-20
+
+
+def drawn(seed):
+    """A walker near one of the catalogue; of every third line another key moves too."""
+    name, keys, _ = neighbour(seed)
+    random = np.random.default_rng(seed)
+    if seed % 3 == 0:
+        keys |= {"R": random.uniform(0, 0.3)} if name == "E" else {"m_h": random.uniform(0, 3)}
+    return resolve(name, keys)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(3600)
+def test_special_points_of_random_walkers_lie_within_their_bounds(compared, resumed, tell):
+    """Of each kind: their number, those that are not found again, and the largest error over its bound."""
+    largest = {}
+    for seed in resumed(LINES):
+        try:
+            problem = Problem(drawn(seed))
+        except WalkerError:
+            continue
+        for kind, _, share in compared(problem, survey(problem, COARSE)):
+            resumed.found[kind] += 1
+            resumed.found[f"{kind}, unknown"] += int(np.isnan(share))
+            resumed.found[f"{kind}, beyond"] += int(share > 1)
+            largest[kind] = np.fmax(largest.get(kind, 0.0), share)
+            tell(f"{resumed.state} lines; {dict(resumed.found)}; largest {largest}")
+    counts = resumed.found
+    assert counts["flip"] and not sum(counts[f"{kind}, beyond"] for kind in KINDS)
+    assert sum(counts[f"{kind}, unknown"] for kind in KINDS) < 0.01 * sum(counts[kind] for kind in KINDS)
