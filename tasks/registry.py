@@ -24,6 +24,9 @@ from tasks.variables import VARIABLES as VARIABLES
 from tasks.variables import VIOLATIONS as VIOLATIONS
 from tasks.variables import Variable as Variable
 
+#: Slopes that can be asked for [rad], the first included: branches are followed down to it.
+SLOPES = (1e-18, 0.5)
+
 
 @dataclass(frozen=True)
 class Task:
@@ -49,7 +52,7 @@ TASKS = {
         Task(
             "atlas",
             "tasks.solve_points:atlas",
-            23,
+            24,
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),
@@ -61,7 +64,7 @@ TASKS = {
         Task("basin", "tasks.map_basin:basin", 8, needs=("atlas",)),
         Task("curve", "tasks.follow_curves:curve", 8, needs=("atlas",)),
         Task("design", "tasks.map_designs:design", 15),
-        Task("census", "tasks.count_gaits:census", 9),
+        Task("census", "tasks.count_gaits:census", 10),
         Task("scaling", "tasks.fit_laws:scaling", 4, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 4, needs=("points",)),
         Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",)),

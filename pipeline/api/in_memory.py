@@ -18,13 +18,13 @@ from pipeline.archive import attributes
 from pipeline.archive.citation import PAPER
 from pipeline.errors import StudyError
 from pipeline.statuses import ALL_STATUSES
+from pipeline.study import slopes
 from pipeline.study.broadcast import broadcast
 from tasks.accuracy import always, is_interpolated
 from tasks.registry import GAITS, SHORT_LINE, TASKS, VARIABLES
 
 _MAX_REMEMBERED = 256 << 20  # atlases kept for later calls, and as much of short lines' points [byte]
 _BLOCK = 64  # short lines surveyed side by side
-_SLOPES = "must lie in (0, 0.5) rad"
 #: How strings are stored, as in archives (`pipeline.archive.written`).
 _CHARACTERS = {"dtype": "S1"}
 Arrays = dict[str, np.ndarray]
@@ -153,15 +153,15 @@ def gaits(
     checks = [_check(line) for line, _ in lines]
     answers = [check for check in checks if not isinstance(check, StudyError)]
     slope = flat["slope"]
-    is_slope = (slope > 0) & (slope < 0.5)
+    is_slope = slopes.is_slope(slope)
     if len(slope) and not (answers and is_slope.any()):
         raise next(
             (check for check in checks if isinstance(check, StudyError)),
-            StudyError(f"`slope` {_SLOPES}; got {float(slope[0])!r}."),
+            StudyError(f"`slope` {slopes.BOUND}; got {float(slope[0])!r}."),
         )
     points = _Points.empty(len(slope), wanted, max((c["multipliers"] for c in answers), default=3))
     for k in np.flatnonzero(~is_slope).tolist():
-        points.fail(np.array([k]), f"`slope` {_SLOPES}; got {float(slope[k])!r}.")
+        points.fail(np.array([k]), f"`slope` {slopes.BOUND}; got {float(slope[k])!r}.")
     solvable = []
     for (line, at), check in zip(lines, checks, strict=True):
         at = at[is_slope[at]]

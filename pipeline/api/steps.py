@@ -14,6 +14,7 @@ from pipeline import dispatch
 from pipeline.api.threads import in_turn
 from pipeline.archive import attributes
 from pipeline.errors import StudyError
+from pipeline.study import slopes
 from pipeline.study.broadcast import changes, definition, number, whole_number
 from pipeline.study.location import Location
 from tasks.registry import SI_UNITS, VARIABLES
@@ -83,7 +84,7 @@ def step_map(walker: str | Path | Mapping[str, Any], slope: float, state: Sequen
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float [rad]
-        Slope of the ground, in (0, 0.5).
+        Slope of the ground, in [1e-18, 0.5).
     state : sequence of float, shape (3,)
         (stance_angle, stance_rate, thigh_rate) just after heelstrike [rad, and the walker's rates]. The swing leg
         stands at minus the stance angle; the rate of a free shank is the one that a heelstrike gives it.
@@ -125,7 +126,7 @@ def simulate(
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float [rad]
-        Slope of the ground, in (0, 0.5).
+        Slope of the ground, in [1e-18, 0.5).
     state : sequence of float, shape (3,)
         (stance_angle, stance_rate, thigh_rate) just after heelstrike, as for `step_map`.
     steps : int
@@ -183,8 +184,8 @@ def simulate(
 def _params(walker: object, slope: object, state: object, keys: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of a call of `tasks`, checked as far as possible without it."""
     value = number("slope", slope)
-    if not 0 < value < 0.5:
-        raise Location("", "slope").wrong("must lie in (0, 0.5) rad", value)
+    if not slopes.is_slope(value):
+        raise Location("", "slope").wrong(slopes.BOUND, value)
     return {"walker": definition(walker), "slope": value, "set": changes(keys), "state": _numbers("state", state, 3)}
 
 

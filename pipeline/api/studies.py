@@ -207,7 +207,7 @@ def gaits(
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float, array or DataArray [rad]
-        Slopes of the ground, in (0, 0.5).
+        Slopes of the ground, in [1e-18, 0.5).
     steps : int
         Number of steps after which a gait repeats, at most 64; those that repeat after fewer are left out. The state
         is that with the largest stance angle, `period` and losses are of all steps, the multipliers those of all steps.
@@ -268,7 +268,7 @@ def solve(
     walker : str, Path or mapping
         A name from the catalogue, a walker file, or the table of a walker.
     slope : float [rad]
-        Slope of the ground, in (0, 0.5).
+        Slope of the ground, in [1e-18, 0.5).
     every : bool
         Include gaits whose swing leg passes the stance leg more than once.
     steps : int

@@ -14,7 +14,7 @@ from pipeline.archive import read
 from pipeline.dispatch import ask
 from pipeline.errors import ArchiveError
 from pipeline.statuses import ALL_STATUSES
-from pipeline.study import files, parse
+from pipeline.study import files, parse, slopes
 from pipeline.study.location import Location
 from tasks.registry import GAITS
 
@@ -71,8 +71,8 @@ def walker(one: str, slope: str, keys: Mapping[str, str | bool], gait: str | Non
         If there is no such walker, key, slope or gait.
     """
     ready(accuracy)
-    if not 0 < float(slope) < 0.5:
-        raise Location("", "slope").wrong("must lie in (0, 0.5) rad", float(slope))
+    if not slopes.is_slope(float(slope)):
+        raise Location("", "slope").wrong(slopes.BOUND, float(slope))
     if gait is not None and gait not in GAITS:
         raise Location("", "gait").unknown(gait, GAITS)
     table = files.walker(one, Path())

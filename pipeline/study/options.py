@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from pipeline.study import slopes
 from pipeline.study.location import Location
 from tasks import registry
 from tasks.registry import FOLLOWED, GAITS, MAX_STEPS, OPTIONS, VIOLATIONS
@@ -116,7 +117,7 @@ def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> Non
 _NUMBERS: dict[str, tuple[Callable[[float], bool], str]] = {
     "number": (lambda x: True, ""),
     "positive": (lambda x: x > 0, "must be above 0"),
-    "slope": (lambda x: 0 < x < 0.5, "must lie in (0, 0.5) rad"),
+    "slope": (slopes.is_slope, slopes.BOUND),
     "share": (lambda x: 0 <= x <= 0.5, "must lie in [0, 0.5]"),
 }
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import dispatch
-from pipeline.study import options, overlay, units
+from pipeline.study import options, overlay, slopes, units
 from pipeline.study.corners import check_walkers
 from pipeline.study.files import read_toml, walker
 from pipeline.study.location import Location
@@ -220,9 +220,9 @@ def _axes(value: object, location: Location, kind: str) -> tuple[tuple[Axis, ...
         tolerance, slope = _adaptive(slope, location.at("slope"), kind)
     axes = tuple(Axis(key, _values(slope if key == "slope" else v, location.at(key))) for key, v in value.items())
     for axis in axes:
-        if axis.name == "slope" and not (axis.values.min() > 0 and axis.values.max() < 0.5):
-            worst = axis.values.min() if axis.values.min() <= 0 else axis.values.max()
-            raise location.at("slope").wrong("must lie in (0, 0.5) rad", float(worst))
+        wrong = axis.values[~slopes.is_slope(axis.values)] if axis.name == "slope" else []
+        if len(wrong):
+            raise location.at("slope").wrong(slopes.BOUND, float(wrong[0]))
     return axes, tolerance
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.dispatch import ask
-from pipeline.study import files
+from pipeline.study import files, slopes
 from pipeline.study.location import Location
 from pipeline.study.options import violation_limits
 from pipeline.study.parse import accuracy
@@ -51,8 +51,8 @@ def solve(
     StudyError
         If the walker, a key, the slope, the accuracy or a limit is invalid.
     """
-    if not 0 < slope < 0.5:
-        raise Location("", "slope").wrong("must lie in (0, 0.5) rad", slope)
+    if not slopes.is_slope(slope):
+        raise Location("", "slope").wrong(slopes.BOUND, slope)
     if not 1 <= steps <= MAX_STEPS:
         raise Location("", "steps").wrong(f"must be a whole number from 1 to {MAX_STEPS}", steps)
     if every and steps > 1:

@@ -15,7 +15,6 @@ import numpy as np
 from tasks.continuation.branch import Branch
 from tasks.continuation.defining import SCALARS, Evaluation, evaluate, log_froude, log_froude_by_Z, scalar, solve
 from tasks.continuation.special_points import END_NAMES
-from tasks.continuation.tracking import MIN_SLOPE
 from tasks.fixed_points.multipliers import multipliers, other_multipliers
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.problem import EPS, Lanes
@@ -27,8 +26,8 @@ _BLOCK = 4096
 _NEAR_ZERO = 0.3
 #: A special point is at an end of stability if the magnitudes of its other multipliers are below this.
 _STABLE = 1 - 1e-9
-#: Kind of a point from which a branch continues to vanishing slopes.
-ANY_SLOPE = "any slope"
+#: Kind of a point from which a branch continues to vanishing slopes: an end below such a slope [rad].
+ANY_SLOPE, _VANISHING = "any slope", 1e-12
 
 
 #: Kinds of points at which a quantity has no extreme.
@@ -365,7 +364,7 @@ def _turns_and_ends(nodes: _Nodes, low: float) -> list[tuple[str, np.ndarray, np
     for first, branch in zip(nodes.first.tolist(), nodes.branches, strict=True):
         by_kind.setdefault("fold", []).extend(first + place for place, _ in branch.pieces()[1:])
         for place, why in zip((0, len(branch.Z) - 1), branch.why, strict=True):
-            is_any = branch.q[place] <= np.log(10 * MIN_SLOPE) and branch.q.max() >= low
+            is_any = branch.q[place] <= np.log(_VANISHING) and branch.q.max() >= low
             by_kind.setdefault(ANY_SLOPE if is_any else END_NAMES.get(why, why), []).append(first + place)
     return [
         (kind, np.array(numbers, int), nodes.Z[:, numbers], np.zeros(len(numbers)))

@@ -19,12 +19,13 @@ from tasks.continuation.pseudo_arclength import Linearisation, Newton, StepContr
 from tasks.continuation.root import passes
 from tasks.fixed_points.newton import LONGEST_PERIOD
 from tasks.fixed_points.step_check import verify_steps
+from tasks.registry import SLOPES
 from tasks.step.problem import Problem
 from tasks.step.simulate import MAX_LOG_ANGLE
 from tasks.step.step_map import Stride
 
-#: Slopes over which branches are followed [rad]; below, double precision no longer resolves a gait's tangent.
-MIN_SLOPE, MAX_SLOPE = 1e-13, 0.7
+#: Slopes over which branches are followed [rad]: at the least, rounding changes tangents by parts in a thousand.
+MIN_SLOPE, MAX_SLOPE = SLOPES[0], 0.7
 _NEWTON = Newton(max_iterations=8, max_step=1.0, small=1e-9, shrinking=0.2)
 #: Steps of branches turn by at most 0.3 rad; what is kept near its target is the distance from the predicted point.
 _CONTROL = StepControl(
@@ -150,7 +151,9 @@ def _stop_reasons(X: np.ndarray, times: np.ndarray, count: np.ndarray) -> np.nda
     slope = (X[-1] <= np.log(MIN_SLOPE)) | (X[-1] >= np.log(MAX_SLOPE))
     vanished = np.abs(X[1:-1]).max(axis=0) > 30
     early = np.diff(times, axis=0).min(axis=0, initial=0.0) < -0.5
-    tests = (slope, X[0] < -40, fall_margin(X, times) > 0, vanished, early, count > _MAX_NODES)
+    # By the laws of vanishing slopes angles are hardly smaller than slopes.
+    no_step = X[0] < np.minimum(-40, X[-1] - 10)
+    tests = (slope, no_step, fall_margin(X, times) > 0, vanished, early, count > _MAX_NODES)
     return np.select(tests, [1, 2, 3, 2, 4, 5], 0)
 
 

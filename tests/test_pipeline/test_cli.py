@@ -171,7 +171,7 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
         (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
         (["diff", "s.toml", "none.nc"], "There is no archive none.nc."),
         (["diff", "s.toml", "s.toml"], "s.toml is no netCDF file that can be read."),
-        (["solve", "--walker", "D", "--slope", "0.7"], "`slope` must lie in (0, 0.5) rad; got 0.7."),
+        (["solve", "--walker", "D", "--slope", "0.7"], "`slope` must lie in [1e-18, 0.5) rad; got 0.7."),
         (
             ["solve", "--walker", "Q", "--slope", "0.1"],
             "Unknown name `Q`, known: A, B, C, D, E, F,"

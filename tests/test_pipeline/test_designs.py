@@ -123,8 +123,8 @@ def test_rows_follow_the_grid_and_hold_what_designs_hold_alone(archives, tmp_pat
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("at_slope = 0.5", r"`at_slope` must lie in \(0, 0.5\) rad; got 0.5 \(designs.toml, options.at_slope\)"),
-        ("at_slope = 0.0", r"`at_slope` must lie in \(0, 0.5\) rad; got 0.0"),
+        ("at_slope = 0.5", r"`at_slope` must lie in \[1e-18, 0.5\) rad; got 0.5 \(designs.toml, options.at_slope\)"),
+        ("at_slope = 0.0", r"`at_slope` must lie in \[1e-18, 0.5\) rad; got 0.0"),
         ("at_speed = -1", r"`at_speed` must be above 0; got -1"),
         ("at_slope = 0.01\nground = 0.6", r"`ground` must lie in \[0, 0.5\]; got 0.6"),
         ("ground = 0.1", "`ground` needs the slope at which the walker walks, `at_slope`"),

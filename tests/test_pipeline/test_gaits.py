@@ -95,7 +95,7 @@ def test_a_point_that_cannot_be_has_a_status_and_a_sentence():
     assert (answer.status.values[0, 0, :2] == CONVERGED).all()
     assert (np.delete(answer.status.values.reshape(9, 4), 0, axis=0) == RAISED).all()
     text = answer.reason_text.values[answer.reason.values[..., 0]]
-    assert text[0, 1] == "`slope` must lie in (0, 0.5) rad; got nan." and text[0, 2].endswith("got 0.7.")
+    assert text[0, 1] == "`slope` must lie in [1e-18, 0.5) rad; got nan." and text[0, 2].endswith("got 0.7.")
     assert text[1, 0] == "`R` must be >= 0; got -1.0." and text[2, 0] == "`R` must be finite; got nan."
     assert np.isnan(answer.period.values.reshape(9, 4)[1:]).all()
 
@@ -115,8 +115,8 @@ def test_knees_may_vary_and_multipliers_are_padded():
     ("arguments", "words"),
     [
         ({"slope": [0.01, 0.02], "R": [0.1, 0.2, 0.3]}, r"Shapes do not broadcast: `slope` \(2,\), `R` \(3,\)."),
-        ({"slope": np.nan}, r"`slope` must lie in \(0, 0.5\) rad; got nan"),
-        ({"slope": [0.7, -1.0]}, r"`slope` must lie in \(0, 0.5\) rad; got 0.7"),
+        ({"slope": np.nan}, r"`slope` must lie in \[1e-18, 0.5\) rad; got nan"),
+        ({"slope": [0.7, -1.0]}, r"`slope` must lie in \[1e-18, 0.5\) rad; got 0.7"),
         ({"slope": [[0.01], [0.02, 0.03]]}, "`slope` must be a number or an array"),
         ({"slope": xr.Dataset({"a": 1})}, "`slope` must be a number or an array of numbers; got Dataset"),
         (

@@ -179,7 +179,7 @@ def test_a_wrong_study_is_one_sentence(wanted, said):
 @pytest.mark.parametrize(
     ("arguments", "keys", "said"),
     [
-        (("D", 0.7), {}, r"`slope` must lie in \(0, 0.5\) rad; got 0.7"),
+        (("D", 0.7), {}, r"`slope` must lie in \[1e-18, 0.5\) rad; got 0.7"),
         (("Q", 0.1), {}, "Unknown name `Q`, known: A, B"),
         (("D", 0.1), {"l_tt": 1}, "did you mean `l_t`"),
     ],

@@ -129,9 +129,9 @@ def test_no_gait_is_exit_code_1(capsys):
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("--walker", "D", "--slope", "0.6"), "`slope` must lie in (0, 0.5) rad; got 0.6"),
+        (("--walker", "D", "--slope", "0.6"), "`slope` must lie in [1e-18, 0.5) rad; got 0.6"),
         (("--walker", "D", "--slope", "x"), "must be a number; got x"),
-        (("--walker", "D", "--slope", "nan"), "`slope` must lie in (0, 0.5) rad; got nan"),
+        (("--walker", "D", "--slope", "nan"), "`slope` must lie in [1e-18, 0.5) rad; got nan"),
         (("--walker", "G", "--slope", "0.01"), "Unknown name `G`, known: "),
         (("--walker", "D", "--slope", "0.01", "--gait", "lnog"), "did you mean `long`?"),
         (("--walker", "D", "--slope", "0.01", "--set", "m_z=1"), "`m_z` is not a walker key"),
@@ -139,7 +139,7 @@ def test_no_gait_is_exit_code_1(capsys):
             ("--walker", "D", "--slope", "0.01", "--accuracy", "1e-40"),
             "`accuracy` must lie in [1e-30, 1e-06]; got 1e-40",
         ),
-        (("--walker", "D", "--slope", f"0.{'0' * 4400}9"), "`slope` must lie in (0, 0.5) rad"),
+        (("--walker", "D", "--slope", f"0.{'0' * 4400}9"), "`slope` must lie in [1e-18, 0.5) rad"),
         (("--walker", "D", "--slope", f"0.01{'0' * 4400}1"), "`slope` must have at most 1000 characters; got 0.01000"),
         (
             ("--walker", "E", "--slope", "0.01", "--set", "m_h=1e-1000000000"),

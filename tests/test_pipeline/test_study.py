@@ -72,7 +72,7 @@ WRONG = {
         "foot_mass_ratio = { from = 0, to = 0.1, n = 0 }": "`n` must be a whole number from 1 to 10,000,000; got 0 (s.toml, axes.foot_mass_ratio.n).",
     },
     'slope = { from = 1e-4, to = 0.1, n = 7, spacing = "log" }': {
-        "slope = [0.73]": "`slope` must lie in (0, 0.5) rad; got 0.73 (s.toml, axes.slope).",
+        "slope = [0.73]": "`slope` must lie in [1e-18, 0.5) rad; got 0.73 (s.toml, axes.slope).",
         'slope = ["0.1"]': "`slope` must be a number; got '0.1' (s.toml, axes.slope).",
         "slope = [0.1]\nknees = [true]": "Unknown key `knees`, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
         " r_s, c_s, R, eps_T, m_h, g (s.toml, axes).",
