@@ -24,8 +24,10 @@ from tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences.
 _DIFFERENCE = 1e-5
-#: Newton steps from a guess; a row of differences serves until a step shrinks by less than this factor.
-_MAX_STEPS, _MIN_SHRINKING = 12, 0.05
+#: Newton steps from a guess; a row is taken by differences again where a step shrinks by less than this factor.
+_MAX_STEPS, _MIN_SHRINKING = 12, 0.5
+#: Newton step after which a point that only leads to others is accurate enough.
+_ENOUGH = 1e-7
 #: A point that moves farther than this is another one.
 _MAX_MOVE = 0.5
 #: Error of a point in estimates of what rounding moves it by.
@@ -292,12 +294,15 @@ class Polish:
         Direction of the branch in which the scalar grows.
     rounding : ndarray, shape (n,)
         By how much rounding may move the points.
+    rows : ndarray, shape (c, n)
+        The derivatives of the scalar that were used.
     """
 
     at: Evaluation
     change: np.ndarray
     along: np.ndarray
     rounding: np.ndarray
+    rows: np.ndarray
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
@@ -309,6 +314,7 @@ def newton_step(
     rows: np.ndarray,
     target: np.ndarray | float = 0.0,
     samples: int = 0,
+    last: np.ndarray | None = None,
 ) -> Polish:
     """Evaluate points and a Newton step on their defining equations.
 
@@ -323,19 +329,27 @@ def newton_step(
         As for `scalar`.
     samples : int
         As for `evaluate`.
+    last : ndarray, shape (c, n), optional
+        The Newton steps with these rows that led to the points, 0 where there were none. They bring the rows up to
+        date, as in Broyden's method: a gait's own equations have their exact derivatives, and along the branch this is
+        the secant method.
     """
     at = evaluate(problem, Z, samples)
+    value = scalar(kind, at, target)
+    if last is not None:
+        square = (last**2).sum(axis=0)
+        rows = rows + last * (value / np.where(square > 0, square, np.inf))
     size = np.linalg.norm(rows, axis=0)
     matrix = at.bordered(rows)
     matrix[:, -1] /= size[:, None]
-    right = -np.concatenate([at.residual, (scalar(kind, at, target) / size)[:, None]], axis=1)
+    right = -np.concatenate([at.residual, (value / size)[:, None]], axis=1)
     solvable = replace_singular(matrix, right)
     unit = np.zeros_like(right)
     unit[:, -1] = 1.0
     solution = np.linalg.solve(matrix, np.stack([right, unit], axis=-1))
     change, along = (np.vstack([v[: at.m + 1], matvec(at.times_by, v)]) for v in solution.transpose(2, 1, 0))
     change[:, ~solvable] = np.nan
-    return Polish(at, change, along, _ROUNDING_FACTOR * rounding_step(matrix, at.stride))
+    return Polish(at, change, along, _ROUNDING_FACTOR * rounding_step(matrix, at.stride), rows)
 
 
 @dataclass
@@ -345,9 +359,7 @@ class Solved:
     Attributes
     ----------
     Z, rows : ndarray, shape (c, n)
-        The points, and the derivatives of their scalar there.
-    at : Evaluation
-        At most a Newton step away.
+        The points, and derivatives of their scalar that serve for Newton steps nearby.
     error : ndarray, shape (n,)
         Bound on the error of Z.
     ok : ndarray of bool, shape (n,)
@@ -356,7 +368,6 @@ class Solved:
 
     Z: np.ndarray
     rows: np.ndarray
-    at: Evaluation
     error: np.ndarray
     ok: np.ndarray
 
@@ -367,6 +378,7 @@ def solve(
     guess: np.ndarray,
     target: np.ndarray | float = 0.0,
     rows: np.ndarray | None = None,
+    quick: bool = False,
 ) -> Solved:
     """Solve the defining equations of one kind from guesses, by Newton's method.
 
@@ -380,30 +392,32 @@ def solve(
         As for `scalar`.
     rows : ndarray, shape (c, n), optional
         Derivatives of the scalar nearby.
+    quick : bool
+        Whether the points only lead to others and need not be accurate to rounding.
     """
     n = guess.shape[1]
     target = np.broadcast_to(np.asarray(target, float), n)
     Z, rows = guess.copy(), gradient(problem, kind, guess) if rows is None else rows.copy()
-    last, error = np.full(n, np.inf), np.full(n, np.inf)
+    change, size, error = np.zeros_like(Z), np.full(n, np.inf), np.full(n, np.inf)
     active = np.arange(n)
     for _ in range(_MAX_STEPS):
-        polish = newton_step(problem.some(active), kind, Z[:, active], rows[:, active], target[active])
-        size = np.abs(polish.change).max(axis=0)
-        alive = np.isfinite(size) & (np.abs(Z[:, active] + polish.change - guess[:, active]).max(axis=0) < _MAX_MOVE)
-        moving = active[alive]
-        Z[:, moving] += polish.change[:, alive]
-        done = alive & ((size <= polish.rounding) | ((size < 1e-7) & (size > 0.3 * last[active])))
-        error[active[done]] = (polish.rounding + 2 * size)[done]
-        slow = active[alive & ~done & (size > _MIN_SHRINKING * last[active])]
-        last[active] = size
+        own, before = problem.some(active), size[active]
+        polish = newton_step(own, kind, Z[:, active], rows[:, active], target[active], last=change[:, active])
+        rows[:, active], change[:, active] = polish.rows, polish.change
+        size[active] = now = np.abs(polish.change).max(axis=0)
+        alive = np.isfinite(now) & (np.abs(Z[:, active] + polish.change - guess[:, active]).max(axis=0) < _MAX_MOVE)
+        Z[:, active[alive]] += polish.change[:, alive]
+        done = alive & ((now <= np.maximum(polish.rounding, _ENOUGH * quick)) | ((now < 1e-7) & (now > 0.3 * before)))
+        error[active[done]] = (polish.rounding + 2 * now)[done]
+        slow = active[alive & ~done & (now > _MIN_SHRINKING * before)]
         if len(slow):
-            rows[:, slow] = gradient(problem.some(slow), kind, Z[:, slow])
+            rows[:, slow], change[:, slow] = gradient(problem.some(slow), kind, Z[:, slow]), 0.0
         active = active[alive & ~done]
         if not len(active):
             break
     ok = np.isfinite(error)
     Z[:, ~ok] = guess[:, ~ok]
-    return Solved(Z, rows, evaluate(problem, Z), error, ok)
+    return Solved(Z, rows, error, ok)
 
 
 #: States side by side over which the variance of rounding is averaged, and how far apart they are, relatively.

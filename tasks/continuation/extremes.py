@@ -385,7 +385,8 @@ def _located(
     walks = nodes.walks[inner] if is_end else nodes.walks[node] | nodes.walks[inner]
     if kind in SCALARS:
         solved = solve(own, kind, guess, target)
-        return classify(kind, solved.at, line, solved.Z, solved.rows, solved.error, walks & (is_end | solved.ok))
+        at = evaluate(own, solved.Z)
+        return classify(kind, at, line, solved.Z, solved.rows, solved.error, walks & (is_end | solved.ok))
     at, branch = evaluate(own, guess), nodes.branch[node]
     located = [nodes.branches[b].end_errors[int(n > nodes.first[b])] for b, n in zip(branch, node, strict=True)]
     return classify(kind, at, line, guess, np.full_like(guess, np.nan), 1e-9 + np.array(located), walks)

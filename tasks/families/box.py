@@ -71,6 +71,10 @@ class Box:
         sides = zip(map(np.asarray, values), self.low, self.high, strict=True)
         return int(np.prod([((v >= a) & (v <= b)).sum() for v, a, b in sides]))
 
+    def holds(self, point: np.ndarray) -> bool:
+        """Return whether a point (d,) lies inside or on the border [the walker's units]."""
+        return bool(((point >= self.low) & (point <= self.high)).all())
+
     def common(self, other: Box) -> Box:
         """Return the part that another box of the same keys has too; it holds nothing if there is none."""
         low, high = np.maximum(self.low, other.low), np.minimum(self.high, other.high)

@@ -36,6 +36,8 @@ from tasks.mechanics.lumped import Structure, common_structure
 _NODES, _LATTICE = (-0.99, 0.0, 0.99), 15
 #: Further random lines.
 _DRAWN = 2
+#: A line this near a node, in coordinates, serves as the one there.
+_NEAR_NODE = 0.02
 #: Predictions that differ by less are both solved.
 _TIE = 1e-3
 #: Kinds of points that get a manifold, if one can be made, already where their value comes this near the best of a
@@ -164,16 +166,33 @@ def _flags(points: Points, window: tuple[float, float]) -> np.ndarray:
     return np.asarray(sum(2**k * bit for k, bit in enumerate(bits)), np.int8)
 
 
-class _Surveyor:
-    """Finds the manifolds of a box."""
+@dataclass(frozen=True)
+class _Line:
+    """A surveyed line: the structure and keys (d,) [the walker's units] of its walker, and its points."""
 
-    def __init__(self, family: Family, box: Box, window: tuple[float, float], log_speed: float | None = None):
+    structure: Structure
+    keys: np.ndarray
+    points: Points
+
+
+class _Surveyor:
+    """Finds the manifolds of a box; `lines` are those surveyed for boxes that hold it, to which its own are added."""
+
+    def __init__(
+        self,
+        family: Family,
+        box: Box,
+        window: tuple[float, float],
+        lines: list[_Line],
+        log_speed: float | None = None,
+    ):
         self.structure = common_structure(family.walkers(box.nodes(len(_NODES))))
         self.maker, self.window, self.box = Maker(family, box, self.structure), window, box
-        self.log_speed = log_speed
+        self.log_speed, self.lines = log_speed, lines
         self.d = len(box.keys)
         self.unit = np.zeros((0, self.d))
         self.points: list[Points] = []
+        self.nodes = np.zeros(0, int)  # numbers of the lines at or beside the nodes
         self.manifolds: list[Manifold] = []
         self.tried: set[tuple[str, int, str]] = set()
         #: For each line the share of the lattice that it stands for; lines whose designs are left to be surveyed.
@@ -189,16 +208,35 @@ class _Surveyor:
         """Survey lines, which stand for shares of the lattice, all of it where none are given; locate their points."""
         problem = self.maker.problem(unit)
         points = find(problem, survey_lines(problem, COARSE), self.window, self.log_speed)
-        for i in range(len(unit)):
-            self.points.append(points.some(points.line == i))
-            self.points[-1].line = np.zeros(len(self.points[-1].line), int)
+        lines = []
+        for i, keys in enumerate(self.box.at(unit)):
+            own = points.some(points.line == i)
+            own.line = np.zeros(len(own.line), int)
+            lines.append(_Line(self.structure, keys, own))
+        self.lines += lines
+        self.take(unit, lines, shares)
+
+    def take(self, unit: np.ndarray, lines: Sequence[_Line], shares: Sequence[float] = ()) -> None:
+        """Take surveyed lines, which stand for shares of the lattice, all of it where none are given."""
+        self.points += [line.points for line in lines]
         self.unit = np.vstack([self.unit, unit])
         self.shares += shares or [1.0] * len(unit)
 
+    def begin(self) -> None:
+        """Take the lines that are known, and survey the others at nodes and at random designs."""
+        nodes = np.array(list(itertools.product(_NODES, repeat=self.d)))
+        inside = [line for line in self.lines if line.structure == self.structure and self.box.holds(line.keys)]
+        if inside:
+            self.take(self.box.unit(np.array([line.keys for line in inside])), inside)
+        known = np.abs(nodes[:, None] - self.unit).max(axis=2, initial=0.0) < _NEAR_NODE
+        missing = nodes[~known.any(axis=1)]
+        further = self.box.draw(_DRAWN, self.d, "design")[(~known.any(axis=0)).sum() :]
+        self.survey(np.vstack([missing, further]))
+        self.nodes = np.abs(nodes[:, None] - self.unit).max(axis=2).argmin(axis=1)
+
     def landscape(self) -> Landscape:
         """Survey lines and add manifolds until the lattice holds nothing new."""
-        nodes = np.array(list(itertools.product(_NODES, repeat=self.d)))
-        self.survey(np.vstack([nodes, self.box.draw(_DRAWN, self.d, "design")]))
+        self.begin()
         for _ in range(_ROUNDS):
             while self.missing(rivals=False):
                 pass
@@ -283,7 +321,7 @@ class _Surveyor:
     def roughest(self) -> int:
         """The key along which the surveyed lines change most, or else the widest."""
         kinds = []
-        for points in self.points[: len(_NODES) ** self.d]:
+        for points in [self.points[i] for i in self.nodes]:
             kinds.append(" ".join(str(points.kind[k]) for (k,) in best(points, 1, self.window).values() if k >= 0))
         _, number = np.unique(kinds, return_inverse=True)
         number = number.reshape((len(_NODES),) * self.d)
@@ -318,8 +356,10 @@ def make(
         Logarithm of a speed at which the least cost of transport is wanted.
     """
 
+    lines: list[_Line] = []
+
     def landscape(box: Box, why: str) -> Landscape:
-        surveyor = _Surveyor(family, box, window, log_speed)
+        surveyor = _Surveyor(family, box, window, lines, log_speed)
         return Landscape(box, surveyor.structure, why=why) if why else surveyor.landscape()
 
     return divide(box, landscape, lambda part: count(part) >= _MIN_DESIGNS, splits)

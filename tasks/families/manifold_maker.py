@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.polynomial.chebyshev import chebfit, chebval
 
-from tasks.continuation.defining import defining_system, gradient, newton_step, solve
+from tasks.continuation.defining import defining_system, evaluate, gradient, newton_step, solve
 from tasks.families.box import Box, Refused, roots, tensor_nodes
 from tasks.families.cell import Family
 from tasks.families.manifold import LEAST, Coordinates, Cut, Manifold
@@ -112,16 +112,17 @@ class _Extension:
     def manifold(self) -> Manifold:
         sizes = (_SIZES[0],) * self.d
         nodes = tensor_nodes(sizes)
-        _, ok = self.carried(nodes)
-        cut = None if ok.all() else self.cut(nodes[~ok])
+        carried = self.carried(nodes)
+        cut = None if carried[-1].all() else self.cut(nodes[~carried[-1]])
         tries = []
         for ratio in [(), self.box.ratio] if self.box.ratio else [()]:
-            manifold = self.through_nodes(sizes, Coordinates(cut, ratio))
+            coordinates = Coordinates(cut, ratio)
+            manifold = self.through_nodes(sizes, coordinates, points=None if cut or ratio else carried)
             if self.box.ratio:
                 # This many nodes show which coordinate is the better one. Beside a turn poor predictions lead to
                 # the other sheet.
                 more = (_COMPARED,) * self.d
-                manifold = self.through_nodes(more, manifold.coordinates, None if cut else manifold)
+                manifold = self.through_nodes(more, coordinates, None if cut else manifold)
             tries.append(manifold)
         manifold = min(tries, key=lambda one: one.moved)
         while manifold.moved > _GOOD:
@@ -133,6 +134,8 @@ class _Extension:
             if larger == manifold.sizes:
                 break
             manifold = self.through_nodes(larger, manifold.coordinates, manifold)
+        if manifold.moved < _FAIR:
+            manifold = self.measured(self.exact(manifold))
         if not manifold.moved < _FAIR:
             why = f"predictions of a {self.kind} err by {manifold.moved:.1g}"
             raise Refused(why, int(np.argmax(self.tails(manifold))))
@@ -143,31 +146,66 @@ class _Extension:
         return tails(manifold.coefficients[:, : len(self.Z)], manifold.sizes)
 
     def through_nodes(
-        self, sizes: tuple[int, ...], coordinates: Coordinates, known: Manifold | None = None
+        self,
+        sizes: tuple[int, ...],
+        coordinates: Coordinates,
+        known: Manifold | None = None,
+        points: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
     ) -> Manifold:
-        """The manifold through points at its nodes, which are predicted by a coarser one, or else carried there."""
+        """The manifold through points at its nodes: those given, or predicted by a coarser one, or carried there.
+
+        They and the derivatives are accurate enough to lead to others and to show how far predictions are off.
+        """
         nodes = coordinates.unit(tensor_nodes(sizes))
-        Z, ok = np.zeros((len(self.Z), len(nodes))), np.zeros(len(nodes), bool)
-        if known is not None:
+        if points is not None:
+            Z, rows, ok = points
+        elif known is not None:
             guess, rows = known.predict(nodes)
-            solved = solve(self.problem(nodes), self.kind, guess, self.target, rows)
-            Z, ok = solved.Z, solved.ok & (np.abs(solved.Z - guess).max(axis=0) < _MAX_STRIDE_ERROR)
+            solved = solve(self.problem(nodes), self.kind, guess, self.target, rows, quick=True)
+            Z, rows, ok = solved.Z, solved.rows, solved.ok & (np.abs(solved.Z - guess).max(axis=0) < _MAX_STRIDE_ERROR)
+        else:
+            Z, rows, ok = *np.zeros((2, len(self.Z), len(nodes))), np.zeros(len(nodes), bool)
         if not ok.all():
-            Z[:, ~ok], ok[~ok] = self.carried(nodes[~ok], coordinates)
+            Z[:, ~ok], rows[:, ~ok], ok[~ok] = self.carried(nodes[~ok], coordinates)
         if not ok.all():
             lost = nodes[~ok] - self.unit
             why = f"a {self.kind} is lost on its way to {len(lost)} nodes"
             raise Refused(why, int(np.abs(lost).sum(axis=0).argmax()))
-        growth, factor = coordinates.growth(nodes)
-        values = np.vstack([Z - growth, gradient(self.problem(nodes), self.kind, Z) / factor])
-        return self.measured(Manifold(self.kind, self.target, coordinates, sizes, fit(values.T, sizes)))
+        manifold = self.fitted(sizes, coordinates, nodes, Z, rows)
+        unit = self.drawn(manifold)
+        off = newton_step(self.problem(unit), self.kind, *manifold.predict(unit), self.target).change
+        return replace(manifold, moved=float(np.nan_to_num(np.abs(off), nan=np.inf).max()))
 
-    def carried(self, nodes: np.ndarray, coordinates: Coordinates | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def fitted(
+        self, sizes: tuple[int, ...], coordinates: Coordinates, nodes: np.ndarray, Z: np.ndarray, rows: np.ndarray
+    ) -> Manifold:
+        """The manifold through points Z (c, n) at nodes (n, d) with the derivatives of their scalar, `rows` (c, n)."""
+        growth, factor = coordinates.growth(nodes)
+        values = np.vstack([Z - growth, rows / factor])
+        return Manifold(self.kind, self.target, coordinates, sizes, fit(values.T, sizes))
+
+    def exact(self, manifold: Manifold) -> Manifold:
+        """The manifold through the points at its nodes, solved to rounding, with the derivatives at each."""
+        nodes = manifold.coordinates.unit(tensor_nodes(manifold.sizes))
+        problem = self.problem(nodes)
+        guess, rows = manifold.predict(nodes)
+        Z = solve(problem, self.kind, guess, self.target, rows).Z
+        return self.fitted(manifold.sizes, manifold.coordinates, nodes, Z, gradient(problem, self.kind, Z))
+
+    def drawn(self, manifold: Manifold) -> np.ndarray:
+        """Coordinates (n, d) of random designs that have a point of the manifold."""
+        unit, cut = self.box.draw(_DRAWN, self.d, f"{self.kind} {manifold.sizes}"), manifold.coordinates.cut
+        return cut.unit(unit) if cut else unit
+
+    def carried(
+        self, nodes: np.ndarray, coordinates: Coordinates | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Carry the point to other designs, by continuation along straight lines in the box's or other coordinates.
 
         Returns
         -------
-        Z : ndarray, shape (c, n)
+        Z, rows : ndarray, shape (c, n)
+            The points and the derivatives of their scalar, accurate enough to lead to others.
         ok : ndarray of bool, shape (n,)
         """
         own = coordinates or Coordinates()
@@ -182,7 +220,7 @@ class _Extension:
             unit = own.unit(start + (share[active] + step)[:, None] * (ends[active] - start))
             guess = points[:, active] + step * rate[:, active]
             growth, _ = own.growth(unit)
-            solved = solve(self.problem(unit), self.kind, guess + growth, self.target, rows[:, active])
+            solved = solve(self.problem(unit), self.kind, guess + growth, self.target, rows[:, active], quick=True)
             off = np.abs(solved.Z - growth - guess).max(axis=0)
             fair = solved.ok & (off < _MAX_STRIDE_ERROR)
             new, Z = active[fair], (solved.Z - growth)[:, fair]
@@ -192,7 +230,7 @@ class _Extension:
             stride[new] *= 1.5
             stride[active[~fair]] *= 0.5
             active = active[(share[active] < 1 - 1e-12) & (stride[active] > _MIN_STRIDE)]
-        return points + own.growth(nodes)[0], share >= 1 - 1e-12
+        return points + own.growth(nodes)[0], rows, share >= 1 - 1e-12
 
     def cut(self, lost: np.ndarray) -> Cut:
         """The curve at which the manifold is cut, which does not extend to some designs, `lost` (n, d)."""
@@ -222,7 +260,7 @@ class _Extension:
         start, across = np.zeros((places, self.d)), self.across(axis)
         start[:, across] = roots(places)
         start[:, axis] = -side
-        points, ok = self.carried(start)
+        points, _, ok = self.carried(start)
         if not ok.all():
             raise Refused(f"a {self.kind} is lost on its way to {(~ok).sum()} designs", across)
         ends, where, turned = self.followed(points, start, axis, side)
@@ -265,13 +303,15 @@ class _Extension:
             at = start[active].copy()
             at[:, axis] = u[active] + side * stride[active]
             guess = points[:, active] + stride[active] * rate[:, active]
-            solved = solve(self.problem(at), self.kind, guess, self.target, rows[:, active])
+            problem = self.problem(at)
+            solved = solve(problem, self.kind, guess, self.target, rows[:, active], quick=True)
             fair = solved.ok & (np.abs(solved.Z - guess).max(axis=0) < 0.05)
             new = active[fair]
             rate[:, new] = (solved.Z[:, fair] - points[:, new]) / stride[new]
             points[:, new], rows[:, new], u[new] = solved.Z[:, fair], solved.rows[:, fair], at[fair, axis]
             # Gaits of a speed count whether they are stable or not.
-            stable = (other_multipliers(self.kind, solved.at.stride.jacobian)[fair] < 1) | (self.kind == "speed")
+            jacobian = evaluate(problem, solved.Z).stride.jacobian
+            stable = (other_multipliers(self.kind, jacobian)[fair] < 1) | (self.kind == "speed")
             ended[new] = counts[new] & ~stable
             counts[new] |= stable
             stride[new] = np.minimum(0.1, 1.5 * stride[new])
@@ -327,12 +367,12 @@ class _Extension:
         n, c = len(u), len(Z)
         V = np.vstack([Z, u])
         for _ in range(_TURNS):
-            h = 1e-5 * np.concatenate([np.zeros((1, c + 1)), np.eye(c + 1), -np.eye(c + 1)])
+            h = 1e-6 * np.concatenate([np.zeros((1, c + 1)), np.eye(c + 1)])
             lanes = (V[:, None, :] + h.T[:, :, None]).reshape(c + 1, -1)
             at = np.tile(start, (len(h), 1))
             at[:, axis] = lanes[-1]
             values = defining_system(self.problem(at), self.kind, lanes[:-1], self.target).reshape(c + 1, len(h), n)
-            J = (values[:, 1 : c + 2] - values[:, c + 2 :]) / 2e-5
+            J = (values[:, 1:] - values[:, :1]) / 1e-6
             change = -np.linalg.solve(J.transpose(2, 0, 1), values[:, 0].T[:, :, None])[:, :, 0].T
             if not (np.abs(change) < 0.5).all():
                 break
@@ -343,8 +383,7 @@ class _Extension:
 
     def measured(self, manifold: Manifold) -> Manifold:
         """The manifold with what is measured at random points."""
-        unit, cut = self.box.draw(_DRAWN, self.d, f"{self.kind} {manifold.sizes}"), manifold.coordinates.cut
-        unit = cut.unit(unit) if cut else unit
+        unit = self.drawn(manifold)
         guess, rows = manifold.predict(unit)
         problem = self.problem(unit)
         first = newton_step(problem, self.kind, guess, rows, self.target).change

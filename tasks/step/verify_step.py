@@ -137,13 +137,17 @@ def _least_distance(
             # Rates jump at kneestrike: a guard may have a minimum there.
             turns = (rate_before < 0) & (rate[0] >= 0) & counted[0]
             least = np.fmin(least, np.where(turns, np.maximum(g[0], -highest), np.inf))
-        for i in range(len(low)):
-            highest = np.where(counted[i], np.maximum(highest, g[i]), highest)
-            least = np.where(counted[i + 1] | always, np.fmin(least, np.maximum(low[i], -highest)), least)
-            # A maximum in the interval in which values begin to count may come before they do.
-            high_counts = counted[i + 1] & (begin[i] == -np.inf) | always
-            highest = np.fmax(np.where(high_counts, np.maximum(highest, high[i]), highest), begin[i])
-        rate_before = rate[-1]
+        # A maximum in the interval in which values begin to count may come before they do.
+        high_counts = counted[1:] & (begin == -np.inf) | always
+        # What counts of each interval before its minimum, and after it.
+        before = np.where(counted[:-1], g[:-1], -np.inf)
+        after = np.fmax(np.where(high_counts, high, -np.inf), begin)
+        before[0] = np.fmax(before[0], highest)
+        before[1:] = np.fmax(before[1:], after[:-1])
+        so_far = np.fmax.accumulate(before, axis=0)
+        distance = np.where(counted[1:] | always, np.maximum(low, -so_far), np.inf)
+        least = np.fmin(least, np.fmin.reduce(distance, axis=0))
+        highest, rate_before = np.fmax(so_far[-1], after[-1]), rate[-1]
     return least
 
 
