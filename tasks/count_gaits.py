@@ -168,15 +168,12 @@ def starts(problem: Problem, slope: float, count: int) -> np.ndarray:
 def _solve(problem: Problem, w: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray, int]:
     """Distinct fixed points, how many guesses led to each, and how many converged at all."""
     q = np.log(slope)
-    hits, converged = np.ones(w.shape[1], int), None
-    if problem.phases == 2:
-        # Three links are expensive: all guesses are iterated coarsely, and only distinct results exactly.
-        coarse = newton(problem, w, np.full(w.shape[1], q), coarse=True)
-        converged = int(coarse.converged.sum())
-        w, hits = _merge(coarse.w[:, coarse.converged], hits[coarse.converged], _SAME_COARSE)
+    # All guesses are iterated coarsely, and only distinct results exactly.
+    coarse = newton(problem, w, np.full(w.shape[1], q), coarse=True)
+    found = coarse.w[:, coarse.converged]
+    w, hits = _merge(found, np.ones(found.shape[1], int), _SAME_COARSE)
     exact = newton(problem, w, np.full(w.shape[1], q))
-    w, hits = _merge(exact.w[:, exact.converged], hits[exact.converged], _SAME)
-    return w, hits, int(exact.converged.sum()) if converged is None else converged
+    return *_merge(exact.w[:, exact.converged], hits[exact.converged], _SAME), found.shape[1]
 
 
 def _deflate(
@@ -225,7 +222,7 @@ def deflated(problem: Problem, begin: np.ndarray, known: np.ndarray, slope: floa
         if not len(active):
             break
         iterate = w[:, active]
-        at, _ = problem.stride(iterate, np.full(len(active), q), coarse=problem.phases == 2)
+        at, _ = problem.stride(iterate, np.full(len(active), q), coarse=True)
         step = newton_step(at, iterate)
         offset = iterate[:, None] - known[:, :, None]
         square = (offset**2).sum(axis=0)
