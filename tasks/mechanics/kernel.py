@@ -191,7 +191,10 @@ def flow(structure: Structure, free_knee: bool, directions: int, with_slope: boo
     key = structure, free_knee, directions, with_slope, coarse
     if key not in FLOWS:
         prepare_compiler()
-        FLOWS[key] = Flow(*key)
+        # Who follows branches needs both flows: two workers compile one each.
+        other = (structure, free_knee, directions + 1, True)
+        with compile_cache.turn(repr(key), (lambda: None) if with_slope or coarse else (lambda: flow(*other))):
+            FLOWS[key] = Flow(*key)
     return FLOWS[key]
 
 
