@@ -11,7 +11,7 @@ import functools
 import heyoka as hy
 import numpy as np
 
-from pipeline.bench.extended_reference import Precise
+from soak.extended_reference import Precise
 from tasks.continuation import defining
 from tasks.mechanics.lumped import Structure, lump
 from tasks.step.problem import Problem

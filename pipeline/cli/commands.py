@@ -28,6 +28,9 @@ class _Parser(argparse.ArgumentParser):
 
         raise StudyError(f"{message[:1].upper()}{clip(message[1:], 500)} ({self.prog} --help).")
 
+    def _print_message(self, message: str, file: Any = None) -> None:
+        print(message, end="", file=file or sys.stderr)  # argparse itself says nothing of help that finds no room
+
 
 class _Version(argparse.Action):
     def __call__(self, *_: Any) -> NoReturn:

@@ -9,7 +9,7 @@ from typing import Any
 
 def count(text: str, most: int = 10**9) -> int:
     """A whole number from 1."""
-    if not text.isdecimal() or len(text) > 10 or not 1 <= int(text) <= most:
+    if not (text.isascii() and text.isdecimal()) or len(text) > 10 or not 1 <= int(text) <= most:
         raise ArgumentTypeError(f"must be a whole number from 1 to {most:,}; got {text[:60]}")
     return int(text)
 
@@ -31,6 +31,8 @@ def archive(text: str) -> Path:
 def number(text: str) -> float:
     """A number."""
     try:
+        if not text.isascii() or "_" in text:  # which Python reads
+            raise ValueError
         return float(text)
     except ValueError:
         raise ArgumentTypeError(f"must be a number; got {text}") from None

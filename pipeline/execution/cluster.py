@@ -29,7 +29,7 @@ def connect(address: str) -> Iterator[Any]:
     WorkerError
         If no scheduler or no worker answers.
     """
-    local = re.fullmatch(r"local:([1-9]\d{0,2})", address)
+    local = re.fullmatch(r"local:([1-9][0-9]{0,2})", address)
     if not local and not re.fullmatch(r"(tcp|tls|ws|wss)://\S+:[0-9]{1,5}", address):
         raise StudyError(f"`--cluster` must be tcp://HOST:PORT or local:N, N from 1 to 999; got {address}.")
     try:

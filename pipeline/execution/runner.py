@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline import paths, terminal
+from pipeline import dispatch, paths, terminal
 from pipeline.archive import read, result_tables, write
 from pipeline.archive.provenance import code_digest, cpu_features, version
 from pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, reached_limit, unwritten
@@ -77,6 +77,7 @@ def run(
     GaitsweepError
         If a study cannot start or continue, and `report` is not given; finished results are kept.
     """
+    dispatch.resolve("tasks.mechanics.compile_cache:usable_folder")()  # here it can say why it is not used
     errors: list[Exception] = []
     studies = [StudyRun(study, path, options, report or errors.append) for study, path in targets]
     signals = Signals()

@@ -362,7 +362,7 @@ def _limits(table: Mapping[str, Any], top: Location) -> Limits:
     if not 0 < seconds <= 1e6:
         raise location.at("seconds").wrong("must be > 0 and at most 1e6 s", seconds)
     memory = limits.get("memory", Limits.memory)
-    match = re.fullmatch(r"(\d+(?:\.\d+)?) ?([A-Za-z]*)", memory) if isinstance(memory, str) else None
+    match = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) ?([A-Za-z]*)", memory) if isinstance(memory, str) else None
     if match and match[2] in _UNITS:
         memory = int(min(float(match[1]) * _UNITS[match[2]], 1 << 51))
     if isinstance(memory, bool) or not isinstance(memory, int) or not 1 << 26 <= memory <= 1 << 50:

@@ -1,21 +1,25 @@
-"""heyoka's compile cache, which has no checksums of its machine code.
+"""heyoka's compile cache: its folder, whose it is, and whether its machine code is as it was written.
 
-A damaged byte there crashes a process or changes numbers. Beside the cache, a file keeps the checksum of every entry as
-it was first seen; a cache with another entry than that, or one that cannot be read, is removed and fills again.
+heyoka executes what it finds there and has no checksums of it. A folder or file that another user may change is not
+used. Damage crashes a process or changes numbers: beside the cache, a file keeps the checksum of every entry as it was
+first seen; a cache with another entry than that, or one that cannot be read, is removed and fills again.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
+import grp
+import logging
 import os
+import pwd
 import sqlite3
+import stat
 import time
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-
-import heyoka as hy
 
 _LIMIT = 256 << 20  # size of the cache [byte]
 _TIMEOUT = 30.0  # wait for other writing processes [s]
@@ -28,16 +32,29 @@ _DAMAGES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
 _locks: list[int] = []
 
 
-def use(folder: Path) -> None:
-    """Keep compiled code in a folder; where that cannot be used, every process compiles its own."""
+def use() -> None:
+    """Keep compiled code in this user's folder; where that cannot be used, every process compiles its own.
+
+    Notes
+    -----
+    heyoka reads its whole cache when it opens it: a small one of this program's own opens ten times as fast as one
+    shared with all users of heyoka.
+    """
+    import heyoka as hy  # here: a run asks for the folder without the solver
+
     hy.set_logger_level_error()  # a warning says that an entry could not be kept
+    hy.llvm_state.set_diskcache_enabled(False)
+    folder = usable_folder()
+    if folder is None:
+        return
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(OSError):
             _locks[:] = [os.open(folder / _LOCKS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)]
         # A cache that another process is just making has no tables yet, which would count as damage.
         with turn(""):
             if not _is_intact(folder):
+                if not all((folder / name).exists() for name in (_CACHE, _SUMS)):  # another program's
+                    return
                 _remove(folder)
             hy.llvm_state.set_diskcache_path(str(folder))
             hy.llvm_state.set_diskcache_limit(_LIMIT)
@@ -74,18 +91,86 @@ def turn(name: str, meanwhile: Callable[[], object] = lambda: None) -> Iterator[
             fcntl.lockf(_locks[0], fcntl.LOCK_UN, 1, place)
 
 
+@functools.cache
+def usable_folder() -> Path | None:
+    """Folder of the compile cache, made if there is none; None if it cannot be made or others may change it.
+
+    The latter is said once in a process.
+    """
+    try:
+        folder = cache_folder().resolve()  # without links, which others could change
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        shared = next(_shared(folder), None)
+    except (OSError, RuntimeError):
+        return None
+    if shared:
+        logging.getLogger("gaitsweep").warning(
+            "gaitsweep: The compile cache in %s is not used: %s is no plain file or folder that only you may change.",
+            folder,
+            shared,
+        )
+    return None if shared else folder
+
+
+def cache_folder() -> Path:
+    """Folder of the compile cache, which `GAITSWEEP_CACHE` may name; on a network disk it is slower than compiling."""
+    named, base = os.environ.get("GAITSWEEP_CACHE"), os.environ.get("XDG_CACHE_HOME", "")
+    folder = Path(named or Path(base if os.path.isabs(base) else "~/.cache", "gaitsweep"))
+    try:
+        return folder.expanduser()
+    except RuntimeError:  # there is no home, and `~` would be a folder of that name
+        return Path(os.devnull)
+
+
+def _shared(folder: Path) -> Iterator[Path]:
+    """What another user may change of a cache: its files, its folder, and the folders above it."""
+    for file in _files(folder):
+        with contextlib.suppress(FileNotFoundError):
+            status = file.lstat()
+            if is_shared(status) or not stat.S_ISREG(status.st_mode):
+                yield file
+    for place in (folder, *folder.parents):
+        status = place.lstat()
+        # In a sticky folder, such as `/tmp`, only the owner of an entry may replace it.
+        is_sticky = place != folder and status.st_mode & stat.S_ISVTX
+        if is_shared(status, stat.S_IWGRP | stat.S_IWOTH if is_sticky else 0):
+            yield place
+
+
+def is_shared(status: os.stat_result, allowed: int = 0) -> bool:
+    """Whether other users may change a file or folder: it is neither the user's nor root's, or its mode lets them.
+
+    Parameters
+    ----------
+    status : os.stat_result
+    allowed : int
+        Permissions that do not count.
+
+    Notes
+    -----
+    A group that is called as the user and has no other members, as many systems give to each user, is the user.
+    """
+    mode = status.st_mode & ~allowed
+    if mode & stat.S_IWGRP and not mode & stat.S_IWOTH:
+        with contextlib.suppress(KeyError):
+            group, user = grp.getgrgid(status.st_gid), pwd.getpwuid(os.geteuid())
+            if group.gr_name == user.pw_name and not {*group.gr_mem} - {user.pw_name}:
+                mode &= ~stat.S_IWGRP
+    return status.st_uid not in (0, os.geteuid()) or bool(mode & (stat.S_IWGRP | stat.S_IWOTH))
+
+
 def _is_intact(folder: Path) -> bool:
     """Whether every entry is as it was first seen; new ones are noted."""
-    if not (folder / _CACHE).exists():
-        return True
+    entries: dict[str, int] = {}
     try:
-        with contextlib.closing(sqlite3.connect(folder / _CACHE, timeout=_TIMEOUT)) as cache:
-            if cache.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
-                return False
-            entries = {
-                f"{number} {zlib.crc32(bitcode)} {flags} {environment}": zlib.crc32(code)
-                for number, environment, flags, bitcode, code in cache.execute(_ENTRIES)
-            }
+        if (folder / _CACHE).exists():
+            with contextlib.closing(sqlite3.connect(folder / _CACHE, timeout=_TIMEOUT)) as cache:
+                if cache.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
+                    return False
+                entries = {
+                    f"{number} {zlib.crc32(bitcode)} {flags} {environment}": zlib.crc32(code)
+                    for number, environment, flags, bitcode, code in cache.execute(_ENTRIES)
+                }
         with contextlib.closing(sqlite3.connect(folder / _SUMS, timeout=_TIMEOUT)) as db:
             db.execute("CREATE TABLE IF NOT EXISTS sums (entry TEXT PRIMARY KEY, sum INTEGER)")
             known = dict(db.execute("SELECT entry, sum FROM sums"))
@@ -100,8 +185,13 @@ def _is_intact(folder: Path) -> bool:
         return getattr(error, "sqlite_errorcode", 0) & 0xFF not in _DAMAGES
 
 
-def _remove(folder: Path) -> None:
+def _files(folder: Path) -> Iterator[Path]:
     for name in (_CACHE, _SUMS):
         for suffix in ("", "-wal", "-shm", "-journal"):
-            with contextlib.suppress(OSError):
-                (folder / f"{name}{suffix}").unlink(missing_ok=True)
+            yield folder / f"{name}{suffix}"
+
+
+def _remove(folder: Path) -> None:
+    for file in _files(folder):
+        with contextlib.suppress(OSError):
+            file.unlink(missing_ok=True)

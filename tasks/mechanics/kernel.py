@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import functools
-import os
 import time
-from pathlib import Path
 from typing import Any
 
 import heyoka as hy
@@ -27,26 +25,10 @@ _FINE = 1.75e-15
 _COARSE = 1e-7
 
 
-def cache_folder() -> Path:
-    """Folder of the compile cache, which `GAITSWEEP_CACHE` may name; on a network disk it is slower than compiling."""
-    named = os.environ.get("GAITSWEEP_CACHE")
-    folder = Path(named or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "gaitsweep"))
-    try:
-        return folder.expanduser()
-    except RuntimeError:  # there is no home, and `~` would be a folder of that name
-        return Path(os.devnull)
-
-
 @functools.cache
 def prepare_compiler() -> None:
-    """Set heyoka's compile cache and threads for this process; every factory of compiled code calls it first.
-
-    Notes
-    -----
-    heyoka reads its whole cache when it opens it: a small one of this program's own opens ten times as fast as one
-    shared with all users of heyoka.
-    """
-    compile_cache.use(cache_folder())
+    """Set heyoka's compile cache and threads for this process; every factory of compiled code calls it first."""
+    compile_cache.use()
     hy.set_nthreads(1)
 
 

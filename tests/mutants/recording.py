@@ -57,7 +57,7 @@ def environment(tree: Path) -> dict[str, str]:
 def lend_cache() -> None:
     """Copy the compiled flows, so those of mutants do not fill the user's."""
     # Not above: a process that tries a mutant imports this file, but `tasks` from its copy.
-    from tasks.mechanics.kernel import cache_folder
+    from tasks.mechanics.compile_cache import cache_folder
 
     lent = STATE / "cache"
     shutil.rmtree(lent, ignore_errors=True)

@@ -20,7 +20,7 @@ import pytest
 from conftest import ROOT
 from faults import Faults, compiled, started
 from processes import damaged
-from tasks.mechanics import kernel
+from tasks.mechanics import compile_cache
 
 STUDY = """name = "s"
 walker = "D"
@@ -228,13 +228,22 @@ def test_a_compile_cache_changes_no_number(tmp_path, tell, n, damages):
     tell(f"{n} processes share a cold cache; {damages} damaged: the same numbers")
 
 
-def test_a_compile_cache_is_used_again(tmp_path):
+def test_a_compile_cache_is_used_again_and_not_where_others_may_change_it(tmp_path):
     """In a process of its own: the cache is a setting of the whole process."""
     code = (
-        "import heyoka, sys; from pathlib import Path; from tasks.mechanics import compile_cache;"
-        "[compile_cache.use(Path(sys.argv[1])) for _ in range(2)]; assert heyoka.llvm_state.get_diskcache_enabled()"
+        "import os, sys; from tasks.mechanics import compile_cache; import heyoka\n"
+        "def is_used():\n"
+        "    compile_cache.usable_folder.cache_clear(); compile_cache.use()\n"
+        "    return heyoka.llvm_state.get_diskcache_enabled()\n"
+        "assert is_used() and is_used()\n"
+        "os.chmod(os.environ['GAITSWEEP_CACHE'], 0o777)\n"
+        "assert not is_used() and not is_used()"
     )
-    subprocess.run([sys.executable, "-c", code, tmp_path / "some" / "cache"], cwd=ROOT, check=True)
+    folder = tmp_path / "some" / "cache"
+    environment = {**os.environ, "GAITSWEEP_CACHE": str(folder)}
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)
+    said = f"gaitsweep: The compile cache in {folder} is not used: {folder} is no plain file or folder that only"
+    assert done.returncode == 0 and [line[: len(said)] for line in done.stderr.splitlines()] == [said] * 2, done.stderr
 
 
 @pytest.mark.parametrize("sizes", [(200_000,), pytest.param((0, 1, 4096, 50_000, 300_000), marks=pytest.mark.soak)])
@@ -261,6 +270,7 @@ def test_who_has_no_home_has_no_compile_cache(tmp_path, monkeypatch):
     for name in ("HOME", "XDG_CACHE_HOME", "GAITSWEEP_CACHE"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(pwd, "getpwuid", Mock(side_effect=KeyError))
-    with pytest.raises(FileExistsError):  # as `compile_cache.use` expects where each process is to compile for itself
-        kernel.cache_folder().mkdir(parents=True, exist_ok=True)
+    compile_cache.usable_folder.cache_clear()
+    assert compile_cache.usable_folder() is None
     assert not list(tmp_path.iterdir())
+    compile_cache.usable_folder.cache_clear()
