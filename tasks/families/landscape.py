@@ -355,7 +355,6 @@ def make(
     log_speed : float, optional
         Logarithm of a speed at which the least cost of transport is wanted.
     """
-
     lines: list[_Line] = []
 
     def landscape(box: Box, why: str) -> Landscape:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from exact_special_points import exact_slope
-from pipeline.bench.missed import neighbour
+from soak.missed import neighbour
 from tasks.continuation import special_points as module
 from tasks.continuation.atlas import survey
 from tasks.continuation.defining import SCALARS
