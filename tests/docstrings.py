@@ -7,6 +7,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 FILES = [file for name in ("tasks", "pipeline") for file in sorted((ROOT / name).rglob("*.py"))]
+#: Where users enter: what notebooks call, and the tasks.
+FACE = sorted([*(ROOT / "pipeline" / "api").glob("*.py"), *(ROOT / "tasks").glob("*.py")])
 
 
 def functions(tree: ast.Module) -> Iterator[tuple[str, ast.FunctionDef]]:
