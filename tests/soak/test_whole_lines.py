@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks import whole_lines as module
+from soak import whole_lines as module
 from soak.whole_lines import whole_lines
 from tasks.continuation import defining
 
