@@ -1,4 +1,4 @@
-# make setup | paper | test | check | lint | bench | soak | prove | mutants | lock
+# make setup | paper | test | check | lint | bench | soak | prove | mutants | tiers | lock
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 READY := .venv/.ready
@@ -13,7 +13,7 @@ N ?= 300
 SECONDS ?= 7000
 STUDIES := $(wildcard data/studies/paper/*.toml)
 
-.PHONY: setup paper test check lint bench soak prove mutants lock clean
+.PHONY: setup paper test check lint bench soak prove mutants tiers lock clean
 .DEFAULT_GOAL := test
 
 setup: $(READY)
@@ -66,6 +66,11 @@ prove: $(COMPLETE)
 # Mutants of the core drawn by lot, two at a time; the same command resumes, AGAIN=again retries survivors.
 mutants: $(COMPLETE)
 	$(BIN)/python tests/mutants/draw.py $(DRAW) $(N) $(AGAIN)
+
+# Choose the tests of `make test`: those that reach most, in so many seconds of processor time.
+BUDGET ?= 400
+tiers: $(COMPLETE)
+	$(BIN)/python tests/mutants/tiers.py $(BUDGET)
 
 # Write the lock anew from the ranges in pyproject.toml, for every Python that it allows.
 lock:
