@@ -9,7 +9,7 @@ import numpy as np
 
 from tasks import registry
 from tasks.continuation import atlas as atlases
-from tasks.dynamics.initial_states import gaits_at, r_sequence
+from tasks.dynamics.initial_states import NO_START, gaits_at, r_sequence
 from tasks.dynamics.lyapunov import Exponents, estimate
 from tasks.fixed_points.polish import SAFETY_FACTOR
 from tasks.step.problem import EPS, Problem
@@ -19,7 +19,6 @@ from tasks.walkers.resolve import resolve
 Arrays = dict[str, np.ndarray]
 #: Steps over which the directions of growth align before exponents are averaged, and blocks of the average.
 _ALIGNMENT, _BLOCKS = 16, 8
-_NO_START = "no gait to start from"
 #: Columns of a row, and the longest period at which an orbit is tested for repetition.
 _SHOWN, _MAX_PERIOD = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period", "error_bound"), 64
 #: Lanes advanced together: their states stay in the cache.
@@ -85,7 +84,7 @@ def orbit(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         "falls/slope": np.concatenate([lane_slope[~walks], slope[without]]),
         "falls/start": np.concatenate([start[~walks], np.full(len(without), -1)]),
         "falls/steps": np.concatenate([steps[~walks], np.zeros(len(without), int)]),
-        "falls/cause": np.array([CAUSES[c] for c in outcome[~walks]] + [_NO_START] * len(without), "U24"),
+        "falls/cause": np.array([CAUSES[c] for c in outcome[~walks]] + [NO_START] * len(without), "U24"),
     }
     out |= _survival(lane_slope, steps, ~walks)
     return out | _exponents(means[:, :, walks], lane_slope[walks], int(options["steps"]) - _ALIGNMENT)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tasks import registry
 from tasks.continuation import atlas as atlases
-from tasks.dynamics.initial_states import gaits_at
+from tasks.dynamics.initial_states import NO_START, gaits_at
 from tasks.dynamics.stable_manifold import saddle_at, stable_manifold
 from tasks.step.problem import Problem
 from tasks.step.simulate import CAUSES, STRUCK, stride
@@ -45,7 +45,8 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         Tables `basin` (slope, stance_angle, stance_rate[, swing_rate], outcome, steps), a row per initial condition;
         `fixed_points` (slope, gait, stance_angle, stance_rate, swing_rate, NaN for point feet), the gaits in the same
         coordinates, `stable_manifold` (likewise, and point, a number), points of those of saddles, and `areas`
-        (slope, outcome, area, standard_error, share, starts), in the walker's units; an area is of angles and rates.
+        (slope, outcome, area, standard_error, share, starts), in the walker's units; an area is of angles and rates;
+        of slopes without a long gait only a row of `areas`, which says so.
 
     Notes
     -----
@@ -70,6 +71,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             if len(known):
                 targets[label] = y[:, 0]
         if "long" not in targets:
+            _append_row(areas, (slope, NO_START, 0.0, 0.0, np.nan, 0))
             continue
         starts, cell = _starts(problem, targets["long"], options, time_unit)
         grid = starts.reshape(problem.m, int(options["size"]), -1)
@@ -91,8 +93,7 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         tables.append(table | {"outcome": outcome, "steps": steps})
         for name, area, error in _areas(outcome.reshape(int(options["size"]), -1), cell):
             row = (slope, name, area / time_unit, error / time_unit, np.mean(outcome == name), len(outcome))
-            for column, value in zip(areas.values(), row, strict=True):
-                column.append(value)
+            _append_row(areas, row)
     basins = {f"basin/{k}": np.concatenate([t[k] for t in tables]) for k in (tables[0] if tables else {})}
     fixed = {f"fixed_points/{k}": np.array(v) for k, v in gaits.items()}
     edges = {f"stable_manifold/{k}": np.array(v) for k, v in manifolds.items() if problem.m == 3 or k != "swing_rate"}
@@ -100,6 +101,11 @@ def basin(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     _, first, place = np.unique(manifolds["slope"], return_index=True, return_inverse=True)
     edges["stable_manifold/point"] = np.arange(len(place)) - first[place]
     return basins | fixed | edges | {f"areas/{k}": np.array(v) for k, v in areas.items()}
+
+
+def _append_row(table: dict[str, list[Any]], row: tuple[Any, ...]) -> None:
+    for column, value in zip(table.values(), row, strict=True):
+        column.append(value)
 
 
 def _append(table: dict[str, list[Any]], slope: float, label: str, y: np.ndarray, time_unit: float) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tasks import status
 from tasks.continuation import atlas as atlases
-from tasks.fixed_points.newton import newton_step
+from tasks.continuation.locate import settle_on_branches
 from tasks.registry import GAITS
 from tasks.solve_points import points
 from tasks.step.problem import Problem
@@ -53,14 +53,12 @@ def trace(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dic
                 & (known["piece"][index] == branch.piece(segment)[:, None])
                 & np.isin(known["status"][index], status.SOLVED)
             )
-            w, q = np.delete(Z, problem.m, axis=1).T, np.log(slope[index])
-            for _ in range(2):
-                stride, _ = problem.stride(w, q)
-                w = w + newton_step(stride, w)
-            stride, scale = problem.stride(w, q, samples=SAMPLES)
+            guesses = branch.known_guesses(Z, segment, slope[index])
+            at = settle_on_branches(problem, guesses, [(problem, branch, segment)])
+            stride = problem.map(at.y, at.times, problem.parameters(slope[index], at.scale), samples=SAMPLES)
             for lane, g in np.argwhere(is_drawn):
-                times, angles = _cycle(stride.motion, stride.times[:, lane], lane)
-                a, b, c = angles * scale[lane]
+                times, angles = _cycle(stride.motion, at.times[:, lane], lane)
+                a, b, c = angles * at.scale[lane]
                 n = len(times)
                 for key, value in (
                     ("gait", np.full(n, GAITS[g])),

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from tasks.continuation.branch import Branch
+from tasks.continuation.locate import settle_on_branches
 from tasks.fixed_points.labels import places
-from tasks.fixed_points.newton import newton_step
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.registry import GAITS
 from tasks.step.problem import Problem
 
+#: What is said of a slope without a gait that was found and verified.
+NO_START = "no gait to start from"
 #: Generalised golden ratios: the roots of x^(m + 1) = x + 1, by the dimension m.
 _GOLDEN_RATIO = {2: 1.32471795724474602596, 3: 1.22074408460575947536}
 
@@ -45,7 +47,7 @@ def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label:
     Returns
     -------
     index : ndarray of int, shape (k,)
-        Indices of the slopes that have one, rising.
+        Indices of the slopes at which one was found and verified to be a step, rising.
     y : ndarray, shape (m, k) [rad, rad/sqrt(leg/g)]
         Their section coordinates.
     """
@@ -54,16 +56,18 @@ def gaits_at(problem: Problem, branches: list[Branch], slope: np.ndarray, label:
     angle, ratio, sections = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, m, n))
     for branch in branches:
         for index, Z, segment in branch.guesses(np.log(slope)):
-            passes_once = branch.leg_passes[segment] == 1
-            if not passes_once.any():
-                continue
-            index, w = index[passes_once], np.delete(Z[passes_once], m, axis=1).T
-            for _ in range(3):
-                stride, _ = problem.stride(w, np.log(slope[index]))
-                w = w + newton_step(stride, w)
+            at = settle_on_branches(
+                problem, branch.known_guesses(Z, segment, slope[index]), [(problem, branch, segment)]
+            )
+            converged = at.converged & at.step
+            # As in `points`, one that is lost still counts for the labels of the others, as its branch's gait.
+            nodes = 0.5 * (branch.ratio[segment] + branch.ratio[segment + 1])
             piece = np.full((m + 2, n), np.nan)
-            piece[:, index] = np.vstack([w[:1], gait_ratio(stride)[None], np.exp(w[:1]), np.exp(w[0]) * w[1:m]])
+            piece[0, index] = np.where(~at.step | (at.leg_passes == 1), Z[:, 0], np.nan)
+            piece[1, index] = np.where(converged, gait_ratio(at.stride), nodes)
+            piece[2:, index] = np.where(converged, at.y * at.scale, np.nan)
             angle, ratio = np.vstack([angle, piece[:1]]), np.vstack([ratio, piece[1:2]])
             sections = np.concatenate([sections, piece[None, 2:]])
-    index, row = np.nonzero((places(angle, ratio) == GAITS.index(label)).T)
+    has_label = (places(angle, ratio) == GAITS.index(label)) & np.isfinite(sections).all(axis=1)
+    index, row = np.nonzero(has_label.T)
     return index, sections[row, :, index].T

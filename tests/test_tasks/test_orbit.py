@@ -3,16 +3,19 @@
 import numpy as np
 import pytest
 
-from lines import _atlas, gait
+from lines import _atlas, branches, gait
 from oracle import Oracle, SimplestWalker
 from tasks import iterate_orbits as orbits
 from tasks import map_basin as basins
 from tasks.continuation.atlas import from_arrays
+from tasks.continuation.special_points import special_points
+from tasks.dynamics import initial_states
 from tasks.dynamics.initial_states import gaits_at, r_sequence
 from tasks.dynamics.lyapunov import Exponents, estimate, orthogonalised
 from tasks.iterate_orbits import orbit
 from tasks.step.problem import Problem
 from tasks.step.simulate import stride
+from tasks.trace_motion import trace
 from tasks.walkers.resolve import resolve
 
 D = {"walker": "D", "set": {}}
@@ -194,3 +197,31 @@ def test_exponents_are_sorted():
     table = orbits._exponents(means, np.array([0.01, 0.01]), 40)
     assert table["lyapunov/exponent"] == pytest.approx([-0.55, -0.9])
     assert table["lyapunov/index"].tolist() == [0, 1]
+
+
+def test_gaits_beside_a_fold_are_those_of_the_grid():
+    """Three Newton steps and no look at what they gave left errors of 1e-9 there, and two those of drawn motions."""
+    problem, found = branches("A", detuning=0.3)
+    (fold,) = [p["slope"] for b in found for p in special_points(problem, b) if p["kind"] == "fold"]
+    slope = fold * (1 + 1e-11)
+    angle = gait("A", slope, "long", detuning=0.3)["stance_angle"]
+    _, y = gaits_at(problem, found, np.array([slope]), "long")
+    assert y[0] == pytest.approx(angle, rel=1e-13)
+    line, atlas = {"walker": "A", "set": {"detuning": 0.3}}, _atlas("A", (("detuning", 0.3),))
+    drawn = trace({"line": line, "slope": np.array([slope]), "gaits": ("long",)}, [atlas])
+    assert drawn["trace/theta_st"][0] == pytest.approx(angle, rel=1e-13)
+
+
+def test_where_no_gait_is_found_orbits_and_basins_say_so(monkeypatch):
+    settle = initial_states.settle_on_branches
+
+    def lost(*arguments):
+        at = settle(*arguments)
+        at.converged[:] = False
+        return at
+
+    monkeypatch.setattr(initial_states, "settle_on_branches", lost)
+    found = walked([0.009])
+    assert found["falls/cause"].tolist() == ["no gait to start from"] and not len(found["orbits/slope"])
+    found = basins.basin({"line": D, "slope": np.array([0.009]), "size": 4}, [_atlas("D", ())])
+    assert found["areas/outcome"].tolist() == ["no gait to start from"] and found["areas/starts"].tolist() == [0]

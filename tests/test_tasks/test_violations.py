@@ -258,8 +258,27 @@ def test_the_depth_of_a_scuff_does_not_depend_on_the_samples(monkeypatch):
     # On long steps the foot is below the ground for far less than the time between samples.
     slopes, want = [1e-4, 1e-3], ("scuff_depth",)
     fine = measured("B", slopes, want)["scuff_depth"][:, 0]
-    monkeypatch.setattr(violations, "SAMPLES", 12)
-    np.testing.assert_allclose(measured("B", slopes, want)["scuff_depth"][:, 0], fine, rtol=2e-8)
+    monkeypatch.setattr(violations, "SAMPLES", 48)
+    np.testing.assert_allclose(measured("B", slopes, want)["scuff_depth"][:, 0], fine, rtol=1e-9)
+
+
+def test_a_scuff_has_the_depth_of_a_simulation_in_more_digits():
+    """It had six or seven right digits: the depth is small, and a quartic through its samples is off by 1e-10."""
+    found = measured("F", [0.01], ("scuff_depth",))["scuff_depth"][0, 0]
+    assert found == pytest.approx(7.435717431858e-5, rel=1e-11)
+
+
+def test_extremes_within_a_step_do_not_depend_on_the_samples(monkeypatch):
+    """The lock's torque was off by 1e-8, and its time by 4e-7."""
+    name, slope, want = "kneed-point-foot.toml", [0.0504], GROUP
+    coarse = measured(name, slope, want)
+    monkeypatch.setattr(violations, "SAMPLES", 8 * violations.SAMPLES)
+    fine = measured(name, slope, want)
+    values = [(coarse[key][0, 0], fine[key][0, 0]) for key in want if fine[key][0, 0] != 0]
+    assert len(values) > 8 and fine["unlocking_torque_time"][0, 0] > 0
+    for value, closer in values:
+        assert value == pytest.approx(closer, rel=1e-9)
+    assert coarse["unlocking_torque"][0, 0] == pytest.approx(fine["unlocking_torque"][0, 0], rel=1e-11)
 
 
 def test_a_scuff_between_two_samples_is_found(monkeypatch):
@@ -356,8 +375,8 @@ def test_extremes_between_samples_are_found():
     shift = np.array([0.0, 0.3, 0.77])
     x = np.linspace(0, 2, 97)[:, None]
     value, at = violations.greatest(np.sin(2 * (x - 0.1) + shift))
-    np.testing.assert_allclose(value, 1.0, atol=1e-9)
-    np.testing.assert_allclose(at / 48, (np.pi / 2 - shift) / 2 + 0.1, atol=1e-6)
+    np.testing.assert_allclose(value, 1.0, rtol=1e-14)
+    np.testing.assert_allclose(at / 48, (np.pi / 2 - shift) / 2 + 0.1, rtol=1e-11)
     # Where there is no value there is no extreme.
     partly = np.where((x < 0.3) | (x > 1.9), np.nan, np.sin(2 * (x - 0.1)))
     assert violations.greatest(partly)[0] == pytest.approx(1.0, abs=1e-9)
