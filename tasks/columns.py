@@ -205,6 +205,16 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "design/stance_rate": ("rate", "stance leg rate of the fastest stable gait just after heelstrike"),
     "design/thigh_rate": ("rate", "swing thigh rate of the fastest stable gait just after heelstrike"),
     "design/shank_rate": ("rate", "swing shank rate of the fastest stable gait just after heelstrike"),
+    **{
+        f"design/{name}_at_{slope}": (unit, f"{words} of the gait at the {slope.replace('_', ' ')}")
+        for slope in ("smallest_slope", "largest_stable_slope")
+        for name, unit, words in (
+            ("stance_angle", "angle", "stance angle"),
+            ("stance_rate", "rate", "stance leg rate just after heelstrike"),
+            ("thigh_rate", "rate", "swing thigh rate just after heelstrike"),
+            ("shank_rate", "rate", "swing shank rate just after heelstrike"),
+        )
+    },
     "lost/low": ("angle", "largest slope at which all orbits persist"),
     "lost/high": ("angle", "smallest slope at which walking is lost"),
     "lost/reason": ("number", "why one of these slopes is missing; empty where none is"),

@@ -31,8 +31,14 @@ from tasks.walkers.walker_array import WalkerArray
 Arrays = dict[str, np.ndarray]
 #: Entries in place of a reason where there is no number.
 _NO_WALKER, _NO_GAIT, _NEVER_STABLE = "no walker", "no gait", "never stable"
-#: Columns of the fastest stable gait: its slope, and its state just after heelstrike.
-_START = ("fastest_slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate")
+#: A gait's state just after heelstrike.
+_STATE = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate")
+#: What the columns of the state of a quantity's gait are called after the name of the state.
+_OF = {
+    "smallest_slope": "_at_smallest_slope",
+    "largest_stable_slope": "_at_largest_stable_slope",
+    "fastest_stable_speed": "",
+}
 #: Variables that describe gaits at a slope.
 _GAIT = ("stance_angle", "stance_rate", "thigh_rate", "spectral_radius")
 #: Lines surveyed, and designs solved, at a time.
@@ -56,8 +62,8 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     dict
         Table `design`, one row for each design, in the walker's units: smallest_slope of a long gait (0 if it
         continues to vanishing slopes) and smallest_at, the event there; largest_stable_slope and stability_lost_by;
-        fastest_stable_speed, its fastest_froude_speed, fastest_slope and state; a bound on the relative error of each
-        of the three quantities; and surveyed, whether the line of the design was. Only gaits in the window count, and
+        fastest_stable_speed, its fastest_froude_speed and fastest_slope; the state of the gait of each of the three
+        quantities, and a bound on the relative error of each; and surveyed, whether the line of the design was. Only gaits in the window count, and
         its edge is called `window`. Numbers are NaN where there is `no gait`, or where it is `never stable`.
 
     Notes
@@ -213,7 +219,8 @@ class _Rows:
         self.value = {name: np.full(n, np.nan) for name in names}
         self.error = {name: np.full(n, np.nan) for name in names}
         self.kind = {name: np.full(n, _NO_WALKER, "U32") for name in names}
-        self.start = np.full((5, n), np.nan)
+        self.fastest_slope = np.full(n, np.nan)
+        self.state = {name: np.full((4, n), np.nan) for name in _OF}
         self.surveyed = np.zeros(n, int)
         self.attractor = np.full(n, _NO_GAIT, "U32")
         self.steps = np.full((2, n), np.nan)
@@ -252,11 +259,12 @@ class _Rows:
             self.kind[name][numbers[absent]] = _NO_GAIT
             if name != "smallest_slope":
                 self.kind[name][numbers[absent & (walks | any_slope)]] = _NEVER_STABLE
-            if is_speed and len(there):
-                Z, own = points.Z[:, which], problem.some(there)
+            if name in _OF and len(there):
+                Z, own, slope = points.Z[:, which], problem.some(there), np.exp(points.log_slope[which])
                 y = np.vstack([np.exp(Z[0]), np.exp(Z[0]) * Z[1 : problem.m]])
-                self.start[0, row] = np.exp(points.log_slope[which])
-                self.start[1:, row] = own.start(y, self.start[0, row])
+                self.state[name][:, row] = own.start(y, slope)
+                if is_speed:
+                    self.fastest_slope[row] = slope
         if any_slope:
             self.kind["smallest_slope"][numbers[kept]] = ANY_SLOPE
 
@@ -280,8 +288,12 @@ class _Rows:
         time_unit = np.sqrt(walkers.leg / walkers.g)
         froude = np.exp(self.value["fastest_stable_speed"])
         any_slope = self.kind["smallest_slope"] == ANY_SLOPE
-        start = self.start.copy()
-        start[2:] /= time_unit
+        unit = [1.0, time_unit, time_unit, time_unit]
+        states = {
+            name + _OF[of]: value / by
+            for of, state in self.state.items()
+            for name, value, by in zip(_STATE, state, unit, strict=True)
+        }
         error = {name: np.where(any_slope & (name == "smallest_slope"), 0.0, e) for name, e in self.error.items()}
         return {
             "smallest_slope": np.where(any_slope, 0.0, np.exp(self.value["smallest_slope"])),
@@ -293,6 +305,7 @@ class _Rows:
             "fastest_stable_speed": froude * np.sqrt(walkers.g * walkers.leg),
             "fastest_stable_speed_error": error["fastest_stable_speed"],
             "fastest_froude_speed": froude,
-            **dict(zip(_START, start, strict=True)),
+            "fastest_slope": self.fastest_slope,
+            **states,
             "surveyed": self.surveyed,
         }

@@ -90,7 +90,13 @@ VARIABLES = {
         ),
         Variable("step_frequency", _G, "frequency", "steps in a unit of time", **_SMOOTH),
         Variable("speed", _G, "speed", "mean speed along the slope", **_SMOOTH),
-        Variable("froude_speed", _G, "number", "mean speed over sqrt(g (l + R))", **_SMOOTH),
+        Variable(
+            "froude_speed",
+            _G,
+            "number",
+            "mean speed over sqrt(g (l + R)), the square root of the Froude number",
+            **_SMOOTH,
+        ),
         Variable("cost_of_transport", _G, "number", "energy lost over weight and distance", **_SMOOTH),
         Variable("power", _G, "power", "mean power drawn from gravity", **_SMOOTH),
         Variable(

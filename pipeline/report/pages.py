@@ -56,7 +56,8 @@ _MAX_THUMBNAIL_BYTES = 235_000
 class Page:
     """One study as its page shows it.
 
-    `undrawn` names the figures that the archive holds no data for; `lines` are those whose gaits its script can start;
+    `undrawn` names the figures that the archive holds no data for; `lines` are those whose gaits its script can start,
+    `states` those states that its marks start from, once each;
     `absent` lists the points without a converged gait; `tables` are those of results, by their place on the page.
     """
 
@@ -65,6 +66,7 @@ class Page:
     drawings: list[Drawing]
     undrawn: list[str]
     lines: list[dict[str, Any]]
+    states: list[list[float]]
     statuses: list[tuple[str, int, float]]
     absent: pd.DataFrame
     tables: dict[str, Any]
@@ -254,10 +256,19 @@ def _page(source: Source, slug: str) -> Page:
         drawings,
         undrawn,
         starts.lines(source),
+        _share_states(drawings),
         html_tables.statuses(source),
         html_tables.points(source),
         tables,
     )
+
+
+def _share_states(drawings: list[Drawing]) -> list[list[float]]:
+    """Every state once that marks of some figures start from; the marks are left with their places."""
+    places: dict[tuple[float, ...], int] = {}
+    for target in (target for drawing in drawings for target in drawing.targets if "starts" in target):
+        target["starts"] = [places.setdefault(tuple(start), len(places)) for start in target["starts"]]
+    return [list(state) for state in places]
 
 
 def _slugs(sources: list[Source]) -> list[str]:

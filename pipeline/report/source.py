@@ -40,6 +40,9 @@ SYMBOLS = {
 #: Superscripts of the characters of an integer.
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
+#: Rates of a state just after heelstrike.
+RATES = ("stance_rate", "thigh_rate", "shank_rate")
+
 #: Statuses that answer the question; every other one means that a point failed.
 ANSWERS = ("converged", "no_gait", "fell")
 
@@ -68,14 +71,18 @@ class Line:
     command: str
 
     def curves(self, *variables: str) -> Iterator[pd.DataFrame]:
-        """Yield a frame for each piece of a branch: `slope`, the variables, `stable` (1, 0 or NaN) and `gait`.
+        """Yield a frame for each piece of a branch: `slope`, the variables, the state, `stable` (1, 0 or NaN) and `gait`.
 
         Labels jump from branch to branch, and a branch passes a slope once on each side of a fold: curves follow
         pieces, and `gait` is the label of each point. Slopes at which the piece has no gait are kept, as NaN, so that
         gaps are drawn as gaps. In an archive without branches a curve follows a label.
         """
         data, dims = self.data, ("slope", "gait")
-        names = [v for v in dict.fromkeys((*variables, "spectral_radius")) if v in data and data[v].dims == dims]
+        names = [
+            v
+            for v in dict.fromkeys((*variables, "spectral_radius", "stance_angle", *RATES))
+            if v in data and data[v].dims == dims
+        ]
         slopes, gaits = data["slope"].values, data["gait"].values.astype(str)
         shape = len(slopes), len(gaits)
         branch = data["branch"].values if "branch" in data else np.broadcast_to(np.arange(len(gaits)), shape)

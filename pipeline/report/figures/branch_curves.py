@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from matplotlib.lines import Line2D
 from pipeline.report.figures import landmarks, measured
 from pipeline.report.figures.style import (
     DASHES,
-    GAIT_COLOURS,
     INK,
     MUTED,
     PAPER,
@@ -22,6 +20,7 @@ from pipeline.report.figures.style import (
     canvas,
     colour,
     draw_curve,
+    labelled,
     plain,
     set_heading,
     shorten,
@@ -32,6 +31,8 @@ from pipeline.report.figures.svg import Marks, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
 MAX_PANELS = 6
+#: Spectral radius above which it is rounding of one without bound.
+_UNBOUNDED = 1e12
 #: Sentence of a caption on the paper's numbers of points.
 _NUMBERED = " The numbers 1 to 4 are those of the paper's figure; bars through them: what rounding allows."
 #: Marker of each kind of special point; ends are filled.
@@ -110,15 +111,16 @@ def locus(source: Source) -> Sketch | None:
     else:
         figure.supylabel("stance angle θ* (rad)", fontsize=9.5)
     data = pd.concat(pieces, ignore_index=True)
+    if "spectral_radius" in data:  # at a tangential strike the derivative of the step map has no bound
+        data["spectral_radius"] = data["spectral_radius"].where(data["spectral_radius"] < _UNBOUNDED, np.inf)
     _add_legend(figure, data, special, [str(at["walker"]) for at, _ in chosen] if together else [], has_printed, own)
     omitted = f" Six of {len(every)} lines are drawn." if len(every) > len(chosen) else ""
     return Sketch(
         figure,
         "Solution branches",
-        "Stance angle along each solution branch, continued through folds to its ends. A branch has one colour, that "
-        "of the label (long or short) that most of its gaits have, or another where a longer branch of the panel has "
-        "that one: a gait is long if the legs' rates differ by less than half the stance rate just before heelstrike. "
-        "Filled marks are ends."
+        "Stance angle along each solution branch, continued through folds to its ends. The colour is that of the gait's "
+        "label: a gait is long if the legs' rates differ by less than half the stance rate just before heelstrike. "
+        "Filled marks: branch ends."
         + (_NUMBERED if numbered else "")
         + (landmarks.sentence(printed) if has_printed else "")
         + omitted,
@@ -132,11 +134,7 @@ def locus(source: Source) -> Sketch | None:
 def _add_legend(
     figure: Figure, data: pd.DataFrame, special: pd.DataFrame, walkers: list[str], printed: bool, own: Line2D | None
 ) -> None:
-    keys = [
-        Line2D([], [], color=colour(g), lw=1.4, label=f"{shorten(' or '.join(rows['label'].unique()))} step")
-        for g, rows in data.groupby("drawn_as", sort=False)
-        if g
-    ]
+    keys = [Line2D([], [], color=colour(g), lw=1.4, label=f"{shorten(g)} step") for g in data["gait"].unique() if g]
     if "stable" in data and (data["stable"] == 1).any():
         keys.append(Line2D([], [], color=INK, lw=2.6, label="stable"))
     keys += [Line2D([], [], color=INK, lw=1.1, ls=DASHES[k], label=shorten(w)) for k, w in enumerate(walkers)]
@@ -155,29 +153,21 @@ def _mark(kind: str) -> dict[str, Any]:
     return {"marker": _SHAPES.get(kind, "*"), "color": INK, "mfc": INK if is_end else PAPER, "ms": 6 if is_end else 5}
 
 
-def _main_label(branch: pd.DataFrame, taken: Iterable[str]) -> tuple[str, str]:
-    """The label of most gaits of a branch, and the label that colours it: another where the first is taken."""
-    if "gait" not in branch:
-        return "", ""
-    label = str(branch["gait"].mode().iloc[0])
-    return label, label if label not in taken else next((g for g in GAIT_COLOURS if g not in taken), label)
-
-
 def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame]:
+    """Draw the branches of a line, each gait in the colour of its label; the rows drawn."""
     pieces: list[pd.DataFrame] = []
-    taken: list[str] = []
     edges = frame["slope"].min(), frame["slope"].max()
     by_branch = frame.groupby("branch", sort=False) if "branch" in frame else [(0, frame)]
-    for branch, whole in sorted(by_branch, key=lambda item: -len(item[1])):
-        label, drawn_as = _main_label(whole, taken)
-        taken.append(drawn_as)
+    for branch, whole in by_branch:
         # A branch that leaves the window may come back at the same edge: no line joins the two parts.
         at = np.array([np.isclose(whole["slope"], edge, rtol=1e-9, atol=0) for edge in edges])
         for _, run in whole.groupby(np.cumsum((at & np.roll(at, 1, axis=1)).any(axis=0))):
-            rows = thin(run, 400)
+            rows = thin(run, 400).reset_index(drop=True)
+            rows = rows.assign(branch=branch, gait=rows["gait"].astype(str) if "gait" in rows else "")
             stable = rows["stable"] if "stable" in rows else pd.Series(np.nan, rows.index)
-            draw_curve(axes, rows["slope"], rows["stance_angle"], stable, colour(drawn_as), k)
-            pieces.append(rows.assign(branch=branch, label=label, drawn_as=drawn_as))
+            for gait in rows["gait"].unique():
+                draw_curve(axes, rows["slope"], labelled(rows, gait), stable, colour(gait), k)
+            pieces.append(rows)
     return pieces
 
 

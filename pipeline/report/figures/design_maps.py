@@ -12,24 +12,36 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from pipeline.report.figures.starts import START, cells
-from pipeline.report.figures.style import axis_values, canvas, plain, rows_caption, shorten, spread_evenly, thin
-from pipeline.report.figures.svg import Marks, Panel, Sketch
+from pipeline.report.figures.style import axis_values, canvas, plain, rows_caption, shorten, spread_evenly
+from pipeline.report.figures.svg import Panel, Sketch
 from pipeline.report.source import SYMBOLS, Source
 
 #: Quantities mapped, from left to right, and their titles.
 _SHOWN = {
     "smallest_slope": "smallest slope γ (rad)",
     "largest_stable_slope": "largest stable γ (rad)",
-    "fastest_froude_speed": "fastest stable Fr",
+    "fastest_froude_speed": "fastest stable v/√(gl)",
 }
+#: What the cells of the maps are called.
+_TITLES = {
+    "smallest_slope": "smallest slope with a gait",
+    "largest_stable_slope": "largest slope with a stable gait",
+    "fastest_froude_speed": "fastest stable gait",
+}
+#: Names of the columns of a quantity's gait: its slope, and what follows the names of its state.
+_GAIT = {
+    "smallest_slope": ("smallest_slope", "_at_smallest_slope"),
+    "largest_stable_slope": ("largest_stable_slope", "_at_largest_stable_slope"),
+    "fastest_froude_speed": ("fastest_slope", ""),
+}
+#: Factor by which the slope of a cell lies beside the border that it is, so that its digits do not exceed it.
+_INSIDE = {"smallest_slope": 1 + 2e-8, "largest_stable_slope": 1 - 2e-8, "fastest_froude_speed": 1 - 2e-8}
 #: Columns of the figure's data, besides the keys.
 _DATA = (*_SHOWN, "smallest_at", "stability_lost_by", "fastest_slope")
 #: Values of derived keys at which walkers of the paper lie: the tuned one and the physical one.
 _NAMED = {"detuning": (0.0, 1.0)}
 #: Extent of contours that have a label, over that of the map.
 _LABELLED = 0.2
-#: Cells of a map that show their values under the pointer.
-_SHOWN_CELLS = 60
 #: Fewest cells along each side of a map on which contours are drawn.
 _MIN_CONTOURED = 6
 #: Largest number of rows of maps, one for each value of the other axes.
@@ -50,7 +62,7 @@ def design(source: Source) -> Sketch | None:
     rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]
     figure = canvas(100 + 150 * len(rows))
     panels = figure.subplots(len(rows), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
-    marks, maps = [], []
+    maps: list[Panel] = []
     several = [{k: v for k, v in at.items() if table[k].nunique() > 1} for at in rows]
     pictures: dict[str, Any] = {}
     is_marked = False
@@ -61,8 +73,7 @@ def design(source: Source) -> Sketch | None:
             own = source.walkers.get(str(at.get("walker", source.walker)), {})
             is_marked = _mark_walkers(axes, own, down, along) or is_marked
             axes.set_title(words if k == 0 else "", pad=5)
-            marks.append(_marks(axes, source, part, at, (down, along), column))
-        maps += _panels(list(row), source, part, at, keys, len(rows))
+            maps += _panel(axes, source, part, at, (down, along), column, panels.size)
         name = axis_values(several[k])
         row[0].set_ylabel(f"{shorten(name, 22)}: {_symbol(source, down)}" if name else _symbol(source, down))
     for axes, picture, column in zip(panels[-1], pictures.values(), panels.T, strict=True):
@@ -73,13 +84,12 @@ def design(source: Source) -> Sketch | None:
     return Sketch(
         figure,
         "Design map",
-        f"The smallest slope with a gait, the largest slope with a stable gait, and the Froude number of the fastest "
+        f"The smallest slope with a gait, the largest slope with a stable gait, and the speed over √(gl) of the fastest "
         f"stable gait, over {down} and {along}.{circles} Blank: no such gait." + rows_caption(several, every),
         f"Heat maps over {along} and {down}: "
         + "; ".join(f"{c.replace('_', ' ')} from {plain(table[c].min())} to {plain(table[c].max())}" for c in _SHOWN)
         + ".",
         table[[*source.line_columns(table), *(c for c in _DATA if c in table)]],
-        marks,
         panels=maps,
     )
 
@@ -145,42 +155,28 @@ def _mark_walkers(axes: Axes, parameters: dict[str, Any], down: str, along: str)
     return is_marked
 
 
-def _panels(
-    row: list[Axes], source: Source, table: pd.DataFrame, at: dict[str, Any], keys: list[str], rows: int
+def _panel(
+    axes: Axes, source: Source, table: pd.DataFrame, at: dict[str, Any], keys: tuple[str, str], column: str, maps: int
 ) -> list[Panel]:
-    """The maps of one row, each cell of which starts the fastest stable gait of its walker."""
-    if not set(START[1:4]) <= set(table.columns):
-        return []
+    """A map each cell of which starts the gait of its quantity; none where the archive lacks the gaits."""
     down, along = keys
-    names = {"fastest_slope": "slope"} | {name: name for name in START[1:] if name in table}
-    grids = {to: table.pivot(index=down, columns=along, values=name) for name, to in names.items()}
-    slope = grids["slope"]
-    settings = {k: v for k, v in at.items() if k != "walker"}
+    slope, of = _GAIT[column]
+    names = {name: f"{name}{of}" for name in START[1:] if f"{name}{of}" in table}
+    if not set(START[1:4]) <= set(names):
+        return []
+    names |= {"slope": slope} if column == slope else {"slope": slope, "froude_speed": column}
+    grids = {to: table.pivot(index=down, columns=along, values=name) for to, name in names.items()}
     columns = {name: grid.to_numpy(float) for name, grid in grids.items()}
-    start = cells(source, str(at.get("walker", source.walker)), settings, (along, down), columns, rows)
-    return [
-        Panel(axes, (along, down), slope.columns.to_numpy(float), slope.index.to_numpy(float), start) for axes in row
-    ]
+    columns["slope"] = columns["slope"] * _INSIDE[column]
+    settings = {k: v for k, v in at.items() if k != "walker"}
+    walker = str(at.get("walker", source.walker))
+    shown = (down, along, *(name for name in ("slope", "froude_speed") if name in names))
+    label = f"{_TITLES[column]} · {walker}"
+    start = cells(source, walker, settings, (along, down), columns, shown, maps, label)
+    x, y = (axis.to_numpy(float) for axis in (grids["slope"].columns, grids["slope"].index))
+    return [Panel(axes, (along, down), x, y, start)]
 
 
 def _symbol(source: Source, key: str) -> str:
     unit = source.units(key)
     return f"{SYMBOLS.get(key, key)} ({unit})" if unit else SYMBOLS.get(key, key)
-
-
-def _marks(
-    axes: Axes, source: Source, table: pd.DataFrame, at: dict[str, Any], keys: tuple[str, str], column: str
-) -> Marks:
-    """Marks of the cells, each with the command that solves its walker at the slope of the cell."""
-    down, along = keys
-    table = thin(table, _SHOWN_CELLS)
-    walker = str(at.get("walker", source.walker))
-    fixed = {k: float(v) for k, v in at.items() if k != "walker"}
-    slopes = table["fastest_slope"] if column.startswith("fastest") else table[column]
-    commands = [
-        source.command(walker, fixed | {k: float(v) for k, v in zip(keys, place, strict=True)})
-        + (f" --slope {slope!r}" if 0 < slope < 0.5 else "")
-        for *place, slope in zip(table[down], table[along], map(float, slopes), strict=True)
-    ]
-    values = {name: table[name].to_numpy() for name in (down, along, column)}
-    return Marks(axes, table[along].to_numpy(), table[down].to_numpy(), walker, values, commands=commands)

@@ -31,7 +31,7 @@ from pipeline.report.figures.style import (
     thin,
 )
 from pipeline.report.figures.svg import Marks, Sketch
-from pipeline.report.source import Line, Source
+from pipeline.report.source import RATES, Line, Source
 
 
 def loglog(source: Source) -> Sketch | None:
@@ -68,7 +68,7 @@ def _families(source: Source, scale: str) -> Sketch | None:
                 draw_curve(axes, frame["slope"], labelled(frame, gait), frame["stable"], colour(gait), k, k)
                 starts.append(tuple(points.loc[points["slope"].idxmin(), ["slope", "stance_angle"]]))
                 marks.append(_marks(axes, points, f"{gait} step · {names[k]}", line.command, k))
-                pieces.append(points.assign(line=line.label))
+                pieces.append(points.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
             if starts:
                 labels.append((*min(starts), names[k], colour(gait)))
     if not pieces:
@@ -272,7 +272,7 @@ def residuals(source: Source) -> Sketch | None:
                 slopes, percent = used["slope"].to_numpy(), 100 * used["residual"].to_numpy()
                 values = {"γ (rad)": slopes, "residual (%)": percent}
                 marks.append(Marks(axes, slopes, percent, label, values, line.command, slopes, gaits=used))
-                pieces.append(used.assign(line=line.label, regime=regime))
+                pieces.append(used.drop(columns=list(RATES), errors="ignore").assign(line=line.label, regime=regime))
     if not pieces:
         return None
     data = pd.concat(pieces, ignore_index=True)

@@ -13,6 +13,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+from pipeline.report.figures import fields
 from pipeline.report.figures.starts import START, cells, parameters
 from pipeline.report.figures.style import (
     INK,
@@ -26,9 +27,8 @@ from pipeline.report.figures.style import (
     set_heading,
     shorten,
     spread_evenly,
-    thin,
 )
-from pipeline.report.figures.svg import Marks, Panel, Sketch
+from pipeline.report.figures.svg import Panel, Sketch
 from pipeline.report.source import SYMBOLS, Source, print_units
 
 #: Quantities that a map may show: the first that the archive holds.
@@ -64,7 +64,7 @@ def heatmap(source: Source) -> Sketch | None:
     panels = figure.subplots(len(rows), len(gaits), sharex=True, sharey=True, squeeze=False)
     values = np.array([part[variable].values for gait in gaits for part in slices[gait]])
     low, high = np.nanmin(values), np.nanmax(values)
-    pieces, marks, maps = [], [], []
+    pieces, maps = [], []
     for k, (at, words) in enumerate(zip(rows, several, strict=True)):
         fixed = dict(at)
         walker = str(fixed.pop("walker", source.walker))
@@ -81,14 +81,13 @@ def heatmap(source: Source) -> Sketch | None:
             frame = part[[v for v in (variable, "spectral_radius") if v in part]].to_dataframe().reset_index()
             frame = frame[[c for c in dict.fromkeys((down, along, variable, "spectral_radius")) if c in frame]]
             pieces.append(frame.assign(gait=gait, **words))
-            finite = frame.dropna(subset=[variable])
-            marks += _cell_marks(axes, source, finite, gait, walker, (down, along, variable), fixed)
-            if source.steps == 1 and {"stance_angle", "stance_rate", "thigh_rate"} <= set(part):
-                slope = np.broadcast_to(part["slope"].broadcast_like(part["stance_angle"]).values, z.shape)
-                starts = {"slope": slope, **{name: part[name].values for name in START[1:] if name in part}}
-                maps.append(
-                    Panel(axes, (along, down), x, y, cells(source, walker, fixed, (along, down), starts, panels.size))
-                )
+            starts = {name: part[name].values for name in START[1:] if name in part} if source.steps == 1 else {}
+            known = starts if {"stance_angle", "stance_rate", "thigh_rate"} <= set(starts) else {}
+            numbers = {**{v: part[v].values for v in (variable, "spectral_radius") if v in part}, **known}
+            shown = tuple(dict.fromkeys((down, along, variable, *({"spectral_radius"} & set(part)))))
+            label = f"{gait} step · {walker}"
+            start = cells(source, walker, fixed, (along, down), numbers, shown, panels.size, label)
+            maps.append(Panel(axes, (along, down), x, y, start))
         symbol = SYMBOLS.get(down, down.replace("_", " "))
         panels[k][0].set_ylabel(_axis_title(source, down) if len(rows) == 1 else symbol)
     quantity, x_title, y_title = (_axis_title(source, name) for name in (variable, along, down))
@@ -100,14 +99,13 @@ def heatmap(source: Source) -> Sketch | None:
     bar.set_label(quantity)
     data = pd.concat(pieces, ignore_index=True)
     border = " White line: the border of stability, max |λ| = 1." if "spectral_radius" in grid else ""
-    shown = rows_caption(several, every)
+    rows_shown = rows_caption(several, every)
     return Sketch(
         figure,
         f"Map of {variable.replace('_', ' ')}",
-        f"{quantity.capitalize()} over {x_title} and {y_title}. Blank: no such gait.{border}{omitted}{shown}",
-        f"Heat map of {variable} over {along} and {down}, from {plain(low)} to {plain(high)}.{shown}",
+        f"{quantity.capitalize()} over {x_title} and {y_title}. Blank: no such gait.{border}{omitted}{rows_shown}",
+        f"Heat map of {variable} over {along} and {down}, from {plain(low)} to {plain(high)}.{rows_shown}",
         data,
-        marks,
         panels=maps,
     )
 
@@ -134,35 +132,6 @@ def _edges(values: np.ndarray, scale: str) -> np.ndarray:
     middles = 0.5 * (places[1:] + places[:-1])
     borders = np.concatenate([[2 * places[0] - middles[0]], middles, [2 * places[-1] - middles[-1]]])
     return np.asarray(np.exp(borders) if scale == "log" else borders)
-
-
-def _cell_marks(
-    axes: Axes,
-    source: Source,
-    frame: pd.DataFrame,
-    gait: str,
-    walker: str,
-    names: tuple[str, str, str],
-    fixed: dict[str, Any],
-) -> list[Marks]:
-    """Marks of a map's cells, each with its whole command, since every cell belongs to another line."""
-    down, along, _ = names
-    frame = thin(frame, 180)
-    values = {SYMBOLS.get(n, n): frame[n].to_numpy() for n in names}
-    settings = [
-        {k: float(v) for k, v in {**fixed, down: getattr(r, down), along: getattr(r, along)}.items()}
-        for r in frame.itertuples()
-    ]
-    slopes = [s.pop("slope", None) for s in settings]
-    commands = [
-        source.command(walker, s) + (f" --slope {slope!r}" if slope is not None else "")
-        for s, slope in zip(settings, slopes, strict=True)
-    ]
-    return [
-        Marks(
-            axes, frame[along].to_numpy(), frame[down].to_numpy(), f"{gait} step · {walker}", values, commands=commands
-        )
-    ]
 
 
 def _axis_title(source: Source, name: str) -> str:
@@ -240,10 +209,6 @@ def basin(source: Source) -> Sketch | None:
     if len(manifold):
         handles.append(Line2D([], [], ls=":", lw=2, color=INK, label="stable manifold"))
     figure.legend(handles=handles, loc="outside upper left", ncols=4)
-    marked = thin(shown, 300)
-    x, y = (marked[name].to_numpy() for name in plane)
-    across, down = (np.unique(shown[name]) for name in plane)
-    values = {plane[0]: x, plane[1]: y, "outcome": marked["outcome"].to_numpy()}
     share = plain(100 * len(walking) / len(shown), 2 if len(walking) < 0.99 * len(shown) else 4)
     only = f" Drawn: {axis_values(first)}; the archive has the others." if first else ""
     saddles = " and ".join(sorted(set(manifold["gait"].astype(str))))
@@ -257,8 +222,7 @@ def basin(source: Source) -> Sketch | None:
         f"fall.{edge}{_section(start)}{only}",
         f"{len(shown)} initial conditions over {' and '.join(plane)}, coloured by outcome: {', '.join(outcomes)}.",
         table,
-        [Marks(panels[0], x, y, "initial condition", values)],
-        panels=[Panel(axes, (plane[0], plane[1]), across, down, start) for axes in panels] if start else [],
+        panels=_cells(panels, shown, plane, start),
     )
 
 
@@ -280,10 +244,20 @@ def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
     settings = {c: float(row[c]) for c in source.line_columns(table) if c != "walker"}
     if not (keys := parameters(source, walker, settings)) or "slope" not in row:
         return {}
-    start = {"free": True, "slope": float(row["slope"])}
+    start = {"slope": float(row["slope"])}
     if np.isfinite(row.get("swing_rate", np.nan)):
         start["ratio"] = float(row["swing_rate"] / row["stance_rate"])
     return {"at": {"walker": walker, **settings}, "keys": keys, "command": source.command(walker, settings), **start}
+
+
+def _cells(panels: np.ndarray, table: pd.DataFrame, plane: list[str], start: dict[str, Any]) -> list[Panel]:
+    """The maps whose every cell names its outcome and, with a start, is set in motion."""
+    grid = table.pivot_table(index=plane[1], columns=plane[0], values="outcome", aggfunc="first")
+    outcomes = grid.fillna("–").to_numpy(str)
+    known = {"label": "initial condition", "shown": [[name, name] for name in (*plane, "outcome")]}
+    every = {"free": True, **start, **known, "fields": {"outcome": fields.words(outcomes)}}
+    return [Panel(axes, (plane[0], plane[1]), grid.columns.to_numpy(float), grid.index.to_numpy(float), every)
+            for axes in panels]  # fmt: skip
 
 
 def _draw_outcomes(axes: Axes, table: pd.DataFrame, plane: list[str], outcomes: list[str], inks: list[str]) -> None:

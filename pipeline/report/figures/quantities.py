@@ -26,7 +26,7 @@ from pipeline.report.figures.style import (
     thin,
 )
 from pipeline.report.figures.svg import Marks, Sketch
-from pipeline.report.source import Line, Source
+from pipeline.report.source import RATES, Line, Source
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def _draw(source: Source, quantity: _Quantity) -> Sketch | None:
         log_axis(axes, which)
     pieces, marks = [], []
     for k, line in enumerate(lines):
-        for frame in line.curves(*quantity.reads, "stance_angle"):
+        for frame in line.curves(*quantity.reads):
             curve = thin(frame, max(60, 700 // len(lines)))
             curve = curve.assign(value=quantity.value(curve))
             for gait in (g for g in source.gaits if (curve["gait"] == g).any()):
@@ -131,7 +131,7 @@ def _draw(source: Source, quantity: _Quantity) -> Sketch | None:
                 y = labelled(curve, gait, "value")
                 draw_curve(axes, curve[quantity.abscissa], y, curve["stable"], colour(gait), k, k)
                 marks.append(_marks(axes, part, quantity, f"{gait} step · {line.label}", line, k))
-                pieces.append(part.assign(line=line.label))
+                pieces.append(part.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
     if not any(len(piece) for piece in pieces):
         return None
     for value, words in (quantity.guides or {}).items():

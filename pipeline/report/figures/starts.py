@@ -9,17 +9,18 @@ from urllib.parse import parse_qsl, urlencode
 import numpy as np
 import pandas as pd
 
+from pipeline.report.figures import fields
 from pipeline.report.figures.style import axis_values, spread_evenly
-from pipeline.report.source import Source
+from pipeline.report.source import RATES, SYMBOLS, Source
 
 #: A gait's start just after heelstrike, as columns of tables and variables of grids.
-START = ("slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate")
+START = ("slope", "stance_angle", *RATES)
 
 #: Gaits of all branches of a page, and the largest number of lines whose branches it holds.
 _MAX_GAITS, _MAX_LINES = 700, 40
 
-#: Nodes of a map's lattice of starts along each axis.
-LATTICE = 25
+#: Characters of the numbers of all maps of a figure.
+_ROOM = 200_000
 
 #: Tables with rows that start a step.
 _TABLES = ("branches", "orbits", "basin")
@@ -153,9 +154,11 @@ def cells(
     settings: Mapping[str, Any],
     names: Sequence[str],
     columns: Mapping[str, np.ndarray],
+    shown: Sequence[str],
     maps: int,
+    label: str = "",
 ) -> dict[str, Any]:
-    """What the script needs to start the gait of any cell of a map.
+    """What the script needs to name and start the gait of any cell of a map.
 
     Parameters
     ----------
@@ -166,48 +169,59 @@ def cells(
     names : sequence of str
         Keys along the map, across and down.
     columns : mapping
-        Arrays of shape (m, n), down and across: columns of the gaits' starts.
+        Arrays of shape (m, n), down and across: columns of the gaits' starts, and quantities.
+    shown : sequence of str
+        Columns and keys whose values a cell shows under the pointer.
     maps : int
-        Number of maps of the figure, which share its lattice's size.
+        Number of maps of the figure, which share its room.
+    label : str
+        What the cells are called; the walker's name if empty.
 
     Returns
     -------
     dict
-        `at`, `keys` and `command` of the line that the map varies; `moved`, for each key of the walker that a derived
-        key moves, its values along that axis, in rising order; `columns` and `rows`, the cells of a lattice; `starts`,
-        on it [slope (unless it is along the map), angle, rates] or None, from which Newton's method reaches any other
-        cell.
+        `at`, `keys` and `command` of the line that the map varies; `label` and `shown`; `moved`, for each key of the
+        walker that a derived key moves, its values along that axis, in rising order; `fields`, the numbers of the
+        cells: whether there is a gait, its slope (unless it is along the map or given), stance angle and rates over the
+        stance angle, and what is shown.
     """
     fixed = {key: float(value) for key, value in settings.items()}
     keys = parameters(source, walker, fixed)
-    shape = next(iter(columns.values())).shape
-    side = int(LATTICE / np.sqrt(maps))
-    down, across = spread_evenly(shape[0], side), spread_evenly(shape[1], side)
-    known = START if keys.get("knees") else START[:4]
-    chosen = [columns[name] for name in known if name in columns and name not in names]
-    values = np.stack(chosen, axis=-1)[np.ix_(down, across)]
-    # Newton's method finds angle and rates to all digits; a slope that is not along the map is given.
-    own = int("slope" in columns and "slope" not in names)
-    starts = [
-        [rounded(v[:own], 9) + rounded(v[own:], 4) if np.isfinite(v[:3]).all() else None for v in row] for row in values
-    ]
-    places = {"columns": across.tolist(), "rows": down.tolist()}
     moved = {
         key: [
             axis,
             rounded(
-                source.parameters(walker, {**fixed, axis: value})[key] for value in np.sort(source.grid[axis].values)
+                (source.parameters(walker, {**fixed, axis: value})[key] for value in np.sort(source.grid[axis].values)),
+                10,
             ),
         ]
         for key, axis in source.varied.items()
         if axis in names and key != axis and key in source.grid
     }
-    command = source.command(walker, {k: v for k, v in fixed.items() if k != "slope"})
     return {
         "at": {"walker": walker, **fixed},
         "keys": keys,
-        "command": command,
+        "command": source.command(walker, {k: v for k, v in fixed.items() if k != "slope"}),
+        "label": label or walker,
+        "shown": [[SYMBOLS.get(name, name.replace("_", " ")), name] for name in shown],
         "moved": moved,
-        **places,
-        "starts": starts,
+        "fields": _fields(
+            {k: v for k, v in columns.items() if k not in (*names, *fixed)}, bool(keys.get("knees")), maps
+        ),
     }
+
+
+def _fields(columns: Mapping[str, np.ndarray], knees: bool, maps: int) -> dict[str, Any]:
+    """The numbers of a map's cells: 8 digits of slope and angle, 5 of rates, which Newton's method finds, 7 of others."""
+    angle, wanted = columns.get("stance_angle"), {}
+    for name, values in columns.items():
+        if name in START[2:]:
+            if angle is not None and (knees or name != "shank_rate"):
+                ratio = values / angle
+                wanted[name] = ratio, 1e-5 * float(np.nanmax(np.abs(ratio), initial=1e-9)), False
+        else:
+            log = bool((values[np.isfinite(values)] > 0).all())
+            digits = 1e-8 if name in START else 1e-7
+            wanted[name] = values, digits * (1.0 if log else float(np.nanmax(np.abs(values), initial=1e-9))), log
+    first = next(iter(columns.values()), np.zeros((0, 0))) if angle is None else angle
+    return {"present": fields.words(np.isfinite(first)), **fields.fitting(wanted, _ROOM // maps)}

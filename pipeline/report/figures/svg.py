@@ -19,7 +19,7 @@ from pipeline.report.figures.starts import START, rounded
 from pipeline.report.figures.style import VARIABLES, plain, spread_evenly
 
 #: Points of a figure that show their values under the pointer.
-TARGETS = 260
+TARGETS = 240
 
 #: Dots that a picture on the index may have as vectors; more are left out there.
 _MAX_DOTS = 1500
@@ -33,7 +33,7 @@ class Marks:
     """Points of one curve that show their values and the command that reproduces them under the pointer.
 
     The command is `command` with a slope of `slopes`, or one of `commands`. `gaits` has the stance angles of the
-    points, by which the page's script finds them on their line; with `free`, their rates too: steps of no gait.
+    points and their rates, from which the page's script starts them; with `free` they are steps of no gait.
     """
 
     axes: Axes
@@ -51,9 +51,9 @@ class Marks:
 
 @dataclass(frozen=True)
 class Panel:
-    """A map whose every cell starts a gait or a motion.
+    """A map whose every cell has a gait, a motion or an outcome of its own.
 
-    `x` and `y` are the values along its axes, called `names`; `cells` is what the script needs to start one.
+    `x` and `y` are the values along its axes, called `names`; `cells` is what the script needs to name and start one.
     """
 
     axes: Axes
@@ -109,7 +109,7 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
     figure = sketch.figure
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
-    svg = _to_svg(figure, f"{salt}/{name}", 200)
+    svg = _to_svg(figure, f"{salt}/{name}", 160)
     small = svg
     for most, dpi in _THUMBNAILS:
         small = _small(_to_svg(figure, f"{salt}/{name}/small", dpi, 0)) if len(small) > most else small
@@ -223,20 +223,20 @@ def _share(sizes: list[int]) -> int:
 
 def _starts(mark: Marks, inside: np.ndarray) -> dict[str, Any]:
     """What the page's script needs to start the gaits of a curve's points."""
-    if mark.gaits is None or "stance_angle" not in mark.gaits:
+    if mark.gaits is None or not {"slope", "stance_angle"} <= set(mark.gaits):
         return {}
-    if mark.free and "stance_rate" not in mark.gaits:
+    names = [name for name in START[1:] if name in mark.gaits]
+    if mark.free and "stance_rate" not in names:
         return {}
-    names = [name for name in START[1:] if name in mark.gaits] if mark.free else ["stance_angle"]
     values = mark.gaits[names].to_numpy(float)[inside]
-    starts = [rounded(row, 7 if mark.free else 5) for row in values]
-    return {"starts": starts, "free": True} if mark.free else {"angles": [row[0] for row in starts]}
+    starts = [[v for v in (*rounded(row[:1], 9), *rounded(row[1:], 6)) if v is not None] for row in values]
+    return {"starts": starts, **({"free": True} if mark.free else {})}
 
 
 def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
-    """A map in the SVG's coordinates: its axes, with the name and the values of each.
+    """A map in the SVG's coordinates: its axes, with the name and the values of each, and what its cells hold.
 
-    A map with the cells of an earlier one refers to it, `as` its place; values that the first map has are left out.
+    Of what an earlier map has as well, the place of that map stands here: under `same`, or `as` of a field.
     """
     panel = panels[k]
     frame = _frame(panel.axes, height)
@@ -244,8 +244,18 @@ def _panel(k: int, panels: list[Panel], height: float) -> dict[str, Any]:
         frame[side]["name"] = name
         if not k or not np.array_equal(values, getattr(panels[0], side)):
             frame[side]["values"] = rounded(values, 12)
-    first = next(i for i, other in enumerate(panels) if other.cells is panel.cells)
-    return {**frame, **(panel.cells if first == k else {"as": first})}
+    earlier = [other.cells for other in panels[:k]]
+    same = {name: i for name, value in panel.cells.items() if (i := _first(earlier, name, value)) is not None}
+    own = {name: value for name, value in panel.cells.items() if name not in same}
+    if "fields" in own:
+        places = {name: _first([c["fields"] for c in earlier], name, field) for name, field in own["fields"].items()}
+        own["fields"] = {n: f if places[n] is None else {"as": places[n]} for n, f in own["fields"].items()}
+    return {**frame, **own, **({"same": same} if same else {})}
+
+
+def _first(earlier: Sequence[Mapping[str, Any]], name: str, value: Any) -> int | None:
+    """Place of the first mapping that has that value under a name, if it is worth to be referred to."""
+    return next((i for i, other in enumerate(earlier) if value and other.get(name) == value), None)
 
 
 def _frame(axes: Axes, height: float) -> dict[str, Any]:

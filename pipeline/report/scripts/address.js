@@ -1,7 +1,7 @@
-// Gaits of a page by their addresses: walker and axes, slope, stance angle. A page holds starts along each branch, and
-// on a lattice of each map; Newton's method leads from the nearest of them to the gait.
+// Gaits of a page by their addresses: walker and axes, slope, state just after heelstrike. A page holds the state of every
+// mark and of every cell of a map, and starts along each branch.
 
-const LINES = JSON.parse(document.getElementById("lines")?.textContent ?? "[]");
+const [LINES, STATES] = ["lines", "states"].map(id => JSON.parse(document.getElementById(id)?.textContent ?? "[]"));
 // Maps of all figures, each of which adds its own.
 const MAPS = [];
 const RATES = ["stance_rate", "thigh_rate", "shank_rate"], NEAR = 0.12;
@@ -16,21 +16,19 @@ function walkerOf(keys) {
 const sameLine = (a, b) => Object.keys({ ...a, ...b }).every(key => key in a && key in b && (a[key] === b[key] || abs(a[key] - b[key]) <= 1e-9 * abs(a[key])));
 const lineAt = at => LINES.find(line => sameLine(line.at, at));
 
-/** Selection that an address names: { at, slope, angle[, rates, free] }, or null where it names none. */
+/** Selection that an address names: { at, slope, start[, free] }, or null where it names none. */
 function readAddress(hash) {
   const given = new URLSearchParams(hash.replace(/^#/, "")), at = {};
   if (!given.has("slope") || !given.has("stance_angle")) return null;
   for (const [key, value] of given) if (!["slope", "stance_angle", "free", ...RATES].includes(key)) at[key] = key === "walker" ? value : Number(value);
-  const rates = RATES.filter(name => given.has(name)).map(name => Number(given.get(name)));
-  const [slope, angle] = [Number(given.get("slope")), Number(given.get("stance_angle"))];
-  return [slope, angle, ...rates].every(Number.isFinite) ? { at, slope, angle, rates, free: given.has("free") } : { at, slope: NaN, angle: NaN };
+  const slope = Number(given.get("slope")), start = ["stance_angle", ...RATES].filter(name => given.has(name)).map(name => Number(given.get(name)));
+  return [slope, ...start].every(Number.isFinite) ? { at, slope, start, free: given.has("free") } : { at, slope: NaN, start: [NaN] };
 }
 
-/** Address of a gait, or of a motion that is none. */
+/** Address of a gait, or of a motion that is none: its line, its slope and its state just after heelstrike. */
 function writeAddress(gait) {
-  const brief = value => Number(value.toPrecision(8)), n = gait.start.length / 2;
-  const rates = gait.free ? Object.fromEntries([0, 1, 2].slice(0, n).map(i => [RATES[i], brief(gait.start[n + i] / gait.walker.time)])) : {};
-  return "#" + new URLSearchParams({ walker: gait.at.walker, ...gait.at, slope: brief(gait.slope), stance_angle: brief(gait.start[0]), ...rates, ...(gait.free ? { free: 1 } : {}) });
+  const n = gait.start.length / 2, state = ["stance_angle", ...RATES].slice(0, n + 1).map((name, i) => [name, Number((i ? gait.start[n + i - 1] / gait.walker.time : gait.start[0]).toPrecision(9))]);
+  return "#" + new URLSearchParams({ walker: gait.at.walker, ...gait.at, slope: gait.slope, ...Object.fromEntries(state), ...(gait.free ? { free: 1 } : {}) });
 }
 
 /** Place on a line's branches nearest to a slope and a stance angle: { branch, at, apart }, `at` counted in nodes. */
@@ -46,49 +44,71 @@ function placeOn(line, slope, angle) {
   return best;
 }
 
-/** Start at a place of a branch, between two nodes, and the branch's direction (ln angle, ln slope) there. */
+/** Slope and start at a place of a branch, between two nodes. */
 function between(nodes, at) {
   const k = Math.min(Math.floor(at), Math.max(0, nodes.length - 2)), share = at - k, a = nodes[k], b = nodes[k + 1] ?? a;
-  const start = a.map((v, i) => v > 0 && b[i] > 0 ? v ** (1 - share) * b[i] ** share : v + share * (b[i] - v));
-  const d = [Math.log(b[1] / a[1]), Math.log(b[0] / a[0])], size = hypot(...d);
-  return { slope: start[0], start: start.slice(1), along: size ? d.map(v => v / size) : null };
+  const [slope, ...start] = a.map((v, i) => v > 0 && b[i] > 0 ? v ** (1 - share) * b[i] ** share : v + share * (b[i] - v));
+  return { slope, start };
 }
 
-/** A gait found, with all that is shown of it. */
+/** A gait flown, with all that is shown of it; `found` has the derivative of the step map unless it is none there. */
 function describe(found, walker, more) {
-  const { step, start, slope } = found, [stance, swing] = step.before;
-  const multipliers = multipliersOf(found.jacobian).slice(0, walker.pointFoot ? 2 : 3);
-  while (multipliers.length < (walker.kneed ? 4 : 3)) multipliers.push([0, 0]);
-  return { ...more, walker, slope, start, step, multipliers, y: found.y, radius: hypot(...multipliers[0]),
+  const { step, start, slope, jacobian } = found, [stance, swing] = step.before, multipliers = jacobian && multipliersOf(jacobian).slice(0, walker.pointFoot ? 2 : 3);
+  while (multipliers && multipliers.length < (walker.kneed ? 4 : 3)) multipliers.push([0, 0]);
+  return { slope, ...more, walker, start, step, multipliers, y: found.y, radius: multipliers ? hypot(...multipliers[0]) : undefined,
     label: (swing - stance) / abs(stance) < 0.5 ? "long" : "short", losses: lossesOf(walker, step), violations: violationsOf(walker, start, step, slope) };
 }
 
-/** Gait of a line at a place of one of its branches; null where Newton's method finds none. */
-function gaitAt(line, branch, at, target = null) {
-  const walker = walkerOf(line.keys), nodes = line.branches[branch], { slope, start, along } = between(nodes, at);
-  const [slope0, angle] = target ?? [slope, start[0]], factor = angle / start[0];
-  const y = sectionOf(walker, stateOf(walker, [angle, ...start.slice(1).map(rate => rate * factor)]));
-  let found = along && findGait(walker, y, slope0, along);
-  // At a given slope the gait has that very slope, unless a fold is so near that Newton's method would leave the branch.
-  if (target || !found) {
-    const exact = findGait(walker, found ? found.y : y, slope0), way = found ? abs(along[0] / along[1] * Math.log(found.slope / slope0)) : 0.2;
-    if (exact && abs(Math.log(exact.y[0] / (found ? found.y[0] : angle))) < 2 * way + 1e-4) found = exact;
-  }
-  if (!found || abs(Math.log(found.y[0] / angle)) > 0.2) return null;
-  return describe(found, walker, { at: line.at, line, branch, place: at, command: `${line.command} --slope ${slope0 === found.slope ? slope0 : Number(found.slope.toPrecision(12))}` });
+const withSlope = (command, slope) => command && `${command} --slope ${slope}`;
+
+/**
+ * The gait that a page holds with its slope and start, polished to the digits of this script's own flight; null where it
+ * does not walk. Its slope is the archive's, and so are its command's and its address's.
+ */
+function storedGait({ keys, command, slope, start, ...more }) {
+  const walker = walkerOf(keys), state = stateOf(walker, start), y = sectionOf(walker, state), told = { ...more, slope, command: withSlope(command, slope) };
+  const found = slope > 0 && start[0] > 0 ? findGait(walker, y, slope, true) : null;
+  if (found && hypot(Math.log(found.slope / slope), Math.log(found.y[0] / start[0])) < 1e-6) return describe(found, walker, told);
+  // Beside the ends of walking Newton's method has no derivative; the stored state flies, and returns to itself.
+  const step = flyStep(walker, state, slope);
+  return step.fall || abs(step.end[0] / start[0] - 1) > 1e-3 ? null : describe({ y, slope, start: state, step }, walker, told);
 }
 
-/** Gait of a line nearest to a slope and a stance angle; null where there is none. */
-function gaitNear(line, slope, angle) {
-  const place = line && slope > 0 && angle > 0 ? placeOn(line, slope, angle) : null;
-  if (!place || place.apart >= NEAR) return null;
-  const exact = gaitAt(line, place.branch, place.at, [slope, angle]), last = line.branches[place.branch].length - 1;
+/** Gait of a line at a place of one of its branches; null where Newton's method finds none. */
+function gaitAt(line, branch, at) {
+  const { slope, start } = between(line.branches[branch], at), walker = walkerOf(line.keys);
+  const found = findGait(walker, sectionOf(walker, stateOf(walker, start)), slope, true);
+  if (!found || abs(Math.log(found.y[0] / start[0])) > 0.2) return null;
+  const shown = Number(found.slope.toPrecision(12));
+  return describe(found, walker, { at: line.at, line, branch, place: at, slope: shown, command: withSlope(line.command, shown) });
+}
+
+/** Gait of a line at a slope, by Newton's method from a start; null where there is none beside it. */
+function gaitAtSlope(line, slope, start, more = {}) {
+  const walker = walkerOf(line.keys), found = findGait(walker, sectionOf(walker, stateOf(walker, start)), slope);
+  return found && abs(Math.log(found.y[0] / start[0])) < 0.1 ? describe(found, walker, { at: line.at, line, ...more, command: withSlope(line.command, slope) }) : null;
+}
+
+/** Gait of a line with a slope and a start, of which the rates may be absent; null where there is none. */
+function gaitNear(line, slope, given) {
+  const [angle] = given, place = slope > 0 && angle > 0 && line.branches.length ? placeOn(line, slope, angle) : null;
+  const on = place && place.apart < NEAR ? { branch: place.branch, place: place.at } : {};
+  let start = given;
+  if (given.length < 2) {
+    if (!("place" in on)) return null;
+    const near = between(line.branches[on.branch], on.place).start;
+    start = [angle, ...near.slice(1).map(rate => rate * angle / near[0])];
+  }
+  const own = { at: line.at, line, keys: line.keys, command: line.command, ...on };
+  const exact = storedGait({ ...own, slope, start }) ?? gaitAtSlope(line, slope, start, on);
+  if (exact || !("place" in on)) return exact;
   // Where walking ends, or a strike is all but tangential, the nearest gait of the branch that is a step.
-  for (const far of exact ? [] : [0.1, 0.5, 1, 2]) for (const at of [place.at - far, place.at + far]) {
-    const near = at >= 0 && at <= last && gaitAt(line, place.branch, at);
+  const last = line.branches[on.branch].length - 1;
+  for (const far of [0.1, 0.5, 1, 2]) for (const at of [on.place - far, on.place + far]) {
+    const near = at >= 0 && at <= last && gaitAt(line, on.branch, at);
     if (near) return { ...near, nearby: true };
   }
-  return exact;
+  return null;
 }
 
 /** Gaits of a line at a slope, one for each passage of its branches. */
@@ -97,21 +117,20 @@ function gaitsAt(line, slope) {
   line.branches.forEach((nodes, branch) => nodes.slice(0, -1).forEach((a, k) => {
     const b = nodes[k + 1];
     if (a[0] === b[0] || (a[0] - slope) * (b[0] - slope) > 0) return;
-    const share = Math.log(slope / a[0]) / Math.log(b[0] / a[0]);
-    const gait = gaitAt(line, branch, k + share, [slope, a[1] ** (1 - share) * b[1] ** share]);
+    const place = k + Math.log(slope / a[0]) / Math.log(b[0] / a[0]), gait = gaitAtSlope(line, slope, between(nodes, place).start, { branch, place });
     if (gait && !found.some(other => abs(other.start[0] / gait.start[0] - 1) < 1e-6)) found.push(gait);
   }));
   return found;
 }
 
 /** A motion from any state: rates in the walker's units; `before` for those of kneed walkers just before heelstrike. */
-function freeMotion(given, { slope, angle, rates, before }) {
+function freeMotion(given, { slope, start: [angle, ...rates], before }) {
   const walker = walkerOf(given.keys), [stance, thigh] = rates.map(rate => rate * walker.time);
   const start = before && walker.kneed ? stateAt(walker, [angle, stance, thigh]) : stateOf(walker, [angle, ...rates]);
   const near = angle > 0 ? findGait(walker, sectionOf(walker, start), slope) : null;
   const shown = near ? describe(near, walker, {}) : {};
   return { at: given.at, line: given, walker, slope, start, free: true, multipliers: shown.multipliers, radius: shown.radius, near: near?.y[0],
-    command: given.command && `${given.command} --slope ${slope}`, step: flyStep(walker, start, slope) };
+    command: withSlope(given.command, slope), step: flyStep(walker, start, slope) };
 }
 
 /** Keys of the walker of a map's cell. */
@@ -125,45 +144,79 @@ function keysOf(panel, values) {
   return keys;
 }
 
-/** Gait of the maps' cell that an address names, where no line has it; null where there is none. */
-function gaitOnMaps({ at, slope, angle }) {
-  const wanted = { ...at, slope }, indexOf = side => side.values.findIndex(value => abs(value - wanted[side.name]) <= 1e-7 * abs(value));
-  for (const panel of MAPS.filter(one => !one.free)) {
-    const cell = [indexOf(panel.x), indexOf(panel.y)], of = { ...panel.at, [panel.x.name]: at[panel.x.name], [panel.y.name]: at[panel.y.name] };
-    delete of.slope;
-    const gait = sameLine(of, at) && !cell.includes(-1) ? gaitOfCell(panel, ...cell) : null;
-    if (gait && hypot(Math.log(gait.slope / slope), Math.log(gait.start[0] / angle)) < 1e-3) return gait;
-  }
-  return null;
+// Maps: every cell holds the numbers of its gait, or the outcome of its motion. They stand in the page as the whole numbers
+// by which they differ from a polynomial through their neighbours, most of them zero (figures/fields.py writes them).
+
+const DIGITS = "0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ-_";
+function readNumbers(text) {
+  let at = 0;
+  return () => {
+    let value = 0, digit, by = 1;
+    do { digit = DIGITS.indexOf(text[at++]); value += digit % 32 * by; by *= 32; } while (digit > 31);
+    return value;
+  };
 }
 
-/** Gait of a cell of a map, from the nearest start of its lattice; null where there is none. */
-function gaitOfCell(panel, column, row) {
-  const valueAt = (i, j) => ({ [panel.x.name]: panel.x.values[i], [panel.y.name]: panel.y.values[j] });
-  const nodes = panel.rows.flatMap((j, a) => panel.columns.map((i, b) => ({ i, j, start: panel.starts[a][b] }))).filter(node => node.start);
-  const far = node => hypot((node.i - column) / panel.x.values.length, (node.j - row) / panel.y.values.length);
-  nodes.sort((p, q) => far(p) - far(q));
-  const target = valueAt(column, row), slopeOf = (values, fallback) => values.slope ?? panel.at.slope ?? fallback;
-  for (const node of nodes.slice(0, 4)) {
-    const from = valueAt(node.i, node.j), [slope0, ...start] = "slope" in from ? [from.slope, ...node.start] : node.start, walker = walkerOf(keysOf(panel, from));
-    const first = findGait(walker, sectionOf(walker, stateOf(walker, start)), slope0);
-    if (!first) continue;
-    // From the node to the cell in as many parts as Newton's method needs; keys that derive from others only arrive.
-    for (const parts of [1, 2, 4, 8]) {
-      let y = first.y, found = null;
-      for (let k = 1; k <= parts && y; k++) {
-        const mix = {};
-        for (const key of Object.keys(target)) mix[key] = from[key] + (target[key] - from[key]) * k / parts;
-        const here = makeWalker(k < parts && Object.keys(panel.moved ?? {}).length ? keysOf(panel, target) : keysOf(panel, mix));
-        found = findGait(here, y, slopeOf(mix, slope0));
-        y = found && abs(Math.log(found.y[0] / y[0])) < 0.5 ? found.y : null;
-      }
-      if (!y) continue;
-      const at = { ...panel.at, ...target };
-      delete at.slope;
-      const set = Object.entries(target).filter(([key]) => key !== "slope").map(([key, value]) => ` --set ${key}=${value}`).join("");
-      return describe(found, makeWalker(keysOf(panel, target)), { at, panel, cell: [column, row], command: `${panel.command}${set} --slope ${found.slope}` });
-    }
+/** Values of a field, row by row: numbers, or words that come in runs. */
+function readField({ text, step, log, words }, [rows, columns]) {
+  const next = readNumbers(text), values = new Float64Array(rows * columns);
+  if (words) {
+    const all = [];
+    while (all.length < rows * columns) { const word = words[next()]; for (let run = next(); run >= 0; run--) all.push(word); }
+    return all;
+  }
+  let zeros = 0, s = 1;
+  const residual = () => {
+    if (zeros) return zeros--, 0;
+    const value = next();
+    if (!value) return zeros = next(), 0;
+    return value % 2 ? (value + 1) / 2 : -value / 2;
+  };
+  const predictor = (x, n) => {
+    const known = Math.ceil(n / (2 * s)), first = Math.max(0, Math.min(Math.max(0, Math.floor(x / (2 * s)) - 2), known - 6)), at = [];
+    for (let j = first; j < Math.min(first + 6, known); j++) at.push(2 * s * j);
+    const weights = at.map(a => at.reduce((w, b) => b === a ? w : w * ((x - b) / (a - b)), 1));
+    return get => Math.floor(at.reduce((total, a, k) => total + get(a) * weights[k], 0) + 0.5);
+  };
+  while (8 * s < Math.max(rows, columns)) s *= 2;
+  for (let i = 0; i < rows; i += 2 * s) for (let j = 0; j < columns; j += 2 * s) values[i * columns + j] = (j ? values[i * columns + j - 2 * s] : i ? values[(i - 2 * s) * columns] : 0) + residual();
+  for (; s >= 1; s /= 2) {
+    for (let j = s; j < columns; j += 2 * s) { const by = predictor(j, columns); for (let i = 0; i < rows; i += 2 * s) values[i * columns + j] = by(a => values[i * columns + a]) + residual(); }
+    for (let i = s; i < rows; i += 2 * s) { const by = predictor(i, rows); for (let j = 0; j < columns; j += s) values[i * columns + j] = by(a => values[a * columns + j]) + residual(); }
+  }
+  return values.map(v => log ? exp(v * step) : v * step);
+}
+
+/** What a map holds of a cell: { at, slope, start, shown, command }; without a start where there is no gait. */
+function cellOf(map, [column, row]) {
+  const { x, y, at: fixed, fields } = map, values = { [x.name]: x.values[column], [y.name]: y.values[row] };
+  const field = name => {
+    if (!(name in fields)) return undefined;
+    map.read ??= {};
+    map.read[name] ??= readField(fields[name], [y.values.length, x.values.length]);
+    return map.read[name][row * x.values.length + column];
+  };
+  const known = field("present") !== false, digits = value => Number(value.toPrecision(9)), own = field("slope");
+  const slope = values.slope ?? (own === undefined ? fixed.slope : digits(own)), at = { ...fixed, ...values }, angle = field("stance_angle");
+  delete at.slope;
+  const set = Object.entries(values).filter(([key]) => key !== "slope").map(([key, value]) => ` --set ${key}=${value}`).join("");
+  const shown = map.shown.map(([name, key]) => [name, key in values ? values[key] : known ? key === "slope" ? slope : field(key) : "–"]);
+  const start = known && angle !== undefined ? [angle, ...RATES.filter(name => name in fields).map(name => field(name) * angle)] : null;
+  return { at, slope, start, shown, command: map.command + set };
+}
+
+/** Gait of a cell of a map; null where there is none. */
+function gaitOfCell(map, cell) {
+  const { at, slope, start, command } = cellOf(map, cell);
+  return start && storedGait({ at, map, cell, keys: keysOf(map, at), slope, start, command });
+}
+
+/** The maps' cell that an address names: [map, cell], or null. */
+function cellNamed({ at, slope, start }) {
+  const wanted = { ...at, slope }, indexOf = side => side.values.findIndex(value => abs(value - wanted[side.name]) <= 1e-9 * abs(value));
+  for (const map of MAPS.filter(one => !one.free)) {
+    const cell = [indexOf(map.x), indexOf(map.y)], own = !cell.includes(-1) && cellOf(map, cell);
+    if (own?.start && sameLine(own.at, at) && hypot(Math.log(own.slope / slope), Math.log(own.start[0] / start[0])) < 1e-6) return [map, cell];
   }
   return null;
 }

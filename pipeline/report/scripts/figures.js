@@ -6,8 +6,12 @@ for (const plot of document.querySelectorAll(".plot")) {
   const series = parse("marks"), panels = parse("panels"), frames = parse("axes"), svg = plot.querySelector("svg");
   const width = Number(plot.dataset.width), height = Number(plot.dataset.height), view = { x: 0, y: 0, w: width };
   const dot = plot.appendChild(make("span", "dot")), ring = plot.appendChild(make("span", "ring")), tip = plot.appendChild(make("div", "tip"));
-  for (const map of panels) for (const side of ["x", "y"]) map[side].values ??= panels[0][side].values;
-  for (const map of panels) if (map.as !== undefined) Object.assign(map, { ...panels[map.as], box: map.box, x: map.x, y: map.y });
+  for (const map of panels) {
+    for (const side of ["x", "y"]) map[side].values ??= panels[0][side].values;
+    for (const name in map.same) map[name] = panels[map.same[name]][name];
+    for (const name in map.fields) if (map.fields[name].as !== undefined) map.fields[name] = panels[map.fields[name].as].fields[name];
+  }
+  for (const curve of series) curve.starts &&= curve.starts.map(place => STATES[place]);
   MAPS.push(...panels);
   tip.setAttribute("role", "status");
   let at = null, pinned = false, chosen = null;
@@ -49,50 +53,61 @@ for (const plot of document.querySelectorAll(".plot")) {
   function hide() { highlight(null); dot.hidden = tip.hidden = true; at = null; pinned = false; tip.classList.remove("pinned"); }
   hide();
   ring.hidden = true;
-  function nearest(event) {
-    const [px, py] = toPixels(pointer(event));
+  /** The point of a curve or the cell of a map under the pointer: { curve, row } or { map, cell }, or null. */
+  function under(event) {
+    const place = pointer(event), [px, py] = toPixels(place);
     let best = null, least = 24;
-    series.forEach((curve, s) => away.has(curve.line) || curve.rows.forEach((row, r) => {
+    for (const curve of series) if (!away.has(curve.line)) curve.rows.forEach((row, r) => {
       const [x, y] = toPixels(row), distance = hypot(x - px, y - py);
-      if (distance < least && isSeen(row)) { least = distance; best = [s, r]; }
-    }));
-    return best;
+      if (distance < least && isSeen(row)) { least = distance; best = { curve, row: r }; }
+    });
+    return best ?? cellAt(place);
   }
-  function show([s, r]) {
-    const curve = series[s], [x, y, more, ...values] = curve.rows[r];
-    at = [s, r];
-    highlight(curve.line ?? null);
-    const list = make("dl");
-    curve.names.forEach((name, i) => list.append(make("dt", "", name), make("dd", "", values[i])));
-    tip.replaceChildren(make("b", "", curve.label), list);
-    if (typeof more === "string") tip.append(make("code", "", more));
-    else if (more !== null && curve.command) tip.append(make("code", "", `${curve.command} --slope ${more}`));
-    put(dot, [x, y]);
+  /** What a point or a cell says: where it lies, what it is, its values, its command. */
+  function factsOf({ map, cell, curve, row }) {
+    if (map) {
+      const { at, shown, slope, start, command } = cellOf(map, cell), values = { ...at, slope };
+      return { place: putOn(map, [map.x, map.y].map(side => values[side.name])), label: map.label, pairs: shown.map(([name, value]) => [name, typeof value === "number" ? brief(value, 7) : value]),
+        command: start && withSlope(command, slope) };
+    }
+    const [x, y, more, ...values] = curve.rows[row];
+    return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]),
+      command: typeof more === "string" ? more : more !== null && curve.command ? withSlope(curve.command, more) : null };
+  }
+  function show(item) {
+    const { place, label, line, pairs, command } = factsOf(item), list = make("dl");
+    at = item;
+    highlight(line ?? null);
+    for (const [name, value] of pairs) list.append(make("dt", "", name), make("dd", "", value));
+    tip.replaceChildren(make("b", "", label), list);
+    if (command) tip.append(make("code", "", command));
+    put(dot, place);
     tip.hidden = false;
-    const [px, py] = toPixels([x, y]), wide = tip.offsetWidth, tall = tip.offsetHeight;
+    const [px, py] = toPixels(place), wide = tip.offsetWidth, tall = tip.offsetHeight;
     tip.style.left = `${Math.max(0, Math.min(px + 14, plot.clientWidth - wide))}px`;
     tip.style.top = `${py > tall + 14 ? py - tall - 14 : py + 16}px`;
   }
 
-  // What a point of a curve, or a place on a map, makes walk.
+  // What a point of a curve, or a cell of a map, makes walk: the very gait that the tip names.
   const lineOf = curve => LINES.find(line => line.command === curve.command);
-  function wishOf([s, r]) {
-    const curve = series[s], line = lineOf(curve), slope = curve.rows[r][2];
-    if (!line || typeof slope !== "number") return null;
-    if (curve.angles) return curve.angles[r] ? { at: line.at, slope, angle: curve.angles[r] } : null;
-    return curve.starts ? { at: line.at, slope, angle: curve.starts[r][0], rates: curve.starts[r].slice(1), free: true } : null;
+  function wishOf({ map, cell, curve, row }) {
+    if (map?.free) {
+      const start = [map.x.values[cell[0]], map.y.values[cell[1]]];
+      return map.at && { at: map.at, given: map, slope: map.slope, start: [...start, map.ratio === undefined ? NaN : start[1] * map.ratio], before: true, free: true };
+    }
+    if (map) return map.fields.stance_angle ? { map, cell } : null;
+    const line = lineOf(curve), slope = curve.rows[row][2], start = curve.starts?.[row];
+    return line && start?.length && typeof slope === "number" ? { at: line.at, slope, start, free: curve.free } : null;
   }
   function placeIn(side, share) {
     const apart = v => abs(shareOf(side, v) - share);
     return side.values.reduce((best, v, i) => apart(v) < apart(side.values[best]) ? i : best, 0);
   }
   function cellAt([x, y]) {
-    const found = panels.findLast(({ box }) => x >= box[0] && x <= box[2] && y >= box[1] && y <= box[3]);
-    if (!found) return null;
-    const { box } = found, column = placeIn(found.x, (x - box[0]) / (box[2] - box[0])), row = placeIn(found.y, (box[3] - y) / (box[3] - box[1]));
-    if (!found.free) return { panel: found, cell: [column, row] };
-    const angle = found.x.values[column], rate = found.y.values[row];
-    return { at: found.at, given: found, slope: found.slope, angle, rates: [rate, found.ratio === undefined ? NaN : rate * found.ratio], before: true, free: true };
+    const map = panels.findLast(({ box }) => x >= box[0] && x <= box[2] && y >= box[1] && y <= box[3]);
+    if (!map) return null;
+    const { box } = map;
+    return { map, cell: [placeIn(map.x, (x - box[0]) / (box[2] - box[0])), placeIn(map.y, (box[3] - y) / (box[3] - box[1]))] };
   }
   const shareOf = (side, value) => side.log ? Math.log(value / side.limits[0]) / Math.log(side.limits[1] / side.limits[0]) : (value - side.limits[0]) / (side.limits[1] - side.limits[0]);
 
@@ -101,15 +116,13 @@ for (const plot of document.querySelectorAll(".plot")) {
   const rateBefore = ({ walker, start }) => walker.kneed ? sectionOf(walker, start)[1] : start[start.length / 2];
   /** Where a gait lies in this figure: between the two nearest points of its line, or in its cell of a map. */
   function locate(gait) {
-    const own = panels.includes(gait.panel) ? [gait.panel] : panels;
-    for (const found of own) {
-      const values = found.free ? { [found.x.name]: gait.start[0], [found.y.name]: rateBefore(gait) / gait.walker.time } : { ...gait.at, slope: gait.slope };
-      if (found.free ? !gait.free || !sameLine(found.at, gait.at) : gait.panel && gait.panel !== found && !sameLine(found.at, gait.panel.at)) continue;
-      if (!(found.x.name in values && found.y.name in values) || (!found.free && !gait.panel)) continue;
-      const point = putOn(found, [values[found.x.name], values[found.y.name]]), { box } = found;
+    const named = gait.map ? [gait.map, gait.cell] : gait.free ? null : cellNamed({ at: gait.at, slope: gait.slope, start: [gait.start[0]] });
+    if (named && panels.includes(named[0])) return factsOf({ map: named[0], cell: named[1] }).place;
+    for (const found of panels.filter(map => map.free && gait.free && sameLine(map.at ?? {}, gait.at))) {
+      const point = putOn(found, [gait.start[0], rateBefore(gait) / gait.walker.time]), { box } = found;
       if (point[0] >= box[0] && point[0] <= box[2] && point[1] >= box[1] && point[1] <= box[3]) return point;
     }
-    const angles = curve => curve.angles ?? curve.starts?.map(start => start[0]);
+    const angles = curve => curve.starts?.map(start => start[0]);
     const isOf = curve => angles(curve) && (curve.command === gait.line?.command || lineOf(curve) && sameLine(lineOf(curve).at, gait.at));
     // Where slope and angle are the figure's own axes, the place follows from their scales.
     for (const curve of series.filter(isOf)) for (const one of frames) {
@@ -122,7 +135,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     for (const curve of series) {
       if (!isOf(curve)) continue;
       curve.rows.forEach((row, r) => {
-        const a = place(curve, r), b = curve.angles && r + 1 < curve.rows.length ? place(curve, r + 1) : a, d = minus(b, a), size = d[0] ** 2 + d[1] ** 2;
+        const a = place(curve, r), b = !curve.free && r + 1 < curve.rows.length ? place(curve, r + 1) : a, d = minus(b, a), size = d[0] ** 2 + d[1] ** 2;
         const share = size && size < 1 ? Math.min(1, Math.max(0, ((target[0] - a[0]) * d[0] + (target[1] - a[1]) * d[1]) / size)) : 0;
         const apart = hypot(target[0] - a[0] - share * d[0], target[1] - a[1] - share * d[1]), next = curve.rows[r + (share > 0)];
         if (apart < least) { least = apart; best = [row[0] + share * (next[0] - row[0]), row[1] + share * (next[1] - row[1])]; }
@@ -219,16 +232,15 @@ for (const plot of document.querySelectorAll(".plot")) {
 
   plot.addEventListener("pointermove", event => {
     if (pinned || fingers.size || event.target.closest(".tools, .legend")) return;
-    const point = nearest(event);
-    if (point) show(point); else if (event.pointerType === "mouse") hide();
-    const walks = point && wishOf(point);
-    plot.style.cursor = walks || cellAt(pointer(event)) ? "pointer" : "";
+    const item = under(event);
+    if (item) show(item); else if (event.pointerType === "mouse") hide();
+    plot.style.cursor = item && wishOf(item) ? "pointer" : "";
   });
   plot.addEventListener("pointerleave", () => { if (!pinned) hide(); });
   plot.addEventListener("click", event => {
     if (moved || tip.contains(event.target) || event.target.closest(".legend, .tools")) return;
-    const point = nearest(event), wish = cellAt(pointer(event)) ?? (point && wishOf(point));
-    if (point) { show(point); pinned = true; tip.classList.add("pinned"); } else hide();
+    const item = under(event), wish = item && wishOf(item);
+    if (item) { show(item); pinned = true; tip.classList.add("pinned"); } else hide();
     if (wish) { select(wish, { dock: true }); if (matchMedia("(max-width: 40rem)").matches) hide(); }
   });
   plot.addEventListener("blur", hide);
@@ -237,18 +249,25 @@ for (const plot of document.querySelectorAll(".plot")) {
     // With such a key pressed, they are the browser's own: back, or the size of the page.
     if (event.target !== plot || event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === "Escape") return hide();
-    if (event.key === "+" || event.key === "-") return look(view.w * (event.key === "+" ? 0.625 : 1.6), at ? series[at[0]].rows[at[1]] : undefined);
+    if (event.key === "+" || event.key === "-") return look(view.w * (event.key === "+" ? 0.625 : 1.6), at ? factsOf(at).place : undefined);
     if (event.key === "0") return look(width);
     if (event.key === "Enter" && at) { const wish = wishOf(at); if (wish) select(wish, { dock: true }); return; }
-    if (!move || !series.length) return;
+    if (!move || !(series.length || panels.length)) return;
     event.preventDefault();
-    if (!at) return show([0, 0]);
-    const s = (at[0] + move[0] + series.length) % series.length, last = series[s].rows.length - 1;
-    show([s, Math.max(0, Math.min(last, at[1] + move[1]))]);
+    if (at?.map) {
+      // From cell to cell, and from a map's edge to the next map.
+      const sides = [at.map.x, at.map.y], cell = [at.cell[0] + move[1], at.cell[1] - move[0]], over = [0, 1].find(k => cell[k] < 0 || cell[k] >= sides[k].values.length);
+      if (over === undefined) return show({ map: at.map, cell });
+      const next = panels[panels.indexOf(at.map) + (move[over ? 0 : 1] > 0 ? 1 : -1)];
+      return next && show({ map: next, cell: [0, 0] });
+    }
+    if (!at) return show(series.length ? { curve: series[0], row: 0 } : { map: panels[0], cell: [0, 0] });
+    const curve = series[(series.indexOf(at.curve) + move[0] + series.length) % series.length];
+    show({ curve, row: Math.max(0, Math.min(curve.rows.length - 1, at.row + move[1])) });
   });
 
-  for (const { box: [a, b, c, d] } of panels.slice(-1)) lead ??= cellAt([(a + c) / 2, (b + d) / 2]);
-  for (const s in series) lead ??= wishOf([s, 0]);
+  for (const map of panels.slice(-1)) lead ??= wishOf(cellAt([(map.box[0] + map.box[2]) / 2, (map.box[1] + map.box[3]) / 2]));
+  for (const curve of series) lead ??= wishOf({ curve, row: 0 });
 
   // The picture as a file, in the colours of the page as it is seen.
   function picture() {

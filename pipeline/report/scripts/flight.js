@@ -141,29 +141,34 @@ function advance(chain, x, first, slope, h) {
 // The guard of the next strike and its rate: flexion of the knee, or the sum of the legs' angles.
 const guard = x => x.length === 6 ? [x[1] - x[2], x[4] - x[5]] : [x[0] + x[1], x[2] + x[3]];
 
-/** Share of a time step at which the guard, once positive, falls through zero; -1 where it does not. */
-function crossing(x, next, h) {
+/** Shares of a time step between which the guard falls through zero, or null; `after` is the state after a share. */
+function bracket(x, next, after) {
   const [a, da] = guard(x), [b, db] = guard(next);
-  if (x.length === 4 && !(next[0] < 0)) return -1;
-  if (a > 0 && b <= 0) return a / (a - b);
-  // Within the time step the guard is its cubic Hermite polynomial: a dip below zero and back, or a rise above and back.
+  if (a > 0 && b <= 0) return [0, 1];
+  // Within the time step the guard may dip below zero and back, or rise above and back: how far is flown, not interpolated.
   const dips = a > 0 && da < 0 && db > 0, rises = a <= 0 && b <= 0 && da > 0 && db < 0;
-  if (!dips && !rises) return -1;
-  const cubic = t => ((2 * t - 3) * t * t + 1) * a + ((t - 2) * t + 1) * t * h * da + (3 - 2 * t) * t * t * b + (t - 1) * t * t * h * db;
-  const change = t => 6 * t * (t - 1) * (a - b) + (3 * t * t - 4 * t + 1) * h * da + (3 * t * t - 2 * t) * h * db;
-  const turn = bisect(t => dips ? change(t) > 0 : change(t) < 0);
-  if (dips) return cubic(turn) < 0 ? bisect(t => t > turn || cubic(t) < 0) : -1;
-  return cubic(turn) > 0 ? bisect(t => t > turn && cubic(t) < 0) : -1;
+  if (!dips && !rises) return null;
+  let turn = 0, far = 0, rate = da;
+  for (let k = 0; k < 4; k++) {
+    turn = Math.min(1, Math.max(0, turn + rate / (da - db)));
+    [far, rate] = guard(after(turn));
+  }
+  return dips && far <= 0 ? [0, turn] : rises && far > 0 ? [turn, 1] : null;
 }
 
-/** Least t from 0 to 1 from which on a condition holds. */
-function bisect(holds) {
-  let low = 0, high = 1;
-  for (let k = 0; k < 40; k++) {
-    const middle = (low + high) / 2;
-    if (holds(middle)) high = middle; else low = middle;
+/** Share of a time step of length h at which the guard falls through zero, or -1; a foot strikes behind the stance leg only. */
+function crossing(x, next, h, after) {
+  const ends = bracket(x, next, after);
+  if (!ends) return -1;
+  let [low, high] = ends, at = (low + high) / 2;
+  for (let k = 0; k < 60; k++) {
+    const [g, rate] = guard(after(at)), newton = at - g / rate / h;
+    if (g > 0) low = at; else high = at;
+    const better = newton > low && newton < high ? newton : (low + high) / 2, change = abs(better - at);
+    at = better;
+    if (change < 1e-14) break;
   }
-  return high;
+  return x.length === 6 || after(at)[0] < 0 ? at : -1;
 }
 
 /** Fly one phase to its strike: { samples: [time, state, derivative], end, time } or { samples, fall }. */
@@ -173,16 +178,9 @@ function flyPhase(chain, start, begin, slope) {
   for (let k = 0; ; k++) {
     const now = begin + k * h, first = derivative(chain, x, slope);
     samples.push([now, x, first]);
-    const next = advance(chain, x, first, slope, h), share = crossing(x, next, h);
+    const after = share => advance(chain, x, first, slope, share * h), next = after(1), share = crossing(x, next, h, after);
     if (share >= 0) {
-      let at = share * h, end = next;
-      for (let i = 0; i < 6; i++) {
-        end = advance(chain, x, first, slope, at);
-        const [g, rate] = guard(end), step = g / rate;
-        at = Math.min(h, Math.max(0, at - step));
-        if (abs(step) < 1e-15) break;
-      }
-      end = advance(chain, x, first, slope, at);
+      const at = share * h, end = after(share);
       samples.push([now + at, end, derivative(chain, end, slope)]);
       return { samples, end, time: now + at };
     }

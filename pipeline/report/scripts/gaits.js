@@ -1,41 +1,50 @@
 // Gaits: fixed points of the step map by Newton's method, their multipliers, losses and violations.
 //
-// The section lies just before heelstrike: y = (stance angle after it, rates of the old stance and swing leg before it),
-// three coordinates for every walker; a point foot makes the last of them superfluous and one multiplier zero.
+// Section coordinates y are three for every walker: the stance angle and both rates after heelstrike or, with knees, the
+// angle and the rates of the old stance and swing leg before it, of which the three rates after it are linear.
 
-const stateAt = (walker, y) => strikeHeel(walker, y[0], [y[1], y[2]]);
+const stateAt = (walker, y) => walker.kneed ? strikeHeel(walker, y[0], [y[1], y[2]]) : Float64Array.of(y[0], -y[0], y[1], y[2]);
 
-/** Section coordinates of a state just after heelstrike: the rates before it, of which those after it are linear. */
+/** Section coordinates of a state just after heelstrike: with knees, of the nearest that a heelstrike gives. */
 function sectionOf(walker, x) {
-  const n = x.length / 2, [u, v] = [[1, 0], [0, 1]].map(rates => strikeHeel(walker, x[0], rates).slice(n));
-  const det = u[0] * v[1] - v[0] * u[1], size = hypot(...u) * hypot(...v);
-  if (abs(det) <= 1e-9 * size || walker.pointFoot) return [x[0], x[n] / u[0], 0];
-  return [x[0], (x[n] * v[1] - v[0] * x[n + 1]) / det, (u[0] * x[n + 1] - u[1] * x[n]) / det];
+  if (!walker.kneed) return [x[0], x[2], x[3]];
+  const dot = (a, b) => sum(Array.from(a, (v, i) => v * b[i])), rates = x.slice(3);
+  const [u, v] = [[1, 0], [0, 1]].map(unit => strikeHeel(walker, x[0], unit).slice(3)), share = dot(u, v) / dot(u, u);
+  const rest = v.map((value, i) => value - share * u[i]), swing = dot(rest, rates) / dot(rest, rest);
+  return [x[0], dot(u, rates) / dot(u, u) - share * swing, swing];
 }
 
 /** A state from the angle and the rates just after heelstrike, in the walker's units; absent rates are what the impact gives. */
 function stateOf(walker, [angle, stance, thigh, shank]) {
   const rates = [stance, thigh, shank ?? thigh].slice(0, walker.kneed ? 3 : 2).map(rate => rate * walker.time);
-  const x = Float64Array.from([angle, -angle, ...(walker.kneed ? [-angle] : []), ...rates]);
-  return thigh === null || thigh === undefined || !Number.isFinite(rates[1]) ? stateAt(walker, sectionOf(walker, x)) : x;
+  if (Number.isFinite(thigh)) return Float64Array.from([angle, -angle, ...(walker.kneed ? [-angle] : []), ...rates]);
+  const unit = strikeHeel(walker, angle, [1, 0]);
+  return strikeHeel(walker, angle, [rates[0] / unit[unit.length / 2], 0]);
 }
 
 /** Image of section coordinates under a step, or null after a fall. */
 function stepMap(walker, y, slope) {
   const step = y[0] > 0 ? flyStep(walker, stateAt(walker, y), slope) : { fall: "backward" };
-  return step.fall ? null : [step.end[0], ...step.before];
+  return step.fall ? null : walker.kneed ? [step.end[0], ...step.before] : sectionOf(walker, step.end);
 }
 
-/** Derivative of the step map by its coordinates and, last, by ln slope: rows of four; central differences. */
+/** Derivative of the step map by its coordinates and, last, by ln slope: rows of four; differences, central if both fly. */
 function mapJacobian(walker, y, slope) {
-  const rate = Math.max(abs(y[1]), abs(y[2])), columns = [];
-  for (let k = 0; k < 4; k++) {
-    const d = 1e-6 * (k === 3 ? 1 : k ? rate : y[0]);
-    const [above, below] = [d, -d].map(h => k === 3 ? stepMap(walker, y, slope * Math.exp(h)) : stepMap(walker, y.map((v, i) => i === k ? v + h : v), slope));
-    if (!above || !below) return null;
-    columns.push(above.map((v, i) => (v - below[i]) / (2 * d)));
+  const here = stepMap(walker, y, slope), rate = Math.max(abs(y[1]), abs(y[2])), columns = [];
+  for (let k = 0; k < 4 && here; k++) {
+    let column = null;
+    // Beside the ends of walking a shorter step flies, or one to one side.
+    for (const share of [1e-6, 1e-7, 1e-8]) {
+      const d = share * (k === 3 ? 1 : k ? rate : y[0]);
+      const [above, below] = [d, -d].map(h => k === 3 ? stepMap(walker, y, slope * Math.exp(h)) : stepMap(walker, y.map((v, i) => i === k ? v + h : v), slope));
+      if (!above && !below) continue;
+      column = here.map((v, i) => ((above ?? here)[i] - (below ?? here)[i]) / (above && below ? 2 * d : d));
+      if (above && below) break;
+    }
+    if (!column) return null;
+    columns.push(column);
   }
-  return [0, 1, 2].map(i => columns.map(column => column[i]));
+  return here && [0, 1, 2].map(i => columns.map(column => column[i]));
 }
 
 /** Solve A x = b by elimination with pivots; A is a list of rows. */
@@ -55,27 +64,24 @@ function solveRows(A, b) {
 /**
  * Newton's method for a gait, from section coordinates and a slope; null where it does not converge.
  *
- * With `along`, a direction in (ln angle, ln slope), the slope is an unknown too, and the gait lies on the line through
- * the start at a right angle to it: so a fold is passed as any other point of a branch.
+ * With `free` the slope is an unknown too, and the gait found is the nearest of its branch in ln angle and ln slope: so a
+ * fold is passed as any other point of a branch. Rates, of which a page holds few digits, change freely.
  */
-function findGait(walker, start, slope0, along = null) {
+function findGait(walker, start, slope0, free = false) {
   let y = [...start], slope = slope0, J = null, last = Infinity;
   for (let k = 0; k < 30; k++) {
     const image = stepMap(walker, y, slope);
     // The derivative is kept while Newton's method gains a digit with it.
     J = image && (J ?? mapJacobian(walker, y, slope));
     if (!J) return null;
-    const rate = Math.max(abs(y[1]), abs(y[2])), scale = [y[0], rate, rate], residual = image.map((v, i) => v - y[i]);
-    const A = [0, 1, 2].map(i => [0, 1, 2].map(j => (i === j ? 1 : 0) - J[i][j]));
-    let change;
-    if (along) {
-      const off = along[0] * Math.log(y[0] / start[0]) + along[1] * Math.log(slope / slope0);
-      change = solveRows([...A.map((row, i) => [...row, -J[i][3]]), [along[0] / y[0], 0, 0, along[1]]], [...residual, -off]);
-    } else change = [...solveRows(A, residual), 0];
-    const size = Math.max(...change.slice(0, 3).map((c, i) => abs(c / scale[i])), abs(change[3]));
+    const rate = Math.max(abs(y[1]), abs(y[2])), scale = [y[0], rate, rate], weight = free ? [1, 1e3, 1e3, 1] : [1, 1, 1, 0];
+    const A = scale.map((size, i) => [...scale, 1].map((by, j) => ((i === j ? 1 : 0) - J[i][j]) * by / size * weight[j]));
+    const residual = image.map((v, i) => (v - y[i]) / scale[i]);
+    const change = (free ? leastChange(A, residual) : [...solveRows(A.map(row => row.slice(0, 3)), residual), 0]).map((c, j) => c * weight[j]);
+    const size = Math.max(...change.map(abs));
     if (!Number.isFinite(size)) return null;
     const damp = Math.min(1, 0.3 / size);
-    y = y.map((v, i) => v + damp * change[i]);
+    y = y.map((v, i) => v + damp * change[i] * scale[i]);
     slope *= Math.exp(damp * change[3]);
     if (size < 1e-9 || (size < 1e-7 && size >= last / 2)) {
       const state = stateAt(walker, y), step = flyStep(walker, state, slope), jacobian = !step.fall && mapJacobian(walker, y, slope);
@@ -85,6 +91,12 @@ function findGait(walker, start, slope0, along = null) {
     last = size;
   }
   return null;
+}
+
+/** The shortest x of A x = b, for fewer rows than columns. */
+function leastChange(A, b) {
+  const part = solveRows(A.map(row => A.map(other => sum(row.map((v, j) => v * other[j])))), b);
+  return A[0].map((_, j) => sum(A.map((row, i) => row[j] * part[i])));
 }
 
 /** Eigenvalues [re, im] of a 3 by 3 matrix, largest first: the roots of its characteristic polynomial. */

@@ -25,7 +25,7 @@ for (const table of document.querySelectorAll("table.archive")) {
 
 // Rows of gaits that this page can start: a button in the first cell.
 for (const row of document.querySelectorAll("tr[data-gait]")) {
-  const wish = readAddress(row.dataset.gait), line = wish && lineAt(wish.at), place = line?.branches.length ? placeOn(line, wish.slope, wish.angle) : null;
+  const wish = readAddress(row.dataset.gait), line = wish && lineAt(wish.at), place = line?.branches.length ? placeOn(line, wish.slope, wish.start[0]) : null;
   if (!place || place.apart > NEAR) continue;
   const button = make("button", "walk-it", "▸");
   button.type = "button";
@@ -34,7 +34,7 @@ for (const row of document.querySelectorAll("tr[data-gait]")) {
   row.cells[0].prepend(button, " ");
   row.addEventListener("click", event => { if (event.target === button || !event.target.closest("a, button")) select(wish, { dock: true }); });
   document.addEventListener("gait", ({ detail }) => row.classList.toggle("chosen",
-    !detail.free && sameLine(detail.at, wish.at) && hypot(Math.log(detail.slope / wish.slope), Math.log(detail.start[0] / wish.angle)) < 1e-3));
+    Boolean(detail) && !detail.free && sameLine(detail.at, wish.at) && hypot(Math.log(detail.slope / wish.slope), Math.log(detail.start[0] / wish.start[0])) < 1e-3));
 }
 
 // Ledger: filter by words and verdict.

@@ -97,8 +97,18 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     find("command").textContent = gait.command ?? "";
   }
 
+  /** Show that there is no gait: nothing goes on under the title of another. */
+  function clear() {
+    if (gait) play(false);
+    panel.classList.add("empty");
+    find("title").textContent = "No gait";
+    history.replaceState(null, "", location.pathname + location.search);
+    tellPage(null);
+  }
+
   /** Show a gait found, or a motion from any state. */
   function show(next, { write = true, keep = false } = {}) {
+    panel.classList.remove("empty");
     const share = keep && motion && gait ? motion.at(time).t / durationOf(motion.at(time).step) : 0;
     panel.hidden = false;
     gait = next;
@@ -197,14 +207,11 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
   }
 
   select = (wish, options = {}) => {
-    const line = wish.at && lineAt(wish.at);
-    let found = wish.found ?? null;
-    if (!found && wish.free && (wish.given || line)) found = freeMotion(wish.given ?? line, wish);
-    else if (!found && wish.panel) found = gaitOfCell(wish.panel, ...wish.cell);
-    else if (!found && line) found = gaitNear(line, wish.slope, wish.angle);
-    if (!found && wish.slope > 0 && !wish.free) found = gaitOnMaps(wish);
-    say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : wish.slope || wish.panel ? "There is no gait here that this page could start." : "The address names no gait of this page.");
-    if (found) show(found, options);
+    const line = wish.at && lineAt(wish.at), named = wish.slope > 0 && !wish.free && !line && cellNamed(wish);
+    const [map, cell] = wish.map ? [wish.map, wish.cell] : named || [];
+    const found = map ? gaitOfCell(map, cell) : wish.free ? (wish.given || line) && freeMotion(wish.given ?? line, wish) : line ? gaitNear(line, wish.slope, wish.start) : null;
+    say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : wish.slope || map ? "No gait is stored here." : "The address names no gait of this page.");
+    if (found) show(found, options); else if (options.dock) clear();
     if (options.dock) dock(true);
     if (found && options.dock) {
       document.dispatchEvent(new CustomEvent("docked", { detail: panel.getBoundingClientRect().top || innerHeight }));
