@@ -215,7 +215,18 @@ def describe(
 
 
 def without_knees(names: Sequence[str], walker: Walker, n: int) -> Arrays:
-    """NaN for those of some variables that only knees have, if the walker has none."""
+    """NaN for those of some variables that only knees have, if the walker has none.
+
+    Parameters
+    ----------
+    names : sequence of str
+    walker : Walker
+    n : int
+
+    Returns
+    -------
+    dict of ndarray, shape (n,)
+    """
     return {name: np.full(n, np.nan) for name in names if VARIABLES[name].is_of_knees and not walker.knees}
 
 
@@ -235,7 +246,7 @@ class Steps:
     times : ndarray, shape (phases, n) [sqrt(leg/g)]
     scale : ndarray, shape (n,)
     slope : ndarray, shape (n,) [rad]
-    order : ndarray of int, shape (n,), optional
+    after : ndarray of int, shape (n,), optional
         The step after each: by default a step repeats.
     """
 
