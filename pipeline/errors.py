@@ -34,7 +34,7 @@ class WorkerError(GaitsweepError):
 
 
 class DiskFullError(GaitsweepError):
-    """The disk is full; finished results are kept."""
+    """There is no room on the disk, or a file may not grow; finished results are kept."""
 
     exit_code = 4
 
@@ -53,10 +53,11 @@ def reached_limit(error: BaseException) -> OSError | None:
     return None
 
 
-def shortage(error: BaseException, folder: Path) -> OSError | None:
-    """The system's error for lack of space, files, threads or memory, if that caused `error`.
+def shortage(error: BaseException, *files: Path) -> OSError | None:
+    """The system's error for lack of space, files, threads or memory, if that caused `error` in writing to `files`.
 
-    Libraries do not say why they cannot write, and free space does not show quotas: a MiB is written to the folder.
+    Libraries do not say why they cannot write, and free space does not show quotas and limits of a file's size: a MiB
+    is written to a file in the same folder, behind as many bytes as the largest of them has.
     """
     import tempfile
 
@@ -65,8 +66,10 @@ def shortage(error: BaseException, folder: Path) -> OSError | None:
     if limit := reached_limit(error):
         return limit
     try:
-        with tempfile.TemporaryFile(dir=folder, buffering=0) as file:
-            while (n := file.tell()) < _LITTLE:
+        start = max((file.stat().st_size for file in files if file.exists()), default=0)
+        with tempfile.TemporaryFile(dir=files[0].parent, buffering=0) as file:
+            file.seek(start)
+            while (n := file.tell() - start) < _LITTLE:
                 file.write(bytes(_LITTLE - n))
     except OSError as failure:
         return failure if is_shortage(failure) else None
@@ -75,15 +78,20 @@ def shortage(error: BaseException, folder: Path) -> OSError | None:
 
 def is_shortage(error: OSError) -> bool:
     """Whether the operating system reports a lack of space, files, processes or memory."""
-    return is_disk_full(error) or error.errno in _LIMITS
+    return is_disk_full(error) or error.errno in (*_LIMITS, errno.EFBIG)
 
 
-def unwritten(path: Path, error: OSError) -> GaitsweepError:
+def unread(path: Path, error: OSError) -> GaitsweepError:
+    """Error for a file that cannot be read."""
+    return unwritten(path, error, "read")
+
+
+def unwritten(path: Path, error: OSError, use: str = "written") -> GaitsweepError:
     """Error for a file or folder that cannot be written: the one that the system names, or else `path`."""
     if error.errno in _LIMITS:
         return WorkerError(f"A limit of the system is reached: {error.strerror}.")
-    kind = DiskFullError if is_disk_full(error) else ArchiveError
-    return kind(f"{error.filename or path} cannot be written: {error.strerror}.")
+    kind = DiskFullError if is_disk_full(error) or error.errno == errno.EFBIG else ArchiveError
+    return kind(f"{error.filename or path} cannot be {use}: {error.strerror}.")
 
 
 class BusyError(GaitsweepError):

@@ -5,12 +5,72 @@ from __future__ import annotations
 import contextlib
 import re
 import secrets
+import stat
 from pathlib import Path
+
+from pipeline.errors import ArchiveError
+
+#: Files that a run writes beside an archive, and how the content of each begins; a journal is looked at page by page.
+_BEGINNINGS = {
+    ".journal-lock": rb'{"pid": \d+, "host": "',
+    ".events.jsonl": rb'{"time": \d+[.\d]*, "event": "',
+    ".run.json": rb'{\s*"study": "[^\n]*",\s*"archive": "',
+    ".journal": b"",
+}
+_HEAD = 1024  # read of a file to recognise it [byte]
+_KINDS = {
+    stat.S_IFDIR: "a directory",
+    stat.S_IFLNK: "a link",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
 
 
 def sidecar_path(path: Path, suffix: str) -> Path:
     """Path of the journal, event log, lock or record of an archive."""
     return path.with_name(path.name.removesuffix(".nc") + suffix)
+
+
+def check_sidecars(path: Path) -> None:
+    """Check that the files of a run beside an archive are this program's, those that are there.
+
+    Raises
+    ------
+    ArchiveError
+        If there is another file in the place of one.
+    """
+    for suffix, beginning in _BEGINNINGS.items():
+        check_own(sidecar_path(path, suffix), beginning)
+
+
+def check_own(path: Path, beginning: bytes) -> None:
+    """Check that where this program is to write nothing stands, or a file of its own.
+
+    Parameters
+    ----------
+    path : Path
+    beginning : bytes
+        Pattern of the beginning of its content. An empty file, or zeros that a power failure left, are nobody's.
+
+    Raises
+    ------
+    ArchiveError
+        If something else stands there.
+    """
+    with contextlib.suppress(FileNotFoundError):
+        if kind := kind_of(path.lstat().st_mode):
+            raise ArchiveError(f"{path} is {kind}, not a file of gaitsweep; move it away.")
+        with open(path, "rb") as file:
+            head = file.read(_HEAD).strip(b"\0")
+        if head and not re.match(beginning, head):
+            raise ArchiveError(f"{path} is not a file of gaitsweep; move it away.")
+
+
+def kind_of(mode: int) -> str:
+    """What something is that is no regular file, by its mode; empty for one."""
+    return _KINDS.get(stat.S_IFMT(mode), "")
 
 
 SECRET = secrets.token_hex(16)

@@ -6,17 +6,23 @@ import functools
 import hashlib
 import importlib.metadata
 import json
+import math
 import platform
 import re
+import tomllib
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import tasks
 from pipeline.archive import attributes
+from pipeline.errors import ArchiveError
 
 if TYPE_CHECKING:
     from pipeline.plan.missing import Plan
+    from pipeline.study.model import Study
 
+_BEGINNING, _MAX_HEADER = '{"commit": ', 1 << 22  # of the provenance in an archive, and where it is [byte]
 _ROOT = Path(__file__).resolve().parents[2]
 _PACKAGES = ("gaitsweep", "heyoka", "joblib", "netCDF4", "numpy", "scipy")
 #: Those of them on which numbers depend.
@@ -43,6 +49,59 @@ def provenance(plan: Plan) -> str:
             "commit": commit(),
         },
         sort_keys=True,
+    )
+
+
+def stored(path: Path) -> dict[str, Any]:
+    """Provenance of an archive, found in its first bytes without the netCDF library, which a damaged file can crash.
+
+    Empty if there is no archive, or its study or walkers cannot be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            text = file.read(_MAX_HEADER).decode("latin-1")
+        record: dict[str, Any] = json.JSONDecoder().raw_decode(text, text.index(_BEGINNING))[0]
+        tomllib.loads(record["study"])
+        return {**record, "walkers": [dict(walker) for walker in record["walkers"]]}
+    except (OSError, LookupError, TypeError, ValueError, RecursionError):
+        return {}
+
+
+def check_same_study(path: Path, study: Study) -> None:
+    """Check that an archive, if there is one, is of the study that is to replace it, perhaps with other axes and wants.
+
+    Studies are the same if their kind is, and at least one of their walkers.
+
+    Raises
+    ------
+    ArchiveError
+        If it is of another one; a damaged archive, which does not say, may be replaced.
+    """
+    record = stored(path)
+    if not record:
+        return
+    other, walkers = tomllib.loads(record["study"]), record["walkers"]
+    kind, own = other.get("kind", "grid"), [check["table"] for check in study.checks]
+    if kind != study.kind:
+        difference = f"its kind is {kind}, not {study.kind}"
+    elif walkers and own and not any(_is_same(a, b) for a in walkers for b in own):
+        changes = (
+            f"{key} = {walkers[0][key]}, not {own[0][key]}" for key in own[0] if not _is_same(walkers[0], own[0], [key])
+        )
+        difference = f"its walker has {next(changes)}"
+    else:
+        return
+    raise ArchiveError(
+        f"{path} holds another study: {difference}; give this one another name, or replace that with --fresh."
+    )
+
+
+def _is_same(a: dict[str, Any], b: dict[str, Any], keys: Iterable[str] = ()) -> bool:
+    """Whether two walkers have the same parameters but for rounding."""
+    return all(
+        a[key] == b[key] or (isinstance(a[key], float) and isinstance(b[key], float) and math.isclose(a[key], b[key]))
+        for key in keys or a.keys() & b.keys()
+        if key in a
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import json
 import os
 import subprocess
@@ -17,7 +18,8 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.archive import layout
-from pipeline.errors import ArchiveError, GaitsweepError, WorkerError, is_shortage, unwritten
+from pipeline.errors import ArchiveError, GaitsweepError, WorkerError, unread
+from pipeline.paths import kind_of
 
 SCHEMA = 2
 _READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
@@ -64,15 +66,19 @@ def size_of(path: Path) -> int:
 
     Raises
     ------
-    ArchiveError
-        If there is no such file, or it cannot be looked at.
+    ArchiveError, WorkerError
+        If there is no such file, or it cannot be opened.
     """
     try:
-        if path.is_file():
-            return path.stat().st_size
-    except OSError as error:  # the name is too long, or the folder unreadable
-        raise ArchiveError(f"{path} cannot be read: {error.strerror}.") from error
-    raise ArchiveError(f"There is no archive {path}.")
+        status = path.stat()
+        if kind := kind_of(status.st_mode):  # opening it might wait for another program
+            raise ArchiveError(f"{path} is {kind}, not an archive.")
+        open(path, "rb").close()
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        raise ArchiveError(f"There is no archive {path}.") from None
+    except OSError as error:
+        raise unread(path, error) from error
+    return status.st_size
 
 
 @contextlib.contextmanager
@@ -91,39 +97,38 @@ def open_archive(path: Path) -> Iterator[Any]:
     try:
         file = opened.__enter__()
     except (OSError, RuntimeError, ValueError) as error:
-        _check_limits(path)
+        size_of(path)  # the netCDF library does not report that the system opens no more files
         raise ArchiveError(f"{path} is no netCDF file that can be read.") from error
-    try:
-        schema = getattr(file, "gaitsweep_schema", None)
-        if not isinstance(schema, np.integer) or schema not in _READABLE:
-            raise ArchiveError(f"{path} is not an archive of gaitsweep (schema {SCHEMA}).")
+    with blamed_if_damaged(path):
         try:
+            schema = getattr(file, "gaitsweep_schema", None)
+            if not isinstance(schema, np.integer) or schema not in _READABLE:
+                raise ArchiveError(f"{path} is not an archive of gaitsweep (schema {SCHEMA}).")
             yield file
-        except GaitsweepError:
-            raise
-        except Exception as error:
-            # An error while reading an intact file is a bug of this package.
-            damage = _one_line(error) if _is_read_error(error) else next(_faults(file), "")
-            if not damage:
-                raise
-            raise ArchiveError(f"{path} is damaged: {damage.rstrip('.')}.") from error
-    finally:
-        with contextlib.suppress(RuntimeError):
-            opened.__exit__(None, None, None)
+        finally:
+            with contextlib.suppress(RuntimeError):
+                opened.__exit__(None, None, None)
 
 
-def _check_limits(path: Path) -> None:
-    """Raise the system's error if it opens no more files; the netCDF library does not report it."""
+@contextlib.contextmanager
+def blamed_if_damaged(path: Path) -> Iterator[None]:
+    """Say of an error over a damaged archive that this is damaged; any other is raised as it is.
+
+    Raises
+    ------
+    ArchiveError
+        If the archive is not as it was written, or not laid out as one.
+    """
     try:
-        open(path, "rb").close()
-    except OSError as error:
-        if is_shortage(error):
-            raise unwritten(path, error) from error
-
-
-def _is_read_error(error: Exception) -> bool:
-    """Whether the netCDF library raised an error because it could not read, or read invalid text."""
-    return isinstance(error, OSError | UnicodeDecodeError) or str(error).startswith("NetCDF:")
+        yield
+    except (GaitsweepError, MemoryError):
+        raise
+    except Exception as error:
+        # Opened anew: who used it may have changed how its variables are read.
+        fault = _one_line(error) if "NetCDF:" in str(error) else damage(path)
+        if not fault:
+            raise
+        raise ArchiveError(f"{path} is damaged: {fault.rstrip('.')}.") from error
 
 
 def _damage(file: Any) -> Iterator[str]:
@@ -136,24 +141,28 @@ def _damage(file: Any) -> Iterator[str]:
                     yield f"`{name}` is not as it was written."
             except (IndexError, KeyError):
                 yield f"`{name}` is missing."
+    except MemoryError:
+        raise
     except Exception as error:
         yield f"its checksums cannot be checked, {_one_line(error)}."
 
 
-def _faults(file: Any) -> Iterator[str]:
-    """Damage and departures from gaitsweep's layout; an archive need not be complete."""
+def damage(path: Path) -> str:
+    """Damage to an archive, or its departure from gaitsweep's layout; empty if there is none, though it be incomplete.
+
+    Raises
+    ------
+    ArchiveError, WorkerError
+        If the system does not open it.
+    """
     from pipeline.archive import structure  # only a fault needs its registry tables
 
-    yield from _damage(file)
-    yield from (misfit for misfit in structure.misfits(file) if "not_attempted" not in misfit)
-
-
-def damage(path: Path) -> str:
-    """Damage to an archive and departures from gaitsweep's layout; empty if there are none."""
     try:
         with open_netcdf(path) as file:
-            return next(_faults(file), "")
+            misfits = (misfit for misfit in structure.misfits(file) if "not_attempted" not in misfit)
+            return next(itertools.chain(_damage(file), misfits), "")
     except (OSError, RuntimeError) as error:
+        size_of(path)
         return _one_line(error)
 
 
@@ -291,13 +300,20 @@ def _one_line(error: Exception) -> str:
 
 
 def check_replaceable(path: Path) -> None:
-    """Check that `path` is an archive of gaitsweep, which may be replaced, whether it is damaged or not.
+    """Check that nothing, or an archive of gaitsweep, which may be damaged, stands where one is to be written.
 
     Raises
     ------
     ArchiveError
         If it is another file or cannot be read.
     """
+    try:
+        path.stat()
+    except FileNotFoundError:  # nor what a link points to
+        return
+    except OSError:
+        pass  # which is said below
+    size_of(path)
     with open(path, "rb") as file:
         beginning = file.read(_HEADER)
     if beginning.startswith(_MAGIC) and b"gaitsweep_schema" in beginning:

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
+from pipeline import dispatch
 from pipeline.archive import layout
 from pipeline.statuses import ALL_STATUSES
 from tasks.accuracy import always
-from tasks.registry import GAITS, VARIABLES
+from tasks.registry import GAITS, TASKS, VARIABLES
 
 _CF_ATTRIBUTES = ("Conventions", "title", "institution", "source", "history", "references")
 _ATTRIBUTES = (*_CF_ATTRIBUTES, "provenance", "study", "kind", "checksums")
+#: Parts of the provenance.
+_ORIGIN = {
+    **{"study": str, "walkers": list, "varied": dict, "tasks": dict, "packages": dict, "python": str},
+    **{"cpu": list, "commit": str},
+}
+_WORDS = {str: "text", list: "list", dict: "table"}
 _FLAGS = {"status": "flag_values", "violations": "flag_masks"}
 #: Errors that a check may raise on an arbitrary file.
 _UNEXPECTED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
@@ -22,7 +31,7 @@ _UNEXPECTED = (ArithmeticError, AttributeError, LookupError, RecursionError, Typ
 
 def misfits(file: Any) -> Iterator[str]:
     """Departures of an open archive from gaitsweep's layout, one sentence each."""
-    for check in (_attributes, _dimensions, _types, _states, _groups):
+    for check in (_attributes, _provenance, _dimensions, _coordinates, _types, _states, _groups):
         try:
             yield from check(file)
         except _UNEXPECTED as error:
@@ -39,9 +48,58 @@ def _attributes(file: Any) -> Iterator[str]:
                 raise ValueError
         except (AttributeError, TypeError, ValueError, RecursionError):
             yield f"`{name}` is not JSON."
+    if getattr(file, "kind", "grid") not in ("grid", *TASKS):
+        yield "`kind` is no kind of study."
     for name in (*_required(file), "reason_text"):
         if name not in file.variables:
             yield f"`{name}` is missing."
+
+
+def _provenance(file: Any) -> Iterator[str]:
+    record = json.loads(file.provenance)
+    for name, kind in _ORIGIN.items():
+        if not isinstance(record.get(name, kind()), kind):
+            yield f"`{name}` in `provenance` is no {_WORDS[kind]}."
+    tomllib.loads(record["study"])
+    if not record["walkers"]:
+        yield "`provenance` holds no walker."
+    yield from (f"`provenance` holds a walker whose {key}" for w in record["walkers"] for key in _not_numbers(w))
+
+
+def _not_numbers(parameters: Mapping[str, Any]) -> Iterator[str]:
+    """Parameters of a walker that are no finite numbers."""
+    for key in set(parameters) & set(dispatch.resolve("tasks.walkers.walker:NUMBERS")):
+        if not isinstance(parameters[key], int | float) or not math.isfinite(parameters[key]):
+            yield f"{key} is not a finite number."
+
+
+def _coordinates(file: Any) -> Iterator[str]:
+    """Numbers that say where on a grid something stands: coordinates, and parameters of walkers."""
+    yield from (
+        f"The attribute {sentence}" for sentence in _not_numbers({n: file.getncattr(n) for n in file.ncattrs()})
+    )
+    axes = {name for name in file.dimensions if name != "slope"}  # tables give the slope of what was not found, too
+    for path, variable in _numbers(file):
+        name, is_coordinate = variable.name, variable.dimensions == (variable.name,)
+        is_parameter = path == name and "gait" not in variable.dimensions
+        if not (is_coordinate or is_parameter or name in axes):
+            continue
+        values = np.ma.getdata(variable[...])
+        if not np.isfinite(values).all():
+            yield f"`{path}` holds values that are not finite."
+        elif is_coordinate and len(np.unique(values)) < values.size:
+            yield f"`{path}` holds a value twice."
+        elif is_coordinate and name == "slope" and not ((values > 0) & (values < 0.5)).all():
+            yield "`slope` does not lie in (0, 0.5) rad."
+
+
+def _numbers(parent: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Variables of decimals, in tables too, each with its path."""
+    for name, variable in parent.variables.items():
+        if np.dtype(variable.dtype).kind == "f":
+            yield f"{path}{name}", variable
+    for name, group in parent.groups.items():
+        yield from _numbers(group, f"{path}{name}/")
 
 
 def _required(file: Any) -> tuple[str, ...]:

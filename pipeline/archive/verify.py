@@ -12,10 +12,12 @@ import numpy as np
 from pipeline.archive import layout, read, structure
 from pipeline.archive.read import columns, open_archive
 from pipeline.statuses import ALL_STATUSES
-from tasks.registry import VARIABLES
+from tasks.registry import VARIABLES, Variable
 
 #: Statuses of gaits that were found, whose values stand in the archive; of others it holds none.
 _FOUND = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate"))
+#: What every gait has that an archive holds at all.
+_ALWAYS = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period")
 
 
 def verify(path: Path) -> list[str]:
@@ -40,14 +42,23 @@ def _values(file: Any) -> Iterator[str]:
         if layout.checksum(np.ma.getdata(file[name][...])) % 2**32 != sums.get(name) and name in sums:
             yield f"`{name}` is not as it was written."
     for name, variable in file.variables.items():
-        description, misplaced, total = VARIABLES.get(name), 0, 0
+        description, misplaced, impossible, total = VARIABLES.get(name), 0, 0, 0
         for box in read.boxes(variable) if (large := read.is_over_grid(variable)) else [()]:
             values = np.ma.getdata(variable[box] if large else variable[...])
             total += read.box_checksum(variable, values, box) if large else layout.checksum(values)
             if large and description and description.dtype == "f8":
                 other = ~np.isin(file.variables["status"][box], _FOUND)
                 misplaced += int(np.count_nonzero(~np.isnan(values[other])))
+                impossible += int(np.count_nonzero(_is_impossible(description, values[~other])))
         if total % 2**32 != sums.get(name):
             yield f"`{name}` is not as it was written."
         if misplaced:
             yield f"`{name}` has {misplaced:,} values where nothing converged."
+        if impossible:
+            yield f"`{name}` has {impossible:,} values that no gait has."
+
+
+def _is_impossible(description: Variable, values: np.ndarray) -> np.ndarray:
+    """Values of gaits that were found: none with a unit is infinite, and each gait has an angle, rates and a period."""
+    is_infinite = np.isinf(values) & (description.kind != "number")
+    return is_infinite | (np.isnan(values) & (description.name in _ALWAYS))

@@ -55,6 +55,7 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
     target = _target(path)
     draft = paths.of(target)
     try:
+        read.check_replaceable(target)
         written = _write(plan, draft, threads)
         with open(draft, "rb") as file:
             os.fsync(file.fileno())
@@ -63,7 +64,7 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
         os.fsync(folder)
         os.close(folder)
     except (OSError, RuntimeError, MemoryError) as error:
-        cause = shortage(error, target.parent)
+        cause = shortage(error, draft)
         if cause and is_disk_full(cause):
             raise DiskFullError(f"The disk is full: {path} is unchanged; finished results are kept.") from error
         if cause:

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
+from pipeline import terminal
+from pipeline.archive import provenance, read
 from pipeline.dispatch import ask
-from pipeline.errors import StudyError
-from tasks.registry import CLAIMS
+from pipeline.errors import ArchiveError, StudyError
+from tasks.registry import CLAIMS, TASKS
+
+_FOLDER = Path("data", "archive")
 
 
 def report(ids: list[str], as_json: bool) -> int:
-    """Check claims and print the results; returns the exit code.
+    """Print the results of claims, each as soon as it is known; returns the exit code.
+
+    Results in archives of `data/archive` of the present versions of all tasks are not computed again.
 
     Raises
     ------
@@ -22,20 +30,58 @@ def report(ids: list[str], as_json: bool) -> int:
     unknown = [name for name in ids if name not in CLAIMS]
     if unknown:
         raise StudyError(f"There is no claim {unknown[0]!r}; there are {', '.join(CLAIMS)}.")
-    results = ask("claims", {"ids": ids})
-    print(json.dumps(results) if as_json else "\n".join(_lines(results)))
+    results = _results(sorted(set(ids) or CLAIMS, key=lambda name: (name[0], int(name[1:]))))
+    if as_json:
+        print(json.dumps(list(results)))
+        return 0
+    for claim in results:
+        print("\n".join(_lines(claim)), flush=True)
     return 0
 
 
-def _lines(results: Iterable[dict[str, Any]]) -> Iterator[str]:
-    """Results of claims, a paragraph each: the paper's words, the printed and the computed number, the verdict."""
-    for claim in results:
-        yield f"{claim['id']}: {claim['verdict']}"
-        yield f'  the paper   "{claim["quotation"]}" ({claim["source"]})'
-        if claim["printed_value"] is not None:
-            half = claim["printed_half_unit"]
-            yield f"  printed     {claim['printed_value']:.6g}" + (f" +- {half:.2g}" if half else "")
-        if claim["value"] is not None:
-            allowed = f" (rounding of the printed parameters allows {claim['interval']})" if claim["interval"] else ""
-            yield f"  number      {claim['value']:.12g}{allowed}"
-        yield f"  computed    {claim['computed']}"
+def _results(ids: Iterable[str]) -> Iterator[dict[str, Any]]:
+    """Results of claims: from the archives of studies that check them, all others computed."""
+    archives = {name: path for path in sorted(_FOLDER.glob("*.nc")) for name in _claims_of(path)}
+    tables: dict[Path, dict[str, dict[str, Any]]] = {}
+    for name in ids:
+        path = archives.get(name)
+        if path and path not in tables:
+            tables[path] = _table(path)
+            terminal.say(f"Claims are read from {path}; `run --fresh` of its study computes them again.")
+        yield tables[path][name] if path and name in tables[path] else ask("claims", {"ids": [name]})[0]
+
+
+def _claims_of(path: Path) -> list[str]:
+    """Claims that a study checks, if its archive was written by the present versions of its tasks."""
+    record = provenance.stored(path)
+    versions = record.get("tasks", {})
+    if "claims" not in versions or any(n not in TASKS or TASKS[n].version != v for n, v in versions.items()):
+        return []
+    return list(tomllib.loads(record["study"])["want"]["claims"])
+
+
+def _table(path: Path) -> dict[str, dict[str, Any]]:
+    """The ledger of an archive by claim, NaN as None; empty if it cannot be read."""
+    try:
+        read.probe([path])
+        with read.open_archive(path) as file:
+            file.set_auto_mask(False)
+            columns = {name: column[...].tolist() for name, column in file["claims"].variables.items()}
+    except ArchiveError as error:
+        terminal.say(f"gaitsweep: {error}")
+        return {}
+    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    return {row["id"]: {k: None if v != v else v for k, v in row.items()} for row in rows}
+
+
+def _lines(claim: dict[str, Any]) -> Iterator[str]:
+    """Result of a claim, a paragraph: the paper's words, the printed and the computed number, the verdict."""
+    yield f"{claim['id']}: {claim['verdict']}"
+    yield f'  the paper   "{claim["quotation"]}" ({claim["source"]})'
+    if claim["printed_value"] is not None:
+        half = claim["printed_half_unit"]
+        yield f"  printed     {claim['printed_value']:.6g}" + (f" +- {half:.2g}" if half else "")
+    if claim["value"] is not None:
+        allowed = f" (rounding of the printed parameters allows {claim['interval']})" if claim["interval"] else ""
+        yield f"  number      {claim['value']:.12g}{allowed}"
+    yield f"  computed    {claim['computed']}"

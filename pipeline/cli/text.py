@@ -130,8 +130,11 @@ def state(path: Path) -> dict[str, Any] | None:
     if last is None:
         return None
     last["running"] = False
+    lock = sidecar_path(path, ".journal-lock")
+    if not lock.is_file():  # another one might be waited for
+        return last
     try:
-        with open(sidecar_path(path, ".lock"), encoding="utf-8") as file:
+        with open(lock, encoding="utf-8") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except OSError:

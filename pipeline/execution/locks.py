@@ -28,7 +28,7 @@ def lock_archive(path: Path) -> Iterator[None]:
     BusyError
         If another run holds it.
     """
-    with open(sidecar_path(path, ".lock"), "a+", encoding="utf-8") as file:
+    with open(sidecar_path(path, ".journal-lock"), "a+", encoding="utf-8") as file:
         try:
             for _ in range(_TRIES):  # `status` holds it for a moment
                 with contextlib.suppress(BlockingIOError):

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from pipeline import terminal
+from pipeline.errors import unread
 from pipeline.execution import worker_process
 from pipeline.plan import costs
 from pipeline.plan.missing import Plan, Summary
@@ -249,9 +250,17 @@ def duration(seconds: float) -> str:
 
 
 def last_state(log: Path) -> dict[str, Any] | None:
-    """Last state in an event log, with `over` if the run ended; None if there is none."""
+    """Last state in an event log, with `over` if the run ended; None if there is none.
+
+    Raises
+    ------
+    ArchiveError
+        If the log cannot be read.
+    """
     is_over = None
     try:
+        if not log.is_file():  # another one might be waited for
+            return None
         with open(log, "rb") as file:
             for line in _lines_backwards(file):
                 try:
@@ -261,8 +270,8 @@ def last_state(log: Path) -> dict[str, Any] | None:
                         return {**event, "over": is_over}
                 except (ValueError, KeyError, TypeError):
                     continue
-    except OSError:
-        pass
+    except OSError as error:
+        raise unread(log, error) from error
     return None
 
 

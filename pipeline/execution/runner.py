@@ -15,7 +15,7 @@ from typing import Any
 
 from pipeline import dispatch, paths, terminal
 from pipeline.archive import read, result_tables, write
-from pipeline.archive.provenance import code_digest, cpu_features, version
+from pipeline.archive.provenance import check_same_study, code_digest, cpu_features, version
 from pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, reached_limit, unwritten
 from pipeline.execution import worker_process
 from pipeline.execution.account import Account
@@ -167,10 +167,12 @@ class StudyRun:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             _check_room(self.study, self.path)
-            self._resources.enter_context(lock_archive(self.path))
-            if self.path.exists():
-                read.check_replaceable(self.path)
+            read.check_replaceable(self.path)
             write.check_path(self.path)
+            paths.check_sidecars(self.path)
+            self._resources.enter_context(lock_archive(self.path))
+            if not self.options.fresh:
+                check_same_study(self.path, self.study)
             self.is_open = True
             if self.options.fresh:
                 forget(sidecar_path(self.path, ".journal"))

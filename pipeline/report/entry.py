@@ -55,7 +55,8 @@ def read(page: str) -> Entry | None:
 
 def read_all(folder: Path) -> dict[str, Entry]:
     """Read the entries of the pages in a folder, by file name; files that are not pages of a report are left out."""
-    entries = {path.name: read(path.read_text(encoding="utf-8", errors="replace")) for path in folder.glob("*.html")}
+    pages = [path for path in folder.glob("*.html") if path.is_file()]
+    entries = {path.name: read(path.read_text(encoding="utf-8", errors="replace")) for path in pages}
     return {name: entry for name, entry in entries.items() if entry is not None and name == f"{entry.slug}.html"}
 
 

@@ -22,8 +22,7 @@ import pandas as pd
 
 from pipeline import paths
 from pipeline.archive.citation import PAPER
-from pipeline.archive.read import damage
-from pipeline.errors import ArchiveError
+from pipeline.archive.read import blamed_if_damaged
 from pipeline.report import entry, html_tables, ledger, results
 from pipeline.report.figures import FIGURES, draw, starts
 from pipeline.report.figures.style import plain
@@ -34,6 +33,9 @@ _TEMPLATES, _SCRIPTS = Path(__file__).parent / "templates", Path(__file__).paren
 
 #: Modules of the script, each of which may call those before it.
 _MODULES = ("flight", "gaits", "address", "stage", "walker", "figures", "tables")
+
+#: How every page begins, whatever its title.
+_PAGE = rb"(?s)<!doctype html>.*img-src data:; script-src 'sha256-"
 
 #: Suffix of drafts, by which a report finds those of a killed one; random, so that no other file has it.
 _DRAFT = "0f880eeb4f27a9a9d8dbbd8e0c329cc6"
@@ -141,7 +143,7 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
 
 def _make(source: Source, slug: str) -> tuple[str, dict[str, str]]:
     """Text of the page of a study, and its data files by their names."""
-    with _readable(source.path):
+    with blamed_if_damaged(source.path):
         page = _page(source, slug)
         return _study(_environment(), page), page.files
 
@@ -158,18 +160,6 @@ def _in_processes(sources: list[Source], slugs: list[str]) -> dict[str, tuple[st
         ):
             return dict(zip(slugs, pool.map(_make, sources, slugs), strict=True))
     return dict(zip(slugs, map(_make, sources, slugs), strict=True))
-
-
-@contextlib.contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Turn an error over a damaged archive into an ArchiveError; any other is a bug and is raised as it is."""
-    try:
-        yield
-    except Exception as error:
-        problem = damage(path)
-        if not problem:
-            raise
-        raise ArchiveError(f"{path} is damaged: {problem}") from error
 
 
 @contextlib.contextmanager
@@ -197,6 +187,7 @@ def _combine(
     previous, current = entry.read_all(out), {name: entry.read(text) for name, text in texts.items()}
     keep = {name: record for name, record in previous.items() if name not in texts and not only} | current
     entries = sorted((record for record in keep.values() if record), key=lambda record: record.order)
+    _check_own(out, pages, {name for record in previous.values() for name in record.files})
     for slug, (page, files) in pages.items():
         for name, text in files.items():
             _publish(out / name, text)
@@ -206,14 +197,25 @@ def _combine(
         entry.remove(out, record, wanted)
     claims = ledger.families(entries)
     common = {"entries": entries, "ledger": claims, "tally": ledger.tally(claims), "signs": ledger.sign}
+    _publish(out / "ledger.html", environment.get_template("ledger.html").render(**common))
     if claims:
         _publish(out / "ledger.csv", _csv(ledger.table(claims)))
     else:
         (out / "ledger.csv").unlink(missing_ok=True)
-    _publish(out / "ledger.html", environment.get_template("ledger.html").render(**common))
     lines = next((record.lines for record in entries if record.lines), [])
     index = environment.get_template("index.html")
     _publish(out / "index.html", index.render(**common, thumbnails=_thumbnails(entries), lines=lines))
+
+
+def _check_own(out: Path, pages: dict[str, tuple[str, dict[str, str]]], listed: set[str]) -> None:
+    """Refuse to write over what no report has made: pages are known by their beginning, data by a page or heading."""
+    for name in (*pages, *_RESERVED):
+        paths.check_own(out / f"{name}.html", _PAGE)
+    if not (out / "ledger.html").exists():
+        paths.check_own(out / "ledger.csv", rb"(?!)")
+    for _, files in pages.values():
+        for name in files.keys() - listed:
+            paths.check_own(out / name, re.escape(files[name].partition("\n")[0].encode()))
 
 
 def _study(environment: jinja2.Environment, page: Page) -> str:

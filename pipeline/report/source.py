@@ -300,13 +300,14 @@ def read(path: Path) -> Source:
         outcomes = whole[[name for name in ("status", "reason") if name in whole]].load()
         grid = _thinned(whole).load()
         tables = {name: _table(dataset(file[name], **_AS_STORED).load(), grid) for name in archives.tables(file)}
+    with archives.blamed_if_damaged(path):
         provenance = json.loads(grid.attrs["provenance"])
         study = tomllib.loads(provenance["study"])
-    source = Source(path, grid, outcomes, tables, provenance, study, _run(path))
-    for table in tables.values():
-        # In a study of one walker of its own, tables call it `walker`.
-        if source.walker and "walker" in table and set(table["walker"]) == {"walker"}:
-            table["walker"] = source.walker
+        source = Source(path, grid, outcomes, tables, provenance, study, _run(path))
+        for table in tables.values():
+            # In a study of one walker of its own, tables call it `walker`.
+            if source.walker and "walker" in table and set(table["walker"]) == {"walker"}:
+                table["walker"] = source.walker
     return source
 
 
@@ -340,8 +341,9 @@ def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
 
 def _run(path: Path) -> dict[str, Any]:
     """The record of the run, from the file next to the archive; empty if there is none."""
+    record = sidecar_path(path, ".run.json")
     try:
-        fields = json.loads(sidecar_path(path, ".run.json").read_text())
-    except (OSError, ValueError):
+        fields = json.loads(record.read_text()) if record.is_file() else {}
+    except (OSError, ValueError, RecursionError):
         return {}
     return fields if isinstance(fields, dict) else {}

@@ -18,7 +18,7 @@ from urllib.parse import quote
 from pipeline import paths
 from pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
 from pipeline.store import rows, salvage
-from pipeline.store.segment import SUFFIX, Segment
+from pipeline.store.segment import MAGIC, SUFFIX, Segment
 
 _APPLICATION_ID = 0x67735733  # in the header of a journal of this format
 _EARLIER_IDS = (0x67735732,)
@@ -27,6 +27,16 @@ PAGE, LARGE_PAGE = 4096, 32768  # page sizes [byte]
 _HARMLESS = ("PERM", "BUSY", "LOCKED", "NOMEM", "READONLY", "PROTOCOL", "CANTOPEN", "AUTH")
 _NOT_THE_FILE = tuple(getattr(sqlite3, f"SQLITE_{name}") for name in _HARMLESS)
 _READ_ERRORS = (sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_CORRUPTFS)
+
+
+#: Files of a journal, and how those of SQLite begin, which it writes over and removes.
+_BEGINNINGS = {
+    "": b"",
+    "-wal": rb"\x37\x7f\x06[\x82\x83]",
+    "-shm": rb"\x18\xe2\x2d\x00|\x00\x2d\xe2\x18",
+    "-journal": rb"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7",
+    SUFFIX: MAGIC,
+}
 
 
 class CorruptJournalError(ArchiveError):
@@ -72,6 +82,8 @@ def connect(path: Path | None, write: bool = True, page: int = 0, check: bool = 
             raise sqlite3.DatabaseError("malformed")
     except BaseException:
         db.close()
+        if page and path:  # half of a journal is none
+            _remove(path)
         raise
     return db
 
@@ -84,7 +96,10 @@ def is_ours(path: Path) -> bool:
     ArchiveError
         If there is another file, or a journal of an earlier version.
     """
-    if not path.exists() or not path.stat().st_size:
+    is_there = path.exists() and path.stat().st_size > 0
+    for suffix, beginning in _BEGINNINGS.items():  # beside a journal, what bears its name belongs to it
+        paths.check_own(path.with_name(path.name + suffix), b"" if is_there else beginning)
+    if not is_there:
         return False
     mark = _mark(path)
     if mark in _EARLIER_IDS:
@@ -211,7 +226,11 @@ def raise_for(error: Exception, path: Path) -> NoReturn:
     # SQLite also reports a full disk as an input or output error, as it does a folder in place of its log.
     is_output_error = code & 0xFF == sqlite3.SQLITE_IOERR and code not in _READ_ERRORS
     cannot_open = code & 0xFF == sqlite3.SQLITE_CANTOPEN
-    cause = shortage(error, path.parent) if is_output_error or cannot_open or isinstance(error, OSError) else None
+    cause = (
+        shortage(error, path, path.with_name(path.name + "-wal"))
+        if is_output_error or cannot_open or isinstance(error, OSError)
+        else None
+    )
     if code == sqlite3.SQLITE_FULL or (cause and is_disk_full(cause)):
         raise DiskFullError(f"The disk is full: {path} cannot grow; finished results are kept.") from error
     if cause:

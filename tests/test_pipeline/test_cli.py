@@ -222,7 +222,7 @@ def test_a_folder_that_cannot_be_written_is_said(toy):
     assert "cannot be written" in toy("run", "toy.toml", expect=2).stderr
 
 
-@pytest.mark.parametrize("suffix", [".journal", ".journal-chunks", ".lock", ".events.jsonl", ".nc"])
+@pytest.mark.parametrize("suffix", [".journal", ".journal-chunks", ".journal-lock", ".events.jsonl", ".nc"])
 def test_a_folder_in_the_place_of_a_file_is_named(toy, suffix):
     (toy.folder / "data" / "archive" / f"toy{suffix}").mkdir(parents=True)
     (said,) = toy("run", "toy.toml", "--quiet", expect=2).stderr.splitlines()
@@ -375,7 +375,7 @@ def test_a_run_is_not_refused_by_a_look_at_its_state(toy):
     """`status` holds the lock for a moment, and it still names the last run."""
     toy("run", "toy.toml", "--quiet")
     path = toy.folder / "data" / "archive" / "toy.nc"
-    with sidecar_path(toy, ".lock").open() as file:
+    with sidecar_path(toy, ".journal-lock").open() as file:
         fcntl.flock(file, fcntl.LOCK_SH)
         timer = threading.Timer(0.1, fcntl.flock, (file, fcntl.LOCK_UN))
         timer.start()
@@ -496,7 +496,7 @@ def refused(toy):
         toy.write(STUDY.replace('"toy"', f'"{name}"').replace("n = 200", "n = 20"), f"{name}.toml")
     toy.write("nonsense = 1", "wrong.toml")
     (folder / "foreign.journal").write_text("not ours")
-    lock = (folder / "busy.lock").open("w")
+    lock = (folder / "busy.journal-lock").open("w")
     fcntl.flock(lock, fcntl.LOCK_EX)
     return lock, [f"{name}.toml" for name in ("a", "wrong", "busy", "foreign", "z")]
 

@@ -111,7 +111,7 @@ def test_a_study_that_is_refused_does_not_end_a_list_on_a_cluster(toy):
     folder.mkdir(parents=True)
     for name in ("busy", "z"):
         toy.write(STUDY.replace('"toy"', f'"{name}"').replace("n = 200", "n = 20"), f"{name}.toml")
-    with (folder / "busy.lock").open("w") as lock:
+    with (folder / "busy.journal-lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         said = toy("run", "busy.toml", "z.toml", "--cluster", "local:2", expect=5).stderr
     assert ": converged 40; not run to the end: busy.toml" in said and (folder / "z.nc").exists()

@@ -356,8 +356,9 @@ def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypat
 
 @pytest.mark.parametrize(("full", "error"), [(False, ArchiveError), (True, DiskFullError)])
 def test_a_log_that_cannot_be_written_is_a_full_disk_only_if_it_is_one(tmp_path, monkeypatch, full, error):
-    """A folder in its place, say."""
+    """A folder that came into its place, say."""
     (tmp_path / "j-wal").mkdir()
+    monkeypatch.setattr(journal_file, "is_ours", lambda path: False)
     monkeypatch.setattr(journal_file, "shortage", lambda *_: OSError(errno.ENOSPC, "full") if full else None)
     with pytest.raises((ArchiveError, DiskFullError)) as raised:
         Journal(tmp_path / "j")

@@ -262,7 +262,7 @@ def test_drafts_are_removed_once_their_process_is_gone(tmp_path):
     others = [paths.of(tmp_path / "toy.nc", alive), paths.of(tmp_path / "toy2.nc", gone), tmp_path / "toy.nc.tmp.5"]
     for file in (*mine, *others):
         file.touch()
-    (tmp_path / "toy.lock").write_text(json.dumps({"pid": 1, "host": "here", "started": "now", "drafts": gone}))
+    (tmp_path / "toy.journal-lock").write_text(json.dumps({"pid": 1, "host": "here", "started": "now", "drafts": gone}))
     with runner.lock_archive(path):
         assert not [file for file in mine if file.exists()] and all(file.exists() for file in others)
         paths.of(path).touch()
@@ -270,7 +270,7 @@ def test_drafts_are_removed_once_their_process_is_gone(tmp_path):
             pass
         assert paths.of(path).exists()
     for text in ("", "[]", '{"drafts": 3}', '{"drafts": "../toy2.nc"}', "\0\xff"):
-        (tmp_path / "toy.lock").write_text(text)
+        (tmp_path / "toy.journal-lock").write_text(text)
         with runner.lock_archive(path):
             assert all(file.exists() for file in others)
 
