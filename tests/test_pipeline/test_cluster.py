@@ -168,6 +168,7 @@ def test_a_worker_of_other_code_is_refused(toy, cluster, tmp_path):
     assert said.count("\n") == 1 and "has code of `tasks` " in said and "; the run has " in said
 
 
+@pytest.mark.filterwarnings("ignore:Couldn't detect a suitable IP address")  # there may be no network
 def test_a_cluster_that_shrinks_loses_no_job(monkeypatch):
     """Of eight workers one is left: what was submitted is more than it should have waiting."""
     import distributed
