@@ -4,6 +4,7 @@ import importlib.metadata
 import itertools
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -107,6 +108,16 @@ def test_what_is_locked_needs_nothing_else_in_any_python(python):
         if not requirement.marker or requirement.marker.evaluate(environment)
     }
     assert {"numpy", "pyyaml"} < needed <= set(PINNED)
+
+
+def test_a_machine_without_python_is_told_in_a_line(tmp_path):
+    folder = tmp_path / "with spaces"
+    folder.mkdir()
+    for name in ("Makefile", "pyproject.toml", "requirements.lock"):
+        shutil.copy(ROOT / name, folder)
+    done = subprocess.run(["make", "--silent", "setup", "PYTHON=false"], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("gaitsweep needs Python 3.11 or later, with pip and venv: ")
+    assert not (folder / ".venv").exists()
 
 
 def test_arrays_are_named_in_docstrings_of_the_public_face():
