@@ -74,8 +74,8 @@ tiers: $(COMPLETE)
 
 # Write the lock anew from the ranges in pyproject.toml, for every Python that it allows.
 lock:
-	$(BIN)/uv pip compile --quiet --universal --generate-hashes --all-extras --group setup --no-header --no-annotate \
-	  $(INDEX) --output-file requirements.lock pyproject.toml
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --all-extras --group setup \
+	  --no-header --no-annotate $(INDEX) --output-file requirements.lock pyproject.toml
 
 clean:
 	rm -rf .venv mutants data/archive
