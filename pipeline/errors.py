@@ -61,7 +61,7 @@ def shortage(error: BaseException, *files: Path) -> OSError | None:
     """
     import tempfile
 
-    if isinstance(error, OSError) and is_shortage(error):
+    if isinstance(error, OSError) and _is_shortage(error):
         return error
     if limit := reached_limit(error):
         return limit
@@ -72,11 +72,11 @@ def shortage(error: BaseException, *files: Path) -> OSError | None:
             while (n := file.tell() - start) < _LITTLE:
                 file.write(bytes(_LITTLE - n))
     except OSError as failure:
-        return failure if is_shortage(failure) else None
+        return failure if _is_shortage(failure) else None
     return None
 
 
-def is_shortage(error: OSError) -> bool:
+def _is_shortage(error: OSError) -> bool:
     """Whether the operating system reports a lack of space, files, processes or memory."""
     return is_disk_full(error) or error.errno in (*_LIMITS, errno.EFBIG)
 

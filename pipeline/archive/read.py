@@ -141,6 +141,8 @@ def _damage(file: Any) -> Iterator[str]:
                     yield f"`{name}` is not as it was written."
             except (IndexError, KeyError):
                 yield f"`{name}` is missing."
+            except LookupError:  # text of an unknown encoding
+                yield f"`{name}` is not as it was written."
     except MemoryError:
         raise
     except Exception as error:

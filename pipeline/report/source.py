@@ -71,7 +71,7 @@ class Line:
     command: str
 
     def curves(self, *variables: str) -> Iterator[pd.DataFrame]:
-        """Yield a frame for each piece of a branch: `slope`, the variables, the state, `stable` (1, 0 or NaN) and `gait`.
+        """Yield a frame for each piece of a branch: `slope`, variables, state, `stable` (1, 0 or NaN) and `gait`.
 
         Labels jump from branch to branch, and a branch passes a slope once on each side of a fold: curves follow
         pieces, and `gait` is the label of each point. Slopes at which the piece has no gait are kept, as NaN, so that

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.polynomial import polyfromroots
 
 from tasks.mechanics.contact import THIGH, Chain, total
 from tasks.registry import VARIABLES, VIOLATIONS
@@ -26,7 +27,13 @@ _FURTHER_PEAKS = 2
 #: Samples on either side of one, through which a polynomial locates extremes: its error is below 1e-13 on common steps.
 _SIDE = 5
 #: Its coefficients, in places over `_SIDE`, by the values there.
-_POWERS = np.linalg.inv(np.vander(np.arange(-_SIDE, _SIDE + 1) / _SIDE, increasing=True))
+_PLACES = np.arange(-_SIDE, _SIDE + 1.0)
+_POWERS = np.array(
+    [
+        polyfromroots(others := np.delete(_PLACES, k)) / np.prod(place - others) * _SIDE ** np.arange(len(_PLACES))
+        for k, place in enumerate(_PLACES)
+    ]
+).T
 
 
 @dataclass(frozen=True)

@@ -56,9 +56,9 @@ def test_flags_are_words_and_multipliers_complex(mine):
     assert set(np.unique(found.status)) <= {"converged", "no_gait"}
     assert (np.isfinite(found.stance_angle) == (found.status == "converged")).all()
     assert all(text.endswith(".") for text in found.reason.values.ravel())
-    # Legs of a point-foot walker scuff when they are parallel: the paper ignores it, the archive says so.
-    assert found.violations.dtype == bool
-    assert found.violations.sel(violation="scuff").where(found.status == "converged", True).all()
+    # Legs of a point-foot walker scuff when they are parallel, at small slopes by less than the limit.
+    scuff = found.violations.sel(violation="scuff")
+    assert scuff.dtype == bool and not scuff.isel(slope=0).any() and scuff.isel(slope=-1).any()
     radius = np.abs(found.multipliers).max("multiplier")
     np.testing.assert_array_equal(radius.fillna(-1), found.spectral_radius.fillna(-1))
 

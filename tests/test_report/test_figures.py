@@ -234,7 +234,7 @@ def test_a_bifurcation_diagram_of_many_lines_says_how_many_it_draws(tmp_path, li
     assert ("6 of 9 lines are drawn." in sketch.caption) == (lines == 9)
 
 
-def test_two_branches_of_one_label_have_two_colours_and_the_legend_calls_both_by_it(tmp_path):
+def test_branches_of_one_label_have_its_colour_and_one_entry_in_the_legend(tmp_path):
     slope = np.linspace(0.01, 0.05, 30)
     rows = {"branch": np.repeat([0, 1], 30), "slope": np.tile(slope, 2), "stance_angle": np.append(slope, 2 * slope)}
     text = 'name = "b"\nkind = "branch"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
@@ -243,7 +243,7 @@ def test_two_branches_of_one_label_have_two_colours_and_the_legend_calls_both_by
     keys = {
         line.get_color(): words.get_text() for line, words in zip(legend.get_lines(), legend.get_texts(), strict=True)
     }
-    assert keys == {GAIT_COLOURS["long"]: "long step", GAIT_COLOURS["short"]: "long step"}
+    assert keys == {GAIT_COLOURS["long"]: "long step"}
 
 
 @pytest.mark.parametrize(("key", "own"), [("R", True), ("foot_mass_ratio", False)])

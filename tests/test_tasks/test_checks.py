@@ -61,9 +61,9 @@ def test_a_branch_of_few_nodes_is_mended():
     mended = run(problem, checked(few, few.Z[0]))
     assert mended.why == branch.why and len(mended.Z) > len(few.Z)
     assert not run(problem, checks._failing(mended)).any()
-    # What was inserted lies on the branch.
+    # What was inserted lies on the branch, whose nodes are apart by up to the root of two.
     for Z in mended.Z:
-        assert np.abs(branch.Z - Z).max(axis=1).min() < 0.5
+        assert np.abs(branch.Z - Z).max(axis=1).min() < 0.75
 
 
 @pytest.mark.parametrize("x", [[-0.3, -0.2, -0.1, 0.0, 4e-8, 0.1, 0.2], [-0.3, -0.2, -4e-8, 0.0, 0.1, 0.2, 0.3]])

@@ -55,11 +55,12 @@ def test_a_worker_compiles_the_other_flow_while_one_is_compiled_elsewhere(anothe
 
 def test_a_cache_that_another_process_is_making_is_not_taken_for_damaged(another, monkeypatch, tmp_path):
     """It was removed, and each process kept what it compiled in a file that the others did not see."""
-    monkeypatch.setattr(compile_cache, "hy", Mock())
+    monkeypatch.setitem(sys.modules, "heyoka", Mock())
+    monkeypatch.setattr(compile_cache, "usable_folder", lambda: tmp_path)
     looked = threading.Event()
     monkeypatch.setattr(compile_cache, "_is_intact", lambda folder: looked.set() or True)
     with another("") as maker:
-        opens = threading.Thread(target=compile_cache.use, args=(tmp_path,))
+        opens = threading.Thread(target=compile_cache.use)
         opens.start()
         assert not looked.wait(0.2)
         maker.communicate()

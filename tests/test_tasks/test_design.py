@@ -96,7 +96,7 @@ def test_a_gait_on_the_edge_but_for_rounding_is_in_the_window():
     """Its smallest slope was listed, beside `no gait` for what it never is: stable."""
     window = (np.log(0.01), np.log(0.02))
     rows = _Rows(1)
-    rows.store(None, np.zeros(1, int), place(np.nextafter(window[0], -np.inf)), window, surveyed=1)
+    rows.store(branches("D")[0], np.zeros(1, int), place(np.nextafter(window[0], -np.inf)), window, surveyed=1)
     assert rows.kind["smallest_slope"].tolist() == ["window"]
     assert rows.kind["largest_stable_slope"].tolist() == ["never stable"]
 

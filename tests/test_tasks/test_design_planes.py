@@ -161,7 +161,7 @@ def test_designs_unlike_any_surveyed_line_are_not_accepted(made):
 
 def test_a_dropped_manifold_is_found_again(made):
     family, right = made("A")
-    surveyor = _Surveyor(family, right.box, WINDOW)
+    surveyor = _Surveyor(family, right.box, WINDOW, [])
     surveyor.survey(right.box.unit(np.array([[0.46, 0.1], [0.47, 0.9], [0.64, 0.05]])))
     surveyor.manifolds = list(right.manifolds)
     assert not surveyor.missing(rivals=False)

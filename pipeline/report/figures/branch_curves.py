@@ -118,7 +118,7 @@ def locus(source: Source) -> Sketch | None:
     return Sketch(
         figure,
         "Solution branches",
-        "Stance angle along each solution branch, continued through folds to its ends. The colour is that of the gait's "
+        "Stance angle along each solution branch, continued through folds to its ends. The colour tells the gait's "
         "label: a gait is long if the legs' rates differ by less than half the stance rate just before heelstrike. "
         "Filled marks: branch ends."
         + (_NUMBERED if numbered else "")

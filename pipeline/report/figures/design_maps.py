@@ -84,7 +84,7 @@ def design(source: Source) -> Sketch | None:
     return Sketch(
         figure,
         "Design map",
-        f"The smallest slope with a gait, the largest slope with a stable gait, and the speed over √(gl) of the fastest "
+        "The smallest slope with a gait, the largest slope with a stable gait, and the speed over √(gl) of the fastest "
         f"stable gait, over {down} and {along}.{circles} Blank: no such gait." + rows_caption(several, every),
         f"Heat maps over {along} and {down}: "
         + "; ".join(f"{c.replace('_', ' ')} from {plain(table[c].min())} to {plain(table[c].max())}" for c in _SHOWN)

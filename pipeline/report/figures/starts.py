@@ -212,7 +212,7 @@ def cells(
 
 
 def _fields(columns: Mapping[str, np.ndarray], knees: bool, maps: int) -> dict[str, Any]:
-    """The numbers of a map's cells: 8 digits of slope and angle, 5 of rates, which Newton's method finds, 7 of others."""
+    """The numbers of a map's cells: 8 digits of slope and angle, 5 of rates, which Newton finds, 7 of others."""
     angle, wanted = columns.get("stance_angle"), {}
     for name, values in columns.items():
         if name in START[2:]:
