@@ -64,7 +64,8 @@ def design(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         continues to vanishing slopes) and smallest_at, the event there; largest_stable_slope and stability_lost_by;
         fastest_stable_speed, its fastest_froude_speed and fastest_slope; the state of the gait of each of the three
         quantities, and a bound on the relative error of each; and surveyed, whether the line of the design was. Only
-        gaits in the window count, and its edge is called `window`. Numbers are NaN where there is `no gait`, or where it is `never stable`.
+        gaits in the window count, and its edge is called `window`. Numbers are NaN where there is `no gait`, or where
+        it is `never stable`.
 
     Notes
     -----

@@ -2,7 +2,7 @@
 
 A quantity is smooth over a map but for a few curves. Cells are predicted from those around them, on ever finer
 lattices, by polynomials of degree five, and only what a prediction misses is written: whole numbers, most of them zero.
-So a map of 40,000 cells has 8 digits of every number in some 12 kilobytes. `readField` in scripts/address.js reads them.
+So a map of 40,000 cells has 8 digits of a number in some 12 kilobytes. `readField` in scripts/address.js reads them.
 """
 
 from __future__ import annotations
