@@ -25,6 +25,8 @@ _SLOWEST, _FASTEST = -0.7, -4.0
 _SWING_RATIO = (-1.6, 1.6)
 #: Solutions closer than this in similarity coordinates are the same, and after a coarse iteration.
 _SAME, _SAME_COARSE = 1e-5, 1e-3
+#: Newton steps of a guess, by the number of phases of a step: with a free knee they are dear, and few converge late.
+_MAX_STEPS = {1: 25, 2: 15}
 #: Deflated Newton: iterations of a guess, passes over all guesses, largest last step of a converging guess, and its
 #: smallest distance from known solutions.
 _MAX_ITERATIONS, _PASSES, _CONVERGING, _MIN_DISTANCE = 15, 3, 1e-3, 1e-2
@@ -169,7 +171,7 @@ def _solve(problem: Problem, w: np.ndarray, slope: float) -> tuple[np.ndarray, n
     """Distinct fixed points, how many guesses led to each, and how many converged at all."""
     q = np.log(slope)
     # All guesses are iterated coarsely, and only distinct results exactly.
-    coarse = newton(problem, w, np.full(w.shape[1], q), coarse=True)
+    coarse = newton(problem, w, np.full(w.shape[1], q), coarse=True, max_iterations=_MAX_STEPS[problem.phases])
     found = coarse.w[:, coarse.converged]
     w, hits = _merge(found, np.ones(found.shape[1], int), _SAME_COARSE)
     exact = newton(problem, w, np.full(w.shape[1], q))

@@ -24,8 +24,8 @@ from tasks.walkers.walker_array import WalkerArray
 
 #: Step of the central differences.
 _DIFFERENCE = 1e-5
-#: Newton steps from a guess; a row is taken by differences again where a step shrinks by less than this factor.
-_MAX_STEPS, _MIN_SHRINKING = 12, 0.5
+#: Newton steps from a guess.
+_MAX_STEPS = 12
 #: Newton step after which a point that only leads to others is accurate enough.
 _ENOUGH = 1e-7
 #: A point that moves farther than this is another one.
@@ -409,9 +409,10 @@ def solve(
         Z[:, active[alive]] += polish.change[:, alive]
         done = alive & ((now <= np.maximum(polish.rounding, _ENOUGH * quick)) | ((now < 1e-7) & (now > 0.3 * before)))
         error[active[done]] = (polish.rounding + 2 * now)[done]
-        slow = active[alive & ~done & (now > _MIN_SHRINKING * before)]
-        if len(slow):
-            rows[:, slow], change[:, slow] = gradient(problem.some(slow), kind, Z[:, slow]), 0.0
+        # Where a step has grown, the row misleads.
+        grown = active[alive & ~done & (now > before)]
+        if len(grown):
+            rows[:, grown], change[:, grown] = gradient(problem.some(grown), kind, Z[:, grown]), 0.0
         active = active[alive & ~done]
         if not len(active):
             break

@@ -15,8 +15,6 @@ from tasks.step.step_map import Stride, matvec
 LONGEST_PERIOD = 12.0
 #: Newton steps an initial guess may take; one that converges takes 2 to 8.
 _MAX_ITERATIONS = 25
-#: The same for coarse integration: what is not near a gait by then hardly ever converges.
-_MAX_COARSE_ITERATIONS = 15
 
 #: Differences by which Lipschitz constants are estimated, in turn, until the derivative changes over one by no more
 #: than this, relative: steps that almost end in a fall are far more curved than others.
@@ -59,6 +57,7 @@ def newton(
     w: np.ndarray,
     log_slope: np.ndarray,
     coarse: bool = False,
+    max_iterations: int = _MAX_ITERATIONS,
     max_step_by_iteration: Sequence[float] = (1e6,),
     merge_cell: float = 0.0,
     group: np.ndarray | None = None,
@@ -73,6 +72,7 @@ def newton(
         ln of the slope in rad.
     coarse : bool
         Only to the search's tolerance.
+    max_iterations : int
     max_step_by_iteration : sequence of float
         Size of the first, second, ... Newton step that ends a lane's search; the last holds for all that follow.
     merge_cell : float
@@ -89,7 +89,7 @@ def newton(
     converged = np.zeros(n, bool)
     active = np.arange(n)
     last = np.full(n, np.inf)
-    for taken in range(_MAX_COARSE_ITERATIONS if coarse else _MAX_ITERATIONS):
+    for taken in range(max_iterations):
         if not len(active):
             break
         stride, _ = problem.some(active).stride(w[:, active], log_slope[active], coarse=coarse)

@@ -15,6 +15,8 @@ from tasks.step.step_map import Stride
 from tasks.step.verify_step import StepCheck
 from tasks.walkers.walker import Walker
 
+#: Coarse Newton steps of a guess: what is not near a gait by then hardly ever converges.
+_MAX_ITERATIONS = 15
 #: Guesses whose first, second, ... Newton step is larger are given up: hardly one converges, and others reach its gait.
 #: By the number of phases of a step.
 _MAX_STEP_BY_ITERATION = {1: (20.0, 20.0, 10.0, 6.0), 2: (20.0, 6.0, 4.0, 3.0)}
@@ -132,9 +134,9 @@ def search_lines(problem: Lanes, slopes: Sequence[float], shares: int = 1) -> li
         result = newton(lanes, w, log_slope[group % len(slopes)], group=group, **options)
         return _distinct(result.w[:, result.converged], group[result.converged], apart)
 
-    limits = _MAX_STEP_BY_ITERATION[problem.phases]
+    limits = {"max_iterations": _MAX_ITERATIONS, "max_step_by_iteration": _MAX_STEP_BY_ITERATION[problem.phases]}
     # Only what converges with coarse integration is integrated exactly.
-    w, group = solve(w, group, 1e-3, coarse=True, max_step_by_iteration=limits, merge_cell=_MERGE_CELL)
+    w, group = solve(w, group, 1e-3, coarse=True, merge_cell=_MERGE_CELL, **limits)
     w, group = solve(w, group, 1e-5)
     return [[w[:, group == i + len(slopes) * line] for line in lines] for i in range(len(slopes))]
 

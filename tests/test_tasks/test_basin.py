@@ -163,6 +163,19 @@ def test_gaits_of_steep_slopes_are_found():
         assert (found["census/hits"] > 1).all()
 
 
+def test_only_distinct_results_of_the_census_are_integrated_exactly(monkeypatch):
+    exact = []
+
+    def counted(problem, w, log_slope, coarse=False, **options):
+        exact.extend([] if coarse else [w.shape[1]])
+        return newton(problem, w, log_slope, coarse, **options)
+
+    monkeypatch.setattr(count_gaits, "newton", counted)
+    found = census({"line": {"walker": "D", "set": {}}, "slope": np.array([0.01]), "starts": 1000}, [])
+    assert len(found["census/slope"]) == 2 and found["coverage/converged"][0] > 20
+    assert exact and max(exact) < 10
+
+
 def test_deflation_leads_to_the_gait_that_plain_newton_misses():
     """One start of thirty strikes at all; plain Newton takes it to one gait of E, deflated Newton to the other."""
     found = census({"line": {"walker": "E", "set": {}}, "slope": np.array([0.01]), "starts": 30}, [])

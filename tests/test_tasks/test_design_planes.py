@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tasks.continuation import extremes
+from tasks.continuation import defining, extremes
 from tasks.continuation.atlas import survey_lines
 from tasks.continuation.defining import SCALARS, evaluate, gradient, log_froude, scalar, solve
 from tasks.continuation.extremes import Points, best, find
@@ -387,6 +387,33 @@ def test_a_row_of_differences_is_the_derivative():
     for kind in ("flip", "fold", "neimark_sacker", "fastest", "end_tangential_heelstrike", "speed"):
         there, here = (scalar(kind, evaluate(problem, Z + sign * move))[0] for sign in (1, -1))
         assert there - here == pytest.approx(2 * float(gradient(problem, kind, Z)[:, 0] @ move[:, 0]), rel=1e-4)
+
+
+def test_a_stale_row_is_brought_up_to_date_without_differences(monkeypatch):
+    problem = lanes("A", detuning=0.3, m_h=0.5)
+    points = find(problem, survey_lines(problem, COARSE), WINDOW)
+    flip = points.some(np.flatnonzero((points.kind == "flip") & points.walks)[:1])
+    differences = []
+    monkeypatch.setattr(defining, "gradient", lambda *_: differences.append(1))
+    solved = solve(problem, "flip", flip.Z + 1e-4, rows=1.2 * flip.rows)
+    assert solved.ok.all() and not differences
+    assert np.abs(solved.Z - flip.Z).max() <= (solved.error + flip.error)[0]
+
+
+def test_halves_of_a_box_keep_its_surveyed_lines(monkeypatch):
+    surveyed = []
+    monkeypatch.setattr(landscapes, "survey_lines", lambda problem, _: surveyed.append(len(problem.lanes)))
+    monkeypatch.setattr(landscapes, "find", lambda problem, *_: extremes.nothing(problem, 0))
+    walker, keys = PLANES["A"]
+    family = Family.of({"walker": walker, "set": {}}, tuple(keys))
+    box, lines = Box(tuple(keys), *zip(*keys.values(), strict=True), log=True), []
+    _Surveyor(family, box, WINDOW, lines).begin()
+    for half in box.halves(0):
+        surveyor = _Surveyor(family, half, WINDOW, lines)
+        surveyor.begin()
+        assert len(surveyor.unit) >= 11 and len(set(surveyor.nodes.tolist())) == 9
+        assert np.abs(surveyor.unit[surveyor.nodes]).max() <= 1 + 1e-12
+    assert surveyed[0] == 11 and len(surveyed) == 3 and max(surveyed[1:]) <= 5
 
 
 def test_a_point_that_is_lost_is_refused():
