@@ -138,17 +138,11 @@ def _exponents(means: np.ndarray, lane_slope: np.ndarray, strides: int) -> Array
 def _iterate(problem: Problem, y: np.ndarray, slope: np.ndarray, options: Mapping[str, Any]) -> Arrays:
     """Transient and kept steps of some lanes; those that fall leave the batch."""
     n, strides, shown = y.shape[1], int(options["steps"]), min(int(options["shown"]), int(options["steps"]))
-    steps, outcome = np.zeros(n, int), np.full(n, STRUCK)
     rows = np.full((shown, len(_SHOWN), n), np.nan)
     means = np.full((_BLOCKS, problem.m, n), np.nan)
-    lanes = np.arange(n)
-    for _ in range(int(options["transient"])):
-        result = stride(problem, y, slope[lanes], exact=False)
-        walks = result.outcome == STRUCK
-        outcome[lanes], steps[lanes[walks]] = result.outcome, steps[lanes[walks]] + 1
-        y, lanes = result.image[:, walks], lanes[walks]
-        if not len(lanes):
-            break
+    y, steps, outcome = _settle(problem, y, slope, int(options["transient"]))
+    lanes = np.flatnonzero(outcome == STRUCK)
+    y = y[:, lanes]
     growth = Exponents.begin(problem.m, len(lanes), _BLOCKS)
     for k in range(strides if len(lanes) else 0):
         result = stride(problem, y, slope[lanes])
@@ -167,6 +161,37 @@ def _iterate(problem: Problem, y: np.ndarray, slope: np.ndarray, options: Mappin
             rows[k - strides + shown][:, lanes] = _step(problem, before, y, result.times[:, walks], slope[lanes])
     means[:, :, lanes] = growth.means()
     return {"rows": rows, "steps": steps, "outcome": outcome, "means": means}
+
+
+def _settle(
+    problem: Problem, y: np.ndarray, slope: np.ndarray, transient: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States of some lanes (m, n) after the transient, the steps they took, and their outcomes.
+
+    Notes
+    -----
+    An orbit that settles on a gait repeats in the end to the last bit, for the state after a step depends on nothing
+    but the state before it. Of an orbit found to repeat whole periods are left out. Each state is compared with the
+    one after the last power of two steps (R. P. Brent, BIT 20 (1980) 176-184).
+    """
+    n = y.shape[1]
+    final, steps, outcome = np.full(y.shape, np.nan), np.full(n, transient), np.full(n, STRUCK)
+    lanes, last, seen, seen_at = np.arange(n), np.full(n, transient), y, 0
+    for k in range(1, transient + 1):
+        result = stride(problem, y, slope[lanes], exact=False)
+        walks = result.outcome == STRUCK
+        outcome[lanes], steps[lanes[~walks]] = result.outcome, k - 1
+        y, seen, last, lanes = result.image[:, walks], seen[:, walks], last[walks], lanes[walks]
+        repeats = (y == seen).all(axis=0) & (last == transient)
+        last[repeats] = k + (transient - k) % (k - seen_at)
+        ends = last == k
+        final[:, lanes[ends]] = y[:, ends]
+        y, seen, last, lanes = y[:, ~ends], seen[:, ~ends], last[~ends], lanes[~ends]
+        if not len(lanes):
+            break
+        if k == max(1, 2 * seen_at):
+            seen, seen_at = y, k
+    return final, steps, outcome
 
 
 def _step(problem: Problem, y: np.ndarray, image: np.ndarray, times: np.ndarray, slope: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from tasks.continuation.cycles import (
     Cycle,
     Path,
     Test,
-    at_slope,
+    all_at_slope,
     doubled,
     flip_test,
     fold_test,
@@ -87,8 +87,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         families: list[list[_Event]] = []
         reasons: list[str] = []
         for start in _first_gaits(problem, inputs[0], slope, int(number), int(options["starts"])):
-            family, stopped = _follow_family(problem, start, slope, int(options["periods"]))
-            if not any(_is_same_birth(family, other) for other in families):
+            family, stopped = _follow_family(problem, start, slope, int(options["periods"]), families)
+            if stopped is not None:
                 families.append(family)
                 reasons.append(stopped)
         if not families:
@@ -154,15 +154,9 @@ def _spread_around(cycle: Cycle) -> np.ndarray:
     return cycle.Y[:, steps] * (1 + _SPREAD * (2 * r_sequence(len(cycle.Y), _ORBITS) - 1))
 
 
-def _is_same_birth(a: list[_Event], b: list[_Event]) -> bool:
-    """Whether two families are the two sides of one fold."""
-    return bool(
-        a
-        and b
-        and a[0].kind == b[0].kind == "fold"
-        and abs(a[0].cycle.q - b[0].cycle.q) < 1e-9
-        and _distance(a[0].cycle, b[0].cycle) < 1e-4
-    )
+def _is_same(a: _Event, b: _Event) -> bool:
+    """Whether two folds are one."""
+    return a.kind == b.kind and abs(a.cycle.q - b.cycle.q) < 1e-9 and _distance(a.cycle, b.cycle) < 1e-4
 
 
 def _first_gaits(problem: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Cycle]:
@@ -219,16 +213,12 @@ def search_cycles(problem: Problem, branches: list[Branch], slope: float, n: int
     # The first step maps all initial conditions onto the strongly contracted image of the map.
     distance = np.abs(Y[n + 1] - Y[1]).max(axis=0)
     cycles: list[Cycle] = []
-    for lane in np.argsort(distance, kind="stable")[:60]:
-        cycle = at_slope(
-            problem,
-            np.array([Y[i][:, lane] for i in range(1, n + 1)]).T,
-            np.array([times[i][:, lane] for i in range(1, n + 1)]).T,
-            slope,
-        )
-        if not cycle.ok or not _is_period_exact(cycle) or not really_walks(problem, cycle):
+    nearest = np.argsort(distance, kind="stable")[:60]
+    sections, strikes = (np.stack(a[1 : n + 1], axis=1)[..., nearest] for a in (Y, times))
+    for cycle in all_at_slope(problem, sections, strikes, slope):
+        if not cycle.ok or not _is_period_exact(cycle) or any(_distance(cycle, other) <= 1e-7 for other in cycles):
             continue
-        if all(_distance(cycle, other) > 1e-7 for other in cycles):
+        if really_walks(problem, cycle):
             cycles.append(cycle)
     return sorted(cycles, key=lambda c: float(np.abs(c.multipliers()[0])))
 
@@ -242,8 +232,13 @@ def _distance(a: Cycle, b: Cycle) -> float:
     return min(float(np.abs(a.Y - np.roll(b.Y, k, axis=1)).max()) for k in range(b.period))
 
 
-def _follow_family(problem: Problem, start: Cycle, slope: np.ndarray, longest: int) -> tuple[list[_Event], str]:
-    """A family's fold, then its flips, switching at each to the branch of twice the period; and why no more follow."""
+def _follow_family(
+    problem: Problem, start: Cycle, slope: np.ndarray, longest: int, others: Sequence[list[_Event]] = ()
+) -> tuple[list[_Event], str | None]:
+    """A family's fold, then its flips, switching at each to the branch of twice the period; and why no more follow.
+
+    Of a family that is the other side of the fold of one of the `others` only the fold, and None.
+    """
     low, high = np.log(slope[0]), np.log(slope[-1])
     up = np.zeros(start.Y.size + 1)
     up[-1] = 1.0
@@ -254,6 +249,8 @@ def _follow_family(problem: Problem, start: Cycle, slope: np.ndarray, longest: i
         fold, _ = _first_event(down, fold_test, "fold", low, high)
         if fold:
             events.append(fold)
+            if any(_is_same(fold, other[0]) for other in others if other):
+                return events, None
             start = min(down.points[-2:], key=lambda c: float(np.abs(c.multipliers()[0])))
     path: Path | None = Path(problem, start, up, _FIRST_STEP * (high - low))
     expected, period = high - low, start.period

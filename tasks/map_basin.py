@@ -20,7 +20,7 @@ Arrays = dict[str, np.ndarray]
 _AROUND = (0.4, 2.0)
 #: Columns of points of the section.
 _POINTS = ("slope", "gait", "stance_angle", "stance_rate", "swing_rate")
-#: Lanes advanced together; those whose outcome is known leave the batch.
+#: Lanes advanced together: their states stay in the cache.
 LANES = 16384
 #: Distance from a stable gait, in its eigenvector coordinates and over its norm, inside which it captures an orbit.
 _CAPTURE_DISTANCE = 3e-3
@@ -153,21 +153,20 @@ def _classify(
     stable = {name: frame for name, y in targets.items() if (frame := _frame(problem, y, slope)) is not None}
     n = starts.shape[1]
     outcome, steps = np.full(n, "walks on", "U24"), np.zeros(n, int)
-    for k in range(0, n, LANES):
-        lanes, y = np.arange(k, min(n, k + LANES)), starts[:, k : k + LANES]
-        for _ in range(strides):
-            y, lanes, _ = _advance(problem, y, lanes, slope, outcome)
-            steps[lanes] += 1
-            free = np.ones(len(lanes), bool)
-            for name, (centre, inverse) in stable.items():
-                is_captured = _distance(y, centre, inverse) < _CAPTURE_DISTANCE
-                outcome[lanes[is_captured & free]] = name
-                free &= ~is_captured
-            y, lanes = y[:, free], lanes[free]
-            if not len(lanes):
-                break
-        if len(lanes):
-            outcome[lanes] = _periods(problem, y, slope)
+    lanes, y = np.arange(n), starts
+    for _ in range(strides):
+        y, lanes, _ = _advance(problem, y, lanes, slope, outcome)
+        steps[lanes] += 1
+        free = np.ones(len(lanes), bool)
+        for name, (centre, inverse) in stable.items():
+            is_captured = _distance(y, centre, inverse) < _CAPTURE_DISTANCE
+            outcome[lanes[is_captured & free]] = name
+            free &= ~is_captured
+        y, lanes = y[:, free], lanes[free]
+        if not len(lanes):
+            break
+    if len(lanes):
+        outcome[lanes] = _periods(problem, y, slope)
     return outcome, steps
 
 
@@ -175,11 +174,13 @@ def _advance(
     problem: Problem, y: np.ndarray, lanes: np.ndarray, slope: float, outcome: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Take one step: the images and lanes that walk, and a mask of them; the others' falls go into `outcome`."""
-    step = stride(problem, y, np.full(len(lanes), slope), exact=False)
-    walks = step.outcome == STRUCK
-    for cause in np.unique(step.outcome[~walks]):
-        outcome[lanes[step.outcome == cause]] = CAUSES[cause]
-    return step.image[:, walks], lanes[walks], walks
+    blocks = [y[:, k : k + LANES] for k in range(0, max(1, len(lanes)), LANES)]
+    steps = [stride(problem, block, np.full(block.shape[1], slope), exact=False) for block in blocks]
+    image, ends = np.concatenate([s.image for s in steps], axis=1), np.concatenate([s.outcome for s in steps])
+    walks = ends == STRUCK
+    for cause in np.unique(ends[~walks]):
+        outcome[lanes[ends == cause]] = CAUSES[cause]
+    return image[:, walks], lanes[walks], walks
 
 
 def _frame(problem: Problem, y: np.ndarray, slope: float) -> tuple[np.ndarray, np.ndarray] | None:

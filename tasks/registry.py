@@ -60,7 +60,7 @@ TASKS = {
         Task("trace", "tasks.trace_motion:trace", 4, needs=("atlas",)),
         Task("branch", "tasks.follow_branches:branch", 12, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 7, needs=("atlas",)),
-        Task("cascade", "tasks.locate_cascade:cascade", 12, needs=("atlas",)),
+        Task("cascade", "tasks.locate_cascade:cascade", 13, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 9, needs=("atlas",)),
         Task("curve", "tasks.follow_curves:curve", 8, needs=("atlas",)),
         Task("design", "tasks.map_designs:design", 15),
@@ -68,7 +68,7 @@ TASKS = {
         Task("scaling", "tasks.fit_laws:scaling", 4, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 4, needs=("points",)),
         Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",)),
-        Task("corners", "tasks.locate_landmarks:corners", 1, needs=("atlas",)),
+        Task("corners", "tasks.locate_landmarks:corners", 2, needs=("atlas",)),
         Task("crises", "tasks.locate_landmarks:crises", 4, needs=("atlas", "cascade", "corners")),
         Task("claims", "tasks.check_claims:claims", 14, needs=("points", "atlas")),
     )

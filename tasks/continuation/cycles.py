@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.continuation import pseudo_arclength as engine
+from tasks.continuation.root import bracketed_root, hermite
 from tasks.step.problem import Problem
 from tasks.step.simulate import STRUCK
 from tasks.step.simulate import stride as simulate_step
@@ -35,6 +36,8 @@ _NEWTON = engine.Newton(max_iterations=15, max_step=0.3, small=1e-12, shrinking=
 #: Newton step that is rounding.
 _ROUNDING_STEP = 2e-16
 MAX_POINTS = 400
+#: Distance from a root at which it is located, over the distance of the points between which it lies.
+_LOCATED = 3e-13
 Test = Callable[["Cycle"], float]
 
 
@@ -58,6 +61,8 @@ class Cycle:
         Whether Newton converged.
     error : float
         Size of the last Newton step.
+    times_tangent : ndarray, shape (k, n), optional
+        How the event times change along the tangent.
     """
 
     Y: np.ndarray
@@ -67,6 +72,7 @@ class Cycle:
     tangent: np.ndarray
     ok: bool
     error: float
+    times_tangent: np.ndarray | None = None
 
     @property
     def period(self) -> int:
@@ -232,11 +238,13 @@ def _cycles(point: engine.Corrected, n: int) -> list[Cycle]:
     Y = point.Z[: m * n].reshape(n, m, t).transpose(1, 0, 2) * np.sqrt(n)
     times = point.Z[m * n + 1 :].reshape(-1, n, t)
     q, tangent = point.Z[m * n], point.direction[: m * n + 1]
+    times_tangent = point.direction[m * n + 1 :].reshape(-1, n, t)
     A = point.at.evaluation.A
     Y, q = np.where(point.ok, Y, np.nan), np.where(point.ok, q, np.nan)
     A = np.where(point.ok, A, 0.0)
+    ok, error = point.ok.tolist(), point.error.tolist()
     return [
-        Cycle(Y[..., i], times[..., i], float(q[i]), A[..., i], tangent[:, i], bool(point.ok[i]), float(point.error[i]))
+        Cycle(Y[..., i], times[..., i], float(q[i]), A[..., i], tangent[:, i], ok[i], error[i], times_tangent[..., i])
         for i in range(t)
     ]
 
@@ -256,9 +264,29 @@ def at_slope(problem: Problem, Y: np.ndarray, times: np.ndarray, slope: float) -
     -------
     Cycle
     """
-    border = np.zeros(Y.size + 1)
-    border[-1] = 1.0
-    return correct(problem, np.append(Y.T.ravel() / np.sqrt(Y.shape[1]), np.log(slope)), times, border)
+    return all_at_slope(problem, Y[..., None], times[..., None], slope)[0]
+
+
+def all_at_slope(problem: Problem, Y: np.ndarray, times: np.ndarray, slope: float) -> list[Cycle]:
+    """Solve for cycles at one slope side by side.
+
+    Parameters
+    ----------
+    Y, times : ndarray, shape (m, n, t) and (k, n, t)
+        To begin with, as for `at_slope`.
+    slope : float [rad]
+
+    Returns
+    -------
+    list of Cycle
+        Of t guesses, also of those from which Newton's method fails.
+    """
+    m, n, t = Y.shape
+    sections = Y.transpose(1, 0, 2).reshape(m * n, t) / np.sqrt(n)
+    guess = np.vstack([sections, np.full((1, t), np.log(slope)), times.reshape(-1, t)])
+    border = np.zeros_like(guess)
+    border[m * n] = 1.0
+    return _cycles(_correct(problem, n, guess, border), n)
 
 
 def from_start(problem: Problem, y: np.ndarray, slope: float, n: int) -> Cycle | None:
@@ -311,12 +339,15 @@ class Path:
     def advance(self) -> bool:
         """Add a point; False where none can be found."""
         last, alone = self.points[-1], np.array([0])
-        tangent = engine.column(last.tangent, 0 * last.times)
-        track = engine.Tracks(_CONTROL, engine.column(last.Z, last.times), tangent, self.step, len(last.Z))
+        Z, tangent = _placed(last)
+        track = engine.Tracks(_CONTROL, Z, tangent, self.step, len(last.Z))
         if len(self.points) > 1:
             before = self.points[-2]
-            change = engine.column(last.tangent - before.tangent, 0 * last.times)
-            track.turning = change / np.linalg.norm(last.Z - before.Z)
+            distance = np.linalg.norm(last.Z - before.Z)
+            Z_before, tangent_before = _placed(before)
+            track.turning = (tangent - tangent_before) / distance
+            if before.times_tangent is not None and last.times_tangent is not None:
+                track.before, track.back = (Z_before, tangent_before), np.array([distance])
 
         def correct_track(guess: np.ndarray, border: np.ndarray) -> engine.Corrected:
             return _correct(self.problem, last.period, guess, border)
@@ -335,21 +366,43 @@ class Path:
         return False
 
     def locate_root(self, test: Test) -> Cycle:
-        """Locate the root of a test function between the last two points, where it changes sign."""
+        """Locate the root of a test function between the last two points, where it changes sign.
+
+        Notes
+        -----
+        Newton's method begins on the cubic between the nearest points that are known: near the root these are so near
+        that a step or two remain.
+        """
         a, b = self.points[-2:]
-        ends = [(np.append(p.Z, p.times), np.append(p.tangent, 0 * p.times)) for p in (a, b)]
+        chord = b.Z - a.Z
+        length = float(np.linalg.norm(chord))
+        along, known = chord / length, {0.0: a, length: b}
 
-        def at(Z: np.ndarray, direction: np.ndarray) -> Cycle:
-            cycles = _cycles(_correct(self.problem, a.period, Z[:, None], direction[:, None]), a.period)
-            return _orient(cycles[0], direction[: len(a.Z)])
+        def at(s: float) -> Cycle:
+            if s not in known:
+                low, high = max(x for x in known if x < s), min(x for x in known if x > s)
+                (Z_low, T_low), (Z_high, T_high) = _placed(known[low]), _placed(known[high])
+                distance = float(np.linalg.norm(known[high].Z - known[low].Z))
+                guess = hermite(Z_low, T_low, Z_high, T_high, distance, (s - low) / (high - low))
+                guess[: len(along), 0] += along * (s - along @ (guess[: len(along), 0] - a.Z))
+                border = np.pad(along, (0, a.times.size))[:, None]
+                known[s] = _orient(_cycles(_correct(self.problem, a.period, guess, border), a.period)[0], along)
+            return known[s]
 
-        return engine.root_between(ends[0], ends[1], len(a.Z), at, test, 3e-13)
+        return at(bracketed_root(lambda s: test(at(s)), 0.0, length, _LOCATED * length))
+
+
+def _placed(cycle: Cycle) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns and event times of a cycle as one lane, and the tangent in both; that of times is 0 where unknown."""
+    late = 0 * cycle.times if cycle.times_tangent is None else cycle.times_tangent
+    return engine.column(cycle.Z, cycle.times), engine.column(cycle.tangent, late)
 
 
 def _orient(cycle: Cycle, direction: np.ndarray) -> Cycle:
     """Turn the cycle's tangent to the side of a direction."""
     if cycle.tangent @ direction < 0:
         cycle.tangent = -cycle.tangent
+        cycle.times_tangent = None if cycle.times_tangent is None else -cycle.times_tangent
     return cycle
 
 

@@ -75,14 +75,16 @@ def lost(
         Neighbouring slopes of the last round. NaN for `low` where the attractor does not persist there either, and for
         `high` where it is not lost.
     """
-    ends = surviving_slopes(problem, starts, np.array([low, high]), strides)
-    if not ends[0]:
-        return np.nan, low
-    if ends[1]:
-        return high, np.nan
-    for _ in range(rounds):
+    for number in range(rounds):
         slope = np.linspace(low, high, at_once + 2)
-        survives = np.append(surviving_slopes(problem, starts, slope[1:-1], strides), False)
+        if number:
+            survives = np.array([True, *surviving_slopes(problem, starts, slope[1:-1], strides), False])
+        else:  # the ends with the others
+            survives = surviving_slopes(problem, starts, slope, strides)
+            if not survives[0]:
+                return np.nan, low
+            if survives[-1]:
+                return high, np.nan
         k = int(np.argmin(survives))
-        low, high = float(slope[k]), float(slope[k + 1])
+        low, high = float(slope[k - 1]), float(slope[k])
     return low, high

@@ -18,7 +18,6 @@ from tasks.paper.claim import NOT_REPRODUCED, ClaimResult, claim, compare, verdi
 from tasks.paper.lines import Arrays, line, memoize, numbers, table
 from tasks.paper.published import HALF_UNITS
 from tasks.paper.rounding_intervals import changed, interval
-from tasks.solve_points import atlas
 from tasks.walkers.catalogue import CATALOGUE
 
 #: Where each walker's period doublings are sought: window of slopes [rad], number of slopes searched, first periods.
@@ -217,8 +216,9 @@ def _compute_corners(walker: str) -> Arrays:
         corner = CATALOGUE[walker]
         for key, half in HALF_UNITS[walker].items():
             corner = changed(walker, corner, key, direction * float(np.sign(sensitivity[key])) * half)
-        params = {"line": {"walker": asdict(corner), "set": {}}}
-        ends = cascade({**params, "slope": np.array(CORNER), "periods": 8, "steps": 40}, [atlas(params, [])])
+        params = {"line": {"walker": asdict(corner), "set": {}}, "slope": np.array(CORNER), "periods": 8, "steps": 40}
+        # Its first gait is sought from that of the printed walker, which is near.
+        ends = cascade(params, [line(walker).arrays])
         brackets.append((float(ends["lost/low"][0]), float(ends["lost/high"][0])))
     return {f"corners/{side}": np.array([pair[k] for pair in brackets]) for k, side in enumerate(("low", "high"))}
 

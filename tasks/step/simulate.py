@@ -32,7 +32,7 @@ MAX_ANGLE, MAX_TIME = float(np.exp(MAX_LOG_ANGLE)), 12.0
 #: Time step of the scan [sqrt(leg/g)], by whether there are knees: a free shank swings faster.
 _TIME_STEP = {False: 0.125, True: 0.0625}
 #: Most time steps taken before strikes are looked for: of a lane, and of all lanes together.
-_MAX_BLOCK, _BLOCK = 8, 4096
+_MAX_BLOCK, _BLOCK = 16, 8192
 #: Angle, and change of an angle in a time step, at which a block ends [rad].
 _WILD = 4.0
 
