@@ -79,9 +79,10 @@ def _table(name: str, source: Source) -> Table:
         return _transposed(caption, frame, {key for table in source.walkers.values() for key in table})
     if name == "figure10_cells":
         return _printed_cells(caption, frame)
-    # The starts of a design's gaits are for the page's script.
-    states = [c for c in frame if name == "design" and str(c).startswith(("stance_", "thigh_rate", "shank_rate"))]
-    shown = frame.head(MAX_ROWS).drop(columns=states)
+    # States and bounds of a design's gaits are in the archive and the CSV file.
+    begins, ends = ("stance_", "thigh_rate", "shank_rate", "surveyed"), "_error"
+    aside = [c for c in frame if name == "design" and (str(c).startswith(begins) or str(c).endswith(ends))]
+    shown = frame.head(MAX_ROWS).drop(columns=aside)
     note = f"{len(frame) - len(shown)} more rows are in the archive." if len(shown) < len(frame) else ""
     return from_frame(caption, shown, note, name.replace("/", "-"), frame)
 

@@ -20,7 +20,7 @@ START = ("slope", "stance_angle", *RATES)
 _MAX_GAITS, _MAX_LINES = 700, 40
 
 #: Characters of the numbers of all maps of a figure.
-_ROOM = 200_000
+_ROOM = 270_000
 
 #: Tables with rows that start a step.
 _TABLES = ("branches", "orbits", "basin")
@@ -218,10 +218,10 @@ def _fields(columns: Mapping[str, np.ndarray], knees: bool, maps: int) -> dict[s
         if name in START[2:]:
             if angle is not None and (knees or name != "shank_rate"):
                 ratio = values / angle
-                wanted[name] = ratio, 1e-5 * float(np.nanmax(np.abs(ratio), initial=1e-9)), False
+                wanted[name] = ratio, 5e-6 * float(np.nanmax(np.abs(ratio), initial=1e-9)), False
         else:
             log = bool((values[np.isfinite(values)] > 0).all())
-            digits = 1e-8 if name in START else 1e-7
+            digits = 1e-9 if name in START else 1e-8
             wanted[name] = values, digits * (1.0 if log else float(np.nanmax(np.abs(values), initial=1e-9))), log
     first = next(iter(columns.values()), np.zeros((0, 0))) if angle is None else angle
     return {"present": fields.words(np.isfinite(first)), **fields.fitting(wanted, _ROOM // maps)}

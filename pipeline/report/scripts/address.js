@@ -173,8 +173,8 @@ function readField({ text, step, log, words }, [rows, columns]) {
     return value % 2 ? (value + 1) / 2 : -value / 2;
   };
   const predictor = (x, n) => {
-    const known = Math.ceil(n / (2 * s)), first = Math.max(0, Math.min(Math.max(0, Math.floor(x / (2 * s)) - 2), known - 6)), at = [];
-    for (let j = first; j < Math.min(first + 6, known); j++) at.push(2 * s * j);
+    const known = Math.ceil(n / (2 * s)), first = Math.max(0, Math.min(Math.max(0, Math.floor(x / (2 * s)) - 3), known - 8)), at = [];
+    for (let j = first; j < Math.min(first + 8, known); j++) at.push(2 * s * j);
     const weights = at.map(a => at.reduce((w, b) => b === a ? w : w * ((x - b) / (a - b)), 1));
     return get => Math.floor(at.reduce((total, a, k) => total + get(a) * weights[k], 0) + 0.5);
   };
