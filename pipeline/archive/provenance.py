@@ -63,7 +63,7 @@ def stored(path: Path) -> dict[str, Any]:
         record: dict[str, Any] = json.JSONDecoder().raw_decode(text, text.index(_BEGINNING))[0]
         tomllib.loads(record["study"])
         return {**record, "walkers": [dict(walker) for walker in record["walkers"]]}
-    except (OSError, LookupError, TypeError, ValueError, RecursionError):
+    except (OSError, AttributeError, LookupError, TypeError, ValueError, RecursionError):
         return {}
 
 

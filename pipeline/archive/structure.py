@@ -31,7 +31,7 @@ _UNEXPECTED = (ArithmeticError, AttributeError, LookupError, RecursionError, Typ
 
 def misfits(file: Any) -> Iterator[str]:
     """Departures of an open archive from gaitsweep's layout, one sentence each."""
-    for check in (_attributes, _provenance, _dimensions, _coordinates, _types, _states, _groups):
+    for check in (_attributes, _origins, _dimensions, _coordinates, _types, _states, _groups):
         try:
             yield from check(file)
         except _UNEXPECTED as error:
@@ -55,7 +55,7 @@ def _attributes(file: Any) -> Iterator[str]:
             yield f"`{name}` is missing."
 
 
-def _provenance(file: Any) -> Iterator[str]:
+def _origins(file: Any) -> Iterator[str]:
     record = json.loads(file.provenance)
     for name, kind in _ORIGIN.items():
         if not isinstance(record.get(name, kind()), kind):

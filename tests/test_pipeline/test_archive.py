@@ -27,7 +27,8 @@ from conftest import ROOT, STUDY, Toy
 from pipeline.api.studies import load
 from pipeline.archive import attributes, diff, layout, read, structure, verify, write
 from pipeline.archive.points import PointWriter
-from pipeline.archive.provenance import commit
+from pipeline.archive.provenance import commit, stored
+from pipeline.archive.unfold import dataset
 from pipeline.archive.written import write_strings
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
@@ -296,6 +297,11 @@ def test_states_are_checked_box_by_box(copy, monkeypatch):
     ]
 
 
+def test_its_provenance_is_found_without_the_library(made):
+    with netCDF4.Dataset(made) as file:
+        assert stored(made) == json.loads(file.provenance)
+
+
 def _edit(path, change):
     with netCDF4.Dataset(path, "a") as file:
         change(file)
@@ -556,7 +562,7 @@ def test_what_cannot_be_loaded_is_called_damaged(copy):
 def test_text_of_an_unknown_encoding_is_damage(copy, tmp_path):
     _edit(copy, lambda file: file["reason_text"].setncattr("_Encoding", "{}"))
     for reader in (load, lambda path: pages.write([path], tmp_path / "reports")):
-        with pytest.raises(ArchiveError, match=r"copy\.nc is damaged: `reason_text` is not as it was written\.$"):
+        with pytest.raises(ArchiveError, match=r"copy\.nc is damaged: its checksums .*unknown encoding: {}\.$"):
             reader(copy)
 
 
@@ -572,6 +578,70 @@ def test_a_bug_is_not_called_damage(made, copy, monkeypatch, capsys):
     _edit(copy, lambda file: file["stance_angle"].__setitem__((0, 0, 0), 1.0))
     assert commands.main(["diff", str(copy), str(made)]) == 2
     assert capsys.readouterr().err == f"gaitsweep: {copy} is damaged: `stance_angle` is not as it was written.\n"
+
+
+def test_a_fault_of_who_reads_is_not_called_damage(made):
+    """Where a table with text was read, its variables gave characters from then on, and other checksums."""
+    with pytest.raises(ZeroDivisionError), read.open_archive(made) as file:
+        assert dataset(file["fits/scaling"]).load().walker.dtype.kind in "OU"
+        raise ZeroDivisionError
+    for error in (OSError(errno.ENOSPC, "No room"), MemoryError()):
+        with pytest.raises(type(error)), read.open_archive(made):
+            raise error
+
+
+def _changed(**changes):
+    """Change parts of the provenance."""
+    return lambda f: f.setncattr("provenance", json.dumps({**json.loads(f.provenance), **changes}))
+
+
+def _without_place(file):
+    """A table with a column of the axis `w_t`, which says nothing."""
+    column = file["fits/scaling"].createVariable("w_t", "f8", ("row",))
+    column.setncatts({"units": "1", "long_name": "w_t"})
+    column[:] = np.nan
+
+
+def _put(name, value):
+    return lambda f: f[name].__setitem__((0,) * f[name].ndim, value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (_put("slope", np.nan), "`slope` holds values that are not finite."),
+        (_put("slope", np.inf), "`slope` holds values that are not finite."),
+        (_put("slope", 0.5), "`slope` does not lie in (0, 0.5) rad."),
+        (lambda f: f["slope"].__setitem__(0, f["slope"][1]), "`slope` holds a value twice."),
+        (_put("w_t", -np.inf), "`w_t` holds values that are not finite."),
+        (_without_place, "`fits/scaling/w_t` holds values that are not finite."),
+        (lambda f: f.setncattr("R", np.nan), "The attribute R is not a finite number."),
+        (lambda f: f.setncattr("R", "0"), "The attribute R is not a finite number."),
+        (lambda f: f.setncattr("kind", "walk"), "`kind` is no kind of study."),
+        (_put("stance_angle", np.nan), "`stance_angle` has 1 values that no gait has."),
+        (_put("period", np.inf), "`period` has 1 values that no gait has."),
+        (_changed(walkers=None), "`walkers` in `provenance` is no list."),
+        (_changed(walkers=[]), "`provenance` holds no walker."),
+        (_changed(walkers=[3]), "Its origins are not those of an archive (TypeError)."),
+        (_changed(walkers=[{"R": np.nan}]), "`provenance` holds a walker whose R is not a finite number."),
+        (_changed(walkers=[{"R": None}]), "`provenance` holds a walker whose R is not a finite number."),
+        (_changed(study=3), "`study` in `provenance` is no text."),
+        (_changed(study="x = ["), "Its origins are not those of an archive (TOMLDecodeError)."),
+        (_changed(varied=[]), "`varied` in `provenance` is no table."),
+    ],
+)
+def test_impossible_contents_are_invalid_however_right_their_checksums(copy, tmp_path, change, said):
+    with netCDF4.Dataset(copy, "a") as file:
+        change(file)
+        file.set_auto_mask(False)
+        names = (*file.variables, *read.columns(file))
+        file.checksums = json.dumps({name: read._checksum(file[name]) for name in names}, sort_keys=True)
+    assert said in verify.verify(copy)
+    for reader in (load, lambda path: pages.write([path], tmp_path / "reports")):
+        try:
+            reader(copy)
+        except ArchiveError as error:
+            assert str(error).startswith(f"{copy} is damaged: ")
 
 
 class _Counted:

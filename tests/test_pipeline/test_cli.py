@@ -167,6 +167,15 @@ CHUNK = "Argument --chunk: must be a whole number from 1 to 1,000,000,000; got {
             for command, n in (("verify", 1), ("report", 1), ("diff", 2), ("prove", 1))
         ),
         (["run", "s.toml", "--chunk", 999 * "9"], CHUNK.format(60 * "9")),
+        (["run", "s.toml", "--chunk", "٣"], CHUNK.format("٣")),
+        *(
+            (
+                ["solve", "--walker", "D", "--slope", slope],
+                f"Argument --slope: must be a number; got {slope} (gaitsweep solve --help).",
+            )
+            for slope in ("0.٠١", "0.0_1")
+        ),
+        (["verify", "/dev/null"], "/dev/null is a device, not an archive."),
         (["completion", 999 * "x"], f"Argument shell: invalid choice: '{'x' * 465}... (gaitsweep completion --help)."),
         (["report", "s.toml"], "s.toml is no netCDF file that can be read."),
         (["diff", "s.toml", "none.nc"], "There is no archive none.nc."),
@@ -359,7 +368,7 @@ def test_letters_that_a_terminal_lacks_are_printed_by_number(toy):
 
 
 @pytest.mark.parametrize("buffer", [False, True], ids=["unbuffered", "buffered"])
-@pytest.mark.parametrize("arguments", ["status", "--version"])
+@pytest.mark.parametrize("arguments", ["status", "--version", "--help", "run --help"])
 def test_output_that_finds_no_room_is_said(toy, arguments, buffer):
     """Short output waits in a buffer until the command ends, unless `PYTHONUNBUFFERED` is set."""
     paths = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(TOYS)]), "PYTHONUNBUFFERED": "" if buffer else "1"}
