@@ -9,6 +9,8 @@ from pipeline import dispatch, gaits
 from pipeline.report import pages
 from tasks.registry import VIOLATIONS
 
+pytestmark = pytest.mark.thorough
+
 _SCRIPTS = Path(pages.__file__).parent / "scripts"
 MECHANICS = "\n".join((_SCRIPTS / name).read_text(encoding="utf-8") for name in ("flight.js", "gaits.js"))
 

@@ -10,6 +10,8 @@ import pytest
 
 from pipeline import gaits
 
+pytestmark = pytest.mark.thorough
+
 EVERY = ("curves", "branches", "map", "ratios", "design", "basin", "kneed-basin", "orbits", "index")
 
 
