@@ -80,11 +80,12 @@ def test_a_point_under_the_pointer_says_its_values_and_command(visit, chains, na
 
 
 def _place(figure: str) -> str:
-    """Where a mark in the middle of a figure's first curve is, in pixels from the plot's corner."""
+    """Where a mark in the middle of a figure's first curve or map is, in pixels from the plot's corner."""
     return f"""(() => {{
         const plot = document.querySelector('#{figure} .plot'), scale = plot.clientWidth / plot.dataset.width;
-        const rows = JSON.parse(plot.querySelector('script').textContent)[0].rows;
-        return rows[rows.length >> 1].slice(0, 2).map(v => v * scale);
+        const [first] = JSON.parse(plot.querySelector('script').textContent), rows = first.rows, box = first.box;
+        const place = rows ? rows[rows.length >> 1].slice(0, 2) : [0.8 * box[0] + 0.2 * box[2], 0.2 * box[1] + 0.8 * box[3]];
+        return place.map(v => v * scale);
     }})()"""
 
 
