@@ -11,17 +11,28 @@ from typing import NamedTuple
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.cycles import MAX_POINTS, Cycle, Path, at_slope, correct, doubled, flip_test, really_walks
+from tasks.continuation.cycle_events import slope_error
+from tasks.continuation.cycles import (
+    MAX_POINTS,
+    Cycle,
+    Path,
+    at_slope,
+    correct,
+    doubled,
+    flip_test,
+    fold_test,
+    really_walks,
+)
 from tasks.continuation.root import bracketed_root, hermite
-from tasks.continuation.tracking import MIN_SLOPE
 from tasks.locate_cascade import search_cycles
+from tasks.registry import SLOPES
 from tasks.step.problem import Problem
 
 Arrays = dict[str, np.ndarray]
 #: Slopes of the search for gaits that no flip begins, over the slope of the first flip, and initial states at each.
 _SEARCHED, _STARTS = np.linspace(0.8, 1.4, 9), 300
-#: Largest slope [rad], first step along a branch in ln slope, and the step at which its end is located.
-_MAX_SLOPE, _FIRST_STEP, _MIN_STEP = 0.5, 2e-3, 1e-6
+#: First step along a branch in ln slope, and the step at which its end is located.
+_FIRST_STEP, _MIN_STEP = 2e-3, 1e-6
 #: Largest multiplier up to which branches are followed.
 MAX_MULTIPLIER = 20.0
 #: Length in ln slope that a doubled branch is taken to have: its first point is near enough to its flip for a cubic.
@@ -30,8 +41,6 @@ _EXPECTED = 5e-4
 _NEAR_STRIKE = 1e-4
 #: Distance of sections, over the angle, within which two gaits are the same.
 _SAME = 1e-7
-#: Intervals of a segment in which its gaits at a slope are bracketed.
-_INTERVALS = 8
 
 
 class Guess(NamedTuple):
@@ -45,17 +54,23 @@ class Guess(NamedTuple):
         Number of the piece between folds.
     Y, times : ndarray, shape (m, n) and (k, n)
         Sections [rad, rad/sqrt(leg/g)] and event times [sqrt(leg/g)].
+    room : float
+        Farthest that sections may move: half the distance from a fold, beyond which lies the other gait beside it. 0
+        where rounding of the fold's slope leaves open whether there are gaits.
     """
 
     place: float
     piece: int
     Y: np.ndarray
     times: np.ndarray
+    room: float
 
 
 @dataclass
 class CycleBranch:
     """One branch of gaits of period n: its corrected gaits, between which cubic polynomials run, and its flips.
+
+    Among the gaits are all folds, between which the slope is monotone; their `error` is that of ln slope.
 
     `ends` say what the first and the last gait are: a `branch_point` (a flip of n/2 steps), an end of walking
     (`end_…`), or where the branch is followed no further (`multiplier_limit`, `window`, `lost`).
@@ -66,32 +81,24 @@ class CycleBranch:
     ends: tuple[str, str] = ("lost", "lost")
 
     @functools.cached_property
-    def rises(self) -> list[bool]:
-        """Whether the slope rises along the branch at each gait; at a flip that bounds it, as beside it."""
-        beside = [*self.cycles[1:], self.cycles[-2]] if len(self.cycles) > 1 else self.cycles
-        return [(c.tangent[-1] or other.tangent[-1]) > 0 for c, other in zip(self.cycles, beside, strict=True)]
-
-    @functools.cached_property
-    def lengths(self) -> list[float]:
-        """Distance of each gait from the next."""
-        Z = [cycle.Z for cycle in self.cycles]
-        return [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(Z)]
+    def folds(self) -> set[int]:
+        """Numbers of the gaits at which the slope turns; at the flips that bound a branch it only begins to change."""
+        return {i for i, cycle in enumerate(self.cycles[1:-1], 1) if cycle.tangent[-1] == 0}
 
     def guesses(self, log_slope: float) -> Iterator[Guess]:
-        """Yield a guess of each gait at one slope."""
-        piece = 0
-        for i in range(len(self.cycles) - 1):
-            a, b, rises, length = self.cycles[i], self.cycles[i + 1], self.rises[i], self.lengths[i]
-            # Near a fold the slope leaves the interval of the ends, by less than the segment's length.
-            if min(a.q, b.q) - length <= log_slope <= max(a.q, b.q) + length:
-                h, point = np.linspace(0.0, 1.0, _INTERVALS + 1), cubic(a, b)
-                off = np.array([point(x)[-1] for x in h]) - log_slope
-                for j in np.flatnonzero((off[:-1] < 0) != (off[1:] < 0)).tolist():
-                    root = bracketed_root(functools.partial(_slope_off, point, log_slope), h[j], h[j + 1])
-                    Y = point(root)[:-1].reshape(a.period, -1).T * np.sqrt(a.period)
-                    beyond_fold = (off[j + 1] > off[j]) != rises
-                    yield Guess(i + root, int(piece + beyond_fold), Y, a.times * (1 - root) + b.times * root)
-            piece += rises != self.rises[i + 1]
+        """Yield a guess of each gait at one slope; within the error of a fold's slope, the fold for both its sides."""
+        for i, (a, b) in enumerate(itertools.pairwise(self.cycles)):
+            piece = sum(fold <= i for fold in self.folds)
+            turns = [self.cycles[k] for k in (i, i + 1) if k in self.folds]
+            undecided = [fold for fold in turns if abs(fold.q - log_slope) <= fold.error]
+            if undecided:
+                yield Guess(float(i), piece, undecided[0].Y, undecided[0].times, 0.0)
+            elif (a.q < log_slope) != (b.q < log_slope):
+                point = cubic(a, b)
+                root = bracketed_root(functools.partial(_slope_off, point, log_slope), 0.0, 1.0)
+                Y = point(root)[:-1].reshape(a.period, -1).T * np.sqrt(a.period)
+                room = min((0.5 * float(np.abs(Y - fold.Y).max()) for fold in turns), default=np.inf)
+                yield Guess(i + root, piece, Y, a.times * (1 - root) + b.times * root, room)
 
 
 def cubic(a: Cycle, b: Cycle) -> Callable[[float], np.ndarray]:
@@ -108,12 +115,12 @@ def cubic(a: Cycle, b: Cycle) -> Callable[[float], np.ndarray]:
 
     Notes
     -----
-    Beside a flip, where the slope changes by the square of the distance, its parameter is the distance of the halves;
-    in arclength the curve would bend too much.
+    Beside a flip or a fold, where the slope changes by the square of the distance, its parameter is that distance, at a
+    flip of the halves; in arclength the curve would bend too much.
     """
-    for flip in (a, b):
-        if flip.tangent[-1] == 0:
-            along = flip.tangent
+    for turn in (a, b):
+        if turn.tangent[-1] == 0:
+            along = turn.tangent
             length = float((b.Z - a.Z) @ along)
             return functools.partial(
                 hermite, a.Z, a.tangent / (a.tangent @ along), b.Z, b.tangent / (b.tangent @ along), length
@@ -136,10 +143,10 @@ def to_arrays(branches: list[CycleBranch]) -> Arrays:
     Returns
     -------
     dict of ndarray
-        By the number of the branch: `Y`, shape (gaits, m, n), `times`, (gaits, k, n), `q`, (gaits,), `tangent`, and
-        `ends`.
+        By the number of the branch: `Y`, shape (gaits, m, n), `times`, (gaits, k, n), `q`, (gaits,), `tangent`,
+        `error`, (gaits,), and `ends`.
     """
-    names = ("Y", "times", "q", "tangent")
+    names = ("Y", "times", "q", "tangent", "error")
     gaits = {
         f"{i}/{name}": np.array([getattr(c, name) for c in b.cycles]) for i, b in enumerate(branches) for name in names
     }
@@ -160,8 +167,8 @@ def from_arrays(arrays: Arrays) -> list[CycleBranch]:
     """
     branches = []
     for i in range(len({name.partition("/")[0] for name in arrays})):
-        columns = (arrays[f"{i}/{name}"] for name in ("Y", "times", "q", "tangent"))
-        cycles = [Cycle(Y, t, float(q), np.empty(0), T, True, 0.0) for Y, t, q, T in zip(*columns, strict=True)]
+        columns = (arrays[f"{i}/{name}"] for name in ("Y", "times", "q", "tangent", "error"))
+        cycles = [Cycle(Y, t, float(q), np.empty(0), T, True, float(e)) for Y, t, q, T, e in zip(*columns, strict=True)]
         first, last = arrays[f"{i}/ends"].tolist()
         branches.append(CycleBranch(cycles, [], (first, last)))
     return branches
@@ -275,6 +282,7 @@ def _continue(problem: Problem, path: Path, closing: list[Cycle]) -> _Trace:
     if not really_walks(problem, path.points[0]):
         return _Trace([], [], "lost")
     flips: list[Cycle] = []
+    folds: dict[int, Cycle] = {}
     end = "lost"
     for _ in range(MAX_POINTS):
         step = path.step
@@ -284,28 +292,44 @@ def _continue(problem: Problem, path: Path, closing: list[Cycle]) -> _Trace:
         if abs(after.multipliers()[0]) > MAX_MULTIPLIER:
             end = "multiplier_limit"
             break
-        if MIN_SLOPE < after.slope < _MAX_SLOPE and _keeps_period(before, after) and really_walks(problem, after):
+        if _keeps_period(before, after) and really_walks(problem, after):
             if flip_test(before) * flip_test(after) < 0:
                 flip = path.locate_root(flip_test)
                 flips += [flip] if flip.ok else []
-            continue
+            if fold_test(before) * fold_test(after) < 0:
+                folds[len(path.points) - 1] = _fold(problem, path)
+            if SLOPES[0] < after.slope < SLOPES[1]:
+                continue
+            end = "window"
+            break
         # The end lies between the two: approach it by ever shorter steps.
         path.points.pop()
         if not _keeps_period(before, after) and closing:
             flip = min(closing, key=lambda flip: abs(flip.q - before.q))
             if abs(flip.q - before.q) < 0.2 * _EXPECTED:
-                return _Trace([*path.points, _at_flip(flip, before, -1.0)], flips, "branch_point")
+                return _Trace([*_joined(path.points, folds), _at_flip(flip, before, -1.0)], flips, "branch_point")
         path.step = 0.25 * min(step, float(np.linalg.norm(after.Z - before.Z)))
         if path.step < _MIN_STEP:
             end = _end(before, after)
             break
-    return _Trace(path.points, flips, end)
+    return _Trace(_joined(path.points, folds), flips, end)
+
+
+def _fold(problem: Problem, path: Path) -> Cycle:
+    """The fold between the last two points of a path, with the error of its ln slope."""
+    fold = path.locate_root(fold_test)
+    fold.tangent[-1] = 0.0
+    fold.error = slope_error(problem, fold, "fold")
+    return fold
+
+
+def _joined(points: list[Cycle], folds: dict[int, Cycle]) -> list[Cycle]:
+    """Points of a path with the folds, each before the point of its number."""
+    return [cycle for i, point in enumerate(points) for cycle in ((folds[i], point) if i in folds else (point,))]
 
 
 def _end(before: Cycle, after: Cycle) -> str:
     """What ends a branch between two gaits as close as branches are followed."""
-    if not MIN_SLOPE < after.slope < _MAX_SLOPE:
-        return "window"
     if not _keeps_period(before, after):
         return "lost"
     knee = before.times[0] / before.times[-1]
@@ -355,9 +379,9 @@ def _holds(problem: Problem, branch: CycleBranch, cycle: Cycle) -> bool:
     return any(other.ok and is_same(cycle, other) for other in others)
 
 
-def is_same(a: Cycle, b: Cycle) -> bool:
-    """Whether two gaits at one slope are the same, begun at any of their steps."""
-    near = _SAME * float(a.Y[0].max())
+def is_same(a: Cycle, b: Cycle, room: float = np.inf) -> bool:
+    """Whether two gaits at one slope are the same, begun at any of their steps: nearer than `room`."""
+    near = min(_SAME * float(a.Y[0].max()), room)
     return any(float(np.abs(a.Y - np.roll(b.Y, k, axis=1)).max()) < near for k in range(b.period))
 
 
@@ -365,7 +389,8 @@ def _distinct(problem: Problem, branches: list[CycleBranch]) -> list[CycleBranch
     """Branches without those that end at the flip at which an earlier one begins: they are the same."""
     kept: list[CycleBranch] = []
     for branch in branches:
-        middle = branch.cycles[len(branch.cycles) // 2]
+        # Beside folds gaits at a slope are hardly known.
+        middle = max(branch.cycles, key=lambda cycle: abs(cycle.tangent[-1]))
         if not any(_holds(problem, other, middle) for other in kept):
             kept.append(branch)
     return kept

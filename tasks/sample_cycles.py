@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tasks.continuation.cycle_events import slope_error
-from tasks.continuation.cycles import Cycle, Path, Test, correct, flip_test, fold_test, system
+from tasks.continuation.cycles import Cycle, Path, correct, flip_test, system
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.follow_cycles import CycleBranch, cubic
 from tasks.solve_cycles import solve_cycle
@@ -82,8 +82,8 @@ def _sample(
     places = [place for place, _ in at]
     for edge in (low, high):
         for guess in branch.guesses(float(np.log(edge))):
-            if any(abs(guess.place - place) < _MIN_PIECE for place in places):
-                continue  # a gait of the branch lies on the edge
+            if not guess.room or any(abs(guess.place - place) < _MIN_PIECE for place in places):
+                continue  # a gait of the branch lies on the edge, or a fold
             places.append(guess.place)
             cycle = solve_cycle(problem, guess, edge)
             at += [(guess.place, cycle)] if cycle.ok else []
@@ -126,15 +126,15 @@ def _special_points(problem: Problem, branch: CycleBranch) -> list[dict[str, Any
     """Ends, folds and flips of a branch, in order along it."""
     first, *_, last = branch.cycles
     records = [_record(problem, branch.ends[0], first, _end_error(branch.ends[0], first))]
-    for a, b in zip(branch.cycles[:-1], branch.cycles[1:], strict=True):
-        tests: tuple[tuple[str, Test], ...] = (("fold", fold_test), ("flip", flip_test))
-        for kind, test in tests:
-            if test(a) * test(b) < 0:
-                path = Path(problem, a, a.tangent, 1.0)
-                path.points.append(b)
-                cycle = path.locate_root(test)
-                if cycle.ok:
-                    records.append(_record(problem, kind, cycle, slope_error(problem, cycle, kind)))
+    for i, (a, b) in enumerate(itertools.pairwise(branch.cycles)):
+        if i in branch.folds:
+            records.append(_record(problem, "fold", a, a.error))
+        if flip_test(a) * flip_test(b) < 0:
+            path = Path(problem, a, a.tangent, 1.0)
+            path.points.append(b)
+            cycle = path.locate_root(flip_test)
+            if cycle.ok:
+                records.append(_record(problem, "flip", cycle, slope_error(problem, cycle, "flip")))
     return [*records, _record(problem, branch.ends[1], last, _end_error(branch.ends[1], last))]
 
 

@@ -37,6 +37,8 @@ _MIN_DISTANCE = 1e-10
 _MAX_ACROSS, _MAX_STEP = 6, 1e-11
 
 
+#: Place of the sentence on gaits beside a fold among `reasons`.
+_UNDECIDED = 7
 #: How often the largest change of the multipliers is counted in their bound.
 _MULTIPLIER_SAFETY = 16.0
 
@@ -69,7 +71,7 @@ def cycle_points(problem: Problem, branches: list[CycleBranch], params: Mapping[
         gaits = _gaits(problem, branches, value, want, params.get("violation_limits"))
         store({name: values[k : k + 1] for name, values in out.items()}, gaits, set(GAITS))
     long = _outside(branches, n)
-    reasons = status.reasons(long, long)
+    reasons = [*status.reasons(long, long), status.BESIDE_FOLD]
     to_accuracy(out, accuracy)
     return {**out, "reasons": np.array(reasons)}
 
@@ -98,13 +100,16 @@ def _gaits(
     for number, branch in enumerate(branches):
         for guess in branch.guesses(float(np.log(slope))):
             cycle = solve_cycle(problem, guess, slope)
-            if cycle.ok and any(is_same(cycle, other) for other in cycles if other.ok):
+            if cycle.ok and any(is_same(cycle, other, guess.room) for other in cycles if other.ok):
                 continue
-            solved = failed | _one(status=status.NOT_CONVERGED, reason=4 if cycle.ok else 3)
+            reason = 4 if cycle.ok else 3 if guess.room else _UNDECIDED
+            solved = failed | _one(status=status.NOT_CONVERGED, reason=reason)
             angle, ratio = np.array([guess.Y[0].max()]), np.zeros(1)
             if cycle.ok and really_walks(problem, cycle):
-                solved = _measure(problem, _from_largest(cycle), slope, want, limits)
+                solved = _measure(problem, _from_largest(cycle), slope, want, limits, 2 * guess.room)
                 angle, ratio = solved["stance_angle"], solved["heelstrike_rate_ratio"]
+                if not np.isfinite(solved["error_bound"][0]):
+                    solved = failed | _one(status=status.NOT_CONVERGED, reason=_UNDECIDED)
             parts.append(Part(np.zeros(1, int), angle, ratio, solved | _one(branch=number, piece=guess.piece)))
             cycles.append(cycle)
     return parts
@@ -130,10 +135,15 @@ def solve_cycle(problem: Problem, guess: Guess, slope: float) -> Cycle:
         Not `ok` where it repeats sooner or was not found.
     """
     cycle = at_slope(problem, guess.Y, guess.times, slope)
-    if not (cycle.ok and _keeps_apart(cycle.Y, guess.Y)):
+    if not (cycle.ok and _is_guessed(cycle.Y, guess)):
         cycle = _correct_across(problem, guess, slope)
-        cycle.ok &= _keeps_apart(cycle.Y, guess.Y)
+        cycle.ok &= _is_guessed(cycle.Y, guess)
     return cycle
+
+
+def _is_guessed(Y: np.ndarray, guess: Guess) -> bool:
+    """Whether a gait is the one guessed: neither that of fewer steps nor the other one beside a fold."""
+    return _keeps_apart(Y, guess.Y) and bool(np.abs(Y - guess.Y).max() < guess.room)
 
 
 def _keeps_apart(Y: np.ndarray, guess: np.ndarray) -> bool:
@@ -172,9 +182,9 @@ def _from_largest(cycle: Cycle) -> Cycle:
 
 
 def _measure(
-    problem: Problem, cycle: Cycle, slope: float, want: list[str], limits: Mapping[str, float] | None
+    problem: Problem, cycle: Cycle, slope: float, want: list[str], limits: Mapping[str, float] | None, from_fold: float
 ) -> Arrays:
-    """Variables of a gait in the walker's units, shape (1[, multipliers])."""
+    """Variables of a gait at some distance from a fold in the walker's units, shape (1[, multipliers])."""
     walker, n = problem.walker, cycle.period
     scale, slopes, at = np.exp2(np.floor(np.log2(cycle.Y[0]))), np.full(n, slope), np.array([slope])
     parameters = problem.parameters(slopes, scale)
@@ -190,7 +200,7 @@ def _measure(
     measured |= travel(walker, at, measured["step_length"], measured["period"], n)
     if "energy_imbalance" in want:
         measured["energy_imbalance"] = energy_imbalance(walker, at, measured, n)
-    bound, residual = _error(problem, cycle, slopes, scale)
+    bound, residual = _error(problem, cycle, slopes, scale, from_fold)
     if any(VARIABLES[name].group == "multipliers" for name in want):
         values = np.zeros(4 if walker.knees else 3, complex)
         values[: problem.m] = cycle.multipliers()
@@ -198,7 +208,9 @@ def _measure(
             "multiplier_real": values.real[None],
             "multiplier_imag": values.imag[None],
             "spectral_radius": np.abs(values).max(keepdims=True),
-            "multiplier_error_bound": np.array([_multiplier_error(problem, cycle, slopes, scale, bound)]),
+            "multiplier_error_bound": np.array(
+                [_multiplier_error(problem, cycle, slopes, scale, min(bound, _MAX_BOUND))]
+            ),
         }
     code, reason = (status.CONVERGED, 0) if bound < _MAX_BOUND else (status.NOT_CONVERGED, 3)
     found = _one(residual=residual, error_bound=bound, status=code, reason=reason)
@@ -257,7 +269,23 @@ def _beside_flip(Y: np.ndarray, moved: np.ndarray) -> float:
     return float(exact / x)
 
 
-def _error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray) -> tuple[float, float]:
+def _beside_fold(distance: float, moved: np.ndarray) -> float:
+    """Factor by which a gait at some distance from a fold may move further than linearised equations say.
+
+    Notes
+    -----
+    The equation along the branch is a^2 - a*^2 = noise, with a the distance, of which the linearisation moves by
+    x = noise/(2 a); a* lies within a - sqrt(a^2 - 2 a x) below. Beyond a/2 there may be no gait.
+    """
+    x = float(np.abs(moved).max() / distance)
+    if x < 1e-6:
+        return 1.0 + x
+    return float((1 - np.sqrt(1 - 2 * x)) / x) if x <= 0.5 else np.inf
+
+
+def _error(
+    problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray, from_fold: float
+) -> tuple[float, float]:
     """Bound on the relative error of angles, rates and period, and the residual.
 
     Notes
@@ -280,7 +308,7 @@ def _error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray)
         matrix[rows, k : k + m] -= np.eye(m)
     inverse = np.abs(np.linalg.inv(matrix))
     moved = (inverse @ (rounding + np.abs(residual)).T.ravel()).reshape(n, m).T
-    moved *= _beside_flip(cycle.Y, moved)
+    moved *= _beside_flip(cycle.Y, moved) * _beside_fold(from_fold, moved)
     size = problem.map.start_size
     start, by_y = np.split(problem.map.start(cycle.Y / scale, problem.parameters(slope, scale))[:, 0], [size])
     state = np.abs(start)

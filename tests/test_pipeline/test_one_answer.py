@@ -72,7 +72,7 @@ def test_solve_and_gaits_answer_alike_down_to_the_least_slope(walker, one_survey
 
 
 @pytest.mark.soak
-@pytest.mark.timeout(1800)
+@pytest.mark.timeout(7200)
 def test_solve_and_gaits_answer_alike_at_ten_thousand_slopes(one_survey, tell, resumed):
     walkers = sorted(CATALOGUE)
     for case in resumed(CASES * len(walkers)):

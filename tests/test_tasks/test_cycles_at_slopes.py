@@ -164,7 +164,7 @@ def test_a_branch_between_two_flips_is_followed_from_one_of_them():
     # A gait of two steps is none of one step.
     assert not _keeps_apart(first.Y, first.Y) and all(_keeps_apart(c.Y, c.Y) for c in inner)
     # The slope falls to the flip at which the branch ends, too.
-    assert followed[0].rises[0] and not followed[0].rises[-1]
+    assert inner[0].q > first.q and last.q < inner[-1].q
     for end, sign in ((first, 1), (last, 1)):
         near = pipeline.gaits("physical", end.slope * (1 + sign * 1e-7), steps=2)
         merged = np.abs(near.stance_angle / end.Y[0].max() - 1) < 3e-3
@@ -193,10 +193,10 @@ def test_gaits_that_no_flip_begins_are_searched_for():
         np.testing.assert_allclose(steps[1].state, state, rtol=1e-12)
         radius = np.abs(np.linalg.eigvals(steps[1].jacobian @ steps[0].jacobian)).max()
         assert gait.spectral_radius.item() == pytest.approx(radius, rel=1e-9)
-    # They double again, which leads to gaits of four steps; and end where branches of one step do.
+    # They double again, which leads to gaits of four steps.
     assert (pipeline.gaits("E", 0.006, steps=4).status == 0).any()
-    problem, known = atlas_of("E")
-    assert min(c.slope for branch in cycle_branches(problem, known, 2) for c in branch.cycles) > 1e-13
+    # At the least slopes doubles do not resolve them, but there are such gaits.
+    assert (pipeline.gaits("E", [1e-18, 1e-13], steps=2).sel(gait="long").status == NOT_CONVERGED).all()
 
 
 def test_no_gait_is_found_where_nothing_begins_one():
@@ -321,7 +321,6 @@ def cycle(angles, knees=(), q=-4.0):
 
 def test_what_ends_a_branch():
     one, other = cycle([0.2, 0.3]), cycle([0.21, 0.29])
-    assert _end(one, cycle([0.2, 0.3], q=np.log(0.6))) == "window"
     assert _end(one, cycle([0.3, 0.2])) == "lost"  # its halves changed sides
     assert _end(one, other) == "end_earlier_strike"
     assert _end(cycle([0.2, 0.3], [0.5, 0.9999999]), other) == "end_kneestrike_at_heelstrike"
