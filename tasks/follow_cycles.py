@@ -225,6 +225,8 @@ def _flips(problem: Problem, branch: Branch) -> Iterator[Cycle]:
                 yield flip
 
 
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore")
 def _flip_sign(problem: Problem, branch: Branch) -> np.ndarray:
     """Sign of det(I + A) at the nodes of a branch, shape (n,): negative with an odd number of multipliers below -1."""
     m = branch.m

@@ -216,6 +216,13 @@ def test_the_error_bound_holds_in_other_units(slope, n):
     assert abs(other.stance_rate / plain.stance_rate * np.sqrt(1.3 / 3.7) - 1) < bound
 
 
+def test_where_a_strike_is_tangential_to_the_last_digit_there_is_no_sign_of_a_flip():
+    """The derivative there is infinite, and its determinant none."""
+    step = SimpleNamespace(jacobian=np.array([[-np.inf, -np.inf], [np.inf, np.inf]])[..., None])
+    branch = SimpleNamespace(m=2, Z=np.zeros((1, 4)), q=np.zeros(1))
+    assert np.isnan(follow_cycles._flip_sign(SimpleNamespace(stride=lambda *_: (step, None)), branch)).all()
+
+
 @pytest.mark.parametrize(
     ("walker", "keys"), [("A", {"detuning": 1.2920094126389283}), ("physical-straight", {"m_s": 0.9313486113114027})]
 )
