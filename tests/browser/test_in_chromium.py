@@ -84,7 +84,8 @@ def _place(figure: str) -> str:
     return f"""(() => {{
         const plot = document.querySelector('#{figure} .plot'), scale = plot.clientWidth / plot.dataset.width;
         const [first] = JSON.parse(plot.querySelector('script').textContent), rows = first.rows, box = first.box;
-        const place = rows ? rows[rows.length >> 1].slice(0, 2) : [0.8 * box[0] + 0.2 * box[2], 0.2 * box[1] + 0.8 * box[3]];
+        const inside = [0.8 * box[0] + 0.2 * box[2], 0.2 * box[1] + 0.8 * box[3]];
+        const place = rows ? rows[rows.length >> 1].slice(0, 2) : inside;
         return place.map(v => v * scale);
     }})()"""
 
