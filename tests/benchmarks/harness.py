@@ -20,7 +20,8 @@ class Case:
     """One method on one problem.
 
     `run` does the work once and returns its result; `units` is the number of answers in it; `error` is the largest
-    relative error of the result, by extended precision; `seconds` holds the time of one answer in each round.
+    relative error of the result, by extended precision; `seconds` holds the processor time of one
+    answer in each round.
     """
 
     family: str
@@ -55,18 +56,18 @@ class Difference(NamedTuple):
 
 
 def time_in_turns(cases: Sequence[Case], rounds: int, least: float) -> None:
-    """Time every case once per round, in turns; a round of a case lasts at least `least` seconds."""
+    """Take every case's processor time once per round, in turns; a round of a case lasts at least `least` seconds."""
     calls = []
     for case in cases:
-        start = time.perf_counter()
+        start = time.process_time()
         case.run()
-        calls.append(max(1, int(least / max(time.perf_counter() - start, 1e-9))))
+        calls.append(max(1, int(least / max(time.process_time() - start, 1e-9))))
     for _ in range(rounds):
         for case, count in zip(cases, calls, strict=True):
-            start = time.perf_counter()
+            start = time.process_time()
             for _ in range(count):
                 case.run()
-            case.seconds.append((time.perf_counter() - start) / (count * case.units))
+            case.seconds.append((time.process_time() - start) / (count * case.units))
 
 
 def solve_study(study: dict[str, Any], jobs: int = 1) -> tuple[float, int]:

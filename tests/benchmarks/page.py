@@ -30,9 +30,9 @@ th,td{padding:.15rem .7rem;text-align:right;border-bottom:1px solid #ddd} th:fir
 details{margin:.5rem 0}
 </style></head><body>
 <h1>Run time against error</h1>
-<p>All methods are timed in turns in one run on one thread. Times are for one answer: the median, the least and the
-greatest of the rounds. Errors are the largest error over the largest entry, against {{ measured.kind }}. Where no
-error is given, the method missed the event or is the reference itself.
+<p>All methods are timed in turns in one run on one thread. Times are processor times of one answer: the median, the
+least and the greatest of the rounds. Errors are the largest error over the largest entry, against
+{{ measured.kind }}. Where no error is given, the method missed the event or is the reference itself.
 {% if measured.quick %}This is a quick run, with fewer rounds.{% endif %}</p>
 <p>gaitsweep integrates {{ lanes }} steps at a time over given event times, as in its Newton's method. A peer integrates
 one step, locates its events, and calls its algebra from Python, which takes about ten microseconds. The right-hand side
@@ -172,7 +172,9 @@ def _plot(title: str, cases: list[Case]) -> str:
             middle = np.array([np.median(c.seconds) for c in of])
             spread = np.abs(np.array([[min(c.seconds), max(c.seconds)] for c in of]).T - middle)
             axes.errorbar(error, middle, yerr=spread, marker=mark, ms=5, lw=1, capsize=2, label=method)
-        axes.set(xscale="log", yscale="log", xlabel="relative error", ylabel="time of one answer [s]", title=title)
+        axes.set(
+            xscale="log", yscale="log", xlabel="relative error", ylabel="processor time of one answer [s]", title=title
+        )
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
         out = io.StringIO()

@@ -12,9 +12,9 @@ from benchmarks.harness import Measurements
 _TEXTS = {"family": "walker", "problem": "what was computed", "method": "method"}
 _NUMBERS = {
     "tolerance": ("tolerance asked for, or the precision's rounding", "1", lambda case: case.setting),
-    "seconds": ("median time of one answer", "s", lambda case: np.median(case.seconds)),
-    "seconds_least": ("least time of one answer", "s", lambda case: min(case.seconds)),
-    "seconds_most": ("greatest time of one answer", "s", lambda case: max(case.seconds)),
+    "seconds": ("median processor time of one answer", "s", lambda case: np.median(case.seconds)),
+    "seconds_least": ("least processor time of one answer", "s", lambda case: min(case.seconds)),
+    "seconds_most": ("greatest processor time of one answer", "s", lambda case: max(case.seconds)),
     "error": ("largest error over the largest entry, against extended precision", "1", lambda case: case.error),
     "work": ("steps per fixed point, gaits per grid point, nodes of the branches", "1", lambda case: case.work),
 }
