@@ -62,7 +62,8 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         `line`; `slope`, ndarray [rad], whose ends are the window and whose values are searched for families of other
         periods than one; and the study's options: `periods`, the longest; `families`, first periods; `starts`, initial
         conditions of the search at each slope; `steps`, that walking must last (0: its end is not located). Without
-        slopes nothing is located.
+        slopes nothing is located. `near` may name another line, whose atlas is given, from whose gaits the first of
+        this one's are sought.
     inputs : list
         The line's atlas.
 
@@ -77,6 +78,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     options = registry.options("cascade", params)
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
+    near = Problem(resolve(params["near"]["walker"], params["near"].get("set"))) if "near" in params else problem
     slope = np.sort(np.asarray(params["slope"], float))
     if not len(slope):
         return {}
@@ -86,7 +88,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     for number in options["families"]:
         families: list[list[_Event]] = []
         reasons: list[str] = []
-        for start in _first_gaits(problem, inputs[0], slope, int(number), int(options["starts"])):
+        for start in _first_gaits(problem, near, inputs[0], slope, int(number), int(options["starts"])):
             family, stopped = _follow_family(problem, start, slope, int(options["periods"]), families)
             if stopped is not None:
                 families.append(family)
@@ -159,14 +161,16 @@ def _is_same(a: _Event, b: _Event) -> bool:
     return a.kind == b.kind and abs(a.cycle.q - b.cycle.q) < 1e-9 and _distance(a.cycle, b.cycle) < 1e-4
 
 
-def _first_gaits(problem: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Cycle]:
-    """A gait of each family of period n."""
+def _first_gaits(
+    problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int
+) -> list[Cycle]:
+    """A gait of each family of period n, sought from those of a walker `near` and its atlas."""
     if n == 1:
         branches = atlases.from_arrays(atlas)
         # A branch may begin above the window's lower edge: between nodes, for at a fold it has no derivative.
         between = np.exp(np.concatenate([slope[:0], *(0.5 * (branch.q[1:] + branch.q[:-1]) for branch in branches)]))
         tried = np.unique([slope[0], *between[(between > slope[0]) & (between < slope[-1])]])
-        known, y = gaits_at(problem, branches, tried, "long")
+        known, y = gaits_at(near, branches, tried, "long")
         for k, start in zip(known, y.T, strict=True):
             cycle = from_start(problem, start, float(tried[k]), 1)
             if cycle:

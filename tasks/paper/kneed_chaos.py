@@ -216,9 +216,8 @@ def _compute_corners(walker: str) -> Arrays:
         corner = CATALOGUE[walker]
         for key, half in HALF_UNITS[walker].items():
             corner = changed(walker, corner, key, direction * float(np.sign(sensitivity[key])) * half)
-        params = {"line": {"walker": asdict(corner), "set": {}}, "slope": np.array(CORNER), "periods": 8, "steps": 40}
-        # Its first gait is sought from that of the printed walker, which is near.
-        ends = cascade(params, [line(walker).arrays])
+        params = {"line": {"walker": asdict(corner), "set": {}}, "near": line(walker).params["line"]}
+        ends = cascade({**params, "slope": np.array(CORNER), "periods": 8, "steps": 40}, [line(walker).arrays])
         brackets.append((float(ends["lost/low"][0]), float(ends["lost/high"][0])))
     return {f"corners/{side}": np.array([pair[k] for pair in brackets]) for k, side in enumerate(("low", "high"))}
 

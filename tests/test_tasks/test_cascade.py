@@ -5,6 +5,7 @@ import pytest
 
 from lines import _atlas
 from tasks import columns, locate_cascade
+from tasks.continuation import cycles
 from tasks.continuation.atlas import from_arrays
 from tasks.continuation.cycles import Cycle, from_start, really_walks
 from tasks.dynamics import crisis
@@ -118,6 +119,47 @@ def test_the_period_three_family_near_0_0125():
     assert found["cascade/walks"].all()
     # Of 600 starts of a lattice some stay at 0.01292 and all leave for period one at 0.01294.
     assert 0.01290 < found["lost/low"][0] < found["lost/high"][0] < 0.01294
+
+
+def test_guesses_of_a_search_are_corrected_side_by_side(monkeypatch):
+    """Each of sixty was corrected by itself."""
+    problem, corrected, correct = Problem(resolve("D")), [], cycles._correct
+    monkeypatch.setattr(cycles, "_correct", lambda *a: corrected.append(a[2].shape[1]) or correct(*a))
+    found = locate_cascade.search_cycles(problem, from_arrays(_atlas("D", ())), 0.0126, 3, 200)
+    assert [c.period for c in found] == [3, 3]  # of both sides of a fold
+    assert len(corrected) == 1 and corrected[0] > 2
+
+
+def test_of_a_fold_one_side_is_followed(monkeypatch):
+    """Both were, through all their doublings, and one was dropped."""
+    followed, switch = [], locate_cascade.doubled
+    monkeypatch.setattr(locate_cascade, "doubled", lambda *a: followed.append(a[1].period) or switch(*a))
+    found = doublings("D", 0.0122, 0.0128, n=4, families=[3], periods=6, steps=0, starts=200)
+    assert found["cascade/kind"].tolist() == ["fold", "flip", "flip"] and followed == [3]
+
+
+def test_roots_are_located_in_few_evaluations(monkeypatch):
+    """A dozen corrections were made for each, of four or five evaluations: from the far ends, and of these anew."""
+    evaluated, linearise = [], cycles.linearise
+    monkeypatch.setattr(cycles, "linearise", lambda *a: evaluated.append(a[2]) or linearise(*a))
+    problem, path = Problem(resolve("D")), None
+    (start,) = locate_cascade._first_gaits(problem, problem, _atlas("D", ()), np.array([0.0145, 0.016]), 1, 1)
+    path = cycles.Path(problem, start, np.array([0.0, 0.0, 1.0]), 0.02)
+    while path.advance() and cycles.flip_test(path.points[-2]) * cycles.flip_test(path.points[-1]) > 0:
+        pass
+    evaluated.clear()
+    assert path.locate_root(cycles.flip_test).slope == pytest.approx(0.015088437941119463562, rel=1e-13)
+    assert 0 < len(evaluated) < 20
+
+
+def test_a_walkers_cascade_begins_at_a_neighbours_gait():
+    """Corners of a walker's rounding had atlases of their own."""
+    line = {"walker": "E", "set": {"foot_mass_ratio": 3e-3}}
+    options = {"slope": np.array([0.0135, 0.018]), "periods": 1, "steps": 0}
+    own = cascade({"line": line, **options}, [_atlas("E", (("foot_mass_ratio", 3e-3),))])
+    near = cascade({"line": line, "near": {"walker": "D", "set": {}}, **options}, [_atlas("D", ())])
+    assert own["cascade/kind"].tolist() == near["cascade/kind"].tolist() == ["flip"]
+    assert near["cascade/slope"] == pytest.approx(own["cascade/slope"], rel=1e-12)
 
 
 def test_a_cycle_is_one_strides_after_another():

@@ -19,7 +19,7 @@ R = hy.real128
 
 def family(walker, low, high, longest, first=1):
     problem, slopes = Problem(resolve(walker)), np.linspace(low, high, 3)
-    start = locate_cascade._first_gaits(problem, _atlas(walker, ()), slopes, first, 200)[0]
+    start = locate_cascade._first_gaits(problem, problem, _atlas(walker, ()), slopes, first, 200)[0]
     return problem, list(locate_cascade._follow_family(problem, start, slopes, longest)[0])
 
 

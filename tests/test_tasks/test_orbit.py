@@ -1,5 +1,7 @@
 """Orbits and their exponents: known maps, known slopes, and the same bits in any company."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -174,6 +176,28 @@ def test_lanes_and_their_blocks_change_no_bit(walker, monkeypatch):
         assert np.array_equal(column, narrow[name], equal_nan=column.dtype.kind == "f"), name
 
 
+@pytest.mark.parametrize("transient", [97, 98, 99, 100])
+def test_steps_of_an_orbit_that_repeats_are_left_out_and_change_no_bit(monkeypatch, transient):
+    """Orbits that settle on three points and on one, a chaotic one, and one that falls after four steps."""
+    taken = []
+
+    def step(problem, y, slope, exact=True):
+        taken.append(y.shape[1])
+        kind, x = y
+        image = np.where(kind == 0, 4 * x * (1 - x), np.where(x > 3, x - 1, np.where(kind == 3, x % 3 + 1, x)))
+        return SimpleNamespace(image=np.array([kind, image]), outcome=np.where((kind < 0) & (x == 16), 1, 0))
+
+    monkeypatch.setattr(orbits, "stride", step)
+    start = np.array([[3, 1, 0, -1], [20, 20, 0.3, 20]])
+    final, steps, outcome = orbits._settle(None, start, np.zeros(4), transient)
+    assert sum(taken) < 1.9 * transient
+    expected = start
+    for _ in range(transient):
+        expected = step(None, expected, None).image
+    assert np.array_equal(final[:, :3], expected[:, :3]) and np.isnan(final[:, 3]).all()
+    assert steps.tolist() == [transient] * 3 + [4] and outcome.tolist() == [0, 0, 0, 1]
+
+
 def test_blocks_of_a_basin_change_no_bit(monkeypatch):
     line = {
         "line": D,
@@ -185,7 +209,11 @@ def test_blocks_of_a_basin_change_no_bit(monkeypatch):
     }
     wide = basins.basin(line, [_atlas("D", ())])
     monkeypatch.setattr(basins, "LANES", 37)
+    calls, step = [], basins.stride
+    monkeypatch.setattr(basins, "stride", lambda *a, **options: calls.append(a) or step(*a, **options))
     narrow = basins.basin(line, [_atlas("D", ())])
+    # Two hundred steps at most, and those in which a period is told: of few lanes they were taken in every block.
+    assert len(calls) < 300
     assert len(set(wide["basin/outcome"])) > 3
     for name, column in wide.items():
         assert np.array_equal(column, narrow[name], equal_nan=column.dtype.kind == "f"), name
