@@ -161,9 +161,7 @@ def _is_same(a: _Event, b: _Event) -> bool:
     return a.kind == b.kind and abs(a.cycle.q - b.cycle.q) < 1e-9 and _distance(a.cycle, b.cycle) < 1e-4
 
 
-def _first_gaits(
-    problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int
-) -> list[Cycle]:
+def _first_gaits(problem: Problem, near: Problem, atlas: Arrays, slope: np.ndarray, n: int, starts: int) -> list[Cycle]:
     """A gait of each family of period n, sought from those of a walker `near` and its atlas."""
     if n == 1:
         branches = atlases.from_arrays(atlas)
