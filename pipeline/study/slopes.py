@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from tasks.registry import SLOPES
+
+if TYPE_CHECKING:  # help needs no arrays
+    import numpy as np
 
 #: What a slope must be.
 BOUND = f"must lie in [{SLOPES[0]:g}, {SLOPES[1]:g}) rad"
