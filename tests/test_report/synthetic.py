@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from pipeline.report.figures import design_maps
 from test_report.shape import GAITS, KNEED, POINT, write
 
 
@@ -245,6 +246,15 @@ def cascade(folder: Path, points: int = 6000) -> Path:
     )
 
 
+def states(angles: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Made-up states of the gaits of a design map's quantities, by their stance angles."""
+    return {
+        f"{name}{suffix}": share * angle
+        for (_, suffix), angle in zip(design_maps._GAIT.values(), angles.values(), strict=True)
+        for name, share in (("stance_angle", 1.0), ("stance_rate", -1.0), ("thigh_rate", -0.9))
+    }
+
+
 def design(folder: Path, side: int = 40) -> Path:
     """A design map over foot radius and slope."""
     radius, slope = np.linspace(0.0, 0.4, side), np.linspace(0.002, 0.06, side)
@@ -266,7 +276,7 @@ def design(folder: Path, side: int = 40) -> Path:
         "largest_stable_slope": key,
         "fastest_froude_speed": fast,
         "fastest_slope": fast,
-    }
+    } | states({"smallest": 0.1 * key, "largest": key, "fastest": fast})
     return write(
         folder / "design.nc",
         study,

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from lines import some
 from pipeline.report import cells, html_tables
-from pipeline.report.figures import FIGURES, design_maps, draw, families
+from pipeline.report.figures import FIGURES, design_maps, draw, families, fields
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.cycle import traced_steps
 from pipeline.report.figures.degrees import add_degrees
@@ -270,6 +270,8 @@ def test_a_walker_table_gives_a_command_with_its_base_and_keys(sources):
     drawing = draw(sources["design"], "heatmap", "test")
     words = shlex.split(drawing.panels[0]["command"])
     assert words[:4] == ["gaitsweep", "solve", "--walker", "B"]
+    # The script adds the keys along the map, and the slope.
+    assert [drawing.panels[0][side]["name"] for side in "xy"] == ["slope", "R"]
 
 
 def test_a_ladder_of_many_detunings_is_drawn_in_six_panels(tmp_path):
@@ -350,9 +352,25 @@ def test_eight_walkers_are_drawn_and_of_more_the_caption_says_how_many(tmp_path)
             assert ("are drawn" in drawing.caption) == bool(said)
 
 
-def test_a_design_map_without_states_of_its_gaits_has_no_cells_that_walk(sources):
-    drawing = draw(sources["design"], "design", "test")
-    assert drawing.panels == []
+def _present(panels):
+    """For each map, whether there is a gait in each of its cells; `as` names an earlier map with the same."""
+    for panel in panels:
+        field = panel["fields"]["present"]
+        field = panels[field["as"]]["fields"]["present"] if "as" in field else field
+        digits = iter(field["text"])
+        yield [field["words"][fields._DIGITS.index(word)] for word in digits
+               for _ in range(fields._DIGITS.index(next(digits)) + 1)]  # fmt: skip
+
+
+def test_a_design_map_leads_to_its_walkers(sources):
+    panels = draw(sources["design"], "design", "test").panels
+    cells = list(_present(panels))
+    assert sum(map(len, cells)) == 27
+    assert sorted([panels[0]["x"]["name"], panels[0]["y"]["name"]]) == ["R", "c_t"]
+    assert [0.08, 0.1, 0.12] in [panels[0][side]["values"] for side in "xy"]
+    assert shlex.split(panels[0]["command"])[:2] == ["gaitsweep", "solve"]
+    # Three walkers are never stable: no slope to solve them at.
+    assert sum(map(sum, cells)) == 24
 
 
 def _cube(tmp_path, heights):
@@ -399,12 +417,20 @@ def test_a_design_map_of_a_third_key_says_which_values_it_draws(tmp_path):
         "largest_stable_slope": thigh,
         "fastest_froude_speed": thigh,
         "fastest_slope": thigh / 10,
-    }
+    } | synthetic.states(dict.fromkeys(("smallest", "largest", "fastest"), thigh))
     axes = "R = [0.1]\nc_t = [0.1]\nl_t = [0.3]\nslope = [0.1]"
     text = f'name = "d"\nwalker = "B"\n[axes]\n{axes}\n[want]\nfigures = ["design"]'
     coords = {"R": np.unique(key), "c_t": np.unique(height), "l_t": np.unique(thigh)}
     drawing = draw(read(write(tmp_path / "d.nc", text, {}, coords, {"B": POINT}, {"design": best})), "design", "test")
     assert "Rows: l_t = 0.3; l_t = 0.4; l_t = 0.5." in drawing.caption and len(drawing.data) == 12
+    commands = [shlex.split(panel["command"]) for panel in drawing.panels if "command" in panel]
+    assert sum(map(len, _present(drawing.panels))) == 36 and {
+        w for c in commands for w in c if w.startswith("l_t=")
+    } == {
+        "l_t=0.3",
+        "l_t=0.4",
+        "l_t=0.5",
+    }
 
 
 def test_a_fine_design_map_has_labelled_contours_and_marks_the_tuned_and_the_physical_walker(tmp_path):

@@ -2,7 +2,7 @@
 
 import tomllib
 from pathlib import Path
-from unittest.mock import Mock
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -323,7 +323,7 @@ def test_the_corners_of_a_rounding_move_every_key_the_way_that_moves_the_flip(mo
         return {"lost/low": np.array([0.1 * len(asked)]), "lost/high": np.array([0.1 * len(asked) + 0.01])}
 
     monkeypatch.setattr(kneed_chaos, "cascade", lost)
-    monkeypatch.setattr(kneed_chaos, "line", Mock())
+    monkeypatch.setattr(kneed_chaos, "line", MagicMock())
     monkeypatch.setattr(kneed_chaos, "table", lambda _group, _walker, make: {k[8:]: v for k, v in make().items()})
     assert np.allclose(kneed_chaos.corner_crises("C-printed"), [(0.1, 0.11), (0.2, 0.21)])
     sensitivity = interval("C-printed flip").sensitivity

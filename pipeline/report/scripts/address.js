@@ -187,7 +187,10 @@ function readField({ text, step, log, words }, [rows, columns]) {
   return values.map(v => log ? exp(v * step) : v * step);
 }
 
-/** What a map holds of a cell: { at, slope, start, shown, command }; without a start where there is no gait. */
+/**
+ * What a map holds of a cell: { at, slope, known, start, shown, command }, `known` whether it has a gait; without a start
+ * where there is none, or where its state is not stored.
+ */
 function cellOf(map, [column, row]) {
   const { x, y, at: fixed, fields } = map, values = { [x.name]: x.values[column], [y.name]: y.values[row] };
   const field = name => {
@@ -202,7 +205,7 @@ function cellOf(map, [column, row]) {
   const set = Object.entries(values).filter(([key]) => key !== "slope").map(([key, value]) => ` --set ${key}=${value}`).join("");
   const shown = map.shown.map(([name, key]) => [name, key in values ? values[key] : known ? key === "slope" ? slope : field(key) : "–"]);
   const start = known && angle !== undefined ? [angle, ...RATES.filter(name => name in fields).map(name => field(name) * angle)] : null;
-  return { at, slope, start, shown, command: map.command + set };
+  return { at, slope, known, start, shown, command: map.command + set };
 }
 
 /** Gait of a cell of a map; null where there is none. */

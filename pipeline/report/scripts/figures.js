@@ -66,9 +66,9 @@ for (const plot of document.querySelectorAll(".plot")) {
   /** What a point or a cell says: where it lies, what it is, its values, its command. */
   function factsOf({ map, cell, curve, row }) {
     if (map) {
-      const { at, shown, slope, start, command } = cellOf(map, cell), values = { ...at, slope };
+      const { at, shown, slope, known, command } = cellOf(map, cell), values = { ...at, slope };
       return { place: putOn(map, [map.x, map.y].map(side => values[side.name])), label: map.label, pairs: shown.map(([name, value]) => [name, typeof value === "number" ? brief(value, 7) : value]),
-        command: start && withSlope(command, slope) };
+        command: known && !map.free && slope > 0 ? withSlope(command, slope) : null };
     }
     const [x, y, more, ...values] = curve.rows[row];
     return { place: [x, y], label: curve.label, line: curve.line, pairs: curve.names.map((name, i) => [name, values[i]]),
