@@ -187,7 +187,7 @@ def test_a_gap_in_a_branch_is_no_gait_and_both_its_ends_are_located():
 
 
 def test_a_branch_that_is_lost_before_a_fall_keeps_its_part_from_which_it_was_followed():
-    """Its step makes 1e12 of an error near its end: rounding decides where it is lost; few nodes lie there."""
+    """Near period 10.6 its step makes 1e12 of an error: there lie more nodes than on all the branch before."""
     keys = {
         "m_t": 1.92417253908927,
         "m_s": 1.0244571768418904,
@@ -203,8 +203,7 @@ def test_a_branch_that_is_lost_before_a_fall_keeps_its_part_from_which_it_was_fo
     found = atlas.survey(Problem(resolve("physical", keys)), COARSE)
     (branch,) = (b for b in found if "no further point" in b.why)
     assert np.exp(branch.q.min()) < 0.236 and np.exp(branch.q.max()) > 0.436
-    period = branch.Z[:, -1]
-    assert period.max() > 10 and np.mean(period > 10.5) < 0.5
+    assert 10 < branch.Z[:, -1].max() < 11  # rounding decides whether it ends before 10.6
 
 
 def test_a_gap_between_two_nodes_is_found():
