@@ -10,3 +10,10 @@ ENDINGS = {"worker_died": 4, "timed_out": 5, "out_of_memory": 6, "not_attempted"
 ALL_STATUSES = dict(sorted({**STATUSES, **ENDINGS}.items(), key=lambda item: item[1]))
 #: Statuses that are answers; all others are failures.
 ANSWERS = tuple(STATUSES[name] for name in ("converged", "no_gait", "fell"))
+#: Reason of points that nobody has computed.
+NOT_ATTEMPTED = "The run has not reached it."
+
+
+def of_atlas(reason: str) -> str:
+    """Reason of a failed atlas, for results that need it."""
+    return f"The atlas of the line: {reason[:1].lower()}{reason[1:]}"

@@ -154,9 +154,9 @@ if __name__ == "__main__":
 
     # Twelve slopes are a long line of whole chunks, which workers finish.
     registry.SHORT_LINE = 8
-    from pipeline.archive import layout
+    from pipeline.grid import grid
 
-    layout.CHUNK = 6
+    grid.MOST_POINTS = 6
     from pipeline.cli import commands
 
     for name in _IMPORTED:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from pipeline import dispatch
-from pipeline.plan import graph
+from pipeline.graph import layers
+from pipeline.grid.method import Method, method_of
 from pipeline.study import model
 from tasks.registry import GAITS, TASKS
 
@@ -60,7 +61,7 @@ def plane_of(
     axes = (model.Axis("slope", slopes), *axes)
     study = model.Study("", "", "grid", (walker,), GAITS, axes, wanted, checks=(check,), accuracy=accuracy)
     study = replace(study, options={"violation_limits": limits}) if limits else study
-    return study if graph.over_plane(study) else None
+    return study if method_of(study) is Method.PLANE else None
 
 
 def cells(
@@ -89,7 +90,7 @@ def cells(
     order = np.argsort(np.ravel_multi_index(places, study.line_shape[1:]))
     most = max(1, _MAX_POINTS // len(study.slope))
     solve = dispatch.resolve(TASKS["atlas"].over_plane)
-    shared = {"slope": study.slope, "want": study.variables, **graph.point_params(study)}
+    shared = {"slope": study.slope, "want": study.variables, **layers.point_params(study, Method.PLANE)}
     for cell in study.cells():
         bounds = study.plane.cell(study.line(int(cell[0]))["set"])
         for part in np.array_split(order[cell], -(-len(cell) // most)):

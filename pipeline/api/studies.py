@@ -17,9 +17,9 @@ from pipeline.api import in_memory
 from pipeline.api.threads import in_turn
 from pipeline.archive import read
 from pipeline.archive.unfold import dataset, unfolded
+from pipeline.engine import runner
+from pipeline.engine.executors import MAX_JOBS
 from pipeline.errors import ArchiveError, StudyError
-from pipeline.execution import runner
-from pipeline.execution.executors import MAX_JOBS
 from pipeline.study import broadcast, model, options, parse, single_point
 from pipeline.study.location import Location
 from tasks.registry import MAX_STEPS

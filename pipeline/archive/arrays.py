@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.archive import layout
 from pipeline.archive.attributes import put
-from pipeline.plan.missing import Plan
+from pipeline.graph.plan import Plan
 
 Columns = Mapping[str, np.ndarray]
 #: Dimensions of each array after those of the lines, by the columns that hold their coordinates.
@@ -43,7 +42,7 @@ def write(
     attributes : callable
         From plan, group and column to the attributes of a variable.
     """
-    study, lines = plan.study, layout.Grid(plan.study)
+    study, lines = plan.study, plan.graph.grid
     places = [_walkers(study, columns) if d == "walker" else _find(columns[d], _axis(study, d)) for d in lines.lines]
     sizes = [lines.sizes[d] for d in lines.lines]
     slopes = study.slope

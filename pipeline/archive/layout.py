@@ -1,59 +1,19 @@
-"""The grid of an archive, and the boxes in which it is written and read with bounded memory."""
+"""Dimensions and chunks of variables as they lie in an archive, and their checksums."""
 
 from __future__ import annotations
 
 import itertools
-import math
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from pipeline.study.model import Study
+from pipeline.grid.grid import Box
 
-CHUNK, REGION = 16384, 65536  # points in a chunk of the file, and in a box assembled in memory
 #: Dimensions of the characters of strings are called by this and their length.
 STRING = "string"
 FILTERS = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
-Box = tuple[slice, ...]
-
-
-def chunk_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
-    """Shape of a box of at most `points` points, extended along the slope first, then along the last axes.
-
-    Parameters
-    ----------
-    sizes : mapping
-        Size of each dimension.
-    points : int
-
-    Returns
-    -------
-    tuple of int
-    """
-    extent: dict[str, int] = {}
-    for name in sorted(sizes, key=lambda d: (d == "slope", list(sizes).index(d)), reverse=True):
-        extent[name] = min(sizes[name], max(1, points // math.prod(extent.values())))
-    return tuple(extent[d] for d in sizes)
-
-
-def grid_chunk(sizes: Mapping[str, int]) -> tuple[int, ...]:
-    """Shape of a chunk of the grid: many short lines, or a part of a long one, which a worker can finish by itself."""
-    from tasks.registry import SHORT_LINE  # local: the report reads archives without any task
-
-    slopes = sizes["slope"]
-    if slopes <= SHORT_LINE:
-        return chunk_shape(sizes, CHUNK)
-    extent = math.ceil(slopes / math.ceil(slopes / CHUNK))
-    return tuple(extent if d == "slope" else 1 for d in sizes)
-
-
-def line_extent(sizes: Mapping[str, int]) -> int:
-    """Points in a chunk of the grid if it is a part of one line; else 0."""
-    shape = grid_chunk(sizes)
-    slopes = shape[list(sizes).index("slope")]
-    return slopes if math.prod(shape) == slopes else 0
 
 
 def filters(n: int) -> dict[str, int]:
@@ -69,17 +29,6 @@ def is_of_characters(dim: str) -> bool:
 def dims(variable: Any) -> tuple[str, ...]:
     """Dimensions of a variable as read: strings lose that of their characters."""
     return tuple(dim for dim in variable.dimensions if not is_of_characters(dim))
-
-
-def regions(sizes: Mapping[str, int], shape: tuple[int, ...], points: int = 0) -> Iterator[Box]:
-    """Boxes that cover the grid, each of complete chunks of that shape, and of at most `points` or `REGION` points."""
-    chunk = dict(zip(sizes, shape, strict=True))
-    chunks = chunk_shape(
-        {d: -(-sizes[d] // c) for d, c in chunk.items()}, (points or REGION) // math.prod(chunk.values())
-    )
-    extent = tuple(c * n for c, n in zip(chunk.values(), chunks, strict=True))
-    for corner in itertools.product(*(range(0, n, c) for n, c in zip(sizes.values(), extent, strict=True))):
-        yield tuple(slice(i, min(i + c, n)) for i, c, n in zip(corner, extent, sizes.values(), strict=True))
 
 
 def split(values: np.ndarray, box: Box, extent: tuple[int, ...]) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
@@ -119,76 +68,19 @@ def chunk_checksum(checksum: int, corner: tuple[int, ...]) -> int:
     return zlib.crc32(checksum.to_bytes(4, "little"), zlib.crc32(",".join(map(str, corner)).encode()))
 
 
-def checksum(values: np.ndarray, box: Box = ()) -> int:
-    """Checksum of a small variable, or of archives of schema 1 in a box, whose sum modulo 2^32 is the variable's.
+def checksum(values: np.ndarray) -> int:
+    """Checksum of a small variable.
 
     Parameters
     ----------
     values : ndarray
-        Values in the box.
-    box : Box
 
     Returns
     -------
     int
     """
-    corner = ",".join(str(s.start) for s in box)
     if values.dtype.kind in "OU":
         data: bytes | memoryview = "\0".join(values.ravel().tolist()).encode()
     else:
         data = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
-    return zlib.crc32(data, zlib.crc32(corner.encode()))
-
-
-class Grid:
-    """Dimensions of the archive of a study: walkers if there are several, then the axes in order."""
-
-    def __init__(self, study: Study):
-        self.study = study
-        walkers = [("walker", len(study.walkers))] if study.walker_axis else []
-        self.sizes = dict(walkers + [(a.name, len(a)) for a in study.axes if study.kind == "grid" or a.name != "slope"])
-        self.lines = [d for d in self.sizes if d != "slope"]
-
-    def lines_in(self, box: Box) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-        """Lines that cross a box.
-
-        Returns
-        -------
-        indices : tuple of ndarray of int, shape (n,)
-            Their indices in the box, without the slope.
-        numbers : ndarray of int, shape (n,)
-        """
-        spans = dict(zip(self.sizes, box, strict=True))
-        starts = [spans[d].start for d in self.lines]
-        if not starts:
-            return (), np.zeros(1, int)
-        indices = tuple(np.indices([spans[d].stop - spans[d].start for d in self.lines]).reshape(len(starts), -1))
-        shape = self.study.line_shape if self.study.walker_axis else self.study.line_shape[1:]
-        return indices, np.ravel_multi_index([i + start for i, start in zip(indices, starts, strict=True)], shape)
-
-    def slopes(self, box: Box) -> np.ndarray:
-        """Slopes of a box.
-
-        Returns
-        -------
-        ndarray, shape (n,) [rad]
-        """
-        return self.study.slope[slice(*self.slope_span(box))]
-
-    def slope_span(self, box: Box) -> tuple[int, int]:
-        """First slope of a box, and that after its last."""
-        span = dict(zip(self.sizes, box, strict=True))["slope"]
-        return span.start, span.stop
-
-    def slope_last(self, values: np.ndarray) -> np.ndarray:
-        """View the values of a box with the slope after the axes of the lines.
-
-        Parameters
-        ----------
-        values : ndarray, shape (extents of the box, ...)
-
-        Returns
-        -------
-        ndarray, shape (extents of the lines' axes, slopes, ...)
-        """
-        return np.moveaxis(values, list(self.sizes).index("slope"), len(self.lines))
+    return zlib.crc32(data)

@@ -1,16 +1,11 @@
-"""The main group of a study of kind `grid`: every variable over the grid and its gaits, in packed chunks.
-
-A chunk that a worker has finished is copied from the journal, unopened. Others are assembled from the journal's
-blocks, region by region, and packed in threads; both ways give the same bytes.
-"""
+"""The main group of a study of kind `grid`: every variable over the grid and its gaits, chunk by chunk."""
 
 from __future__ import annotations
 
 import functools
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,147 +13,101 @@ import numpy as np
 
 from pipeline.archive import attributes, chunks, layout
 from pipeline.archive.written import Written, line_description, write_strings
-from pipeline.plan.missing import Plan
-from pipeline.statuses import ALL_STATUSES, ANSWERS
-from pipeline.store import lines
-from pipeline.store.finished import FinishedChunk, digest, extent_of, status_rows
+from pipeline.graph.plan import Plan
+from pipeline.grid.grid import Chunk
+from pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
 from pipeline.store.packing import Packed, pack_values
+from pipeline.store.record import Head, count, has_multipliers, sentence_number, unpacked
 from pipeline.study import units
 from tasks.accuracy import MANTISSA, significant_bits
 from tasks.registry import GAITS, STATUSES, VARIABLES, Variable
 
-#: Name of a variable, start of a chunk in it, and what gives the chunk.
-_Piece = tuple[str, tuple[int, ...], Callable[[], Packed]]
-
 
 class PointWriter:
-    """Writes the main group of a study of kind `grid`."""
+    """Writes the main group of a study of kind `grid`.
 
-    def __init__(self, plan: Plan):
-        self.plan, self.study, self.grid = plan, plan.study, layout.Grid(plan.study)
+    Parameters
+    ----------
+    plan : Plan
+    check : callable
+        Called between chunks; it may raise.
+    """
+
+    def __init__(self, plan: Plan, check: Callable[[], None]):
+        self.plan, self.study, self.grid, self.check = plan, plan.study, plan.graph.grid, check
         self.written = Written()
         self.sums: Counter[str] = Counter()
-        self.shapes: dict[str, tuple[int, ...]] = {}
         self.dtypes: dict[str, np.dtype] = {}
-        self.multipliers = max(c["multipliers"] for c in self.study.checks)
-        self.chunk = layout.grid_chunk(self.grid.sizes)
-        #: Points in a chunk, if it is a part of one line.
-        self.extent = 0 if plan.blocks else layout.line_extent(self.grid.sizes)
-        self._ranges = functools.lru_cache(64)(self._read_ranges)
-        self._unreached = functools.lru_cache(256)(self._pack_unreached)
-        self._digest = functools.lru_cache(1024)(lambda start, stop: digest(self.study.slope[start:stop]))
+        self.chunk = self.grid.extent
+        self._same = functools.lru_cache(256)(self._pack_same)
         self.columns = [GAITS.index(g) for g in self.study.gaits]
         others_wanted = "other" in " ".join(self.study.gaits) and len(self.study.gaits) < len(GAITS)
         self._is_solved = np.array([others_wanted or not GAITS[c].startswith("other") for c in self.columns])
-        self._used: set[str] = set()
-        for box in self._boxes():
-            self._survey(box)
-        self.sentences = sorted(self._used)
+        self._texts: dict[int, str] = {}
+        for chunk in self._chunks():
+            self._survey(chunk)
+        self.sentences = sorted(set(self._texts.values()))
         self.columns = self.columns[: max(np.flatnonzero(self._is_solved), default=0) + 1]
         self.dims = (*self.grid.sizes, "gait")
 
-    def _boxes(self) -> Iterator[layout.Box]:
-        """Boxes of the grid that are written at a time: single chunks, if workers may have finished them."""
-        return layout.regions(self.grid.sizes, self.chunk, self.extent)
+    def _chunks(self) -> Iterator[Chunk]:
+        for number in range(self.grid.chunks):
+            self.check()
+            yield self.grid.chunk(number)
 
-    def _survey(self, box: layout.Box) -> None:
-        """Count the points in a box, and note its sentences and the gaits that it has."""
-        chunk = self._finished(box)
-        if chunk:
-            rows: Counter[tuple[int, ...]] = Counter()
-            for row, n in chunk.head.rows().items():
-                rows[tuple(row[c] for c in self.columns)] += n
-            if set(ANSWERS).issuperset(itertools.chain(*rows)):
-                self._count(rows, (chunk.head.sentences[k] for k in chunk.head.used(self.columns)))
-                return
-        if self._is_unreached(box):
-            slopes, number = self.grid.slopes(box), int(self.grid.lines_in(box)[1][0])
-            row = (ALL_STATUSES["not_attempted"],) * len(self.columns)
-            self._count(Counter({row: len(slopes)}), [lines.NOT_ATTEMPTED])
-            self._add_failure(lines.NOT_ATTEMPTED, len(slopes), number, slopes[0])
+    def _survey(self, chunk: Chunk) -> None:
+        """Count the points of a chunk, and note its sentences and the gaits that it has."""
+        key = self.plan.graph.chunk_key(chunk).key
+        if key not in self.plan.store:
+            status, reason = self._ending(chunk)
+            self._count({(ALL_STATUSES[status],) * len(self.columns): chunk.points}, {sentence_number(reason): reason})
+            self._add_failure(reason, chunk.points, chunk, 0)
             return
-        for _, numbers, data in self._lines(box, ()):
-            status, reason = (
-                data[name][..., self.columns].reshape(-1, len(self.columns)) for name in ("status", "reason")
-            )
-            rows = Counter(status_rows(status))
-            self._count(rows, data["reasons"][np.flatnonzero(np.bincount(reason.ravel()))].tolist())
-            if not set(ANSWERS).issuperset(itertools.chain(*rows)):
-                self._count_failures(numbers, data, status, reason)
+        head = self.plan.store.chunk(key)
+        rows = head.rows(self.columns)
+        self._count(rows, head.sentences(self.columns))
+        if not set(ANSWERS).issuperset(itertools.chain(*rows)):
+            self._count_failures(chunk, key)
 
-    def _count(self, rows: Counter[tuple[int, ...]], sentences: Iterable[str]) -> None:
+    def _count(self, rows: dict[tuple[int, ...], int], sentences: dict[int, str]) -> None:
         solved = [code for name, code in STATUSES.items() if name != "no_gait"]
-        self.written.counts += lines.count(rows)
+        self.written.counts += count(rows)
         self._is_solved |= np.isin(list(rows), solved).any(axis=0)
-        self._used.update(sentences)
+        self._texts |= sentences
 
-    def _count_failures(
-        self, numbers: np.ndarray, data: dict[str, Any], status: np.ndarray, reason: np.ndarray
-    ) -> None:
-        failed, slopes = ~np.isin(status, ANSWERS), data["slope"]
+    def _count_failures(self, chunk: Chunk, key: str) -> None:
+        points = unpacked(*self.plan.store.get(key))
+        failed = ~np.isin(points.values["status"][:, self.columns], ANSWERS)
         rows = np.flatnonzero(failed.any(axis=1))
-        reasons = reason[rows, failed[rows].argmax(axis=1)]
-        for k in np.unique(reasons):
-            failed_rows = rows[reasons == k]
-            line, slope = divmod(int(failed_rows[0]), len(slopes))
-            self._add_failure(str(data["reasons"][k]), len(failed_rows), int(numbers[line]), slopes[slope])
+        reasons = points.values["reason"][:, self.columns][rows, failed[rows].argmax(axis=1)]
+        for number in np.unique(reasons):
+            own = rows[reasons == number]
+            self._add_failure(points.sentences[int(number)], len(own), chunk, int(own[0]))
 
-    def _add_failure(self, reason: str, points: int, number: int, slope: float) -> None:
-        example = f"{line_description(self.study, number)} slope={float(slope)!r}"
+    def _add_failure(self, reason: str, points: int, chunk: Chunk, first: int) -> None:
+        line, k = divmod(first, chunk.points // len(chunk.lines))
+        slope = float(self.study.slope[chunk.slopes][k])
+        example = f"{line_description(self.study, int(chunk.lines[line]))} slope={slope!r}"
         self.written.add_failure(reason, points, example)
 
-    def _lines(
-        self, box: layout.Box, names: tuple[str, ...]
-    ) -> Iterator[tuple[tuple[np.ndarray, ...], np.ndarray, dict[str, Any]]]:
-        """Points of the lines in a box, some lines at a time: their indices in the box, numbers and data."""
-        indices, numbers = self.grid.lines_in(box)
-        for part, data in self.plan.read(numbers, names, self.grid.slopes(box), max(self.columns) + 1):
-            yield tuple(index[part] for index in indices), numbers[part], data
-
-    def _read_ranges(self, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.plan.journal.ranges(self.plan.line_keys(number)["points"].key)
-
-    def _stored(self, box: layout.Box) -> list[int]:
-        """Numbers of the journal's blocks that may hold points of a part of one line, latest first."""
-        slopes = self.grid.slopes(box)
-        numbers, low, high = self._ranges(int(self.grid.lines_in(box)[1][0]))
-        stored: list[int] = numbers[(low <= slopes.max()) & (high >= slopes.min())][::-1].tolist()
-        return stored
-
-    def _is_unreached(self, box: layout.Box) -> bool:
-        """Whether a box is part of one line without any results: its points need not be read."""
-        if not self.extent or self._stored(box):
-            return False
-        atlas = self.plan.line_keys(int(self.grid.lines_in(box)[1][0])).get("atlas")
-        outcome = self.plan.journal.outcome(atlas.key) if atlas else None
-        return outcome is None or outcome.status == "ok"
-
-    def _finished(self, box: layout.Box) -> FinishedChunk | None:
-        """The finished chunk that holds a box's points, if it is their latest stored result."""
-        if not self.extent:
-            return None
-        span = self.grid.slope_span(box)
-        for number in self._stored(box):
-            block = self.plan.journal.block(number)
-            if self.plan.want <= block.variables:
-                head = block.finished.head if block.finished else None
-                shape = self.extent, self.multipliers
-                if head and (head.extent, head.multipliers) == shape and head.digest == self._digest(*span):
-                    return block.finished
-                return None
-        return None
+    def _ending(self, chunk: Chunk) -> tuple[str, str]:
+        """Status and reason of the points of a chunk that is not stored."""
+        atlas = None if len(chunk.lines) > 1 else self.plan.outcome_of_line(int(chunk.lines[0]))
+        if atlas is None or atlas.status == "ok":
+            return "not_attempted", NOT_ATTEMPTED
+        return atlas.status, of_atlas(atlas.reason)
 
     def define(self, file: Any) -> None:
         """Create every variable, without values."""
         file.createDimension("gait", len(self.columns))
         about = {"long_name": "gait by its character", "units": "1"}
         write_strings(file, "gait", "gait", [GAITS[c] for c in self.columns], about)
-        names = self.plan.variables
-        if any("multiplier" in VARIABLES[n].dims for n in names):
-            file.createDimension("multiplier", self.multipliers)
+        names, multipliers = self.plan.graph.variables, self.grid.multipliers
+        if any(has_multipliers(n) for n in names):
+            file.createDimension("multiplier", multipliers)
             multiplier = file.createVariable("multiplier", "i4", ("multiplier",), fill_value=False)
             attributes.put(multiplier, {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"})
-            multiplier[:] = np.arange(self.multipliers)
+            multiplier[:] = np.arange(multipliers)
         is_si, is_mixed = units.is_si(self.study), len({c["si"] for c in self.study.checks}) > 1
         limits = self.study.options.get("violation_limits")
         for name in names:
@@ -171,80 +120,59 @@ class PointWriter:
                 **layout.FILTERS,
                 **_quantization(description, self.study.accuracy),
                 # For one gait: which trailing gaits are absent is known only once all points are.
-                chunksizes=(*self.chunk, *(1, self.multipliers)[: len(description.dims)]),
+                chunksizes=(*self.chunk, *(1, multipliers)[: len(description.dims)]),
                 fill_value=np.nan if description.dtype == "f8" else False,
             )
-            self.shapes[name], self.dtypes[name] = tuple(variable.chunking()), variable.dtype
+            self.dtypes[name] = variable.dtype
             attributes.put(variable, attributes.of_variable(description, is_si, is_mixed, self.study.steps, limits))
 
-    def fill(self, draft: Path, threads: int) -> None:
-        """Write values box by box; while one box is packed the next is assembled."""
-        previous: list[_Piece] = []
-        with ThreadPoolExecutor(threads) as pool, chunks.Chunks(draft) as out:
-            for box in [*self._boxes(), ()]:
-                pieces = list(self._pieces(box, pool)) if box else []
-                for name, corner, piece in previous:
-                    packed = piece()
+    def fill(self, draft: Path) -> None:
+        """Write the values chunk by chunk."""
+        with chunks.Chunks(draft) as out:
+            for chunk in self._chunks():
+                start = tuple(span.start for span in chunk.box)
+                for name, g, packed in self._pieces(chunk):
+                    corner = (*start, g, *([0] if has_multipliers(name) else []))
                     out.write(name, corner, packed.data)
                     self.sums[name] += layout.chunk_checksum(packed.checksum, corner)
-                previous = pieces
 
-    def _pieces(self, box: layout.Box, pool: ThreadPoolExecutor) -> Iterator[_Piece]:
-        """Chunks of every variable in a box."""
-        chunk = self._finished(box)
-        if chunk or self._is_unreached(box):
-            start, points = tuple(s.start for s in box), len(self.grid.slopes(box))
-            for name, shape in self.shapes.items():
-                unreached = functools.partial(self._unreached, name, points)
-                for g, column in enumerate(self.columns):
-                    corner = (*start, g, *(0,) * (len(shape) - len(start) - 1))
-                    yield name, corner, functools.partial(self._copy, chunk, name, column) if chunk else unreached
+    def _pieces(self, chunk: Chunk) -> Iterator[tuple[str, int, Packed]]:
+        """Pieces of a chunk: name, number of the gait in the archive, and packed values."""
+        key = self.plan.graph.chunk_key(chunk).key
+        if key not in self.plan.store:
+            status, reason = self._ending(chunk)
+            states = {"status": ALL_STATUSES[status], "reason": self._numbers[sentence_number(reason)]}
+            for name, g in itertools.product(self.dtypes, range(len(self.columns))):
+                yield name, g, self._same(name, states.get(name, VARIABLES[name].absent), chunk.shape.sizes)
             return
-        for name, values in self._region(box).items():
-            for corner, part in layout.split(values, box, self.shapes[name]):
-                yield name, corner, pool.submit(pack_values, part, self.shapes[name]).result
-
-    def _copy(self, chunk: FinishedChunk, name: str, column: int) -> Packed:
-        """The piece of a finished chunk; sentences are numbered over the study."""
-        head, shape = chunk.head, extent_of(name, self.extent, self.multipliers)
-        if name == "reason":
-            table = self._table(tuple(head.sentences))
-            if self.dtypes[name] != VARIABLES[name].dtype or (table != np.arange(len(table))).any():
-                values = table[head.unpack(chunk.payload, name, column)]
-                return pack_values(values.astype(self.dtypes[name]), shape)
-        points = extent_of(name, head.points, self.multipliers)
-        absent = VARIABLES[name].absent, self.dtypes[name]
-        return head.piece(chunk.payload, name, column) or pack_values(np.full(points, *absent), shape)
-
-    def _pack_unreached(self, name: str, points: int) -> Packed:
-        """The piece of a chunk none of whose points is known."""
-        states = {"status": ALL_STATUSES["not_attempted"], "reason": self._numbers.get(lines.NOT_ATTEMPTED, 0)}
-        shape, extent = (extent_of(name, n, self.multipliers) for n in (points, self.extent))
-        return pack_values(np.full(shape, states.get(name, VARIABLES[name].absent), self.dtypes[name]), extent)
+        data, payload = self.plan.store.get(key)
+        with self.plan.store.reading():
+            head, view = Head(data), memoryview(payload)
+            reasons = self._renumbered(head.unpack(view, "reason"))
+            for name, (g, column) in itertools.product(self.dtypes, enumerate(self.columns)):
+                if name == "reason":
+                    values = chunk.shape.unfold(np.ascontiguousarray(reasons[:, column]))
+                    yield name, g, pack_values(np.ascontiguousarray(values), self.chunk)
+                else:
+                    piece = head.piece(view, name, column)
+                    yield name, g, piece or self._same(name, VARIABLES[name].absent, chunk.shape.sizes)
 
     @functools.cached_property
-    def _numbers(self) -> dict[str, int]:
-        return {sentence: i for i, sentence in enumerate(self.sentences)}
+    def _numbers(self) -> dict[int, int]:
+        """Number of each sentence in the archive, by that in the store."""
+        places = {sentence: i for i, sentence in enumerate(self.sentences)}
+        return {number: places[text] for number, text in self._texts.items()}
 
-    def _table(self, sentences: Iterable[str]) -> np.ndarray:
-        """Numbers of sentences in the study; those of gaits that are not archived are not used."""
-        return np.array([self._numbers.get(s, 0) for s in sentences], int)
+    def _renumbered(self, reason: np.ndarray) -> np.ndarray:
+        """Reasons by their numbers in the archive; those of gaits that are not archived are not used."""
+        numbers, places = np.unique(reason, return_inverse=True)
+        table = np.array([self._numbers.get(int(number), 0) for number in numbers], self.dtypes["reason"])
+        return np.asarray(table[places.reshape(reason.shape)])
 
-    def _region(self, box: layout.Box) -> dict[str, np.ndarray]:
-        """Values of every variable in a box."""
-        extent = tuple(s.stop - s.start for s in box)
-        values = {
-            name: np.empty((*extent, max(self.columns) + 1, *shape[len(box) + 1 :]), self.dtypes[name])
-            for name, shape in self.shapes.items()
-        }
-        views = {name: self.grid.slope_last(v) for name, v in values.items()}
-        for position, _, data in self._lines(box, tuple(n for n in values if n not in ("status", "reason"))):
-            data["reason"] = self._table(data["reasons"].tolist())[data["reason"]]
-            for name, view in views.items():
-                view[position] = data[name] if position else data[name][0]
-        if self.columns == list(range(len(self.columns))):
-            return values
-        return {name: v.take(self.columns, axis=len(box)) for name, v in values.items()}
+    def _pack_same(self, name: str, value: float, sizes: tuple[int, ...]) -> Packed:
+        """Piece of a chunk in which all values are the same."""
+        more = (self.grid.multipliers,) if has_multipliers(name) else ()
+        return pack_values(np.full((*sizes, *more), value, self.dtypes[name]), (*self.chunk, *more))
 
 
 def _quantization(variable: Variable, accuracy: float) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from pipeline.archive import attributes
 from pipeline.errors import ArchiveError
 
 if TYPE_CHECKING:
-    from pipeline.plan.missing import Plan
+    from pipeline.graph.plan import Plan
     from pipeline.study.model import Study
 
 _BEGINNING, _MAX_HEADER = '{"commit": ', 1 << 22  # of the provenance in an archive, and where it is [byte]
@@ -42,7 +42,7 @@ def provenance(plan: Plan) -> str:
                 attributes.violation_limits(study.options.get("violation_limits")).items()  # in the order of their bits
             ),
             "varied": {key: axis for check in study.checks for key, axis in check["varied"].items()},
-            "tasks": {name: layer.task.version for name, layer in plan.layers.items()},
+            "tasks": {name: layer.task.version for name, layer in plan.graph.layers.items()},
             "packages": {name: version(name) for name in _PACKAGES},
             "python": platform.python_version(),
             "cpu": cpu_features(),

@@ -19,14 +19,14 @@ import numpy as np
 
 from pipeline.archive import layout
 from pipeline.errors import ArchiveError, GaitsweepError, WorkerError, unread
+from pipeline.grid import grid
 from pipeline.paths import kind_of
 
 SCHEMA = 2
-_READABLE = (1, 2)  # schemas; in 1, chunks held all gaits, and checksums were of boxes
 # Time [s] and speed [byte/s] allowed to read an archive, which may hold much in few bytes.
 _TIMEOUT, _MIN_SPEED = 30.0, 2e5
 _TICK, _MAX_CHARGED = 0.1, 0.5  # interval of checks of the reading process, and largest time charged to it for one [s]
-_MAX_VALUES = 1 << 20  # values read at a time
+_MAX_VALUES, _MAX_POINTS = 1 << 20, 1 << 16  # values, and points of a variable, read at a time
 _MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
 
 
@@ -102,7 +102,7 @@ def open_archive(path: Path) -> Iterator[Any]:
     with blamed_if_damaged(path):
         try:
             schema = getattr(file, "gaitsweep_schema", None)
-            if not isinstance(schema, np.integer) or schema not in _READABLE:
+            if not isinstance(schema, np.integer) or schema != SCHEMA:
                 raise ArchiveError(f"{path} is not an archive of gaitsweep (schema {SCHEMA}).")
             yield file
         finally:
@@ -180,10 +180,10 @@ def is_over_grid(variable: Any) -> bool:
     return "gait" in variable.dimensions and variable.name != "gait"
 
 
-def boxes(variable: Any) -> Iterator[layout.Box]:
+def boxes(variable: Any) -> Iterator[grid.Box]:
     """Boxes in which a variable of points is read: whole chunks."""
     points = _points(variable)
-    return layout.regions(points, _chunk(variable)[: len(points)])
+    return grid.boxes(points, _chunk(variable)[: len(points)], _MAX_POINTS)
 
 
 def _points(variable: Any) -> dict[str, int]:
@@ -195,12 +195,10 @@ def _chunk(variable: Any) -> tuple[int, ...]:
     """Shape of the chunks in which a variable of points was written, even if it was rechunked since."""
     points = _points(variable)
     inner = variable.shape[len(points) :]
-    if getattr(variable.group(), "gaitsweep_schema", 1) == 1:
-        return (*layout.chunk_shape(points, layout.CHUNK), *inner)
     return (*np.atleast_1d(variable.group().checksum_chunk).tolist(), 1, *inner[1:])
 
 
-def box_checksum(variable: Any, values: np.ndarray, box: layout.Box) -> int:
+def box_checksum(variable: Any, values: np.ndarray, box: grid.Box) -> int:
     """Share of a box in the checksum of a variable of points.
 
     Parameters
@@ -210,8 +208,6 @@ def box_checksum(variable: Any, values: np.ndarray, box: layout.Box) -> int:
         In the box.
     box : Box
     """
-    if getattr(variable.group(), "gaitsweep_schema", 1) == 1:
-        return layout.checksum(values, box)
     parts = layout.split(values, box, _chunk(variable))
     return sum(layout.chunk_checksum(zlib.crc32(part.tobytes()), corner) for corner, part in parts)
 
@@ -292,7 +288,7 @@ def _read_whole(path: Path) -> None:
                     stored = variable.chunking()
                     chunk = (1,) * variable.ndim if stored == "contiguous" else tuple(stored)
                     sizes = {str(dim): n for dim, n in enumerate(variable.shape)}
-                    for box in layout.regions(sizes, chunk, _MAX_VALUES):
+                    for box in grid.boxes(sizes, chunk, _MAX_VALUES):
                         variable[box or ...]
             groups += group.groups.values()
 

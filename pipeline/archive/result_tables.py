@@ -13,7 +13,7 @@ from pipeline.archive import arrays, layout
 from pipeline.archive.attributes import over_steps, put
 from pipeline.archive.written import write_strings
 from pipeline.dispatch import resolve
-from pipeline.plan.missing import Plan
+from pipeline.graph.plan import Plan
 from pipeline.study import units
 from tasks import registry
 from tasks.columns import COLUMNS
@@ -23,16 +23,16 @@ Columns = dict[str, np.ndarray]
 
 def write(file: Any, plan: Plan) -> None:
     """Write the tables of all tasks of a study; of failed tasks, their names and reasons."""
-    for name, layer in plan.layers.items():
+    for name, layer in plan.graph.layers.items():
         if name in registry.INTERNAL or (name in registry.OPTIONS and name != plan.study.kind):
             continue
         parts: dict[str, list[Columns]] = {}
         places: dict[str, list[np.ndarray]] = {}
         for coordinates, key, numbers in _task_runs(plan, name, layer.per_line):
-            result = plan.journal.result(key)
-            if result is None or result.outcome != "ok":
+            result = plan.store.result(key)
+            if result is None:
                 continue
-            for group, columns in split(serialize.load(result.data)).items():
+            for group, columns in split(serialize.load(result)).items():
                 parts.setdefault(group, []).append({**_repeat(coordinates, columns), **columns})
                 places.setdefault(group, []).append(numbers)
         for group in sorted(parts):
@@ -52,10 +52,10 @@ def write(file: Any, plan: Plan) -> None:
 
 def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
     """Name, outcome and reason of failed tasks; points report an atlas that only they need."""
-    for name, layer in plan.layers.items():
-        if name != "points" and (name != "atlas" or plan.atlas_readers):
+    for name, layer in plan.graph.layers.items():
+        if name != "points" and (name != "atlas" or plan.graph.atlas_readers):
             for _, key, _ in _task_runs(plan, name, layer.per_line):
-                ending = plan.journal.outcome(key)
+                ending = plan.store.outcome(key)
                 if ending and ending.status != "ok":
                     yield name, ending.status, ending.reason
 
@@ -63,12 +63,12 @@ def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
 def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str, np.ndarray]]:
     """Coordinates, key and numbers of the lines of every execution of a task, in the order of the grid."""
     if not per_line:
-        yield {}, plan.study_keys()[name].key, np.zeros(0, int)
+        yield {}, plan.graph.study_keys()[name].key, np.zeros(0, int)
         return
     for i in range(plan.study.batches):
         numbers = plan.study.batch(i)
         coordinates = {"walker": plan.study.name_of(int(numbers[0])), **plan.study.batch_line(i)["set"]}
-        yield coordinates, plan.line_keys(i)[name].key, numbers
+        yield coordinates, plan.graph.line_keys(i)[name].key, numbers
 
 
 def split(table: Mapping[str, np.ndarray]) -> dict[str, Columns]:

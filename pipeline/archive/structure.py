@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline import dispatch
 from pipeline.archive import layout
+from pipeline.grid.grid import MOST_POINTS, box_shape, boxes
 from pipeline.statuses import ALL_STATUSES
 from tasks.accuracy import always
 from tasks.registry import GAITS, TASKS, VARIABLES
@@ -165,7 +166,7 @@ def _states(file: Any) -> Iterator[str]:
 def _parts(variable: Any) -> Iterator[np.ndarray]:
     """Values of a variable box by box: memory may not hold all of them."""
     sizes = dict(zip(variable.dimensions, variable.shape, strict=True))
-    for box in layout.regions(sizes, layout.chunk_shape(sizes, layout.CHUNK)):
+    for box in boxes(sizes, box_shape(sizes, MOST_POINTS), MOST_POINTS):
         yield np.asarray(variable[box])
 
 

@@ -1,7 +1,7 @@
 """The archive: results of a study as one CF netCDF-4 file, written as a draft and then moved into place.
 
 Its bytes depend on the study and the results only: not on the time, paths, workers or order of arrival. It is written
-region by region, so memory does not limit its size.
+chunk by chunk, so memory does not limit its size.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,9 @@ from pipeline.archive.provenance import provenance
 from pipeline.archive.read import SCHEMA
 from pipeline.archive.written import Written, line_description, write_strings
 from pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
-from pipeline.plan.missing import Plan
-from pipeline.statuses import ALL_STATUSES, ANSWERS
-from pipeline.store import lines
-from pipeline.store.rows import Outcome, TaskKey
+from pipeline.graph.plan import Plan
+from pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
+from pipeline.store.store import Key, Outcome
 from pipeline.study import units
 from tasks.registry import VARIABLES
 
@@ -33,15 +33,15 @@ from tasks.registry import VARIABLES
 _NO_CURVE = "No point to start a curve from was found, neither at the value of the walker nor at the ends of the range."
 
 
-def write(plan: Plan, path: Path, threads: int = 1) -> Written:
-    """Write the results in the journal as the archive at `path`.
+def write(plan: Plan, path: Path, check: Callable[[], None] = lambda: None) -> Written:
+    """Write the results in the store as the archive at `path`.
 
     Parameters
     ----------
     plan : Plan
     path : Path
-    threads : int
-        Number of threads that pack chunks.
+    check : callable, optional
+        Called between chunks; what it raises ends the writing.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def write(plan: Plan, path: Path, threads: int = 1) -> Written:
     draft = paths.of(target)
     try:
         read.check_replaceable(target)
-        written = _write(plan, draft, threads)
+        written = _write(plan, draft, check)
         with open(draft, "rb") as file:
             os.fsync(file.fileno())
         os.replace(draft, target)
@@ -99,14 +99,14 @@ def _target(path: Path) -> Path:
     return path.resolve() if path.is_symlink() else path
 
 
-def _write(plan: Plan, draft: Path, threads: int) -> Written:
-    writer = PointWriter(plan) if plan.study.kind == "grid" else _LineWriter(plan)
+def _write(plan: Plan, draft: Path, check: Callable[[], None]) -> Written:
+    writer = PointWriter(plan, check) if plan.study.kind == "grid" else _LineWriter(plan)
     with read.open_netcdf(draft, "w") as file:
         _write_header(file, plan, writer)
         writer.define(file)
         result_tables.write(file, plan)
         wanted = _described(file)
-    writer.fill(draft, threads)
+    writer.fill(draft)
     with read.open_netcdf(draft, "a") as file:
         wanted["attributes"] |= _write_checksums(file, writer)
     # Short of memory, HDF5 may silently omit an attribute.
@@ -194,11 +194,11 @@ class _LineWriter:
     """Writes the main group of a study of another kind: the outcome of each line."""
 
     def __init__(self, plan: Plan):
-        self.plan, self.study, self.grid = plan, plan.study, layout.Grid(plan.study)
+        self.plan, self.study, self.grid = plan, plan.study, plan.graph.grid
         self.dims, self.sums = tuple(self.grid.sizes), Counter[str]()
         ends: list[tuple[str, str]] = [("", "")] * plan.study.lines
         for i in range(plan.study.batches):
-            end = self._outcome(plan.line_keys(i))
+            end = self._outcome(plan.graph.line_keys(i))
             for number in plan.study.batch(i).tolist():
                 ends[number] = end
         self.sentences = sorted({reason for _, reason in ends})
@@ -212,16 +212,16 @@ class _LineWriter:
             if ALL_STATUSES[status] not in ANSWERS:
                 self.written.add_failure(reason, 1, line_description(plan.study, i))
 
-    def _outcome(self, keys: dict[str, TaskKey]) -> tuple[str, str]:
+    def _outcome(self, keys: dict[str, Key]) -> tuple[str, str]:
         for name in ("atlas", self.study.kind):
-            outcome = self.plan.journal.outcome(keys[name].key) if name in keys else Outcome("ok", "", 0)
+            outcome = self.plan.store.outcome(keys[name].key) if name in keys else Outcome("ok", "")
             if outcome is None:
-                return "not_attempted", lines.NOT_ATTEMPTED
+                return "not_attempted", NOT_ATTEMPTED
             if outcome.status != "ok":
-                return outcome.status, lines.of_atlas(outcome.reason) if name == "atlas" else outcome.reason
+                return outcome.status, of_atlas(outcome.reason) if name == "atlas" else outcome.reason
         if self.study.kind == "curve":
-            result = self.plan.journal.result(keys["curve"].key)
-            if result is not None and not len(serialize.load(result.data)["curves/slope"]):
+            result = self.plan.store.result(keys["curve"].key)
+            if result is not None and not len(serialize.load(result)["curves/slope"]):
                 return "converged", _NO_CURVE
         return "converged", "The line was followed; its results are in the groups."
 
@@ -232,5 +232,5 @@ class _LineWriter:
             attributes.put(variable, attributes.of_variable(VARIABLES[name], True))
             variable[...] = values
 
-    def fill(self, draft: Path, threads: int) -> None:
+    def fill(self, draft: Path) -> None:
         """Do nothing: all values are written by `define`."""

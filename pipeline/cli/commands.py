@@ -233,7 +233,7 @@ def _run(options: argparse.Namespace) -> int:
     codes: list[int] = []
     studies = _archives(options, codes)
     from pipeline.cli import text
-    from pipeline.execution import runner
+    from pipeline.engine import runner
 
     names = (field.name for field in dataclasses.fields(runner.Options))
     run_options = runner.Options(**{name: getattr(options, name) for name in names})
@@ -256,15 +256,15 @@ def _run(options: argparse.Namespace) -> int:
 def _plan(options: argparse.Namespace) -> int:
     from pipeline import paths
     from pipeline.cli import text
-    from pipeline.plan import missing
-    from pipeline.store.journal import Journal
+    from pipeline.graph.plan import Plan, summary
+    from pipeline.store.store import Store
 
     records = []
     for study, path in _archives(options):
-        journal = Journal(paths.sidecar_path(path, ".journal"), write=False)
-        planned = missing.Plan(study, journal, options.retry_failed)
+        store = Store(paths.sidecar_path(path, ".journal"), write=False)
+        planned = Plan(study, store, options.retry_failed)
         describe = text.plan_record if options.json else text.plan
-        records.append(describe(planned, missing.summary(planned), path))
+        records.append(describe(planned, summary(planned), path))
     print(json.dumps(records) if options.json else "\n".join(line for record in records for line in record))
     return 0
 

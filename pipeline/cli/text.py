@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import dispatch
-from pipeline.execution.progress import duration, last_state, sentence
+from pipeline.engine.progress import duration, last_state, sentence
+from pipeline.graph.plan import Plan, Summary
+from pipeline.grid import costs
 from pipeline.paths import sidecar_path
-from pipeline.plan import costs
-from pipeline.plan.missing import Plan, Summary
 from pipeline.study.model import Study
 from tasks.registry import FITS, VARIABLES
 
@@ -34,7 +34,7 @@ def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
         axes, total = study.line_axes, f"{study.lines:,} {name}{'s' if study.lines > 1 else ''}"
     shape = [*walkers, *(f"{len(a)} {a.name}" for a in axes)]
     yield f"{study.name}: {' x '.join(shape)}{', ' if shape else ''}{total} -> {path}"
-    for name, layer in planned.layers.items():
+    for name, layer in planned.graph.layers.items():
         what = "point" if name == "points" else "line" if layer.per_line else "study"
         parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
         parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
@@ -101,7 +101,7 @@ def _omitted(planned: Plan) -> list[str]:
     names = [name for name in tasks if name in (*FITS, "trace", "claims")]
     if planned.study.kind != "grid":
         return names
-    groups = {v.group for v in VARIABLES.values()} - {VARIABLES[v].group for v in planned.variables}
+    groups = {v.group for v in VARIABLES.values()} - {VARIABLES[v].group for v in planned.graph.variables}
     return list(dict.fromkeys(VARIABLES[v].group if VARIABLES[v].group in groups else v for v in variables)) + names
 
 

@@ -1,5 +1,5 @@
 """Finished results, safe against any interruption of a run.
 
-`journal` stores them in SQLite; `rows` defines and checks rows; `salvage` reads rows from a damaged file; `compact`
-joins small blocks; `lines` reads the points of a line.
+`store` keeps records by their keys in SQLite; `file` opens, recognises and repairs its file; `record` packs the points
+of a chunk, by the filters of `packing`.
 """

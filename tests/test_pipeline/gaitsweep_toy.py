@@ -8,10 +8,10 @@ from tasks import registry
 # Lines of 200 points are long ones, whose chunks workers finish. Read when modules are imported, so set before.
 registry.SHORT_LINE = 100
 
-from pipeline.archive import layout  # noqa: E402
 from pipeline.cli import commands  # noqa: E402
+from pipeline.grid import grid  # noqa: E402
 
-layout.CHUNK = int(os.environ.get("TOY_CHUNK", layout.CHUNK))
+grid.MOST_POINTS = int(os.environ.get("TOY_CHUNK", "20"))
 
 VERSIONS = dict(item.split("=") for item in os.environ.get("TOY_VERSIONS", "").split())
 TOYS = {

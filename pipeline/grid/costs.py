@@ -1,4 +1,4 @@
-"""How long the tasks of a study take, before any of them is measured."""
+"""How long the points and tasks of a study take, before any of them is measured."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pipeline.plan import graph
+from pipeline.grid.method import Method, method_of, variables
 from pipeline.study.model import Study
 from tasks import registry
 from tasks.accuracy import nodes_for
@@ -36,9 +36,10 @@ def seconds(study: Study, name: str) -> float:
     -------
     float [s]
     """
+    method = method_of(study)
     if name == "points":
-        return _total(study, _of_point(study))
-    if name == "atlas" and study.plane and graph.over_plane(study):
+        return of_point(study, method)
+    if name == "atlas" and study.plane and method is Method.PLANE:
         line = _total(study, COSTS["atlas side by side"])
         lines_a_cell = math.prod(len(a) / n for a, n in zip(study.plane.axes, study.plane.parts, strict=True))
         # The more panels of slopes, the more surely branches end in one of them, and lines are surveyed as well.
@@ -51,33 +52,23 @@ def seconds(study: Study, name: str) -> float:
         designs, cells = study.lines / study.batches, int(study.plane is not None)
         own = _total(study, COSTS["design of a plane" if cells else "design"])
         return own * designs + cells * _total(study, COSTS["plane of designs"])
-    is_block = name == "atlas" and (graph.is_interpolated(study) or (graph.is_short(study) and study.lines > 1))
-    return _total(study, COSTS.get("atlas side by side" if is_block else name, OTHERS), name)
-
-
-def seconds_after(study: Study, layers: dict[str, graph.Layer]) -> dict[str, float]:
-    """Estimated time of the longest chain of tasks that depend on a task of each layer [s]."""
-    after = dict.fromkeys(layers, 0.0)
-    for name, layer in reversed(layers.items()):
-        for need in layer.needs:
-            after[need] = max(after[need], seconds(study, name) + after[name])
-    return after
+    is_cheap = name == "atlas" and (method is Method.INTERPOLATED or (method.is_of_lines and study.lines > 1))
+    return _total(study, COSTS.get("atlas side by side" if is_cheap else name, OTHERS), name)
 
 
 def integrated(study: Study, points: int) -> int:
     """About how many of some points of a grid are integrated; the others come from polynomials over slopes."""
-    if not graph.is_interpolated(study):
+    if method_of(study) is not Method.INTERPOLATED:
         return points
     panels = math.ceil(float(np.log(study.slope.max() / study.slope.min()))) + 1
     return min(points, study.lines * panels * (2 * nodes_for(study.accuracy) + 1))
 
 
-def _of_point(study: Study) -> list[Cost]:
-    """Costs of a point of a study."""
-    wanted = {VARIABLES[name].group for name in graph.variables(study)}
-    kind = "cycles" if study.steps > 1 else "short" if graph.is_short(study) else "long"
-    kind = "plane" if graph.over_plane(study) else "interpolated" if graph.is_interpolated(study) else kind
-    return [POINTS[group] for group in (kind, *sorted(wanted & {"violations", "proofs"}))]
+def of_point(study: Study, method: Method) -> float:
+    """Processor time of a point of a study [s], whose lines are computed by that method."""
+    wanted = {VARIABLES[name].group for name in variables(study)}
+    groups = "short" if method is Method.TASK else method.value, *sorted(wanted & {"violations", "proofs"})
+    return _total(study, [POINTS[group] for group in groups])
 
 
 def _total(study: Study, costs: Iterable[Cost], name: str = "") -> float:

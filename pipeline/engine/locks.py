@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import paths
-from pipeline.errors import BusyError
+from pipeline.errors import ArchiveError, BusyError
 from pipeline.paths import sidecar_path
 
 _TRIES, _PAUSE = 5, 0.05  # how often a lock is tried, and the time between [s]
@@ -25,6 +25,8 @@ def lock_archive(path: Path) -> Iterator[None]:
 
     Raises
     ------
+    ArchiveError
+        If its disk has no locks.
     BusyError
         If another run holds it.
     """
@@ -43,6 +45,8 @@ def lock_archive(path: Path) -> Iterator[None]:
             if {"pid", "host", "started"} <= holder.keys():
                 name = f"process {holder['pid']} on {holder['host']}, started {holder['started']}."
             raise BusyError(f"{path} is held by another run: {name}") from error
+        except OSError as error:  # as on some network disks
+            raise ArchiveError(f"{path} cannot be locked: its disk has no locks; choose another folder.") from error
         for file_path in (path.resolve(), sidecar_path(path, ".journal"), sidecar_path(path, ".run.json")):
             paths.discard(file_path, _holder(file).get("drafts"))
         file.seek(0)

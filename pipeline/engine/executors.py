@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.archive.provenance import software
+from pipeline.engine import worker_process
+from pipeline.engine.worker_process import Request
 from pipeline.errors import WorkerError
-from pipeline.execution import worker_process
-from pipeline.execution.worker_process import Request
 
 MAX_JOBS = 1000  # worker processes on one computer
 _Jobs = Iterator[tuple[int, Request]]
@@ -44,7 +44,7 @@ class Engine:
                 warnings.filterwarnings("ignore", r"\d+ tasks (which were|have been) ", UserWarning, "joblib")
                 yield lambda jobs: parallel(joblib.delayed(_run_job)(number, request) for number, request in jobs)
         else:
-            from pipeline.execution import cluster
+            from pipeline.engine import cluster
 
             with cluster.connect(self.address) as client:
 

@@ -1,62 +1,77 @@
 """A guarded worker process: a crash, hang or excess of memory fails only the point that caused it.
 
 Engines execute `run` in a thread of this process or on a node of a cluster. Each thread has one worker process. A
-block of points or of lines that fails is divided and tried again, down to the point or line responsible.
+chunk that fails is divided and tried again, down to the point responsible.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
-import io
+import math
 import os
 import platform
 import resource
-import select
 import signal
 import struct
 import subprocess
 import sys
 import threading
 import time
-from dataclasses import dataclass
-from typing import Any, cast
+from dataclasses import astuple, dataclass, replace
+from multiprocessing.connection import Connection
+from typing import Any
 
 import numpy as np
 
-from pipeline import serialize, statuses
+from pipeline import serialize
+from pipeline.engine import messages
 from pipeline.errors import WorkerError
-from pipeline.execution import wire
-from pipeline.store import rows
-from tasks.registry import GAITS
+from pipeline.grid.grid import Shape
+from pipeline.statuses import of_atlas
+from pipeline.store.record import Points, joined, pack, unpacked
+from pipeline.store.store import MAX_PAYLOAD
 
 _POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # interval of checks of a worker, and largest time charged to it for one [s]
 _LOAD_TIMEOUT = 300.0  # time a worker may take to load its task [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
-_PIECES = 16  # parts of a failed block
+_PIECES = 16  # parts of a chunk that failed
+_WHOLE_TASK_FACTOR = 60  # a task, or lines side by side, may take this many times the limit of a point
+#: Place of a line in its chunk, and outcome, reason and data of its atlas.
+Atlas = tuple[int, str, str, bytes]
 _local = threading.local()
 _workers: set[WorkerProcess] = set()
 _closing = threading.Event()
 
 
 @dataclass(frozen=True, slots=True)
+class Packing:
+    """How the points of a chunk are packed: `digests` are those of its lines, if these are computed side by side."""
+
+    shape: Shape
+    multipliers: int
+    digests: np.ndarray | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Request:
     """A task to run in a worker process.
 
-    `divided` names the parameter by which a block may be divided: "slope" of points, shape (n,) [rad], or "lines".
-    `seconds` and `memory` [byte] limit one point, or the whole task if it is no block of points. The process ends
-    after waiting `idle` seconds for another request. `chunk` holds the number of points in a chunk of the archive and
-    of multipliers, if the points are whole chunks, which the worker then finishes.
+    With `packing` it is a chunk of points, of one line or of `lines` side by side, which is divided if it fails; then
+    `alone` names the functions of the atlas and the points of one line, and `most` how many points are computed at a
+    time. `seconds` and `memory` [byte] limit one point, or a whole task. The process ends after waiting `idle` seconds
+    for another request.
     """
 
     function: str
     params: dict[str, Any]
     inputs: list[bytes]
-    divided: str
     seconds: float
     memory: int
     idle: float | None = None
-    chunk: tuple[int, int] | None = None
+    packing: Packing | None = None
+    alone: tuple[str, str] = ("", "")
+    most: int | None = None
 
 
 class WorkerProcess:
@@ -67,7 +82,7 @@ class WorkerProcess:
             raise WorkerError("The run is being stopped.")
         environment = {**os.environ, **dict.fromkeys(_THREADS, "1"), "PYTHONHASHSEED": "0"}
         # Its own process group, so that Ctrl-C reaches only the parent. Unbuffered, so that `poll` sees every answer.
-        command = [sys.executable, "-P", "-m", "pipeline.execution.worker_main", str(os.getpid())]
+        command = [sys.executable, "-P", "-m", "pipeline.engine.worker_main", str(os.getpid())]
         self.process = subprocess.Popen(
             command,
             env=environment,
@@ -77,10 +92,13 @@ class WorkerProcess:
             process_group=0,
             bufsize=0,
         )
-        self.pipes = cast(io.FileIO, self.process.stdin), cast(io.FileIO, self.process.stdout)
+        assert self.process.stdin and self.process.stdout
+        self.pipes = self.process.stdin, self.process.stdout
         for pipe in self.pipes:
             with contextlib.suppress(OSError):
                 fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 1 << 20)
+        self._requests = Connection(os.dup(self.pipes[0].fileno()), readable=False)
+        self._answers = Connection(os.dup(self.pipes[1].fileno()), writable=False)
         self.threads, self.used = 1, (0.0, 0.0)  # processor time of the last request, and that in integrators [s]
         self.lock = threading.Lock()  # held during a request
         _workers.add(self)
@@ -90,15 +108,15 @@ class WorkerProcess:
         _workers.discard(self)
         with contextlib.suppress(OSError):
             self.process.kill()
-        for pipe in self.pipes:
+        for end in (self._requests, self._answers, *self.pipes):
             with contextlib.suppress(OSError):
-                pipe.close()
+                end.close()
         return self.process.wait()
 
     def ask(self, message: bytes, inputs: list[bytes], seconds: float, memory: int) -> tuple[str, Any]:
         """Send one request; returns "ok" or a name of `statuses.ENDINGS`, and the parts of the answer or a sentence."""
         try:
-            wire.send(self.pipes[0], message, *inputs)
+            messages.send(self._requests, message, *inputs)
             kind, *parts = self._answer(_LOAD_TIMEOUT)
             if kind == b"broken":
                 raise WorkerError(f"A worker cannot load its task: {parts[0].decode()}.")
@@ -128,10 +146,8 @@ class WorkerProcess:
             self.lock.release()
 
     def _answer(self, seconds: float, memory: int | None = None) -> list[bytes]:
-        stream, last_poll = self.pipes[1], time.monotonic()
-        poll = select.poll()
-        poll.register(stream, select.POLLIN)
-        while not poll.poll(1000 * min(_POLL_INTERVAL, max(0.0, seconds))):
+        last_poll = time.monotonic()
+        while not self._answers.poll(min(_POLL_INTERVAL, max(0.0, seconds))):
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.")
             # A late check means that this process was suspended, and the worker with it.
@@ -141,7 +157,7 @@ class WorkerProcess:
                 raise TimeoutError
             if memory is not None and self.resident() > memory:
                 raise MemoryError
-        return wire.receive(stream)
+        return messages.receive(self._answers)
 
     def resident(self) -> int:
         """Resident memory of the process [byte]; 0 after its end."""
@@ -191,9 +207,17 @@ def _member(worker: WorkerProcess) -> dict[str, Any]:
     return {"host": platform.node(), "pid": worker.process.pid, "memory": worker.resident(), "threads": worker.threads}
 
 
-def _ask(request: Request, params: dict[str, Any], chunk: tuple[int, int] | None = None) -> tuple[str, Any]:
-    head = {"function": request.function, "divided": request.divided, "memory": request.memory, "params": params}
-    head["chunk"] = chunk
+def _ask(request: Request, **changes: Any) -> tuple[str, Any]:
+    """Ask the worker process of this thread; changes are of the request."""
+    request = replace(request, **changes)
+    packing = request.packing
+    head: dict[str, Any] = {"function": request.function, "memory": request.memory, "params": request.params}
+    head["packing"] = packing and {
+        "shape": astuple(packing.shape),
+        "multipliers": packing.multipliers,
+        **({} if packing.digests is None else {"digests": packing.digests}),
+    }
+    seconds = request.seconds * (1 if packing and "line" in request.params else _WHOLE_TASK_FACTOR)
     message = serialize.dump(head)
     while True:
         worker = getattr(_local, "worker", None)
@@ -202,7 +226,7 @@ def _ask(request: Request, params: dict[str, Any], chunk: tuple[int, int] | None
         with worker.lock:
             if worker in _workers:  # it may have ended meanwhile
                 worker.used = 0.0, 0.0
-                answer = worker.ask(message, request.inputs, request.seconds, request.memory)
+                answer = worker.ask(message, request.inputs, seconds, request.memory)
                 _local.used = [a + b for a, b in zip(_local.used, worker.used, strict=True)]
                 return answer
 
@@ -217,11 +241,9 @@ def run(request: Request) -> dict[str, Any]:
     Returns
     -------
     dict
-        `seconds` [s] taken, of them `cpu` of processor time and `integrating` in compiled integrators; `rows` of a
-        block of points or lines, each (slopes, packed states, packed variables), and `chunks` of points, each (head,
-        payload) of a finished chunk; of a block of lines also `atlases`,
-        each with its position, and the positions of the `failed` lines, whose status is `not_attempted`; or `outcome`
-        and `data` (packed result) or `reason` of another task; `worker`, the process that ran it.
+        `seconds` [s] taken, of them `cpu` of processor time and `integrating` in compiled integrators; of a chunk its
+        `head` and `payload`, and the `atlases` of lines side by side, each its place, outcome, reason and data; of
+        another task `outcome`, and `data` (packed result) or `reason`; `worker`, the process that ran it.
 
     Raises
     ------
@@ -233,15 +255,13 @@ def run(request: Request) -> dict[str, Any]:
         timer.cancel()
     answer: dict[str, Any]
     _local.used = [0.0, 0.0]
-    if request.divided == "slope":
-        answer = _run_points(request)
-    elif request.divided == "lines":
-        answer = dict(_run_lines(request, 0, len(request.params["lines"])))
+    if request.packing:
+        answer = _run_chunk(request, request.packing)
     else:
-        outcome, parts = _ask(request, request.params)
+        outcome, parts = _ask(request)
         if outcome in ("worker_died", "out_of_memory"):  # the cause may be external; a second time it is not
-            outcome, parts = _ask(request, request.params)
-        is_ok = outcome == "ok" and len(parts[1]) <= rows.MAX_DATA
+            outcome, parts = _ask(request)
+        is_ok = outcome == "ok" and len(parts[1]) <= MAX_PAYLOAD
         if outcome == "ok" and not is_ok:
             outcome, parts = "raised", f"Its result of {_size(len(parts[1]))} is larger than a journal can hold."
         answer = {"outcome": outcome, "data": parts[1] if is_ok else b"", "reason": "" if is_ok else parts}
@@ -256,68 +276,82 @@ def run(request: Request) -> dict[str, Any]:
     return {**answer, **used, "seconds": time.perf_counter() - start, "pid": os.getpid()}
 
 
-def _run_points(request: Request) -> dict[str, Any]:
-    """Run a block of points: finished chunks, if it is whole chunks and nothing fails; else rows."""
-    outcome, parts = _ask(request, request.params, request.chunk)
-    if request.chunk and outcome == "ok":
-        return {"rows": [], "chunks": list(zip(parts[1::2], parts[2::2], strict=True))}
-    return {"rows": _divide(request, np.asarray(request.params["slope"]), outcome, parts)}
-
-
-def _run_block(request: Request, slopes: np.ndarray) -> list[tuple[bytes, bytes, bytes]]:
-    return _divide(request, slopes, *_ask(request, {**request.params, "slope": slopes}))
-
-
-def _divide(request: Request, slopes: np.ndarray, outcome: str, parts: Any) -> list[tuple[bytes, bytes, bytes]]:
-    """Rows of a block of points, which is divided and run again if it has failed."""
-    if outcome == "ok":
-        return [(slopes.tobytes(), parts[1], parts[2])]
-    if len(slopes) > 1:
-        pieces = np.array_split(slopes, min(_PIECES, len(slopes)))
-        return [row for piece in pieces for row in _run_block(request, piece)]
-    if outcome in ("worker_died", "timed_out", "out_of_memory"):  # the cause may be external
-        outcome, parts = _ask(request, {**request.params, "slope": slopes})
+def _run_chunk(request: Request, packing: Packing) -> dict[str, Any]:
+    """Run a chunk of points, as a whole if that does."""
+    lines, n = request.params.get("lines"), len(request.params["slope"])
+    points = n * (1 if lines is None else len(lines))
+    if request.most is None or points <= request.most:
+        outcome, parts = _ask(request)
         if outcome == "ok":
-            return [(slopes.tobytes(), parts[1], parts[2])]
-    return [(slopes.tobytes(), serialize.dump(_failed_states(1, outcome, parts)), serialize.dump({}))]
+            atlases = [(k, "ok", "", atlas) for k, atlas in enumerate(parts[3:])]
+            return {"head": parts[1], "payload": parts[2], "atlases": atlases}
+        failed = outcome, parts
+    else:
+        failed = "", ""  # by its size
+    if lines is None:
+        found, atlases = _run_slopes(request, request.params["slope"], failed), []
+    else:
+        found, atlases = _run_lines(request, np.arange(len(lines)), failed)
+    head, payload = pack(joined(found), packing.shape, packing.multipliers, request.params["gaits"], packing.digests)
+    return {"head": head, "payload": payload, "atlases": atlases}
 
 
-def _run_lines(request: Request, first: int, n: int) -> dict[str, list[Any]]:
-    """Run `n` lines of a block, from the `first` on."""
-    lines, digests = request.params["lines"][first : first + n], request.params["digests"][first : first + n]
-    outcome, parts = _ask(request, {**request.params, "lines": lines, "digests": digests})
-    slopes = np.tile(request.params["slope"], n)
+def _run_slopes(request: Request, slopes: np.ndarray, failed: tuple[str, Any] | None = None) -> list[Points]:
+    """Points of one line; if they fail together, or have `failed` so, in parts, down to the point responsible."""
+    assert request.packing
+    packing = replace(request.packing, shape=Shape.of_rows(1, len(slopes)), digests=None)
+
+    def ask() -> tuple[str, Any]:
+        return _ask(request, params={**request.params, "slope": slopes}, packing=packing)
+
+    outcome, parts = failed or (ask() if len(slopes) <= (request.most or len(slopes)) else ("", ""))
+    if len(slopes) == 1 and outcome in ("worker_died", "timed_out", "out_of_memory"):  # the cause may be external
+        outcome, parts = ask()
     if outcome == "ok":
-        row, atlases = (slopes.tobytes(), parts[1], parts[2]), list(enumerate(parts[3:], first))
-        return {"rows": [row], "atlases": atlases, "failed": []}
-    if n == 1:
-        states = {**_failed_states(len(slopes), "not_attempted", ""), "lines": digests}
-        row = slopes.tobytes(), serialize.dump(states), serialize.dump({})
-        return {"rows": [row], "atlases": [], "failed": [first]}
-    answer: dict[str, list[Any]] = {"rows": [], "atlases": [], "failed": []}
-    for piece in np.array_split(np.arange(first, first + n), min(_PIECES, n)):
-        for name, values in _run_lines(request, int(piece[0]), len(piece)).items():
-            answer[name] += values
-    return answer
+        return [unpacked(*parts[1:3])]
+    if len(slopes) == 1:
+        return [Points.of_ending(1, outcome, parts, request.params["want"])]
+    pieces = np.array_split(slopes, _pieces(len(slopes), request.most))
+    return [points for piece in pieces for points in _run_slopes(request, piece)]
 
 
-def _failed_states(n: int, outcome: str, reason: str) -> dict[str, np.ndarray]:
-    """States of `n` points whose worker ended the same way.
+def _pieces(n: int, most: int | None) -> int:
+    """Into how many parts so many points are divided."""
+    return min(n, max(_PIECES, math.ceil(n / most) if most else 0))
 
-    Parameters
-    ----------
-    n : int
-    outcome : str
-        A name of `statuses.ENDINGS`.
-    reason : str
 
-    Returns
-    -------
-    dict
-        `status` and `reason`, shape (n, gait), and the sentences `reasons`.
-    """
-    return {
-        "status": np.full((n, len(GAITS)), statuses.ENDINGS[outcome], np.int8),
-        "reason": np.zeros((n, len(GAITS)), np.int16),
-        "reasons": np.array([reason]),
-    }
+def _run_lines(
+    request: Request, places: np.ndarray, failed: tuple[str, Any] | None = None
+) -> tuple[list[Points], list[Atlas]]:
+    """Lines side by side; if they fail together, or have `failed` so, in parts, down to the line responsible."""
+    assert request.packing
+    lines, slopes = [request.params["lines"][k] for k in places.tolist()], request.params["slope"]
+    packing = replace(request.packing, shape=Shape.of_rows(len(lines), len(slopes)), digests=None)
+    if not failed and len(lines) * len(slopes) <= (request.most or math.inf):
+        outcome, parts = _ask(request, params={**request.params, "lines": lines}, packing=packing)
+        if outcome == "ok":
+            return [unpacked(*parts[1:3])], [(int(k), "ok", "", a) for k, a in zip(places, parts[3:], strict=False)]
+    if len(lines) == 1:
+        return _run_alone(request, int(places[0]))
+    found, atlases = list[Points](), list[Atlas]()
+    for piece in np.array_split(places, _pieces(len(places), (request.most and request.most // len(slopes)) or 1)):
+        points, own = _run_lines(request, piece)
+        found += points
+        atlases += own
+    return found, atlases
+
+
+def _run_alone(request: Request, place: int) -> tuple[list[Points], list[Atlas]]:
+    """A line that failed beside others, or whose points are wanted a few at a time: its atlas, then its points."""
+    params = {key: value for key, value in request.params.items() if key not in ("lines", "atlases")}
+    line = {key: value for key, value in request.params["lines"][place].items() if key != "cell"}
+    atlas, points = request.alone
+    outcome, parts = _ask(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
+    if outcome in ("worker_died", "out_of_memory"):
+        outcome, parts = _ask(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
+    slopes = params["slope"]
+    if outcome != "ok":
+        ending = Points.of_ending(len(slopes), outcome, of_atlas(parts), params["want"])
+        return [ending], [(place, outcome, parts, b"")]
+    alone = replace(request, function=points, params={**params, "line": line}, inputs=[parts[1]])
+    return _run_slopes(alone, slopes), [(place, "ok", "", parts[1])]

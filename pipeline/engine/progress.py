@@ -14,16 +14,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 from pipeline import terminal
+from pipeline.engine import worker_process
+from pipeline.engine.executors import Engine
 from pipeline.errors import unread
-from pipeline.execution import worker_process
-from pipeline.plan import costs
-from pipeline.plan.missing import Plan, Summary
-
-if TYPE_CHECKING:
-    from pipeline.execution.study_jobs import StudyJobs
+from pipeline.graph.plan import Plan, Summary
+from pipeline.grid import costs
 
 _CLEAR = "\r\033[K"  # clears the line of a terminal
 _SUMMED = ("points", "cached", "done", "todo", "rate", "eta")
@@ -41,13 +39,13 @@ class Progress:
         log: Path,
         quiet: bool = False,
         verbose: bool = False,
+        engine: Engine | None = None,
     ):
-        self.plan, self.log, self.quiet, self.verbose = plan, log, quiet, verbose
+        self.plan, self.log, self.quiet, self.verbose, self.engine = plan, log, quiet, verbose, engine or Engine()
         self.start = time.monotonic()
         self.todo = {name: sum(why.values()) for name, why in todo.todo.items()}
         self.total, self.cached = plan.study.points if "points" in self.todo else 0, todo.cached.get("points", 0)
         self.cached_tasks = [name for name, n in todo.cached.items() if n]
-        self.jobs: StudyJobs | None = None
         self.remote_workers: dict[tuple[str, int], tuple[float, dict[str, Any]]] = {}
         self.done: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
@@ -75,7 +73,7 @@ class Progress:
     def __call__(self, event: str, details: dict[str, Any]) -> None:
         """Record an event."""
         worker = details.pop("worker", None)
-        if worker and self.jobs and self.jobs.engine.address:
+        if worker and self.engine.address:
             self.remote_workers[worker["host"], worker["pid"]] = time.monotonic(), worker
         if event in ("chunk", "task") and "seconds" in details:
             n = details.get("points", 1)
@@ -125,16 +123,13 @@ class Progress:
 
     def _stages(self) -> dict[str, dict[str, float]]:
         """Progress of each task, and its remaining time on all workers [s]."""
-        at_once, stages = self.jobs.engine.jobs if self.jobs else 1, {}
+        stages = {}
         for name, count in self.todo.items():
             done = self.done[name]
-            if name == "points":
-                seconds_left = self.jobs.costs.seconds_left() if self.jobs else 0.0
-            else:
-                mean_seconds = self.seconds[name] / done if done else costs.seconds(self.plan.study, name)
-                seconds_left = mean_seconds * max(0, count - done)
+            mean_seconds = self.seconds[name] / done if self.seconds[name] else costs.seconds(self.plan.study, name)
+            seconds_left = mean_seconds * max(0, count - done)
             if count:
-                stages[name] = {"done": done, "todo": count, "eta": round(seconds_left / at_once, 1)}
+                stages[name] = {"done": done, "todo": count, "eta": round(seconds_left / self.engine.jobs, 1)}
         return stages
 
     def _log(self, event: str, details: dict[str, Any]) -> None:

@@ -16,21 +16,20 @@ from typing import Any
 from pipeline import dispatch, paths, terminal
 from pipeline.archive import read, result_tables, write
 from pipeline.archive.provenance import check_same_study, code_digest, cpu_features, version
+from pipeline.engine import worker_process
+from pipeline.engine.account import Account
+from pipeline.engine.executors import Engine
+from pipeline.engine.jobs import Jobs
+from pipeline.engine.locks import lock_archive
+from pipeline.engine.progress import Display, Progress, duration
+from pipeline.engine.scheduler import Scheduler
+from pipeline.engine.signals import Signals
 from pipeline.errors import ArchiveError, DiskFullError, StoppedError, StudyError, reached_limit, unwritten
-from pipeline.execution import worker_process
-from pipeline.execution.account import Account
-from pipeline.execution.executors import Engine
-from pipeline.execution.locks import lock_archive
-from pipeline.execution.progress import Display, Progress, duration
-from pipeline.execution.scheduler import Scheduler
-from pipeline.execution.signals import Signals
-from pipeline.execution.study_jobs import StudyJobs
+from pipeline.graph.plan import Plan, summary
+from pipeline.grid.method import variables
 from pipeline.paths import sidecar_path
-from pipeline.plan import graph
-from pipeline.plan.missing import Plan, summary
-from pipeline.store.compact import compact
-from pipeline.store.journal import Journal
-from pipeline.store.journal_file import CorruptJournalError, forget, repair
+from pipeline.store.file import CorruptStoreError, forget, repair
+from pipeline.store.store import Store
 from pipeline.study.model import Study
 
 _SNAPSHOT = 60.0  # minimum interval of published snapshots [s]
@@ -102,22 +101,26 @@ def run(
 def _attempt(studies: list[StudyRun], options: Options, signals: Signals) -> None:
     """Run what the open studies lack; for a damaged journal this is known only now."""
     engine = Engine(options.jobs, options.cluster)
-    by_jobs: dict[StudyJobs, StudyRun] = {}
+    by_jobs: dict[Jobs, StudyRun] = {}
     with contextlib.ExitStack() as stack:
         stack.callback(worker_process.close_all)
         for study in studies:
-            jobs = study.plan(engine, signals)
+            jobs = study.plan(engine)
             if jobs:
                 by_jobs[jobs] = study
                 stack.callback(study.pause)
         with Display([study.progress for study in by_jobs.values() if study.progress], options.quiet):
-            scheduler = Scheduler(list(by_jobs), engine, lambda jobs: by_jobs[jobs].finish(jobs, scheduler.account))
+
+            def finish(jobs: Jobs) -> None:
+                by_jobs[jobs].finish(jobs, scheduler.account, signals)
+
+            scheduler = Scheduler(list(by_jobs), engine, signals, finish)
             scheduler.run()
 
 
 def _check_room(study: Study, path: Path) -> None:
     """Refuse a grid whose archive the disk cannot hold, however few gaits exist and however well they are packed."""
-    needed, free = _MIN_BYTES * study.points * len(graph.variables(study)), shutil.disk_usage(path.parent).free
+    needed, free = _MIN_BYTES * study.points * len(variables(study)), shutil.disk_usage(path.parent).free
     if study.kind == "grid" and needed > free:
         raise DiskFullError(
             f"{study.points:,} points need {needed / 1e9:,.1f} GB at least; {free / 1e9:,.1f} are free."
@@ -148,7 +151,7 @@ class StudyRun:
         self.study, self.path, self.options, self.report = study, path, options, report
         self.is_open, self.code = False, 1
         self.progress: Progress | None = None
-        self._journal: Journal | None = None
+        self._store: Store | None = None
         self._resources = contextlib.ExitStack()
         self._repairs, self._clock = 0, time.monotonic()
         self._record: dict[str, Any] = {
@@ -179,38 +182,33 @@ class StudyRun:
         except Exception as error:
             self.end(error)
 
-    def plan(self, engine: Engine, signals: Signals) -> StudyJobs | None:
+    def plan(self, engine: Engine) -> Jobs | None:
         """Compare the study with its journal, and lay out the jobs that are missing."""
         try:
-            self._journal = Journal(sidecar_path(self.path, ".journal"), points=self.study.points)
-            plan = Plan(self.study, self._journal, self.options.retry_failed)
+            self._store = Store(sidecar_path(self.path, ".journal"))
+            plan = Plan(self.study, self._store, self.options.retry_failed)
             todo = summary(plan)
             log = sidecar_path(self.path, ".events.jsonl")
-            self.progress = progress = Progress(plan, todo, log, self.options.quiet, self.options.verbose)
+            self.progress = progress = Progress(plan, todo, log, self.options.quiet, self.options.verbose, engine)
             progress.begin()
             _warn_of_changed_code(plan, progress)
             listen = _Snapshots(plan, self.path, self.options.snapshot, progress)
-            points = sum(todo.todo.get("points", {}).values())
-            progress.jobs = StudyJobs(plan, engine, listen, points, self.options.chunk, signals)
-            return progress.jobs
-        except StoppedError:
-            raise
+            return Jobs(plan, engine, listen, self.options.chunk)
         except Exception as error:
             self.pause()
             self._fail(error)
             return None
 
-    def finish(self, jobs: StudyJobs, command: Account) -> None:
+    def finish(self, jobs: Jobs, command: Account, signals: Signals) -> None:
         """Write the archive of a study whose jobs are done, or report what ended it."""
         try:
+            signals.check()
             if jobs.error:
                 raise jobs.error
             self._record["solved"] = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-            written = write.write(jobs.plan, self.path, min(self.options.jobs, os.cpu_count() or 1))
+            written = write.write(jobs.plan, self.path, signals.check)
             if written.counts["not_attempted"]:  # stored results are missing
-                raise CorruptJournalError(jobs.journal.path)
-            with contextlib.suppress(DiskFullError):  # the archive is complete, and the journal may stay as it is
-                compact(jobs.journal)
+                raise CorruptStoreError(jobs.store.path)
             failures = result_tables.failed(jobs.plan)
             failed = [f"{name}: {outcome}; {reason}" for name, outcome, reason in failures if name != self.study.kind]
             self._record |= {
@@ -238,13 +236,13 @@ class StudyRun:
         if self.progress:
             self._record["state"] = self.progress.state()
             self.progress.close(is_over)
-        if self._journal:
-            self._journal.close()
-        self.progress = self._journal = None
+        if self._store:
+            self._store.close()
+        self.progress = self._store = None
 
     def _fail(self, error: Exception) -> None:
         """End with an error; a damaged journal is repaired, and the study planned again."""
-        if not isinstance(error, CorruptJournalError):
+        if not isinstance(error, CorruptStoreError):
             self.end(error)
             return
         self._repairs += 1
@@ -288,16 +286,16 @@ class StudyRun:
 
 def _warn_of_changed_code(plan: Plan, progress: Progress) -> None:
     """Warn if the code of `tasks` changed since results were stored and no version did."""
-    stored_digest, digest = plan.journal.note("code"), code_digest()
-    versions = json.dumps({name: layer.task.version for name, layer in plan.layers.items()}, sort_keys=True)
-    has_changed = stored_digest not in (None, digest) and plan.journal.note("versions") == versions
+    stored_digest, digest = plan.store.note("code"), code_digest()
+    versions = json.dumps({name: layer.task.version for name, layer in plan.graph.layers.items()}, sort_keys=True)
+    has_changed = stored_digest not in (None, digest) and plan.store.note("versions") == versions
     if has_changed and progress.cached_tasks:
         progress.say(
             "The code of `tasks` has changed since some of these results were stored, its versions have not; "
             "if numbers may change, increase the task's version or run with --fresh."
         )
-    plan.journal.set_note("code", digest)
-    plan.journal.set_note("versions", versions)
+    plan.store.set_note("code", digest)
+    plan.store.set_note("versions", versions)
 
 
 class _Snapshots:

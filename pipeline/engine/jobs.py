@@ -1,0 +1,278 @@
+"""The nodes of one study as jobs: which are ready, what a worker is asked, and how its answer is recorded."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from pipeline.engine.account import Account
+from pipeline.engine.executors import Engine
+from pipeline.engine.worker_process import Packing, Request
+from pipeline.graph.graph import Copies, Node
+from pipeline.graph.plan import Plan
+from pipeline.graph.reads import study_inputs
+from pipeline.grid import costs
+from pipeline.grid.grid import Chunk, Shape
+from pipeline.grid.method import Method
+from pipeline.store.record import Head, Points, count, joined, pack, unpacked
+from pipeline.store.store import Key, Outcome
+
+_IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
+_MAX_SHARED = 300  # lines of a study whose results others may want: planes hardly have any in common
+Listener = Callable[[str, dict[str, Any]], None]
+
+
+class Jobs:
+    """Jobs of one study: a node is ready when its needs are in the store; those over the study come last.
+
+    Parameters
+    ----------
+    plan : Plan
+    engine : Engine
+    listen : callable
+        Receives the name of each event and its details.
+    most : int, optional
+        Points computed at a time; by default those of a chunk.
+
+    Attributes
+    ----------
+    has_knees : bool
+        Whether any walker has.
+    running : int
+        Jobs taken, by the thread of an executor, and not recorded.
+    error : Exception or None
+        What ended the study.
+    """
+
+    def __init__(self, plan: Plan, engine: Engine, listen: Listener, most: int | None = None):
+        self.plan, self.engine, self.listen, self.most = plan, engine, listen, most
+        self.study, self.store, self.graph = plan.study, plan.store, plan.graph
+        self.has_knees = any(check["multipliers"] > 3 for check in self.study.checks)
+        self.account, self.running = Account(), 0
+        self.error: Exception | None = None
+        self._after = _seconds_after(plan)
+        self._source, self._is_last = self.plan.nodes(), False
+        self._next: Node | None = None
+        self._ready: deque[Node] = deque()
+        self._pending: set[str] = set()  # keys of results that are to come
+        self._waiting: dict[str, list[Node]] = {}  # nodes by a pending need
+        self._lock = threading.RLock()  # a node is taken by the thread of an executor
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no job is left."""
+        return not self.running and self.peek() is None
+
+    def wanted(self) -> Iterator[str]:
+        """Keys of the tasks over the lines of the study, unless these are many."""
+        for number in range(self.study.batches if self.study.batches <= _MAX_SHARED else 0):
+            yield from (key.key for key in self.graph.line_keys(number).values())
+
+    def peek(self) -> Node | None:
+        """The next job that is ready."""
+        with self._lock:
+            try:
+                if self._next and self._next.key.key not in self._pending:  # it has come from another study
+                    self._next = None
+                while self._next is None and not self.error and (node := self._from_source()):
+                    self._offer(node)
+            except Exception as error:
+                self.fail(error)
+            return self._next
+
+    def _from_source(self) -> Node | None:
+        if self._ready:
+            return self._ready.popleft()
+        node = next(self._source, None)
+        if node is None and not (self._is_last or self.running or self._pending):
+            self._source, self._is_last = self.plan.over_study(), True
+            node = next(self._source, None)
+        if node:
+            self._pending.update(self._results(node))
+        return node
+
+    def _results(self, node: Node) -> Iterator[str]:
+        """Keys of the results of a node."""
+        yield node.key.key
+        if node.lines and "atlas" in self.graph.line_tasks:
+            yield from (self.graph.line_keys(line)["atlas"].key for line in self._lines(node).tolist())
+
+    def _lines(self, node: Node) -> np.ndarray:
+        """Numbers of the lines side by side that a node computes."""
+        assert node.chunk
+        return node.chunk.lines if node.todo is None else node.chunk.lines[node.todo]
+
+    def _offer(self, node: Node) -> None:
+        """Make a node the next one, unless it waits for others or its result has come meanwhile."""
+        if node.key.key not in self._pending:
+            return
+        pending = next((need for need in node.needs if need in self._pending), None)
+        if pending:
+            self._waiting.setdefault(pending, []).append(node)
+        elif node.copies and not node.lines:
+            assert node.chunk
+            self._put_chunk(node, node.chunk, None)
+        else:
+            self._next = node
+
+    def take(self) -> tuple[Node, Request] | None:
+        """Take the next job and its request; None if the study has ended, or this fails, which ends it."""
+        with self._lock:
+            node = self.peek()
+            if node is None:
+                return None
+            try:
+                request = self._request(node)
+            except Exception as error:
+                self.fail(error)
+                return None
+            self.running += 1
+            self._next = None
+            return node, request
+
+    def put_back(self, node: Node) -> None:
+        """Return a job that was taken and has no result."""
+        with self._lock:
+            self.running -= 1
+            self._ready.appendleft(node)
+
+    def fail(self, error: Exception) -> None:
+        """End the study with an error; results of its running jobs are dropped."""
+        with self._lock:
+            self.error, self._next, self._source = error, None, iter(())
+            self._ready.clear()
+            self._pending.clear()
+
+    def seconds(self, node: Node) -> float:
+        """Estimated time of a job, and of what depends on it [s]."""
+        if node.chunk is None:
+            return costs.seconds(self.study, node.task) + self._after[node.task]
+        lines = node.lines * costs.seconds(self.study, "atlas")
+        return lines + node.points * costs.seconds(self.study, "points") + self._after["points"]
+
+    def _request(self, node: Node) -> Request:
+        study, limits, grid = self.study, self.study.limits, self.graph.grid
+        layer = self.graph.layers[node.task]
+        idle = None if self.engine.address is None else _IDLE_TIMEOUT
+        if node.line is None and node.chunk is None:
+            inputs = list(study_inputs(self.plan, node.task))
+        else:
+            inputs = [self.store.get(need)[1] for need in node.needs]
+        function, packing, alone = layer.task.function, None, ("", "")
+        if node.chunk:
+            slopes = len(study.slope[node.chunk.slopes])
+            is_whole = node.todo is None
+            shape = node.chunk.shape if is_whole else Shape.of_rows(node.lines, slopes)
+            digests = self.graph.digests(node.chunk.lines) if node.line is None and is_whole else None
+            packing = Packing(shape, grid.multipliers, digests)
+        if node.lines:
+            atlas = self.graph.layers["atlas"].task
+            function = atlas.over_plane if self.graph.method is Method.PLANE else atlas.side_by_side
+            alone = atlas.function, layer.task.function
+        params = self.graph.params(node)
+        return Request(function, params, inputs, limits.seconds, limits.memory, idle, packing, alone, self.most)
+
+    def record(self, node: Node, result: dict[str, Any]) -> None:
+        """Store the result of a job."""
+        with self._lock:
+            self.running -= 1
+            self.account.add(result)
+            try:
+                if self.error:
+                    return
+                if node.chunk:
+                    self._record_chunk(node, node.chunk, result)
+                else:
+                    self._record_task(node, result)
+            except Exception as error:
+                self.fail(error)
+
+    def _record_task(self, node: Node, result: dict[str, Any]) -> None:
+        outcome = Outcome(result["outcome"], result["reason"])
+        self.store.put_result(node.key, outcome, result["data"])
+        lost = self._arrived(node.key.key, outcome.status == "ok")
+        self.listen("task", {**_event(node, result), "outcome": outcome.status, "reason": outcome.reason, "lost": lost})
+
+    def _record_chunk(self, node: Node, chunk: Chunk, result: dict[str, Any]) -> None:
+        if node.lines:
+            lines = self._lines(node).tolist()
+            for place, status, reason, data in result["atlases"]:
+                key = self.graph.line_keys(lines[place])["atlas"]
+                self.store.put_result(key, Outcome(status, reason), data)
+                self._arrived(key.key, status == "ok")
+        counts = count(Head(result["head"]).rows(), self.plan.columns)
+        self._put_chunk(node, chunk, (result["head"], result["payload"]))
+        line = int(chunk.lines[0])
+        event = {"task": "points", "line": line, "lines": node.lines, "points": node.points, "counts": dict(counts)}
+        self.listen("chunk", {**_event(node, result), **event})
+
+    def _put_chunk(self, node: Node, chunk: Chunk, record: tuple[bytes, bytes] | None) -> None:
+        """Store a chunk, with lines that were in the store before."""
+        if node.copies:
+            record = self._joined(node, chunk, node.copies, record)
+        assert record
+        self.store.put(node.key, *record)
+        self._arrived(node.key.key, True)
+
+    def _joined(
+        self, node: Node, chunk: Chunk, copies: Copies, record: tuple[bytes, bytes] | None
+    ) -> tuple[bytes, bytes]:
+        """A chunk of lines side by side, some just computed and some in records of the store."""
+        slopes = chunk.points // len(chunk.lines)
+        parts, places = list[Points](), list[np.ndarray]()
+        if record and node.todo is not None:
+            parts, places = [unpacked(*record)], [node.todo]
+        for key in dict.fromkeys(copies.keys):
+            of_key = np.array([k == key for k in copies.keys])
+            points = unpacked(*self.store.get(key))
+            rows = (copies.rows[of_key][:, None] * slopes + np.arange(slopes)).ravel()
+            names = ("status", *(name for name in self.graph.variables if name != "status"))
+            some = points.take(rows)
+            parts.append(Points({name: some.values[name] for name in names}, some.sentences))
+            places.append(copies.places[of_key])
+        order = np.argsort(np.concatenate(places))
+        rows = (order[:, None] * slopes + np.arange(slopes)).ravel()
+        digests = self.graph.digests(chunk.lines)
+        return pack(joined(parts).take(rows), chunk.shape, self.graph.grid.multipliers, self.study.gaits, digests)
+
+    def copy(self, key: Key, data: bytes) -> None:
+        """Store a result that another study has computed."""
+        with self._lock:
+            if self.error or key.key in self.store:
+                return
+            try:
+                self.store.put_result(key, Outcome("ok", ""), data)
+            except Exception as error:
+                self.fail(error)
+                return
+            self._arrived(key.key, True)
+            self.listen("task", {"task": key.key.partition("-")[0], "seconds": 0.0, "outcome": "ok"})
+
+    def _arrived(self, key: str, is_ok: bool) -> int:
+        """Make nodes ready that waited for a result; if it failed they are dropped, and their points counted."""
+        self._pending.discard(key)
+        lost = 0
+        for node in self._waiting.pop(key, ()):
+            if is_ok:
+                self._ready.append(node)
+            else:
+                lost += node.points + self._arrived(node.key.key, False)
+        return lost
+
+
+def _event(node: Node, result: dict[str, Any]) -> dict[str, Any]:
+    return {"task": node.task, "line": node.line, **{key: result.get(key) for key in ("seconds", "pid", "worker")}}
+
+
+def _seconds_after(plan: Plan) -> dict[str, float]:
+    """Estimated time of the longest chain of tasks that depend on a task of each layer [s]."""
+    layers = plan.graph.layers
+    after = dict.fromkeys(layers, 0.0)
+    for name, layer in reversed(layers.items()):
+        for need in layer.needs:
+            after[need] = max(after[need], costs.seconds(plan.study, name) + after[name])
+    return after

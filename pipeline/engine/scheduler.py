@@ -1,0 +1,146 @@
+"""The order in which the jobs of all studies of a command run.
+
+The ready jobs of all studies are one finite generator, which joblib runs; it is made anew while there are ready jobs.
+Results are recorded as they arrive, and between them a signal is looked for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from pipeline.engine.account import Account
+from pipeline.engine.executors import Engine
+from pipeline.engine.jobs import Jobs
+from pipeline.engine.signals import Signals
+from pipeline.engine.worker_process import Request
+from pipeline.errors import GaitsweepError, WorkerError
+from pipeline.graph.graph import Node
+
+_JOBS_PER_WORKER = 16  # jobs submitted or not yet read, for each worker
+_MAX_RETRIES = 3  # consecutive restarts of a broken engine
+
+
+class Scheduler:
+    """Runs the jobs of several studies.
+
+    Parameters
+    ----------
+    studies : sequence of Jobs
+    engine : Engine
+    signals : Signals
+    finish : callable, optional
+        Called with each study when no job of it is left, while the others go on.
+    """
+
+    def __init__(
+        self,
+        studies: Sequence[Jobs],
+        engine: Engine,
+        signals: Signals,
+        finish: Callable[[Jobs], None] = lambda study: None,
+    ):
+        self.studies, self.engine, self.signals, self.finish = list(studies), engine, signals, finish
+        self.account = Account()
+        self.running: dict[int, tuple[Jobs, Node]] = {}
+        self._numbers = itertools.count()
+        self._wanted = {study: set(study.wanted()) for study in studies} if len(studies) > 1 else {}
+        self._held: dict[str, list[tuple[Jobs, Node]]] = {}  # jobs whose result another study is computing
+        self._compiling: int | None = None  # number of the first job with knees
+
+    def run(self) -> None:
+        """Run everything the studies request.
+
+        Raises
+        ------
+        StoppedError
+            At a signal.
+        WorkerError
+            If workers or the cluster cannot be kept alive.
+        """
+        broken = 0
+        while self.studies:
+            self._finish()
+            try:
+                with contextlib.ExitStack() as stack:
+                    parallel = stack.enter_context(self.engine.parallel()) if self._has_jobs() else None
+                    while parallel and self._has_jobs():
+                        with contextlib.closing(parallel(self._ready())) as results:
+                            for number, result in results:
+                                broken = 0
+                                self.signals.check()
+                                self._record(*self.running.pop(number), result)
+                        self._finish()
+            except Exception as error:
+                self.signals.check()
+                if self.engine.address is None or isinstance(error, GaitsweepError):
+                    raise
+                broken += 1
+                message = f"{type(error).__name__}: {' '.join(str(error).split())[:200].rstrip('.')}"
+                if broken > _MAX_RETRIES:
+                    raise WorkerError(f"Workers cannot be kept alive: {message}.") from error
+                for study in self.studies:
+                    study.listen("engine", {"error": message})
+                time.sleep(broken)
+                held = itertools.chain.from_iterable(self._held.values())
+                for study, node in (*self.running.values(), *held):
+                    study.put_back(node)
+                self.running, self._held = {}, {}
+
+    def _has_jobs(self) -> bool:
+        return any(study.peek() for study in self.studies)
+
+    def _ready(self) -> Iterator[tuple[int, Request]]:
+        """Numbered requests of ready jobs, the most urgent first; joblib asks from its own thread, one at a time.
+
+        They end when none is ready, or when results are read more slowly than they arrive: joblib would keep them all.
+        """
+        while len(self.running) < _JOBS_PER_WORKER * self.engine.jobs and not self.signals.received:
+            ready = [(study, node) for study in list(self.studies) if (node := study.peek())]
+            if not ready:
+                return
+            study, _ = max(ready, key=lambda pair: (not self._waits(pair[0]), pair[0].seconds(pair[1])))
+            taken = study.take()
+            if taken is None:
+                continue
+            node, request = taken
+            if node.key.key in self._held:
+                self._held[node.key.key].append((study, node))
+                continue
+            if any(node.key.key in wanted for other, wanted in self._wanted.items() if other is not study):
+                self._held[node.key.key] = []
+            number = next(self._numbers)
+            self.running[number] = study, node
+            if study.has_knees and self._compiling is None:
+                self._compiling = number
+            yield number, request
+
+    def _waits(self, study: Jobs) -> bool:
+        """Whether other studies go first, until one worker has compiled the equations of knees, and all may load them.
+
+        Where there is no cached code it takes a quarter of a minute; other equations take a few seconds.
+        """
+        return study.has_knees and self._compiling in self.running
+
+    def _record(self, study: Jobs, node: Node, result: dict[str, Any]) -> None:
+        self.account.add(result)
+        study.record(node, result)
+        if node.key.key in self._held:
+            for other, held in self._held.pop(node.key.key):
+                other.put_back(held)  # limits of studies differ; a result that is copied is not computed again
+            if result["outcome"] == "ok":
+                for other, wanted in self._wanted.items():
+                    if node.key.key in wanted and other is not study:
+                        other.copy(node.key, result["data"])
+        self._finish()
+
+    def _finish(self) -> None:
+        """Finish studies of which no job is left."""
+        for study in list(self.studies):
+            if study.is_over:
+                self.studies.remove(study)
+                self._wanted.pop(study, None)
+                self.finish(study)

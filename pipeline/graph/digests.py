@@ -1,0 +1,91 @@
+"""Digests of the lines of a study that are computed side by side: what decides the points of each, in sixteen bytes.
+
+Nothing here is done line by line in Python, so that a plane of a million lines is planned in seconds. A line has its
+digest whatever chunk of whatever grid it is computed in.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.graph import layers
+from pipeline.grid.method import Method
+from pipeline.study.model import Axis, Study
+
+#: Constants of the finalizer of splitmix64 (Steele, Lea and Flood 2014, doi:10.1145/2660193.2660195).
+_INCREMENT, _FIRST, _SECOND = (np.uint64(c) for c in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+
+
+@dataclass(frozen=True)
+class Digests:
+    """Digests of the lines of a study, which has these layers and this method."""
+
+    study: Study
+    layers: Mapping[str, layers.Layer]
+    method: Method
+
+    def __call__(self, numbers: np.ndarray, versioned: bool = True) -> np.ndarray:
+        """Digests of lines; unless `versioned`, those of all versions of the tasks.
+
+        Parameters
+        ----------
+        numbers : ndarray of int, shape (n,)
+        versioned : bool
+
+        Returns
+        -------
+        ndarray of uint64, shape (n, 2)
+        """
+        walkers, *indices = np.unravel_index(numbers, self.study.line_shape)
+        digest = self._walkers[versioned][walkers]
+        axes = sorted(zip(self.study.line_axes, indices, strict=True), key=lambda pair: pair[0].name)
+        values = [axis.values.astype(float)[index] for axis, index in axes]
+        if self.method is Method.PLANE and self.study.plane:
+            # The results of a line of a plane depend on its cell.
+            for axis, index in axes:
+                sides = self.study.plane.sides(axis, axis.values)
+                values += [side[index] for side in (*sides, *self._neighbours(axis, sides))]
+        # All slopes of a line are computed together, and kept in their order.
+        values.append(np.full(len(numbers), _mark(self.study.slope)).view(float))
+        for value in values:
+            z = (digest ^ value.view(np.uint64)[:, None]) + _INCREMENT
+            z = (z ^ z >> np.uint64(30)) * _FIRST
+            z = (z ^ z >> np.uint64(27)) * _SECOND
+            digest = z ^ z >> np.uint64(31)
+        return digest
+
+    def _neighbours(self, axis: Axis, sides: tuple[np.ndarray, ...]) -> list[np.ndarray]:
+        """For each value of an axis a number for all values in its cell, which decide how that is split."""
+        marks = np.zeros(len(axis) if sides else 0, np.uint64)
+        for low, high in np.unique(sides, axis=1).T if sides else ():
+            # A value on the upper border counts here too, though its line belongs to the next cell.
+            marks[sides[0] == low] = _mark(np.sort(axis.values[(axis.values >= low) & (axis.values <= high)]))
+        return [marks.view(float)] if sides else []
+
+    @functools.cached_property
+    def _walkers(self) -> dict[bool, np.ndarray]:
+        """Digest of each walker with all that its lines share, for this version of the tasks and for all."""
+        tasks = [self.layers[name].task for name in ("atlas", "points")]
+        shared = {
+            "options": layers.point_params(self.study, self.method),
+            "keys": sorted(axis.name for axis in self.study.line_axes),
+        }
+        keys = [
+            layers.key(tasks[1], {**shared, "walker": walker}, [f"{tasks[0].name} {tasks[0].version}"])
+            for walker in self.study.walkers
+        ]
+        texts = {True: [key.key for key in keys], False: [key.kin for key in keys]}
+        return {
+            versioned: np.array([np.frombuffer(hashlib.sha256(t.encode()).digest()[:16], np.uint64) for t in each])
+            for versioned, each in texts.items()
+        }
+
+
+def _mark(values: np.ndarray) -> np.uint64:
+    """A number that stands for some values."""
+    return np.uint64(np.frombuffer(hashlib.sha256(values.astype(float).tobytes()).digest()[:8], np.uint64)[0])

@@ -1,0 +1,186 @@
+"""The graph of a study: key -> node, a task with its parameters and the keys that it needs.
+
+Nodes are made when they are asked for: a grid of a million points needs no object per point.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.graph import layers
+from pipeline.graph.digests import Digests
+from pipeline.grid.grid import Chunk, Grid
+from pipeline.grid.method import Method, variables
+from pipeline.store.store import Key
+from pipeline.study.model import Plane, Study
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Lines of a chunk that are in the store: for each its place in the chunk, the key of a record and place there."""
+
+    places: np.ndarray
+    keys: tuple[str, ...]
+    rows: np.ndarray
+
+
+@dataclass(frozen=True)
+class Node:
+    """A task over a line (`line` is its number, or that of a batch of designs), a chunk, or, without both, the study.
+
+    `needs` are keys of results that it reads, `why` it would run. Of a chunk of lines side by side, `todo` are the
+    places of those to compute, all if None, and `copies` the others.
+    """
+
+    task: str
+    key: Key
+    needs: tuple[str, ...] = ()
+    line: int | None = None
+    chunk: Chunk | None = None
+    why: str = ""
+    todo: np.ndarray | None = None
+    copies: Copies | None = None
+
+    @property
+    def lines(self) -> int:
+        """Number of lines that it computes with all their points."""
+        if self.chunk is None or self.line is not None:
+            return 0
+        return len(self.chunk.lines) if self.todo is None else len(self.todo)
+
+    @property
+    def points(self) -> int:
+        """Number of points that it computes."""
+        if self.chunk is None:
+            return 0
+        return self.chunk.points if self.todo is None else self.lines * (self.chunk.points // len(self.chunk.lines))
+
+
+class Graph:
+    """The graph of a study.
+
+    Attributes
+    ----------
+    layers : dict
+        Layers by name, inputs first.
+    grid : Grid
+    variables : tuple of str
+        Variables of points.
+    """
+
+    def __init__(self, study: Study):
+        self.study, self.grid, self.layers = study, Grid(study), layers.layers(study)
+        self.method, self.variables = self.grid.method, variables(study)
+        self.digests = Digests(study, self.layers, self.method)
+
+    @property
+    def atlas_readers(self) -> list[str]:
+        """Tasks that read atlases, besides points or the task of the study's kind, whose statuses report failures."""
+        own = ("points", self.study.kind)
+        return [name for name, layer in self.layers.items() if "atlas" in layer.needs and name not in own]
+
+    @property
+    def line_tasks(self) -> list[str]:
+        """Tasks over each line, besides its points; atlases of lines side by side are kept for those that read them."""
+        is_internal = self.method.is_of_lines and not self.atlas_readers
+        per_line = (name for name, layer in self.layers.items() if layer.per_line and name != "points")
+        return [name for name in per_line if name != "atlas" or not is_internal]
+
+    @property
+    def study_tasks(self) -> list[str]:
+        """Tasks over the whole study."""
+        return [name for name, layer in self.layers.items() if not layer.per_line]
+
+    def line_keys(self, number: int) -> dict[str, Key]:
+        """Key of every task over a line, or a batch of designs; of its points, what the keys of their chunks share."""
+        last = self._last[0]
+        if last[0] != number:
+            line, keys = self.study.batch_line(number), dict[str, Key]()
+            for name, layer in self.layers.items():
+                if layer.per_line:
+                    params = layers.line_params(self.study, name, line)
+                    keys[name] = layers.key(layer.task, params, [keys[need].key for need in layer.needs])
+            last = self._last[0] = number, keys  # at once: other threads read it too
+        return last[1]
+
+    @functools.cached_property
+    def _last(self) -> list[tuple[int, dict[str, Key]]]:
+        """The last line and its keys, usually requested several times in a row."""
+        return [(-1, {})]
+
+    def chunk_key(self, chunk: Chunk) -> Key:
+        """Key of a chunk."""
+        slopes = layers.digest(self.study.slope[chunk.slopes].tobytes())
+        if self.method.is_of_lines:
+            parts = [layers.digest(self.digests(chunk.lines, is_versioned).tobytes()) for is_versioned in (True, False)]
+        else:
+            parts = list(self.line_keys(int(chunk.lines[0]))["points"])
+        return Key(*(f"points-{layers.digest(f'{part} {slopes}'.encode())}" for part in parts))
+
+    def study_keys(self) -> dict[str, Key]:
+        """Key of every task over the study."""
+        if not self.study_tasks:
+            return {}
+        chunks = (self.chunk_key(self.grid.chunk(k)).key for k in range(self.grid.chunks))
+        lines = (self.line_keys(i)[name].key for i in range(self.study.batches) for name in self.line_tasks)
+        shared = [layers.digest("".join(itertools.chain(chunks, lines)).encode()), *self.study.gaits]
+        keys: dict[str, Key] = {}
+        for name in self.study_tasks:
+            layer = self.layers[name]
+            inputs = [keys[need].key for need in layer.needs if need in keys]
+            keys[name] = layers.key(layer.task, layers.study_params(self.study, name), [*shared, *inputs])
+        return keys
+
+    def line_node(self, number: int, name: str) -> Node:
+        """Node of a task over a line."""
+        keys = self.line_keys(number)
+        needs = tuple(keys[need].key for need in self.layers[name].needs)
+        return Node(name, keys[name], needs, number)
+
+    def chunk_node(self, chunk: Chunk) -> Node:
+        """Node of a chunk."""
+        key = self.chunk_key(chunk)
+        if self.method.is_of_lines:
+            return Node("points", key, chunk=chunk)
+        line = int(chunk.lines[0])
+        return Node("points", key, (self.line_keys(line)["atlas"].key,), line, chunk)
+
+    def params(self, node: Node) -> dict[str, Any]:
+        """Parameters of the task of a node; of lines side by side, those of each are in a list."""
+        study, chunk = self.study, node.chunk
+        if chunk is None:
+            if node.line is None:
+                return layers.study_params(study, node.task)
+            return layers.line_params(study, node.task, study.batch_line(node.line))
+        shared = {"slope": study.slope[chunk.slopes], "want": self.variables, "gaits": study.gaits}
+        if node.line is not None:
+            return {**layers.line_params(study, "points", study.line(node.line)), **shared}
+        numbers = chunk.lines if node.todo is None else chunk.lines[node.todo]
+        lines = [study.line(number) for number in numbers.tolist()]
+        cells = {"cells": _mark_cells(study.plane, lines)} if self.method is Method.PLANE and study.plane else {}
+        keeps_atlases = {"atlases": "atlas" in self.line_tasks}
+        return {"lines": lines, **cells, **keeps_atlases, **layers.point_params(study, self.method), **shared}
+
+    def nodes(self) -> Iterator[Node]:
+        """Every node, inputs first; for small studies."""
+        chunks = (self.grid.chunk(k) for k in range(self.grid.chunks))
+        lines = [self.line_node(i, name) for i in range(self.study.batches) for name in self.line_tasks]
+        yield from itertools.chain(lines, map(self.chunk_node, chunks))
+        keys = self.study_keys()
+        for name, key in keys.items():
+            yield Node(name, key, tuple(keys[need].key for need in self.layers[name].needs if need in keys))
+
+
+def _mark_cells(plane: Plane, lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The cells of a plane in which some lines lie; each line gets the number of its own as `cell`."""
+    low = [plane.sides(axis, np.array([line["set"][axis.name] for line in lines]))[0] for axis in plane.axes]
+    _, first, cell = np.unique(np.stack(low, axis=1), axis=0, return_index=True, return_inverse=True)
+    for line, number in zip(lines, cell.ravel().tolist(), strict=True):
+        line["cell"] = number
+    return [plane.cell(lines[k]["set"]) for k in first.tolist()]

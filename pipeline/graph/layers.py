@@ -1,0 +1,124 @@
+"""The layers of a study's graph, each one task over every line or over the whole study: parameters and keys."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.grid.method import Method, method_of
+from pipeline.store.store import Key
+from pipeline.study.model import Study
+from tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, Task
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One task over each line, or once over the study; `needs` names the layers it reads."""
+
+    task: Task
+    per_line: bool
+    needs: tuple[str, ...]
+
+
+def layers(study: Study) -> dict[str, Layer]:
+    """Layers that a study needs, inputs first."""
+    needed: dict[str, Layer] = {}
+
+    def add(name: str, per_line: bool) -> None:
+        if name in needed:
+            return
+        task = TASKS[name]
+        needs = tuple(need for need in task.needs if need in TASKS)
+        for need in needs:
+            add(need, per_line or need == "points" or _over_lines(need))
+        needed[name] = Layer(task, per_line, needs)
+
+    add("points" if study.kind == "grid" else study.kind, True)
+    for name in (*study.figures, *study.claims):
+        for read in READS.get(name, ()):
+            if read in TASKS:
+                add(read, _over_lines(read))
+    for name in study.fits:
+        add(name, False)
+    if study.claims and "claims" in TASKS:
+        # Claims read the main results of the study, its points or the tables of its task, and their atlas.
+        own = "points" if study.kind == "grid" else study.kind
+        others = tuple(dict.fromkeys(name for claim in study.claims for name in READ_BY_CLAIMS.get(claim, ())))
+        for name in others:
+            add(name, True)
+        needed["claims"] = Layer(TASKS["claims"], False, (own, *TASKS[own].needs, *others))
+    return needed
+
+
+def _over_lines(name: str) -> bool:
+    return not any(need == "points" or not _over_lines(need) for need in TASKS[name].needs) or name == "points"
+
+
+def point_params(study: Study, method: Method) -> dict[str, Any]:
+    """Parameters of points on which their values depend, besides their line and slopes."""
+    given = {"accuracy": study.accuracy, "interpolated": method is Method.INTERPOLATED} if study.accuracy else {}
+    return {**study.options, **given}
+
+
+def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters of a task over one line, except the slopes of a chunk of points."""
+    method = method_of(study)
+    if name == "atlas":
+        return {"line": line, "coarse": method.is_coarse, **({"steps": study.steps} if study.steps > 1 else {})}
+    if name == "points":
+        return {"line": line, **point_params(study, method)}
+    if name == "corners":
+        return {"line": line}
+    if name == "cascade" != study.kind:  # for the fit `crises`
+        named = isinstance(line["walker"], str) and not line["set"]
+        slopes = np.array(LOSS_WINDOWS.get(line["walker"], ()) if named else (), float)
+        return {"line": line, "slope": slopes, "gaits": GAITS}
+    if name == "branch":
+        slopes = study.slope
+        window = {"slope_from": float(slopes.min()), "slope_to": float(slopes.max()), "n": len(slopes)}
+        return {"line": line, **window, **study.options}
+    own = {} if name == "trace" else study.options  # whose `steps` may be those of orbits
+    params = {"line": line, "slope": study.slope, "gaits": study.gaits, **own}
+    if name == "design" and study.plane:
+        params["cell"] = study.plane.cell({key: float(values[0]) for key, values in line["set"].items()})
+    return params
+
+
+def study_params(study: Study, name: str) -> dict[str, Any]:
+    """Parameters of a task over the whole study."""
+    params: dict[str, Any] = {"lines": [{**study.line(i), "name": study.name_of(i)} for i in range(study.lines)]}
+    if name == "claims":
+        params["ids"] = list(study.claims)
+    return params
+
+
+def key(task: Task, params: Mapping[str, Any], inputs: Iterable[str] = ()) -> Key:
+    """Key of a task with these parameters and the keys of its inputs."""
+    plain = _canonical(params)
+    versioned = json.dumps([task.name, task.version, plain, list(inputs)], separators=(",", ":"))
+    # Results to another accuracy are those of a changed study, as of another version.
+    kept = {name: value for name, value in plain.items() if name != "accuracy"}
+    unversioned = json.dumps([task.name, kept], separators=(",", ":"))
+    return Key(*(f"{task.name}-{digest(text.encode())}" for text in (versioned, unversioned)))
+
+
+def digest(data: bytes) -> str:
+    """Hash of some bytes, for keys."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def _canonical(x: Any) -> Any:
+    if isinstance(x, float):
+        return x.hex()
+    if isinstance(x, Mapping):
+        return {k: _canonical(x[k]) for k in sorted(x)}
+    if isinstance(x, list | tuple):
+        return [_canonical(v) for v in x]
+    if isinstance(x, np.ndarray):
+        return [x.dtype.str, list(x.shape), digest(x.tobytes())]
+    return x

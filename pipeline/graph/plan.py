@@ -1,0 +1,224 @@
+"""The nodes that a study still needs, and why: `gaitsweep plan` prints them and a run computes them."""
+
+from __future__ import annotations
+
+import functools
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.graph.graph import Copies, Graph, Node
+from pipeline.grid import costs
+from pipeline.grid.grid import Chunk, golden_ratio_order
+from pipeline.statuses import ANSWERS
+from pipeline.store.record import Head, Points, unpacked
+from pipeline.store.store import Key, Outcome, Store
+from pipeline.study.model import Study
+from tasks.registry import GAITS, TASKS, VARIABLES
+
+
+class Plan:
+    """A study compared with its store.
+
+    Parameters
+    ----------
+    study : Study
+    store : Store
+    retry : bool
+        Run failed tasks and points again.
+    """
+
+    def __init__(self, study: Study, store: Store, retry: bool = False):
+        self.study, self.store, self.retry, self.graph = study, store, retry, Graph(study)
+        self.columns = [GAITS.index(gait) for gait in study.gaits]
+
+    def nodes(self) -> Iterator[Node]:
+        """Missing nodes over chunks and lines, inputs first; any leading part of them samples the study evenly."""
+        graph, grid = self.graph, self.graph.grid
+        if not graph.method.is_of_lines:
+            for number in golden_ratio_order(self.study.batches):
+                yield from self._of_line(number)
+            return
+        for number in golden_ratio_order(grid.chunks):
+            chunk = grid.chunk(number)
+            node = self._of_chunk(chunk)
+            if node:
+                yield node
+            if graph.line_tasks:
+                computed = set() if node is None else set(chunk.lines[... if node.todo is None else node.todo].tolist())
+                for line in chunk.lines.tolist():
+                    yield from (n for n in self._of_line(line) if n.task != "atlas" or line not in computed)
+
+    def _of_line(self, number: int) -> Iterator[Node]:
+        """Missing nodes over a line, its atlas first."""
+        graph = self.graph
+        keys = graph.line_keys(number)
+        atlas = self.store.outcome(keys["atlas"].key) if "atlas" in keys else None
+        if atlas and atlas.status != "ok" and not self.retry:
+            return
+        rest = [self._why(graph.line_node(number, name)) for name in graph.line_tasks if name != "atlas"]
+        if not graph.method.is_of_lines and graph.grid.chunks:
+            chunks = graph.grid.chunks_of_line(number)
+            rest += [self._of_chunk(graph.grid.chunk(chunks[k])) for k in golden_ratio_order(len(chunks))]
+        missing = [node for node in rest if node]
+        # Tasks over the study read the atlas too.
+        readers = {*(node.task for node in missing), *graph.study_tasks}
+        if "atlas" in keys and any("atlas" in graph.layers[name].needs for name in readers):
+            node = self._why(graph.line_node(number, "atlas"))
+            if node:
+                yield node
+        yield from missing
+
+    def _why(self, node: Node) -> Node | None:
+        """A node over a line with the reason why it runs; None if it does not."""
+        outcome = self.store.outcome(node.key.key)
+        if outcome is None:
+            return replace(node, why=self._new_or_changed(node.key))
+        return replace(node, why="retried") if self.retry and outcome.status != "ok" else None
+
+    def _new_or_changed(self, key: Key) -> str:
+        return "changed" if self.store.knows(key.kin) else "new"
+
+    def _of_chunk(self, chunk: Chunk) -> Node | None:
+        """Node of a chunk whose points are not all stored."""
+        node = self.graph.chunk_node(chunk)
+        head = self.store.chunk(node.key.key) if node.key.key in self.store else None
+        if head and self._holds(head):
+            if not (self.retry and self._has_failed(head.rows(self.columns))):
+                return None
+            todo = np.flatnonzero(self._failed_lines(node.key.key, chunk))
+            return self._with_copies(replace(node, why="retried"), chunk, todo, [node.key.key])
+        if not self.graph.method.is_of_lines or not self._elsewhere[1].size:
+            return replace(node, why="changed" if head else self._new_or_changed(node.key))
+        keys, digests, rows = self._elsewhere
+        own = self.graph.digests(chunk.lines)[:, 0]
+        place = np.minimum(np.searchsorted(digests, own), len(digests) - 1)
+        is_there = np.asarray(digests[place] == own)
+        node = replace(node, why="changed" if head else self._new_or_changed(node.key))
+        if not is_there.any():
+            return node
+        copies = Copies(np.flatnonzero(is_there), tuple(keys[k] for k in place[is_there]), rows[place[is_there]])
+        return replace(node, todo=np.flatnonzero(~is_there), copies=copies)
+
+    def _with_copies(self, node: Node, chunk: Chunk, todo: np.ndarray, keys: list[str]) -> Node:
+        """The node of a chunk of which some lines are computed again."""
+        if not self.graph.method.is_of_lines:
+            return node
+        kept = np.setdiff1d(np.arange(len(chunk.lines)), todo)
+        return replace(node, todo=todo, copies=Copies(kept, tuple(keys * len(kept)), kept)) if len(kept) else node
+
+    def _holds(self, head: Head) -> bool:
+        return head.holds(self.graph.variables, self.study.gaits)
+
+    def _has_failed(self, rows: dict[tuple[int, ...], int]) -> bool:
+        return not set(ANSWERS).issuperset(code for row in rows for code in row)
+
+    def _failed_lines(self, key: str, chunk: Chunk) -> np.ndarray:
+        with self.store.reading():
+            status = unpacked(*self.store.get(key)).values["status"][:, self.columns]
+        failed: np.ndarray = ~np.isin(status, ANSWERS).reshape(len(chunk.lines), -1).all(axis=1)
+        return failed
+
+    @functools.cached_property
+    def _elsewhere(self) -> tuple[list[str], np.ndarray, np.ndarray]:
+        """Lines side by side in the store, by their sorted digests: keys of records, digests and places in them.
+
+        They are in chunks of other grids, as a study has them after its axes were changed.
+        """
+        keys, digests, rows = [], [], []
+        for key in self.store.numbers:
+            if key.startswith("points-") and len(lines := (head := self.store.chunk(key)).lines) and self._holds(head):
+                keys += [key] * len(lines)
+                digests.append(lines[:, 0])
+                rows.append(np.arange(len(lines)))
+        if not keys:
+            return [], np.empty(0, np.uint64), np.empty(0, int)
+        order = np.argsort(np.concatenate(digests), kind="stable")
+        return [keys[k] for k in order], np.concatenate(digests)[order], np.concatenate(rows)[order]
+
+    def over_study(self) -> Iterator[Node]:
+        """Nodes over the study that are missing, or older than what they read, inputs first.
+
+        Asked once all other nodes are stored; before, they run if any of these does.
+        """
+        keys, numbers = self.graph.study_keys(), self.store.numbers
+        for name, key in keys.items():
+            needs = self.graph.layers[name].needs
+            node = Node(name, key, tuple(keys[need].key for need in needs if need in keys))
+            outcome = self.store.outcome(key.key)
+            if outcome is None:
+                yield replace(node, why=self._new_or_changed(key))
+            elif self._latest(needs, keys) > numbers[key.key]:
+                yield replace(node, why="its inputs change")
+            elif self.retry and outcome.status != "ok":
+                yield replace(node, why="retried")
+
+    def _latest(self, needs: tuple[str, ...], over_study: dict[str, Key]) -> int:
+        """Number of the latest record of some tasks of the study."""
+        graph, numbers, latest = self.graph, self.store.numbers, 0
+        if "points" in needs:
+            chunks = (graph.chunk_key(graph.grid.chunk(k)).key for k in range(graph.grid.chunks))
+            latest = max((numbers.get(key, 0) for key in chunks), default=0)
+        for need in set(needs) & set(graph.line_tasks):
+            lines = (graph.line_keys(i)[need].key for i in range(self.study.batches))
+            latest = max(latest, *(numbers.get(key, 0) for key in lines))
+        return max(latest, *(numbers.get(over_study[need].key, 0) for need in needs if need in over_study), 0)
+
+    def outcome_of_line(self, number: int) -> Outcome | None:
+        """How the atlas of a line ended, for what needs it; None if it is not known, or no task of its own."""
+        keys = self.graph.line_keys(number)
+        return self.store.outcome(keys["atlas"].key) if "atlas" in keys else None
+
+    def points(self, chunk: Chunk) -> Points | None:
+        """Points of a chunk; None if they are not stored."""
+        key = self.graph.chunk_key(chunk).key
+        if key not in self.store:
+            return None
+        with self.store.reading():
+            return unpacked(*self.store.get(key))
+
+    def omissions(self) -> tuple[list[str], list[str]]:
+        """Tasks and variables that the study does not request."""
+        return [t for t in TASKS if t not in self.graph.layers], [v for v in VARIABLES if v not in self.graph.variables]
+
+
+@dataclass
+class Summary:
+    """Counts of a plan: `todo[layer][why]`, `cached[layer]`, and the estimated work in core seconds."""
+
+    todo: dict[str, Counter[str]]
+    cached: dict[str, int]
+    seconds: float = 0.0
+
+
+def summary(plan: Plan) -> Summary:
+    """Count the work of a plan without storing it."""
+    study, layers = plan.study, plan.graph.layers
+    totals = {
+        name: study.points if name == "points" else study.batches if layer.per_line else 1
+        for name, layer in layers.items()
+    }
+    todo: dict[str, Counter[str]] = {name: Counter() for name in layers}
+    if not plan.store:
+        for name, total in totals.items():
+            todo[name]["new"] = total
+    else:
+        changes = False
+        for node in plan.nodes():
+            changes = True
+            todo[node.task][node.why] += node.points if node.chunk else 1
+            if node.lines:
+                todo["atlas"][node.why] += node.lines
+        for node in plan.over_study():
+            todo[node.task][node.why] += 1
+        for name in plan.graph.study_tasks if changes else ():
+            if not todo[name]:
+                todo[name]["its inputs change"] = 1
+    result = Summary(todo, {name: totals[name] - sum(todo[name].values()) for name in layers})
+    counts = {name: sum(why.values()) for name, why in todo.items()}
+    if any(counts.values()):
+        work = sum(n * costs.seconds(study, name) for name, n in counts.items() if n)
+        result.seconds = work + costs.starting(study)
+    return result

@@ -1,0 +1,74 @@
+"""What a task over the whole study reads: stored results of every line, and tables."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from pipeline import serialize
+from pipeline.graph.plan import Plan
+from pipeline.statuses import ALL_STATUSES
+from pipeline.store.record import Points, dtype_of, has_multipliers
+from tasks.registry import GAITS, READS, VARIABLES
+
+_MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
+_MAX_CHUNKS = 64  # chunks in memory
+
+
+def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
+    """Packed inputs of a task over the study: a dict of arrays for each line, then tables."""
+    graph, store = plan.graph, plan.store
+    needs = graph.layers[name].needs
+    per_line = [need for need in needs if need != "points" and graph.layers[need].per_line]
+    reads = [v for v in READS.get(name, graph.variables) if v in VARIABLES and v not in ("status", "reason")]
+    lines = _Lines(plan, ["status", *reads])
+    for number in range(plan.study.batches):
+        columns = lines.line(number) if "points" in needs else {}
+        for need in per_line:
+            result = store.result(graph.line_keys(number)[need].key)
+            columns |= serialize.load(result) if result else {}
+        yield serialize.dump(columns)
+    for need in needs:
+        if not graph.layers[need].per_line:
+            yield store.result(graph.study_keys()[need].key) or serialize.dump({})
+
+
+class _Lines:
+    """Variables of the points of each line, of the wanted gaits: what else is stored is none of the study's."""
+
+    def __init__(self, plan: Plan, names: list[str]):
+        self.plan, self.names, self.graph = plan, names, plan.graph
+        self.step = math.ceil(len(plan.study.slope) / _MAX_SLOPES)
+        self.others = [k for k, gait in enumerate(GAITS) if gait not in plan.study.gaits]
+        self._points = functools.lru_cache(_MAX_CHUNKS)(self._read)
+
+    def line(self, number: int) -> dict[str, Any]:
+        """Slopes and variables, shape (n, gait[, multiplier]), of one line."""
+        grid = self.graph.grid
+        parts = []
+        for k in grid.chunks_of_line(number):
+            chunk = grid.chunk(k)
+            n = chunk.slopes.stop - chunk.slopes.start
+            place = int(np.flatnonzero(chunk.lines == number)[0])
+            rows = np.arange(n)[-chunk.slopes.start % self.step :: self.step] + place * n
+            points = self._points(k)
+            parts.append({name: self._column(points, name, rows) for name in self.names})
+        values = {name: np.concatenate([part[name] for part in parts]) for name in self.names}
+        return {"slope": self.plan.study.slope[:: self.step], **values}
+
+    def _read(self, number: int) -> Points | None:
+        return self.plan.points(self.graph.grid.chunk(number))
+
+    def _column(self, points: Points | None, name: str, rows: np.ndarray) -> np.ndarray:
+        absent = ALL_STATUSES["not_attempted"] if name == "status" else VARIABLES[name].absent
+        shape = (len(rows), len(GAITS), *([self.graph.grid.multipliers] if has_multipliers(name) else []))
+        whole = np.full(shape, absent, dtype_of(name))
+        if points is not None:
+            stored = points.values[name][rows]
+            whole[:, : stored.shape[1]] = stored
+        whole[:, self.others] = VARIABLES[name].absent
+        return whole

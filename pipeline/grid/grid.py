@@ -1,0 +1,216 @@
+"""The dimensions of a study and its chunks."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.grid import costs
+from pipeline.grid.method import Method, method_of
+from pipeline.study.model import Study
+
+MOST_POINTS = 16384  # in a chunk
+_SECONDS = 0.3  # work in a chunk of points of one line [s]
+_MAX_SHARE = 8  # parts of a point's time limit that a chunk may take
+_FEWEST = 4  # points in a chunk of dear ones
+_LINES = 64  # lines in a chunk of lines side by side: enough to fill registers, few enough to show progress
+_PLANE_POINTS = 8192  # points in a chunk of a plane
+Box = tuple[slice, ...]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How the points of a chunk lie in the grid.
+
+    Attributes
+    ----------
+    sizes : tuple of int
+        Of the chunk along each dimension of the grid.
+    extent : tuple of int
+        Of a whole chunk, which is larger than the last ones.
+    slope : int
+        Number of the dimension of slopes.
+    """
+
+    sizes: tuple[int, ...]
+    extent: tuple[int, ...]
+    slope: int
+
+    @classmethod
+    def of_rows(cls, lines: int, slopes: int) -> Shape:
+        """Shape of lines that are no chunk, one after the other."""
+        return cls((lines, slopes), (lines, slopes), 1)
+
+    def unfold(self, rows: np.ndarray) -> np.ndarray:
+        """Arrange points in the order of the grid.
+
+        Parameters
+        ----------
+        rows : ndarray, shape (points, ...)
+            Line by line.
+
+        Returns
+        -------
+        ndarray, shape (*sizes, ...)
+        """
+        own = [n for k, n in enumerate(self.sizes) if k != self.slope]
+        lines_first = rows.reshape(*own, self.sizes[self.slope], *rows.shape[1:])
+        return np.moveaxis(lines_first, len(own), self.slope)
+
+    def fold(self, values: np.ndarray) -> np.ndarray:
+        """Undo `unfold` for an array of whole chunks."""
+        inside = values[tuple(map(slice, self.sizes))]
+        lines_first = np.moveaxis(inside, self.slope, len(self.sizes) - 1)
+        return lines_first.reshape(-1, *values.shape[len(self.sizes) :])
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A rectangle of the grid.
+
+    Attributes
+    ----------
+    number : int
+    box : tuple of slice
+        Along each dimension of the grid.
+    lines : ndarray of int, shape (n,)
+        Numbers of its lines.
+    slopes : slice
+        Of the study's slopes.
+    shape : Shape
+    """
+
+    number: int
+    box: Box
+    lines: np.ndarray
+    slopes: slice
+    shape: Shape
+
+    @property
+    def points(self) -> int:
+        """Number of its points."""
+        return len(self.lines) * (self.slopes.stop - self.slopes.start)
+
+
+class Grid:
+    """Dimensions of a study, walkers if there are several, then the axes in order; and its chunks, if it has points.
+
+    Attributes
+    ----------
+    sizes : dict
+        Size of each dimension.
+    lines : list of str
+        Dimensions of the lines: all but the slope.
+    extent : tuple of int
+        Shape of a chunk.
+    """
+
+    def __init__(self, study: Study):
+        self.study, self.method = study, method_of(study)
+        walkers = [("walker", len(study.walkers))] if study.walker_axis else []
+        axes = [axis for axis in study.axes if study.kind == "grid" or axis.name != "slope"]
+        self.sizes = dict(walkers + [(axis.name, len(axis)) for axis in axes])
+        self.lines = [name for name in self.sizes if name != "slope"]
+        self.multipliers = max((check["multipliers"] for check in study.checks), default=3)
+        self.extent = () if self.method is Method.TASK else tuple(self._extent()[name] for name in self.sizes)
+
+    @functools.cached_property
+    def _counts(self) -> tuple[int, ...]:
+        return tuple(-(-n // extent) for n, extent in zip(self.sizes.values(), self.extent, strict=True))
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks."""
+        return math.prod(self._counts) if self.extent else 0
+
+    def chunk(self, number: int) -> Chunk:
+        """The chunk of that number, in C order of the grid."""
+        corner = [int(k) * n for k, n in zip(np.unravel_index(number, self._counts), self.extent, strict=True)]
+        box = tuple(
+            slice(start, min(start + extent, n))
+            for start, extent, n in zip(corner, self.extent, self.sizes.values(), strict=True)
+        )
+        spans = dict(zip(self.sizes, box, strict=True))
+        sizes = tuple(span.stop - span.start for span in box)
+        shape = Shape(sizes, self.extent, list(self.sizes).index("slope"))
+        return Chunk(number, box, self._lines_in(spans), spans["slope"], shape)
+
+    def chunks_of_line(self, line: int) -> range:
+        """Numbers of the chunks that hold the points of a line."""
+        slope = list(self.sizes).index("slope")
+        indices = iter(np.unravel_index(line, self.study.line_shape)[0 if self.study.walker_axis else 1 :])
+        first = [0 if k == slope else int(next(indices)) // extent for k, extent in enumerate(self.extent)]
+        start, step = int(np.ravel_multi_index(first, self._counts)), math.prod(self._counts[slope + 1 :])
+        return range(start, start + self._counts[slope] * step, step)
+
+    def _lines_in(self, spans: Mapping[str, slice]) -> np.ndarray:
+        if not self.lines:
+            return np.zeros(1, int)
+        indices = np.ix_(*(np.arange(spans[name].start, spans[name].stop) for name in self.lines))
+        shape = self.study.line_shape if self.study.walker_axis else self.study.line_shape[1:]
+        numbers: np.ndarray = np.ravel_multi_index(indices, shape).ravel()
+        return numbers
+
+    def _extent(self) -> dict[str, int]:
+        """Size of a chunk along each dimension: many lines at all slopes, or a part of one."""
+        slopes = len(self.study.slope)
+        if self.method is Method.PLANE and self.study.plane:
+            tile = _tile(self.study.plane.axes, _PLANE_POINTS // slopes)
+            return {**dict.fromkeys(self.lines, 1), **tile, "slope": slopes}
+        if self.method.is_of_lines:
+            own = {name: self.sizes[name] for name in self.lines}
+            return {**dict(zip(own, box_shape(own, _LINES), strict=True)), "slope": slopes}
+        seconds = min(_SECONDS, self.study.limits.seconds / _MAX_SHARE)
+        points = min(MOST_POINTS, max(_FEWEST, int(seconds / costs.of_point(self.study, self.method))))
+        return {**dict.fromkeys(self.lines, 1), "slope": math.ceil(slopes / math.ceil(slopes / points))}
+
+
+def _tile(axes: tuple[Any, ...], lines: int) -> dict[str, int]:
+    """Size along the axes of a plane of a rectangle of about so many lines, as square as they allow."""
+    short, *long = sorted(axes, key=len)
+    lines = max(1, lines)
+    if not long:
+        return {short.name: min(len(short), lines)}
+    side = len(short) if len(short) <= 2 * math.isqrt(lines) else math.isqrt(lines)
+    side = min(side, lines)
+    return {short.name: side, long[0].name: min(len(long[0]), lines // side)}
+
+
+def box_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
+    """Shape of a box of at most `points` points, extended along the slope first, then along the last axes.
+
+    Parameters
+    ----------
+    sizes : mapping
+        Size of each dimension.
+    points : int
+
+    Returns
+    -------
+    tuple of int
+    """
+    extent: dict[str, int] = {}
+    for name in sorted(sizes, key=lambda d: (d == "slope", list(sizes).index(d)), reverse=True):
+        extent[name] = min(sizes[name], max(1, points // math.prod(extent.values())))
+    return tuple(extent[d] for d in sizes)
+
+
+def golden_ratio_order(n: int) -> Iterator[int]:
+    """Numbers from 0 to n - 1 in an order whose leading part, however long, samples them evenly."""
+    step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
+    return (i * step % n for i in range(n))
+
+
+def boxes(sizes: Mapping[str, int], extent: tuple[int, ...], points: int) -> Iterator[Box]:
+    """Boxes that cover an array, each of complete chunks of that shape, and of at most `points` points if it can."""
+    chunk = dict(zip(sizes, extent, strict=True))
+    counts = box_shape({d: -(-sizes[d] // c) for d, c in chunk.items()}, points // math.prod(chunk.values()))
+    steps = tuple(c * n for c, n in zip(chunk.values(), counts, strict=True))
+    for corner in itertools.product(*(range(0, n, c) for n, c in zip(sizes.values(), steps, strict=True))):
+        yield tuple(slice(i, min(i + c, n)) for i, c, n in zip(corner, steps, sizes.values(), strict=True))

@@ -1,0 +1,68 @@
+"""By which method the gaits of a study's lines are computed: decided here, once."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from pipeline.study.model import Study
+from tasks import accuracy
+from tasks.registry import READS, SHORT_LINE, TASKS, VARIABLES
+
+
+class Method(StrEnum):
+    """How the gaits of a line are computed.
+
+    `TASK` is that of studies of another kind than `grid`, whose lines have no points. Others name the cost of a point.
+    """
+
+    LONG = "long"  # an atlas for each line, from which chunks of its points are solved
+    CYCLES = "cycles"  # the same for gaits of several steps
+    INTERPOLATED = "interpolated"  # from a coarse atlas, by polynomials where these are accurate enough
+    SHORT = "short"  # atlases, coarse ones, and points of lines side by side
+    PLANE = "plane"  # lines side by side, their gaits predicted over a plane of keys
+    TASK = "task"
+
+    @property
+    def is_of_lines(self) -> bool:
+        """Whether a job computes several lines side by side, each at all its slopes."""
+        return self in (Method.SHORT, Method.PLANE)
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether atlases are coarse: too few points are solved from each to pay for a fine one."""
+        return self.is_of_lines or self is Method.INTERPOLATED
+
+
+def method_of(study: Study) -> Method:
+    """Method of a study.
+
+    Claims read the nodes of atlases: theirs are those that `gaitsweep claims` computes, whatever the study's slopes.
+    """
+    if study.kind != "grid":
+        return Method.TASK
+    if study.steps > 1:
+        return Method.CYCLES
+    if study.claims:
+        return Method.LONG
+    if len(study.slope) > SHORT_LINE or not TASKS["atlas"].side_by_side:
+        is_smooth = accuracy.is_interpolated(variables(study), study.accuracy)
+        return Method.INTERPOLATED if is_smooth and len(study.slope) > SHORT_LINE else Method.LONG
+    return Method.PLANE if study.plane and TASKS["atlas"].over_plane and _wants_points_alone(study) else Method.SHORT
+
+
+def variables(study: Study) -> tuple[str, ...]:
+    """Point variables to compute: those requested, and those that requested fits, figures and claims read."""
+    names = {*study.variables, *accuracy.always(study.accuracy)}
+    names.update(read for reader in _readers(study) for read in READS.get(reader, ()))
+    return tuple(name for name in VARIABLES if name in names)
+
+
+def _wants_points_alone(study: Study) -> bool:
+    """Whether no atlas is read, and no proof wanted."""
+    reads = [read for name in _readers(study) for read in (name, *READS.get(name, ()))]
+    reads_atlas = any(read in TASKS and read != "points" and "atlas" in TASKS[read].needs for read in reads)
+    return not reads_atlas and not any(VARIABLES[name].group == "proofs" for name in study.variables)
+
+
+def _readers(study: Study) -> tuple[str, ...]:
+    return (*study.fits, *study.figures, *study.claims, *(("claims",) if study.claims else ()))

@@ -1,1 +1,0 @@
-"""What is still missing, and why: `graph` lays a study out as tasks, `missing` compares them with the journal."""

@@ -1,0 +1,318 @@
+"""The record of a chunk: its points, packed as an archive holds them.
+
+A head lists the contents; the pieces, one for each variable and gait, follow each other in the payload. Writers of
+archives copy them unopened; readers of the values unpack them. A sentence is known by a number made from its text,
+until the archive numbers those that it holds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pipeline import serialize
+from pipeline.grid.grid import Shape
+from pipeline.statuses import ALL_STATUSES, ANSWERS, ENDINGS
+from pipeline.store.packing import Packed, pack_values, unpack
+from tasks.registry import GAITS, STATUSES, VARIABLES
+
+_BASE = 1 + max(ALL_STATUSES.values())
+_NAMES = {code: name for name, code in ALL_STATUSES.items()}
+_BEST = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate", "fell", "no_gait"))
+#: Type of the numbers of sentences.
+_REASON = np.dtype("u8")
+
+
+@functools.lru_cache(4096)
+def sentence_number(sentence: str) -> int:
+    """Number that stands for a sentence."""
+    return int.from_bytes(hashlib.blake2b(sentence.encode(), digest_size=8).digest(), "little")
+
+
+def dtype_of(name: str) -> np.dtype:
+    """Type of a variable in a record."""
+    return _REASON if name == "reason" else np.dtype(VARIABLES[name].dtype)
+
+
+@dataclass
+class Points:
+    """Points, line by line.
+
+    Attributes
+    ----------
+    values : dict of ndarray, shape (n, gaits[, multipliers])
+        `status` and `reason`, of all gaits; the other variables without trailing gaits that do not exist.
+    sentences : dict
+        Sentences of `reason`, by their numbers.
+    """
+
+    values: dict[str, np.ndarray]
+    sentences: dict[int, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.values["status"])
+
+    @classmethod
+    def of_result(cls, result: Mapping[str, Any], want: Iterable[str], points: int) -> Points:
+        """What a task returns for points: each variable of its own type, without gaits that do not exist.
+
+        Raises
+        ------
+        ValueError
+            If a variable has not the shape of the points.
+        """
+        names = [name for name in want if name not in ("status", "reason")]
+        values = {name: np.asarray(result[name], VARIABLES[name].dtype) for name in ("status", *names)}
+        for name, array in values.items():
+            if array.shape[:2] != values["status"].shape or len(array) != points:
+                raise ValueError(f"`{name}` has shape {array.shape} for {points} points")
+        sentences = [str(sentence) for sentence in result["reasons"]] or [""]
+        reason = np.asarray(result["reason"])
+        occurs = np.flatnonzero(np.bincount(reason.ravel(), minlength=len(sentences))).tolist()
+        numbers = np.array([sentence_number(sentence) for sentence in sentences], _REASON)
+        gaits = _gaits_that_exist(values)
+        trimmed = {name: array if name == "status" else array[:, :gaits] for name, array in values.items()}
+        trimmed["reason"] = numbers[reason]
+        return cls(trimmed, {int(numbers[k]): sentences[k] for k in occurs})
+
+    @classmethod
+    def of_ending(cls, points: int, ending: str, reason: str, want: Iterable[str]) -> Points:
+        """Points whose worker ended so, a name of `statuses.ENDINGS`."""
+        shape, number = (points, len(GAITS)), sentence_number(reason)
+        values = {"status": np.full(shape, ENDINGS[ending], np.int8), "reason": np.full(shape, number, _REASON)}
+        for name in want:
+            if name not in values:
+                extent = (points, 0, 0) if "multiplier" in VARIABLES[name].dims else (points, 0)
+                values[name] = np.empty(extent, VARIABLES[name].dtype)
+        return cls(values, {number: reason})
+
+    def take(self, rows: np.ndarray) -> Points:
+        """Some of the points."""
+        return Points({name: array[rows] for name, array in self.values.items()}, self.sentences)
+
+
+def joined(parts: Sequence[Points]) -> Points:
+    """Points one after the other; of a variable as many gaits and multipliers as any part has."""
+    if len(parts) == 1:
+        return parts[0]
+    sentences = {number: text for part in parts for number, text in part.sentences.items()}
+    values = {}
+    for name in parts[0].values:
+        arrays = [part.values[name] for part in parts]
+        shape = tuple(map(max, zip(*(array.shape[1:] for array in arrays), strict=True)))
+        whole = np.full((sum(map(len, parts)), *shape), _absent(name), arrays[0].dtype)
+        start = 0
+        for array in arrays:
+            whole[(slice(start, start + len(array)), *map(slice, array.shape[1:]))] = array
+            start += len(array)
+        values[name] = whole
+    return Points(values, sentences)
+
+
+def _absent(name: str) -> float:
+    return 0 if name in ("status", "reason") else VARIABLES[name].absent
+
+
+def _gaits_that_exist(values: Mapping[str, np.ndarray]) -> int:
+    """Number of gaits without the last ones that no point has."""
+    status = values["status"]
+
+    def is_empty(g: int) -> bool:
+        return bool(np.all(status[:, g] == STATUSES["no_gait"])) and all(
+            np.array_equal(a[:, g], np.full_like(a[:, g], _absent(name)), equal_nan=a.dtype.kind == "f")
+            for name, a in values.items()
+            if name != "status"
+        )
+
+    gaits = status.shape[1]
+    while gaits and is_empty(gaits - 1):
+        gaits -= 1
+    return gaits
+
+
+def pack(
+    points: Points, shape: Shape, multipliers: int, gaits: Iterable[str], lines: np.ndarray | None = None
+) -> tuple[bytes, bytes]:
+    """Pack the points of a chunk.
+
+    Parameters
+    ----------
+    points : Points
+    shape : Shape
+        Of the chunk.
+    multipliers : int
+        Most of any walker of the study.
+    gaits : iterable of str
+        Labels that were solved.
+    lines : ndarray of uint64, shape (m, 2), optional
+        Digests of its lines, if it holds several.
+
+    Returns
+    -------
+    head, payload : bytes
+    """
+    pieces = []
+    for name, array in points.values.items():
+        extent = _extent(name, shape, multipliers)
+        for g in range(array.shape[1]):
+            column = array[:, g]
+            if column.ndim > 1 and column.shape[1] < multipliers:
+                wide = np.full((len(column), multipliers), _absent(name), column.dtype)
+                wide[:, : column.shape[1]] = column
+                column = wide
+            pieces.append(pack_values(np.ascontiguousarray(shape.unfold(column)), extent))
+    status, reason = points.values["status"], points.values["reason"]
+    rows, numbers = status_rows(status), sorted(points.sentences)
+    head = {
+        "shape": dataclasses.astuple(shape),
+        "multipliers": multipliers,
+        "gaits": list(gaits),
+        "lines": np.empty((0, 2), np.uint64) if lines is None else np.asarray(lines),
+        "names": list(points.values),
+        "columns": np.array([array.shape[1] for array in points.values.values()]),
+        "sizes": np.array([len(piece.data) for piece in pieces]),
+        "checksums": np.array([piece.checksum for piece in pieces]),
+        "rows": np.array(list(rows)),
+        "of_row": np.array(list(rows.values())),
+        "numbers": np.array(numbers, _REASON),
+        "sentences": np.array([points.sentences[number] for number in numbers], "U"),
+        "used": np.stack([np.isin(np.array(numbers, _REASON), column) for column in reason.T], axis=1),
+    }
+    return serialize.dump(head), b"".join(piece.data for piece in pieces)
+
+
+def _extent(name: str, shape: Shape, multipliers: int) -> tuple[int, ...]:
+    return (*shape.extent, multipliers) if has_multipliers(name) else shape.extent
+
+
+def has_multipliers(name: str) -> bool:
+    """Whether a variable has a value for each multiplier."""
+    return name in VARIABLES and "multiplier" in VARIABLES[name].dims
+
+
+def status_rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
+    """Count the distinct rows of an array of statuses.
+
+    Parameters
+    ----------
+    status : ndarray, shape (n, gait)
+
+    Returns
+    -------
+    dict
+        Occurrences of each row.
+    """
+    code = np.zeros(len(status), np.intp)
+    for column in status.T:
+        code = code * _BASE + column
+    occurrences = np.bincount(code)
+    powers = _BASE ** np.arange(status.shape[1])[::-1]
+    return {tuple((c // powers % _BASE).tolist()): int(occurrences[c]) for c in np.flatnonzero(occurrences)}
+
+
+class Head:
+    """What a record holds.
+
+    Attributes
+    ----------
+    shape : Shape
+    multipliers : int
+    lines : ndarray of uint64, shape (m, 2)
+        Digests of its lines; none if it is part of one line.
+    columns : dict
+        Number of gaits of each variable.
+    """
+
+    def __init__(self, data: bytes):
+        head: dict[str, Any] = serialize.load(data)
+        if (head["columns"] < 0).any() or head["columns"].sum() != len(head["sizes"]):
+            raise ValueError("not the head of a record")
+        sizes, extent, slope = head["shape"]
+        self.shape = Shape(tuple(sizes), tuple(extent), slope)
+        self.multipliers, self.lines = head["multipliers"], head["lines"]
+        self.columns: dict[str, int] = dict(zip(head["names"], head["columns"].tolist(), strict=True))
+        self._gaits = frozenset(head["gaits"])
+        self._rows = head["rows"], head["of_row"]
+        self._numbers, self._sentences, self._used = head["numbers"], head["sentences"], head["used"]
+        ends = np.cumsum(head["sizes"])
+        places = zip((ends - head["sizes"]).tolist(), ends.tolist(), head["checksums"].tolist(), strict=True)
+        names = [(name, g) for name, n in self.columns.items() for g in range(n)]
+        self._places = dict(zip(names, places, strict=True))
+
+    def holds(self, variables: Iterable[str], gaits: Iterable[str]) -> bool:
+        """Whether these variables and gaits were solved."""
+        return self.columns.keys() >= set(variables) and self._gaits >= set(gaits)
+
+    def rows(self, columns: Iterable[int] | None = None) -> dict[tuple[int, ...], int]:
+        """Count the points by their row of `status`, of some gaits or of all."""
+        states, n = self._rows
+        chosen = states if columns is None else states[:, list(columns)]
+        counts: dict[tuple[int, ...], int] = {}
+        for row, k in zip(map(tuple, chosen.tolist()), n.tolist(), strict=True):
+            counts[row] = counts.get(row, 0) + k
+        return counts
+
+    def sentences(self, columns: Iterable[int] | None = None) -> dict[int, str]:
+        """Sentences by their numbers, those that occur for some gaits or for any."""
+        used = self._used if columns is None else self._used[:, list(columns)]
+        return {int(self._numbers[k]): str(self._sentences[k]) for k in np.flatnonzero(used.any(axis=1))}
+
+    def piece(self, payload: memoryview, name: str, gait: int) -> Packed | None:
+        """Piece of a variable and gait; None if there is no such gait."""
+        if (name, gait) not in self._places:
+            return None
+        start, end, checksum = self._places[name, gait]
+        return Packed(bytes(payload[start:end]), checksum)
+
+    def unpack(self, payload: memoryview, name: str) -> np.ndarray:
+        """Values of a variable.
+
+        Returns
+        -------
+        ndarray, shape (points, gaits) or (points, gaits, multipliers)
+            Line by line.
+        """
+        extent, dtype, columns = _extent(name, self.shape, self.multipliers), dtype_of(name), []
+        for g in range(self.columns[name]):
+            piece = self.piece(payload, name, g)
+            assert piece
+            columns.append(self.shape.fold(unpack(piece.data, dtype.str, extent)))
+        shape = (int(np.prod(self.shape.sizes)), 0, *extent[len(self.shape.extent) :])
+        return np.stack(columns, axis=1) if columns else np.empty(shape, dtype)
+
+
+def unpacked(head: bytes, payload: bytes) -> Points:
+    """Points of a record."""
+    contents, view = Head(head), memoryview(payload)
+    return Points({name: contents.unpack(view, name) for name in contents.columns}, contents.sentences())
+
+
+def count(rows: Mapping[tuple[int, ...], int], columns: Iterable[int] | None = None) -> Counter[str]:
+    """Count points by outcome: a failure of any gait, else the best answer of any gait.
+
+    Parameters
+    ----------
+    rows : mapping
+        Points by their row of `status`.
+    columns : iterable of int, optional
+        Gaits that count; by default all.
+
+    Returns
+    -------
+    Counter
+        Points by the name of their status.
+    """
+    counts, chosen = Counter[str](), None if columns is None else list(columns)
+    for row, n in rows.items():
+        row = row if chosen is None else tuple(row[c] for c in chosen)
+        failed = [code for code in row if code not in ANSWERS]
+        best = next((code for code in _BEST if code in row), row[0])
+        counts[_NAMES[max(failed, default=best)]] += n
+    return counts

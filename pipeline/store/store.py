@@ -1,0 +1,193 @@
+"""The store of one archive: records by key, in a file of SQLite beside it.
+
+A record has a head, which is small, and a payload. It is verified by checksums before use: a damaged file loses its
+damaged records only.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pipeline import serialize
+from pipeline.statuses import ENDINGS
+from pipeline.store import file
+from pipeline.store.file import CorruptStoreError
+from pipeline.store.record import Head
+
+_SYNC_INTERVAL = 0.5  # finished work that a power failure may cost [s]
+_MAX_RECENT = 8  # payloads kept in memory
+#: Largest payload [byte]; SQLite has rows of at most 10^9 byte.
+MAX_PAYLOAD = 999_000_000
+
+
+class Key(NamedTuple):
+    """Key of a record; `kin` is the same for all versions of the task."""
+
+    key: str
+    kin: str
+
+
+class Outcome(NamedTuple):
+    """How a task ended: "ok" or a name of `statuses.ENDINGS`, and the reason."""
+
+    status: str
+    reason: str
+
+
+class Store:
+    """Records of one archive. The run is their only writer; others open it with `write=False`.
+
+    Parameters
+    ----------
+    path : Path
+    write : bool
+
+    Attributes
+    ----------
+    numbers : dict
+        Of each record, by its key; later ones are larger.
+
+    Raises
+    ------
+    ArchiveError, DiskFullError
+        If it cannot be opened or is no store; CorruptStoreError if it is damaged.
+    """
+
+    def __init__(self, path: Path, write: bool = True):
+        self.path, self._lock, self._synced = path, threading.RLock(), 0.0
+        self._recent: OrderedDict[str, tuple[bytes, bytes]] = OrderedDict()
+        self.numbers: dict[str, int] = {}
+        self._kin: set[str] = set()
+        try:
+            exists = file.is_ours(path)
+            self._db = file.connect(path if exists or write else None, write, not exists)
+        except (sqlite3.Error, OSError, UnicodeDecodeError) as error:
+            file.raise_for(error, path)
+        try:
+            for number, key, kin in self._execute("SELECT id, key, kin FROM records ORDER BY id"):
+                self.numbers[str(key)] = number
+                self._kin.add(str(kin))
+            self._last = max(self.numbers.values(), default=0)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Fold the write-ahead log into the file and close it."""
+        with self._lock:
+            with contextlib.suppress(sqlite3.Error):
+                self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+            self._db.close()
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.numbers
+
+    def __bool__(self) -> bool:
+        return bool(self.numbers)
+
+    def knows(self, kin: str) -> bool:
+        """Whether there is a record of any version of the task with these parameters."""
+        return kin in self._kin
+
+    def put(self, key: Key, head: bytes, payload: bytes) -> None:
+        """Store a record, instead of an earlier one with its key.
+
+        Durable at once if the run crashes, within `_SYNC_INTERVAL` if the power fails.
+        """
+        with self._lock:
+            clock, earlier = time.monotonic(), self.numbers.get(key.key)
+            is_synchronous = clock - self._synced > _SYNC_INTERVAL
+            self._execute(f"PRAGMA synchronous={'FULL' if is_synchronous else 'NORMAL'}")
+            number = self._last + 1
+            sums = file.sums(number, *key, head, payload)
+            self._execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", number, *key, *sums, head, payload)
+            self._last = number
+            if earlier:  # if this is lost, the later one counts
+                self._execute("DELETE FROM records WHERE id = ?", earlier)
+            self._synced = clock if is_synchronous else self._synced
+            self.numbers[key.key] = number
+            self._kin.add(key.kin)
+            self._recent.pop(key.key, None)
+
+    def head(self, key: str) -> bytes:
+        """Head of a record, without reading its payload."""
+        number = self.numbers[key]
+        for kin, own, head in self._execute("SELECT kin, sum, head FROM records WHERE id = ?", number):
+            if isinstance(head, bytes) and file.sums(number, key, kin, head, b"")[0] == own:
+                return head
+        raise CorruptStoreError(self.path)
+
+    def get(self, key: str) -> tuple[bytes, bytes]:
+        """Head and payload of a record; the latest few are kept in memory.
+
+        Raises
+        ------
+        CorruptStoreError
+            If it is not as it was written.
+        """
+        with self._lock:
+            if key in self._recent:
+                self._recent.move_to_end(key)
+                return self._recent[key]
+            rows = self._execute("SELECT * FROM records WHERE id = ?", self.numbers[key])
+            if not rows or rows[0][1] != key or not file.is_whole(rows[0]):
+                raise CorruptStoreError(self.path)
+            self._recent[key] = rows[0][-2:]
+            while len(self._recent) > _MAX_RECENT:
+                self._recent.popitem(last=False)
+            return self._recent[key]
+
+    def chunk(self, key: str) -> Head:
+        """Contents of the record of a chunk."""
+        with self.reading():
+            return Head(self.head(key))
+
+    def put_result(self, key: Key, outcome: Outcome, result: bytes) -> None:
+        """Store the result of a task over a line or a study."""
+        self.put(key, serialize.dump(list(outcome)), result)
+
+    def outcome(self, key: str) -> Outcome | None:
+        """How the task of that key ended; None if it has no result."""
+        if key not in self.numbers:
+            return None
+        with self.reading():
+            outcome = Outcome(*serialize.load(self.head(key)))
+            if outcome.status not in ("ok", *ENDINGS):
+                raise ValueError(outcome.status)
+            return outcome
+
+    def result(self, key: str) -> bytes | None:
+        """Packed result of a task; None if it has none, or failed."""
+        outcome = self.outcome(key)
+        return self.get(key)[1] if outcome and outcome.status == "ok" else None
+
+    @contextlib.contextmanager
+    def reading(self) -> Iterator[None]:
+        """Treat bytes that were never packed as damage, whatever their checksum."""
+        try:
+            yield
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+            raise CorruptStoreError(self.path) from error
+
+    def note(self, key: str) -> str | None:
+        """Value of a note stored beside the records; None if there is none."""
+        values = self._execute("SELECT value FROM notes WHERE key = ?", key)
+        return values[0][0] if values else None
+
+    def set_note(self, key: str, value: str) -> None:
+        """Store a note beside the records."""
+        self._execute("INSERT OR REPLACE INTO notes VALUES (?, ?)", key, value)
+
+    def _execute(self, sql: str, *values: Any) -> list[tuple[Any, ...]]:
+        try:
+            with self._lock:
+                return self._db.execute(sql, values).fetchall()
+        except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
+            file.raise_for(error, self.path)
