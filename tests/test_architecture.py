@@ -47,7 +47,7 @@ def test_tests_are_no_packages():
 
 def test_the_registry_imports_nothing_and_the_plan_no_solver():
     program = (
-        "import sys; import tasks.registry; before = set(sys.modules); import pipeline.plan.missing;"
+        "import sys; import tasks.registry; before = set(sys.modules); import pipeline.graph.plan;"
         "print(*(m for m in sys.modules if m.startswith('tasks')))"
     )
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=True)

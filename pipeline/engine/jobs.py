@@ -60,6 +60,7 @@ class Jobs:
         self._ready: deque[Node] = deque()
         self._pending: set[str] = set()  # keys of results that are to come
         self._waiting: dict[str, list[Node]] = {}  # nodes by a pending need
+        self._dropped: set[str] = set()  # keys of nodes whose needs failed
         self._lock = threading.RLock()  # a node is taken by the thread of an executor
 
     @property
@@ -208,6 +209,7 @@ class Jobs:
         self._put_chunk(node, chunk, (result["head"], result["payload"]))
         line = int(chunk.lines[0])
         event = {"task": "points", "line": line, "lines": node.lines, "points": node.points, "counts": dict(counts)}
+        event["place"] = chunk.slopes.start
         self.listen("chunk", {**_event(node, result), **event})
 
     def _put_chunk(self, node: Node, chunk: Chunk, record: tuple[bytes, bytes] | None) -> None:
@@ -242,7 +244,7 @@ class Jobs:
     def copy(self, key: Key, data: bytes) -> None:
         """Store a result that another study has computed."""
         with self._lock:
-            if self.error or key.key in self.store:
+            if self.error or key.key in self.store or key.key in self._dropped:
                 return
             try:
                 self.store.put_result(key, Outcome("ok", ""), data)
@@ -260,6 +262,7 @@ class Jobs:
             if is_ok:
                 self._ready.append(node)
             else:
+                self._dropped.add(node.key.key)
                 lost += node.points + self._arrived(node.key.key, False)
         return lost
 

@@ -16,6 +16,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
+
 from pipeline import terminal
 from pipeline.engine import worker_process
 from pipeline.engine.executors import Engine
@@ -50,6 +52,7 @@ class Progress:
         self.done: Counter[str] = Counter()
         self.seconds: Counter[str] = Counter()
         self.counts: Counter[str] = Counter()
+        self.measured: dict[int, np.ndarray] = {}  # points and seconds by the first slope of their chunks
         self.file = open(log, "a", encoding="utf-8")  # noqa: SIM115 - open as long as the run
         self.lock = threading.Lock()
 
@@ -80,6 +83,9 @@ class Progress:
             self.done[details["task"]] += n
             self.seconds[details["task"]] += details["seconds"]
             self.done["atlas"] += details.get("lines", 0)
+            if event == "chunk" and n:
+                place = details.pop("place", 0)
+                self.measured[place] = self.measured.get(place, np.zeros(2)) + (n, details["seconds"])
             self.counts.update(details.get("counts", {}))
             if details.get("lost"):
                 self.done["points"] += details["lost"]
@@ -126,11 +132,27 @@ class Progress:
         stages = {}
         for name, count in self.todo.items():
             done = self.done[name]
-            mean_seconds = self.seconds[name] / done if self.seconds[name] else costs.seconds(self.plan.study, name)
+            if name == "points" and self.measured:
+                mean_seconds = self._seconds_of_a_point()
+            else:
+                mean_seconds = self.seconds[name] / done if done else costs.seconds(self.plan.study, name)
             seconds_left = mean_seconds * max(0, count - done)
             if count:
                 stages[name] = {"done": done, "todo": count, "eta": round(seconds_left / self.engine.jobs, 1)}
         return stages
+
+    def _seconds_of_a_point(self) -> float:
+        """Mean time of the points that are left [s]; near slopes where none was measured, as at those beside them."""
+        grid, slopes = self.plan.graph.grid, len(self.plan.study.slope)
+        starts = np.arange(0, slopes, grid.extent[list(grid.sizes).index("slope")])
+        places = sorted(self.measured)
+        points, seconds = np.array([self.measured[k] for k in places]).T
+        left = np.diff(starts, append=slopes) * self.plan.study.lines
+        left[np.isin(starts, places)] -= points.astype(int)
+        weights = np.maximum(left, 0) if (left > 0).any() else np.ones(len(starts))
+        # By its logarithm: a peak is narrow, and towards vanishing slopes times grow by powers.
+        time_of_each = np.exp(np.interp(starts, places, np.log(np.maximum(seconds, 1e-9) / points)))
+        return float(np.average(time_of_each, weights=weights))
 
     def _log(self, event: str, details: dict[str, Any]) -> None:
         # On a full disk the run goes on as long as its results find room.

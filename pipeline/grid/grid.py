@@ -19,6 +19,7 @@ MOST_POINTS = 16384  # in a chunk
 _SECONDS = 0.3  # work in a chunk of points of one line [s]
 _MAX_SHARE = 8  # parts of a point's time limit that a chunk may take
 _FEWEST = 4  # points in a chunk of dear ones
+_TINY, _MOST_TINY = 1e-8, 512  # slopes that may need extended precision [rad], and points in a chunk of those
 _LINES = 64  # lines in a chunk of lines side by side: enough to fill registers, few enough to show progress
 _PLANE_POINTS = 8192  # points in a chunk of a plane
 Box = tuple[slice, ...]
@@ -167,7 +168,8 @@ class Grid:
             own = {name: self.sizes[name] for name in self.lines}
             return {**dict(zip(own, box_shape(own, _LINES), strict=True)), "slope": slopes}
         seconds = min(_SECONDS, self.study.limits.seconds / _MAX_SHARE)
-        points = min(MOST_POINTS, max(_FEWEST, int(seconds / costs.of_point(self.study, self.method))))
+        most = MOST_POINTS if self.study.slope.min() > _TINY else _MOST_TINY
+        points = min(most, max(_FEWEST, int(seconds / costs.of_point(self.study, self.method))))
         return {**dict.fromkeys(self.lines, 1), "slope": math.ceil(slopes / math.ceil(slopes / points))}
 
 

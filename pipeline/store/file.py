@@ -16,7 +16,7 @@ from pipeline import paths
 from pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
 
 _APPLICATION_ID = 0x67735734  # in the header of a store
-_PAGE = 16384  # size of its pages [byte]
+_PAGE = 8192  # size of its pages [byte]
 _SCHEMA = (
     "CREATE TABLE records (id INTEGER PRIMARY KEY, key TEXT, kin TEXT, sum INTEGER, payload_sum INTEGER, head BLOB,"
     " payload BLOB)",
@@ -72,6 +72,8 @@ def connect(path: Path | None, write: bool = True, new: bool = False) -> sqlite3
                 db.execute(statement)
             db.execute("COMMIT")
         if {sql for (sql,) in db.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")} != set(_SCHEMA):
+            raise sqlite3.DatabaseError("malformed")
+        if write and db.execute("PRAGMA quick_check(1)").fetchone() != ("ok",):
             raise sqlite3.DatabaseError("malformed")
     except BaseException:
         db.close()

@@ -86,7 +86,10 @@ class Points:
     def of_ending(cls, points: int, ending: str, reason: str, want: Iterable[str]) -> Points:
         """Points whose worker ended so, a name of `statuses.ENDINGS`."""
         shape, number = (points, len(GAITS)), sentence_number(reason)
-        values = {"status": np.full(shape, ENDINGS[ending], np.int8), "reason": np.full(shape, number, _REASON)}
+        values: dict[str, np.ndarray] = {
+            "status": np.full(shape, ENDINGS[ending], np.int8),
+            "reason": np.full(shape, number, _REASON),
+        }
         for name in want:
             if name not in values:
                 extent = (points, 0, 0) if "multiplier" in VARIABLES[name].dims else (points, 0)

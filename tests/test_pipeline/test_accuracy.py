@@ -9,7 +9,7 @@ import pytest
 import pipeline
 from pipeline.cli.commands import main
 from pipeline.errors import StudyError
-from pipeline.plan import graph
+from pipeline.grid.method import Method, method_of, variables
 from pipeline.study.parse import parse, read
 from tasks.registry import ALWAYS
 
@@ -74,16 +74,19 @@ def test_only_grids_have_an_accuracy(tmp_path):
 
 def test_what_would_have_to_be_integrated_is_left_out_unless_named(tmp_path):
     study = read(written(tmp_path))
-    assert not {"residual", "energy_imbalance", "multiplier_real", "violations"} & set(graph.variables(study))
-    assert graph.is_interpolated(study)
+    assert not {"residual", "energy_imbalance", "multiplier_real", "violations"} & set(variables(study))
+    assert method_of(study) is Method.INTERPOLATED
     table = {"name": "a", "accuracy": 1e-6, "walker": "D", "axes": {"slope": {"from": 1e-3, "to": 0.02, "n": 500}}}
     for name in ("residual", "energy_imbalance", "violations"):
         named = parse({**table, "want": {"variables": [name]}}, "", tmp_path / "a.toml")
-        assert name in graph.variables(named)
-        assert not graph.is_interpolated(named)
-    assert graph.is_interpolated(parse({**table, "want": {"variables": ["multipliers"]}}, "", tmp_path / "a.toml"))
-    assert not graph.is_interpolated(parse({**table, "accuracy": 1e-13}, "", tmp_path / "a.toml"))
-    assert set(ALWAYS) <= set(graph.variables(parse({k: v for k, v in table.items() if k != "accuracy"}, "", tmp_path)))
+        assert name in variables(named)
+        assert method_of(named) is Method.LONG
+    assert (
+        method_of(parse({**table, "want": {"variables": ["multipliers"]}}, "", tmp_path / "a.toml"))
+        is Method.INTERPOLATED
+    )
+    assert method_of(parse({**table, "accuracy": 1e-13}, "", tmp_path / "a.toml")) is Method.LONG
+    assert set(ALWAYS) <= set(variables(parse({k: v for k, v in table.items() if k != "accuracy"}, "", tmp_path)))
 
 
 def test_an_archive_says_its_accuracy_and_keeps_no_more_digits(archive):

@@ -32,10 +32,10 @@ from pipeline.archive.unfold import dataset
 from pipeline.archive.written import write_strings
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
-from pipeline.plan.missing import Plan
+from pipeline.graph.plan import Plan
 from pipeline.report import pages
 from pipeline.statuses import ALL_STATUSES as STATUS
-from pipeline.store.journal import Journal
+from pipeline.store.store import Store
 from pipeline.study import parse
 from processes import descendants, ended, suspend
 from tasks.accuracy import OF_INTEGRATION
@@ -211,7 +211,7 @@ def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
             (file[place] if place else file).delncattr(name)
 
     study = parse.read(tmp_path / "s.toml")
-    with contextlib.closing(Journal(tmp_path / "s.journal", write=False)) as journal:
+    with contextlib.closing(Store(tmp_path / "s.journal", write=False)) as journal:
         for attribute in (("", "title"), ("status", "units"), ("fits/scaling/exponent", "long_name")):
             lost.append(attribute)
             monkeypatch.setattr(PointWriter, "fill", lose)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.archive import chunks, layout
+from pipeline.grid.grid import MOST_POINTS, box_shape, boxes
 from pipeline.store import packing
 
 SMOOTH = np.cbrt(np.linspace(1e-4, 0.1, 3 * 9000)).reshape(3, 9000)
@@ -39,13 +40,13 @@ def _file(path, values, extent):
 )
 def test_netcdf_reads_back_what_was_packed(tmp_path, values):
     sizes = {"line": values.shape[0], "slope": values.shape[1]}
-    shape = layout.grid_chunk(sizes)
+    shape = box_shape(sizes, MOST_POINTS)
     extent = (*shape, values.shape[2])
     ours, theirs = (_file(tmp_path / name, values, extent) for name in ("ours.nc", "theirs.nc"))
     with netCDF4.Dataset(theirs, "a") as file:
         file["v"][:] = values
     with chunks.Chunks(ours) as out:
-        for box in layout.regions(sizes, shape):
+        for box in boxes(sizes, shape, MOST_POINTS):
             for corner, part in layout.split(values[box], box, extent):
                 packed = packing.pack_values(part, extent)
                 out.write("v", corner, packed.data)
@@ -77,10 +78,10 @@ def test_a_flipped_byte_in_a_chunk_is_refused_by_the_library(tmp_path):
         {"slope": 1},
     ],
 )
-def test_regions_are_whole_chunks_and_cover_the_grid_once(sizes):
-    seen, chunk = np.zeros(tuple(sizes.values()), int), layout.grid_chunk(sizes)
-    for box in layout.regions(sizes, chunk):
+def test_boxes_are_whole_chunks_and_cover_the_grid_once(sizes):
+    seen, chunk = np.zeros(tuple(sizes.values()), int), box_shape(sizes, MOST_POINTS // 3)
+    for box in boxes(sizes, chunk, MOST_POINTS):
         seen[box] += 1
-        assert seen[box].size <= layout.REGION and all(s.start % c == 0 for s, c in zip(box, chunk, strict=True))
+        assert seen[box].size <= MOST_POINTS and all(s.start % c == 0 for s, c in zip(box, chunk, strict=True))
         assert all(s.stop % c == 0 or s.stop == n for s, c, n in zip(box, chunk, seen.shape, strict=True))
     assert (seen == 1).all()

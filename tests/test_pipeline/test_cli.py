@@ -10,7 +10,6 @@ import os
 import re
 import resource
 import shutil
-import sqlite3
 import subprocess
 import sys
 import threading
@@ -26,11 +25,10 @@ import pytest
 from conftest import ROOT, STUDY, TOYS, Toy
 from pipeline.archive import read, write
 from pipeline.cli import commands
+from pipeline.engine import jobs as engine_jobs
+from pipeline.engine import locks
+from pipeline.engine.progress import duration, last_state
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError, unwritten
-from pipeline.execution import locks, study_jobs
-from pipeline.execution.progress import duration, last_state
-from pipeline.store import journal_file
-from pipeline.store.journal import Journal
 from processes import ended, sidecar_path
 
 
@@ -231,7 +229,7 @@ def test_a_folder_that_cannot_be_written_is_said(toy):
     assert "cannot be written" in toy("run", "toy.toml", expect=2).stderr
 
 
-@pytest.mark.parametrize("suffix", [".journal", ".journal-chunks", ".journal-lock", ".events.jsonl", ".nc"])
+@pytest.mark.parametrize("suffix", [".journal", ".journal-lock", ".events.jsonl", ".nc"])
 def test_a_folder_in_the_place_of_a_file_is_named(toy, suffix):
     (toy.folder / "data" / "archive" / f"toy{suffix}").mkdir(parents=True)
     (said,) = toy("run", "toy.toml", "--quiet", expect=2).stderr.splitlines()
@@ -397,34 +395,16 @@ def test_a_snapshot_that_finds_no_room_does_not_end_the_run(toy, monkeypatch, ca
     monkeypatch.chdir(toy.folder)
     written, errors = write.write, iter([DiskFullError("The disk is full: toy.nc is unchanged.")])
 
-    def fail_once(plan, path, threads=1):
+    def fail_once(plan, path, *check):
         for error in errors:
             raise error
-        return written(plan, path, threads)
+        return written(plan, path, *check)
 
     monkeypatch.setattr("pipeline.archive.write.write", fail_once)
     toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
     assert commands.main(["run", "toy.toml", "--jobs", "1", "--snapshot", "0"]) == 0
     said = "The archive is not published before the end: The disk is full: toy.nc is unchanged.\n"
     assert capsys.readouterr().err.startswith(said)
-
-
-def test_a_journal_that_finds_no_room_to_shrink_fails_nothing(toy, monkeypatch, capsys):
-    monkeypatch.chdir(toy.folder)
-    full = sqlite3.OperationalError("database or disk is full")
-    full.sqlite_errorcode = sqlite3.SQLITE_FULL
-    shrunk, read = [], Journal._read
-
-    def fail(journal, sql, *values):
-        if sql.startswith("DELETE FROM points"):
-            shrunk.append(journal)
-            journal_file.raise_for(full, journal.path)
-        return read(journal, sql, *values)
-
-    monkeypatch.setattr(Journal, "_read", fail)
-    toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.015, n = 300 }\n')
-    assert commands.main(["run", "toy.toml", "--jobs", "1", "--quiet", "--chunk", "4"]) == 0 and len(shrunk) == 1
-    assert json.loads((toy.folder / "data" / "archive" / "toy.run.json").read_text())["points"] == 300
 
 
 def test_memory_is_counted_in_pages_of_the_system(toy, monkeypatch):
@@ -447,7 +427,7 @@ def test_a_clock_set_back_during_a_run_changes_no_duration(toy, monkeypatch, cap
 
 def test_a_record_that_finds_no_room_is_missed(toy, monkeypatch, capsys):
     monkeypatch.chdir(toy.folder)
-    monkeypatch.setattr("pipeline.execution.runner._write_record", Mock(side_effect=OSError(errno.ENOSPC, "No room")))
+    monkeypatch.setattr("pipeline.engine.runner._write_record", Mock(side_effect=OSError(errno.ENOSPC, "No room")))
     toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
     assert commands.main(["run", "toy.toml", "--jobs", "1", "--quiet"]) == 0
     assert "toy.run.json cannot be written: No room." in capsys.readouterr().err
@@ -550,7 +530,7 @@ def test_several_studies_end_with_the_gravest_code(toy, monkeypatch, capsys, end
                 report(end)
         return [end if isinstance(end, int) else getattr(end, "exit_code", 2) for end in ends]
 
-    monkeypatch.setattr("pipeline.execution.runner.run", run)
+    monkeypatch.setattr("pipeline.engine.runner.run", run)
     assert commands.main(["run", *(f"{name}.toml" for name in names)]) == code
     said, left = capsys.readouterr().err, [f"{n}.toml" for n, end in zip(names, ends, strict=True) if end not in (0, 1)]
     assert (f"not run to the end: {', '.join(left)}\n" in said) == bool(left)
@@ -585,14 +565,14 @@ def test_one_study_whose_results_cannot_be_read_does_not_end_the_others(toy, mon
     for name in ("a", "b"):
         fitted = '\n[want]\nvariables = ["period"]\nfits = ["scaling"]\n'
         toy.write(f'name = "{name}"\nwalker = "D"\n[axes]\nslope = [0.001, 0.002, 0.005, 0.01]{fitted}', f"{name}.toml")
-    read = study_jobs.study_inputs
+    read = engine_jobs.study_inputs
 
     def fail(plan, name):
         if plan.study.name == "a":
             raise ArchiveError("It cannot be read.")
         return read(plan, name)
 
-    monkeypatch.setattr(study_jobs, "study_inputs", fail)
+    monkeypatch.setattr(engine_jobs, "study_inputs", fail)
     assert commands.main(["run", "a.toml", "b.toml", "--jobs", "2"]) == 2
     said = capsys.readouterr().err
     assert said.count("It cannot be read.") == 1 and "1 of 2 studies in" in said
@@ -784,7 +764,7 @@ def test_a_full_disk_is_said_wherever_it_is_met(toy, monkeypatch, capsys):
 
     monkeypatch.chdir(toy.folder)
     toy("run", "toy.toml")
-    monkeypatch.setattr("pipeline.execution.runner.lock_archive", full)
+    monkeypatch.setattr("pipeline.engine.runner.lock_archive", full)
     monkeypatch.setattr("pipeline.report.pages.write", full)
     for arguments in (["run", "toy.toml"], ["report", "data/archive/toy.nc"]):
         assert commands.main(arguments) == 4

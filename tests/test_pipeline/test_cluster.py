@@ -13,9 +13,9 @@ import time
 import pytest
 
 from conftest import ROOT, STUDY, TOYS
+from pipeline.engine import cluster as cluster_executor
+from pipeline.engine.cluster import connect
 from pipeline.errors import StudyError
-from pipeline.execution import cluster as cluster_executor
-from pipeline.execution.cluster import connect
 from processes import alive, descendants, ignored, wait_for_points
 
 pytest.importorskip("distributed")

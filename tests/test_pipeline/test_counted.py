@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from benchmarks.counted import STUDIES, work
-from pipeline.execution import worker_process
-from pipeline.execution.runner import Options, run
-from pipeline.plan import graph
+from pipeline.engine import worker_process
+from pipeline.engine.runner import Options, run
+from pipeline.graph.layers import layers
+from pipeline.grid.method import variables
 from pipeline.study.parse import read
 from tasks.registry import ALWAYS
 from tasks.solve_points import atlas
@@ -57,9 +58,9 @@ figures = ["loglog"]
 def test_one_figure_asks_for_its_inputs_alone(tmp_path):
     (tmp_path / "one.toml").write_text(STUDY)
     study = read(tmp_path / "one.toml")
-    assert set(graph.layers(study)) == {"atlas", "points"}
+    assert set(layers(study)) == {"atlas", "points"}
     start = {"stance_angle", "stance_rate", "thigh_rate", "shank_rate"}  # with which a page lets a gait walk
-    assert set(graph.variables(study)) == {*start, "spectral_radius", *ALWAYS}
+    assert set(variables(study)) == {*start, "spectral_radius", *ALWAYS}
 
 
 def test_a_cached_rerun_starts_no_worker_and_so_integrates_nothing(tmp_path, monkeypatch):

@@ -13,9 +13,9 @@ from lines import branches as atlas_of
 from pipeline import load
 from pipeline.cli import commands
 from pipeline.errors import StudyError
-from pipeline.plan.graph import is_short, layers, line_keys
-from pipeline.plan.missing import Plan, summary
-from pipeline.store.journal import Journal
+from pipeline.graph.graph import Graph
+from pipeline.graph.plan import Plan, summary
+from pipeline.store.store import Store
 from pipeline.study.parse import read
 from tasks.follow_cycles import cycle_branches
 from tasks.sample_cycles import sample_cycles
@@ -82,10 +82,10 @@ def test_archives_do_not_depend_on_chunks_and_resume(archives, tmp_path):
     assert (tmp_path / "s.nc").read_bytes() == (archives["grid"] / "s.nc").read_bytes()
     wider = GRID.replace("n = 6", "n = 11")
     (tmp_path / "s.toml").write_text(wider)
-    with contextlib.closing(Journal(tmp_path / "s.journal")) as journal:
+    with contextlib.closing(Store(tmp_path / "s.journal")) as journal:
         todo = summary(Plan(read(tmp_path / "s.toml"), journal)).todo
-    # Every other slope is known, and so are the branches.
-    assert todo["points"] == {"new": 5} and not todo["atlas"]
+    # Other slopes are other chunks, but the branches are known.
+    assert todo["points"] == {"new": 11} and not todo["atlas"]
     assert run(tmp_path, wider) == 0 and len(load(tmp_path / "s.nc").slope) == 11
 
 
@@ -94,12 +94,12 @@ def test_results_of_one_step_are_kept_when_steps_is_written_out(tmp_path):
     for k, text in enumerate((GRID.replace("steps = 2", "steps = 1"), GRID.replace("[options]\nsteps = 2\n", ""))):
         (tmp_path / f"{k}.toml").write_text(text)
         studies.append(read(tmp_path / f"{k}.toml"))
-    keys = [line_keys(study, layers(study), study.line(0)) for study in studies]
-    assert keys[0] == keys[1] and is_short(studies[0])
+    keys = [Graph(study).line_keys(0) for study in studies]
+    assert keys[0] == keys[1] and Graph(studies[0]).method == "short"
     (tmp_path / "2.toml").write_text(GRID)
     two = read(tmp_path / "2.toml")
-    assert not is_short(two)
-    assert not set(keys[0].values()) & set(line_keys(two, layers(two), two.line(0)).values())
+    assert Graph(two).method == "cycles"
+    assert not set(keys[0].values()) & set(Graph(two).line_keys(0).values())
 
 
 def test_a_branch_is_followed_through_its_fold_and_flips_as_the_cascade_has_them(archives, tmp_path):

@@ -9,10 +9,10 @@ import xarray as xr
 import pipeline
 from pipeline.cli import text
 from pipeline.errors import StudyError
-from pipeline.plan import graph
-from pipeline.plan.costs import seconds
-from pipeline.plan.missing import Plan, summary
-from pipeline.store.journal import Journal
+from pipeline.graph import layers
+from pipeline.graph.plan import Plan, summary
+from pipeline.grid.costs import seconds
+from pipeline.store.store import Store
 from pipeline.study.parse import read
 
 STUDY = """
@@ -62,7 +62,7 @@ def test_every_design_belongs_to_one_job(tmp_path, walker, axes, batches):
     numbers = [study.batch(k) for k in range(batches)]
     assert sorted(np.concatenate(numbers).tolist()) == list(range(study.lines))
     for k, each in enumerate(numbers):
-        line, params = study.batch_line(k), graph.line_params(study, "design", study.batch_line(k))
+        line, params = study.batch_line(k), layers.line_params(study, "design", study.batch_line(k))
         for i, number in enumerate(each.tolist()):
             own = study.line(number)
             assert own["walker"] == line["walker"]
@@ -78,7 +78,7 @@ def test_a_plan_tells_what_designs_cost(tmp_path):
     assert many.plane and not few.plane
     each = [seconds(study, "design") * study.batches / study.lines for study in (few, many)]
     assert each[1] < 0.1 * each[0]
-    planned = Plan(many, Journal(tmp_path / "journal", points=many.points))
+    planned = Plan(many, Store(tmp_path / "journal"))
     todo = summary(planned)
     # The slopes are a window, of which each design is one answer.
     assert next(text.plan(planned, todo, many.path)).startswith("designs: 100 R x 2 m_h x 20 m_s, 4,000 designs ->")

@@ -18,12 +18,12 @@ import pytest
 from pipeline import paths
 from pipeline.archive import provenance, read
 from pipeline.cli import claims, commands, text
+from pipeline.engine import runner
+from pipeline.engine.locks import lock_archive
+from pipeline.engine.progress import last_state
 from pipeline.errors import ArchiveError, DiskFullError, shortage
-from pipeline.execution import runner
-from pipeline.execution.locks import lock_archive
-from pipeline.execution.progress import last_state
 from pipeline.report import pages
-from pipeline.store.journal import Journal
+from pipeline.store.store import Store
 from pipeline.study import parse
 from tasks.registry import TASKS
 
@@ -83,7 +83,7 @@ def test_what_stands_beside_an_archive_is_named_and_left_alone(tmp_path, suffix,
         said = opened(tmp_path / "s.nc")
     else:
         with pytest.raises(ArchiveError) as raised:
-            Journal(path.with_name("s.journal"))
+            Store(path.with_name("s.journal"))
         said = str(raised.value)
     assert said.startswith(f"{path} is") and kind in said and said.endswith("move it away.")
     assert state(path) == before and {file.name for file in tmp_path.iterdir()} == {"precious", path.name}
@@ -174,7 +174,7 @@ def files_end_at(size):
 def test_a_limit_of_the_size_of_files_is_named(tmp_path):
     """It was called a disk I/O error, and half of a new journal a damaged one by the next run."""
     with files_end_at(20_000), pytest.raises(DiskFullError, match="s.journal cannot be written: File too large"):
-        Journal(tmp_path / "s.journal")
+        Store(tmp_path / "s.journal")
     assert not list(tmp_path.iterdir())
     (large := tmp_path / "large").write_bytes(bytes(3 << 20))
     error = sqlite3.OperationalError("disk I/O error")

@@ -2,16 +2,19 @@
 
 import contextlib
 import dataclasses
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pipeline.plan import costs, graph
-from pipeline.plan.missing import Plan
-from pipeline.store.journal import Journal
-from pipeline.store.rows import Result
+from pipeline import serialize
+from pipeline.engine.jobs import _seconds_after
+from pipeline.graph import layers
+from pipeline.graph.graph import Graph
+from pipeline.graph.plan import Plan
+from pipeline.grid import costs
+from pipeline.grid.method import variables
+from pipeline.store.store import Outcome, Store
 from pipeline.study import parse
 from tasks import registry
 
@@ -29,46 +32,47 @@ def make():
 
 def test_nothing_that_is_not_wanted_is_in_the_graph(make):
     found = make(want={"variables": ["period"]})
-    assert list(graph.layers(found)) == ["atlas", "points"]
-    assert graph.variables(found) == ("period", *registry.ALWAYS)
+    assert list(layers.layers(found)) == ["atlas", "points"]
+    assert variables(found) == ("period", *registry.ALWAYS)
     found = make(want={"variables": ["period"], "fits": ["transition"]})
-    assert list(graph.layers(found)) == ["atlas", "points", "transition"]
-    assert "stance_angle" in graph.variables(found) and "multiplier_real" not in graph.variables(found)
+    assert list(layers.layers(found)) == ["atlas", "points", "transition"]
+    assert "stance_angle" in variables(found) and "multiplier_real" not in variables(found)
 
 
-def test_what_depends_on_a_task_is_in_its_depth_and_urgency(make):
+def test_what_depends_on_a_task_is_in_its_urgency(make, tmp_path):
     study = make(want={"variables": ["period"], "fits": ["scaling", "landmarks"], "claims": ["E2"]})
-    layers = graph.layers(study)
-    assert graph.depths(layers) == {"atlas": 0, "points": 1, "scaling": 2, "landmarks": 1, "claims": 2}
-    after = costs.seconds_after(study, layers)
-    seconds = {name: costs.seconds(study, name) for name in layers}
+    with contextlib.closing(Store(tmp_path / "j")) as store:
+        after = _seconds_after(Plan(study, store))
+    seconds = {name: costs.seconds(study, name) for name in layers.layers(study)}
     assert after["points"] == max(seconds["scaling"], seconds["claims"]) and after["claims"] == 0
     assert after["atlas"] == max(seconds["points"] + after["points"], seconds["landmarks"])
+
+
+def expand(study):
+    """The graph in Dask's form: key -> task, parameters, keys of inputs."""
+    graph = Graph(study)
+    return {node.key.key: (node.task, graph.params(node), list(node.needs)) for node in graph.nodes()}
 
 
 @pytest.mark.parametrize("kind", ["orbit", "basin", "cascade"])
 def test_the_motion_over_a_step_does_not_depend_on_how_many_an_orbit_has(make, kind):
     study = make(kind=kind, want={"figures": ["angles"]}, options={"steps": 30})
-    nodes = graph.expand(study).values()
+    nodes = expand(study).values()
     assert {name: parameters.get("steps") for name, parameters, _ in nodes} == {"atlas": None, kind: 30, "trace": None}
-
-
-def test_claims_wait_for_the_task_of_their_study_though_that_needs_no_atlas(make):
-    layers = graph.layers(make(kind="census", walker="D", axes={"slope": [0.01]}, want={"claims": ["G1"]}))
-    assert graph.depths(layers) == {"census": 1, "claims": 2}
 
 
 def test_a_fit_made_before_an_atlas_was_retried_is_stale(make, tmp_path):
     """As of a run that was killed between the two."""
     study = make(want={"variables": ["period"], "fits": ["landmarks"], "claims": ["E2"]})  # of long lines
-    with contextlib.closing(Journal(tmp_path / "j")) as journal:
-        plan = Plan(study, journal)
-        keys = plan.study_keys()
-        for key in (plan.line_keys(0)["atlas"], keys["landmarks"], keys["claims"]):
-            journal.add_result(*key, Result("ok", "", 0, b""), 0.1)
-        assert plan.over_study(False) == {}
-        journal.add_result(*plan.line_keys(0)["atlas"], Result("ok", "", 0, b""), 0.1)
-        todo = {name: why for name, (_, why) in plan.over_study(False).items()}
+    with contextlib.closing(Store(tmp_path / "j")) as store:
+        plan = Plan(study, store)
+        graph = plan.graph
+        keys = graph.study_keys()
+        for key in (graph.line_keys(0)["atlas"], keys["landmarks"], keys["claims"]):
+            store.put_result(key, Outcome("ok", ""), b"")
+        assert list(plan.over_study()) == []
+        store.put_result(graph.line_keys(0)["atlas"], Outcome("ok", ""), b"")
+        todo = {node.task: node.why for node in plan.over_study()}
     assert todo == dict.fromkeys(["landmarks", "claims"], "its inputs change")
 
 
@@ -78,18 +82,18 @@ PAPER = [path for path in sorted((ROOT / "data" / "studies" / "paper").glob("*.t
 @pytest.mark.parametrize("path", PAPER, ids=lambda path: path.stem)
 def test_the_atlases_of_claims_are_those_that_they_compute_without_a_study(path):
     study = parse.read(path)
-    atlases = [parameters for task, parameters, _ in graph.expand(study).values() if task == "atlas"]
+    atlases = [parameters for task, parameters, _ in expand(study).values() if task == "atlas"]
     assert study.claims and (atlases or study.kind == "census")
     assert not any(parameters["coarse"] for parameters in atlases)
     without = dataclasses.replace(study, claims=())
-    assert graph.is_short(without) == (study.kind == "grid")
+    assert (Graph(without).method == "short") == (study.kind == "grid")
 
 
 def test_claims_want_atlases_that_are_not_coarse_whatever_the_accuracy(make):
     long = make(slope=np.geomspace(0.01, 0.02, 300), accuracy=1e-6)
-    assert graph.line_params(long, "atlas", long.line(0))["coarse"]
+    assert layers.line_params(long, "atlas", long.line(0))["coarse"]
     claimed = dataclasses.replace(long, claims=("E2",))
-    assert not graph.line_params(claimed, "atlas", claimed.line(0))["coarse"]
+    assert not layers.line_params(claimed, "atlas", claimed.line(0))["coarse"]
 
 
 def test_the_loss_of_walking_is_located_once_for_studies_of_different_kinds(make):
@@ -98,41 +102,43 @@ def test_the_loss_of_walking_is_located_once_for_studies_of_different_kinds(make
         make(kind="orbit", walker=["C", "C-printed"], axes={"slope": [0.07, 0.08, 0.1]}, want={"fits": ["crises"]}),
         make(kind="cascade", walker=["C-printed"], axes={"slope": [0.07, 0.1]}, want={"claims": ["K1", "K2"]}),
     ]
-    keys = [{key for key in graph.expand(study) if not key.startswith(("crises", "claims"))} for study in studies]
+    keys = [{key for key in expand(study) if not key.startswith(("crises", "claims"))} for study in studies]
     assert sorted(key.partition("-")[0] for key in keys[0] & keys[1]) == ["atlas", "cascade", "corners"]
     assert {key.partition("-")[0] for key in keys[0] - keys[1]} == {"atlas", "orbit", "cascade", "corners"}
-    others = graph.expand(make(want={"fits": ["crises"]})).values()
+    others = expand(make(want={"fits": ["crises"]})).values()
     assert [len(parameters["slope"]) for name, parameters, _ in others if name == "cascade"] == [0, 0]
 
 
 def test_the_graph_is_plain_data_and_whole(make):
-    nodes = graph.expand(make(want={"fits": ["scaling", "transition"]}))
-    assert [key.split("-")[0] for key in nodes] == ["atlas", "points"] * 2 + ["scaling", "transition"]
-    json.dumps(nodes)
+    nodes = expand(make(want={"fits": ["scaling", "transition"]}))
+    assert [key.split("-")[0] for key in nodes] == ["points", "scaling", "transition"]
+    serialize.dump([list(node) for node in nodes.values()])
     for _, _, inputs in nodes.values():
         assert set(inputs) <= set(nodes)
 
 
-def test_keys_do_not_depend_on_slopes_and_wishes(make):
-    one = graph.expand(make())
-    two = graph.expand(make(slope=np.linspace(0.01, 0.1, 9), want={"variables": ["period"]}, limits={"seconds": 3}))
-    assert set(one) == set(two)
-    three = graph.expand(make(want={"fits": ["scaling"]}))
-    four = graph.expand(make(want={"fits": ["scaling"]}, slope=(0.01, 0.03)))
-    assert len(set(three) & set(four)) == 4 and len(set(three) - set(four)) == 1
+def test_keys_depend_on_slopes_where_points_do_and_on_no_wishes(make):
+    long = np.linspace(0.01, 0.1, 300)
+    one = expand(make(slope=long))
+    two = expand(make(slope=long, want={"variables": ["period"]}, limits={"seconds": 3}))
+    assert set(one) == set(two) and len(one) == 4
+    three = expand(make(slope=long + 1e-3))
+    assert {key.split("-")[0] for key in set(one) & set(three)} == {"atlas"}
+    fitted, other = (expand(make(want={"fits": ["scaling"]}, slope=s)) for s in ((0.01, 0.02), (0.01, 0.03)))
+    assert not set(fitted) & set(other)  # of lines side by side, the points are all that is kept
 
 
 def test_a_version_is_in_the_keys_of_its_dependents(make, monkeypatch):
-    before = graph.expand(make(want={"fits": ["scaling"]}))
+    before = expand(make(want={"fits": ["scaling"]}))
     monkeypatch.setitem(registry.TASKS, "points", dataclasses.replace(registry.TASKS["points"], version=99))
-    after = graph.expand(make(want={"fits": ["scaling"]}))
-    assert {key.split("-")[0] for key in set(before) & set(after)} == {"atlas"}
+    after = expand(make(want={"fits": ["scaling"]}))
+    assert {key.split("-")[0] for key in set(before) - set(after)} == {"points", "scaling"}
 
 
 def test_keys_hold_the_exact_numbers():
     task = registry.TASKS["atlas"]
     one, two = ({"line": {"walker": "E", "set": {"R": value}}} for value in (0.1, np.nextafter(0.1, 1)))
-    assert graph.key(task, one)[0] != graph.key(task, two)[0]
-    assert graph.key(task, one)[0] == ("atlas-" + graph.key(task, one)[0][6:]) and len(graph.key(task, one)[0]) == 70
+    assert layers.key(task, one)[0] != layers.key(task, two)[0]
+    assert layers.key(task, one)[0] == ("atlas-" + layers.key(task, one)[0][6:]) and len(layers.key(task, one)[0]) == 70
     backwards = {"line": dict(reversed(one["line"].items()))}
-    assert graph.key(task, one) == graph.key(task, backwards)
+    assert layers.key(task, one) == layers.key(task, backwards)

@@ -11,7 +11,8 @@ import xarray as xr
 
 from conftest import STUDY
 from pipeline.cli import commands
-from pipeline.store import journal_file, rows
+from pipeline.engine import worker_process
+from pipeline.store import file
 from processes import suspend, wait_for_points
 
 #: Trouble, the status it ends with, and words of its reason.
@@ -141,7 +142,7 @@ def test_an_atlas_that_fails_beside_stored_points_is_told(tmp_path, capsys):
 
 def test_a_result_that_no_journal_can_hold_costs_its_line(tmp_path, monkeypatch, capsys):
     """It was called a damage of the journal, and computed three times."""
-    connect = journal_file.connect
+    connect = file.connect
 
     def limited(*args, **options):
         db = connect(*args, **options)
@@ -149,8 +150,8 @@ def test_a_result_that_no_journal_can_hold_costs_its_line(tmp_path, monkeypatch,
         return db
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(journal_file, "connect", limited)
-    monkeypatch.setattr(rows, "MAX_DATA", 299_000, raising=False)
+    monkeypatch.setattr(file, "connect", limited)
+    monkeypatch.setattr(worker_process, "MAX_PAYLOAD", 299_000)
     orbit = "[axes]\nslope = [0.01]\n[options]\nsteps = 1000\nshown = 1000\nstarts = 8\n"
     Path("s.toml").write_text(f'name = "s"\nkind = "orbit"\nwalker = "D"\n{orbit}')
     assert commands.main(["run", "s.toml", "--jobs", "1"]) == 1

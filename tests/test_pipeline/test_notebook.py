@@ -15,10 +15,11 @@ import xarray as xr
 import pipeline
 from pipeline.api import studies
 from pipeline.cli import commands
+from pipeline.engine import progress
+from pipeline.engine.executors import Engine
 from pipeline.errors import ArchiveError, StudyError
-from pipeline.execution import progress
-from pipeline.plan import graph
-from pipeline.plan.missing import Summary
+from pipeline.graph.layers import Layer
+from pipeline.graph.plan import Summary
 from tasks.registry import TASKS
 
 STUDY = {
@@ -280,26 +281,26 @@ def test_a_state_tells_rate_and_one_time_to_go():
 
 def test_the_time_to_go_is_the_sum_of_its_stages(tmp_path, monkeypatch):
     monkeypatch.setattr(progress.costs, "seconds", lambda study, name: 2.0)
-    layers = {name: graph.Layer(TASKS[name], True, ()) for name in ("atlas", "points")}
-    plan = types.SimpleNamespace(study=types.SimpleNamespace(points=900), layers=layers)
+    layers = {name: Layer(TASKS[name], True, ()) for name in ("atlas", "points")}
+    grid = types.SimpleNamespace(extent=(300,), sizes={"slope": 900})
+    study = types.SimpleNamespace(points=900, slope=np.arange(900), lines=1)
+    plan = types.SimpleNamespace(study=study, graph=types.SimpleNamespace(layers=layers, grid=grid))
     todo = Summary({"atlas": {"new": 8}, "points": {"new": 900}}, {})
-    shown = progress.Progress(plan, todo, tmp_path / "log", quiet=True)
-    shown.jobs = types.SimpleNamespace(
-        costs=types.SimpleNamespace(seconds_left=lambda: 30.0), engine=types.SimpleNamespace(jobs=3, address=None)
-    )
-    assert progress.sentence(shown.state()).endswith(", 15.3 s to go")
+    shown = progress.Progress(plan, todo, tmp_path / "log", quiet=True, engine=Engine(3))
+    assert progress.sentence(shown.state()).endswith(", 10.1 min to go")  # (8 + 900) x 2 s / 3
     shown.start -= 1000  # seconds without a first result: the plan's estimate is wrong
     assert progress.sentence(progress.total([shown.state()])).endswith(", longer than planned")
     for _ in range(2):
         shown("task", {"task": "atlas", "seconds": 5.25})
-    assert progress.sentence(shown.state()).endswith(" s to go")
-    shown("chunk", {"task": "points", "seconds": 1.0, "points": 100, "counts": {"converged": 90}})
-    shown("chunk", {"task": "points", "seconds": 1.0, "points": 0, "lost": 10, "outcome": "timed_out"})
+    shown("chunk", {"task": "points", "seconds": 1.0, "points": 100, "place": 0, "counts": {"converged": 90}})
+    shown("chunk", {"task": "points", "seconds": 5.0, "points": 100, "place": 600, "counts": {"converged": 100}})
+    shown("task", {"task": "orbit", "seconds": 1.0, "lost": 10, "outcome": "timed_out"})
     state = shown.state()
     shown.file.close()
-    assert (state["done"], state["counts"]) == (110, {"converged": 90, "timed_out": 10})
-    assert {name: stage["eta"] for name, stage in state["stages"].items()} == {"atlas": 10.5, "points": 10.0}
-    assert state["eta"] == 20.5
+    assert (state["done"], state["counts"]) == (210, {"converged": 190, "timed_out": 10})
+    # A point takes 0.01, sqrt(0.01 x 0.05) and 0.05 s; 200, 300 and 200 of them are left, and 690 altogether.
+    assert {name: stage["eta"] for name, stage in state["stages"].items()} == {"atlas": 10.5, "points": 6.1}
+    assert state["eta"] == 16.6
 
 
 def test_a_terminal_has_no_bar_of_a_notebook(monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 
 from conftest import ROOT, STUDY
 from pipeline.cli import commands
-from pipeline.plan import costs
+from pipeline.grid import costs
 from pipeline.study.parse import read
 
 LINE = 'name = "s"\nwalker = "D"\n[axes]\nslope = { from = 0.001, to = 0.02, n = 20 }\n'

@@ -8,11 +8,10 @@ import xarray as xr
 
 import pipeline
 from pipeline.api import in_memory
+from pipeline.engine.runner import _check_room
 from pipeline.errors import DiskFullError
-from pipeline.execution.runner import _check_room
-from pipeline.plan.missing import Plan
+from pipeline.graph.graph import Graph
 from pipeline.statuses import ALL_STATUSES
-from pipeline.store.journal import Journal
 from pipeline.study.parse import read
 
 STUDY = """
@@ -46,18 +45,18 @@ def archive(tmp_path_factory):
     return run(tmp_path_factory.mktemp("one"), STUDY.format(walker="B", axes=AXES), jobs=1)
 
 
-def test_a_plane_is_divided_into_cells(tmp_path):
+def test_the_lines_of_a_chunk_know_their_cells(tmp_path):
     study = read(written(tmp_path, STUDY.format(walker="B", axes=AXES)))
     assert study.plane.parts == (2, 1)
-    blocks = Plan(study, Journal(tmp_path / "journal")).blocks
-    numbers = [blocks.numbers(k) for k in range(blocks.count)]
-    assert sorted(np.concatenate(numbers)) == list(range(72))
-    for k, each in enumerate(numbers):
-        assert (blocks.of(each) == k).all()
-        cells = [study.plane.cell(study.line(number)["set"]) for number in each]
-        assert all(cell["low"] == cells[0]["low"] and cell["high"] == cells[0]["high"] for cell in cells)
-        for number, cell in zip(each, cells, strict=True):
-            values = study.line(number)["set"]
+    graph = Graph(study)
+    chunks = [graph.grid.chunk(k) for k in range(graph.grid.chunks)]
+    assert sorted(np.concatenate([chunk.lines for chunk in chunks])) == list(range(72))
+    for chunk in chunks:
+        params = graph.params(graph.chunk_node(chunk))
+        assert len(params["cells"]) == 2
+        for number, line in zip(chunk.lines.tolist(), params["lines"], strict=True):
+            cell, values = params["cells"][line["cell"]], study.line(number)["set"]
+            assert cell["low"] == study.plane.cell(values)["low"]
             assert all(a <= values[key] <= b for key, a, b in zip(cell["keys"], cell["low"], cell["high"], strict=True))
 
 
@@ -73,9 +72,9 @@ def test_the_digest_of_a_line_tells_its_cell_and_slopes(tmp_path):
         ("four", fewer, AXES),
     ):
         study = read(written(tmp_path / name, text.format(walker="B", axes=axes)))
-        blocks = Plan(study, Journal(tmp_path / name / "journal")).blocks
+        graph = Graph(study)
         first = [i for i in range(study.lines) if study.line(i)["set"] == {"R": 0.0, "m_s": 0.08}]
-        digests.append(blocks.digests(np.array(first)).tolist())
+        digests.append(graph.digests(np.array(first)).tolist())
     assert digests[0] not in digests[1:]
 
 
@@ -86,7 +85,7 @@ def test_the_digest_of_a_line_tells_a_value_on_the_border_of_its_cell(tmp_path):
         axes = f"R = [0.0, 0.08, {others}, 0.2]\nm_s = {{ from = 0.08, to = 0.12, n = 16 }}"
         study = read(written(tmp_path / str(k), STUDY.format(walker="B", axes=axes)))
         values.append(study.plane.cell(study.line(0)["set"])["values"][0].tolist())
-        digests.append(Plan(study, Journal(tmp_path / str(k) / "journal")).blocks.digests(np.array([0])).tolist())
+        digests.append(Graph(study).digests(np.array([0])).tolist())
     assert values == [[0.0, 0.08], [0.0, 0.08, 0.1]]
     assert digests[0] != digests[1]
 
@@ -96,8 +95,8 @@ def test_the_digests_of_lines_are_the_same_over_a_falling_axis(tmp_path):
     for name, R in (("rising", "[0.0, 0.08, 0.1, 0.18, 0.2]"), ("falling", "[0.2, 0.18, 0.1, 0.08, 0.0]")):
         axes = f"R = {R}\nm_s = {{ from = 0.08, to = 0.12, n = 13 }}"
         study = read(written(tmp_path / name, STUDY.format(walker="B", axes=axes)))
-        blocks = Plan(study, Journal(tmp_path / name / "journal")).blocks
-        digests.append(blocks.digests(np.arange(study.lines)).reshape(*study.line_shape[1:], 2))
+        graph = Graph(study)
+        digests.append(graph.digests(np.arange(study.lines)).reshape(*study.line_shape[1:], 2))
     assert np.array_equal(digests[0], digests[1][::-1])
 
 
@@ -107,7 +106,7 @@ def test_few_lines_are_no_plane(tmp_path, axes):
 
 
 def test_a_plane_that_no_disk_holds_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.execution.runner._MIN_BYTES", 10**12)
+    monkeypatch.setattr("pipeline.engine.runner._MIN_BYTES", 10**12)
     with pytest.raises(DiskFullError, match=r"^144 points need 1,296,000.0 GB at least; [\d,.]+ are free\.$"):
         run(tmp_path, STUDY.format(walker="B", axes=AXES))
     assert not (tmp_path / "plane.nc").exists()
@@ -115,7 +114,7 @@ def test_a_plane_that_no_disk_holds_is_refused(tmp_path, monkeypatch):
 
 def test_what_the_disk_can_hold_is_not_refused(tmp_path, monkeypatch):
     """Of a coarse sweep 8,157,867 bytes were measured, of which its slopes take 8e6; windows have no points."""
-    monkeypatch.setattr("pipeline.execution.runner.shutil.disk_usage", lambda path: SimpleNamespace(free=8_200_000))
+    monkeypatch.setattr("pipeline.engine.runner.shutil.disk_usage", lambda path: SimpleNamespace(free=8_200_000))
     million = 'name = "s"\nwalker = "D"\ngaits = ["long"]\n[axes]\nslope = { from = 0.001, to = 0.01, n = 1000000 }\n'
     branches = 'kind = "branch"\n' + million + "R = { from = 0.0, to = 0.1, n = 1000 }\n"
     for text in ("accuracy = 1e-2\n" + million + '[want]\nvariables = ["period"]\n', branches):

@@ -6,14 +6,15 @@ import time
 
 import pytest
 
+from pipeline import serialize
 from pipeline.archive import write
-from pipeline.execution import worker_process
-from pipeline.execution.executors import Engine
-from pipeline.execution.scheduler import Scheduler
-from pipeline.execution.study_jobs import StudyJobs
-from pipeline.plan.missing import Plan
-from pipeline.store.journal import Journal
-from pipeline.store.segment import SUFFIX
+from pipeline.engine import worker_process
+from pipeline.engine.executors import Engine
+from pipeline.engine.jobs import Jobs
+from pipeline.engine.scheduler import Scheduler
+from pipeline.engine.signals import Signals
+from pipeline.graph.plan import Plan
+from pipeline.store.store import Store
 from pipeline.study import parse
 
 #: Walker, axes and the least number of workers.
@@ -39,8 +40,8 @@ class Recording(Engine):
 
         def parallel(jobs):
             for number, request in jobs:
-                place = request.params.get("digests", request.params.get("slope"))
-                key = request.function, b"" if place is None else place.tobytes()
+                place = [request.params.get(name) for name in ("line", "lines", "slope")]
+                key = request.function, serialize.dump(place)
                 if key not in self.results:
                     self.results[key] = worker_process.run(request)
                 yield number, self.results[key]
@@ -58,15 +59,14 @@ def test_one_parent_feeds_many_workers(tmp_path, tell, monkeypatch, name):
     )
     study, engine, spent = parse.read(tmp_path / "s.toml"), Recording(64), {}
     for run in ("recorded", "replayed"):
-        with contextlib.closing(Journal(tmp_path / run, points=study.points)) as journal:
-            jobs = StudyJobs(Plan(study, journal), engine, lambda *_: None, study.points)
+        with contextlib.closing(Store(tmp_path / run)) as store:
+            jobs = Jobs(Plan(study, store), engine, lambda *_: None)
             clock = time.process_time()
-            Scheduler([jobs], engine).run()
+            Scheduler([jobs], engine, Signals()).run()
             spent["journal"] = time.process_time() - clock
             write.write(jobs.plan, tmp_path / f"{run}.nc")
             spent["archive"] = time.process_time() - clock - spent["journal"]
-        files = [file for file in (tmp_path / run, tmp_path / f"{run}{SUFFIX}") if file.exists()]
-        bytes_a_point = sum(file.stat().st_size for file in files) / study.points
+        bytes_a_point = (tmp_path / run).stat().st_size / study.points
     worker_process.close_all()
     assert (tmp_path / "recorded.nc").read_bytes() == (tmp_path / "replayed.nc").read_bytes()
     worker = sum(result["cpu"] for result in engine.results.values()) / study.points

@@ -11,14 +11,13 @@ import signal
 import sqlite3
 import subprocess
 import time
-from collections import Counter
 
 import pytest
 
 from conftest import STUDY, Toy
 from pipeline import paths
+from pipeline.engine import runner
 from pipeline.errors import BusyError
-from pipeline.execution import runner
 from processes import alive, damaged, descendants, ignored, wait_for_points
 from processes import sidecar_path as journal
 
@@ -110,15 +109,12 @@ def test_two_runs_on_one_archive_name_the_holder(toy):
     assert "finished" in toy("status").stdout
 
 
-def test_a_denser_grid_and_another_line_reuse_what_they_share(toy):
+def test_a_denser_grid_reuses_its_atlases(toy):
     toy("run", "toy.toml")
     toy.write(STUDY.replace("n = 200", "n = 399").replace("[0.0, 0.25]", "[0.0, 0.25, 0.5]"))
     plan = toy("plan", "toy.toml").stdout
     assert "atlas        version 1  per line: 1 new, 2 cached" in plan
-    points = next(line for line in plan.splitlines() if "points  " in line)
-    new = int(points.split("per point: ")[1].split(" new")[0].replace(",", ""))
-    # linspace gives some shared slopes other last bits; most are equal.
-    assert 399 + 2 * 199 <= new < 399 + 2 * 260
+    assert "per point: 1,197 new" in plan  # other slopes are other chunks, solved from the atlases that are there
     toy("run", "toy.toml")
     dense = toy.bytes()
     toy("run", "toy.toml", "--fresh")
@@ -186,40 +182,23 @@ def test_a_truncated_journal_loses_what_is_cut_off_and_no_more(toy, whole, tell,
 
 @pytest.mark.parametrize("times", [2, pytest.param(100, marks=pytest.mark.soak)])
 def test_a_damaged_journal_gives_the_same_bytes(toy, whole, tell, times):
-    """Whatever was damaged, compacted or not: one run mends the journal, the next has nothing to do."""
-    dice, kinds, again = random.Random(times), Counter(), 0
-    made = {}
-    for chunk in (1, 10):
-        toy("run", "toy.toml", "--chunk", chunk, "--fresh")
-        made[chunk] = journal(toy).read_bytes()
-    for k in range(times):
-        journal(toy).write_bytes(damaged(made[chunk := (1, 10)[k % 2]], dice))
+    """Whatever was damaged but the mark by which it is known: one run mends it, the next has nothing to do."""
+    dice, again = random.Random(times), 0
+    toy("run", "toy.toml")
+    made = journal(toy).read_bytes()
+    for _ in range(times):
+        journal(toy).write_bytes(made[:100] + damaged(made[100:], dice))
         for what in (".events.jsonl", ".nc"):
             journal(toy, what).unlink()
         toy("run", "toy.toml")
         assert toy.bytes() == whole
         with contextlib.closing(sqlite3.connect(journal(toy))) as db:
             assert db.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-        kinds["compacted" if chunk == 1 else "as computed"] += 1
         again += '"chunk"' in journal(toy, ".events.jsonl").read_text()
         toy("run", "toy.toml")
         log = journal(toy, ".events.jsonl").read_text()
         assert toy.bytes() == whole and '"chunk"' not in log[log.rindex('"begin"') :]
-    tell(f"{times} damaged journals ({dict(kinds)}): equal bytes after each, {again} with points computed again")
-
-
-def test_an_index_that_misses_points_is_mended_and_nothing_computed_again(toy, whole):
-    toy("run", "toy.toml", "--chunk", 10)
-    data = journal(toy).read_bytes()
-    pages = [data[k : k + 4096] for k in range(0, len(data), 4096)]
-    with contextlib.closing(sqlite3.connect(journal(toy))) as db:
-        ((root,),) = db.execute("SELECT rootpage FROM sqlite_master WHERE name = 'points_line'").fetchall()
-    pages[root - 1] = pages[root - 1].replace(b"points-", b"points+")
-    journal(toy).write_bytes(b"".join(pages))
-    journal(toy, ".events.jsonl").unlink()
-    toy("run", "toy.toml")
-    assert toy.bytes() == whole
-    assert '"chunk"' not in journal(toy, ".events.jsonl").read_text()
+    tell(f"{times} damaged journals: equal bytes after each, {again} with points computed again")
 
 
 def test_a_lost_atlas_is_made_again_for_who_reads_it(toy):
@@ -227,7 +206,7 @@ def test_a_lost_atlas_is_made_again_for_who_reads_it(toy):
     toy("run", "toy.toml")
     first = toy.bytes()
     with contextlib.closing(sqlite3.connect(journal(toy))) as db:
-        db.execute("DELETE FROM results")
+        db.execute("DELETE FROM records WHERE key LIKE 'atlas-%' OR key LIKE 'transition-%'")
         db.commit()
     toy("run", "toy.toml")
     assert toy.bytes() == first

@@ -3,7 +3,6 @@
 import contextlib
 import gc
 import itertools
-import math
 import os
 import sys
 import threading
@@ -13,14 +12,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pipeline import serialize
+from pipeline.engine import progress, worker_process
+from pipeline.engine.executors import Engine
+from pipeline.engine.jobs import Jobs
+from pipeline.engine.scheduler import Scheduler
+from pipeline.engine.signals import Signals
 from pipeline.errors import StoppedError, StudyError
-from pipeline.execution import progress, worker_process
-from pipeline.execution.executors import Engine
-from pipeline.execution.scheduler import Scheduler
-from pipeline.execution.study_jobs import StudyJobs
-from pipeline.plan.missing import Plan
-from pipeline.store.journal import Journal
+from pipeline.graph.plan import Plan
+from pipeline.grid.grid import Shape
+from pipeline.store.record import Points, pack, unpacked
+from pipeline.store.store import Store
 from pipeline.study import parse
 
 TEXT = 'name = "{}"\nkind = "branch"\nwalker = "{}"\n[axes]\nslope = [0.01, 0.02]\n{} = [0.1, 0.2, 0.3]\n'
@@ -34,10 +35,9 @@ def scheduler(tmp_path):
         for walker, key in (("C", "detuning"), ("E", "foot_mass_ratio")):
             (tmp_path / f"{walker}.toml").write_text(TEXT.format(walker, walker, key))
             study = parse.read(tmp_path / f"{walker}.toml")
-            journal = stack.enter_context(contextlib.closing(Journal(tmp_path / walker)))
-            studies.append(StudyJobs(Plan(study, journal), engine, lambda *_: None, study.points))
-            studies[-1].advance()
-        yield Scheduler(studies, engine)
+            journal = stack.enter_context(contextlib.closing(Store(tmp_path / walker)))
+            studies.append(Jobs(Plan(study, journal), engine, lambda *_: None))
+        yield Scheduler(studies, engine, Signals())
 
 
 def _walkers(scheduler, n):
@@ -45,7 +45,8 @@ def _walkers(scheduler, n):
 
 
 def test_one_worker_compiles_the_equations_of_knees_while_others_do_other_work(scheduler):
-    assert scheduler.studies[0].urgency > scheduler.studies[1].urgency
+    kneed, straight = (study.seconds(study.peek()) for study in scheduler.studies)
+    assert kneed > straight
     assert _walkers(scheduler, 3) == ["C", "E", "E"]
     del scheduler.running[0]  # it has compiled them
     assert _walkers(scheduler, 2) == ["C", "C"]
@@ -83,108 +84,98 @@ def _beside(function, *arguments):
 def test_a_job_that_is_put_back_while_another_is_taken_is_not_lost(scheduler, monkeypatch):
     study, threads, numbers = scheduler.studies[0], [], []
     lost, _ = study.take()
-    request = study.request
+    request = study._request
 
-    def meanwhile(job):
+    def meanwhile(node):
         threads.extend([] if threads else [_beside(study.put_back, lost)])
-        return request(job)
+        return request(node)
 
-    monkeypatch.setattr(study, "request", meanwhile)
-    while study.next:
-        numbers.append(study.take()[0].work.number)
+    monkeypatch.setattr(study, "_request", meanwhile)
+    while study.peek():
+        numbers.append(study.take()[0].line)
         threads[0].join()
     assert sorted(numbers) == [0, 1, 2]
 
 
-def test_a_study_that_ends_while_a_job_is_taken_has_no_other(scheduler):
-    study, threads = scheduler.studies[0], []
-
-    def wave(jobs):
-        threads.append(_beside(study.fail, StudyError("The disk is full.")))
-        yield from jobs
-
-    study._wave = wave(study._wave)
-    assert study.take()
-    threads[0].join()
-    assert study.next is None and study.take() is None
-
-
-def test_the_urgency_of_a_study_that_ends_meanwhile_is_told(scheduler):
+def test_a_study_that_ends_has_no_other_job(scheduler):
     study = scheduler.studies[0]
-
-    class Ending:
-        name = study.next.name
-
-        @property
-        def seconds(self):
-            study.fail(StudyError("The disk is full."))
-            return 1.0
-
-    study.next = Ending()
-    assert 1.0 <= study.urgency < math.inf
-    assert study.urgency == -math.inf
+    study.fail(StudyError("The disk is full."))
+    assert study.peek() is None and study.take() is None and study.is_over
 
 
-def test_a_study_that_is_finished_meanwhile_hides_no_other(scheduler):
-    class Finished:
-        @property
-        def next(self):
-            scheduler.studies.remove(self)
-
-    scheduler.studies.insert(0, Finished())
-    assert _walkers(scheduler, 1) == ["C"]
-
-
-def test_a_block_that_failed_is_counted_once_the_next_is_laid_out(tmp_path, monkeypatch):
-    """The number of points on lines that are not open is changed by both."""
-    (tmp_path / "s.toml").write_text(TEXT.replace('kind = "branch"\n', "").format("s", "E", "w_t").split("w_t")[0])
-    with open(tmp_path / "s.toml", "a") as file:
-        file.write("w_t = { from = 0, to = 0.1, n = 60 }\n")
-    study, order = parse.read(tmp_path / "s.toml"), []
-    with contextlib.closing(Journal(tmp_path / "j")) as journal:
-        jobs = StudyJobs(Plan(study, journal), Engine(1), lambda *_: None, study.points)
-        open_line, reopen = jobs.costs.open_line, jobs.costs.reopen
-        jobs.advance()
-        job, request = jobs.take()
-        n = len(job.block.lines)
-        states = worker_process._failed_states(2 * n, "not_attempted", "") | {"lines": request.params["digests"]}
-        row = np.tile(study.slope, n).tobytes(), serialize.dump(states), serialize.dump({})
-        result = {"rows": [row], "atlases": [], "failed": list(range(n)), "seconds": 0.1}
-
-        def opening(*arguments):
-            order.append("a block begins to be laid out")
-            threads.append(_beside(jobs.record, job, result))
-            open_line(*arguments)
-            order.append("it is laid out")
-
-        def reopening(*arguments):
-            order.append("another is reopened")
-            reopen(*arguments)
-
-        threads = []
-        monkeypatch.setattr(jobs.costs, "open_line", opening)
-        monkeypatch.setattr(jobs.costs, "reopen", reopening)
-        assert jobs.take()
-        threads[0].join()
-    assert not jobs.error
-    assert order == ["a block begins to be laid out", "it is laid out", "another is reopened"]
+def test_a_task_waits_for_what_it_needs_and_is_dropped_with_it(scheduler):
+    study = scheduler.studies[0]
+    atlases = [study.take()[0] for _ in range(3)]
+    assert {node.task for node in atlases} == {"atlas"} and study.peek() is None and not study.is_over
+    result = {"outcome": "ok", "reason": "", "data": b"", "seconds": 0.1}
+    study.record(atlases[0], result)
+    branch = study.peek()
+    assert (branch.task, branch.line, branch.needs) == ("branch", atlases[0].line, (atlases[0].key.key,))
+    for node in atlases[1:]:
+        study.record(node, {**result, "outcome": "raised", "reason": "It raised."})
+    study.record(study.take()[0], result)
+    assert study.is_over and not study.error
 
 
-def test_a_block_that_fails_is_divided_until_its_bad_lines_are_alone(monkeypatch):
+def test_a_result_that_two_studies_want_is_computed_once(tmp_path):
+    engine, studies, asked = Engine(2), [], []
+    with contextlib.ExitStack() as stack:
+        for name in "ab":
+            (tmp_path / f"{name}.toml").write_text(TEXT.format(name, "E", "foot_mass_ratio"))
+            store = stack.enter_context(contextlib.closing(Store(tmp_path / name)))
+            studies.append(Jobs(Plan(parse.read(tmp_path / f"{name}.toml"), store), engine, lambda *_: None))
+
+        @contextlib.contextmanager
+        def parallel():
+            def run(jobs):
+                for number, request in jobs:
+                    asked.append((request.function, request.params["line"]["set"]["foot_mass_ratio"]))
+                    # The first attempt fails: limits of studies differ, so the other one tries by itself.
+                    outcome = "timed_out" if len(asked) == 1 else "ok"
+                    yield number, {"outcome": outcome, "reason": "", "data": b"", "seconds": 0.1}
+
+            yield run
+
+        engine.parallel = parallel
+        Scheduler(studies, engine, Signals()).run()
+        found = [{key: study.store.outcome(key).status for key in study.store.numbers} for study in studies]
+    assert len(asked) == len(set(asked)) + 1 == 7
+    assert sorted(map(len, found)) == [5, 6] and sum(list(f.values()).count("timed_out") for f in found) == 1
+
+
+@pytest.mark.parametrize("trouble", [{3, 7}, set(), set(range(20))])
+def test_lines_that_fail_are_divided_until_the_bad_ones_are_alone(monkeypatch, trouble):
     asked = []
 
-    def ask(request, params):
+    def ask(request, **changes):
+        params = changes.get("params", request.params)
+        if "lines" not in params:  # alone: first the atlas, then the points
+            return ("ok", [None, b"atlas"]) if changes.get("function") == "atlas" else ("raised", "trouble")
         asked.append(len(params["lines"]))
-        parts = [None, b"values", b"states", *params["lines"]]
-        return ("raised", "trouble") if {3, 7} & set(params["lines"]) else ("ok", parts)
+        if trouble & set(params["lines"]):
+            return "raised", "trouble"
+        status = np.zeros((2 * len(params["lines"]), 4), np.int8)
+        result = {"status": status, "reason": status, "reasons": [""], "period": np.ones(status.shape)}
+        points = Points.of_result(result, ["period"], len(status))
+        packed = pack(points, changes.get("packing", request.packing).shape, 3, ["long"])
+        return "ok", [None, *packed, *(b"%d" % line for line in params["lines"])]
 
     monkeypatch.setattr(worker_process, "_ask", ask)
-    lines, digests = np.arange(20), np.arange(20, dtype=np.uint64)
-    params = {"lines": lines.tolist(), "digests": digests, "slope": np.array([0.01, 0.02])}
-    answer = worker_process._run_lines(SimpleNamespace(params=params), 0, 20)
-    assert answer["failed"] == [3, 7] and answer["atlases"] == [(k, k) for k in range(20) if k not in (3, 7)]
-    assert asked[0] == 20 and sum(asked[1:]) < 40
-    assert sum(len(np.frombuffer(row[0])) for row in answer["rows"]) == 40
+    params = {"lines": list(range(20)), "slope": np.array([0.01, 0.02]), "want": ["period"], "gaits": ["long"]}
+    monkeypatch.setattr(worker_process, "_run_alone", _run_alone)
+    packing = worker_process.Packing(Shape((20, 2), (20, 2), 1), 3)
+    request = worker_process.Request("f", params, [], 1.0, 1 << 30, packing=packing, alone=("atlas", "points"))
+    answer = worker_process._run_chunk(request, packing)
+    points = unpacked(answer["head"], answer["payload"])
+    failed = points.values["status"][:, 0].reshape(20, 2) != 0
+    assert set(np.flatnonzero(failed.any(axis=1)).tolist()) == trouble
+    assert [int(data) for _, _, _, data in answer["atlases"]] == list(range(20))
+    assert asked[0] == 20 and sum(asked[1:]) <= (40 if trouble else 0)
+
+
+def _run_alone(request, place):
+    points = Points.of_ending(2, "raised", "trouble", ["period"])
+    return [points], [(place, "ok", "", b"%d" % place)]
 
 
 def test_a_thread_keeps_its_worker_process_while_it_lives(monkeypatch):
@@ -199,10 +190,10 @@ def test_a_thread_keeps_its_worker_process_while_it_lives(monkeypatch):
     monkeypatch.setattr(worker_process, "WorkerProcess", start)
     monkeypatch.setattr(worker_process, "_workers", alive)
     monkeypatch.setattr(worker_process, "_local", SimpleNamespace(used=[0.0, 0.0]))
-    request = SimpleNamespace(function="f", divided="", memory=1, inputs=[], seconds=1.0)
-    asked = [worker_process._ask(request, {})[1] for _ in range(2)]
+    request = worker_process.Request("f", {}, [], 1.0, 1)
+    asked = [worker_process._ask(request)[1] for _ in range(2)]
     alive.clear()
-    assert [*asked, worker_process._ask(request, {})[1]] == [1, 1, 2]
+    assert [*asked, worker_process._ask(request)[1]] == [1, 1, 2]
 
 
 @pytest.mark.parametrize(("is_terminal", "columns"), [(False, 80), (True, 80), (True, 0)])

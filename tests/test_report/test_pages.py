@@ -411,7 +411,7 @@ def test_the_report_loads_neither_the_tasks_nor_the_plan():
     program = (
         "import pipeline.report.pages, sys; print([m for m in sys.modules if m.split('.')[0] in ('tasks', 'heyoka')]"
     )
-    program += " + [m for m in sys.modules if m in ('pipeline.plan', 'pipeline.execution')])"
+    program += " + [m for m in sys.modules if m in ('pipeline.plan', 'pipeline.engine')])"
     root = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=root, check=True)
     assert done.stdout.strip() == "[]"

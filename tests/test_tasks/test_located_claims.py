@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from pipeline.plan import graph
+
 from pipeline.study import parse
 from tasks.check_claims import claims
 from tasks.paper import kneed_chaos, lines

@@ -1,0 +1,186 @@
+"""Lines side by side: the same archives as line by line, whatever ends a run, divides it or changes its grid."""
+
+import contextlib
+import json
+import random
+import signal
+
+import numpy as np
+import pytest
+
+from conftest import STUDY, Toy
+from pipeline.graph.graph import Graph
+from pipeline.graph.plan import Plan, summary
+from pipeline.store.store import Store
+from pipeline.study import parse
+from processes import damaged, wait_for_points
+from processes import sidecar_path as sidecar
+
+SIDE_BY_SIDE = {"TOY_SIDE_BY_SIDE": "toy:lines"}
+GRID = STUDY.replace("n = 200", "n = 8").replace("[0.0, 0.25]", "{ from = 0.0, to = 0.3, n = 151 }")
+#: 151 lines of 8 points, whose atlases nobody reads.
+PLAIN = GRID.replace('fits = ["scaling"]\n', "")
+#: The same, with atlases that a fit reads.
+READ = GRID.replace('["scaling"]', '["transition"]')
+
+
+def chunks(toy):
+    """Events of the last run that hold points."""
+    events = [json.loads(line) for line in sidecar(toy, ".events.jsonl").read_text().splitlines()]
+    begin = max(i for i, event in enumerate(events) if event["event"] == "begin")
+    return [event for event in events[begin:] if event["event"] == "chunk"]
+
+
+@pytest.fixture(scope="module")
+def wholes(tmp_path_factory):
+    """Archives of the grids from undisturbed runs."""
+    archives = {}
+    for k, text in enumerate((GRID, PLAIN, READ)):
+        toy = Toy(tmp_path_factory.mktemp(str(k)))
+        toy.write(text)
+        toy("run", "toy.toml", **SIDE_BY_SIDE)
+        archives[text] = toy.bytes()
+        archives[text, "file"] = toy.folder / "data" / "archive" / "toy.nc"
+    return archives
+
+
+def test_they_hold_what_lines_by_themselves_do(toy, wholes):
+    """Their archives have other chunks."""
+    toy.write(GRID)
+    toy("run", "toy.toml")
+    assert "They agree." in toy("diff", "data/archive/toy.nc", wholes[GRID, "file"]).stdout
+
+
+@pytest.mark.parametrize("text", [GRID, PLAIN, READ])
+@pytest.mark.parametrize("options", [("--jobs", 1), ("--jobs", 3, "--chunk", 100)])
+def test_jobs_and_chunks_change_no_byte(toy, wholes, text, options):
+    toy.write(text)
+    toy("run", "toy.toml", *options, **SIDE_BY_SIDE)
+    assert toy.bytes() == wholes[text]
+    assert sum(event["points"] for event in chunks(toy)) == 151 * 8 and len(chunks(toy)) < 12
+    assert {event["task"] for event in chunks(toy)} == {"points"}
+    plan = toy("plan", "toy.toml", **SIDE_BY_SIDE).stdout
+    assert "per line: 151 cached" in plan and "per point: 1,208 cached" in plan
+    toy("run", "toy.toml", **SIDE_BY_SIDE)
+    assert toy.bytes() == wholes[text] and not chunks(toy)
+
+
+def test_a_stopped_run_computes_no_chunk_twice(toy, wholes):
+    toy.write(PLAIN)
+    process = toy.start("run", "toy.toml", "--jobs", "1", TOY_SECONDS="0.002", **SIDE_BY_SIDE)
+    wait_for_points(toy, 2)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    done = sum(event["points"] for event in chunks(toy))
+    toy("run", "toy.toml", **SIDE_BY_SIDE)
+    assert toy.bytes() == wholes[PLAIN]
+    assert 0 < done < 151 * 8 and done + sum(event["points"] for event in chunks(toy)) <= 151 * 8 + 64 * 8
+
+
+@pytest.mark.parametrize("text", [GRID, PLAIN])
+def test_a_denser_grid_reuses_the_lines_it_shares(toy, text):
+    toy.write(text)
+    toy("run", "toy.toml", **SIDE_BY_SIDE)
+    toy.write(text.replace("n = 151", "n = 301"))
+    plan = toy("plan", "toy.toml", **SIDE_BY_SIDE).stdout
+    new = int(plan.split("per point: ")[1].split(" new")[0].replace(",", ""))
+    # Some values of the finer axis have other last bits.
+    assert 150 * 8 <= new < 200 * 8
+    toy("run", "toy.toml", **SIDE_BY_SIDE)
+    dense = toy.bytes()
+    assert sum(event["points"] for event in chunks(toy)) == new
+    toy("run", "toy.toml", "--fresh", **SIDE_BY_SIDE)
+    assert toy.bytes() == dense
+    toy.write(text.replace("n = 151", "n = 301").replace("to = 0.3", "to = 0.1").replace("n = 301", "n = 101"))
+    toy("run", "toy.toml", **SIDE_BY_SIDE)  # of lines that are all there
+    few, again = toy.bytes(), sum(event["points"] for event in chunks(toy))
+    toy("run", "toy.toml", "--fresh", **SIDE_BY_SIDE)
+    assert toy.bytes() == few and again < 30 * 8
+
+
+def test_more_slopes_and_other_variables_change_every_chunk(toy):
+    toy.write(PLAIN)
+    toy("run", "toy.toml", **SIDE_BY_SIDE)
+    toy.write(PLAIN.replace("n = 8", "n = 9"))
+    assert "per point: 1,359 new" in toy("plan", "toy.toml", **SIDE_BY_SIDE).stdout
+    toy.write(PLAIN.replace('"multipliers"', '"period"'))
+    assert "per point: 1,208 changed" in toy("plan", "toy.toml", **SIDE_BY_SIDE).stdout
+    assert "per point: 1,208 changed" in toy("plan", "toy.toml", TOY_VERSIONS="atlas=2", **SIDE_BY_SIDE).stdout
+
+
+@pytest.mark.parametrize("trouble", ["segfault", "raise"])
+def test_one_bad_point_of_each_line_costs_these_alone(toy, trouble):
+    toy.write(PLAIN.replace("n = 151", "n = 3") + "[limits]\nseconds = 5\n")
+    slope = np.linspace(0.01, 0.2, 8)[3]
+    toy("run", "toy.toml", expect=1, TOY_TROUBLE=f"{trouble}@{slope}", **SIDE_BY_SIDE)
+    once = toy.bytes()
+    (event,) = chunks(toy)
+    assert event["counts"] == {"converged": 21, {"segfault": "worker_died", "raise": "raised"}[trouble]: 3}
+    assert "24 retried" in toy("plan", "toy.toml", "--retry-failed", **SIDE_BY_SIDE).stdout
+    toy("run", "toy.toml", expect=1, **SIDE_BY_SIDE)
+    assert toy.bytes() == once and not chunks(toy)
+    toy("run", "toy.toml", "--retry-failed", **SIDE_BY_SIDE)
+    retried = toy.bytes()
+    toy("run", "toy.toml", "--fresh", **SIDE_BY_SIDE)
+    assert toy.bytes() == retried
+
+
+@pytest.mark.parametrize("text", [PLAIN, READ])
+def test_a_line_without_an_atlas_fails_alone_and_is_retried_alone(toy, text):
+    bad = text.replace("{ from = 0.0, to = 0.3, n = 151 }", "[0.0, 0.5, 13.0]")  # 13 is what the toy refuses
+    toy.write(bad)
+    toy("run", "toy.toml", expect=1, **SIDE_BY_SIDE)
+    (event,) = chunks(toy)
+    assert event["counts"] == {"converged": 16, "raised": 8}
+    assert "8 retried, 16 cached" in toy("plan", "toy.toml", "--retry-failed", **SIDE_BY_SIDE).stdout
+
+
+@pytest.mark.parametrize("times", [2, pytest.param(60, marks=pytest.mark.soak)])
+def test_a_damaged_journal_gives_the_same_bytes(toy, wholes, tell, times):
+    dice, again = random.Random(times), 0
+    toy.write(READ)
+    toy("run", "toy.toml", **SIDE_BY_SIDE)
+    made = sidecar(toy).read_bytes()
+    for _ in range(times):
+        sidecar(toy).write_bytes(made[:100] + damaged(made[100:], dice))
+        for what in (".events.jsonl", ".nc"):
+            sidecar(toy, what).unlink()
+        toy("run", "toy.toml", **SIDE_BY_SIDE)
+        assert toy.bytes() == wholes[READ]
+        again += bool(chunks(toy))
+        toy("run", "toy.toml", **SIDE_BY_SIDE)
+        assert toy.bytes() == wholes[READ] and not chunks(toy)
+    tell(f"{times} damaged journals of lines: equal bytes after each, {again} with lines computed again")
+
+
+def _grid(tmp_path, axes):
+    (tmp_path / "s.toml").write_text(f'name = "s"\nwalker = ["E", "D"]\n[axes]\n{axes}\n')
+    return parse.read(tmp_path / "s.toml")
+
+
+def test_digests_name_lines_by_their_walker_values_and_slopes(tmp_path):
+    study = _grid(tmp_path, "slope = [0.01]\nR = [0.0, 0.1, 0.2]\ng = [1.0, 2.0]")
+    other = _grid(tmp_path, "slope = [0.01]\ng = [3.0, 2.0, 1.0]\nR = [0.2, 0.1]")
+    elsewhere = _grid(tmp_path, "slope = [0.02]\ng = [3.0, 2.0, 1.0]\nR = [0.2, 0.1]")
+    named = []
+    for s in (study, other, elsewhere):
+        digests = Graph(s).digests(np.arange(s.lines))
+        named.append({json.dumps(s.line(i), sort_keys=True): digests[i].tobytes() for i in range(s.lines)})
+    for names in named:
+        assert len(set(names.values())) == len(names) == 12
+    shared = set(named[0]) & set(named[1])
+    assert len(shared) == 8 and all(named[0][line] == named[1][line] for line in shared)
+    assert not {named[0][line] for line in set(named[0]) - shared} & set(named[1].values())
+    assert not set(named[1].values()) & set(named[2].values())
+
+
+def test_a_plane_of_ten_million_lines_is_planned_at_once(tmp_path):
+    study = _grid(
+        tmp_path, "slope = [0.01]\nR = { from = 0.0, to = 0.1, n = 5000 }\ng = { from = 1, to = 2, n = 1000 }"
+    )
+    with contextlib.closing(Store(tmp_path / "j")) as store:
+        plan = Plan(study, store)
+        assert summary(plan).todo["points"] == {"new": 10**7}
+        first = next(plan.nodes())
+    # Of each value of g the lines over R are a plane.
+    assert first.points == len(first.chunk.lines) == 5000 and plan.graph.grid.chunks == 2000

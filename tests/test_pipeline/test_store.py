@@ -1,0 +1,392 @@
+"""The store gives back what was written, or says that it is damaged."""
+
+import contextlib
+import errno
+import os
+import random
+import shutil
+import sqlite3
+import zlib
+
+import numpy as np
+import pytest
+
+from pipeline import serialize
+from pipeline.errors import ArchiveError, DiskFullError
+from pipeline.grid.grid import Shape
+from pipeline.store import file, store
+from pipeline.store.file import CorruptStoreError, forget, repair
+from pipeline.store.record import Head, Points, count, joined, pack, sentence_number, unpacked
+from pipeline.store.store import Key, Outcome, Store
+from processes import damaged
+
+N = 40  # records in a store of the tests
+
+
+def filled(path, n=N, size=500):
+    with contextlib.closing(Store(path)) as found:
+        for k in range(n):
+            found.put(Key(f"points-{k}", f"kin-{k}"), bytes([k]) * 9, np.full(size, k, "f8").tobytes())
+    return path
+
+
+def reopened(path):
+    """A store as the next run has it."""
+    try:
+        return Store(path)
+    except CorruptStoreError:
+        repair(path)
+        return Store(path)
+
+
+def whole(found, n=N, size=500):
+    """Numbers of the records that are there; each is as it was written, or this raises."""
+    there = [k for k in range(n) if f"points-{k}" in found]
+    for k in there:
+        head, payload = found.get(f"points-{k}")
+        assert head == bytes([k]) * 9 == found.head(f"points-{k}") and payload == np.full(size, k, "f8").tobytes()
+    return there
+
+
+def sql(path, *statements):
+    """What somebody else does to a store."""
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        for statement in statements:
+            db.execute(statement)
+        db.commit()
+
+
+def test_records_are_found_by_their_keys_and_the_latest_counts(tmp_path):
+    filled(tmp_path / "j")
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        assert whole(found) == list(range(N)) and found.knows("kin-3") and not found.knows("points-3")
+        found.put(Key("points-3", "kin-3"), b"head", b"later")
+        assert found.get("points-3") == (b"head", b"later") and len(found.numbers) == N
+        assert found.numbers["points-3"] > found.numbers["points-39"]
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        assert found.get("points-3") == (b"head", b"later") and found.numbers["points-3"] == N + 1
+        assert found._execute("SELECT count(*) FROM records") == [(N,)]
+
+
+def test_of_two_records_that_a_kill_left_the_later_counts(tmp_path):
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        for number, data in ((1, b"earlier"), (2, b"later")):
+            sums = file.sums(number, "k", "kin", b"", data)
+            found._execute("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?)", number, "k", "kin", *sums, b"", data)
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        assert found.get("k") == (b"", b"later")
+
+
+def test_results_are_kept_with_how_they_ended(tmp_path):
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        found.put_result(Key("a", "a"), Outcome("ok", ""), b"result")
+        found.put_result(Key("b", "b"), Outcome("raised", "It raised."), b"")
+        found.put(Key("c", "c"), serialize.dump(["other", ""]), b"")
+        found.put(Key("d", "d"), b"junk", b"")
+        assert found.outcome("a") == ("ok", "") and found.result("a") == b"result"
+        assert found.outcome("b") == ("raised", "It raised.") and found.result("b") is None
+        assert found.outcome("none") is None and found.result("none") is None
+        for key in "cd":
+            with pytest.raises(CorruptStoreError):
+                found.outcome(key)
+
+
+def test_a_store_is_forgotten_with_all_its_files_and_another_file_is_not(tmp_path):
+    forget(filled(tmp_path / "j"))
+    assert not list(tmp_path.iterdir())
+    other = tmp_path / "other"
+    other.write_text("not ours")
+    with pytest.raises(ArchiveError, match="move it away"):
+        forget(other)
+    assert other.read_text() == "not ours"
+
+
+@pytest.mark.parametrize("part", np.linspace(0, 1, 12))
+def test_a_store_cut_anywhere_keeps_its_beginning(tmp_path, part):
+    size = os.path.getsize(filled(tmp_path / "j"))
+    os.truncate(tmp_path / "j", int(part * size))
+    with contextlib.closing(reopened(tmp_path / "j")) as found:
+        assert len(whole(found)) >= N * part - 8
+
+
+#: How the columns of a row may be damaged.
+OTHER = {
+    "id": "id + 400",
+    "key": "'other'",
+    "kin": "CAST(x'ff' AS TEXT)",
+    "sum": "sum + 1",
+    "payload_sum": "NULL",
+    "head": "x'00'",
+    "payload": "zeroblob(length(payload))",
+}
+
+
+@pytest.mark.parametrize("column", OTHER)
+def test_whatever_is_damaged_in_a_row_costs_that_row_alone(tmp_path, column):
+    filled(tmp_path / "j", 3)
+    sql(tmp_path / "j", f"UPDATE records SET {column} = {OTHER[column]} WHERE id = 2")
+    with contextlib.suppress(CorruptStoreError), contextlib.closing(Store(tmp_path / "j")) as found:
+        whole(found, 3)
+        assert column == "key"  # it is not found, and so not read
+    repair(tmp_path / "j")
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        assert whole(found, 3) == [0, 2]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_a_damaged_store_gives_is_what_was_written(tmp_path, seed):
+    """At a random place, in the file or the log beside it."""
+    dice, lost = random.Random(seed), 0
+    with contextlib.closing(Store(filled(tmp_path / "whole", 20))) as found:
+        for k in range(20, N):
+            found.put(Key(f"points-{k}", f"kin-{k}"), bytes([k]) * 9, np.full(500, k, "f8").tobytes())
+        files = {suffix: (tmp_path / f"whole{suffix}").read_bytes() for suffix in ("", "-wal")}
+    if seed < 2:
+        files = {"": (tmp_path / "whole").read_bytes()}
+    for _ in range(15):
+        hurt = dice.choice([suffix for suffix in files if files[suffix]])
+        for suffix, data in files.items():
+            (tmp_path / f"j{suffix}").write_bytes(damaged(data, dice) if suffix == hurt else data)
+        try:
+            with contextlib.closing(Store(tmp_path / "j")) as found:
+                there = whole(found)
+        except CorruptStoreError:
+            repair(tmp_path / "j")
+            with contextlib.closing(Store(tmp_path / "j")) as found:
+                there = whole(found)
+        except ArchiveError as error:  # the mark by which it is known
+            assert "move it away" in str(error)
+            there = []
+        lost += N - len(there)
+        for path in tmp_path.glob("j*"):
+            path.unlink()
+    assert lost < 15 * N * (1 if seed < 2 else 2) / 3  # SQLite reads a log up to where it is torn
+
+
+def test_a_repaired_store_is_not_overwritten_by_the_log_of_the_damaged_one(tmp_path):
+    """As a crash leaves it: what is in the log is in the repaired store, and the log itself is gone."""
+    crashed = tmp_path / "crashed"
+    crashed.mkdir()
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        found.put(Key("points-0", "kin-0"), bytes(9), np.zeros(500).tobytes())
+        for path in tmp_path.glob("j*"):
+            shutil.copy(path, crashed)
+    assert (crashed / "j-wal").stat().st_size
+    repair(crashed / "j")
+    assert [path.name for path in crashed.iterdir()] == ["j"]
+    with contextlib.closing(Store(crashed / "j")) as found:
+        assert whole(found) == [0]
+
+
+def test_a_disk_too_full_to_mend_on_is_said_and_nothing_lost(tmp_path, monkeypatch):
+    filled(tmp_path / "j")
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch, pytest.raises(DiskFullError, match="The disk is full"):
+        patch.setattr(os, "replace", full)
+        repair(tmp_path / "j")
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        assert whole(found) == list(range(N))
+
+
+@pytest.mark.parametrize(("full", "error"), [(False, ArchiveError), (True, DiskFullError)])
+def test_a_log_that_cannot_be_written_is_a_full_disk_only_if_it_is_one(tmp_path, monkeypatch, full, error):
+    """A folder that came into its place, say."""
+    (tmp_path / "j-wal").mkdir()
+    monkeypatch.setattr(file, "is_ours", lambda path: False)
+    monkeypatch.setattr(file, "shortage", lambda *_: OSError(errno.ENOSPC, "full") if full else None)
+    with pytest.raises((ArchiveError, DiskFullError)) as raised:
+        Store(tmp_path / "j")
+    assert raised.type is error
+
+
+def test_a_file_of_somebody_else_is_told_and_not_touched(tmp_path):
+    """An earlier version's journal, too."""
+    sql(tmp_path / "j", "CREATE TABLE records (id INTEGER PRIMARY KEY)", "INSERT INTO records VALUES (1)")
+    before = (tmp_path / "j").read_bytes()
+    for write in (True, False):
+        with pytest.raises(ArchiveError, match="not a journal of this version of gaitsweep; move it away"):
+            Store(tmp_path / "j", write)
+    assert (tmp_path / "j").read_bytes() == before and [f.name for f in tmp_path.iterdir()] == ["j"]
+
+
+def readable_by_others(folder):
+    for parent in (folder, *folder.parents):
+        if parent.stat().st_uid == os.geteuid() and "pytest-of-" in str(parent):
+            parent.chmod(0o755)
+
+
+def as_somebody_else(call):
+    """Exit code of a process of another user that calls a function."""
+    if not (child := os.fork()):
+        try:
+            os.setuid(65534)
+            os._exit(call())
+        except ArchiveError:
+            os._exit(101)
+        except BaseException:
+            os._exit(102)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
+def test_somebody_else_reads_a_store_while_it_is_written(tmp_path):
+    """Of a folder where they may not write: what is in the log counts, and nothing is called damaged."""
+    folder = tmp_path / "archive"
+    folder.mkdir()
+    readable_by_others(folder)
+
+    def known():
+        with contextlib.closing(Store(folder / "j", write=False)) as other:
+            return len(whole(other))
+
+    with contextlib.closing(Store(folder / "j")) as found:
+        for k in range(20):
+            found.put(Key(f"points-{k}", f"kin-{k}"), bytes([k]) * 9, np.full(500, k, "f8").tobytes())
+            assert k % 5 or as_somebody_else(known) == k + 1
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
+@pytest.mark.parametrize("write", [False, True], ids=["plan", "run"])
+def test_who_may_not_write_a_store_leaves_nothing_in_the_way_of_who_may(tmp_path, write):
+    """In a folder where both may write; SQLite left a lock file that only the other could have written."""
+    folder = tmp_path / "archive"
+    folder.mkdir()
+    readable_by_others(folder)
+    folder.chmod(0o777)
+    filled(folder / "j")
+    assert as_somebody_else(lambda: Store(folder / "j", write).close() or 0) == (101 if write else 0)
+    assert [path.name for path in folder.iterdir()] == ["j"]
+
+
+def test_reading_a_store_that_is_not_there_makes_none(tmp_path):
+    found = Store(tmp_path / "j", write=False)
+    assert not found
+    found.close()
+    assert not (tmp_path / "j").exists()
+
+
+def test_a_record_that_no_longer_fits_on_the_disk_is_told_and_the_next_is_kept(tmp_path):
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        (pages,) = found._execute("PRAGMA page_count")[0]
+        found._execute(f"PRAGMA max_page_count={pages + 3}")
+        with pytest.raises(DiskFullError, match="The disk is full"):
+            found.put(Key("big", "big"), b"", bytes(1 << 20))
+        assert "big" not in found
+        found.put(Key("small", "small"), b"head", b"payload")
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        assert list(found.numbers) == ["small"] and found.get("small") == (b"head", b"payload")
+
+
+def test_what_is_stored_reaches_the_disk_at_least_every_half_second(tmp_path, monkeypatch):
+    times, asked = iter([10.0, 10.1, 10.6, 10.7]), []
+    monkeypatch.setattr(store.time, "monotonic", lambda: next(times))
+    with contextlib.closing(Store(tmp_path / "j")) as found:
+        execute = found._execute
+        monkeypatch.setattr(found, "_execute", lambda sql, *values: asked.append(sql) or execute(sql, *values))
+        for k in range(4):
+            found.put(Key(str(k), ""), b"", b"")
+    assert [sql[-6:] for sql in asked if "synchronous" in sql] == ["s=FULL", "NORMAL", "s=FULL", "NORMAL"]
+
+
+# Records of chunks.
+
+
+def points(lines, slopes, gaits=2, seed=0):
+    dice, n = np.random.default_rng(seed), lines * slopes
+    status = np.full((n, 4), 1, np.int8)
+    status[:, :gaits] = 0
+    result = {
+        "status": status,
+        "reason": status.astype(int) + seed,
+        "reasons": np.array(["It converged.", "None.", "Another."]),
+        "stance_angle": np.where(status == 0, dice.random((n, 4)), np.nan),
+        "multiplier_real": np.where(status[..., None] == 0, dice.random((n, 4, 3)), np.nan),
+        "branch": np.where(status == 0, 2, -1).astype(np.int16),
+    }
+    return Points.of_result(result, ("stance_angle", "multiplier_real", "branch", "status"), n), result
+
+
+SHAPES = {
+    "part of a line": Shape((13, 1), (20, 1), 0),
+    "lines, slopes last": Shape((3, 2, 5), (4, 2, 5), 2),
+    "lines, slopes between": Shape((3, 5, 2), (3, 5, 4), 1),
+    "whole": Shape((6, 5), (6, 5), 0),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_record_gives_back_what_went_in(name):
+    shape = SHAPES[name]
+    slopes = shape.sizes[shape.slope]
+    lines = int(np.prod(shape.sizes)) // slopes
+    own, result = points(lines, slopes)
+    digests = np.arange(2 * lines, dtype=np.uint64).reshape(lines, 2)
+    head, payload = pack(own, shape, 4, ["long", "short"], digests)
+    found, contents = unpacked(head, payload), Head(head)
+    for key in ("status", "stance_angle", "branch"):
+        expected = result[key] if key == "status" else result[key][:, :2]  # without gaits that do not exist
+        np.testing.assert_array_equal(found.values[key], expected)
+    np.testing.assert_array_equal(found.values["multiplier_real"][..., :3], result["multiplier_real"][:, :2])
+    assert np.isnan(found.values["multiplier_real"][..., 3]).all()
+    texts = np.vectorize(found.sentences.get)(found.values["reason"])
+    np.testing.assert_array_equal(texts, result["reasons"][result["reason"]])
+    assert contents.rows() == {(0, 0, 1, 1): lines * slopes} and contents.rows([0, 2]) == {(0, 1): lines * slopes}
+    assert list(contents.sentences([0]).values()) == ["It converged."] and len(contents.sentences()) == 2
+    np.testing.assert_array_equal(contents.lines, digests)
+    assert contents.holds(["branch"], ["long"]) and not contents.holds(["period"], ["long"])
+    assert not contents.holds(["branch"], ["other1"])
+    piece = contents.piece(memoryview(payload), "stance_angle", 1)
+    laid_out = shape.unfold(result["stance_angle"][:, 1].copy())
+    assert laid_out.shape == shape.sizes and piece.checksum == zlib.crc32(np.ascontiguousarray(laid_out).tobytes())
+    assert contents.piece(memoryview(payload), "stance_angle", 2) is None
+
+
+def test_points_lie_in_the_grid_as_their_lines_and_slopes_say():
+    shape = Shape((3, 5, 2), (3, 5, 2), 1)
+    rows = np.arange(30)  # line by line, five slopes each
+    laid_out = shape.unfold(rows)
+    assert laid_out[2, 3, 1] == (2 * 2 + 1) * 5 + 3
+    np.testing.assert_array_equal(shape.fold(laid_out), rows)
+
+
+def test_parts_are_joined_with_what_each_of_them_has():
+    """Of one the worker died, and one has a gait more."""
+    one, two = points(1, 4)[0], points(1, 3, gaits=3, seed=1)[0]
+    lost = Points.of_ending(2, "worker_died", "The worker died of SIGSEGV.", one.values)
+    whole_points = joined([one, lost, two])
+    values = whole_points.values
+    assert len(whole_points) == 9 and values["stance_angle"].shape == (9, 3)
+    assert values["status"][4:6].tolist() == [[4] * 4] * 2
+    assert np.isnan(values["stance_angle"][4:6]).all() and (values["branch"][4:6] == -1).all()
+    assert np.isnan(values["stance_angle"][:4, 2]).all() and not np.isnan(values["stance_angle"][6:]).any()
+    said = {whole_points.sentences[int(number)] for number in np.unique(values["reason"])}
+    assert said == {"It converged.", "None.", "The worker died of SIGSEGV.", "Another."}
+    some = whole_points.take(np.array([8, 0]))
+    np.testing.assert_array_equal(some.values["stance_angle"], values["stance_angle"][[8, 0]])
+
+
+def test_joined_points_have_the_record_of_points_computed_together():
+    own, _ = points(1, 20)
+    parts = [own.take(np.arange(a, b)) for a, b in ((0, 3), (3, 11), (11, 20))]
+    shape = Shape((20,), (20,), 0)
+    assert pack(joined(parts), shape, 3, ["long"]) == pack(own, shape, 3, ["long"])
+
+
+@pytest.mark.parametrize("wrong", [{"stance_angle": np.zeros((3, 4))}, {"branch": np.zeros((4, 3))}])
+def test_a_result_of_another_shape_is_refused(wrong):
+    _, result = points(1, 4)
+    with pytest.raises(ValueError, match="has shape"):
+        Points.of_result({**result, **wrong}, tuple(wrong), 4)
+
+
+def test_sentences_have_numbers_of_their_own():
+    assert sentence_number("It converged.") == sentence_number("It converged.") != sentence_number("None.")
+
+
+def test_points_are_counted_by_a_failure_or_their_best_answer():
+    rows = {(0, 1): 3, (1, 1): 2, (0, 4): 1, (3, 1): 5}
+    assert count(rows) == {"converged": 3, "no_gait": 2, "worker_died": 1, "fell": 5}
+    assert count(rows, [0]) == {"converged": 4, "no_gait": 2, "fell": 5}
