@@ -6,6 +6,8 @@ tangential or an earlier strike occurs; and the hyperextension of the released k
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from tasks.continuation.branch import LOST, Branch
@@ -46,14 +48,15 @@ def _release_rate(point: Point) -> np.ndarray:
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore")
-def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | str]]:
+def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
     """Locate every special point of a branch, in order along it, its ends included.
 
     Returns
     -------
     list of dict
-        `kind`, `slope` [rad], `stance_angle` [rad], `period` [sqrt(leg/g)], `error_bound` (relative, of the slope), and
-        `place`: the number of its node, or a number between those of its neighbours.
+        `kind`, `slope` [rad], `stance_angle` [rad], `rates` of stance leg, thigh and shank [sqrt(g/leg)], `period`
+        [sqrt(leg/g)], `error_bound` (relative, of the slope), and `place`: the number of its node, or a number between
+        those of its neighbours.
     """
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
@@ -71,7 +74,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
     }
     if problem.phases == 2:
         tests["release_hyperextension"] = (_release_rate(nodes), lambda p, w: float(_release_rate(p)[0]))
-    records: list[tuple[float, dict[str, float | str]]] = []
+    records: list[tuple[float, dict[str, Any]]] = []
     crossed: list[tuple[str, int, Procedure[tuple[Point, np.ndarray]]]] = []
     for kind, (values, test) in tests.items():
         crosses = np.sign(values[1:]) != np.sign(values[:-1])
@@ -151,7 +154,15 @@ def _is_genuine(kind: str, point: Point) -> bool:
     return True
 
 
-def _record(kind: str, problem: Problem, point: Point, lane: int, error: float = 0.0) -> dict[str, float | str]:
+def rates_at(problem: Problem, point: Point, lane: int) -> tuple[float, ...]:
+    """Rates of stance leg, thigh and shank at the start of a point's step [sqrt(g/leg)]."""
+    X = point.X[:, [lane]]
+    angle = np.exp(X[:1])
+    stance, thigh, shank = problem.start(np.vstack([angle, angle * X[1 : problem.m]]), np.exp(X[problem.m]))[1:, 0]
+    return float(stance), float(thigh), float(shank)
+
+
+def _record(kind: str, problem: Problem, point: Point, lane: int, error: float = 0.0) -> dict[str, Any]:
     if kind == "fold":
         error = fold_error(point, lane)
     elif kind in SCALARS and kind != "window":
@@ -162,6 +173,7 @@ def _record(kind: str, problem: Problem, point: Point, lane: int, error: float =
         "kind": kind,
         "slope": float(np.exp(point.X[problem.m, lane])),
         "stance_angle": float(np.exp(point.X[0, lane])),
+        "rates": rates_at(problem, point, lane),
         "period": float(point.times[-1, lane]),
         "error_bound": error + 8 * EPS,
     }

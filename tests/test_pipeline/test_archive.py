@@ -611,7 +611,8 @@ def _put(name, value):
     [
         (_put("slope", np.nan), "`slope` holds values that are not finite."),
         (_put("slope", np.inf), "`slope` holds values that are not finite."),
-        (_put("slope", 0.5), "`slope` does not lie in (0, 0.5) rad."),
+        (_put("slope", 0.5), "`slope` must lie in [1e-18, 0.5) rad."),
+        (_put("slope", 9e-19), "`slope` must lie in [1e-18, 0.5) rad."),
         (lambda f: f["slope"].__setitem__(0, f["slope"][1]), "`slope` holds a value twice."),
         (_put("w_t", -np.inf), "`w_t` holds values that are not finite."),
         (_without_place, "`fits/scaling/w_t` holds values that are not finite."),

@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 
 from exact_special_points import exact_slope
+from lines import _atlas
 from soak.missed import neighbour
+from tasks import follow_curves
 from tasks.continuation import special_points as module
 from tasks.continuation.atlas import survey
 from tasks.continuation.defining import SCALARS
 from tasks.continuation.refine import COARSE
-from tasks.step.problem import Problem
+from tasks.step.problem import EPS, Problem
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import WalkerError
 
@@ -52,6 +54,31 @@ def test_special_points_lie_within_their_bounds(compared, walker, keys):
     assert {kind: share for kind, _, share in found if not share < 1} == {}
     if walker == "D":  # by another derivation, in 113 bits too
         assert abs(float(found[0][1] - hy.real128("0.015088437941119463562"))) < 1e-20
+
+
+@pytest.mark.parametrize(
+    ("walker", "key", "low", "high", "kinds"),
+    [
+        ("D", "R", 0.0, 0.05, ("flip",)),
+        ("C", "detuning", 0.69, 0.7, ("fold",)),
+        ("physical-straight", "R", 0.2, 0.202, ("end_tangential_heelstrike",)),
+    ],
+)
+def test_slopes_of_curves_lie_within_their_bounds(monkeypatch, walker, key, low, high, kinds):
+    shares = []
+
+    def compared(problem, kind, Z):
+        bound, exact = slope_error(problem, kind, Z), exact_slope(problem, kind, Z)
+        shares.append((kind, abs(float((exact - hy.real128(np.exp(Z[problem.m]))) / exact)) / (bound + 8 * EPS)))
+        return bound
+
+    slope_error = follow_curves.slope_error
+    monkeypatch.setattr(follow_curves, "slope_error", compared)
+    line = {"walker": walker, "set": {}}
+    options = {"key": key, "from": low, "to": high, "kinds": kinds}
+    found = follow_curves.curve({"line": line, "slope": np.array([0.005, 0.3]), **options}, [_atlas(walker, ())])
+    assert {kind for kind, _ in shares} == set(kinds) and max(share for _, share in shares) < 1
+    assert len(shares) == len(found["curves/error_bound"]) and found["curves/error_bound"].max() < 1e-12
 
 
 def drawn(seed):
