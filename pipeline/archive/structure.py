@@ -13,6 +13,7 @@ import numpy as np
 from pipeline import dispatch
 from pipeline.archive import layout
 from pipeline.statuses import ALL_STATUSES
+from pipeline.study import slopes
 from tasks.accuracy import always
 from tasks.registry import GAITS, TASKS, VARIABLES
 
@@ -78,6 +79,7 @@ def _coordinates(file: Any) -> Iterator[str]:
     yield from (
         f"The attribute {sentence}" for sentence in _not_numbers({n: file.getncattr(n) for n in file.ncattrs()})
     )
+    tuned = json.loads(file.provenance).get("tuned", ())
     axes = {name for name in file.dimensions if name != "slope"}  # tables give the slope of what was not found, too
     for path, variable in _numbers(file):
         name, is_coordinate = variable.name, variable.dimensions == (variable.name,)
@@ -85,12 +87,12 @@ def _coordinates(file: Any) -> Iterator[str]:
         if not (is_coordinate or is_parameter or name in axes):
             continue
         values = np.ma.getdata(variable[...])
-        if not np.isfinite(values).all():
+        if not np.isfinite(values).all() and name not in tuned:  # where no walker is tuned
             yield f"`{path}` holds values that are not finite."
         elif is_coordinate and len(np.unique(values)) < values.size:
             yield f"`{path}` holds a value twice."
-        elif is_coordinate and name == "slope" and not ((values > 0) & (values < 0.5)).all():
-            yield "`slope` does not lie in (0, 0.5) rad."
+        elif is_coordinate and name == "slope" and not slopes.is_slope(values).all():
+            yield f"`slope` {slopes.BOUND}."
 
 
 def _numbers(parent: Any, path: str = "") -> Iterator[tuple[str, Any]]:

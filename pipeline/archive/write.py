@@ -26,7 +26,7 @@ from pipeline.plan.missing import Plan
 from pipeline.statuses import ALL_STATUSES, ANSWERS
 from pipeline.store import lines
 from pipeline.store.rows import Outcome, TaskKey
-from pipeline.study import units
+from pipeline.study import corners, units
 from tasks.registry import VARIABLES
 
 #: Reason of a line on which a curve has no starting point.
@@ -152,6 +152,7 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
             "provenance": provenance(plan),
             **({"accuracy": study.accuracy} if study.accuracy else {}),
             **attributes.of_steps(study.steps),
+            **({"walker_notes": "\n".join(notes)} if (notes := corners.notes(study)) else {}),
         },
     )
     for name, size in writer.grid.sizes.items():

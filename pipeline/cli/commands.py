@@ -104,6 +104,13 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument(
         "--set", action=kinds.Settings, type=kinds.setting, default={}, metavar="KEY=VALUE", help="a walker key"
     )
+    c.add_argument(
+        "--tuned",
+        action="append",
+        default=[],
+        metavar="KEY",
+        help="a key changed by least so that the walker meets the static conditions",
+    )
     _add_accuracy(c)
     c.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
     c.add_argument(
@@ -313,7 +320,8 @@ def _solve(options: argparse.Namespace) -> int:
     from pipeline.study.single_point import solve
 
     slope = math.radians(options.slope) if options.degrees else options.slope
-    answer = solve(options.walker, slope, options.set, options.all, options.steps, options.accuracy, options.limit)
+    asked = options.all, options.steps, options.accuracy, options.limit, options.tuned
+    answer = solve(options.walker, slope, options.set, *asked)
     for line in answer.get("search", []):
         terminal.say(line)
     if options.degrees and answer.get("search"):

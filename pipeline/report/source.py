@@ -187,10 +187,16 @@ class Source:
         return {name: dict(w) for name, w in zip(named, stored, strict=False) if isinstance(w, dict)}
 
     @property
-    def varied(self) -> dict[str, str]:
-        """Walker keys that the study varies, and the axis that changes each."""
+    def notes(self) -> list[str]:
+        """Sentences on the study's walkers."""
+        return str(self.grid.attrs.get("walker_notes", "")).splitlines()
+
+    @property
+    def varied(self) -> dict[str, tuple[str, ...]]:
+        """Walker keys that the study varies, and the axes that change each; earlier archives name one axis alone."""
         axes = self.provenance.get("varied")
-        return {str(key): str(axis) for key, axis in axes.items()} if isinstance(axes, dict) else {}
+        each = {key: [own] if isinstance(own, str) else own for key, own in dict(axes or {}).items()}
+        return {str(key): tuple(map(str, own)) for key, own in each.items()}
 
     @property
     def walker(self) -> str:
@@ -200,10 +206,10 @@ class Source:
     def parameters(self, walker: str, settings: dict[str, Any]) -> dict[str, Any]:
         """Parameters of a line's walker, as far as the archive holds them, with those that its axes change."""
         table = {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **settings}
-        for key, axis in self.varied.items():
+        for key, axes in self.varied.items():
             column = self.grid.get(key)
-            if key != axis and column is not None and axis in settings and axis in column.coords:
-                near = column.sel({axis: settings[axis]}, method="nearest")
+            if key not in axes and column is not None and all(a in settings and a in column.coords for a in axes):
+                near = column.sel({axis: settings[axis] for axis in axes}, method="nearest")
                 if "walker" in near.dims:
                     near = near.isel(walker=list(self.walkers).index(walker))
                 table[key] = float(near) if near.ndim == 0 else table.get(key)
@@ -256,6 +262,8 @@ class Source:
         words = ["gaitsweep", "solve", "--walker", walker]
         for key, value in overrides.items():
             words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
+        tuned = self.study.get("options", {}).get("tuned", ())
+        words += [word for key in tuned for word in ("--tuned", str(key))]
         words += ["--steps", str(self.steps)] if self.steps > 1 else []
         return shlex.join(words)
 

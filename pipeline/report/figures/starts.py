@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 from urllib.parse import parse_qsl, urlencode
@@ -181,23 +182,19 @@ def cells(
     -------
     dict
         `at`, `keys` and `command` of the line that the map varies; `label` and `shown`; `moved`, for each key of the
-        walker that a derived key moves, its values along that axis, in rising order; `fields`, the numbers of the
-        cells: whether there is a gait, its slope (unless it is along the map or given), stance angle and rates over the
-        stance angle, and what is shown.
+        walker that other keys move or tune, these axes and its values along them, in rising order; `fields`, the
+        numbers of the cells: whether there is a gait, its slope (unless it is along the map or given), stance angle and
+        rates over the stance angle, and what is shown.
     """
     fixed = {key: float(value) for key, value in settings.items()}
     keys = parameters(source, walker, fixed)
-    moved = {
-        key: [
-            axis,
-            rounded(
-                (source.parameters(walker, {**fixed, axis: value})[key] for value in np.sort(source.grid[axis].values)),
-                10,
-            ),
-        ]
-        for key, axis in source.varied.items()
-        if axis in names and key != axis and key in source.grid
-    }
+    moved = {}
+    for key, axes in source.varied.items():
+        across = [axis for axis in axes if axis in names]
+        if across and key not in axes and key in source.grid:
+            places = itertools.product(*(np.sort(source.grid[axis].values).tolist() for axis in across))
+            each = (source.parameters(walker, fixed | dict(zip(across, at, strict=True)))[key] for at in places)
+            moved[key] = [across, rounded(each, 10)]
     return {
         "at": {"walker": walker, **fixed},
         "keys": keys,

@@ -136,9 +136,9 @@ function freeMotion(given, { slope, start: [angle, ...rates], before }) {
 /** Keys of the walker of a map's cell. */
 function keysOf(panel, values) {
   const keys = { ...panel.keys, ...values };
-  for (const [key, [axis, list]] of Object.entries(panel.moved ?? {})) {
-    const side = panel.x.name === axis ? panel.x : panel.y, k = side.values.findIndex(value => value >= values[axis] - 1e-12);
-    keys[key] = list[k];
+  for (const [key, [axes, list]] of Object.entries(panel.moved ?? {})) {
+    const sides = axes.map(axis => panel.x.name === axis ? panel.x : panel.y);
+    keys[key] = list[sides.reduce((k, side) => k * side.values.length + side.values.findIndex(value => value >= values[side.name] - 1e-12), 0)];
   }
   delete keys.slope;
   return keys;
