@@ -124,7 +124,7 @@ def _describe(problem: Problem, cycle: Cycle) -> dict[str, Any]:
 def _special_points(problem: Problem, branch: CycleBranch) -> list[dict[str, Any]]:
     """Ends, folds and flips of a branch, in order along it."""
     first, *_, last = branch.cycles
-    records = [_record(problem, branch.ends[0], first, _end_error(branch.ends[0], first))]
+    records = [_record(problem, branch.ends[0], first, _end_error(problem, branch.ends[0], first))]
     for i, (a, b) in enumerate(itertools.pairwise(branch.cycles)):
         if i in branch.folds:
             records.append(_record(problem, "fold", a, a.error))
@@ -134,11 +134,15 @@ def _special_points(problem: Problem, branch: CycleBranch) -> list[dict[str, Any
             cycle = path.locate_root(flip_test)
             if cycle.ok:
                 records.append(_record(problem, "flip", cycle, slope_error(problem, cycle, "flip")))
-    return [*records, _record(problem, branch.ends[1], last, _end_error(branch.ends[1], last))]
+    return [*records, _record(problem, branch.ends[1], last, _end_error(problem, branch.ends[1], last))]
 
 
-def _end_error(kind: str, cycle: Cycle) -> float:
-    """Relative error of the slope of an end: that of a flip is solved for, an end of walking is bracketed."""
+def _end_error(problem: Problem, kind: str, cycle: Cycle) -> float:
+    """Relative error of the slope of an end: of a branch's birth that of the flip, of an end of walking its bracket."""
+    if kind == "branch_point":
+        n = cycle.period // 2
+        half = replace(cycle, Y=cycle.Y[:, :n], times=cycle.times[:, :n], A=cycle.A[..., :n])
+        return slope_error(problem, half, "flip")
     return abs(float(cycle.tangent[-1])) * _END_DISTANCE if kind.startswith("end_") else 64 * EPS
 
 
