@@ -151,3 +151,76 @@ def exact_cycle_slope(problem: Problem, kind: str, cycle: Cycle):
         if last < 1e-22:
             return slope
     return None
+
+
+def _guards(phase):
+    """Guards of a phase's motion and their rates: of heelstrike, and of the free knee; states along the first axis."""
+    half = len(phase) // 2
+    pairs = [(phase[0] + phase[1], phase[half] + phase[half + 1])]
+    return pairs + ([(phase[1] - phase[2], phase[half + 1] - phase[half + 2])] if half == 3 else [])
+
+
+def _touched(problem, Z):
+    """Phase, number and time within the phase of the guard that touches zero at an earlier strike, in doubles.
+
+    At a kneestrike, where rates jump, the guard of heelstrike has a corner: time 0 of the second phase.
+    """
+    m, count = problem.m, 1024
+    stride, _ = problem.stride(np.append(Z[:m], Z[m + 1 :])[:, None], Z[m : m + 1], samples=count)
+    durations, found = np.diff(np.append(0.0, Z[m + 1 :])), []
+    motion = stride.scaled_motion()
+    if len(motion) == 2 and abs(motion[1][0, 0, 0] + motion[1][0, 1, 0]) < 1e-12:
+        return 1, 0, 0.0
+    for i, phase in enumerate(motion):
+        for number, (guard, rate) in enumerate(_guards(np.moveaxis(phase[..., 0], 1, 0))):
+            turns = np.flatnonzero(rate[1:-1] * rate[2:] < 0) + 1
+            found += [(abs(guard[k]), i, number, durations[i] * k / count) for k in turns if 2 < k < count - 3]
+    return min(found)[1:] if found else None
+
+
+def exact_earlier_strike(problem: Problem, Z: np.ndarray):
+    """Slope at which a guard touches zero before a step's strike [rad] in 113 bits; None where it is not found near Z.
+
+    Z is as for `exact_slope`; the unknowns are the section, the slope, the event times and that of the touch.
+    """
+    touched = _touched(problem, Z)
+    if touched is None:
+        return None
+    phase, guard, tau = touched
+    m, number, precise = problem.m, hy.real128, _precise(problem.structure)
+    exact = lump(problem.walker, number)
+    constants = [exact[name] for name in problem.structure.constants]
+    angle = np.exp(Z[0])
+
+    def wide(values):
+        return np.array([number(float(x)) for x in values], dtype=number)
+
+    def equations(z):
+        y, times = z[:m], z[m + 1 : m + 1 + problem.phases]
+        parameters = np.array([z[m], number(1.0), *constants], dtype=number)
+        residual = precise.stride(y, times, parameters)["residual"]
+        begin, size = precise.algebra.begin(np.concatenate([y, parameters])), precise.algebra.start_size
+        start, D = begin[:size], begin[size:].reshape(size, m)
+        if phase:
+            final = precise._integrate(precise.free, start, D, parameters, times[0])
+            out = precise.algebra.lock(np.concatenate([final[:6], precise._padded(final[6:], 6), parameters]))
+            start, D, size = out[:4], precise.array(np.eye(4, m, -1).ravel()).reshape(4, m), 4
+        if not tau:
+            return np.append(residual, start[0] + start[1])
+        flow = precise.free if size == 6 else precise.locked
+        return np.concatenate([residual, _guards(precise._integrate(flow, start, D, parameters, z[-1])[:size])[guard]])
+
+    z, last = wide([angle, *(angle * Z[1:m]), np.exp(Z[m]), *Z[m + 1 :], *([tau] if tau else [])]), 1e-2
+    size = np.array([*[abs(angle)] * m, float(z[m]), *[1.0] * (len(z) - m - 1)])
+    h = number(1e-9)
+    units = [wide(row) for row in np.diag(size)]
+    ends = [(equations(z + h * each), equations(z - h * each)) for each in units]
+    matrix = np.array([[float((a - b) / (number(2.0) * h)) for a, b in zip(*pair, strict=True)] for pair in ends]).T
+    for _ in range(_MAX_STEPS):
+        change = -np.linalg.solve(matrix, [float(x) for x in equations(z)])
+        if not np.abs(change).max() < 0.5 * last:
+            return None
+        z, last = z + wide(size * change), np.abs(change).max()
+        if last < 1e-22:
+            return z[m]
+    return None
