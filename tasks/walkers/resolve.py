@@ -134,7 +134,7 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     tuned: tuple[str, ...] = ()
     if isinstance(walker, Mapping):
         changes = {**{key: walker[key] for key in _DERIVED if key in walker}, **changes}
-        tuned = free_keys(walker.get("tuned", ()), changes)
+        tuned = _free_keys(walker.get("tuned", ()), changes)
         walker, changes = split({k: v for k, v in walker.items() if k not in (*_DERIVED, "tuned")}, changes)
     result = from_catalogue(walker) if isinstance(walker, str) else from_table(walker)
     base = None if isinstance(walker, str) else walker.get("base")
@@ -169,7 +169,7 @@ def is_one_link(walker: str | Mapping[str, Any]) -> bool:
     return not isinstance(walker, str) and "l" in walker and "base" not in walker and walker.get("knees") is False
 
 
-def free_keys(tuned: Any, changes: Mapping[str, Any]) -> tuple[str, ...]:
+def _free_keys(tuned: Any, changes: Mapping[str, Any]) -> tuple[str, ...]:
     """Check the keys that are to be tuned: numbers of a walker, none of which is given otherwise.
 
     Raises
@@ -251,7 +251,7 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     """
     table = {} if isinstance(walker, str) else dict(walker)
     if "tuned" in table:
-        free = free_keys(table.pop("tuned"), overrides)
+        free = _free_keys(table.pop("tuned"), overrides)
         return _retuned_many(resolve_many(table, overrides), free)
     arrays = {key: value for key, value in overrides.items() if isinstance(value, np.ndarray)}
     for own in zip(*arrays.values(), strict=True) if arrays else [()]:
