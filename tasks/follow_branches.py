@@ -12,7 +12,7 @@ from tasks.continuation.branch import Branch
 from tasks.continuation.locate import locate_root
 from tasks.continuation.lockstep import run
 from tasks.continuation.sampling import chosen, within
-from tasks.continuation.special_points import special_points
+from tasks.continuation.special_points import gait_at, special_points
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.follow_cycles import from_arrays
@@ -24,9 +24,10 @@ from tasks.walkers.resolve import resolve
 #: Largest number of points between two nodes; a window that needs more is too narrow.
 _MAX_PARTS = 65536
 
+_RATES = ("stance_rate", "thigh_rate", "shank_rate")
 #: Columns of the table `branches`.
 _COLUMNS = (
-    *("branch", "slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate"),
+    *("branch", "slope", "stance_angle", *_RATES),
     *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
 )
 
@@ -47,7 +48,8 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     dict
         Tables `branches` (branch, slope, stance_angle, stance_rate, thigh_rate, shank_rate, period, kneestrike_time,
         spectral_radius, stable, gait) and
-        `special_points` (branch, kind, slope, stance_angle, period, error_bound), in the walker's units.
+        `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate, shank_rate, period, error_bound),
+        in the walker's units; of gaits of several steps without the rates.
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
@@ -72,7 +74,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
             ("branch", np.full(len(Z), number)),
             ("slope", np.exp(Z[:, m])),
             ("stance_angle", np.exp(Z[:, 0])),
-            *zip(("stance_rate", "thigh_rate", "shank_rate"), rates, strict=True),
+            *zip(_RATES, rates, strict=True),
             ("period", times[:, -1]),
             ("kneestrike_time", knee),
             ("spectral_radius", radius),
@@ -82,9 +84,10 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
             rows[key].append(value)
         for point in special_points(problem, curve) + contact_lost(problem, curve, low, high):
             if low <= float(point["slope"]) <= high and point["kind"] != "window":
-                points.append({"branch": number, **point, "period": float(point["period"]) * time_unit})
+                rates = {name: float(point[name]) / time_unit for name in _RATES}
+                points.append({"branch": number, **point, **rates, "period": float(point["period"]) * time_unit})
     out = {f"branches/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in rows.items()}
-    for key in ("branch", "kind", "slope", "stance_angle", "period", "error_bound"):
+    for key in ("branch", "kind", "slope", "stance_angle", *_RATES, "period", "error_bound"):
         out[f"special_points/{key}"] = np.array([p[key] for p in points])
     return out
 
@@ -130,9 +133,7 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
         records.append(
             {
                 "kind": "end_contact_lost",
-                "slope": float(np.exp(point.X[m, 0])),
-                "stance_angle": float(np.exp(point.X[0, 0])),
-                "period": float(point.times[-1, 0]),
+                **gait_at(problem, point),
                 "error_bound": slope_error + 64 * EPS,
             }
         )

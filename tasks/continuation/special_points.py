@@ -52,8 +52,9 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
     Returns
     -------
     list of dict
-        `kind`, `slope` [rad], `stance_angle` [rad], `period` [sqrt(leg/g)], `error_bound` (relative, of the slope), and
-        `place`: the number of its node, or a number between those of its neighbours.
+        `kind`, `slope` [rad], `stance_angle` [rad], `stance_rate`, `thigh_rate`, `shank_rate` [rad/sqrt(leg/g)] just
+        after heelstrike, `period` [sqrt(leg/g)], `error_bound` (relative, of the slope), and `place`: the number of its
+        node, or a number between those of its neighbours.
     """
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
@@ -158,10 +159,17 @@ def _record(kind: str, problem: Problem, point: Point, lane: int, error: float =
         error += slope_error(problem, kind, point.Z[:, lane])
     else:
         error += float(np.nan_to_num(rounding(point.stride)[:, lane], nan=np.inf).max())
+    return {"kind": kind, **gait_at(problem, point, lane), "error_bound": error + 8 * EPS}
+
+
+def gait_at(problem: Problem, point: Point, lane: int = 0) -> dict[str, float]:
+    """Slope, state just after heelstrike and period of a point, in rad and sqrt(leg/g)."""
+    X = point.X[:, lane, None]
+    slope, angle = np.exp(X[problem.m]), np.exp(X[:1])
+    names = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate")
+    state = problem.start(np.vstack([angle, angle * X[1 : problem.m]]), slope)[:, 0]
     return {
-        "kind": kind,
-        "slope": float(np.exp(point.X[problem.m, lane])),
-        "stance_angle": float(np.exp(point.X[0, lane])),
+        "slope": float(slope[0]),
+        **dict(zip(names, state.tolist(), strict=True)),
         "period": float(point.times[-1, lane]),
-        "error_bound": error + 8 * EPS,
     }
