@@ -60,6 +60,13 @@ def print_units(units: str) -> str:
     return "" if units == "1" else units.translate(SUPERSCRIPTS)
 
 
+class _Shared(dict[str, str]):
+    """Words on the columns of a frame, which pandas copies with every column that is read unless they are shared."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Shared:
+        return self
+
+
 @dataclass(frozen=True)
 class Line:
     """One walker with every axis but `slope` fixed, and the archive's data along it."""
@@ -209,6 +216,13 @@ class Source:
                 table[key] = float(near) if near.ndim == 0 else table.get(key)
         return table
 
+    def moved(self, walker: str, key: str, axis: str) -> np.ndarray:
+        """Values of a walker's key that an axis changes, in the rising order of that axis."""
+        column = self.grid.variables[key]
+        if "walker" in column.dims:
+            column = column.isel(walker=list(self.walkers).index(walker))
+        return np.asarray(column.values[np.argsort(self.grid[axis].values)])
+
     @property
     def axes(self) -> list[str]:
         """Dimensions of the grid, in order, without gait and multiplier."""
@@ -334,8 +348,8 @@ def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
         columns = {str(k): v.values for k, v in variables.items() if v.ndim == 1}
         rows = max((len(v) for v in columns.values()), default=0)
         frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
-    frame.attrs["units"] = {str(k): str(v.attrs.get("units", "")) for k, v in variables.items()}
-    frame.attrs["meanings"] = {str(k): str(v.attrs.get("long_name", "")) for k, v in variables.items()}
+    frame.attrs["units"] = _Shared({str(k): str(v.attrs.get("units", "")) for k, v in variables.items()})
+    frame.attrs["meanings"] = _Shared({str(k): str(v.attrs.get("long_name", "")) for k, v in variables.items()})
     return frame
 
 
