@@ -8,7 +8,7 @@ import math
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -58,6 +58,13 @@ _AS_STORED = {"mask_and_scale": False, "decode_times": False}
 def print_units(units: str) -> str:
     """CF units as they are written in print: `m s-1` becomes m s⁻¹, and `1` nothing."""
     return "" if units == "1" else units.translate(SUPERSCRIPTS)
+
+
+class _Shared(dict[str, str]):
+    """Words on the columns of a frame, which pandas copies with every column that is read unless they are shared."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Shared:
+        return self
 
 
 @dataclass(frozen=True)
@@ -215,6 +222,16 @@ class Source:
                 table[key] = float(near) if near.ndim == 0 else table.get(key)
         return table
 
+    def moved(self, walker: str, settings: Mapping[str, float], key: str, axes: Sequence[str]) -> np.ndarray:
+        """Values of a walker's key that some axes change, each in its rising order, the last axis first to change."""
+        column = self.grid[key]
+        if "walker" in column.dims:
+            column = column.isel(walker=list(self.walkers).index(walker))
+        at = {name: value for name, value in settings.items() if name in column.dims and name not in axes}
+        column = column.sel(at).transpose(*axes)
+        order = [np.argsort(self.grid[axis].values) for axis in axes]
+        return np.asarray(column.values[np.ix_(*order)]).ravel()
+
     @property
     def axes(self) -> list[str]:
         """Dimensions of the grid, in order, without gait and multiplier."""
@@ -342,8 +359,8 @@ def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
         columns = {str(k): v.values for k, v in variables.items() if v.ndim == 1}
         rows = max((len(v) for v in columns.values()), default=0)
         frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
-    frame.attrs["units"] = {str(k): str(v.attrs.get("units", "")) for k, v in variables.items()}
-    frame.attrs["meanings"] = {str(k): str(v.attrs.get("long_name", "")) for k, v in variables.items()}
+    frame.attrs["units"] = _Shared({str(k): str(v.attrs.get("units", "")) for k, v in variables.items()})
+    frame.attrs["meanings"] = _Shared({str(k): str(v.attrs.get("long_name", "")) for k, v in variables.items()})
     return frame
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.report import html_tables, pages
-from pipeline.report.figures import draw, starts
+from pipeline.report.figures import draw, fields, starts
 from pipeline.report.source import read
 from test_report.shape import KNEED, POINT, write
 
@@ -162,3 +162,11 @@ def test_the_script_is_small_and_holds_no_comment():
     script = pages._script()
     assert len(script.encode()) <= 64_000
     assert not re.search(r"^\s*(//|/\*)", script, re.M)
+
+
+def test_slopes_of_a_map_keep_their_digits_beside_steps_that_vanish():
+    slope = np.array([[4.2449449527e-5, 0.0], [0.05, np.nan]])
+    made = starts._fields({"slope": slope, "stance_angle": np.where(slope >= 0, 0.1, np.nan)}, False, 1)
+    assert made["slope"]["log"] and made["slope"]["step"] <= 1e-9
+    assert made["still"] == fields.words(np.array([[False, True], [False, False]]))
+    assert "still" not in starts._fields({"slope": slope[:1, :1], "stance_angle": slope[:1, :1]}, False, 1)

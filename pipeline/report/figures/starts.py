@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 from urllib.parse import parse_qsl, urlencode
@@ -192,9 +191,7 @@ def cells(
     for key, axes in source.varied.items():
         across = [axis for axis in axes if axis in names]
         if across and key not in axes and key in source.grid:
-            places = itertools.product(*(np.sort(source.grid[axis].values).tolist() for axis in across))
-            each = (source.parameters(walker, fixed | dict(zip(across, at, strict=True)))[key] for at in places)
-            moved[key] = [across, rounded(each, 10)]
+            moved[key] = [across, rounded(source.moved(walker, fixed, key, across), 10)]
     return {
         "at": {"walker": walker, **fixed},
         "keys": keys,
@@ -211,7 +208,11 @@ def cells(
 def _fields(columns: Mapping[str, np.ndarray], knees: bool, maps: int) -> dict[str, Any]:
     """The numbers of a map's cells: 8 digits of slope and angle, 5 of rates, which Newton finds, 7 of others."""
     angle, wanted = columns.get("stance_angle"), {}
+    # Steps that vanish at slope 0 are told apart, for the slopes of the others have their digits by their logarithms.
+    still = columns.get("slope", np.zeros((0, 0))) == 0
     for name, values in columns.items():
+        if name == "slope":
+            values = np.where(still, np.nan, values)
         if name in START[2:]:
             if angle is not None and (knees or name != "shank_rate"):
                 ratio = values / angle
@@ -221,4 +222,5 @@ def _fields(columns: Mapping[str, np.ndarray], knees: bool, maps: int) -> dict[s
             digits = 1e-9 if name in START else 1e-8
             wanted[name] = values, digits * (1.0 if log else float(np.nanmax(np.abs(values), initial=1e-9))), log
     first = next(iter(columns.values()), np.zeros((0, 0))) if angle is None else angle
-    return {"present": fields.words(np.isfinite(first)), **fields.fitting(wanted, _ROOM // maps)}
+    words = {"present": fields.words(np.isfinite(first))} | ({"still": fields.words(still)} if still.any() else {})
+    return {**words, **fields.fitting(wanted, _ROOM // maps)}
