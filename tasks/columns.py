@@ -11,6 +11,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "gait": ("number", "label of the gait"),
     "detuning": ("number", "position between the exactly tuned walker (0) and the physical one (1)"),
     "special_points/error_bound": ("number", "largest relative error of the slope"),
+    "curves/error_bound": ("number", "largest relative error of the slope at this value of the key"),
     "turnings/error_bound": ("number", "largest relative error of the slope"),
     "cascade/error_bound": ("number", "largest relative error of the slope"),
     "kind": ("number", "kind of special point"),

@@ -9,26 +9,21 @@ import numpy as np
 
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
+from tasks.continuation.cycles import RATES
 from tasks.continuation.locate import locate_root
 from tasks.continuation.lockstep import run
 from tasks.continuation.sampling import chosen, within
-from tasks.continuation.special_points import special_points
+from tasks.continuation.special_points import rates_at, special_points
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.follow_cycles import from_arrays
 from tasks.measures import violations
-from tasks.sample_cycles import sample_cycles
+from tasks.sample_cycles import COLUMNS, SPECIAL, sample_cycles
 from tasks.step.problem import EPS, Problem
 from tasks.walkers.resolve import resolve
 
 #: Largest number of points between two nodes; a window that needs more is too narrow.
 _MAX_PARTS = 65536
-
-#: Columns of the table `branches`.
-_COLUMNS = (
-    *("branch", "slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate"),
-    *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
-)
 
 
 def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -47,7 +42,8 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     dict
         Tables `branches` (branch, slope, stance_angle, stance_rate, thigh_rate, shank_rate, period, kneestrike_time,
         spectral_radius, stable, gait) and
-        `special_points` (branch, kind, slope, stance_angle, period, error_bound), in the walker's units.
+        `special_points` (branch, kind, slope, stance_angle, stance_rate, thigh_rate, shank_rate, period, error_bound),
+        in the walker's units.
     """
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
     problem = Problem(walker)
@@ -56,7 +52,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
     time_unit = np.sqrt(walker.leg / walker.g)
     low, high, least = float(params["slope_from"]), float(params["slope_to"]), int(params.get("n", 2))
     tolerance = float(params.get("adaptive", 0.0))
-    rows: dict[str, list[np.ndarray]] = {k: [] for k in _COLUMNS}
+    rows: dict[str, list[np.ndarray]] = {k: [] for k in COLUMNS}
     points: list[dict[str, Any]] = []
     for number, curve in enumerate(atlases.from_arrays(inputs[0])):
         Z = chosen(problem, curve, low, high, tolerance) if tolerance else _dense(curve, low, high, least)
@@ -72,7 +68,7 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
             ("branch", np.full(len(Z), number)),
             ("slope", np.exp(Z[:, m])),
             ("stance_angle", np.exp(Z[:, 0])),
-            *zip(("stance_rate", "thigh_rate", "shank_rate"), rates, strict=True),
+            *zip(RATES, rates, strict=True),
             ("period", times[:, -1]),
             ("kneestrike_time", knee),
             ("spectral_radius", radius),
@@ -82,14 +78,15 @@ def branch(params: Mapping[str, Any], inputs: list[dict[str, np.ndarray]]) -> di
             rows[key].append(value)
         for point in special_points(problem, curve) + contact_lost(problem, curve, low, high):
             if low <= float(point["slope"]) <= high and point["kind"] != "window":
-                points.append({"branch": number, **point, "period": float(point["period"]) * time_unit})
+                rates = dict(zip(RATES, np.array(point["rates"]) / time_unit, strict=True))
+                points.append({"branch": number, **point, **rates, "period": point["period"] * time_unit})
     out = {f"branches/{k}": np.concatenate(v) if v else np.zeros(0) for k, v in rows.items()}
-    for key in ("branch", "kind", "slope", "stance_angle", "period", "error_bound"):
+    for key in SPECIAL:
         out[f"special_points/{key}"] = np.array([p[key] for p in points])
     return out
 
 
-def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> list[dict[str, float | str]]:
+def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> list[dict[str, Any]]:
     """Locate the points at which the least normal force over a step vanishes, so that the foot would lift off.
 
     Parameters
@@ -119,7 +116,7 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
         return []
     force = np.full(len(branch.q), np.nan)
     force[near] = least(branch.Z[near, : m + 1].T, branch.Z[near, m + 1 :].T)
-    records: list[dict[str, float | str]] = []
+    records: list[dict[str, Any]] = []
     for segment in np.nonzero(force[1:] * force[:-1] < 0)[0]:
         point, _ = run(
             problem, locate_root(branch, int(segment), lambda point, _: float(least(point.X, point.times)[0]))
@@ -132,6 +129,7 @@ def contact_lost(problem: Problem, branch: Branch, low: float, high: float) -> l
                 "kind": "end_contact_lost",
                 "slope": float(np.exp(point.X[m, 0])),
                 "stance_angle": float(np.exp(point.X[0, 0])),
+                "rates": rates_at(problem, point, 0),
                 "period": float(point.times[-1, 0]),
                 "error_bound": slope_error + 64 * EPS,
             }

@@ -23,14 +23,15 @@ from tasks.continuation.codimension_one import (
     follow,
     turning,
 )
+from tasks.continuation.defining import slope_error
 from tasks.continuation.special_points import special_points
-from tasks.step.problem import Problem
-from tasks.walkers.resolve import resolve
-from tasks.walkers.walker import Walker, WalkerError
+from tasks.step.problem import EPS, Lanes, Problem
+from tasks.walkers.resolve import is_one_link, resolve
+from tasks.walkers.walker import ONE_LINK, Walker, WalkerError
 
 Arrays = dict[str, np.ndarray]
 #: Columns of the tables.
-_CURVES = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "walks", "stopped")
+_CURVES = ("curve", "kind", "slope", "key", "value", "stance_angle", "period", "error_bound", "walks", "stopped")
 _TURNINGS = ("curve", "kind", "turn", "slope", "key", "value", "stance_angle", "period", "error_bound")
 
 
@@ -50,9 +51,9 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Tables `curves` (curve, kind, slope, key, value, stance_angle, period, walks, and at its ends `stopped`: why it
-        was followed no further) and `turnings` (turning points of key or slope along a curve: curve, kind, turn, slope,
-        key, value, stance_angle, period, error_bound), in the walker's units.
+        Tables `curves` (curve, kind, slope, key, value, stance_angle, period, error_bound, walks, and at its ends
+        `stopped`: why it was followed no further) and `turnings` (turning points of key or slope along a curve: curve,
+        kind, turn, slope, key, value, stance_angle, period, error_bound), in the walker's units.
 
     Raises
     ------
@@ -96,7 +97,8 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             seen += [(kind, p.U) for p in _returns(equations, points, first)]
             number = len(set(rows["curve"]))
             for p in points:
-                _add(rows, (number, kind, *_place(equations, p, key, window), int(equations.walks(p)), p.stopped))
+                place = *_place(equations, p, key, window), _error(equations, p, window)
+                _add(rows, (number, kind, *place, int(equations.walks(p)), p.stopped))
             for component, turn in ((-1, "key"), (-2, "slope")):
                 for a, b in itertools.pairwise(points):
                     point = turning(equations, a, b, component)
@@ -135,12 +137,21 @@ def _place(equations: Curve, p: Point, key: str, window: Mapping[str, tuple[floa
     return float(slope), key, float(value), float(np.exp(p.U[0])), float(period)
 
 
+def _error(equations: Curve, p: Point, window: Mapping[str, tuple[float, float]]) -> float:
+    """Bound on the relative error of a point's slope, at its value of the key; infinite where the key turns."""
+    # At a special value the walker alone would have a map of fewer dimensions.
+    problem = Lanes([equations.walker(p.U)], equations.structure).alone(0)
+    Z = np.concatenate([p.U[: equations.m], [np.clip(p.U[-2], *window["q"])], p.times])
+    return slope_error(problem, equations.kind, Z) + 8 * EPS
+
+
 def _own_value(line: Mapping[str, Any], key: str) -> float:
     """The line's value of a key."""
     walker, settings = resolve(line["walker"], line.get("set")), line.get("set", {})
     # A walker's table may be detuned too.
     table = line["walker"] if isinstance(line["walker"], Mapping) else {}
     derived = {"detuning": table.get("detuning", 0.0), "foot_mass_ratio": walker.m_s / walker.total_mass}
+    derived |= {own: table.get(own, 0.0) for own in ONE_LINK if is_one_link(table)}
     return float(settings[key] if key in settings else derived[key] if key in derived else getattr(walker, key))
 
 

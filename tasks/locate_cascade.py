@@ -14,6 +14,7 @@ from tasks.continuation.branch import Branch
 from tasks.continuation.cycle_events import slope_error
 from tasks.continuation.cycles import (
     MAX_POINTS,
+    RATES,
     Cycle,
     Path,
     Test,
@@ -22,6 +23,7 @@ from tasks.continuation.cycles import (
     flip_test,
     fold_test,
     from_start,
+    largest,
     really_walks,
 )
 from tasks.dynamics.crisis import lost
@@ -39,7 +41,7 @@ _ORBITS, _SPREAD, _MAX_EXTENT = 32, 1e-9, 3.0
 #: the first intervals of a cascade need not follow Feigenbaum's law.
 _FIRST_STEP, _MAX_INTERVAL = 0.01, 0.05
 #: Columns of the tables.
-_CASCADE = ("family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", "walks")
+_CASCADE = ("family", "period", "kind", "slope", "error_bound", "ratio", "stance_angle", *RATES, "walks")
 _ACCUMULATION = ("family", "flips", "slope", "low", "high", "ratio", "stopped")
 _LOST = ("family", "low", "high", "starts", "strides", "reason")
 
@@ -70,10 +72,11 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     Returns
     -------
     dict
-        Tables `cascade` (family, period, kind, slope, error_bound, ratio, stance_angle, walks), a row for each fold and
-        flip, `accumulation` (family, flips, slope, low, high, ratio, stopped: why no further flip was located), and
-        `lost` (family, low, high, starts, strides, reason): the slopes [rad] between which the chaos beyond a family's
-        doublings ends, in falls or a period-one gait; `reason` says why one of them is NaN.
+        Tables `cascade` (family, period, kind, slope, error_bound, ratio, stance_angle, stance_rate, thigh_rate,
+        shank_rate, walks), a row for each fold and flip, in the walker's units, `accumulation` (family, flips, slope,
+        low, high, ratio, stopped: why no further flip was located), and `lost` (family, low, high, starts, strides,
+        reason): the slopes [rad] between which the chaos beyond a family's doublings ends, in falls or a period-one
+        gait; `reason` says why one of them is NaN.
     """
     options = registry.options("cascade", params)
     walker = resolve(params["line"]["walker"], params["line"].get("set"))
@@ -111,7 +114,7 @@ def cascade(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
                     c.slope,
                     event.error,
                     next(ratio) if event.kind == "flip" else np.nan,
-                    float(c.Y[0].max()),
+                    *largest(problem, c).values(),
                     int(really_walks(problem, c)),
                 )
                 rows.append(dict(zip(_CASCADE, values, strict=True)))

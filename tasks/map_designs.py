@@ -24,7 +24,7 @@ from tasks.solve_planes import lines as lines_of_plane
 from tasks.solve_points import points
 from tasks.step.problem import Lanes
 from tasks.walkers.resolve import resolve_many
-from tasks.walkers.tuning import is_tuned
+from tasks.walkers.statics import is_tuned
 from tasks.walkers.walker import Walker, WalkerError
 from tasks.walkers.walker_array import WalkerArray
 

@@ -17,7 +17,8 @@ class Option:
 
     `holds` is "number", "positive", "count" (a whole number from 1), "count or 0", "counts" (a list of them),
     "steps" (from 1 to MAX_STEPS), "slope" (above 0 and below 0.5), "share" (from 0 to 0.5), "range" (two rising
-    numbers), "gait" (a label), "key" (of a walker), "kinds" (of special points) or "limits" (of violations, by name).
+    numbers), "gait" (a label), "key" (of a walker), "keys" (a list of them, not derived), "kinds" (of special points)
+    or "limits" (of violations, by name).
     """
 
     holds: str
@@ -25,6 +26,7 @@ class Option:
     meaning: str
 
 
+_TUNED = Option("keys", [], "keys changed by least on every line, so that walkers meet the static conditions")
 _STEPS = Option("steps", 1, f"steps after which a gait repeats, at most {MAX_STEPS}")
 
 #: Options of each kind of study; the parser, `gaitsweep plan --help`, the tasks and the docs read them here.
@@ -67,6 +69,9 @@ OPTIONS: dict[str, dict[str, Option]] = {
         "ground": Option("share", 0.0, "largest step of the ground tried at `at_slope`, over the leg; 0: none"),
     },
 }
+
+for _each in OPTIONS.values():
+    _each["tuned"] = _TUNED
 
 #: Options that had another name before, which is still read.
 RENAMED_OPTIONS = {"strides": "steps"}

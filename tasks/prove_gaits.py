@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from tasks.proofs.gait import Setting, prove
-from tasks.proofs.keys import check_written, decimal, exact
+from tasks.proofs.keys import check_written, decimal, exact, in_doubles
 from tasks.proofs.records import guess, record
 from tasks.solve_at_slope import solve_one
 
@@ -33,7 +33,8 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
     table = params["walker"] if isinstance(params["walker"], Mapping) else {}
     check_written({**table, **(params.get("set") or {}), "slope": params["slope"]})
     numbers = {k: v if isinstance(v, bool) else float(v) for k, v in (params.get("set") or {}).items()}
-    solved = solve_one({"walker": _in_doubles(params["walker"]), "slope": float(params["slope"]), "set": numbers})
+    walker = in_doubles(table) or params["walker"]
+    solved = solve_one({"walker": walker, "slope": float(params["slope"]), "set": numbers})
     keys, kneed = exact(params["walker"], params.get("set"))
     setting = Setting(keys, kneed, decimal(params["slope"]))
     gaits = [g for g in solved["gaits"] if params.get("gait") in (None, g["gait"])]
@@ -43,10 +44,3 @@ def prove_one(params: Mapping[str, Any]) -> dict[str, Any]:
         ],
         "search": solved["search"],
     }
-
-
-def _in_doubles(walker: Any) -> Any:
-    """A table whose numbers are written as strings, in doubles."""
-    if isinstance(walker, str):
-        return walker
-    return {k: float(v) if isinstance(v, str) and k not in ("units", "base", "name") else v for k, v in walker.items()}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tasks.continuation.cycle_events import slope_error
-from tasks.continuation.cycles import Cycle, Path, correct, flip_test, system
+from tasks.continuation.cycles import RATES, Cycle, Path, correct, flip_test, largest, system
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.follow_cycles import CycleBranch, cubic
 from tasks.solve_cycles import solve_cycle
@@ -23,11 +23,12 @@ _MAX_PARTS = 1024
 _MIN_PIECE = 1e-9
 #: Distance of the ends of a branch along it to what ends it.
 _END_DISTANCE = 1e-6
-_COLUMNS = (
-    *("branch", "slope", "stance_angle", "stance_rate", "thigh_rate", "shank_rate"),
+#: Columns of the tables `branches` and `special_points`.
+COLUMNS = (
+    *("branch", "slope", "stance_angle", *RATES),
     *("period", "kneestrike_time", "spectral_radius", "stable", "gait"),
 )
-_SPECIAL = ("branch", "kind", "slope", "stance_angle", "period", "error_bound")
+SPECIAL = ("branch", "kind", "slope", "stance_angle", *RATES, "period", "error_bound")
 
 
 def sample_cycles(problem: Problem, branches: list[CycleBranch], params: Mapping[str, Any]) -> Arrays:
@@ -63,8 +64,8 @@ def sample_cycles(problem: Problem, branches: list[CycleBranch], params: Mapping
             for point in _special_points(problem, replace(branch, cycles=nodes))
             if low <= point["slope"] <= high and point["kind"] != "window"
         ]
-    tables = {f"branches/{key}": np.array([row[key] for row in rows]) for key in _COLUMNS}
-    return tables | {f"special_points/{key}": np.array([point[key] for point in points]) for key in _SPECIAL}
+    tables = {f"branches/{key}": np.array([row[key] for row in rows]) for key in COLUMNS}
+    return tables | {f"special_points/{key}": np.array([point[key] for point in points]) for key in SPECIAL}
 
 
 def _evaluated(problem: Problem, cycle: Cycle) -> Cycle:
@@ -110,10 +111,8 @@ def _describe(problem: Problem, cycle: Cycle) -> dict[str, Any]:
     time_unit, scale = np.sqrt(walker.leg / walker.g), np.exp2(np.floor(np.log2(cycle.Y[0])))
     step = problem.map(cycle.Y / scale, cycle.times, problem.parameters(np.full(cycle.period, cycle.slope), scale))
     radius = float(np.abs(replace(cycle, A=step.jacobian).multipliers()[0]))
-    rates = problem.start(cycle.Y[:, [k]], np.array([cycle.slope]))[1:, 0] / time_unit
     return {
-        "stance_angle": float(cycle.Y[0, k]),
-        **dict(zip(("stance_rate", "thigh_rate", "shank_rate"), rates.tolist(), strict=True)),
+        **largest(problem, cycle),
         "period": float(cycle.times[-1].sum()) * time_unit,
         "kneestrike_time": float(cycle.times[0, k]) * time_unit if walker.knees else np.nan,
         "spectral_radius": radius,
@@ -125,7 +124,7 @@ def _describe(problem: Problem, cycle: Cycle) -> dict[str, Any]:
 def _special_points(problem: Problem, branch: CycleBranch) -> list[dict[str, Any]]:
     """Ends, folds and flips of a branch, in order along it."""
     first, *_, last = branch.cycles
-    records = [_record(problem, branch.ends[0], first, _end_error(branch.ends[0], first))]
+    records = [_record(problem, branch.ends[0], first, _end_error(problem, branch.ends[0], first))]
     for i, (a, b) in enumerate(itertools.pairwise(branch.cycles)):
         if i in branch.folds:
             records.append(_record(problem, "fold", a, a.error))
@@ -135,11 +134,15 @@ def _special_points(problem: Problem, branch: CycleBranch) -> list[dict[str, Any
             cycle = path.locate_root(flip_test)
             if cycle.ok:
                 records.append(_record(problem, "flip", cycle, slope_error(problem, cycle, "flip")))
-    return [*records, _record(problem, branch.ends[1], last, _end_error(branch.ends[1], last))]
+    return [*records, _record(problem, branch.ends[1], last, _end_error(problem, branch.ends[1], last))]
 
 
-def _end_error(kind: str, cycle: Cycle) -> float:
-    """Relative error of the slope of an end: that of a flip is solved for, an end of walking is bracketed."""
+def _end_error(problem: Problem, kind: str, cycle: Cycle) -> float:
+    """Relative error of the slope of an end: of a branch's birth that of the flip, of an end of walking its bracket."""
+    if kind == "branch_point":
+        n = cycle.period // 2
+        half = replace(cycle, Y=cycle.Y[:, :n], times=cycle.times[:, :n], A=cycle.A[..., :n])
+        return slope_error(problem, half, "flip")
     return abs(float(cycle.tangent[-1])) * _END_DISTANCE if kind.startswith("end_") else 64 * EPS
 
 
@@ -148,7 +151,7 @@ def _record(problem: Problem, kind: str, cycle: Cycle, error: float) -> dict[str
     return {
         "kind": kind,
         "slope": cycle.slope,
-        "stance_angle": float(cycle.Y[0].max()),
+        **largest(problem, cycle),
         "period": float(cycle.times[-1].sum()) * time_unit,
         "error_bound": error,
     }

@@ -13,6 +13,7 @@ import numpy as np
 
 from soak.extended_reference import Precise
 from tasks.continuation import defining
+from tasks.continuation.cycles import Cycle, system
 from tasks.mechanics.lumped import Structure, lump
 from tasks.step.problem import Problem
 
@@ -98,4 +99,128 @@ def _newton(problem, kind, Z, h):
         slope, times = slope + slope * dX[m], times + wide(at.times_by[:, :, 0] @ change)
         if last < 1e-22:
             return slope
+    return None
+
+
+def exact_cycle_slope(problem: Problem, kind: str, cycle: Cycle):
+    """Slope of a flip or fold of gaits of n steps [rad] in 113 bits, or None where Newton's method does not converge.
+
+    `cycle` is the gait there in doubles. The derivative of det(M + 1) or det(M - 1) is that of differences in doubles.
+    """
+    m, n, number, sign = len(cycle.Y), cycle.period, hy.real128, {"flip": 1.0, "fold": -1.0}[kind]
+
+    def determinant(Z):
+        Y = Z[:-1].reshape(n, m).T * np.sqrt(n)
+        times = cycle.times
+        for _ in range(2):  # each step's times are corrected for its own Jacobian
+            _, _, A, after = system(problem, Y, times, Z[-1])
+            times = after(np.zeros(len(Z)))
+        M = functools.reduce(lambda M, i: A[..., i] @ M, range(n), np.eye(m))
+        return np.linalg.det(M + sign * np.eye(m))
+
+    Z, h = cycle.Z, 1e-6
+    row = np.array([(determinant(Z + h * e) - determinant(Z - h * e)) / (2 * h) for e in np.eye(len(Z))])
+    size = np.linalg.norm(row)
+    matrix = np.vstack([system(problem, cycle.Y, cycle.times, cycle.q)[1], row / size])
+    exact = lump(problem.walker, number)
+    constants = [exact[name] for name in problem.structure.constants]
+    Y, times = (np.vectorize(number, otypes=[object])(a) for a in (cycle.Y, cycle.times))
+    slope, last = number(float(np.exp(cycle.q))), 1e-3
+    for _ in range(_MAX_STEPS):
+        steps = []
+        for i in range(n):
+            parameters = np.array([slope, number(1.0), *constants], dtype=number)
+            y, at = np.array(list(Y[:, i]), dtype=number), np.array(list(times[:, i]), dtype=number)
+            for _ in range(2):
+                step = _precise(problem.structure).stride(y, at, parameters)
+                at = step["times"]
+            steps.append(step)
+            times[:, i] = list(at)
+        residual = np.concatenate([steps[i]["image"] - Y[:, (i + 1) % n] for i in range(n)]).astype(object)
+        M = [[number(float(i == j)) for j in range(m)] for i in range(m)]
+        for step in steps:
+            M = [[sum(step["jacobian"][i, k] * M[k][j] for k in range(m)) for j in range(m)] for i in range(m)]
+        value = _determinant(_less_one(M, sign)) / number(size)
+        right = [*(-float(x) / np.sqrt(n) for x in residual), -float(value)]
+        change = np.linalg.solve(matrix, right)
+        if not np.abs(change).max() < 0.5 * last:
+            return None
+        last = np.abs(change).max()
+        Y = Y + np.vectorize(number, otypes=[object])(change[:-1].reshape(n, m).T * np.sqrt(n))
+        slope = slope + slope * number(float(change[-1]))
+        if last < 1e-22:
+            return slope
+    return None
+
+
+def _guards(phase):
+    """Guards of a phase's motion and their rates: of heelstrike, and of the free knee; states along the first axis."""
+    half = len(phase) // 2
+    pairs = [(phase[0] + phase[1], phase[half] + phase[half + 1])]
+    return pairs + ([(phase[1] - phase[2], phase[half + 1] - phase[half + 2])] if half == 3 else [])
+
+
+def _touched(problem, Z):
+    """Phase, number and time within the phase of the guard that touches zero at an earlier strike, in doubles.
+
+    At a kneestrike, where rates jump, the guard of heelstrike has a corner: time 0 of the second phase.
+    """
+    m, count = problem.m, 1024
+    stride, _ = problem.stride(np.append(Z[:m], Z[m + 1 :])[:, None], Z[m : m + 1], samples=count)
+    durations, found = np.diff(np.append(0.0, Z[m + 1 :])), []
+    motion = stride.scaled_motion()
+    if len(motion) == 2 and abs(motion[1][0, 0, 0] + motion[1][0, 1, 0]) < 1e-12:
+        return 1, 0, 0.0
+    for i, phase in enumerate(motion):
+        for number, (guard, rate) in enumerate(_guards(np.moveaxis(phase[..., 0], 1, 0))):
+            turns = np.flatnonzero(rate[1:-1] * rate[2:] < 0) + 1
+            found += [(abs(guard[k]), i, number, durations[i] * k / count) for k in turns if 2 < k < count - 3]
+    return min(found)[1:] if found else None
+
+
+def exact_earlier_strike(problem: Problem, Z: np.ndarray):
+    """Slope at which a guard touches zero before a step's strike [rad] in 113 bits; None where it is not found near Z.
+
+    Z is as for `exact_slope`; the unknowns are the section, the slope, the event times and that of the touch.
+    """
+    touched = _touched(problem, Z)
+    if touched is None:
+        return None
+    phase, guard, tau = touched
+    m, number, precise = problem.m, hy.real128, _precise(problem.structure)
+    exact = lump(problem.walker, number)
+    constants = [exact[name] for name in problem.structure.constants]
+    angle = np.exp(Z[0])
+
+    def wide(values):
+        return np.array([number(float(x)) for x in values], dtype=number)
+
+    def equations(z):
+        y, times = z[:m], z[m + 1 : m + 1 + problem.phases]
+        parameters = np.array([z[m], number(1.0), *constants], dtype=number)
+        residual = precise.stride(y, times, parameters)["residual"]
+        begin, size = precise.algebra.begin(np.concatenate([y, parameters])), precise.algebra.start_size
+        start, D = begin[:size], begin[size:].reshape(size, m)
+        if phase:
+            final = precise._integrate(precise.free, start, D, parameters, times[0])
+            out = precise.algebra.lock(np.concatenate([final[:6], precise._padded(final[6:], 6), parameters]))
+            start, D, size = out[:4], precise.array(np.eye(4, m, -1).ravel()).reshape(4, m), 4
+        if not tau:
+            return np.append(residual, start[0] + start[1])
+        flow = precise.free if size == 6 else precise.locked
+        return np.concatenate([residual, _guards(precise._integrate(flow, start, D, parameters, z[-1])[:size])[guard]])
+
+    z, last = wide([angle, *(angle * Z[1:m]), np.exp(Z[m]), *Z[m + 1 :], *([tau] if tau else [])]), 1e-2
+    size = np.array([*[abs(angle)] * m, float(z[m]), *[1.0] * (len(z) - m - 1)])
+    h = number(1e-9)
+    units = [wide(row) for row in np.diag(size)]
+    ends = [(equations(z + h * each), equations(z - h * each)) for each in units]
+    matrix = np.array([[float((a - b) / (number(2.0) * h)) for a, b in zip(*pair, strict=True)] for pair in ends]).T
+    for _ in range(_MAX_STEPS):
+        change = -np.linalg.solve(matrix, [float(x) for x in equations(z)])
+        if not np.abs(change).max() < 0.5 * last:
+            return None
+        z, last = z + wide(size * change), np.abs(change).max()
+        if last < 1e-22:
+            return z[m]
     return None

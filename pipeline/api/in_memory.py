@@ -210,7 +210,7 @@ def _constants(
 ) -> dict[str, str | float]:
     """Keys that all walkers share, as attributes; for a single line, all that do not vary."""
     table = dispatch.resolve("tasks.walkers.resolve:resolve")(line["walker"], line["set"]).table()
-    moved = {key for check in checks for key, owner in check["varied"].items() if owner in varying}
+    moved = {key for check in checks for key, axes in check["varied"].items() if any(a in varying for a in axes)}
     constants = {**line["set"], **table, "knees": "true" if table["knees"] else "false"}
     return {key: value for key, value in constants.items() if key not in {*moved, *varying}}
 

@@ -20,7 +20,7 @@ from pipeline.archive.unfold import dataset, unfolded
 from pipeline.engine import runner
 from pipeline.engine.executors import MAX_JOBS
 from pipeline.errors import ArchiveError, StudyError
-from pipeline.study import broadcast, model, options, parse, single_point
+from pipeline.study import broadcast, files, model, options, parse, single_point
 from pipeline.study.location import Location
 from tasks.registry import MAX_STEPS
 
@@ -198,6 +198,7 @@ def gaits(
     accuracy: float | None = None,
     variables: Sequence[str] | None = None,
     violation_limits: Mapping[str, float] | None = None,
+    tuned: Sequence[str] = (),
     **keys: Any,
 ) -> xr.Dataset:
     """Solve the gaits of a walker over arrays of slopes and keys, in memory.
@@ -218,6 +219,9 @@ def gaits(
         a study has.
     violation_limits : mapping, optional
         Limits above which violations are flagged, by name, other than the defaults (docs/archive.md).
+    tuned : sequence of str
+        Walker keys that are changed at each point, by least relatively, so that the walker meets the two static
+        conditions for walking at vanishing slopes.
     **keys : float, array or DataArray
         Walker keys to change, `foot_mass_ratio` or `detuning`, in the walker's units; `knees` takes booleans.
 
@@ -247,7 +251,8 @@ def gaits(
     if steps > 1 and {"proved", "proved_radius"} & set(wanted):
         raise Location("", "variables").error("Proofs are of gaits of one step: `proofs` needs `steps` = 1")
     limits = options.violation_limits(violation_limits or {}, Location(""))
-    return in_memory.gaits(broadcast.definition(walker), wanted, {"slope": slope, **keys}, steps, bound, limits)
+    walker = files.retuned(broadcast.definition(walker), tuned)
+    return in_memory.gaits(walker, wanted, {"slope": slope, **keys}, steps, bound, limits)
 
 
 @in_turn
@@ -259,6 +264,7 @@ def solve(
     steps: int = 1,
     accuracy: float | None = None,
     violation_limits: Mapping[str, float] | None = None,
+    tuned: Sequence[str] = (),
     **keys: float,
 ) -> pd.DataFrame:
     """Find every gait of a walker at one slope.
@@ -276,6 +282,8 @@ def solve(
     accuracy : float, optional
         Largest error bound wanted, as for `gaits`.
     violation_limits : mapping, optional
+        As for `gaits`.
+    tuned : sequence of str
         As for `gaits`.
     **keys : float
         Walker keys to change, `foot_mass_ratio` or `detuning`.
@@ -299,6 +307,7 @@ def solve(
         broadcast.whole_number("steps", steps, MAX_STEPS),
         accuracy,
         violation_limits or {},
+        tuned,
     )
     rows = [
         {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,26 +25,24 @@ def write(file: Any, study: Study) -> None:
 
     Notes
     -----
-    A parameter that the walkers of a study do not share is a variable along `walker`, one that an axis such as
-    `detuning` moves is one along that axis; so `ds.where(ds.R > 0.2)` selects by either. All others are global
-    attributes under their own names.
+    A parameter that the walkers of a study do not share is a variable along `walker`, one that axes such as `detuning`
+    move, or that is tuned anew along them, is one along these; so `ds.where(ds.R > 0.2)` selects by either. All others
+    are global attributes under their own names.
     """
     kinds = dispatch.resolve("tasks.walkers.walker:KEYS")
     axes = {axis.name: axis.values for axis in study.line_axes}
     is_si = units.is_si(study)
     tables = [check["table"] for check in study.checks]
-    moved: dict[str, list[list[dict[str, Any]]]] = {}
     for key in dispatch.resolve("tasks.walkers.walker:NUMBERS"):
         if key in axes:
             continue
-        axis = next((check["varied"][key] for check in study.checks if key in check["varied"]), "")
+        owners = {owner for check in study.checks for owner in check["varied"].get(key, ())}
+        across = tuple(axis for axis in axes if axis in owners)
         values = np.array([float(table[key]) for table in tables])
-        dims = ("walker",) if study.walker_axis and len(set(values)) > 1 else ()
-        if axis:
-            dims = (*(("walker",) if study.walker_axis else ()), axis)
-            if axis not in moved:
-                moved[axis] = [[_table(w, axis, v) for v in axes[axis].tolist()] for w in study.walkers]
-            values = np.array([[table[key] for table in line] for line in moved[axis]], float)
+        is_own = study.walker_axis and (across or len(set(values)) > 1)
+        dims = (*(["walker"] if is_own else []), *across)
+        if across:
+            values = np.array([_values(w, key, {axis: axes[axis] for axis in across}) for w in study.walkers])
         if not dims:
             put(file, {key: float(values.ravel()[0])})
             continue
@@ -56,7 +55,10 @@ def write(file: Any, study: Study) -> None:
         variable[...] = values.reshape(shape)
 
 
-def _table(walker: str | dict[str, Any], axis: str, value: float) -> dict[str, Any]:
-    """A walker's parameters at one value of an axis."""
-    parameters: dict[str, Any] = dispatch.call("check_walker", {"walker": walker, "set": {axis: value}})["parameters"]
-    return parameters
+def _values(walker: str | dict[str, Any], key: str, axes: Mapping[str, np.ndarray]) -> np.ndarray:
+    """A walker's parameter at every point of a grid of axes, flattened; NaN where it cannot be tuned."""
+    grid = [values.ravel() for values in np.meshgrid(*map(np.asarray, axes.values()), indexing="ij")]
+    walkers = dispatch.resolve("tasks.walkers.resolve:resolve_many")(
+        walker, {axis: values.astype(float) for axis, values in zip(axes, grid, strict=True)}
+    )
+    return np.broadcast_to(getattr(walkers, key), len(grid[0]))

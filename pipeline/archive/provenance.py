@@ -41,7 +41,8 @@ def provenance(plan: Plan) -> str:
             "violation_limits": list(
                 attributes.violation_limits(study.options.get("violation_limits")).items()  # in the order of their bits
             ),
-            "varied": {key: axis for check in study.checks for key, axis in check["varied"].items()},
+            "varied": {key: axes for check in study.checks for key, axes in check["varied"].items()},
+            "tuned": sorted({key for check in study.checks for key in check["tuned"]}),
             "tasks": {name: layer.task.version for name, layer in plan.graph.layers.items()},
             "packages": {name: version(name) for name in _PACKAGES},
             "python": platform.python_version(),

@@ -236,26 +236,37 @@ def probe(paths: Iterable[Path]) -> None:
     WorkerError
         If there is no other process, as where a user may have no more.
     """
+    paths = list(paths)
+    if len(paths) > 1:
+        # To start Python takes longer than to read most; each is tried alone only to find the one that is damaged.
+        with contextlib.suppress(ArchiveError, WorkerError):
+            _probe(paths)
+            return
+    for path in paths:
+        _probe([path])
+
+
+def _probe(paths: list[Path]) -> None:
+    """Read archives in one other process; errors name the first."""
     # Threads of a numerical library are not needed, and may be refused.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    for path in paths:
-        size = size_of(path)
-        command = [sys.executable, "-P", "-m", "pipeline.archive.read", str(path)]
-        try:
-            null = subprocess.DEVNULL
-            with subprocess.Popen(command, stdin=null, stdout=null, stderr=null, env=environment) as process:
-                try:
-                    _wait(process, _TIMEOUT + size / _MIN_SPEED)
-                finally:
-                    process.kill()
-        except TimeoutError as error:
-            raise ArchiveError(f"{path} is damaged: the netCDF library hangs on it.") from error
-        except OSError as error:
-            raise WorkerError(f"{path} cannot be tried in another process: {error.strerror}.") from error
-        if process.returncode < 0:
-            raise ArchiveError(f"{path} is damaged: the netCDF library crashes on it.")
-        if process.returncode:
-            raise WorkerError(f"{path} cannot be tried in another process: that ended with {process.returncode}.")
+    path, size = paths[0], sum(size_of(path) for path in paths)
+    command = [sys.executable, "-P", "-m", "pipeline.archive.read", *map(str, paths)]
+    try:
+        null = subprocess.DEVNULL
+        with subprocess.Popen(command, stdin=null, stdout=null, stderr=null, env=environment) as process:
+            try:
+                _wait(process, _TIMEOUT + size / _MIN_SPEED)
+            finally:
+                process.kill()
+    except TimeoutError as error:
+        raise ArchiveError(f"{path} is damaged: the netCDF library hangs on it.") from error
+    except OSError as error:
+        raise WorkerError(f"{path} cannot be tried in another process: {error.strerror}.") from error
+    if process.returncode < 0:
+        raise ArchiveError(f"{path} is damaged: the netCDF library crashes on it.")
+    if process.returncode:
+        raise WorkerError(f"{path} cannot be tried in another process: that ended with {process.returncode}.")
 
 
 def _wait(process: subprocess.Popen[bytes], seconds: float) -> None:
@@ -335,4 +346,5 @@ def not_attempted(path: Path) -> int | None:
 
 
 if __name__ == "__main__":
-    _read_whole(Path(sys.argv[1]))
+    for _argument in sys.argv[1:]:
+        _read_whole(Path(_argument))

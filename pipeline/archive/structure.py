@@ -14,6 +14,7 @@ from pipeline import dispatch
 from pipeline.archive import layout
 from pipeline.grid.grid import MOST_POINTS, box_shape, boxes
 from pipeline.statuses import ALL_STATUSES
+from pipeline.study import slopes
 from tasks.accuracy import always
 from tasks.registry import GAITS, TASKS, VARIABLES
 
@@ -79,6 +80,7 @@ def _coordinates(file: Any) -> Iterator[str]:
     yield from (
         f"The attribute {sentence}" for sentence in _not_numbers({n: file.getncattr(n) for n in file.ncattrs()})
     )
+    tuned = json.loads(file.provenance).get("tuned", ())
     axes = {name for name in file.dimensions if name != "slope"}  # tables give the slope of what was not found, too
     for path, variable in _numbers(file):
         name, is_coordinate = variable.name, variable.dimensions == (variable.name,)
@@ -86,12 +88,12 @@ def _coordinates(file: Any) -> Iterator[str]:
         if not (is_coordinate or is_parameter or name in axes):
             continue
         values = np.ma.getdata(variable[...])
-        if not np.isfinite(values).all():
+        if not np.isfinite(values).all() and name not in tuned:  # where no walker is tuned
             yield f"`{path}` holds values that are not finite."
         elif is_coordinate and len(np.unique(values)) < values.size:
             yield f"`{path}` holds a value twice."
-        elif is_coordinate and name == "slope" and not ((values > 0) & (values < 0.5)).all():
-            yield "`slope` does not lie in (0, 0.5) rad."
+        elif is_coordinate and name == "slope" and not slopes.is_slope(values).all():
+            yield f"`slope` {slopes.BOUND}."
 
 
 def _numbers(parent: Any, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -26,7 +26,7 @@ from pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage,
 from pipeline.graph.plan import Plan
 from pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
 from pipeline.store.store import Key, Outcome
-from pipeline.study import units
+from pipeline.study import corners, units
 from tasks.registry import VARIABLES
 
 #: Reason of a line on which a curve has no starting point.
@@ -152,6 +152,7 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
             "provenance": provenance(plan),
             **({"accuracy": study.accuracy} if study.accuracy else {}),
             **attributes.of_steps(study.steps),
+            **({"walker_notes": "\n".join(notes)} if (notes := corners.notes(study)) else {}),
         },
     )
     for name, size in writer.grid.sizes.items():

@@ -20,6 +20,8 @@ from pipeline.errors import DiskFullError, GaitsweepError, StudyError, is_disk_f
 
 #: Exit codes of several studies, gravest first: the gravest is that of all.
 _EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
+#: Time for which a report says nothing [s].
+_QUIET = 2.0
 
 
 class _Parser(argparse.ArgumentParser):
@@ -103,6 +105,13 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--slope", required=True, type=kinds.number, metavar="S", help="rad")
     c.add_argument(
         "--set", action=kinds.Settings, type=kinds.setting, default={}, metavar="KEY=VALUE", help="a walker key"
+    )
+    c.add_argument(
+        "--tuned",
+        action="append",
+        default=[],
+        metavar="KEY",
+        help="a key changed by least so that the walker meets the static conditions",
     )
     _add_accuracy(c)
     c.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
@@ -287,6 +296,27 @@ def _status(options: argparse.Namespace) -> int:
     return 0
 
 
+@contextlib.contextmanager
+def _pages_counted(total: int) -> Iterator[Callable[[int], None]]:
+    """Show how many pages of a report are made, if it takes long."""
+    begin = said = time.monotonic()
+    shown = False
+
+    def tell(made: int) -> None:
+        nonlocal said, shown
+        now = time.monotonic()
+        if now - begin > _QUIET and now - said > (0.5 if terminal.is_terminal() else 10):
+            said, shown = now, terminal.is_terminal()
+            text = f"{made} of {total} pages, {(now - begin) / made * (total - made):.0f} s to go"
+            terminal.say(f"\r\033[K{text}" if shown else text, end="" if shown else "\n")
+
+    try:
+        yield tell
+    finally:
+        if shown:
+            terminal.say("\r\033[K", end="")
+
+
 def _report(options: argparse.Namespace) -> int:
     from pipeline.archive import read
 
@@ -294,12 +324,18 @@ def _report(options: argparse.Namespace) -> int:
     for path in options.archives:
         with read.open_archive(path):
             pass
-    from pipeline.report import pages
-
+    # Asked whether an array is one of dask's, xarray would import dask.array, and so half of SciPy: a second a process.
+    no_dask = sys.modules.setdefault("dask.array", None) is None  # type: ignore[arg-type]
     try:
-        index = pages.write(options.archives, options.out, options.only)
+        from pipeline.report import pages
+
+        with _pages_counted(len(options.archives)) as tell:
+            index = pages.write(options.archives, options.out, options.only, tell)
     except OSError as error:
         raise unwritten(options.out, error) from error
+    finally:
+        if no_dask:
+            del sys.modules["dask.array"]
     print(index)
     if options.open:
         import webbrowser
@@ -313,7 +349,8 @@ def _solve(options: argparse.Namespace) -> int:
     from pipeline.study.single_point import solve
 
     slope = math.radians(options.slope) if options.degrees else options.slope
-    answer = solve(options.walker, slope, options.set, options.all, options.steps, options.accuracy, options.limit)
+    asked = options.all, options.steps, options.accuracy, options.limit, options.tuned
+    answer = solve(options.walker, slope, options.set, *asked)
     for line in answer.get("search", []):
         terminal.say(line)
     if options.degrees and answer.get("search"):

@@ -19,7 +19,7 @@ _gaitsweep() {{
   esac
   case "$before" in
     --walker) words="{walkers}";;
-    --free) words="{keys}";;
+    --free|--tuned) words="{keys}";;
     --set) words="{settings}"; compopt -o nospace 2>/dev/null;;
   esac
   COMPREPLY=($(compgen -W "$words" -- "$word"))
@@ -38,7 +38,7 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
     """Completion script for a shell, "bash" or "zsh"."""
     (commands,) = (a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))
     walkers = list(dispatch.resolve("tasks.walkers.catalogue:CATALOGUE"))
-    keys = dispatch.resolve("tasks.walkers.walker:NUMBERS")
+    keys, one_link = (dispatch.resolve(f"tasks.walkers.walker:{name}") for name in ("NUMBERS", "ONE_LINK"))
     words = {name: [*_options(command), *_choices(command)] for name, command in commands.items()}
     words["walkers"] += walkers
     text = _BASH.format(
@@ -47,7 +47,7 @@ def script(parser: argparse.ArgumentParser, shell: str) -> str:
         cases="\n".join(f'    {name}) words="{" ".join(names)}";;' for name, names in words.items()),
         walkers=" ".join(walkers),
         keys=" ".join(keys),
-        settings=" ".join(f"{key}=" for key in (*keys, *EXTRA_AXES[1:], "knees")),
+        settings=" ".join(f"{key}=" for key in (*keys, *one_link, *EXTRA_AXES[1:], "knees")),
     )
     return text if shell == "bash" else _ZSH + text.partition("\n")[2]
 

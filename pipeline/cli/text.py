@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import itertools
 import json
 import math
 import shlex
@@ -12,12 +11,11 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from pipeline import dispatch
 from pipeline.engine.progress import duration, last_state, sentence
 from pipeline.graph.plan import Plan, Summary
 from pipeline.grid import costs
 from pipeline.paths import sidecar_path
-from pipeline.study.model import Study
+from pipeline.study import corners
 from tasks.registry import FITS, VARIABLES
 
 #: Units in degrees for those in radians; a rate of a walker in consistent units has the unit 1.
@@ -42,21 +40,9 @@ def plan(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
     every = sum(counts.todo["points"].values()) if "points" in counts.todo else 0
     if (integrated := costs.integrated(planned.study, every)) < every:
         yield f"  integrated: about {integrated:,} points to an accuracy of {planned.study.accuracy:g}, all others not"
-    yield from (f"  note: {sentence}" for sentence in notes(planned.study))
+    yield from (f"  note: {sentence}" for sentence in corners.notes(planned.study))
     yield f"  not wanted: {', '.join(_omitted(planned)) or 'nothing'}"
     yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
-
-
-def notes(study: Study) -> list[str]:
-    """What a user may not know of the walkers of a study: keys that move a tuned one off the static conditions."""
-    corners = itertools.product(*(sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes))
-    every = [
-        {"walker": walker, "set": dict(zip((a.name for a in study.line_axes), corner, strict=True))}
-        for corner in itertools.islice(corners, 256)
-        for walker in study.walkers
-    ]
-    sentences = {str(line["walker"]): sentence for line in every if (sentence := dispatch.ask("untuned", line))}
-    return list(sentences.values())
 
 
 def plan_record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:

@@ -85,7 +85,7 @@ class Progress:
             self.done["atlas"] += details.get("lines", 0)
             if event == "chunk" and n:
                 place = details.pop("place", 0)
-                self.measured[place] = self.measured.get(place, np.zeros(2)) + (n, details["seconds"])
+                self.measured[place] = self.measured.get(place, np.zeros(2)) + np.array([n, details["seconds"]])
             self.counts.update(details.get("counts", {}))
             if details.get("lost"):
                 self.done["points"] += details["lost"]

@@ -340,12 +340,11 @@ def walkers(source: Source) -> Table | None:
     tables = source.walkers
     if not tables:
         return None
-    given = {
-        axis: _axis_values(source.grid[axis].values) for axis in source.varied.values() if axis in source.grid.coords
-    }
+    names = dict.fromkeys(axis for axes in source.varied.values() for axis in axes)
+    given = {axis: _axis_values(source.grid[axis].values) for axis in names if axis in source.grid.coords}
     moved = {
-        key: given.get(axis, Cell("varied")) if axis == key else Cell(f"by {axis}")
-        for key, axis in source.varied.items()
+        key: given.get(key, Cell("varied")) if key in axes else Cell(f"by {', '.join(axes)}")
+        for key, axes in source.varied.items()
     }
     keys = list(dict.fromkeys(key for table in tables.values() for key in table))
     rows = [[Cell(key), *(moved.get(key) or cell(table.get(key, "–")) for table in tables.values())] for key in keys]

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import csv
 import fcntl
 import hashlib
+import io
 import multiprocessing
 import os
+import pickle
 import re
 import threading
-from collections.abc import Iterable, Iterator
-from concurrent import futures
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +110,9 @@ class Page:
         }
 
 
-def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
+def write(
+    archives: Iterable[Path], out: Path, only: bool = False, tell: Callable[[int], object] = lambda made: None
+) -> Path:
     """Write the report of some archives into a folder: their pages, and the index and ledger of all pages there.
 
     Parameters
@@ -119,6 +124,8 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
         reported again replaces them.
     only : bool
         Delete the other pages of earlier reports.
+    tell : callable
+        Told the number of pages made, after each.
 
     Returns
     -------
@@ -135,7 +142,7 @@ def write(archives: Iterable[Path], out: Path, only: bool = False) -> Path:
     sources = [read(Path(archive)) for archive in archives]
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    pages = _in_processes(sources, _slugs(sources))
+    pages = _in_processes(sources, _slugs(sources), tell)
     with _locked(out):
         _combine(_environment(), out, pages, only)
     return out / "index.html"
@@ -148,18 +155,72 @@ def _make(source: Source, slug: str) -> tuple[str, dict[str, str]]:
         return _study(_environment(), page), page.files
 
 
-def _in_processes(sources: list[Source], slugs: list[str]) -> dict[str, tuple[str, dict[str, str]]]:
-    """What `_make` gives for each source, by slug; pages depend on no other, so every core makes some."""
+def _in_processes(
+    sources: list[Source], slugs: list[str], tell: Callable[[int], object]
+) -> dict[str, tuple[str, dict[str, str]]]:
+    """What `_make` gives for each source, by slug; pages depend on no other, so every core makes some.
+
+    Processes are forked one for each few pages and only write to a pipe: what one does not deliver, for lack of memory
+    or in error, is made here, where the error is raised.
+    """
+    made: dict[str, tuple[str, dict[str, str]]] = {}
     workers = min(_MAX_PROCESSES, len(os.sched_getaffinity(0)), len(sources))
     if workers > 1 and threading.active_count() == 1:  # a fork keeps the locks that other threads hold
-        fork = multiprocessing.get_context("fork")
-        # A system may have no semaphores, or no room for another process.
-        with (
-            contextlib.suppress(OSError, futures.BrokenExecutor),
-            futures.ProcessPoolExecutor(workers, fork) as pool,
-        ):
-            return dict(zip(slugs, pool.map(_make, sources, slugs), strict=True))
-    return dict(zip(slugs, map(_make, sources, slugs), strict=True))
+        _environment()
+        size = -(-len(sources) // (16 * workers))
+        parts = [list(zip(sources, slugs, strict=True))[k : k + size] for k in range(0, len(sources), size)]
+        with contextlib.suppress(OSError):  # no room for another process
+            for slug, page in _forked(parts, workers):
+                made[slug] = page
+                tell(len(made))
+    for source, slug in zip(sources, slugs, strict=True):
+        if slug not in made:
+            made[slug] = _make(source, slug)
+            tell(len(made))
+    return {slug: made[slug] for slug in slugs}
+
+
+def _forked(parts: list[list[tuple[Source, str]]], workers: int) -> Iterator[tuple[str, tuple[str, dict[str, str]]]]:
+    """Yield pages, with their slugs, as processes make them, each one part of the pages."""
+    fork = multiprocessing.get_context("fork")
+    running: dict[Any, multiprocessing.process.BaseProcess] = {}
+    waiting = parts[::-1]
+    try:
+        while waiting or running:
+            while waiting and len(running) < workers:
+                receiver, sender = fork.Pipe(duplex=False)
+                process = fork.Process(target=_deliver, args=(waiting.pop(), sender, [*running, receiver]), daemon=True)
+                process.start()
+                sender.close()
+                running[receiver] = process
+            ready: list[Any] = connection.wait(list(running))
+            for end in ready:
+                try:
+                    yield end.recv()
+                except (EOFError, pickle.UnpicklingError):
+                    running.pop(end).join()
+                    end.close()
+    finally:
+        for end, maker in running.items():
+            maker.terminate()
+            maker.join()
+            end.close()
+
+
+def _deliver(
+    part: list[tuple[Source, str]], sender: connection.Connection, receivers: list[connection.Connection]
+) -> None:
+    """Make some pages in a process of their own, and send each; on an error it ends without a word.
+
+    The ends at which its parent receives are closed here, so that it does not wait for one that was killed.
+    """
+    try:
+        for receiver in receivers:
+            receiver.close()
+        for source, slug in part:
+            sender.send((slug, _make(source, slug)))
+    finally:
+        os._exit(0)
 
 
 @contextlib.contextmanager
@@ -242,9 +303,11 @@ def _page(source: Source, slug: str) -> Page:
         wanted.append("residuals")
     if "overlay" in source.tables and "measured" not in wanted:
         wanted.append("measured")
-    drawn = {name: draw(source, name, slug) for name in wanted}
-    drawings = [drawing for drawing in drawn.values() if drawing is not None]
-    undrawn = [name for name in source.figures if drawn[name] is None]
+    drawings: list[Drawing] = []
+    for name in wanted:
+        drawing = draw(source, name, slug, small=not drawings)  # the index shows the first
+        drawings += [drawing] if drawing else []
+    undrawn = [name for name in source.figures if name not in [drawing.name for drawing in drawings]]
     tables = {
         "landmarks": html_tables.landmarks(source),
         "residuals": html_tables.residuals(source),
@@ -321,6 +384,7 @@ def _thumbnails(entries: list[entry.Entry]) -> dict[str, str]:
     return thumbnails
 
 
+@cache
 def _environment() -> jinja2.Environment:
     """Templates that escape everything; a page runs no script but the report's own.
 
@@ -371,9 +435,20 @@ def _tightened(line: str) -> str:
 
 def _csv(frame: pd.DataFrame) -> str:
     """A frame as CSV; words that a spreadsheet would evaluate as a formula are quoted."""
-    words = frame.select_dtypes(exclude="number")
-    safe = frame.assign(**{c: [f"'{v}" if str(v)[:1] in ("=", "+", "-", "@") else v for v in words[c]] for c in words})
-    return safe.to_csv(index=False, lineterminator="\n")
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(frame.columns)
+    writer.writerows(zip(*(_entries(column) for _, column in frame.items()), strict=True))
+    return text.getvalue()
+
+
+def _entries(column: pd.Series) -> list[Any]:
+    """What a column has in a CSV file: nothing where its number or word is missing."""
+    entries = column.to_numpy(object, copy=True)
+    entries[column.isna().to_numpy()] = ""
+    if column.dtype.kind in "iuf":
+        return list(entries)
+    return [f"'{entry}" if str(entry)[:1] in ("=", "+", "-", "@") else entry for entry in entries]
 
 
 def _publish(path: Path, text: str) -> None:

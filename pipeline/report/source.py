@@ -8,7 +8,7 @@ import math
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -58,6 +58,13 @@ _AS_STORED = {"mask_and_scale": False, "decode_times": False}
 def print_units(units: str) -> str:
     """CF units as they are written in print: `m s-1` becomes m s⁻¹, and `1` nothing."""
     return "" if units == "1" else units.translate(SUPERSCRIPTS)
+
+
+class _Shared(dict[str, str]):
+    """Words on the columns of a frame, which pandas copies with every column that is read unless they are shared."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Shared:
+        return self
 
 
 @dataclass(frozen=True)
@@ -187,10 +194,16 @@ class Source:
         return {name: dict(w) for name, w in zip(named, stored, strict=False) if isinstance(w, dict)}
 
     @property
-    def varied(self) -> dict[str, str]:
-        """Walker keys that the study varies, and the axis that changes each."""
+    def notes(self) -> list[str]:
+        """Sentences on the study's walkers."""
+        return str(self.grid.attrs.get("walker_notes", "")).splitlines()
+
+    @property
+    def varied(self) -> dict[str, tuple[str, ...]]:
+        """Walker keys that the study varies, and the axes that change each; earlier archives name one axis alone."""
         axes = self.provenance.get("varied")
-        return {str(key): str(axis) for key, axis in axes.items()} if isinstance(axes, dict) else {}
+        each = {key: [own] if isinstance(own, str) else own for key, own in dict(axes or {}).items()}
+        return {str(key): tuple(map(str, own)) for key, own in each.items()}
 
     @property
     def walker(self) -> str:
@@ -200,14 +213,24 @@ class Source:
     def parameters(self, walker: str, settings: dict[str, Any]) -> dict[str, Any]:
         """Parameters of a line's walker, as far as the archive holds them, with those that its axes change."""
         table = {**self.walkers.get(walker, self.walkers.get(self.walker, {})), **settings}
-        for key, axis in self.varied.items():
+        for key, axes in self.varied.items():
             column = self.grid.get(key)
-            if key != axis and column is not None and axis in settings and axis in column.coords:
-                near = column.sel({axis: settings[axis]}, method="nearest")
+            if key not in axes and column is not None and all(a in settings and a in column.coords for a in axes):
+                near = column.sel({axis: settings[axis] for axis in axes}, method="nearest")
                 if "walker" in near.dims:
                     near = near.isel(walker=list(self.walkers).index(walker))
                 table[key] = float(near) if near.ndim == 0 else table.get(key)
         return table
+
+    def moved(self, walker: str, settings: Mapping[str, float], key: str, axes: Sequence[str]) -> np.ndarray:
+        """Values of a walker's key that some axes change, each in its rising order, the last axis first to change."""
+        column = self.grid[key]
+        if "walker" in column.dims:
+            column = column.isel(walker=list(self.walkers).index(walker))
+        at = {name: value for name, value in settings.items() if name in column.dims and name not in axes}
+        column = column.sel(at).transpose(*axes)
+        order = [np.argsort(self.grid[axis].values) for axis in axes]
+        return np.asarray(column.values[np.ix_(*order)]).ravel()
 
     @property
     def axes(self) -> list[str]:
@@ -256,6 +279,8 @@ class Source:
         words = ["gaitsweep", "solve", "--walker", walker]
         for key, value in overrides.items():
             words += ["--set", f"{key}={value!r}" if isinstance(value, float) else f"{key}={value}"]
+        tuned = self.study.get("options", {}).get("tuned", ())
+        words += [word for key in tuned for word in ("--tuned", str(key))]
         words += ["--steps", str(self.steps)] if self.steps > 1 else []
         return shlex.join(words)
 
@@ -334,8 +359,8 @@ def _table(dataset: xr.Dataset, grid: xr.Dataset) -> pd.DataFrame:
         columns = {str(k): v.values for k, v in variables.items() if v.ndim == 1}
         rows = max((len(v) for v in columns.values()), default=0)
         frame = pd.DataFrame({k: v for k, v in columns.items() if len(v) == rows})
-    frame.attrs["units"] = {str(k): str(v.attrs.get("units", "")) for k, v in variables.items()}
-    frame.attrs["meanings"] = {str(k): str(v.attrs.get("long_name", "")) for k, v in variables.items()}
+    frame.attrs["units"] = _Shared({str(k): str(v.attrs.get("units", "")) for k, v in variables.items()})
+    frame.attrs["meanings"] = _Shared({str(k): str(v.attrs.get("long_name", "")) for k, v in variables.items()})
     return frame
 
 

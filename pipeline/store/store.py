@@ -166,7 +166,12 @@ class Store:
     def result(self, key: str) -> bytes | None:
         """Packed result of a task; None if it has none, or failed."""
         outcome = self.outcome(key)
-        return self.get(key)[1] if outcome and outcome.status == "ok" else None
+        if outcome is None or outcome.status != "ok":
+            return None
+        data = self.get(key)[1]
+        with self.reading():
+            serialize.load(data)
+        return data
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:

@@ -36,6 +36,18 @@ def check_walkers(study: Study, top: Location) -> Study:
     return study
 
 
+def notes(study: Study) -> list[str]:
+    """What a user may not know of the walkers of a study: keys that move a tuned one off the static conditions."""
+    corners = itertools.product(*(sorted({float(a.values[0]), float(a.values[-1])}) for a in study.line_axes))
+    every = [
+        {"walker": walker, "set": dict(zip((a.name for a in study.line_axes), corner, strict=True))}
+        for corner in itertools.islice(corners, 256)
+        for walker in study.walkers
+    ]
+    sentences = {str(line["walker"]): sentence for line in every if (sentence := dispatch.ask("untuned", line))}
+    return list(sentences.values())
+
+
 def _fault(walker: str | dict[str, Any], values: dict[str, float], error: ValueError, top: Location) -> Location:
     """Place of what is wrong with a walker at values of the axes: the walker, the one axis at fault, or the axes."""
     key = getattr(error, "key", "walker")

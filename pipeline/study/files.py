@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +78,14 @@ def walker(
             return table
         table, folder = _walker_file(table, folder, location, number)
     raise location.error(f"{clip(str(table))} is based on more than {_MAX_BASES} other files")
+
+
+def retuned(value: str | dict[str, Any], keys: str | Sequence[str]) -> str | dict[str, Any]:
+    """A walker of which some keys, if any, are changed by least so that it meets the static conditions."""
+    if not keys:
+        return value
+    names = [keys] if isinstance(keys, str) else list(keys)
+    return {**({"base": value} if isinstance(value, str) else value), "tuned": names}
 
 
 def _walker_file(

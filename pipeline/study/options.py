@@ -105,10 +105,13 @@ def _check(value: Any, what: str, axes: tuple[str, ...], place: Location) -> Non
             raise place.wrong(bound, value)
     if what == "range" and not (_pair(value) and place.number(value[0]) < place.number(value[1])):
         raise place.wrong("must be two increasing numbers", value)
-    names = {"gait": GAITS, "key": tuple(a for a in axes if a != "slope"), "kinds": FOLLOWED}.get(what, ())
+    keys = tuple(a for a in axes if a != "slope")
+    names = {"gait": GAITS, "key": keys, "kinds": FOLLOWED, "keys": keys}.get(what, ())
     if what == "kinds" and (not isinstance(value, list) or not value):
         raise place.wrong(f"must be a list of {', '.join(FOLLOWED)}", value)
-    for name in value if what == "kinds" else [value] if names else []:
+    if what == "keys" and not isinstance(value, list):
+        raise place.wrong("must be a list of keys of a walker", value)
+    for name in value if what in ("kinds", "keys") else [value] if names else []:
         if name not in names:
             raise place.unknown(str(name), names)
 

@@ -19,7 +19,7 @@ import numpy as np
 from pipeline import dispatch
 from pipeline.study import options, overlay, slopes, units
 from pipeline.study.corners import check_walkers
-from pipeline.study.files import read_toml, walker
+from pipeline.study.files import read_toml, retuned, walker
 from pipeline.study.location import Location
 from pipeline.study.model import Axis, Limits, Study
 from tasks import accuracy as accuracies
@@ -30,6 +30,7 @@ from tasks.registry import CLAIMS, COSTLY, FIGURES, GAITS, NEEDED_KINDS, TASKS, 
 _INTERNAL_TASKS = ("atlas", "points", "trace", *registry.FITS)
 #: Axes that are not keys of a walker.
 EXTRA_AXES = ("slope", "foot_mass_ratio", "detuning")
+_ONE_LINK = "tasks.walkers.walker:ONE_LINK"
 #: Largest axis and grid; anything above is taken for a mistake.
 _MAX_VALUES, MAX_POINTS = 10_000_000, 10**12
 _MAX_DIGITS = 15  # decimals of a linear axis
@@ -108,6 +109,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
     want: dict[str, Any] = dict(_want(table.get("want", {}), kind, asked, top.at("want")))
     axes, tolerance = _axes(table.get("axes"), top.at("axes"), kind)
     chosen = options.check(table.get("options", {}), kind, _axis_keys(), top.at("options"))
+    tuned = chosen.pop("tuned", ())
     walkers = _walkers(table.get("walker"), path, top.at("walker"))
     listed = isinstance(table.get("walker"), list)
     study = Study(
@@ -120,7 +122,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
         names=tuple(table["walker"] if listed else (w if isinstance(w, str) else "walker" for w in walkers)),
         gaits=tuple(g for g in GAITS if g in gaits),
         limits=_limits(table, top),
-        walkers=walkers,
+        walkers=tuple(retuned(each, tuned) for each in walkers),
         axes=axes,
         accuracy=asked,
         **want,
@@ -203,7 +205,7 @@ def _walkers(value: object, path: Path, location: Location) -> tuple[str | dict[
 
 def _axis_keys() -> tuple[str, ...]:
     """Names that an axis may have."""
-    return (*EXTRA_AXES, *dispatch.resolve("tasks.walkers.walker:NUMBERS"))
+    return (*EXTRA_AXES, *dispatch.resolve("tasks.walkers.walker:NUMBERS"), *dispatch.resolve(_ONE_LINK))
 
 
 def _axes(value: object, location: Location, kind: str) -> tuple[tuple[Axis, ...], float]:

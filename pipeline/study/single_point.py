@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ def solve(
     steps: int = 1,
     asked: float | None = None,
     limits: Mapping[str, float] | None = None,
+    tuned: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Find the gaits of a walker at one slope.
 
@@ -40,6 +41,8 @@ def solve(
         Largest error bound wanted.
     limits : mapping, optional
         Limits of violations, by name.
+    tuned : sequence of str
+        Keys changed by least so that the walker meets the static conditions.
 
     Returns
     -------
@@ -57,7 +60,7 @@ def solve(
         raise Location("", "steps").wrong(f"must be a whole number from 1 to {MAX_STEPS}", steps)
     if every and steps > 1:
         raise Location("", "steps").wrong("must be 1 for gaits whose legs pass more than once", steps)
-    walker = files.walker(definition, Path())
+    walker = files.retuned(files.walker(definition, Path()), tuned)
     params = {"walker": walker, "slope": slope, "set": dict(keys), "all": every, "steps": steps}
     if limits:
         params["violation_limits"] = violation_limits(limits, Location(""))

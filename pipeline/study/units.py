@@ -15,5 +15,5 @@ def is_si(study: Study) -> bool:
 def axis_units(name: str, is_si: bool) -> str:
     """CF units of an axis, for walkers in SI (`is_si`) or in consistent units."""
     kind = {"slope": "angle", "foot_mass_ratio": "number", "detuning": "number"}.get(name)
-    kind = kind or resolve("tasks.walkers.walker:KEYS")[name]
+    kind = kind or {**resolve("tasks.walkers.walker:KEYS"), **resolve("tasks.walkers.walker:ONE_LINK")}[name]
     return SI_UNITS.get(kind, "1") if kind == "angle" or is_si else "1"

@@ -220,10 +220,16 @@ def _with_folds(branch: Branch) -> Procedure[Branch]:
     return branch
 
 
+#: Initial guesses of a survey, whose number depends on whether there are knees alone.
+_GUESSES: dict[bool, int] = {}
+
+
 def searched(walker: Walker) -> str:
     """Describe how many initial guesses a survey of the walker's line uses, and where."""
-    guesses = sum(w.shape[1] for w in starts(walker, ANCHORS, _SHARES))
-    return f"{guesses} initial guesses at {len(ANCHORS)} slopes from {min(ANCHORS):g} to {max(ANCHORS):g}"
+    if walker.knees not in _GUESSES:
+        _GUESSES[walker.knees] = sum(w.shape[1] for w in starts(walker, ANCHORS, _SHARES))
+    where = f"{len(ANCHORS)} slopes from {min(ANCHORS):g} to {max(ANCHORS):g}"
+    return f"{_GUESSES[walker.knees]} initial guesses at {where}"
 
 
 def survey(problem: Problem, tolerance: float = FINE) -> list[Branch]:

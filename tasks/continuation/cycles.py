@@ -36,6 +36,8 @@ _NEWTON = engine.Newton(max_iterations=15, max_step=0.3, small=1e-12, shrinking=
 #: Newton step that is rounding.
 _ROUNDING_STEP = 2e-16
 MAX_POINTS = 400
+#: Rates at the start of a step.
+RATES = ("stance_rate", "thigh_rate", "shank_rate")
 #: Distance from a root at which it is located, over the distance of the points between which it lies.
 _LOCATED = 3e-13
 Test = Callable[["Cycle"], float]
@@ -327,6 +329,19 @@ def flip_test(cycle: Cycle) -> float:
 def fold_test(cycle: Cycle) -> float:
     """Test function that is zero at a fold in slope, for tangents that point along the branch."""
     return float(cycle.tangent[-1])
+
+
+def largest(problem: Problem, cycle: Cycle) -> dict[str, float]:
+    """Stance angle and rates of the step of a gait with the largest stance angle, in the walker's units.
+
+    Parameters
+    ----------
+    problem : Problem
+    cycle : Cycle
+    """
+    k, time_unit = int(cycle.Y[0].argmax()), np.sqrt(problem.walker.leg / problem.walker.g)
+    rates = problem.start(cycle.Y[:, [k]], np.array([cycle.slope]))[1:, 0] / time_unit
+    return {"stance_angle": float(cycle.Y[0, k]), **dict(zip(RATES, rates.tolist(), strict=True))}
 
 
 class Path:

@@ -210,6 +210,7 @@ SCALARS: dict[str, Callable[[Evaluation], np.ndarray]] = {
     "end_kneestrike_at_heelstrike": lambda at: at.Z[-1] - at.Z[at.m + 1],
     "end_tangential_heelstrike": lambda at: at.stride.closing[-1] / at.stride.y[0],
     "end_tangential_kneestrike": lambda at: at.stride.closing[0] / at.stride.y[0],
+    "foot_at_kneestrike": lambda at: (at.stride.knee[0] + at.stride.knee[1]) / at.stride.y[0],
     "release_hyperextension": lambda at: (at.stride.start[4] - at.stride.start[5]) / at.stride.y[0],
     "fastest": _speed_maximum,
     "label": lambda at: gait_ratio(at.stride) - 0.5,

@@ -6,6 +6,8 @@ tangential or an earlier strike occurs; and the hyperextension of the released k
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from tasks.continuation.branch import LOST, Branch
@@ -16,6 +18,8 @@ from tasks.continuation.tracking import Point, branch_point_determinant, correct
 from tasks.fixed_points.rounding import rounding
 from tasks.step.problem import EPS, Problem
 
+#: Height of the foot at kneestrike, in angles of order one, that is rounding.
+_ON_GROUND = 1e-12
 #: Points from which the slope of vanishing steps is extrapolated, and how far they reach, over the first's distance.
 _EXTRAPOLATION_POINTS, _EXTRAPOLATION_SPAN = 10, 3.0
 
@@ -46,14 +50,15 @@ def _release_rate(point: Point) -> np.ndarray:
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore")
-def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | str]]:
+def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
     """Locate every special point of a branch, in order along it, its ends included.
 
     Returns
     -------
     list of dict
-        `kind`, `slope` [rad], `stance_angle` [rad], `period` [sqrt(leg/g)], `error_bound` (relative, of the slope), and
-        `place`: the number of its node, or a number between those of its neighbours.
+        `kind`, `slope` [rad], `stance_angle` [rad], `rates` of stance leg, thigh and shank [sqrt(g/leg)], `period`
+        [sqrt(leg/g)], `error_bound` (relative, of the slope), and `place`: the number of its node, or a number between
+        those of its neighbours.
     """
     m = branch.m
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
@@ -71,7 +76,7 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, float | s
     }
     if problem.phases == 2:
         tests["release_hyperextension"] = (_release_rate(nodes), lambda p, w: float(_release_rate(p)[0]))
-    records: list[tuple[float, dict[str, float | str]]] = []
+    records: list[tuple[float, dict[str, Any]]] = []
     crossed: list[tuple[str, int, Procedure[tuple[Point, np.ndarray]]]] = []
     for kind, (values, test) in tests.items():
         crosses = np.sign(values[1:]) != np.sign(values[:-1])
@@ -134,7 +139,8 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
         for k in range(1, len(x)):
             row = (x[k:] * row[:-1] - x[:-k] * row[1:]) / (x[k:] - x[:-k])
             values = np.append(values, row[0])
-        left = float(np.ptp(values[-3:]) / values[-1])
+        # Rounding, which extrapolation enlarges, may be alike in the last three: they were up to 3.6 times as far off.
+        left = 4 * float(np.ptp(values[-3:]) / values[-1])
     return {"slope": float(values[-1]), "error_bound": 4 * left + 8 * EPS}
 
 
@@ -151,9 +157,25 @@ def _is_genuine(kind: str, point: Point) -> bool:
     return True
 
 
-def _record(kind: str, problem: Problem, point: Point, lane: int, error: float = 0.0) -> dict[str, float | str]:
+def _strikes_with_knee(point: Point, lane: int) -> bool:
+    """Whether the foot is on the ground at kneestrike, where its height has a corner, and not in a smooth minimum."""
+    knee = point.stride.knee
+    return len(knee) > 0 and bool(abs(knee[0, lane] + knee[1, lane]) < _ON_GROUND)
+
+
+def rates_at(problem: Problem, point: Point, lane: int) -> tuple[float, ...]:
+    """Rates of stance leg, thigh and shank at the start of a point's step [sqrt(g/leg)]."""
+    X = point.X[:, [lane]]
+    angle = np.exp(X[:1])
+    stance, thigh, shank = problem.start(np.vstack([angle, angle * X[1 : problem.m]]), np.exp(X[problem.m]))[1:, 0]
+    return float(stance), float(thigh), float(shank)
+
+
+def _record(kind: str, problem: Problem, point: Point, lane: int, error: float = 0.0) -> dict[str, Any]:
     if kind == "fold":
         error = fold_error(point, lane)
+    elif kind == "end_earlier_strike" and _strikes_with_knee(point, lane):
+        error += slope_error(problem, "foot_at_kneestrike", point.Z[:, lane])
     elif kind in SCALARS and kind != "window":
         error += slope_error(problem, kind, point.Z[:, lane])
     else:
@@ -162,6 +184,7 @@ def _record(kind: str, problem: Problem, point: Point, lane: int, error: float =
         "kind": kind,
         "slope": float(np.exp(point.X[problem.m, lane])),
         "stance_angle": float(np.exp(point.X[0, lane])),
+        "rates": rates_at(problem, point, lane),
         "period": float(point.times[-1, lane]),
         "error_bound": error + 8 * EPS,
     }

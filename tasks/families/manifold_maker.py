@@ -15,7 +15,7 @@ from tasks.families.patch import fit, tails
 from tasks.fixed_points.multipliers import other_multipliers
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Lanes
-from tasks.walkers.tuning import leg_moment
+from tasks.walkers.statics import leg_moment
 from tasks.walkers.walker import WalkerError
 
 #: Nodes along each key, those with which coordinates are compared, and the error of predictions below which no more are

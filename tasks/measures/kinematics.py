@@ -27,6 +27,10 @@ def step_length(walker: Walker, angle: np.ndarray, end: np.ndarray | None = None
     return np.asarray(halves[0] + halves[1])
 
 
+#: What `travel` computes.
+TRAVEL = ("step_frequency", "speed", "froude_speed", "cost_of_transport", "power")
+
+
 def travel(
     walker: Walker, slope: np.ndarray, length: np.ndarray, period: np.ndarray, steps: int = 1
 ) -> dict[str, np.ndarray]:
@@ -52,10 +56,6 @@ def travel(
     speed = steps * length / period
     cost = np.broadcast_to(np.sin(slope), speed.shape)
     weight = walker.total_mass * walker.g
-    return {
-        "step_frequency": steps / period,
-        "speed": speed,
-        "froude_speed": speed / np.sqrt(walker.g * walker.leg),
-        "cost_of_transport": np.where(np.isfinite(speed), cost, np.nan),
-        "power": weight * speed * cost,
-    }
+    froude_speed, where_walking = speed / np.sqrt(walker.g * walker.leg), np.where(np.isfinite(speed), cost, np.nan)
+    values = steps / period, speed, froude_speed, where_walking, weight * speed * cost
+    return dict(zip(TRAVEL, values, strict=True))

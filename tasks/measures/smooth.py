@@ -11,7 +11,7 @@ import numpy as np
 
 from tasks import status
 from tasks.measures.gaits import Arrays, measured_multipliers, without_knees
-from tasks.measures.kinematics import step_length, travel
+from tasks.measures.kinematics import TRAVEL, step_length, travel
 from tasks.measures.losses import velocity_ratio
 from tasks.variables import VARIABLES
 from tasks.walkers.walker import Walker
@@ -104,7 +104,7 @@ class Smooth:
             names.add("thigh_rate")
         if "velocity_ratio" in want:
             names.add(_RATIO)
-        if {"kneestrike_time", "step_frequency", "speed", "froude_speed", "power", "cost_of_transport"} & set(want):
+        if {"kneestrike_time", *TRAVEL} & set(want):  # a kneestrike's time is a share of the period
             names.add("period")
         return [k for k, name in enumerate(self.names) if name in names]
 

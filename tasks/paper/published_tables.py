@@ -13,7 +13,7 @@ from tasks.paper.lines import LONG, SHORT, line, memoize
 from tasks.paper.point_feet import speed_crossing
 from tasks.paper.rounding_intervals import LANDMARKS, interval
 from tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
-from tasks.walkers.tuning import statics
+from tasks.walkers.statics import statics
 from tasks.walkers.walker import NUMBERS
 
 Columns = dict[str, np.ndarray]

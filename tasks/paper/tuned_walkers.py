@@ -12,7 +12,7 @@ from tasks.paper.claim import ClaimResult, claim, verdict
 from tasks.paper.lines import LONG, SHORT, Line, line, memoize, numbers
 from tasks.solve_points import atlas
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.tuning import is_tuned, statics
+from tasks.walkers.statics import is_tuned, statics
 from tasks.walkers.walker import Walker
 
 #: The compass walker of Goswami et al. 1996 [SI]: m = 5, m_h = 10, a = b = 0.5, point masses.

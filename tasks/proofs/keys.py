@@ -11,7 +11,7 @@ from flint import arb, ctx, fmpq
 
 from tasks.proofs.body import Number
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.resolve import straight
+from tasks.walkers.resolve import resolve, split, straight
 from tasks.walkers.walker import NUMBERS, WalkerError
 
 #: Bits of derived keys: more than any proof's.
@@ -23,6 +23,8 @@ Numbers = dict[str, Number]
 TUNED_TO = 4e-16
 #: Characters of a number that is read exactly, and of a zero's exponent.
 MAX_CHARACTERS, MAX_EXPONENT = 1000, 5
+#: Keys that are no numbers.
+_TEXTS = ("base", "name", "units")
 #: Keys a table may leave out.
 _DEFAULT: Numbers = {"m_h": fmpq(0), "g": fmpq(1)}
 
@@ -41,13 +43,27 @@ def check_written(numbers: Mapping[str, Any]) -> None:
         If one has too many digits, or lies below all doubles but is not zero.
     """
     for key, text in numbers.items():
-        if not isinstance(text, str) or key in ("base", "name", "units"):
+        if not isinstance(text, str) or key in _TEXTS:
             continue
         if len(text) > MAX_CHARACTERS:
             raise WalkerError(key, text, f"must have at most {MAX_CHARACTERS} characters")
         mantissa, _, exponent = text.strip().lower().partition("e")
         if float(text) == 0 and (mantissa.strip("+-0._") or len(exponent) > MAX_EXPONENT):
             raise WalkerError(key, text, "must be 0 or a number that doubles resolve")
+
+
+def in_doubles(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Walker keys whose numbers may be written as strings, in doubles.
+
+    Parameters
+    ----------
+    numbers : mapping
+
+    Returns
+    -------
+    dict
+    """
+    return {k: float(v) if isinstance(v, str) and k not in _TEXTS else v for k, v in numbers.items()}
 
 
 def decimal(value: Any) -> fmpq:
@@ -98,6 +114,9 @@ def exact(walker: str | Mapping[str, Any], overrides: Mapping[str, Any] | None =
     dict of str to fmpq or arb, bool
     """
     overrides, table = dict(overrides or {}), {} if isinstance(walker, str) else dict(walker)
+    if "tuned" in table:  # the walker tuned in doubles; the offsets that tune it best stand for those that do
+        return doubles(resolve(in_doubles(table), in_doubles(overrides)).table())
+    table, overrides = split(table, overrides)
     base = walker if isinstance(walker, str) else table.pop("base", None)
     keys, kneed = _named(base) if base is not None else (_DEFAULT, False)
     if base is None and table.get("knees") is False:

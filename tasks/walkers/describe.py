@@ -7,7 +7,7 @@ from typing import Any
 
 from tasks.walkers.catalogue import CATALOGUE, DESCRIPTIONS
 from tasks.walkers.resolve import from_catalogue, resolve
-from tasks.walkers.tuning import statics
+from tasks.walkers.statics import statics
 from tasks.walkers.walker import Walker
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from fractions import Fraction
 from typing import Any
@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.walker import KEYS, NUMBERS, Walker, WalkerError, check_number
+from tasks.walkers.statics import CONDITIONED, nearest
+from tasks.walkers.walker import KEYS, NUMBERS, ONE_LINK, Walker, WalkerError, check_number
 from tasks.walkers.walker_array import WalkerArray
 
 #: Keys of a line that set several of a walker's.
@@ -48,8 +49,12 @@ def from_table(table: Mapping[str, Any]) -> Walker:
 
 #: Keys of straight legs that are zero unless they are given.
 _ZERO_IF_STRAIGHT = ("w_t", "w_s", "eps_T")
-#: Keys of a leg of one link, and those of the thigh that they set.
-_ONE_LINK = {"m": "m_t", "c": "c_t", "w": "w_t", "r": "r_t"}
+#: Keys of a leg of one link, and those of its thigh and shank that they set; its mass and centre are the thigh's.
+_OF_LINKS = {
+    **{"m": ("m_t",), "c": ("c_t", "c_s"), "w": ("w_t", "w_s"), "r": ("r_t", "r_s")},
+    "l": ("l_t", "l_s", "c_s"),
+}
+_OF_THIGH = {key: _OF_LINKS[key][0] for key in ("m", "c", "w", "r")}
 
 
 def straight(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -58,7 +63,7 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     values : mapping
-        A `[walker]` table without `base`; `l`, `R` and `c` may be fractions.
+        A `[walker]` table without `base`; `l`, `R` and `c` may be fractions, or arrays, which are not checked.
 
     Raises
     ------
@@ -74,9 +79,9 @@ def straight(values: Mapping[str, Any]) -> dict[str, Any]:
             raise WalkerError(absent[0], ", ".join(given), "is missing from the walker")
         length, radius, centre = given.pop("l"), given.get("R", 0.0), given["c"]
         for key, value in {"l": length, "R": radius, "c": centre}.items():
-            if not isinstance(value, Fraction):
+            if not isinstance(value, Fraction | np.ndarray):
                 check_number(key, value)
-        links = {_ONE_LINK[key]: given.pop(key) for key in _ONE_LINK if key in given}
+        links = {_OF_THIGH[key]: given.pop(key) for key in _OF_THIGH if key in given}
         # The shank, without mass, has the same centre: that of the leg where its mass vanishes.
         shank = {"m_s": 0.0, "c_s": centre - length / 2, "w_s": links.get("w_t", 0.0), "r_s": links.get("r_t", 0.0)}
         halves = {"l_t": length / 2, "l_s": length / 2 + radius, **shank}
@@ -114,9 +119,11 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
     Parameters
     ----------
     walker : str or mapping
-        Name in the catalogue, or a `[walker]` table, which may hold `foot_mass_ratio` or `detuning` too.
+        Name in the catalogue, or a `[walker]` table, which may hold `foot_mass_ratio` or `detuning` too, and `tuned`,
+        keys that are changed, as little as possible, so that the walker meets the static conditions.
     overrides : mapping, optional
-        Values of walker keys, `knees`, `foot_mass_ratio` and `detuning`, in the walker's units.
+        Values of walker keys, `knees`, `foot_mass_ratio` and `detuning`, in the walker's units; for a leg of one link
+        its own keys, with the meaning that they have in its table; `R` keeps the length to the bottom of the foot.
 
     Raises
     ------
@@ -124,9 +131,11 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
         If the walker, a key or a value is invalid.
     """
     changes: dict[str, Any] = dict(overrides or {})
+    tuned: tuple[str, ...] = ()
     if isinstance(walker, Mapping):
         changes = {**{key: walker[key] for key in _DERIVED if key in walker}, **changes}
-        walker = {key: value for key, value in walker.items() if key not in _DERIVED}
+        tuned = _free_keys(walker.get("tuned", ()), changes)
+        walker, changes = split({k: v for k, v in walker.items() if k not in (*_DERIVED, "tuned")}, changes)
     result = from_catalogue(walker) if isinstance(walker, str) else from_table(walker)
     base = None if isinstance(walker, str) else walker.get("base")
     derived = {key: _number(key, changes.pop(key)) for key in _DERIVED if changes.get(key) is not None}
@@ -139,8 +148,53 @@ def resolve(walker: str | Mapping[str, Any], overrides: Mapping[str, float | boo
                 key, changes.get(key, table.get(key)), f"is set by `{owner}`, which owns {', '.join(keys)}"
             )
     numbers = {k: v for k, v in changes.items() if not (k == "knees" and isinstance(v, bool))}
+    for key in (k for k in numbers if k in ONE_LINK):
+        raise WalkerError(key, numbers[key], "is a key of a leg of one link, whose table has `l`, `m` and `c`")
     _check_names(numbers, NUMBERS, [*NUMBERS, *_DERIVED, "slope"])
-    return replace(result, **changes) if changes else result
+    result = replace(result, **changes) if changes else result
+    return _retuned(result, tuned) if tuned else result
+
+
+def split(table: Mapping[str, Any], changes: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The table of a leg of one link with changes of its own keys, and all other changes."""
+    own = [key for key in changes if is_one_link(table) and key in _OF_LINKS]
+    return (
+        {**table, **{key: changes[key] for key in own}},
+        {key: value for key, value in changes.items() if key not in own},
+    )
+
+
+def is_one_link(walker: str | Mapping[str, Any]) -> bool:
+    """Whether a walker is the table of a leg of one link."""
+    return not isinstance(walker, str) and "l" in walker and "base" not in walker and walker.get("knees") is False
+
+
+def _free_keys(tuned: Any, changes: Mapping[str, Any]) -> tuple[str, ...]:
+    """Check the keys that are to be tuned: numbers of a walker, none of which is given otherwise.
+
+    Raises
+    ------
+    WalkerError
+        If one is not.
+    """
+    if not isinstance(tuned, list | tuple) or any(key not in NUMBERS for key in tuned):
+        raise WalkerError("tuned", tuned, f"must be a list of keys of a walker ({', '.join(NUMBERS)})")
+    for key in tuned:
+        if key in changes:
+            raise WalkerError(key, changes[key], "is set by `tuned`, which changes it so that the walker is tuned")
+    return tuple(dict.fromkeys(tuned))
+
+
+def _retuned(walker: Walker, free: Sequence[str]) -> Walker:
+    """The nearest walker that meets the static conditions."""
+    values, _, found = nearest(walker, free)
+    if not found[0]:
+        raise _untunable(free)
+    return Walker(**{**walker.table(), **{key: float(value[0]) for key, value in values.items()}})
+
+
+def _untunable(free: Sequence[str]) -> WalkerError:
+    return WalkerError("tuned", ", ".join(free), "cannot meet the static conditions of vanishing slopes; add a key")
 
 
 def _number(key: str, value: Any) -> float:
@@ -195,6 +249,10 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     WalkerError
         If no walker is valid.
     """
+    table = {} if isinstance(walker, str) else dict(walker)
+    if "tuned" in table:
+        free = _free_keys(table.pop("tuned"), overrides)
+        return _retuned_many(resolve_many(table, overrides), free)
     arrays = {key: value for key, value in overrides.items() if isinstance(value, np.ndarray)}
     for own in zip(*arrays.values(), strict=True) if arrays else [()]:
         try:
@@ -205,6 +263,10 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
     else:
         raise impossible
     values: dict[str, Any] = {}
+    if is_one_link(table):
+        table, others = split({k: v for k, v in table.items() if k not in _DERIVED}, overrides)
+        values |= {key: value for key, value in straight(table).items() if isinstance(value, np.ndarray)}
+        arrays = {key: value for key, value in arrays.items() if key in others}
     for key, array in arrays.items():
         if key == "detuning":
             values |= _mixed(walker, array)
@@ -213,6 +275,20 @@ def resolve_many(walker: str | Mapping[str, Any], overrides: Mapping[str, Any]) 
         else:
             values[key] = array
     return WalkerArray(**{**first.table(), **values})
+
+
+def _retuned_many(walkers: WalkerArray, free: Sequence[str]) -> WalkerArray:
+    """The nearest walkers that meet the static conditions; NaN in keys of those that no change of them tunes.
+
+    Raises
+    ------
+    WalkerError
+        If none can be tuned.
+    """
+    values, _, found = nearest(walkers, free)
+    if not found.any():
+        raise _untunable(free)
+    return WalkerArray(**{**walkers.table(), **{k: v if len(v) > 1 else float(v[0]) for k, v in values.items()}})
 
 
 def check(params: Mapping[str, Any]) -> dict[str, Any]:
@@ -227,28 +303,41 @@ def check(params: Mapping[str, Any]) -> dict[str, Any]:
     -------
     dict
         `si` and `kneed` (bool), `multipliers` (their number), `table` (the walker before `set`), `parameters` (the
-        walker with `set`), `varied` (for each key of the walker that `set` moves, the key of `set` that does), and
-        `widths` (for each key of `set` over which gaits may be interpolated, how far in one cell at most).
+        walker with `set`), `varied` (for each key of the walker that `set` moves, the keys of `set` that do),
+        `tuned` (keys that are changed so that the walker is tuned), and `widths` (for each key of `set` over which
+        gaits may be interpolated, how far in one cell at most).
 
     Raises
     ------
     WalkerError
         If the walker, a key or a value is invalid.
     """
-    overrides = params.get("set") or {}
-    walker = resolve(params["walker"], overrides)
-    varied = {
-        key: owner for owner in overrides for key in (owned(owner, params["walker"]) if owner in _DERIVED else [owner])
-    }
+    overrides, given = params.get("set") or {}, params["walker"]
+    walker = resolve(given, overrides)
+    varied: dict[str, tuple[str, ...]] = {}
+    for owner in overrides:
+        for key in _moved_by(owner, given):
+            varied[key] = (*varied.get(key, ()), owner)
+    tuned = () if isinstance(given, str) else tuple(dict.fromkeys(given.get("tuned", ())))
+    movers = tuple(owner for owner in overrides if any(key in CONDITIONED for key in _moved_by(owner, given)))
+    varied |= dict.fromkeys(tuned, movers) if movers else {}
     return {
         "si": walker.si,
         "kneed": walker.knees,
         "multipliers": 4 if walker.knees else 3,
-        "table": resolve(params["walker"]).table(),
+        "table": resolve(given).table(),
         "parameters": walker.table(),
         "varied": varied,
+        "tuned": tuned,
         "widths": {key: width for key in overrides if (width := _cell_width(walker, key)) is not None},
     }
+
+
+def _moved_by(owner: str, walker: str | Mapping[str, Any]) -> tuple[str, ...]:
+    """Keys of a walker that a key of a line moves, those tuned apart."""
+    if owner in _DERIVED:
+        return owned(owner, walker)
+    return _OF_LINKS.get(owner, (owner,)) if is_one_link(walker) else (owner,)
 
 
 def _cell_width(walker: Walker, key: str) -> float | None:
@@ -256,7 +345,7 @@ def _cell_width(walker: Walker, key: str) -> float | None:
     if key in _CELL_WIDTHS:
         return _CELL_WIDTHS[key]
     units = {"length": walker.leg, "mass": walker.total_mass, "angle": 1.0}
-    unit = units.get(KEYS.get(key, ""))
+    unit = units.get((KEYS | ONE_LINK).get(key, ""))
     return None if unit is None else unit / 8
 
 

@@ -1,47 +1,14 @@
-"""The static conditions of section 5.1 of the paper, and the nearest walker that meets them."""
+"""Whether a walker meets the static conditions of section 5.1 of the paper, and the nearest one that does."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
-
-import numpy as np
 
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.resolve import resolve
+from tasks.walkers.statics import is_tuned, nearest, statics
 from tasks.walkers.walker import KEYS, NUMBERS, Walker, WalkerError
-
-#: Largest residual, over the leg's length, at which the conditions count as met.
-_MAX_RESIDUAL = 1e-12
-
-
-def statics(walker: Walker) -> dict[str, float]:
-    """Residuals of the two static conditions; both vanish for a tuned walker.
-
-    Returns
-    -------
-    dict of float [the walker's unit of length]
-        `leg_offset`, how far the extended leg's centre of mass lies behind the line from hip to foot centre, and, with
-        knees, `shank_offset`, how far the shank's lies behind the parallel line through the knee.
-
-    Notes
-    -----
-    Paper, section 5.1.
-    """
-    mass = walker.m_t + walker.m_s
-    leg_offset = {"leg_offset": -leg_moment(walker).real / mass if mass else 0.0}
-    return leg_offset | ({"shank_offset": -walker.shank_centre.real} if walker.knees else {})
-
-
-def leg_moment(walker: Walker) -> Any:
-    """Return the first moment of the extended leg's mass about the hip, x forward + i y up, of one walker or many."""
-    return walker.m_t * walker.thigh_centre + walker.m_s * (walker.knee + walker.shank_centre)
-
-
-def is_tuned(walker: Walker) -> bool:
-    """Whether both static conditions hold to rounding."""
-    return all(abs(x) < 1e-14 * walker.leg for x in statics(walker).values())
 
 
 def untuned(params: Mapping[str, Any]) -> str:
@@ -73,7 +40,7 @@ def untuned(params: Mapping[str, Any]) -> str:
     off = ", ".join(f"{name} {value:.3g}" for name, value in statics(walker).items())
     return (
         f"With this {keys}, {table['base']} is no longer tuned ({off}): it has no gaits at vanishing slopes. "
-        "`gaitsweep tune` shows the nearest walker that is."
+        "`gaitsweep tune` shows the nearest walker that is; `tuned` retunes."
     )
 
 
@@ -101,53 +68,15 @@ def tune(params: Mapping[str, Any]) -> dict[str, Any]:
     for key in free:
         if key not in NUMBERS:
             raise WalkerError("free", key, f"must name walker keys ({', '.join(NUMBERS)})")
-    is_met = np.abs(_residual(start)).max() <= _MAX_RESIDUAL
-    tuned, change = (start, [0.0] * len(free)) if is_met else _nearest(start, free)
+    values, change, found = nearest(start, free)
+    if not found[0]:
+        raise WalkerError("free", ", ".join(free), "cannot meet the zero-slope conditions; free another key")
+    tuned = Walker(**{**start.table(), **{k: float(value[0]) for k, value in values.items()}})
     moved = {k: [getattr(start, k), getattr(tuned, k)] for k in free if getattr(tuned, k) != getattr(start, k)}
     return {
         "walker": tuned.table(),
         "moved": moved,
-        "change": dict(zip(free, change, strict=True)),
+        "change": dict(zip(free, change[:, 0].tolist(), strict=True)),
         "before": statics(start),
         "after": statics(tuned),
     }
-
-
-def _residual(walker: Walker) -> np.ndarray:
-    """Residuals of the conditions over the leg's length, shape (conditions,)."""
-    return np.array(list(statics(walker).values())) / walker.leg
-
-
-def _nearest(start: Walker, free: list[str]) -> tuple[Walker, list[float]]:
-    """The nearest walker that meets the conditions, and the relative change of the freed keys."""
-    # Offsets near zero have no relative size of their own: the leg is their scale.
-    scale = np.array([abs(getattr(start, k)) or start.leg for k in free])
-
-    def at(change: np.ndarray) -> Walker:
-        values: dict[str, Any] = {
-            k: float(getattr(start, k) + s * c) for k, s, c in zip(free, scale, change, strict=True)
-        }
-        return replace(start, **values)
-
-    def residual(change: np.ndarray) -> np.ndarray:
-        # Over the initial leg, whatever keys move: a fixed scale.
-        return np.array(list(statics(at(change)).values())) / start.leg
-
-    # Gauss-Newton with least-norm steps: the nearest point of the tuned manifold in relative change.
-    change = np.zeros(len(free))
-    impossible = WalkerError("free", ", ".join(free), "cannot meet the zero-slope conditions; free another key")
-    for _ in range(60):
-        h = 1e-7
-        try:
-            r = residual(change)
-            jacobian = np.array([(residual(change + h * e) - r) / h for e in np.eye(len(free))]).T
-        except WalkerError:
-            raise impossible from None
-        target = np.linalg.pinv(jacobian, rcond=1e-9) @ (jacobian @ change - r)
-        step = target - change
-        change = target
-        if np.abs(step).max() < 1e-15:
-            break
-    if np.abs(residual(change)).max() > _MAX_RESIDUAL:
-        raise impossible
-    return at(change), change.tolist()

@@ -28,6 +28,8 @@ KEYS = {
 }
 #: Keys that hold a number.
 NUMBERS = tuple(k for k, kind in KEYS.items() if kind not in ("flag", "text"))
+#: The kind of quantity that each key of a leg of one link holds, beside `R`.
+ONE_LINK = {"l": "length", "c": "length", "r": "length", "m": "mass", "w": "length"}
 #: Bounds on the size of a number other than 0, and on a length over the leg: squares and quotients of them do not
 #: overflow.
 MIN_SIZE, MAX_SIZE, MAX_LEGS = 1e-50, 1e50, 1e4

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from pipeline.report.figures.design_maps import _GAIT
 from pipeline.report.source import Source, read
+
+#: What a page says of a step of no length, which cannot walk.
+STILL = "Here the steps have no length: nothing walks."
 
 #: Clicks a figure at points of its picture, as a hand does, and returns what tip, panel and address say after each.
 _CLICK = """
@@ -81,7 +86,10 @@ def click(browser: Any, figure: str, points: list[list[float]]) -> list[dict[str
     """What tip, panel and address say after a click at each point of a figure's picture."""
     said: list[dict[str, Any]] = []
     for k in range(0, len(points), 40):
+        begin = time.monotonic()
         said += browser.execute_script(_CLICK, figure, points[k : k + 40])
+        # Chromium takes no more than 200 addresses in 10 s.
+        time.sleep(max(0.0, 2.5 - (time.monotonic() - begin)))
     return said
 
 
@@ -99,6 +107,23 @@ def archived(path: Path) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def in_cell(source: Source, panel: dict[str, Any], which: int, values: list[str]) -> pd.DataFrame:
+    """The gait of map `which` that a design study's archive holds in the cell of which the tip says some values.
+
+    Empty where there is none. A cell may be smaller than a pixel, so that the tip names one beside the one aimed at.
+    """
+    table = source.tables["design"]
+    number = [float(value.replace("−", "-")) for value in values[:2]]
+    named = dict(zip((panel["y"]["name"], panel["x"]["name"]), number, strict=True))
+    for key, value in {**panel["at"], **named}.items():
+        if key in table:
+            table = table[table[key] == value if key == "walker" else np.isclose(table[key], value, rtol=1e-6)]
+    slope, of = list(_GAIT.values())[which]
+    (row,) = table.to_dict("records")
+    gait = {"walker": panel["at"]["walker"], **named, "slope": row[slope], "stance_angle": row[f"stance_angle{of}"]}
+    return pd.DataFrame([gait] if np.isfinite(row[slope]) else [])
+
+
 def _of_table(source: Source, name: str) -> list[dict[str, Any]]:
     table = source.tables.get(name)
     if table is None or not {"slope", "stance_angle"} <= set(table.columns):
@@ -109,6 +134,8 @@ def _of_table(source: Source, name: str) -> list[dict[str, Any]]:
 
 def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
     """Why what a click says is not one gait of the archive; empty if it is."""
+    if said["said"] == STILL and "end zero step" in said["values"]:
+        return "" if said["title"] == "No gait" and not said["address"] else f"walks as {said['title']!r}"
     if not said["facts"].get("period T") or "gait" in said["said"].lower():
         return f"does not walk: {said['said']}"
     if said["tip"] != said["command"]:
@@ -133,3 +160,11 @@ def wrong(said: dict[str, Any], gaits: pd.DataFrame) -> str:
         if len(stored) and np.abs(stored / number - 1).min() > 1e-5:
             return f"{words} {number}, archive {stored}"
     return ""
+
+
+def wrong_motion(said: dict[str, Any]) -> str:
+    """Why a pixel of a basin does not end as the archive says; empty if it does."""
+    archived, outcome = said["values"][-1], said["outcome"].replace("the ", "")
+    if archived.startswith(("fell", "foot", "knee")):
+        return "" if archived in outcome else f"archive {archived!r}, page {outcome!r}"
+    return "" if "walks" in outcome or "recovers" in outcome else f"archive {archived!r}, page {outcome!r}"

@@ -29,7 +29,7 @@ from pathlib import Path
 
 from recording import HERE, PYTEST, ROOT, STATE, Reach, copy_project, environment, lend_cache, record
 
-CORE = ("tasks", "pipeline/archive", "pipeline/execution", "pipeline/store")
+CORE = ("tasks", "pipeline/archive", "pipeline/engine", "pipeline/graph", "pipeline/store")
 AT_A_TIME = 2
 #: A mutant not noticed after so long counts as a survivor; `again` takes every test that reaches it [s].
 PATIENCE = 25.0

@@ -33,6 +33,7 @@ from pipeline.archive.written import write_strings
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.graph.plan import Plan
+from pipeline.grid.grid import boxes
 from pipeline.report import pages
 from pipeline.statuses import ALL_STATUSES as STATUS
 from pipeline.store.store import Store
@@ -204,8 +205,8 @@ def test_an_archive_that_does_not_read_back_is_not_kept(tmp_path, monkeypatch):
     assert commands.main(["run", f"{tmp_path}/s.toml", "--archive", str(path), "--jobs", "1", "--quiet"]) == 0
     before = path.read_bytes()
 
-    def lose(writer, draft, threads):
-        fill(writer, draft, threads)
+    def lose(writer, draft):
+        fill(writer, draft)
         with netCDF4.Dataset(draft, "a") as file:
             place, name = lost[-1]
             (file[place] if place else file).delncattr(name)
@@ -237,10 +238,10 @@ def test_each_line_may_have_its_own_reason(monkeypatch):
     """Forty thousand of them, as of a study of another kind than a grid; the later ones come first."""
     n = 40_000
     ends = [("converged", f"Reason {n - i:05}.") for i in range(n)]
-    monkeypatch.setattr(layout, "Grid", lambda _: SimpleNamespace(sizes={"w_t": n}))
     monkeypatch.setattr(write._LineWriter, "_outcome", lambda _, number: ends[number])
     study = SimpleNamespace(lines=n, batches=n, batch=lambda i: np.array([i]))
-    writer = write._LineWriter(SimpleNamespace(study=study, line_keys=lambda i: i))
+    graph = SimpleNamespace(grid=SimpleNamespace(sizes={"w_t": n}), line_keys=lambda i: i)
+    writer = write._LineWriter(SimpleNamespace(study=study, graph=graph))
     assert writer.reason.dtype == np.int32
     assert [writer.sentences[i] for i in writer.reason] == [reason for _, reason in ends]
 
@@ -251,15 +252,15 @@ def test_verify_finds_nothing_wrong_with_a_whole_one(made):
 
 def test_a_variable_is_checked_box_by_box(copy, monkeypatch):
     """The sum over its boxes passes 2^32; small boxes stand in for a variable of more than 65536 points."""
-    monkeypatch.setattr(layout, "REGION", 32)
+    monkeypatch.setattr(read, "_MAX_POINTS", 32)
     with netCDF4.Dataset(copy, "a") as file:
         file.checksum_chunk = [16, 1]
-        boxes = list(layout.regions({"slope": 200, "w_t": 2}, (16, 1)))
+        some = list(boxes({"slope": 200, "w_t": 2}, (16, 1), 32))
         sums = []
         for i, j, k in np.ndindex(13, 2, 2):
             part = np.ma.getdata(file["stance_angle"][16 * i : 16 * i + 16, j, k])
             sums.append(layout.chunk_checksum(zlib.crc32(part.tobytes()), (16 * i, j, k)))
-        assert len(boxes) > 10 and sum(sums) > 1 << 33
+        assert len(some) > 10 and sum(sums) > 1 << 33
         checksums = {name: read._checksum(file[name]) for name in json.loads(file.checksums)}
         assert checksums["stance_angle"] == sum(sums) % (1 << 32)
         file.checksums = json.dumps(checksums)
@@ -282,8 +283,7 @@ class _Noted:
 
 
 def test_states_are_checked_box_by_box(copy, monkeypatch):
-    monkeypatch.setattr(layout, "CHUNK", 16)
-    monkeypatch.setattr(layout, "REGION", 32)
+    monkeypatch.setattr(structure, "MOST_POINTS", 16)
     sizes = []
     with netCDF4.Dataset(copy, "a") as file:
         file["status"][:2, -1, -1], file["status"][-1, -1, -1], file["reason"][-1, -1, -1] = 7, 99, -1
@@ -551,7 +551,7 @@ def test_what_cannot_be_loaded_is_called_damaged(copy):
     """The chunks of a variable that the library refuses raise an error of its own."""
     data = bytearray(copy.read_bytes())
     with netCDF4.Dataset(copy) as file:
-        lost = np.ascontiguousarray(file["stance_angle"][:, 0, 0].data).view(np.uint8).reshape(-1, 8)[:, 1].tobytes()
+        lost = np.ascontiguousarray(file["stance_angle"][:20, 0, 0].data).view(np.uint8).reshape(-1, 8)[:, 1].tobytes()
     data[data.index(lost)] ^= 1  # bytes of the mantissa that do not compress are stored
     copy.write_bytes(data)
     with pytest.raises(ArchiveError, match=r"copy.nc is damaged: .*HDF error\.$"):
@@ -611,7 +611,8 @@ def _put(name, value):
     [
         (_put("slope", np.nan), "`slope` holds values that are not finite."),
         (_put("slope", np.inf), "`slope` holds values that are not finite."),
-        (_put("slope", 0.5), "`slope` does not lie in (0, 0.5) rad."),
+        (_put("slope", 0.5), "`slope` must lie in [1e-18, 0.5) rad."),
+        (_put("slope", 9e-19), "`slope` must lie in [1e-18, 0.5) rad."),
         (lambda f: f["slope"].__setitem__(0, f["slope"][1]), "`slope` holds a value twice."),
         (_put("w_t", -np.inf), "`w_t` holds values that are not finite."),
         (_without_place, "`fits/scaling/w_t` holds values that are not finite."),

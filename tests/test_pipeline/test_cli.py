@@ -22,7 +22,9 @@ from unittest.mock import Mock
 import netCDF4
 import pytest
 
+import pipeline
 from conftest import ROOT, STUDY, TOYS, Toy
+from pipeline import load
 from pipeline.archive import read, write
 from pipeline.cli import commands
 from pipeline.engine import jobs as engine_jobs
@@ -30,6 +32,8 @@ from pipeline.engine import locks
 from pipeline.engine.progress import duration, last_state
 from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError, StudyError, WorkerError, unwritten
 from processes import ended, sidecar_path
+from tasks.walkers.resolve import resolve
+from tasks.walkers.statics import is_tuned
 
 
 def gaitsweep(*arguments, cwd=None):
@@ -850,10 +854,56 @@ def test_solve_flags_violations_above_the_limits_that_it_is_given(capsys):
     assert "Unknown violation `scuf`, did you mean `scuff`?" in capsys.readouterr().err
 
 
+def test_keys_are_tuned_at_every_line_and_archived_along_the_axes_that_move_them(tmp_path, capsys):
+    text = 'name = "s"\nwalker = "A"\n[axes]\nslope = [1e-6]\nR = [0.1, 0.3]\nm_h = [0.0, 1.0]\nm_t = [2.0, 3.0]\n'
+    (tmp_path / "s.toml").write_text(f'{text}[options]\ntuned = ["w_t"]\n')
+    archive = tmp_path / "s.nc"
+    assert commands.main(["run", str(tmp_path / "s.toml"), "--archive", str(archive), "--jobs", "1", "--quiet"]) == 0
+    assert commands.main(["verify", str(archive)]) == 0
+    found = load(archive)
+    assert found.w_t.dims == ("R", "m_t") and "walker_notes" not in found.attrs
+    for at in ({"R": 0.1, "m_h": 1.0, "m_t": 3.0}, {"R": 0.3, "m_h": 0.0, "m_t": 2.0}):
+        walker = resolve({"base": "A", "tuned": ["w_t"]}, at)
+        assert is_tuned(walker) and found.w_t.sel(R=at["R"], m_t=at["m_t"]) == walker.w_t
+        angle = float(found.stance_angle.sel(at).isel(slope=0).sel(gait="long"))
+        words = ["solve", "--walker", "A", "--slope", "1e-6", "--tuned", "w_t", "--json"]
+        capsys.readouterr()
+        assert commands.main([*words, *(w for k, v in at.items() for w in ("--set", f"{k}={v}"))]) == 0
+        solved = json.loads(capsys.readouterr().out)[0]
+        assert (solved["gait"], solved["stance_angle"]) == ("long", pytest.approx(angle, rel=1e-12))
+        same = pipeline.gaits("A", 1e-6, tuned=["w_t"], **at).stance_angle.sel(gait="long")
+        assert float(same) == pytest.approx(angle, rel=1e-12)
+    assert pipeline.solve("A", 1e-6, R=0.3).empty
+
+
+def test_keys_of_a_leg_of_one_link_are_axes_and_arguments(tmp_path, capsys):
+    text = 'name = "s"\n[walker]\nknees = false\nl = 1.0\nm = 1.0\nc = 0.4\nm_h = 5.0\n[axes]\nslope = [0.01]\n'
+    (tmp_path / "s.toml").write_text(f"{text}c = [0.3, 0.4]\nl = [0.8, 1.0]\nm_h = [2.0, 5.0]\n")
+    archive = tmp_path / "s.nc"
+    assert commands.main(["run", str(tmp_path / "s.toml"), "--archive", str(archive), "--jobs", "1", "--quiet"]) == 0
+    assert commands.main(["verify", str(archive)]) == 0
+    found = load(archive)
+    assert found.c_s.dims == ("c", "l") and found.l_s.dims == ("l",) and found.l.units == "1"
+    table = {"knees": False, "l": 1.0, "m": 1.0, "c": 0.4, "m_h": 5.0}
+    angle = found.stance_angle.sel(c=0.3, l=0.8, m_h=2.0, gait="long").values
+    own = pipeline.gaits({**table, "c": 0.3, "l": 0.8, "m_h": 2.0}, 0.01).stance_angle.sel(gait="long").values
+    set_ = pipeline.gaits(table, 0.01, c=0.3, l=0.8, m_h=2.0).stance_angle.sel(gait="long").values
+    assert angle == own == set_
+    assert commands.main(["solve", "--walker", "A", "--slope", "0.01", "--set", "l=1"]) == 2
+    assert "`l` is a key of a leg of one link" in capsys.readouterr().err
+
+
 def test_a_tuned_walker_that_a_key_moves_off_its_conditions_is_said_to_be_no_longer_tuned(tmp_path, capsys):
     (tmp_path / "s.toml").write_text('name = "s"\nwalker = "A"\n[axes]\nslope = [0.02]\nR = [0.2, 0.25]\n')
     assert commands.main(["plan", str(tmp_path / "s.toml")]) == 0
-    assert "note: With this R, A is no longer tuned (leg_offset " in capsys.readouterr().out
+    said = "With this R, A is no longer tuned (leg_offset "
+    assert f"note: {said}" in capsys.readouterr().out
+    words = ["--archive", str(tmp_path / "s.nc"), "--jobs", "1", "--quiet"]
+    assert commands.main(["run", str(tmp_path / "s.toml"), *words]) == 0
+    assert load(tmp_path / "s.nc").walker_notes.startswith(said)
+    assert commands.main(["report", str(tmp_path / "s.nc"), "-o", str(tmp_path / "pages")]) == 0
+    assert said in (tmp_path / "pages" / "s.html").read_text()
+    capsys.readouterr()
     (tmp_path / "s.toml").write_text('name = "s"\nwalker = "A"\n[axes]\nslope = [0.02]\nm_h = [0.2, 0.25]\n')
     assert commands.main(["plan", str(tmp_path / "s.toml")]) == 0
     assert "tuned" not in capsys.readouterr().out

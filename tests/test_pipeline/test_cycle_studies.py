@@ -112,6 +112,8 @@ def test_a_branch_is_followed_through_its_fold_and_flips_as_the_cascade_has_them
     assert points["kind"].tolist() == ["fold", "flip"]
     np.testing.assert_allclose(points["slope"], cascade["slope"], rtol=1e-11)
     np.testing.assert_allclose(points["stance_angle"], cascade["stance_angle"], rtol=1e-6)
+    for table in (points, cascade):
+        returns("D", table, 3)
     assert points["slope"][0] == pytest.approx(0.0122808, abs=1e-7)
     assert len(branch) >= 60 and branch["slope"].between(0.012, 0.016).all()
     # One curve through the fold, with both edges of the window; stable between fold and flip only.
@@ -125,6 +127,29 @@ def test_a_branch_is_followed_through_its_fold_and_flips_as_the_cascade_has_them
     assert branch.attrs["units"]["period"] == "1"
     with netCDF4.Dataset(archives["branch"] / "s.nc") as file:
         assert file["branches/period"].long_name == "duration of 3 steps" and file.steps == 3
+
+
+def returns(walker, table, steps=1, rtol=1e-6):
+    """Check that the states of a table's rows return after some steps."""
+    assert len(table)
+    for row in table.to_dict("records"):
+        start = [row[name] for name in ("stance_angle", "stance_rate", "thigh_rate")]
+        state = start
+        for _ in range(steps):
+            state = pipeline.step_map(walker, row["slope"], state).state
+        np.testing.assert_allclose(state, start, rtol=rtol)
+
+
+@pytest.mark.parametrize("walker", ["D", "C"])
+def test_special_points_have_the_whole_state(tmp_path, walker):
+    text = BRANCH.replace("steps = 3", "").replace('"D"', f'"{walker}"').replace("0.016", "0.3")
+    assert run(tmp_path, text) == 0
+    points = load(tmp_path / "s.nc", "special_points")
+    assert "flip" in set(points["kind"])
+    returns(walker, points[points["kind"] == "flip"])
+    # The shank is locked to the thigh until heelstrike, and then free.
+    assert (points["shank_rate"] == points["thigh_rate"]).all() == (walker == "D")
+    assert points.attrs["units"]["shank_rate"] == {"D": "1", "C": "rad s-1"}[walker]
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ import pytest
 from conftest import ROOT
 from pipeline.api import load
 from pipeline.archive import diff, read, verify, write
-from pipeline.errors import GaitsweepError
+from pipeline.errors import ArchiveError, GaitsweepError
 from pipeline.graph.plan import Plan, summary
 from pipeline.report import pages
 from pipeline.store import file

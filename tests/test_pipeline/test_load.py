@@ -41,7 +41,7 @@ def test_a_million_small_jobs_and_two_hundred_kills(toy, tell, n, kills):
     files, growth, jobs = set(), 0, 0
     log = sidecar_path(toy, ".events.jsonl")
     while True:
-        process = toy.start("run", "toy.toml", "--chunk", 1, "--quiet", "--snapshot", 300)
+        process = toy.start("run", "toy.toml", "--quiet", "--snapshot", 300, TOY_CHUNK="1")
         stop = time.monotonic() + (dice.uniform(0.5, 8) if ends.total() < kills else max(30, end - time.monotonic()))
         base, began = None, log.stat().st_size if log.exists() else 0
         while process.poll() is None and time.monotonic() < stop:

@@ -5,8 +5,9 @@ import pytest
 
 import pipeline
 from pipeline.errors import StudyError
+from tasks import solve_at_slope
 from tasks.continuation import atlas
-from tasks.registry import GAITS, SLOPES, STATUSES
+from tasks.registry import GAITS, SLOPES, STATUSES, VARIABLES
 from tasks.solve_at_slope import solve_one
 from tasks.walkers.catalogue import CATALOGUE
 
@@ -73,7 +74,10 @@ def test_solve_and_gaits_answer_alike_down_to_the_least_slope(walker, one_survey
 
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
-def test_solve_and_gaits_answer_alike_at_ten_thousand_slopes(one_survey, tell, resumed):
+def test_solve_and_gaits_answer_alike_at_ten_thousand_slopes(one_survey, tell, resumed, monkeypatch):
+    # Half of the time of one `solve` goes into violations, which are not compared.
+    wanted = tuple(name for name in solve_at_slope._WANT if VARIABLES[name].group != "violations")
+    monkeypatch.setattr(solve_at_slope, "_WANT", wanted)
     walkers = sorted(CATALOGUE)
     for case in resumed(CASES * len(walkers)):
         walker = walkers[case // CASES]

@@ -21,6 +21,7 @@ from pipeline.store.store import Key, Outcome, Store
 from processes import damaged
 
 N = 40  # records in a store of the tests
+PACKED = serialize.dump({"x": 1})
 
 
 def filled(path, n=N, size=500):
@@ -79,16 +80,17 @@ def test_of_two_records_that_a_kill_left_the_later_counts(tmp_path):
 
 def test_results_are_kept_with_how_they_ended(tmp_path):
     with contextlib.closing(Store(tmp_path / "j")) as found:
-        found.put_result(Key("a", "a"), Outcome("ok", ""), b"result")
+        found.put_result(Key("a", "a"), Outcome("ok", ""), PACKED)
         found.put_result(Key("b", "b"), Outcome("raised", "It raised."), b"")
         found.put(Key("c", "c"), serialize.dump(["other", ""]), b"")
         found.put(Key("d", "d"), b"junk", b"")
-        assert found.outcome("a") == ("ok", "") and found.result("a") == b"result"
+        assert found.outcome("a") == ("ok", "") and found.result("a") == PACKED
         assert found.outcome("b") == ("raised", "It raised.") and found.result("b") is None
         assert found.outcome("none") is None and found.result("none") is None
-        for key in "cd":
+        found.put_result(Key("e", "e"), Outcome("ok", ""), b"no packed result")
+        for key in "cde":
             with pytest.raises(CorruptStoreError):
-                found.outcome(key)
+                found.result(key)
 
 
 def test_a_store_is_forgotten_with_all_its_files_and_another_file_is_not(tmp_path):

@@ -75,7 +75,7 @@ WRONG = {
         "slope = [0.73]": "`slope` must lie in [1e-18, 0.5) rad; got 0.73 (s.toml, axes.slope).",
         'slope = ["0.1"]': "`slope` must be a number; got '0.1' (s.toml, axes.slope).",
         "slope = [0.1]\nknees = [true]": "Unknown key `knees`, known: slope, foot_mass_ratio, detuning, l_t, w_t, m_t, r_t, c_t, l_s, w_s, m_s,"
-        " r_s, c_s, R, eps_T, m_h, g (s.toml, axes).",
+        " r_s, c_s, R, eps_T, m_h, g, l, c, r, m, w (s.toml, axes).",
         "slope = [0.1]\ndetuning = [0.5]": "`detuning` needs walker A or C; got 0.5 (s.toml, axes.detuning).",
         "slope = { start = 0.1, n = 2 }": "Unknown key `start`, known: from, to, n, spacing (s.toml, axes.slope).",
         "slope = { from = 0.01, to = 0.1 }": "`n` is missing (s.toml, axes.slope).",
@@ -97,7 +97,7 @@ WRONG = {
         'memory = "2 GB/s"': "`memory` must be at least 64 MiB and at most 1024 TiB, as in \"2 GiB\"; got '2 GB/s' (s.toml, limits.memory).",
         f'memory = "{"9" * 400} GiB"': '`memory` must be at least 64 MiB and at most 1024 TiB, as in "2 GiB";'
         f" got '{'9' * 56} (s.toml, limits.memory).",
-        'memory = "2 GiB"\n[options]\nstarts = 3': "Unknown key `starts`, known: violation_limits, steps (s.toml, options).",
+        'memory = "2 GiB"\n[options]\nstarts = 3': "Unknown key `starts`, known: violation_limits, steps, tuned (s.toml, options).",
         'memory = "2 GiB"\n[options]\nfriction_limit = -1': "`friction` must be at least 0; got -1"
         " (s.toml, options.violation_limits.friction).",
         'memory = "2 GiB"\n[options]\nviolation_limits = { scuf = 0.1 }': "Unknown violation `scuf`, did you mean `scuff`?"
@@ -109,7 +109,7 @@ WRONG = {
 
 #: Options of a study of another kind, and what is said about them.
 WRONG_OPTIONS = [
-    ("branch", "n = 3", "Unknown key `n`, known: steps (s.toml, options)."),
+    ("branch", "n = 3", "Unknown key `n`, known: steps, tuned (s.toml, options)."),
     ("orbit", "stebs = 3", "Unknown key `stebs`, did you mean `steps`? (s.toml, options)."),
     (
         "orbit",
@@ -324,7 +324,40 @@ def test_a_walker_is_archived_as_it_is_before_axes_move_it(write):
     found = parse.read(write(f'name = "s"\nwalker = ["C", "A"]\n[axes]\n{axes}\n'))
     about = json.loads(provenance(SimpleNamespace(study=found, layers={})))
     assert about["walkers"] == [CATALOGUE[name].table() for name in "CA"]
-    assert about["varied"] == {"m_h": "m_h", **dict.fromkeys(("w_t", "r_t", "c_t", "w_s", "r_s"), "detuning")}
+    detuned = {key: ["detuning"] for key in ("w_t", "r_t", "c_t", "w_s", "r_s")}
+    assert about["varied"] == {"m_h": ["m_h"], **detuned} and about["tuned"] == []
+
+
+TUNED = 'name = "s"\nwalker = ["A", "C"]\n[axes]\nslope = [0.01]\nR = [0.2, 0.3]\n[options]\ntuned = {}\n'
+
+
+def test_a_study_may_have_keys_tuned(write):
+    found = parse.read(write(TUNED.format('["w_t", "w_s"]')))
+    assert found.walkers == tuple({"base": name, "tuned": ["w_t", "w_s"]} for name in "AC")
+    assert found.names == ("A", "C") and "tuned" not in found.options
+    assert parse.read(write(TUNED.format("[]"))).walkers == ("A", "C")
+
+
+@pytest.mark.parametrize(
+    ("tuned", "said"),
+    [
+        ('"w_t"', "`tuned` must be a list of keys of a walker; got 'w_t' (s.toml, options.tuned)."),
+        ('["w_q"]', "Unknown name `w_q`, did you mean `w_t`? (s.toml, options.tuned)."),
+        (
+            '["w_t"]',
+            "`tuned` cannot meet the static conditions of vanishing slopes; add a key; got w_t (s.toml, axes.R).",
+        ),
+        (
+            '["w_t", "R"]',
+            "`R` is set by `tuned`, which changes it so that the walker is tuned; got 0.2 (s.toml, axes.R).",
+        ),
+        ('["detuning"]', "`tuned` must be a list of keys of a walker"),
+    ],
+)
+def test_what_cannot_be_tuned_is_said_before_a_study_runs(write, tuned, said):
+    with pytest.raises(StudyError) as refused:
+        parse.read(write(TUNED.format(tuned)))
+    assert str(refused.value).startswith(said.rstrip("."))
 
 
 def test_a_list_of_walkers_is_a_dimension(write):

@@ -1,9 +1,14 @@
+import itertools
 import json
+import multiprocessing
+import os
 import re
+import resource
+import signal
 import subprocess
 import sys
 from collections import Counter
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -15,6 +20,7 @@ import pytest
 from pipeline import paths
 from pipeline.archive import read as archive_reader
 from pipeline.archive.citation import PAPER
+from pipeline.cli import commands
 from pipeline.errors import ArchiveError
 from pipeline.report import html_tables, ledger, pages, source
 from pipeline.report.figures.style import plain
@@ -24,6 +30,7 @@ from test_report import synthetic
 from test_report.reading import Page, numbers_in
 from test_report.shape import GAITS, KNEED, POINT, write
 
+ROOT = Path(__file__).parents[2]
 INDEX_BYTES, PAGE_BYTES = 300_000, 500_000
 
 
@@ -196,18 +203,67 @@ def test_the_same_archives_give_the_same_bytes(report, archives, tmp_path):
         assert path.read_bytes() == (again / path.name).read_bytes(), path.name
 
 
-@pytest.mark.parametrize("trouble", [None, OSError("no semaphores"), BrokenExecutor("killed")])
+@pytest.mark.parametrize("trouble", ["none", "no process", "killed"])
 def test_pages_made_in_one_process_or_several_have_the_same_bytes(report, archives, tmp_path, monkeypatch, trouble):
-    """Processes that cannot be had are done without."""
-    pool = Mock(side_effect=trouble) if trouble else Mock(wraps=ProcessPoolExecutor)
-    monkeypatch.setattr(pages.futures, "ProcessPoolExecutor", pool)
+    """Processes that cannot be had, or are killed, are done without; every page made is told."""
+    started, own, make, told = [], os.getpid(), pages._make, []
+    start = multiprocessing.context.ForkProcess.start
+
+    def begin(process):
+        started.append(process)
+        if trouble == "no process":
+            raise OSError("no process")
+        start(process)
+
+    def die_elsewhere(*arguments):
+        return make(*arguments) if os.getpid() == own else os.kill(os.getpid(), signal.SIGKILL)
+
+    monkeypatch.setattr(multiprocessing.context.ForkProcess, "start", begin)
+    monkeypatch.setattr(pages, "_make", die_elsewhere if trouble == "killed" else make)
     monkeypatch.setattr(pages.os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(pages.threading, "active_count", lambda: 1)
-    pages.write(archives, tmp_path)
+    pages.write(archives, tmp_path, tell=told.append)
+    assert started and told == list(range(1, len(archives) + 1))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
         path.name: path.read_bytes() for path in report.iterdir()
     }
-    assert pool.called
+
+
+def _command(archives, folder, limit=None, **environment):
+    """What `gaitsweep report` returns and prints to standard error, in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "pipeline.cli.commands", "report", *map(str, archives), "-o", str(folder / "out")],
+        cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        capture_output=True, text=True, timeout=200,
+        preexec_fn=limit and (lambda: resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))),
+    )  # fmt: skip
+    return done.returncode, done.stderr
+
+
+def test_a_report_depends_on_no_setting_of_the_reader(report, archives, tmp_path):
+    """Matplotlib reads its own settings while it is imported, and like NumPy a date."""
+    (tmp_path / "matplotlibrc").write_bytes(bytes(range(128, 256)))
+    settings = {"MPLBACKEND": "nonsense", "MATPLOTLIBRC": str(tmp_path / "matplotlibrc"), "SOURCE_DATE_EPOCH": "x"}
+    assert _command(archives, tmp_path, **settings) == (0, "")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == {
+        path.name: path.read_bytes() for path in report.iterdir()
+    }
+
+
+def test_a_report_without_the_memory_for_it_says_so_in_a_line(archives, tmp_path):
+    """Its processes, too, have none: it waited for them without end."""
+    code, said = _command(archives, tmp_path, limit=150 << 20)
+    assert code and said.startswith("gaitsweep: ") and said.count("\n") == 1 and "Internal error" not in said
+
+
+def test_the_pages_of_a_long_report_are_counted(archives, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(commands, "_QUIET", -1.0)
+    monkeypatch.setattr(commands.terminal, "is_terminal", lambda: True)
+    monkeypatch.setattr(commands.time, "monotonic", itertools.count().__next__)
+    assert commands.main(["report", *map(str, archives), "-o", str(tmp_path)]) == 0
+    counted = re.findall(r"(\d+) of (\d+) pages, (\d+) s to go", capsys.readouterr().err)
+    assert [int(made) for made, *_ in counted] == list(range(1, len(archives) + 1))
+    assert counted[-1][2] == "0" and {total for _, total, _ in counted} == {str(len(archives))}
 
 
 def test_drafts_of_a_report_that_was_killed_are_removed_by_the_next(archives, tmp_path, monkeypatch):
@@ -411,7 +467,7 @@ def test_the_report_loads_neither_the_tasks_nor_the_plan():
     program = (
         "import pipeline.report.pages, sys; print([m for m in sys.modules if m.split('.')[0] in ('tasks', 'heyoka')]"
     )
-    program += " + [m for m in sys.modules if m in ('pipeline.plan', 'pipeline.engine')])"
+    program += " + [m for m in sys.modules if m in ('pipeline.graph', 'pipeline.engine')])"
     root = Path(__file__).parents[2]
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=root, check=True)
     assert done.stdout.strip() == "[]"

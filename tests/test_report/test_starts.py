@@ -8,8 +8,8 @@ from urllib.parse import parse_qs
 import numpy as np
 import pytest
 
-from pipeline.report import pages
-from pipeline.report.figures import draw, starts
+from pipeline.report import html_tables, pages
+from pipeline.report.figures import draw, fields, starts
 from pipeline.report.source import read
 from test_report.shape import KNEED, POINT, write
 
@@ -126,8 +126,25 @@ def test_branches_and_maps_over_a_falling_axis_are_those_over_a_rising_one(tmp_p
     (first, *_), panel = starts.lines(other), draw(other, "heatmap", "test").panels[0]
     wanted = next(line for line in starts.lines(source) if line["at"] == first["at"])
     assert first["branches"] == wanted["branches"]
-    assert panel["y"]["values"] == [0.05, 0.1] and panel["moved"] == {"m_s": ["foot_mass_ratio", [0.05, 0.1]]}
+    assert panel["y"]["values"] == [0.05, 0.1] and panel["moved"] == {"m_s": [["foot_mass_ratio"], [0.05, 0.1]]}
     assert panel["x"]["values"] == sorted(panel["x"]["values"])
+
+
+def test_a_cell_of_a_map_has_the_key_that_both_its_axes_move(tmp_path):
+    radius, mass = np.array([0.3, 0.1]), np.array([1.0, 2.0])
+    table = {"w_t": (("R", "m_s"), np.array([[1.0, 2.0], [3.0, 4.0]]))}
+    dims = ("R", "m_s", "gait")
+    angle = np.full((2, 2, 1), 0.2)
+    grid = {"stance_angle": (dims, angle), **dict.fromkeys(RATES, (dims, -angle)), **table}
+    text = 'name = "m"\nwalker = "B"\n[axes]\nR = [0.3]\nm_s = [1.0]\nslope = [0.01]\n[want]\nfigures = ["heatmap"]'
+    coords = {"R": radius, "m_s": mass, "gait": np.array(["long"], object)}
+    varied = {"R": ["R"], "m_s": ["m_s"], "w_t": ["R", "m_s"]}
+    source = read(write(tmp_path / "m.nc", text, grid, coords, {"B": POINT}, varied=varied))
+    assert source.parameters("B", {"R": 0.1, "m_s": 2.0})["w_t"] == 4.0
+    panel = starts.cells(source, "B", {"slope": 0.01}, ("R", "m_s"), {}, (), 1)
+    assert panel["moved"] == {"w_t": [["R", "m_s"], [3.0, 4.0, 1.0, 2.0]]}
+    table = html_tables.walkers(source)
+    assert {row[0].text: row[1].text for row in table.rows}["w_t"] == "by R, m_s"
 
 
 def test_a_page_holds_its_lines_and_the_index_two_of_them(tmp_path):
@@ -145,3 +162,11 @@ def test_the_script_is_small_and_holds_no_comment():
     script = pages._script()
     assert len(script.encode()) <= 64_000
     assert not re.search(r"^\s*(//|/\*)", script, re.M)
+
+
+def test_slopes_of_a_map_keep_their_digits_beside_steps_that_vanish():
+    slope = np.array([[4.2449449527e-5, 0.0], [0.05, np.nan]])
+    made = starts._fields({"slope": slope, "stance_angle": np.where(slope >= 0, 0.1, np.nan)}, False, 1)
+    assert made["slope"]["log"] and made["slope"]["step"] <= 1e-9
+    assert made["still"] == fields.words(np.array([[False, True], [False, False]]))
+    assert "still" not in starts._fields({"slope": slope[:1, :1], "stance_angle": slope[:1, :1]}, False, 1)

@@ -18,7 +18,7 @@ from tasks.paper.rounding_intervals import LANDMARKS, changed, grazing_sensitivi
 from tasks.paper.zero_slope import mass_limit
 from tasks.registry import TASKS
 from tasks.walkers.catalogue import CATALOGUE
-from tasks.walkers.tuning import is_tuned
+from tasks.walkers.statics import is_tuned
 
 ROOT = Path(__file__).parents[2]
 # The search for gaits lets lanes that go astray overflow.

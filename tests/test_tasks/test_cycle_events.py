@@ -6,13 +6,17 @@ import heyoka as hy
 import numpy as np
 import pytest
 
+from exact_special_points import exact_cycle_slope
 from lines import _atlas, some
 from tasks import locate_cascade
 from tasks.continuation.cycle_events import _MIN_ERROR, _test, slope_error
 from tasks.mechanics.lumped import lump
+from tasks.sample_cycles import sample_cycles
 from tasks.step.extended_precision import _extended_step_map
 from tasks.step.problem import Problem
 from tasks.walkers.resolve import resolve
+from tasks.walkers.walker import WalkerError
+from test_tasks.test_gaits_beside_folds import drawn, followed
 
 R = hy.real128
 
@@ -116,6 +120,45 @@ def test_the_bound_of_a_flips_slope_holds_against_113_bits(walker, low, high, lo
         error = abs(float((R(event.cycle.slope) - slope) / slope))
         tell(f"{walker}, period {event.cycle.period}: error {error:.1e}, bound {event.error:.1e}")
         assert error < event.error < 1e-11
+
+
+def shares(seed):
+    """Errors over bounds of the folds, flips and births of the branches of a random walker's gaits of n steps."""
+    walker, keys, steps, _ = drawn(seed)
+    problem, branches = followed(walker, steps, **keys)
+    listed = sample_cycles(problem, branches, {"slope_from": 1e-6, "slope_to": 0.5, "n": 2})
+    kinds, slopes, bounds = (listed[f"special_points/{name}"] for name in ("kind", "slope", "error_bound"))
+    for branch in branches:
+        points = [("fold", branch.cycles[k], branch.cycles[k].error) for k in sorted(branch.folds)]
+        points += [("flip", flip, slope_error(problem, flip, "flip")) for flip in branch.flips]
+        for end, cycle in zip(branch.ends, (branch.cycles[0], branch.cycles[-1]), strict=True):
+            if end == "branch_point":
+                half = replace(cycle, Y=cycle.Y[:, : steps // 2], times=cycle.times[:, : steps // 2])
+                points.append(("flip", half, bounds[(kinds == end) & (slopes == cycle.slope)].min()))
+        for kind, cycle, bound in points:
+            exact = exact_cycle_slope(problem, kind, cycle)
+            yield kind, cycle.period, np.nan if exact is None else abs(float((exact - R(cycle.slope)) / exact)) / bound
+
+
+@pytest.mark.parametrize("seed", [2, 13])
+def test_folds_flips_and_births_of_random_walkers_lie_within_their_bounds(seed):
+    """Births had the bound of a gait's rounding at its slope, which their errors exceed by a third."""
+    found = list(shares(seed))
+    assert {kind for kind, *_ in found} == {2: {"flip"}, 13: {"fold", "flip"}}[seed]
+    assert all(share < 1 for *_, share in found)
+
+
+@pytest.mark.soak
+def test_folds_flips_and_births_of_many_random_walkers_lie_within_their_bounds(resumed, tell):
+    for seed in resumed(60):
+        try:
+            found = list(shares(seed))
+        except WalkerError:
+            continue
+        resumed.found.update(kind for kind, *_ in found)
+        resumed.found["thousandths"] = max(resumed.found["thousandths"], *(round(1000 * s) for *_, s in found), 0)
+        tell(f"{resumed.state}: {dict(resumed.found)}")
+        assert all(share < 1 for *_, share in found), (seed, found)
 
 
 @pytest.mark.parametrize("first", [1, 3])

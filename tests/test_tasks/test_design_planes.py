@@ -25,7 +25,7 @@ from tasks.map_designs import _Rows, _solve, design
 from tasks.mechanics.lumped import common_structure
 from tasks.step.problem import Lanes
 from tasks.walkers.resolve import resolve, resolve_many
-from tasks.walkers.tuning import statics
+from tasks.walkers.statics import statics
 
 QUANTITIES = ("smallest_slope", "largest_stable_slope", "fastest_stable_speed")
 SLOPE = np.array([1e-6, 0.45])

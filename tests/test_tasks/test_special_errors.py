@@ -4,18 +4,21 @@ import heyoka as hy
 import numpy as np
 import pytest
 
-from exact_special_points import exact_slope
+from exact_special_points import exact_earlier_strike, exact_slope
+from lines import _atlas
 from soak.missed import neighbour
+from tasks import follow_curves
 from tasks.continuation import special_points as module
 from tasks.continuation.atlas import survey
 from tasks.continuation.defining import SCALARS
 from tasks.continuation.refine import COARSE
-from tasks.step.problem import Problem
+from tasks.continuation.tracking import correct
+from tasks.step.problem import EPS, Problem
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import WalkerError
 
 #: Kinds that equations define, and lines of the long test.
-KINDS = set(SCALARS) - {"window", "label", "speed", "fastest"}
+KINDS = {*SCALARS, "end_earlier_strike"} - {"window", "label", "speed", "fastest", "foot_at_kneestrike"}
 LINES = 300
 
 
@@ -32,7 +35,11 @@ def compared(monkeypatch):
     def each(problem, found):
         points = [point for branch in found for point in module.special_points(problem, branch)]
         for point in (point for point in points if point["kind"] in KINDS):
-            exact, slope = exact_slope(problem, point["kind"], point["Z"]), hy.real128(point["slope"])
+            if point["kind"] == "end_earlier_strike":
+                exact = exact_earlier_strike(problem, point["Z"])
+            else:
+                exact = exact_slope(problem, point["kind"], point["Z"])
+            slope = hy.real128(point["slope"])
             error = np.nan if exact is None else abs(float((exact - slope) / exact))
             yield point["kind"], exact, error / point["error_bound"]
 
@@ -52,6 +59,74 @@ def test_special_points_lie_within_their_bounds(compared, walker, keys):
     assert {kind: share for kind, _, share in found if not share < 1} == {}
     if walker == "D":  # by another derivation, in 113 bits too
         assert abs(float(found[0][1] - hy.real128("0.015088437941119463562"))) < 1e-20
+
+
+@pytest.mark.parametrize(
+    ("walker", "key", "low", "high", "kinds"),
+    [
+        ("D", "R", 0.0, 0.05, ("flip",)),
+        ("C", "detuning", 0.69, 0.7, ("fold",)),
+        ("physical-straight", "R", 0.2, 0.202, ("end_tangential_heelstrike",)),
+    ],
+)
+def test_slopes_of_curves_lie_within_their_bounds(monkeypatch, walker, key, low, high, kinds):
+    shares = []
+
+    def compared(problem, kind, Z):
+        bound, exact = slope_error(problem, kind, Z), exact_slope(problem, kind, Z)
+        shares.append((kind, abs(float((exact - hy.real128(np.exp(Z[problem.m]))) / exact)) / (bound + 8 * EPS)))
+        return bound
+
+    slope_error = follow_curves.slope_error
+    monkeypatch.setattr(follow_curves, "slope_error", compared)
+    line = {"walker": walker, "set": {}}
+    options = {"key": key, "from": low, "to": high, "kinds": kinds}
+    found = follow_curves.curve({"line": line, "slope": np.array([0.005, 0.3]), **options}, [_atlas(walker, ())])
+    assert {kind for kind, _ in shares} == set(kinds) and max(share for _, share in shares) < 1
+    assert len(shares) == len(found["curves/error_bound"]) and found["curves/error_bound"].max() < 1e-12
+
+
+@pytest.mark.parametrize("seed", [26, 31])
+def test_ends_by_an_earlier_strike_lie_within_their_bounds(compared, seed):
+    """Where the foot is on the ground at kneestrike, errors were up to 1.6 times the bound of a gait at its slope."""
+    problem = Problem(drawn(seed))
+    found = [b for b in survey(problem, COARSE) if "end_earlier_strike" in b.why]
+    shares = [share for kind, _, share in compared(problem, found) if kind == "end_earlier_strike"]
+    assert shares and max(shares) < 1
+
+
+def limit_of_shorter_steps(problem, branch, end):
+    """Slope at which steps vanish, from a polynomial through points of steps shorter than those of the branch."""
+    m, Z = problem.m, branch.Z if end == 0 else branch.Z[::-1]
+    k = 1 + int(np.abs(Z[0, 1:m]).argmax())
+    share = 1 / np.abs(Z[:40, k])
+    points = [(x, np.exp(z[m])) for x, z in zip(share, Z, strict=False) if x < 0.05]
+    before, last = Z[1], Z[0]
+    for _ in range(60):
+        # In the rate over the angle, whose inverse vanishes with the steps.
+        guess = last + (last - before) * (last[k] / 0.97 - last[k]) / (last[k] - before[k])
+        point = correct(problem, guess[: m + 1, None], guess[m + 1 :, None], np.eye(m + 1)[:, [k]])
+        if not point.ok[0]:
+            break
+        before, last = last, np.append(point.X[:, 0], point.times[:, 0])
+        points.append((1 / abs(last[k]), np.exp(last[m])))
+    x, y = np.array(points).T
+    first, other = (np.polynomial.Polynomial.fit(x, y, degree)(0.0) for degree in (7, 8))
+    assert x.min() < 0.7 * share[0] and abs(other / first - 1) < 1e-11
+    return first
+
+
+@pytest.mark.parametrize("seed", [14, 30, 69])
+def test_slopes_at_which_steps_vanish_lie_within_their_bounds(seed):
+    """Errors were up to 0.9 of their bounds, by the rounding that extrapolation enlarges."""
+    problem, shares = Problem(drawn(seed)), []
+    for branch in survey(problem):
+        for end in (i for i in (0, -1) if branch.why[i] == "zero step length"):
+            place = 0 if end == 0 else len(branch.Z) - 1
+            (point,) = [p for p in module.special_points(problem, branch) if p["place"] == place]
+            error = abs(limit_of_shorter_steps(problem, branch, end) / point["slope"] - 1)
+            shares.append(error / point["error_bound"])
+    assert shares and max(shares) < 0.5
 
 
 def drawn(seed):

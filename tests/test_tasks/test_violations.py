@@ -16,7 +16,7 @@ from tasks.solve_at_slope import solve_one
 from tasks.solve_points import atlas, points
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.resolve import resolve
-from tasks.walkers.tuning import statics
+from tasks.walkers.statics import statics
 from tasks.walkers.walker import Walker
 
 WALKERS = Path(__file__).parents[2] / "data" / "walkers"

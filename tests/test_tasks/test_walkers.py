@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from heyoka import real128
+from scipy.optimize import minimize
 
 from lines import some
 from soak.bounds import RANDOM
@@ -17,7 +18,8 @@ from tasks.step.problem import Lanes, Problem
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.describe import describe, drawing
 from tasks.walkers.resolve import check, from_table, owned, resolve, resolve_many
-from tasks.walkers.tuning import is_tuned, statics, tune
+from tasks.walkers.statics import is_tuned, nearest, statics
+from tasks.walkers.tuning import tune, untuned
 from tasks.walkers.walker import WalkerError
 
 
@@ -77,12 +79,115 @@ def test_a_table_is_tuned_as_the_walker_of_its_numbers():
 
 def test_a_study_is_told_which_key_moves_which():
     moved = check({"walker": "E", "set": {"foot_mass_ratio": 0.05, "R": 0.0}})["varied"]
-    assert moved == {**dict.fromkeys(("m_t", "m_s", "m_h"), "foot_mass_ratio"), "R": "R"}
+    assert moved == {**dict.fromkeys(("m_t", "m_s", "m_h"), ("foot_mass_ratio",)), "R": ("R",)}
 
 
 def test_tune_says_when_freed_keys_cannot():
     with pytest.raises(WalkerError, match="free another key"):
         tune({"walker": "physical", "free": ["m_h"]})
+
+
+RETUNED = {"base": "A", "tuned": ["w_t"]}
+
+
+def test_a_walker_is_retuned_by_the_least_change():
+    """As SLSQP finds it, from derivatives of its own."""
+    walker, free = resolve("physical", {"R": 0.14, "m_t": 1.5}), ["w_t", "w_s", "c_t", "eps_T"]
+    scale = np.array([abs(getattr(walker, key)) or walker.leg for key in free])
+
+    def residuals(change):
+        moved = {key: float(getattr(walker, key) + s * c) for key, s, c in zip(free, scale, change, strict=True)}
+        return np.array([*statics(replace(walker, **moved)).values()])
+
+    values, change, found = nearest(walker, free)
+    least = minimize(
+        lambda change: change @ change,
+        np.zeros(4),
+        constraints={"type": "eq", "fun": residuals},
+        method="SLSQP",
+        options={"ftol": 1e-15},
+    )
+    assert found.tolist() == [True] and np.abs(least.x).min() > 1e-5
+    np.testing.assert_allclose(change[:, 0], least.x, atol=1e-6)
+    assert is_tuned(replace(walker, **{key: float(value[0]) for key, value in values.items()}))
+
+
+def test_a_retuned_leg_has_no_offset_that_doubles_see():
+    for R in (0.05, 0.13, 0.31, 0.4):
+        constants = lump(resolve(RETUNED, {"R": R, "m_s": 0.7}))
+        assert {name: value for name, value in constants.items() if name.startswith("S_b") and not value}
+        assert untuned({"walker": "A", "set": {"R": R}}) and not untuned({"walker": RETUNED, "set": {"R": R}})
+    assert resolve(RETUNED, {"R": 0.2}) == resolve("A")
+
+
+def test_many_walkers_are_retuned_as_each_alone():
+    keys = {"R": np.linspace(0.05, 0.4, 9), "m_t": np.linspace(3, 1, 9)}
+    for walker in (RETUNED, {"base": "C", "tuned": ["w_t", "w_s", "c_s"]}):
+        many = resolve_many(walker, keys | {"m_h": 0.5})
+        each = [{"m_h": 0.5, **{key: float(v[k]) for key, v in keys.items()}} for k in range(9)]
+        assert [many[k] for k in range(9)] == [resolve(walker, values) for values in each]
+    assert len({walker.w_t for walker in (many[k] for k in range(9))}) == 9
+    # What moves no condition leaves the offset.
+    assert resolve_many(RETUNED, {"m_h": np.array([0.0, 1.0])})[1] == resolve("A", {"m_h": 1.0})
+
+
+def test_of_many_walkers_those_that_cannot_be_tuned_have_no_numbers():
+    kneed = {"base": "C", "tuned": ["w_t"]}
+    many = resolve_many(kneed, {"R": np.array([0.2, 0.3])})
+    assert many.w_t[0] == CATALOGUE["C"].w_t and np.isnan(many.w_t[1])
+    with pytest.raises(WalkerError, match="`tuned` cannot meet the static conditions"):
+        resolve_many(kneed, {"R": np.array([0.25, 0.3])})
+
+
+@pytest.mark.parametrize(
+    ("tuned", "changes", "said"),
+    [
+        (["m_h"], {"R": 0.3}, "`tuned` cannot meet the static conditions of vanishing slopes; add a key; got m_h."),
+        (["w"], {}, "`tuned` must be a list of keys of a walker"),
+        ("w_t", {}, "`tuned` must be a list of keys of a walker"),
+        (["w_t"], {"w_t": 0.1}, "`w_t` is set by `tuned`, which changes it so that the walker is tuned; got 0.1."),
+    ],
+)
+def test_a_walker_that_cannot_be_tuned_says_why(tuned, changes, said):
+    with pytest.raises(WalkerError) as refused:
+        resolve({"base": "A", "tuned": tuned}, changes)
+    assert str(refused.value).startswith(said)
+
+
+def test_a_detuned_walker_is_retuned_where_asked():
+    walker = resolve({"base": "A", "tuned": ["w_t"]}, {"detuning": 0.5})
+    assert is_tuned(walker) and walker.r_t == resolve("A", {"detuning": 0.5}).r_t
+
+
+def test_a_study_is_told_which_keys_are_tuned_and_along_what():
+    found = check({"walker": RETUNED, "set": {"R": 0.3, "m_h": 1.0, "m_s": 0.9}})
+    assert found["tuned"] == ("w_t",) and found["varied"]["w_t"] == ("R", "m_s")
+    assert check({"walker": RETUNED, "set": {"m_h": 1.0}})["varied"] == {"m_h": ("m_h",)}
+
+
+ONE = {"knees": False, "l": 1.0, "m": 1.0, "c": 0.4, "m_h": 5.0}
+
+
+def test_keys_of_a_leg_of_one_link_mean_what_they_mean_in_its_table():
+    changes = {"l": 0.8, "c": 0.3, "r": 0.1, "w": 0.02, "m": 2.0, "m_h": 3.0}
+    walker = resolve({**ONE, "R": 0.2}, changes)
+    assert walker == from_table({**ONE, "R": 0.2, **changes}) and walker.leg == pytest.approx(1.0)
+    # Another radius keeps the length to the bottom of the foot.
+    assert resolve({**ONE, "R": 0.2}, {**changes, "R": 0.3}) == replace(walker, R=0.3)
+    arrays = {key: np.array([0.7 * value, value]) for key, value in changes.items() if key != "w"}
+    many = resolve_many(ONE, arrays | {"w": 0.02})
+    each = [{key: float(value[k]) for key, value in arrays.items()} | {"w": 0.02} for k in range(2)]
+    assert [many[0], many[1]] == [resolve(ONE, own) for own in each]
+    moved = check({"walker": ONE, "set": changes})["varied"]
+    assert moved["c_s"] == ("l", "c") and moved["l_s"] == ("l",) and moved["m_t"] == ("m",)
+    assert check({"walker": ONE, "set": {"m": 2.0}})["widths"] == {"m": pytest.approx(9 / 8)}
+
+
+@pytest.mark.parametrize("key", ["l", "c", "r", "m", "w"])
+def test_keys_of_a_leg_of_one_link_are_none_of_two(key):
+    for walker in ("E", {"base": "A", "m_h": 1.0}):
+        with pytest.raises(WalkerError, match=f"`{key}` is a key of a leg of one link"):
+            resolve(walker, {key: 0.3})
 
 
 def test_detuning_runs_from_tuned_to_physical():

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from unittest import mock
 
 from pipeline.report.figures import (
     bifurcation,
@@ -52,15 +54,18 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
 }
 
 
-def draw(source: Source, name: str, salt: str) -> Drawing | None:
+def draw(source: Source, name: str, salt: str, small: bool = True) -> Drawing | None:
     """Draw one figure of a study; None if the archive lacks its data or there is no figure of that name.
 
-    `salt` makes the SVG's identifiers differ from those of other figures on the page.
+    `salt` makes the SVG's identifiers differ from those of other figures on the page; `small` asks for a version for
+    the index.
     """
     function = FIGURES.get(name)
     if function is None:
         return None
-    with style(), warnings.catch_warnings():
+    with style(), warnings.catch_warnings(), mock.patch.dict(os.environ):
+        # Matplotlib reads it even for what it does not write, and it may be anything.
+        os.environ.pop("SOURCE_DATE_EPOCH", None)
         # Words stay words in the SVG: the reader's fonts have the glyphs that the font of the layout lacks.
         warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         sketch = function(source)
@@ -70,4 +75,4 @@ def draw(source: Source, name: str, salt: str) -> Drawing | None:
         if source.steps > 1:
             caption = f"{sketch.caption} The gaits repeat after {source.steps} steps, not sooner."
             sketch = replace(sketch, caption=caption)
-        return render(sketch, name, salt)
+        return render(sketch, name, salt, small)

@@ -190,7 +190,9 @@ def _draw_special(axes: Axes, points: pd.DataFrame, command: str) -> list[Marks]
     slopes, angles = points["slope"].to_numpy(), points["stance_angle"].to_numpy()
     kinds = [str(kind).replace("_", " ") for kind in points["kind"]]
     values = {"kind": kinds, "γ (rad)": slopes, "θ* (rad)": angles}
-    return [Marks(axes, slopes, angles, "special point", values, command, slopes, gaits=points)]
+    # At the slope where steps vanish there is none, however small the last one followed.
+    gaits = points.assign(stance_angle=points["stance_angle"].where(points["kind"] != "end_zero_step", 0.0))
+    return [Marks(axes, slopes, angles, "special point", values, command, slopes, gaits=gaits, above=True)]
 
 
 def _draw_points(axes: Axes, numbered: pd.DataFrame) -> bool:

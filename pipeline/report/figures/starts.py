@@ -181,23 +181,17 @@ def cells(
     -------
     dict
         `at`, `keys` and `command` of the line that the map varies; `label` and `shown`; `moved`, for each key of the
-        walker that a derived key moves, its values along that axis, in rising order; `fields`, the numbers of the
-        cells: whether there is a gait, its slope (unless it is along the map or given), stance angle and rates over the
-        stance angle, and what is shown.
+        walker that other keys move or tune, these axes and its values along them, in rising order; `fields`, the
+        numbers of the cells: whether there is a gait, its slope (unless it is along the map or given), stance angle and
+        rates over the stance angle, and what is shown.
     """
     fixed = {key: float(value) for key, value in settings.items()}
     keys = parameters(source, walker, fixed)
-    moved = {
-        key: [
-            axis,
-            rounded(
-                (source.parameters(walker, {**fixed, axis: value})[key] for value in np.sort(source.grid[axis].values)),
-                10,
-            ),
-        ]
-        for key, axis in source.varied.items()
-        if axis in names and key != axis and key in source.grid
-    }
+    moved = {}
+    for key, axes in source.varied.items():
+        across = [axis for axis in axes if axis in names]
+        if across and key not in axes and key in source.grid:
+            moved[key] = [across, rounded(source.moved(walker, fixed, key, across), 10)]
     return {
         "at": {"walker": walker, **fixed},
         "keys": keys,
@@ -214,7 +208,11 @@ def cells(
 def _fields(columns: Mapping[str, np.ndarray], knees: bool, maps: int) -> dict[str, Any]:
     """The numbers of a map's cells: 8 digits of slope and angle, 5 of rates, which Newton finds, 7 of others."""
     angle, wanted = columns.get("stance_angle"), {}
+    # Steps that vanish at slope 0 are told apart, for the slopes of the others have their digits by their logarithms.
+    still = columns.get("slope", np.zeros((0, 0))) == 0
     for name, values in columns.items():
+        if name == "slope":
+            values = np.where(still, np.nan, values)
         if name in START[2:]:
             if angle is not None and (knees or name != "shank_rate"):
                 ratio = values / angle
@@ -224,4 +222,5 @@ def _fields(columns: Mapping[str, np.ndarray], knees: bool, maps: int) -> dict[s
             digits = 1e-9 if name in START else 1e-8
             wanted[name] = values, digits * (1.0 if log else float(np.nanmax(np.abs(values), initial=1e-9))), log
     first = next(iter(columns.values()), np.zeros((0, 0))) if angle is None else angle
-    return {"present": fields.words(np.isfinite(first)), **fields.fitting(wanted, _ROOM // maps)}
+    words = {"present": fields.words(np.isfinite(first))} | ({"still": fields.words(still)} if still.any() else {})
+    return {**words, **fields.fitting(wanted, _ROOM // maps)}

@@ -33,7 +33,8 @@ class Marks:
     """Points of one curve that show their values and the command that reproduces them under the pointer.
 
     The command is `command` with a slope of `slopes`, or one of `commands`. `gaits` has the stance angles of the
-    points and their rates, from which the page's script starts them; with `free` they are steps of no gait.
+    points and their rates, from which the page's script starts them; with `free` they are steps of no gait. Points
+    that are drawn `above` others are found before those that they hide.
     """
 
     axes: Axes
@@ -47,6 +48,7 @@ class Marks:
     group: int | None = None
     gaits: pd.DataFrame | None = None
     free: bool = False
+    above: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,20 +101,19 @@ class Drawing:
     axes: list[dict[str, Any]]
 
 
-def render(sketch: Sketch, name: str, salt: str) -> Drawing:
-    """Render a sketch as an SVG for a page, with its marks in the SVG's coordinates.
+def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
+    """Render a sketch as an SVG for a page, with its marks in the SVG's coordinates; `small` for the index as well.
 
     Notes
     -----
     Equal sketches give equal bytes: the SVG's identifiers derive from `salt`, and no date is written.
     """
     figure = sketch.figure
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")
+    engine = figure.get_layout_engine()
+    assert engine is not None
+    engine.execute(figure)
+    figure.set_layout_engine(None)  # a placeholder would have everything drawn once more before it is written
     svg = _to_svg(figure, f"{salt}/{name}", 160)
-    small = svg
-    for most, dpi in _THUMBNAILS:
-        small = _small(_to_svg(figure, f"{salt}/{name}/small", dpi, 0)) if len(small) > most else small
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
         name,
@@ -123,12 +124,22 @@ def render(sketch: Sketch, name: str, salt: str) -> Drawing:
         width,
         height,
         sketch.data,
-        small,
+        _thumbnail(figure, svg, f"{salt}/{name}/small") if small else svg,
         _targets(sketch.marks, height),
         sketch.lines,
         [_panel(k, sketch.panels, height) for k in range(len(sketch.panels))],
         [_frame(axes, height) for axes in figure.axes if axes.axison and axes.get_label() != "<colorbar>"],
     )
+
+
+def _thumbnail(figure: Figure, svg: str, salt: str) -> str:
+    """A small version of a figure drawn as `svg`; the same if that is small."""
+    small = svg
+    for most, dpi in _THUMBNAILS:
+        # Without a raster the second would be the first.
+        if len(small) > most and (small is svg or "<image" in small):
+            small = _small(_to_svg(figure, salt, dpi, 0))
+    return small
 
 
 def _coarsen(figure: Figure) -> None:
@@ -205,7 +216,7 @@ def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
             for i, (a, b) in zip(inside.tolist(), pixels, strict=True)
         ]
         target = {"label": mark.label, "names": list(mark.values), "command": mark.command, "rows": rows}
-        target |= _starts(mark, inside)
+        target |= _starts(mark, inside) | ({"above": True} if mark.above else {})
         targets.append(target if mark.group is None else {**target, "line": mark.group})
     return targets[:TARGETS]
 
@@ -229,7 +240,7 @@ def _starts(mark: Marks, inside: np.ndarray) -> dict[str, Any]:
     if mark.free and "stance_rate" not in names:
         return {}
     values = mark.gaits[names].to_numpy(float)[inside]
-    starts = [[v for v in (*rounded(row[:1], 9), *rounded(row[1:], 6)) if v is not None] for row in values]
+    starts = [[v for v in rounded(row, 12) if v is not None] for row in values]
     return {"starts": starts, **({"free": True} if mark.free else {})}
 
 

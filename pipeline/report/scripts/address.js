@@ -67,11 +67,15 @@ const withSlope = (command, slope) => command && `${command} --slope ${slope}`;
  */
 function storedGait({ keys, command, slope, start, ...more }) {
   const walker = walkerOf(keys), state = stateOf(walker, start), y = sectionOf(walker, state), told = { ...more, slope, command: withSlope(command, slope) };
-  const found = slope > 0 && start[0] > 0 ? findGait(walker, y, slope, true) : null;
+  if (!(slope > 0 && start[0] > 0)) return null;
+  // Where walking ends a strike only just touches, or two coincide, and Newton's method has no derivative.
+  const [plain, touching] = [0, 1e-6 * start[0]].map(slack => flyStep(walker, state, slope, 0, slack));
+  const [miss, least] = [plain, touching].map(({ fall, end }) => fall ? Infinity : abs(end[0] / start[0] - 1));
+  if (least < 1e-7 && least < miss) return describe({ y, slope, start: state, step: touching }, walker, told);
+  const found = findGait(walker, y, slope, true);
   if (found && hypot(Math.log(found.slope / slope), Math.log(found.y[0] / start[0])) < 1e-6) return describe(found, walker, told);
-  // Beside the ends of walking Newton's method has no derivative; the stored state flies, and returns to itself.
-  const step = flyStep(walker, state, slope);
-  return step.fall || abs(step.end[0] / start[0] - 1) > 1e-3 ? null : describe({ y, slope, start: state, step }, walker, told);
+  // Beside those ends, too, the stored state flies, and returns to itself.
+  return miss < 1e-3 ? describe({ y, slope, start: state, step: plain }, walker, told) : null;
 }
 
 /** Gait of a line at a place of one of its branches; null where Newton's method finds none. */
@@ -136,9 +140,9 @@ function freeMotion(given, { slope, start: [angle, ...rates], before }) {
 /** Keys of the walker of a map's cell. */
 function keysOf(panel, values) {
   const keys = { ...panel.keys, ...values };
-  for (const [key, [axis, list]] of Object.entries(panel.moved ?? {})) {
-    const side = panel.x.name === axis ? panel.x : panel.y, k = side.values.findIndex(value => value >= values[axis] - 1e-12);
-    keys[key] = list[k];
+  for (const [key, [axes, list]] of Object.entries(panel.moved ?? {})) {
+    const sides = axes.map(axis => panel.x.name === axis ? panel.x : panel.y);
+    keys[key] = list[sides.reduce((k, side) => k * side.values.length + side.values.findIndex(value => value >= values[side.name] - 1e-12), 0)];
   }
   delete keys.slope;
   return keys;
@@ -199,7 +203,7 @@ function cellOf(map, [column, row]) {
     map.read[name] ??= readField(fields[name], [y.values.length, x.values.length]);
     return map.read[name][row * x.values.length + column];
   };
-  const known = field("present") !== false, digits = value => Number(value.toPrecision(9)), own = field("slope");
+  const known = field("present") !== false, digits = value => Number(value.toPrecision(9)), own = field("still") ? 0 : field("slope");
   const slope = values.slope ?? (own === undefined ? fixed.slope : digits(own)), at = { ...fixed, ...values }, angle = field("stance_angle");
   delete at.slope;
   const set = Object.entries(values).filter(([key]) => key !== "slope").map(([key, value]) => ` --set ${key}=${value}`).join("");

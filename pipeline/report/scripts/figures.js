@@ -58,7 +58,7 @@ for (const plot of document.querySelectorAll(".plot")) {
     const place = pointer(event), [px, py] = toPixels(place);
     let best = null, least = 24;
     for (const curve of series) if (!away.has(curve.line)) curve.rows.forEach((row, r) => {
-      const [x, y] = toPixels(row), distance = hypot(x - px, y - py);
+      const [x, y] = toPixels(row), distance = hypot(x - px, y - py) - (curve.above ? 4 : 0);
       if (distance < least && isSeen(row)) { least = distance; best = { curve, row: r }; }
     });
     return best ?? cellAt(place);

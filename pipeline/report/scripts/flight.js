@@ -141,9 +141,13 @@ function advance(chain, x, first, slope, h) {
 // The guard of the next strike and its rate: flexion of the knee, or the sum of the legs' angles.
 const guard = x => x.length === 6 ? [x[1] - x[2], x[4] - x[5]] : [x[0] + x[1], x[2] + x[3]];
 
-/** Shares of a time step between which the guard falls through zero, or null; `after` is the state after a share. */
-function bracket(x, next, after) {
+/**
+ * Shares of a time step between which the guard falls through zero, or null; `after` is the state after a share. A guard
+ * that turns within `slack` of zero strikes as it turns; a foot that is so near as the knee strikes, strikes with it.
+ */
+function bracket(x, next, after, slack) {
   const [a, da] = guard(x), [b, db] = guard(next);
+  if (abs(a) <= slack && da < 0 && x.length === 4 && x[0] < 0) return [0, 0];
   if (a > 0 && b <= 0) return [0, 1];
   // Within the time step the guard may dip below zero and back, or rise above and back: how far is flown, not interpolated.
   const dips = a > 0 && da < 0 && db > 0, rises = a <= 0 && b <= 0 && da > 0 && db < 0;
@@ -153,12 +157,13 @@ function bracket(x, next, after) {
     turn = Math.min(1, Math.max(0, turn + rate / (da - db)));
     [far, rate] = guard(after(turn));
   }
+  if (abs(far) <= slack) return [turn, turn];
   return dips && far <= 0 ? [0, turn] : rises && far > 0 ? [turn, 1] : null;
 }
 
 /** Share of a time step of length h at which the guard falls through zero, or -1; a foot strikes behind the stance leg only. */
-function crossing(x, next, h, after) {
-  const ends = bracket(x, next, after);
+function crossing(x, next, h, after, slack) {
+  const ends = bracket(x, next, after, slack);
   if (!ends) return -1;
   let [low, high] = ends, at = (low + high) / 2;
   for (let k = 0; k < 60; k++) {
@@ -172,13 +177,13 @@ function crossing(x, next, h, after) {
 }
 
 /** Fly one phase to its strike: { samples: [time, state, derivative], end, time } or { samples, fall }. */
-function flyPhase(chain, start, begin, slope) {
+function flyPhase(chain, start, begin, slope, slack = 0) {
   const samples = [], h = TIME_STEP, free = start.length === 6;
   let x = start;
   for (let k = 0; ; k++) {
     const now = begin + k * h, first = derivative(chain, x, slope);
     samples.push([now, x, first]);
-    const after = share => advance(chain, x, first, slope, share * h), next = after(1), share = crossing(x, next, h, after);
+    const after = share => advance(chain, x, first, slope, share * h), next = after(1), share = crossing(x, next, h, after, slack);
     if (share >= 0) {
       const at = share * h, end = after(share);
       samples.push([now + at, end, derivative(chain, end, slope)]);
@@ -230,9 +235,10 @@ function strikeHeel(walker, angle, rates) {
 /**
  * Fly a step to its end from the state just after heelstrike, or from one within it at a time since it began.
  * { phases, period, kneestrike, before, end } - `before` the rates of both legs before heelstrike, `end` the state after
- * it - or { phases, fall } where it does not end in one.
+ * it - or { phases, fall } where it does not end in one. `slack` is how near to zero the guard of a strike
+ * may turn that counts as a strike: that of an end of walking only just touches zero.
  */
-function flyStep(walker, start, slope, begin = 0) {
+function flyStep(walker, start, slope, begin = 0, slack = 0) {
   const phases = [], fell = fall => ({ phases, kneestrike, fall });
   let x = start, now = begin, kneestrike = null;
   if (!begin && !(x[0] > 0)) {
@@ -240,12 +246,12 @@ function flyStep(walker, start, slope, begin = 0) {
     return fell("backward");
   }
   if (x.length === 6) {
-    phases.push(flyPhase(walker.free, x, now, slope));
+    phases.push(flyPhase(walker.free, x, now, slope, slack));
     if (phases[0].fall) return fell(phases[0].fall);
     kneestrike = now = phases[0].time;
     x = lockKnee(walker, phases[0].end);
   }
-  const last = flyPhase(walker.locked, x, now, slope);
+  const last = flyPhase(walker.locked, x, now, slope, slack);
   phases.push(last);
   if (last.fall) return fell(last.fall);
   const before = [last.end[2], last.end[3]], angle = (last.end[1] - last.end[0]) / 2;

@@ -210,7 +210,8 @@ if (panel && LINES.length + document.querySelectorAll("script.panels").length) {
     const line = wish.at && lineAt(wish.at), named = wish.slope > 0 && !wish.free && !line && cellNamed(wish);
     const [map, cell] = wish.map ? [wish.map, wish.cell] : named || [];
     const found = map ? gaitOfCell(map, cell) : wish.free ? (wish.given || line) && freeMotion(wish.given ?? line, wish) : line ? gaitNear(line, wish.slope, wish.start) : null;
-    say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : wish.slope || map ? "No gait is stored here." : "The address names no gait of this page.");
+    const still = map ? cellOf(map, cell).slope === 0 : wish.slope === 0 || wish.start?.[0] === 0;
+    say(found?.nearby ? "Here the branch ends; this is the nearest of its gaits." : found ? "" : still ? "Here the steps have no length: nothing walks." : wish.slope || map ? "No gait is stored here." : "The address names no gait of this page.");
     if (found) show(found, options); else if (options.dock) clear();
     if (options.dock) dock(true);
     if (found && options.dock) {
