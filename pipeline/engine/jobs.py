@@ -60,7 +60,7 @@ class Jobs:
         self._ready: deque[Node] = deque()
         self._pending: set[str] = set()  # keys of results that are to come
         self._waiting: dict[str, list[Node]] = {}  # nodes by a pending need
-        self._dropped: set[str] = set()  # keys of nodes whose needs failed
+        self._failed: set[str] = set()  # keys of tasks that failed, and of nodes that need them
         self._lock = threading.RLock()  # a node is taken by the thread of an executor
 
     @property
@@ -112,7 +112,11 @@ class Jobs:
         if node.key.key not in self._pending:
             return
         pending = next((need for need in node.needs if need in self._pending), None)
-        if pending:
+        if failed := next((need for need in node.needs if need in self._failed), None):
+            lost, outcome = self._arrived(node.key.key, False) + node.points, self.store.outcome(failed)
+            status = outcome.status if outcome else "not_attempted"
+            self.listen("task", {"task": node.task, "seconds": 0.0, "points": 0, "lost": lost, "outcome": status})
+        elif pending:
             self._waiting.setdefault(pending, []).append(node)
         elif node.copies and not node.lines:
             assert node.chunk
@@ -244,7 +248,7 @@ class Jobs:
     def copy(self, key: Key, data: bytes) -> None:
         """Store a result that another study has computed."""
         with self._lock:
-            if self.error or key.key in self.store or key.key in self._dropped:
+            if self.error or key.key in self.store or key.key in self._failed:
                 return
             try:
                 self.store.put_result(key, Outcome("ok", ""), data)
@@ -257,12 +261,12 @@ class Jobs:
     def _arrived(self, key: str, is_ok: bool) -> int:
         """Make nodes ready that waited for a result; if it failed they are dropped, and their points counted."""
         self._pending.discard(key)
+        self._failed.update(() if is_ok else (key,))
         lost = 0
         for node in self._waiting.pop(key, ()):
             if is_ok:
                 self._ready.append(node)
             else:
-                self._dropped.add(node.key.key)
                 lost += node.points + self._arrived(node.key.key, False)
         return lost
 

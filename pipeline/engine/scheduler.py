@@ -63,11 +63,13 @@ class Scheduler:
         """
         broken = 0
         while self.studies:
+            self.signals.check()
             self._finish()
             try:
                 with contextlib.ExitStack() as stack:
                     parallel = stack.enter_context(self.engine.parallel()) if self._has_jobs() else None
                     while parallel and self._has_jobs():
+                        self.signals.check()
                         with contextlib.closing(parallel(self._ready())) as results:
                             for number, result in results:
                                 broken = 0

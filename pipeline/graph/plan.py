@@ -95,7 +95,7 @@ class Plan:
         keys, digests, rows = self._elsewhere
         own = self.graph.digests(chunk.lines)[:, 0]
         place = np.minimum(np.searchsorted(digests, own), len(digests) - 1)
-        is_there: np.ndarray = np.equal(digests[place], own)
+        is_there = np.array(digests[place] == own, bool)
         node = replace(node, why="changed" if head else self._new_or_changed(node.key))
         if not is_there.any():
             return node

@@ -70,7 +70,7 @@ KINDS = [
     (os.mkdir, " is a directory,"),
 ]
 SIDECARS = [".journal-lock", ".events.jsonl", ".run.json"]
-JOURNALS = [".journal", ".journal-wal", ".journal-shm", ".journal-journal", ".journal-chunks"]
+JOURNALS = [".journal", ".journal-wal", ".journal-shm", ".journal-journal"]
 
 
 @pytest.mark.parametrize(("make", "kind"), KINDS)

@@ -322,7 +322,7 @@ def test_a_walker_file_is_read_beside_the_study(write, tmp_path):
 def test_a_walker_is_archived_as_it_is_before_axes_move_it(write):
     axes = "slope = [0.01]\ndetuning = [0.0, 1.0]\nm_h = [1.0, 2.0]"
     found = parse.read(write(f'name = "s"\nwalker = ["C", "A"]\n[axes]\n{axes}\n'))
-    about = json.loads(provenance(SimpleNamespace(study=found, layers={})))
+    about = json.loads(provenance(SimpleNamespace(study=found, graph=SimpleNamespace(layers={}))))
     assert about["walkers"] == [CATALOGUE[name].table() for name in "CA"]
     detuned = {key: ["detuning"] for key in ("w_t", "r_t", "c_t", "w_s", "r_s")}
     assert about["varied"] == {"m_h": ["m_h"], **detuned} and about["tuned"] == []
