@@ -67,7 +67,12 @@ def parser() -> argparse.ArgumentParser:
     c.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
     c.add_argument("--fresh", action="store_true", help="discard the results of earlier runs")
     c.add_argument("--retry-failed", action="store_true", help="retry failed points and tasks")
-    c.add_argument("--chunk", type=kinds.count, metavar="N", help="points in a chunk (default: about a second of work)")
+    c.add_argument(
+        "--chunk",
+        type=kinds.count,
+        metavar="N",
+        help="most points that a worker computes at a time (default: those of a chunk)",
+    )
     c.add_argument(
         "--snapshot",
         type=kinds.interval,

@@ -13,7 +13,7 @@ from pipeline.graph.graph import Copies, Graph, Node
 from pipeline.grid import costs
 from pipeline.grid.grid import Chunk, golden_ratio_order
 from pipeline.statuses import ANSWERS
-from pipeline.store.record import Head, Points, unpacked
+from pipeline.store.record import Head, unpacked
 from pipeline.store.store import Key, Outcome, Store
 from pipeline.study.model import Study
 from tasks.registry import GAITS, TASKS, VARIABLES
@@ -95,7 +95,7 @@ class Plan:
         keys, digests, rows = self._elsewhere
         own = self.graph.digests(chunk.lines)[:, 0]
         place = np.minimum(np.searchsorted(digests, own), len(digests) - 1)
-        is_there = np.array(digests[place] == own, bool)
+        is_there: np.ndarray = np.equal(digests[place], own).astype(bool)
         node = replace(node, why="changed" if head else self._new_or_changed(node.key))
         if not is_there.any():
             return node
@@ -170,14 +170,6 @@ class Plan:
         """How the atlas of a line ended, for what needs it; None if it is not known, or no task of its own."""
         keys = self.graph.line_keys(number)
         return self.store.outcome(keys["atlas"].key) if "atlas" in keys else None
-
-    def points(self, chunk: Chunk) -> Points | None:
-        """Points of a chunk; None if they are not stored."""
-        key = self.graph.chunk_key(chunk).key
-        if key not in self.store:
-            return None
-        with self.store.reading():
-            return unpacked(*self.store.get(key))
 
     def omissions(self) -> tuple[list[str], list[str]]:
         """Tasks and variables that the study does not request."""

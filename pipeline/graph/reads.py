@@ -12,11 +12,11 @@ import numpy as np
 from pipeline import serialize
 from pipeline.graph.plan import Plan
 from pipeline.statuses import ALL_STATUSES
-from pipeline.store.record import Points, dtype_of, has_multipliers
+from pipeline.store.record import Head, dtype_of, has_multipliers
 from tasks.registry import GAITS, READS, VARIABLES
 
 _MAX_SLOPES = 20_000  # slopes of a line that a task over the study reads, evenly spaced
-_MAX_CHUNKS = 64  # chunks in memory
+_MAX_CHUNKS = 64  # chunks in memory, where lines cross them
 
 
 def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
@@ -44,7 +44,7 @@ class _Lines:
         self.plan, self.names, self.graph = plan, names, plan.graph
         self.step = math.ceil(len(plan.study.slope) / _MAX_SLOPES)
         self.others = [k for k, gait in enumerate(GAITS) if gait not in plan.study.gaits]
-        self._points = functools.lru_cache(_MAX_CHUNKS)(self._read)
+        self._chunk = functools.lru_cache(_MAX_CHUNKS if self.graph.method.is_of_lines else 1)(self._read)
 
     def line(self, number: int) -> dict[str, Any]:
         """Slopes and variables, shape (n, gait[, multiplier]), of one line."""
@@ -55,20 +55,25 @@ class _Lines:
             n = chunk.slopes.stop - chunk.slopes.start
             place = int(np.flatnonzero(chunk.lines == number)[0])
             rows = np.arange(n)[-chunk.slopes.start % self.step :: self.step] + place * n
-            points = self._points(k)
-            parts.append({name: self._column(points, name, rows) for name in self.names})
+            stored = self._chunk(k)
+            parts.append({name: self._column(stored.get(name), name, rows) for name in self.names})
         values = {name: np.concatenate([part[name] for part in parts]) for name in self.names}
         return {"slope": self.plan.study.slope[:: self.step], **values}
 
-    def _read(self, number: int) -> Points | None:
-        return self.plan.points(self.graph.grid.chunk(number))
+    def _read(self, number: int) -> dict[str, np.ndarray]:
+        key, store = self.graph.chunk_key(self.graph.grid.chunk(number)).key, self.plan.store
+        if key not in store:
+            return {}
+        head, payload = store.get(key)
+        with store.reading():
+            contents = Head(head)
+            return {name: contents.unpack(memoryview(payload), name) for name in self.names}
 
-    def _column(self, points: Points | None, name: str, rows: np.ndarray) -> np.ndarray:
+    def _column(self, stored: np.ndarray | None, name: str, rows: np.ndarray) -> np.ndarray:
         absent = ALL_STATUSES["not_attempted"] if name == "status" else VARIABLES[name].absent
         shape = (len(rows), len(GAITS), *([self.graph.grid.multipliers] if has_multipliers(name) else []))
         whole = np.full(shape, absent, dtype_of(name))
-        if points is not None:
-            stored = points.values[name][rows]
-            whole[:, : stored.shape[1]] = stored
+        if stored is not None:
+            whole[:, : stored.shape[1]] = stored[rows]
         whole[:, self.others] = VARIABLES[name].absent
         return whole

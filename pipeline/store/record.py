@@ -172,7 +172,7 @@ def pack(
                 column = wide
             pieces.append(pack_values(np.ascontiguousarray(shape.unfold(column)), extent))
     status, reason = points.values["status"], points.values["reason"]
-    rows, numbers = status_rows(status), sorted(points.sentences)
+    rows, numbers = _status_rows(status), sorted(points.sentences)
     head = {
         "shape": dataclasses.astuple(shape),
         "multipliers": multipliers,
@@ -200,7 +200,7 @@ def has_multipliers(name: str) -> bool:
     return name in VARIABLES and "multiplier" in VARIABLES[name].dims
 
 
-def status_rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
+def _status_rows(status: np.ndarray) -> dict[tuple[int, ...], int]:
     """Count the distinct rows of an array of statuses.
 
     Parameters

@@ -24,7 +24,7 @@ fits = ["scaling"]
 def peaks(toy, *arguments):
     """Peak resident memory [byte] of a command and of the largest process below it, and its time [s]."""
     began, found = time.monotonic(), {}
-    process = toy.start(*arguments)
+    process = toy.start(*arguments, TOY_CHUNK="16384")
     reader = threading.Thread(target=process.communicate)
     reader.start()
     while reader.is_alive():

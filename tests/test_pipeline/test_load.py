@@ -73,7 +73,7 @@ def test_a_million_small_jobs_and_two_hundred_kills(toy, tell, n, kills):
 def test_a_journal_of_a_billion_points(toy, tell, slopes, lines):
     """Points of long lines, as fast as the parent takes them; what it holds is that of a line, not of all."""
     toy.write(STUDY.format(n=lines).replace("n = 50 ", f"n = {slopes} "))
-    process = toy.start("run", "toy.toml", "--quiet", TOY_DIGITS="2")
+    process = toy.start("run", "toy.toml", "--quiet", TOY_DIGITS="2", TOY_CHUNK="1000")
     log, base, growth, files, largest = sidecar_path(toy, ".events.jsonl"), None, 0, 0, 0
     while process.poll() is None:
         time.sleep(0.05)

@@ -79,7 +79,7 @@ def write(
     dataset = xr.Dataset(
         grid,
         coords,
-        {"Conventions": "CF-1.11", "gaitsweep_schema": np.int32(1), "provenance": json.dumps(provenance)},
+        {"Conventions": "CF-1.11", "gaitsweep_schema": np.int32(2), "provenance": json.dumps(provenance)},
     )
     for name, variable in dataset.variables.items():
         if variable.dtype.kind in "fi":

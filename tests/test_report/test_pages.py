@@ -25,7 +25,7 @@ from pipeline.errors import ArchiveError
 from pipeline.report import html_tables, ledger, pages, source
 from pipeline.report.figures.style import plain
 from pipeline.report.source import read
-from pipeline.store import lines
+from pipeline.store.record import count
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
 from test_report.shape import GAITS, KNEED, POINT, write
@@ -536,7 +536,7 @@ def test_points_are_counted_as_by_the_run(archives):
         if "gait" in grid.outcomes.dims and "status" in grid.outcomes:
             status = grid.outcomes["status"].transpose(..., "gait").values
             rows = Counter(map(tuple, status.reshape(-1, status.shape[-1]).tolist()))
-            assert {name: n for name, n, _ in html_tables.statuses(grid)} == dict(lines.count(rows))
+            assert {name: n for name, n, _ in html_tables.statuses(grid)} == dict(count(rows))
             assert sum(rows.values()) == np.prod([grid.grid.sizes[axis] for axis in grid.axes])
             counted += len(html_tables.statuses(grid))
     assert counted > 4
