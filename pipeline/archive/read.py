@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.archive import layout
 from pipeline.errors import ArchiveError, GaitsweepError, WorkerError, unread
-from pipeline.grid import grid
+from pipeline.grid import boxes as parts
 from pipeline.paths import kind_of
 
 SCHEMA = 2
@@ -180,10 +180,10 @@ def is_over_grid(variable: Any) -> bool:
     return "gait" in variable.dimensions and variable.name != "gait"
 
 
-def boxes(variable: Any) -> Iterator[grid.Box]:
+def boxes(variable: Any) -> Iterator[parts.Box]:
     """Boxes in which a variable of points is read: whole chunks."""
     points = _points(variable)
-    return grid.boxes(points, _chunk(variable)[: len(points)], _MAX_POINTS)
+    return parts.boxes(points, _chunk(variable)[: len(points)], _MAX_POINTS)
 
 
 def _points(variable: Any) -> dict[str, int]:
@@ -198,7 +198,7 @@ def _chunk(variable: Any) -> tuple[int, ...]:
     return (*np.atleast_1d(variable.group().checksum_chunk).tolist(), 1, *inner[1:])
 
 
-def box_checksum(variable: Any, values: np.ndarray, box: grid.Box) -> int:
+def box_checksum(variable: Any, values: np.ndarray, box: parts.Box) -> int:
     """Share of a box in the checksum of a variable of points.
 
     Parameters
@@ -208,8 +208,8 @@ def box_checksum(variable: Any, values: np.ndarray, box: grid.Box) -> int:
         In the box.
     box : Box
     """
-    parts = layout.split(values, box, _chunk(variable))
-    return sum(layout.chunk_checksum(zlib.crc32(part.tobytes()), corner) for corner, part in parts)
+    pieces = layout.split(values, box, _chunk(variable))
+    return sum(layout.chunk_checksum(zlib.crc32(part.tobytes()), corner) for corner, part in pieces)
 
 
 def tables(parent: Any, path: str = "") -> Iterator[str]:
@@ -299,7 +299,7 @@ def _read_whole(path: Path) -> None:
                     stored = variable.chunking()
                     chunk = (1,) * variable.ndim if stored == "contiguous" else tuple(stored)
                     sizes = {str(dim): n for dim, n in enumerate(variable.shape)}
-                    for box in grid.boxes(sizes, chunk, _MAX_VALUES):
+                    for box in parts.boxes(sizes, chunk, _MAX_VALUES):
                         variable[box or ...]
             groups += group.groups.values()
 

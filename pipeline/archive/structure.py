@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline import dispatch
 from pipeline.archive import layout
-from pipeline.grid.grid import MOST_POINTS, box_shape, boxes
+from pipeline.grid.boxes import MOST_POINTS, box_shape, boxes
 from pipeline.statuses import ALL_STATUSES
 from pipeline.study import slopes
 from tasks.accuracy import always

@@ -118,8 +118,7 @@ class Plan:
     def _failed_lines(self, key: str, chunk: Chunk) -> np.ndarray:
         with self.store.reading():
             status = unpacked(*self.store.get(key)).values["status"][:, self.columns]
-        failed: np.ndarray = ~np.isin(status, ANSWERS).reshape(len(chunk.lines), -1).all(axis=1)
-        return failed
+        return np.asarray(~np.isin(status, ANSWERS).reshape(len(chunk.lines), -1).all(axis=1))
 
     @functools.cached_property
     def _elsewhere(self) -> tuple[list[str], np.ndarray, np.ndarray]:

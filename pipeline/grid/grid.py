@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,17 +11,16 @@ from typing import Any
 import numpy as np
 
 from pipeline.grid import costs
+from pipeline.grid.boxes import MOST_POINTS, Box, box_shape
 from pipeline.grid.method import Method, method_of
 from pipeline.study.model import Study
 
-MOST_POINTS = 16384  # in a chunk
 _SECONDS = 0.3  # work in a chunk of points of one line [s]
 _MAX_SHARE = 8  # parts of a point's time limit that a chunk may take
 _FEWEST = 4  # points in a chunk of dear ones
 _TINY, _MOST_TINY = 1e-8, 512  # slopes that may need extended precision [rad], and points in a chunk of those
 _LINES = 64  # lines in a chunk of lines side by side: enough to fill registers, few enough to show progress
 _PLANE_POINTS = 8192  # points in a chunk of a plane
-Box = tuple[slice, ...]
 
 
 @dataclass(frozen=True)
@@ -184,35 +182,7 @@ def _tile(axes: tuple[Any, ...], lines: int) -> dict[str, int]:
     return {short.name: side, long[0].name: min(len(long[0]), lines // side)}
 
 
-def box_shape(sizes: Mapping[str, int], points: int) -> tuple[int, ...]:
-    """Shape of a box of at most `points` points, extended along the slope first, then along the last axes.
-
-    Parameters
-    ----------
-    sizes : mapping
-        Size of each dimension.
-    points : int
-
-    Returns
-    -------
-    tuple of int
-    """
-    extent: dict[str, int] = {}
-    for name in sorted(sizes, key=lambda d: (d == "slope", list(sizes).index(d)), reverse=True):
-        extent[name] = min(sizes[name], max(1, points // math.prod(extent.values())))
-    return tuple(extent[d] for d in sizes)
-
-
 def golden_ratio_order(n: int) -> Iterator[int]:
     """Numbers from 0 to n - 1 in an order whose leading part, however long, samples them evenly."""
     step = next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
     return (i * step % n for i in range(n))
-
-
-def boxes(sizes: Mapping[str, int], extent: tuple[int, ...], points: int) -> Iterator[Box]:
-    """Boxes that cover an array, each of complete chunks of that shape, and of at most `points` points if it can."""
-    chunk = dict(zip(sizes, extent, strict=True))
-    counts = box_shape({d: -(-sizes[d] // c) for d, c in chunk.items()}, points // math.prod(chunk.values()))
-    steps = tuple(c * n for c, n in zip(chunk.values(), counts, strict=True))
-    for corner in itertools.product(*(range(0, n, c) for n, c in zip(sizes.values(), steps, strict=True))):
-        yield tuple(slice(i, min(i + c, n)) for i, c, n in zip(corner, steps, sizes.values(), strict=True))

@@ -33,7 +33,7 @@ from pipeline.archive.written import write_strings
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError, DiskFullError
 from pipeline.graph.plan import Plan
-from pipeline.grid.grid import boxes
+from pipeline.grid.boxes import boxes
 from pipeline.report import pages
 from pipeline.statuses import ALL_STATUSES as STATUS
 from pipeline.store.store import Store

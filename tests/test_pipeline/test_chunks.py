@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.archive import chunks, layout
-from pipeline.grid.grid import MOST_POINTS, box_shape, boxes
+from pipeline.grid.boxes import MOST_POINTS, box_shape, boxes
 from pipeline.store import packing
 
 SMOOTH = np.cbrt(np.linspace(1e-4, 0.1, 3 * 9000)).reshape(3, 9000)

@@ -75,12 +75,10 @@ def write(
         "cpu": ["avx2", "fma"],
     }
     units = {"slope": "rad", "stance_angle": "rad", "period": "1"}
-    # The first schema is read as well, and needs no chunks.
-    dataset = xr.Dataset(
-        grid,
-        coords,
-        {"Conventions": "CF-1.11", "gaitsweep_schema": np.int32(2), "provenance": json.dumps(provenance)},
-    )
+    about = {"Conventions": "CF-1.11", "gaitsweep_schema": np.int32(2), "provenance": json.dumps(provenance)}
+    dataset = xr.Dataset(grid, coords, about)
+    points = [n for d, n in dataset.sizes.items() if d not in ("gait", "multiplier", "reason_index")]
+    dataset.attrs["checksum_chunk"] = np.array(points, np.int64)
     for name, variable in dataset.variables.items():
         if variable.dtype.kind in "fi":
             variable.attrs.update(units=units.get(str(name), "1"), long_name=str(name).replace("_", " "))
