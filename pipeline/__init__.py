@@ -1,6 +1,6 @@
 """Run a grid of points, store the results and report them.
 
-The folders follow a number from study to page: `study`, `plan`, `execution`, `store`, `archive`, `report`.
+The folders follow a number from study to page: `study`, `grid`, `graph`, `store`, `engine`, `archive`, `report`.
 
 In a notebook, `from pipeline import load, run, solve, gaits`; `api` has them all.
 """

@@ -73,9 +73,6 @@ OPTIONS: dict[str, dict[str, Option]] = {
 for _each in OPTIONS.values():
     _each["tuned"] = _TUNED
 
-#: Options that had another name before, which is still read.
-RENAMED_OPTIONS = {"strides": "steps"}
-
 
 def options(kind: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Options of a kind of study: those given, and the defaults of the others."""

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from tasks.options import FOLLOWED as FOLLOWED
 from tasks.options import MAX_STEPS as MAX_STEPS
 from tasks.options import OPTIONS as OPTIONS
-from tasks.options import RENAMED_OPTIONS as RENAMED_OPTIONS
 from tasks.options import Option as Option
 from tasks.options import options as options
 from tasks.variables import ALWAYS as ALWAYS
@@ -33,15 +32,14 @@ class Task:
     """One kind of work: `function` is "module:name", called as function(params, inputs).
 
     `side_by_side` computes this task and `points`, which needs it, for several short lines in one call, `over_plane`
-    for those in one cell of a plane of keys. `seconds_per_point` is the scheduler's first guess; what whole studies
-    take is in `tasks.costs`.
+    for those in one cell of a plane of keys. What they take is in
+    `tasks.costs`.
     """
 
     name: str
     function: str
     version: int
     needs: tuple[str, ...] = ()
-    seconds_per_point: float = 0.0
     side_by_side: str = ""
     over_plane: str = ""
 
@@ -56,7 +54,7 @@ TASKS = {
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),
-        Task("points", "tasks.solve_points:points", 17, needs=("atlas",), seconds_per_point=3e-5),
+        Task("points", "tasks.solve_points:points", 17, needs=("atlas",)),
         Task("trace", "tasks.trace_motion:trace", 4, needs=("atlas",)),
         Task("branch", "tasks.follow_branches:branch", 14, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 7, needs=("atlas",)),
@@ -120,9 +118,6 @@ READ_BY_CLAIMS, INTERNAL = {"K2": ("corners",)}, ("atlas", "points", "corners")
 
 #: Windows of slopes [rad] in which the walkers lose persistent walking whose loss the paper prints.
 LOSS_WINDOWS = {"D": (0.01, 0.0195), "C": (0.07, 0.1), "C-printed": (0.07, 0.1)}
-
-#: What a point with proofs takes, before any is measured [s].
-SECONDS_PER_PROOF = 1.0
 
 #: Kinds whose slopes are a window, between the least and the largest.
 WINDOWED = ("branch", "cascade", "curve", "design")

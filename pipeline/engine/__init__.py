@@ -1,7 +1,7 @@
-"""How plans are executed.
+"""How missing nodes are computed.
 
-`runner` runs studies from their locks to their archives; `study_jobs` lays out the jobs of one study and records their
-results; `scheduler` orders the jobs of all; `executors` and `cluster` provide the places where they run;
-`worker_process` guards a worker, `worker_main` is the program of the worker and `wire` carries messages between them;
-`progress` and `estimates` report how far a run is; `locks` and `signals` keep other runs and interruptions out.
+`runner` runs studies from their locks to their archives; `jobs` knows which nodes of one study are ready, and records
+their results; `scheduler` orders the jobs of all; `executors` and `cluster` provide the places where they run;
+`worker_process` guards a worker, `worker_main` is its program and `messages` go between them; `progress` reports how
+far a run is and `account` what it took; `locks` and `signals` keep other runs and interruptions out.
 """

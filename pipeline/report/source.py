@@ -200,10 +200,9 @@ class Source:
 
     @property
     def varied(self) -> dict[str, tuple[str, ...]]:
-        """Walker keys that the study varies, and the axes that change each; earlier archives name one axis alone."""
-        axes = self.provenance.get("varied")
-        each = {key: [own] if isinstance(own, str) else own for key, own in dict(axes or {}).items()}
-        return {str(key): tuple(map(str, own)) for key, own in each.items()}
+        """Walker keys that the study varies, and the axes that change each."""
+        varied = dict(self.provenance.get("varied") or {})
+        return {str(key): tuple(map(str, axes)) for key, axes in varied.items()}
 
     @property
     def walker(self) -> str:

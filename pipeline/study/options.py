@@ -25,13 +25,6 @@ def check(options: Any, kind: str, axes: tuple[str, ...], place: Location) -> di
     if not isinstance(options, Mapping):
         raise place.wrong("must be a table", options)
     known = OPTIONS.get(kind, {})
-    if "friction_limit" in options and "violation_limits" in known:  # the one limit that there was at first
-        others = {name: value for name, value in options.items() if name != "friction_limit"}
-        limits = {"friction": options["friction_limit"], **others.get("violation_limits", {})}
-        options = {**others, "violation_limits": limits}
-    for old, new in registry.RENAMED_OPTIONS.items():
-        if old in options and new in known and new not in options and known[new].holds != "steps":
-            options = {new if name == old else name: value for name, value in options.items()}
     if options and not known:
         raise place.error(f"A study of kind `{kind}` has no options; got {', '.join(options)}")
     for name, value in options.items():

@@ -23,7 +23,7 @@ TOYS = {
             int(VERSIONS.get("atlas", 1)),
             side_by_side=os.environ.get("TOY_SIDE_BY_SIDE", ""),
         ),
-        registry.Task("points", "toy:points", int(VERSIONS.get("points", 1)), needs=("atlas",), seconds_per_point=1e-5),
+        registry.Task("points", "toy:points", int(VERSIONS.get("points", 1)), needs=("atlas",)),
         registry.Task("scaling", "toy:fit", int(VERSIONS.get("scaling", 1)), needs=("points",)),
         registry.Task("transition", "toy:fit_atlas", 1, needs=("points", "atlas")),
         registry.Task("orbit", "toy:orbit", 1, needs=("atlas",)),

@@ -33,7 +33,7 @@ STUDIES = {
         "options": {"starts": 2, "transient": 20, "steps": 60, "shown": 8},
     },
     "cascade": {"walker": "D", "axes": {"slope": [0.012, 0.018]}, "options": {"periods": 2, "starts": 20}},
-    "basin": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"size": 8, "strides": 20}},
+    "basin": {"walker": "D", "axes": {"slope": [0.01]}, "options": {"size": 8, "steps": 20}},
     "curve": {
         "walker": "F",
         "axes": {"slope": [0.005, 0.05]},

@@ -98,7 +98,7 @@ WRONG = {
         f'memory = "{"9" * 400} GiB"': '`memory` must be at least 64 MiB and at most 1024 TiB, as in "2 GiB";'
         f" got '{'9' * 56} (s.toml, limits.memory).",
         'memory = "2 GiB"\n[options]\nstarts = 3': "Unknown key `starts`, known: violation_limits, steps, tuned (s.toml, options).",
-        'memory = "2 GiB"\n[options]\nfriction_limit = -1': "`friction` must be at least 0; got -1"
+        'memory = "2 GiB"\n[options]\nviolation_limits = { friction = -1 }': "`friction` must be at least 0; got -1"
         " (s.toml, options.violation_limits.friction).",
         'memory = "2 GiB"\n[options]\nviolation_limits = { scuf = 0.1 }': "Unknown violation `scuf`, did you mean `scuff`?"
         " (s.toml, options.violation_limits).",
@@ -423,11 +423,6 @@ def test_no_text_gets_past_the_reader_as_a_traceback(tmp_path, at, junk, cut):
 @given(table=_STUDIES)
 def test_a_hundred_thousand_tables(tmp_path, table):
     _fuzz(tmp_path / "s.toml", table)
-
-
-def test_an_option_is_read_by_its_former_name(write):
-    text = 'name = "s"\nkind = "orbit"\nwalker = "D"\n[axes]\nslope = [0.01]\n[options]\n{} = 30\n'
-    assert parse.read(write(text.format("strides"))).options == parse.read(write(text.format("steps"))).options
 
 
 def test_a_study_has_at_most_a_trillion_points_or_designs():

@@ -69,7 +69,7 @@ def write(
     provenance = {
         "study": study,
         "walkers": list(walkers.values()),
-        "varied": varied or {},
+        "varied": {key: [own] if isinstance(own, str) else own for key, own in (varied or {}).items()},
         "packages": {"gaitsweep": "0.1.0", "numpy": "2.4.6"},
         "commit": "0123abcd",
         "cpu": ["avx2", "fma"],

@@ -108,7 +108,7 @@ def test_a_map_carries_all_its_cells_in_at_most_25_kilobytes(tmp_path, side):
     grid = {"stance_angle": (dims, angle), **{name: (dims, -np.sqrt(2) * angle) for name in RATES}}
     text = 'name = "m"\nwalker = "B"\n[axes]\nR = [0.1]\nslope = [0.01]\n[want]\nfigures = ["heatmap"]'
     coords = {"R": radius, "slope": slope, "gait": np.array(["long", "short"], object)}
-    made = write(tmp_path / "m.nc", text, grid, coords, {"B": POINT | {"R": 0.2}}, varied={"R": "R"})
+    made = write(tmp_path / "m.nc", text, grid, coords, {"B": POINT | {"R": 0.2}}, varied={"R": ["R"]})
     drawing = draw(read(made), "heatmap", "test")
     assert len(json.dumps(drawing.panels, separators=(",", ":"))) < 25_000
     assert len(drawing.panels) == 2
