@@ -108,7 +108,7 @@ def test_failed_points_are_kept_until_retried(toy):
     again = toy("run", "toy.toml", expect=1)
     assert "raised 2" in again.stderr and "worker_died 2" in again.stderr
     assert "2 x It raised RuntimeError: trouble at 0.050. First: E w_t=0.0 slope=0.05\n" in again.stderr
-    assert "4 retried" in toy("plan", "toy.toml", "--retry-failed").stdout
+    assert "80 retried" in toy("plan", "toy.toml", "--retry-failed").stdout  # four chunks of twenty
     toy("run", "toy.toml", "--retry-failed")
     retried = toy.bytes()
     toy("run", "toy.toml", "--fresh")
