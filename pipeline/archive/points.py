@@ -64,9 +64,8 @@ class PointWriter:
             self._add_failure(reason, chunk.points, chunk, 0)
             return
         head = self.plan.store.chunk(key)
-        rows = head.rows(self.columns)
-        self._count(rows, head.sentences(self.columns))
-        if not set(ANSWERS).issuperset(itertools.chain(*rows)):
+        self._count(head.rows(self.columns), head.sentences(self.columns))
+        if head.has_failed(self.columns):
             self._count_failures(chunk, key)
 
     def _count(self, rows: dict[tuple[int, ...], int], sentences: dict[int, str]) -> None:

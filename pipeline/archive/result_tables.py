@@ -63,7 +63,7 @@ def failed(plan: Plan) -> Iterator[tuple[str, str, str]]:
 def _task_runs(plan: Plan, name: str, per_line: bool) -> Iterable[tuple[dict[str, Any], str, np.ndarray]]:
     """Coordinates, key and numbers of the lines of every execution of a task, in the order of the grid."""
     if not per_line:
-        yield {}, plan.graph.study_keys()[name].key, np.zeros(0, int)
+        yield {}, plan.graph.study_keys[name].key, np.zeros(0, int)
         return
     for i in range(plan.study.batches):
         numbers = plan.study.batch(i)

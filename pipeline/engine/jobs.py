@@ -234,16 +234,13 @@ class Jobs:
             parts, places = [unpacked(*record)], [node.todo]
         for key in dict.fromkeys(copies.keys):
             of_key = np.array([k == key for k in copies.keys])
-            points = unpacked(*self.store.get(key))
-            rows = (copies.rows[of_key][:, None] * slopes + np.arange(slopes)).ravel()
+            some = unpacked(*self.store.get(key)).take(copies.rows[of_key], slopes)
             names = ("status", *(name for name in self.graph.variables if name != "status"))
-            some = points.take(rows)
             parts.append(Points({name: some.values[name] for name in names}, some.sentences))
             places.append(copies.places[of_key])
         order = np.argsort(np.concatenate(places))
-        rows = (order[:, None] * slopes + np.arange(slopes)).ravel()
-        digests = self.graph.digests(chunk.lines)
-        return pack(joined(parts).take(rows), chunk.shape, self.graph.grid.multipliers, self.study.gaits, digests)
+        points, digests = joined(parts).take(order, slopes), self.graph.digests(chunk.lines)
+        return pack(points, chunk.shape, self.graph.grid.multipliers, self.study.gaits, digests)
 
     def copy(self, key: Key, data: bytes) -> None:
         """Store a result that another study has computed."""

@@ -137,9 +137,7 @@ def _packed(request: dict[str, Any], result: Any) -> list[bytes]:
     from pipeline.store.record import pack
 
     points, atlases = result if "lines" in params else (_points(params, result, len(params["slope"])), [])
-    sizes, extent, slope = packing["shape"]
-    shape = Shape(tuple(sizes), tuple(extent), slope)
-    record = pack(points, shape, packing["multipliers"], params["gaits"], packing.get("digests"))
+    record = pack(points, Shape.of(*packing["shape"]), packing["multipliers"], params["gaits"], packing.get("digests"))
     return [*record, *(serialize.dump(atlas) for atlas in atlases if params["atlases"])]
 
 
@@ -171,7 +169,7 @@ def _side_by_side(function: Callable[..., Any], params: dict[str, Any], inputs: 
     points = joined(parts)
     if len(points) != n * len(order):
         raise ValueError(f"{len(points)} points are returned of {len(order)} lines of {n}")
-    return points.take((order[:, None] * n + np.arange(n)).ravel()), atlases
+    return points.take(order, n), atlases
 
 
 if __name__ == "__main__":

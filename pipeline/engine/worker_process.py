@@ -231,6 +231,12 @@ def _ask(request: Request, **changes: Any) -> tuple[str, Any]:
                 return answer
 
 
+def _ask_again(request: Request, **changes: Any) -> tuple[str, Any]:
+    """Ask, and once more where the cause of a failure may be external; a second time it is not."""
+    outcome, parts = _ask(request, **changes)
+    return _ask(request, **changes) if outcome in ("worker_died", "out_of_memory") else (outcome, parts)
+
+
 def run(request: Request) -> dict[str, Any]:
     """Run a request in the worker process of this thread; errors of the task are returned, not raised.
 
@@ -258,9 +264,7 @@ def run(request: Request) -> dict[str, Any]:
     if request.packing:
         answer = _run_chunk(request, request.packing)
     else:
-        outcome, parts = _ask(request)
-        if outcome in ("worker_died", "out_of_memory"):  # the cause may be external; a second time it is not
-            outcome, parts = _ask(request)
+        outcome, parts = _ask_again(request)
         is_ok = outcome == "ok" and len(parts[1]) <= MAX_PAYLOAD
         if outcome == "ok" and not is_ok:
             outcome, parts = "raised", f"Its result of {_size(len(parts[1]))} is larger than a journal can hold."
@@ -334,7 +338,8 @@ def _run_lines(
     if len(lines) == 1:
         return _run_alone(request, int(places[0]))
     found, atlases = list[Points](), list[Atlas]()
-    for piece in np.array_split(places, _pieces(len(places), (request.most and request.most // len(slopes)) or 1)):
+    most = request.most and max(1, request.most // len(slopes))
+    for piece in np.array_split(places, _pieces(len(places), most)):
         points, own = _run_lines(request, piece)
         found += points
         atlases += own
@@ -346,9 +351,7 @@ def _run_alone(request: Request, place: int) -> tuple[list[Points], list[Atlas]]
     params = {key: value for key, value in request.params.items() if key not in ("lines", "atlases")}
     line = {key: value for key, value in request.params["lines"][place].items() if key != "cell"}
     atlas, points = request.alone
-    outcome, parts = _ask(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
-    if outcome in ("worker_died", "out_of_memory"):
-        outcome, parts = _ask(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
+    outcome, parts = _ask_again(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
     slopes = params["slope"]
     if outcome != "ok":
         ending = Points.of_ending(len(slopes), outcome, of_atlas(parts), params["want"])

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,6 +77,9 @@ class Graph:
         self.study, self.grid, self.layers = study, Grid(study), layers.layers(study)
         self.method, self.variables = self.grid.method, variables(study)
         self.digests = Digests(study, self.layers, self.method)
+        #: Key of every task over a line, or a batch of designs; of its points, what the keys of their chunks share. The
+        #: latest lines are usually requested several times in a row.
+        self.line_keys = functools.lru_cache(8)(self._line_keys)
 
     @property
     def atlas_readers(self) -> list[str]:
@@ -97,22 +99,13 @@ class Graph:
         """Tasks over the whole study."""
         return [name for name, layer in self.layers.items() if not layer.per_line]
 
-    def line_keys(self, number: int) -> dict[str, Key]:
-        """Key of every task over a line, or a batch of designs; of its points, what the keys of their chunks share."""
-        last = self._last[0]
-        if last[0] != number:
-            line, keys = self.study.batch_line(number), dict[str, Key]()
-            for name, layer in self.layers.items():
-                if layer.per_line:
-                    params = layers.line_params(self.study, name, line)
-                    keys[name] = layers.key(layer.task, params, [keys[need].key for need in layer.needs])
-            last = self._last[0] = number, keys  # at once: other threads read it too
-        return last[1]
-
-    @functools.cached_property
-    def _last(self) -> list[tuple[int, dict[str, Key]]]:
-        """The last line and its keys, usually requested several times in a row."""
-        return [(-1, {})]
+    def _line_keys(self, number: int) -> dict[str, Key]:
+        line, keys = self.study.batch_line(number), dict[str, Key]()
+        for name, layer in self.layers.items():
+            if layer.per_line:
+                params = layers.line_params(self.study, name, line)
+                keys[name] = layers.key(layer.task, params, [keys[need].key for need in layer.needs])
+        return keys
 
     def chunk_key(self, chunk: Chunk) -> Key:
         """Key of a chunk."""
@@ -123,6 +116,7 @@ class Graph:
             parts = list(self.line_keys(int(chunk.lines[0]))["points"])
         return Key(*(f"points-{layers.digest(f'{part} {slopes}'.encode())}" for part in parts))
 
+    @functools.cached_property
     def study_keys(self) -> dict[str, Key]:
         """Key of every task over the study."""
         if not self.study_tasks:
@@ -142,6 +136,11 @@ class Graph:
         keys = self.line_keys(number)
         needs = tuple(keys[need].key for need in self.layers[name].needs)
         return Node(name, keys[name], needs, number)
+
+    def study_node(self, name: str) -> Node:
+        """Node of a task over the study."""
+        keys = self.study_keys
+        return Node(name, keys[name], tuple(keys[need].key for need in self.layers[name].needs if need in keys))
 
     def chunk_node(self, chunk: Chunk) -> Node:
         """Node of a chunk."""
@@ -166,15 +165,6 @@ class Graph:
         cells = {"cells": _mark_cells(study.plane, lines)} if self.method is Method.PLANE and study.plane else {}
         keeps_atlases = {"atlases": "atlas" in self.line_tasks}
         return {"lines": lines, **cells, **keeps_atlases, **layers.point_params(study, self.method), **shared}
-
-    def nodes(self) -> Iterator[Node]:
-        """Every node, inputs first; for small studies."""
-        chunks = (self.grid.chunk(k) for k in range(self.grid.chunks))
-        lines = [self.line_node(i, name) for i in range(self.study.batches) for name in self.line_tasks]
-        yield from itertools.chain(lines, map(self.chunk_node, chunks))
-        keys = self.study_keys()
-        for name, key in keys.items():
-            yield Node(name, key, tuple(keys[need].key for need in self.layers[name].needs if need in keys))
 
 
 def _mark_cells(plane: Plane, lines: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -86,10 +86,7 @@ class Plan:
         node = self.graph.chunk_node(chunk)
         head = self.store.chunk(node.key.key) if node.key.key in self.store else None
         if head and self._holds(head):
-            if not (self.retry and self._has_failed(head.rows(self.columns))):
-                return None
-            todo = np.flatnonzero(self._failed_lines(node.key.key, chunk))
-            return self._with_copies(replace(node, why="retried"), chunk, todo, [node.key.key])
+            return self._retried(node, chunk) if self.retry and head.has_failed(self.columns) else None
         if not self.graph.method.is_of_lines or not self._elsewhere[1].size:
             return replace(node, why="changed" if head else self._new_or_changed(node.key))
         keys, digests, rows = self._elsewhere
@@ -102,23 +99,20 @@ class Plan:
         copies = Copies(np.flatnonzero(is_there), tuple(keys[k] for k in place[is_there]), rows[place[is_there]])
         return replace(node, todo=np.flatnonzero(~is_there), copies=copies)
 
-    def _with_copies(self, node: Node, chunk: Chunk, todo: np.ndarray, keys: list[str]) -> Node:
-        """The node of a chunk of which some lines are computed again."""
+    def _retried(self, node: Node, chunk: Chunk) -> Node:
+        """Node of a chunk with failures: of lines side by side, those that have any."""
+        node = replace(node, why="retried")
         if not self.graph.method.is_of_lines:
             return node
-        kept = np.setdiff1d(np.arange(len(chunk.lines)), todo)
-        return replace(node, todo=todo, copies=Copies(kept, tuple(keys * len(kept)), kept)) if len(kept) else node
+        with self.store.reading():
+            status = unpacked(*self.store.get(node.key.key)).values["status"][:, self.columns]
+        is_kept = np.asarray(np.isin(status, ANSWERS).reshape(len(chunk.lines), -1).all(axis=1))
+        kept = np.flatnonzero(is_kept)
+        copies = Copies(kept, (node.key.key,) * len(kept), kept)
+        return replace(node, todo=np.flatnonzero(~is_kept), copies=copies) if len(kept) else node
 
     def _holds(self, head: Head) -> bool:
         return head.holds(self.graph.variables, self.study.gaits)
-
-    def _has_failed(self, rows: dict[tuple[int, ...], int]) -> bool:
-        return not set(ANSWERS).issuperset(code for row in rows for code in row)
-
-    def _failed_lines(self, key: str, chunk: Chunk) -> np.ndarray:
-        with self.store.reading():
-            status = unpacked(*self.store.get(key)).values["status"][:, self.columns]
-        return np.asarray(~np.isin(status, ANSWERS).reshape(len(chunk.lines), -1).all(axis=1))
 
     @functools.cached_property
     def _elsewhere(self) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -142,10 +136,9 @@ class Plan:
 
         Asked once all other nodes are stored; before, they run if any of these does.
         """
-        keys, numbers = self.graph.study_keys(), self.store.numbers
+        keys, numbers = self.graph.study_keys, self.store.numbers
         for name, key in keys.items():
-            needs = self.graph.layers[name].needs
-            node = Node(name, key, tuple(keys[need].key for need in needs if need in keys))
+            node, needs = self.graph.study_node(name), self.graph.layers[name].needs
             outcome = self.store.outcome(key.key)
             if outcome is None:
                 yield replace(node, why=self._new_or_changed(key))

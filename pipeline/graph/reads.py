@@ -34,7 +34,7 @@ def study_inputs(plan: Plan, name: str) -> Iterator[bytes]:
         yield serialize.dump(columns)
     for need in needs:
         if not graph.layers[need].per_line:
-            yield store.result(graph.study_keys()[need].key) or serialize.dump({})
+            yield store.result(graph.study_keys[need].key) or serialize.dump({})
 
 
 class _Lines:

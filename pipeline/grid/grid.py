@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,6 +42,11 @@ class Shape:
     slope: int
 
     @classmethod
+    def of(cls, sizes: Sequence[int], extent: Sequence[int], slope: int) -> Shape:
+        """Shape from its parts as they were packed."""
+        return cls(tuple(sizes), tuple(extent), slope)
+
+    @classmethod
     def of_rows(cls, lines: int, slopes: int) -> Shape:
         """Shape of lines that are no chunk, one after the other."""
         return cls((lines, slopes), (lines, slopes), 1)
@@ -75,7 +80,6 @@ class Chunk:
 
     Attributes
     ----------
-    number : int
     box : tuple of slice
         Along each dimension of the grid.
     lines : ndarray of int, shape (n,)
@@ -85,7 +89,6 @@ class Chunk:
     shape : Shape
     """
 
-    number: int
     box: Box
     lines: np.ndarray
     slopes: slice
@@ -138,7 +141,7 @@ class Grid:
         spans = dict(zip(self.sizes, box, strict=True))
         sizes = tuple(span.stop - span.start for span in box)
         shape = Shape(sizes, self.extent, list(self.sizes).index("slope"))
-        return Chunk(number, box, self._lines_in(spans), spans["slope"], shape)
+        return Chunk(box, self._lines_in(spans), spans["slope"], shape)
 
     def chunks_of_line(self, line: int) -> range:
         """Numbers of the chunks that hold the points of a line."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import itertools
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -96,8 +97,9 @@ class Points:
                 values[name] = np.empty(extent, VARIABLES[name].dtype)
         return cls(values, {number: reason})
 
-    def take(self, rows: np.ndarray) -> Points:
-        """Some of the points."""
+    def take(self, lines: np.ndarray, slopes: int) -> Points:
+        """The points of some lines, by their places, which have so many slopes each."""
+        rows = (lines[:, None] * slopes + np.arange(slopes)).ravel()
         return Points({name: array[rows] for name, array in self.values.items()}, self.sentences)
 
 
@@ -237,8 +239,7 @@ class Head:
         head: dict[str, Any] = serialize.load(data)
         if (head["columns"] < 0).any() or head["columns"].sum() != len(head["sizes"]):
             raise ValueError("not the head of a record")
-        sizes, extent, slope = head["shape"]
-        self.shape = Shape(tuple(sizes), tuple(extent), slope)
+        self.shape = Shape.of(*head["shape"])
         self.multipliers, self.lines = head["multipliers"], head["lines"]
         self.columns: dict[str, int] = dict(zip(head["names"], head["columns"].tolist(), strict=True))
         self._gaits = frozenset(head["gaits"])
@@ -261,6 +262,10 @@ class Head:
         for row, k in zip(map(tuple, chosen.tolist()), n.tolist(), strict=True):
             counts[row] = counts.get(row, 0) + k
         return counts
+
+    def has_failed(self, columns: Iterable[int]) -> bool:
+        """Whether any point failed for some gaits."""
+        return not set(ANSWERS).issuperset(itertools.chain(*self.rows(columns)))
 
     def sentences(self, columns: Iterable[int] | None = None) -> dict[int, str]:
         """Sentences by their numbers, those that occur for some gaits or for any."""

@@ -855,13 +855,18 @@ def test_solve_flags_violations_above_the_limits_that_it_is_given(capsys):
     assert "Unknown violation `scuf`, did you mean `scuff`?" in capsys.readouterr().err
 
 
+def _archived(folder, text):
+    """The archive of a study, run and verified."""
+    study, archive = folder / "s.toml", folder / "s.nc"
+    study.write_text(text)
+    assert commands.main(["run", str(study), "--archive", str(archive), "--jobs", "1", "--quiet"]) == 0
+    assert commands.main(["verify", str(archive)]) == 0
+    return load(archive)
+
+
 def test_keys_are_tuned_at_every_line_and_archived_along_the_axes_that_move_them(tmp_path, capsys):
     text = 'name = "s"\nwalker = "A"\n[axes]\nslope = [1e-6]\nR = [0.1, 0.3]\nm_h = [0.0, 1.0]\nm_t = [2.0, 3.0]\n'
-    (tmp_path / "s.toml").write_text(f'{text}[options]\ntuned = ["w_t"]\n')
-    archive = tmp_path / "s.nc"
-    assert commands.main(["run", str(tmp_path / "s.toml"), "--archive", str(archive), "--jobs", "1", "--quiet"]) == 0
-    assert commands.main(["verify", str(archive)]) == 0
-    found = load(archive)
+    found = _archived(tmp_path, f'{text}[options]\ntuned = ["w_t"]\n')
     assert found.w_t.dims == ("R", "m_t") and "walker_notes" not in found.attrs
     for at in ({"R": 0.1, "m_h": 1.0, "m_t": 3.0}, {"R": 0.3, "m_h": 0.0, "m_t": 2.0}):
         walker = resolve({"base": "A", "tuned": ["w_t"]}, at)
@@ -879,11 +884,7 @@ def test_keys_are_tuned_at_every_line_and_archived_along_the_axes_that_move_them
 
 def test_keys_of_a_leg_of_one_link_are_axes_and_arguments(tmp_path, capsys):
     text = 'name = "s"\n[walker]\nknees = false\nl = 1.0\nm = 1.0\nc = 0.4\nm_h = 5.0\n[axes]\nslope = [0.01]\n'
-    (tmp_path / "s.toml").write_text(f"{text}c = [0.3, 0.4]\nl = [0.8, 1.0]\nm_h = [2.0, 5.0]\n")
-    archive = tmp_path / "s.nc"
-    assert commands.main(["run", str(tmp_path / "s.toml"), "--archive", str(archive), "--jobs", "1", "--quiet"]) == 0
-    assert commands.main(["verify", str(archive)]) == 0
-    found = load(archive)
+    found = _archived(tmp_path, f"{text}c = [0.3, 0.4]\nl = [0.8, 1.0]\nm_h = [2.0, 5.0]\n")
     assert found.c_s.dims == ("c", "l") and found.l_s.dims == ("l",) and found.l.units == "1"
     table = {"knees": False, "l": 1.0, "m": 1.0, "c": 0.4, "m_h": 5.0}
     angle = found.stance_angle.sel(c=0.3, l=0.8, m_h=2.0, gait="long").values

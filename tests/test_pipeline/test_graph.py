@@ -51,7 +51,10 @@ def test_what_depends_on_a_task_is_in_its_urgency(make, tmp_path):
 def expand(study):
     """The graph in Dask's form: key -> task, parameters, keys of inputs."""
     graph = Graph(study)
-    return {node.key.key: (node.task, graph.params(node), list(node.needs)) for node in graph.nodes()}
+    nodes = [graph.line_node(i, name) for i in range(study.batches) for name in graph.line_tasks]
+    nodes += [graph.chunk_node(graph.grid.chunk(k)) for k in range(graph.grid.chunks)]
+    nodes += map(graph.study_node, graph.study_tasks)
+    return {node.key.key: (node.task, graph.params(node), list(node.needs)) for node in nodes}
 
 
 @pytest.mark.parametrize("kind", ["orbit", "basin", "cascade"])
@@ -67,7 +70,7 @@ def test_a_fit_made_before_an_atlas_was_retried_is_stale(make, tmp_path):
     with contextlib.closing(Store(tmp_path / "j")) as store:
         plan = Plan(study, store)
         graph = plan.graph
-        keys = graph.study_keys()
+        keys = graph.study_keys
         for key in (graph.line_keys(0)["atlas"], keys["landmarks"], keys["claims"]):
             store.put_result(key, Outcome("ok", ""), b"")
         assert list(plan.over_study()) == []

@@ -143,8 +143,8 @@ def test_a_result_that_two_studies_want_is_computed_once(tmp_path):
     assert sorted(map(len, found)) == [5, 6] and sum(list(f.values()).count("timed_out") for f in found) == 1
 
 
-@pytest.mark.parametrize("trouble", [{3, 7}, set(), set(range(20))])
-def test_lines_that_fail_are_divided_until_the_bad_ones_are_alone(monkeypatch, trouble):
+def _divided(monkeypatch, n, trouble):
+    """A chunk of n lines of two slopes of which some fail: its points, atlases, and the lines of each request."""
     asked = []
 
     def ask(request, **changes):
@@ -161,16 +161,27 @@ def test_lines_that_fail_are_divided_until_the_bad_ones_are_alone(monkeypatch, t
         return "ok", [None, *packed, *(b"%d" % line for line in params["lines"])]
 
     monkeypatch.setattr(worker_process, "_ask", ask)
-    params = {"lines": list(range(20)), "slope": np.array([0.01, 0.02]), "want": ["period"], "gaits": ["long"]}
+    params = {"lines": list(range(n)), "slope": np.array([0.01, 0.02]), "want": ["period"], "gaits": ["long"]}
     monkeypatch.setattr(worker_process, "_run_alone", _run_alone)
-    packing = worker_process.Packing(Shape((20, 2), (20, 2), 1), 3)
+    packing = worker_process.Packing(Shape((n, 2), (n, 2), 1), 3)
     request = worker_process.Request("f", params, [], 1.0, 1 << 30, packing=packing, alone=("atlas", "points"))
     answer = worker_process._run_chunk(request, packing)
-    points = unpacked(answer["head"], answer["payload"])
+    return unpacked(answer["head"], answer["payload"]), answer["atlases"], asked
+
+
+@pytest.mark.parametrize("trouble", [{3, 7}, set(), set(range(20))])
+def test_lines_that_fail_are_divided_until_the_bad_ones_are_alone(monkeypatch, trouble):
+    points, atlases, asked = _divided(monkeypatch, 20, trouble)
     failed = points.values["status"][:, 0].reshape(20, 2) != 0
     assert set(np.flatnonzero(failed.any(axis=1)).tolist()) == trouble
-    assert [int(data) for _, _, _, data in answer["atlases"]] == list(range(20))
+    assert [int(data) for _, _, _, data in atlases] == list(range(20))
     assert asked[0] == 20 and sum(asked[1:]) <= (40 if trouble else 0)
+
+
+def test_lines_of_which_one_fails_are_not_all_computed_one_by_one(monkeypatch):
+    points, _, asked = _divided(monkeypatch, 64, {40})
+    assert np.flatnonzero(points.values["status"][:, 0]).tolist() == [80, 81]
+    assert sorted(asked) == [1] * 4 + [4] * 16 + [64]
 
 
 def _run_alone(request, place):

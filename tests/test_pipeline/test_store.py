@@ -366,13 +366,13 @@ def test_parts_are_joined_with_what_each_of_them_has():
     assert np.isnan(values["stance_angle"][:4, 2]).all() and not np.isnan(values["stance_angle"][6:]).any()
     said = {whole_points.sentences[int(number)] for number in np.unique(values["reason"])}
     assert said == {"It converged.", "None.", "The worker died of SIGSEGV.", "Another."}
-    some = whole_points.take(np.array([8, 0]))
+    some = whole_points.take(np.array([8, 0]), 1)
     np.testing.assert_array_equal(some.values["stance_angle"], values["stance_angle"][[8, 0]])
 
 
 def test_joined_points_have_the_record_of_points_computed_together():
     own, _ = points(1, 20)
-    parts = [own.take(np.arange(a, b)) for a, b in ((0, 3), (3, 11), (11, 20))]
+    parts = [own.take(np.arange(a, b), 1) for a, b in ((0, 3), (3, 11), (11, 20))]
     shape = Shape((20,), (20,), 0)
     assert pack(joined(parts), shape, 3, ["long"]) == pack(own, shape, 3, ["long"])
 
