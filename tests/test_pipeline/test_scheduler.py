@@ -115,6 +115,9 @@ def test_a_task_waits_for_what_it_needs_and_is_dropped_with_it(scheduler):
         study.record(node, {**result, "outcome": "raised", "reason": "It raised."})
     study.record(study.take()[0], result)
     assert study.is_over and not study.error
+    lost = study.graph.line_keys(atlases[1].line)["branch"]
+    study.copy(lost, b"")  # another study has it, but here it has nothing to stand on
+    assert lost.key not in study.store
 
 
 def test_a_result_that_two_studies_want_is_computed_once(tmp_path):
