@@ -17,7 +17,7 @@ slope = [0.0060, 0.0188, 0.0189]
 [options]
 starts = 3
 transient = 80
-strides = 60
+steps = 60
 shown = 20
 """
 BASIN = """name = "b"
@@ -28,7 +28,7 @@ foot_mass_ratio = [0.0, 0.01]
 slope = [0.0126]
 [options]
 size = 20
-strides = 60
+steps = 60
 """
 
 
