@@ -9,6 +9,7 @@ import math
 import os
 import re
 import resource
+import shlex
 import shutil
 import subprocess
 import sys
@@ -34,6 +35,9 @@ from pipeline.errors import ArchiveError, BusyError, DiskFullError, StoppedError
 from processes import ended, sidecar_path
 from tasks.walkers.resolve import resolve
 from tasks.walkers.statics import is_tuned
+
+#: For a shell, in folders with spaces too.
+TOY_COMMAND = shlex.join([sys.executable, str(TOYS / "gaitsweep_toy.py")])
 
 
 def gaitsweep(*arguments, cwd=None):
@@ -359,7 +363,7 @@ def test_a_run_needs_no_standard_error(toy, redirection):
     toy("run", "toy.toml", "--quiet")
     whole = toy.bytes()
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(TOYS)])}
-    command = f"{sys.executable} {TOYS / 'gaitsweep_toy.py'} run toy.toml --fresh {redirection}"
+    command = f"{TOY_COMMAND} run toy.toml --fresh {redirection}"
     assert subprocess.run(["bash", "-c", command], cwd=toy.folder, env=environment).returncode == 0
     assert toy.bytes() == whole
 
@@ -374,7 +378,7 @@ def test_letters_that_a_terminal_lacks_are_printed_by_number(toy):
 def test_output_that_finds_no_room_is_said(toy, arguments, buffer):
     """Short output waits in a buffer until the command ends, unless `PYTHONUNBUFFERED` is set."""
     paths = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(TOYS)]), "PYTHONUNBUFFERED": "" if buffer else "1"}
-    command = f"{sys.executable} {TOYS / 'gaitsweep_toy.py'} {arguments}"
+    command = f"{TOY_COMMAND} {arguments}"
     run = functools.partial(subprocess.run, cwd=toy.folder, env=os.environ | paths, capture_output=True, text=True)
     done = run(["bash", "-c", f"{command} >/dev/full"])
     assert (done.returncode, done.stderr) == (4, "gaitsweep: The disk is full; not everything could be printed.\n")
