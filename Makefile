@@ -1,5 +1,7 @@
 # make setup | paper | test | check | lint | bench | soak | prove | mutants | tiers | lock
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
+# Each of hundreds of processes would compile all modules again.
+unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 READY := .venv/.ready
 COMPLETE := .venv/.complete
