@@ -42,7 +42,8 @@ def patch_guesses(patch: Patch, w: np.ndarray, node: np.ndarray, slope: np.ndarr
     around = [np.clip(node + i, 0, last) for i in (-1, 0, 1)]
     lipschitz = _LIPSCHITZ_SAFETY * np.max([patch.lipschitz[k] for k in around], axis=0)
     std = np.max([patch.rounding_std[k] for k in around], axis=0).T
-    return Guesses(w, slope, lipschitz, std, np.full(len(slope), UNKNOWN))
+    gradient = np.moveaxis(patch.gradient[node], 0, -1)
+    return Guesses(w, slope, lipschitz, gradient, std, np.full(len(slope), UNKNOWN))
 
 
 def similarity(at: Polished) -> np.ndarray:

@@ -12,7 +12,7 @@ from tasks.accuracy import nodes_for
 from tasks.continuation.branch import Branch
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
 from tasks.families.pieces import Piece, pieces_of
-from tasks.fixed_points.newton import lipschitz
+from tasks.fixed_points.newton import curvature
 from tasks.fixed_points.polish import Guesses, join, settle
 from tasks.fixed_points.rounding import rounding_std
 from tasks.measures.gaits import Arrays, Part, describe
@@ -104,11 +104,14 @@ class Interpolation:
         """Guesses with rounding and Lipschitz constants that are measured at a few of the samples of each panel."""
         lanes = (np.arange(0, len(q), samples)[:, None] + np.linspace(0, samples - 1, _MEASURED).astype(int)).ravel()
         w, m = guesses.w[:, lanes], self.problem.m
-        estimates = lipschitz(self.problem, np.vstack([w[:m], q[lanes]]), w[m:]).reshape(-1, _MEASURED)
+        lipschitz, gradient = curvature(self.problem, np.vstack([w[:m], q[lanes]]), w[m:])
+        lipschitz = lipschitz.reshape(-1, _MEASURED).max(axis=1)
+        gradient = gradient.reshape(*gradient.shape[:2], -1, _MEASURED).mean(axis=-1)
         variance = rounding_std(self.problem, w, q[lanes]).reshape(len(guesses.rounding_std), -1, _MEASURED) ** 2
         return replace(
             guesses,
-            lipschitz=np.repeat(_LIPSCHITZ_SAFETY * estimates.max(axis=1), samples),
+            lipschitz=np.repeat(_LIPSCHITZ_SAFETY * lipschitz, samples),
+            gradient=np.repeat(gradient, samples, axis=-1),
             rounding_std=np.repeat(np.sqrt(variance.mean(axis=2)), samples, axis=1),
         )
 

@@ -9,14 +9,16 @@ import numpy as np
 
 from tasks import status
 from tasks.accuracy import always
-from tasks.continuation.cycles import Cycle, at_slope, really_walks, system
+from tasks.continuation.cycles import Cycle, at_slope, product, really_walks, system
 from tasks.continuation.lockstep import lanes_of
+from tasks.fixed_points.multipliers import characteristic
 from tasks.follow_cycles import MAX_MULTIPLIER, CycleBranch, Guess, is_same
 from tasks.measures.gaits import (
     Arrays,
     Part,
     Steps,
     energy_imbalance,
+    measured_multipliers,
     nothing_solved,
     store,
     to_accuracy,
@@ -39,8 +41,10 @@ _MAX_ACROSS, _MAX_STEP = 6, 1e-11
 
 #: Place of the sentence on gaits beside a fold among `reasons`.
 _UNDECIDED = 7
-#: How often the largest change of the multipliers is counted in their bound.
-_MULTIPLIER_SAFETY = 16.0
+#: How often the largest change of the multipliers by other units is counted in their bound.
+_SAFETY = 16.0
+#: Relative change of a section by which the derivative of its step is differentiated.
+_DIFFERENCE = 1e-7
 
 
 def cycle_points(problem: Problem, branches: list[CycleBranch], params: Mapping[str, Any]) -> Arrays:
@@ -200,18 +204,10 @@ def _measure(
     measured |= travel(walker, at, measured["step_length"], measured["period"], n)
     if "energy_imbalance" in want:
         measured["energy_imbalance"] = energy_imbalance(walker, at, measured, n)
-    bound, residual = _error(problem, cycle, slopes, scale, from_fold)
+    bound, residual, moved = _error(problem, cycle, slopes, scale, from_fold)
     if any(VARIABLES[name].group == "multipliers" for name in want):
-        values = np.zeros(4 if walker.knees else 3, complex)
-        values[: problem.m] = cycle.multipliers()
-        measured |= {
-            "multiplier_real": values.real[None],
-            "multiplier_imag": values.imag[None],
-            "spectral_radius": np.abs(values).max(keepdims=True),
-            "multiplier_error_bound": np.array(
-                [_multiplier_error(problem, cycle, slopes, scale, min(bound, _MAX_BOUND))]
-            ),
-        }
+        error = _characteristic_error(problem, cycle, slopes, scale, stride, moved)
+        measured |= measured_multipliers(product(stride.jacobian)[..., None], 0.0, error[:, None], walker.knees)
     code, reason = (status.CONVERGED, 0) if bound < _MAX_BOUND else (status.NOT_CONVERGED, 3)
     found = _one(residual=residual, error_bound=bound, status=code, reason=reason)
     return without_knees(want, walker, 1) | measured | found
@@ -228,16 +224,28 @@ _OVER_STEPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
-def _multiplier_error(problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray, bound: float) -> float:
-    """Bound of the error of every multiplier: how they change in other units, and where states are off by `bound`."""
-    values = cycle.multipliers()
-    worst = 0.0
-    cases = ((1.0, 0.0), *((unit, 0.0) for unit in _UNITS), (1.0, bound), (1.0, -bound))
-    for step in _evaluate(problem, cycle, slope, [(scale * unit, cycle.Y * (1 + off)) for unit, off in cases]):
-        others = Cycle(cycle.Y, cycle.times, cycle.q, step.jacobian, cycle.tangent, True, 0.0).multipliers()
-        apart = np.abs(values[:, None] - others)
-        worst = max(worst, float(np.maximum(apart.min(axis=0), apart.min(axis=1)).max()))
-    return _MULTIPLIER_SAFETY * worst + EPS * float(np.abs(values).max())
+def _characteristic_error(
+    problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray, stride: Stride, moved: np.ndarray
+) -> np.ndarray:
+    """Bounds of the errors (m,) of the characteristic polynomial of all steps, whose sections err by `moved` (m, n).
+
+    How it changes in other units, and by each section: a section changes only the derivative of its own step.
+    """
+    Y, A, (m, n) = cycle.Y, stride.jacobian, moved.shape
+    shifts = [np.where(np.arange(m)[:, None] == j, _DIFFERENCE * sizes(Y), 0.0) for j in range(m)]
+    cases = [(scale * unit, Y) for unit in _UNITS] + [(scale, Y + shift) for shift in shifts]
+    steps = _evaluate(problem, cycle, slope, cases)
+
+    def change(derivatives: np.ndarray) -> np.ndarray:
+        return np.abs(characteristic(product(derivatives)) - characteristic(product(A)))
+
+    error = _SAFETY * np.max([change(step.jacobian) for step in steps[: len(_UNITS)]], axis=0)
+    for shift, row, step in zip(shifts, moved, steps[len(_UNITS) :], strict=True):
+        for i in range(n):
+            alone = A.copy()
+            alone[:, :, i] = step.jacobian[:, :, i]
+            error += change(alone) / shift.max(axis=0)[i] * row[i]
+    return np.asarray(error + _SAFETY * EPS * characteristic(np.abs(product(A)), 1.0))
 
 
 def _evaluate(
@@ -285,8 +293,8 @@ def _beside_fold(distance: float, moved: np.ndarray) -> float:
 
 def _error(
     problem: Problem, cycle: Cycle, slope: np.ndarray, scale: np.ndarray, from_fold: float
-) -> tuple[float, float]:
-    """Bound on the relative error of angles, rates and period, and the residual.
+) -> tuple[float, float, np.ndarray]:
+    """Bound on the relative error of angles, rates and period, the residual, and bounds of the sections (m, n).
 
     Notes
     -----
@@ -317,4 +325,4 @@ def _error(
     late = np.abs(times - times[0]).max(axis=0).sum()
     by_section = np.abs(steps[0].times_by_y[-1]) / scale
     duration = (late + (by_section * moved).sum()) / cycle.times[-1].sum()
-    return float(max(section, duration)) + 2 * EPS, float((np.abs(residual) / sizes(after)).max())
+    return float(max(section, duration)) + 2 * EPS, float((np.abs(residual) / sizes(after)).max()), moved

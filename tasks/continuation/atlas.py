@@ -346,7 +346,7 @@ def to_arrays(branches: list[Branch]) -> dict[str, np.ndarray]:
     }
 
 
-_BY_NODE = ("Z", "tangent", "lipschitz", "rounding_std", "ratio", "leg_passes", "safe")
+_BY_NODE = ("Z", "tangent", "lipschitz", "gradient", "rounding_std", "ratio", "leg_passes", "safe")
 
 
 def from_arrays(arrays: dict[str, np.ndarray]) -> list[Branch]:

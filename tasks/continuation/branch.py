@@ -38,9 +38,10 @@ class Branch:
         Kind of either end; `fold` and `fold` if the branch is closed: it is cut at one of its folds.
     end_errors : tuple of float
         Error of ln slope at either end, beyond rounding.
-    rounding_std : ndarray, shape (n, o)
-        Standard deviation that rounding gives angle, rates and period on the segment after each node, over their
-        `sensitivity`.
+    gradient : ndarray, shape (n, m, m + k)
+        That of the characteristic polynomial, as `curvature` gives it.
+    rounding_std : ndarray, shape (n, o + m)
+        What `rounding_std` gives on the segment after each node.
     ratio : ndarray, shape (n,)
         Gait ratio.
     leg_passes : ndarray of int, shape (n,)
@@ -55,6 +56,7 @@ class Branch:
     lipschitz: np.ndarray
     why: tuple[str, str]
     end_errors: tuple[float, float] = (0.0, 0.0)
+    gradient: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)))
     rounding_std: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     ratio: np.ndarray = field(default_factory=lambda: np.zeros(0))
     leg_passes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -317,8 +319,9 @@ class Branch:
         """
         lipschitz = np.maximum(self.lipschitz[segment], self.lipschitz[segment + 1])
         leg_passes = np.where(self.safe[segment], self.leg_passes[segment], UNKNOWN)
+        gradient = np.moveaxis((self.gradient[segment] + self.gradient[segment + 1]) / 2, 0, -1)
         w = np.delete(Z, self.m, axis=1).T
-        return Guesses(w, slope, lipschitz, self.rounding_std[segment].T, leg_passes)
+        return Guesses(w, slope, lipschitz, gradient, self.rounding_std[segment].T, leg_passes)
 
     def guesses(self, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Evaluate every piece at those slopes that it covers.

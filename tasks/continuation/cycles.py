@@ -94,7 +94,7 @@ class Cycle:
     @property
     def monodromy(self) -> np.ndarray:
         """Jacobian of the n steps, shape (m, m)."""
-        return _product(self.A)
+        return product(self.A)
 
     def multipliers(self) -> np.ndarray:
         """Eigenvalues of the monodromy.
@@ -108,7 +108,7 @@ class Cycle:
         return values[np.argsort(-np.abs(values), kind="stable")]
 
 
-def _product(A: np.ndarray) -> np.ndarray:
+def product(A: np.ndarray) -> np.ndarray:
     """Product A_n ... A_1 of matrices (m, m, n)."""
     M = np.eye(A.shape[0])
     for i in range(A.shape[2]):

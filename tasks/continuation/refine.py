@@ -11,7 +11,8 @@ from tasks.continuation.branch import Branch
 from tasks.continuation.locate import check_steps, sampled_steps, strike_distances
 from tasks.continuation.lockstep import Call, Procedure
 from tasks.continuation.tracking import MAX_CROSSING_STEP, branch_point_determinant, correct
-from tasks.fixed_points.newton import lipschitz
+from tasks.fixed_points.newton import curvature
+from tasks.fixed_points.polish import not_measured
 from tasks.fixed_points.rounding import rounding, rounding_std
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.step_map import SAMPLES
@@ -177,10 +178,10 @@ def measure(branch: Branch, tolerance: float) -> Procedure[tuple[np.ndarray, Ste
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
     folds = branch.folds()
     if tolerance == FINE:
-        branch.lipschitz, branch.rounding_std = yield from _roughness(X, times, folds)
+        measured = yield from _roughness(X, times, folds)
     else:
-        branch.lipschitz = np.full(len(X.T), np.nan)
-        branch.rounding_std = np.full((len(X.T), 3 + len(times)), np.nan)
+        measured = not_measured(m, len(times), len(X.T))
+    branch.lipschitz, branch.gradient, branch.rounding_std = (np.moveaxis(each, -1, 0) for each in measured)
     stride, distance = yield Call(sampled_steps, (X, times), _FINER)
     branch.ratio = gait_ratio(stride)
     motion = stride.scaled_motion()
@@ -197,22 +198,23 @@ def measure(branch: Branch, tolerance: float) -> Procedure[tuple[np.ndarray, Ste
     return distance, check
 
 
-def _roughness(X: np.ndarray, times: np.ndarray, folds: np.ndarray) -> Procedure[tuple[np.ndarray, np.ndarray]]:
-    """Lipschitz estimates at a branch's nodes (n,), and the standard deviation of rounding after each (n, o).
+def _roughness(X: np.ndarray, times: np.ndarray, folds: np.ndarray) -> Procedure[tuple[np.ndarray, ...]]:
+    """What `curvature` gives at a branch's n nodes, and `rounding_std` after each.
 
-    Measured at every other node. A node between two takes the larger Lipschitz estimate of them; rounding is random,
-    and a segment takes the mean square of the nodes near it. At a fold the map at fixed slope is singular, its
-    estimate infinite.
+    Measured at every other node. A node between two takes the larger Lipschitz estimate of them and the mean gradient;
+    rounding is random, and a segment takes the mean square of the nodes near it. At a fold the map at fixed slope is
+    singular, its estimate infinite.
     """
     m, n = len(X) - 1, X.shape[1]
     # At the branch's ends they may change by orders of magnitude from node to node.
     beside = np.clip(np.r_[folds - 1, folds + 1], 0, n - 1)
     nodes = np.unique(np.r_[0 : min(n, 4), 0:n:2, max(0, n - 4) : n, beside])
-    estimates = np.full(n, -np.inf)
-    estimates[nodes] = yield Call(lipschitz, (X[:, nodes], times[:, nodes]))
-    estimates[folds] = np.inf
-    left, right = np.append(estimates[:1], estimates[:-1]), np.append(estimates[1:], estimates[-1:])
-    estimates = np.where(np.isneginf(estimates), np.maximum(left, right), estimates)
+    lipschitz, gradient = yield Call(curvature, (X[:, nodes], times[:, nodes]))
+    lipschitz[np.isin(nodes, folds)] = np.inf
+    # Of every node the measured ones around it: itself, or its neighbours.
+    left, right = np.searchsorted(nodes, np.arange(n), side="right") - 1, np.searchsorted(nodes, np.arange(n))
+    lipschitz = np.maximum(lipschitz[left], lipschitz[right])
+    gradient = (gradient[..., left] + gradient[..., right]) / 2
     # The ends themselves are left out: at a tangential one the map has no derivative to measure by.
     inner = nodes[(nodes > 0) & (nodes < n - 1)]
     measured = yield Call(rounding_std, (np.vstack([X[:m], times])[:, inner], X[m, inner]))
@@ -222,4 +224,4 @@ def _roughness(X: np.ndarray, times: np.ndarray, folds: np.ndarray) -> Procedure
     known = np.isfinite(around)
     with np.errstate(invalid="ignore"):
         mean = np.sqrt(np.where(known, around, 0.0).sum(axis=-1) / known.sum(axis=-1))
-    return estimates, np.nan_to_num(mean, nan=np.inf).T
+    return lipschitz, gradient, np.nan_to_num(mean, nan=np.inf)

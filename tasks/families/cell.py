@@ -18,7 +18,8 @@ from tasks.costs import PANEL
 from tasks.families.box import Box, Refused, roots
 from tasks.families.patch import Patch, along, basis, fit, side_of_fold, tails
 from tasks.families.pieces import Piece, match, pieces_of, towards_middle
-from tasks.fixed_points.newton import lipschitz, newton, newton_step
+from tasks.fixed_points.newton import curvature, newton, newton_step
+from tasks.fixed_points.polish import not_measured
 from tasks.fixed_points.rounding import rounding_std
 from tasks.fixed_points.step_check import verify_steps
 from tasks.mechanics.lumped import Structure, common_structure
@@ -279,6 +280,7 @@ class _Maker:
             gaits=fit(w.T, sizes),
             error=np.inf,
             lipschitz=np.zeros(0),
+            gradient=np.zeros((0, 0, 0)),
             rounding_std=np.zeros((0, 0)),
             side=0.0,
         )
@@ -344,9 +346,11 @@ class _Maker:
         unit = self.box.unit(keys)
         w, _ = patch.predict(unit, q, patch.ends_at(unit))
         problem = self.problem(keys)
-        patch.lipschitz = lipschitz(problem, np.vstack([w[:m], q]), w[m:]).reshape(sizes[0], -1).max(axis=1)
+        lipschitz, gradient = curvature(problem, np.vstack([w[:m], q]), w[m:])
+        patch.lipschitz = lipschitz.reshape(sizes[0], -1).max(axis=1)
+        patch.gradient = np.moveaxis(gradient.reshape(*gradient.shape[:2], sizes[0], -1).mean(axis=-1), -1, 0)
         if any(patch.vanishing):  # rounding over step size grows from node to node: it is measured at each gait
-            patch.rounding_std = np.full((sizes[0], 2 + problem.map.start_size // 2), np.nan)
+            patch.rounding_std = not_measured(m, problem.phases, sizes[0])[-1].T
             return patch
         std = rounding_std(problem, w, q)
         patch.rounding_std = np.sqrt((std.reshape(len(std), sizes[0], -1) ** 2).mean(axis=-1)).T

@@ -188,7 +188,9 @@ class Patch:
         Largest error of a prediction that was measured.
     lipschitz : ndarray, shape (p,)
         Largest Lipschitz estimates of the Newton map at `roots(p)` along the piece.
-    rounding_std : ndarray, shape (p, o)
+    gradient : ndarray, shape (p, m, m + k)
+        Mean gradients of the characteristic polynomial there.
+    rounding_std : ndarray, shape (p, o + m)
         Standard deviations of rounding there, as `Branch` has them.
     side : float
         Of `side_of_fold`, the same on the whole piece.
@@ -204,6 +206,7 @@ class Patch:
     gaits: np.ndarray
     error: float
     lipschitz: np.ndarray
+    gradient: np.ndarray
     rounding_std: np.ndarray
     side: float
     vanishing: tuple[bool, bool] = (False, False)

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+#: Radius around an eigenvalue that is tried, over that which a linear change would need.
+_ROUCHE = 1.25
+#: Largest move of an eigenvalue, over its distance from the next, that is found to first order.
+_SIMPLE = 1e-3
+
 
 def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
     """Eigenvalues of the step map, largest magnitude first, its exact zeros last.
@@ -41,17 +46,91 @@ def multipliers(jacobian: np.ndarray, width: int) -> np.ndarray:
     return values
 
 
-@np.errstate(divide="ignore", invalid="ignore", over="ignore")
-def multiplier_bounds(jacobian: np.ndarray, values: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Bound of the error of every eigenvalue of the step map, for an error of its derivative.
+def characteristic(jacobian: np.ndarray, sign: float = -1.0) -> np.ndarray:
+    """Coefficients of the characteristic polynomial: c of z^m - c_1 z^(m-1) + c_2 z^(m-2) - ...
 
     Parameters
     ----------
     jacobian : ndarray, shape (m, m, n)
-    values : ndarray of complex, shape (n, width)
-        Its eigenvalues, as `multipliers` gives them.
+        m is 2 or 3.
+    sign : float
+        That of odd permutations: 1 for permanents, which of absolute values show how the coefficients round.
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+        Sums of the principal minors of order 1 to m.
+    """
+
+    def minor(i: int, j: int) -> np.ndarray:
+        return np.asarray(jacobian[i, i] * jacobian[j, j] + sign * jacobian[i, j] * jacobian[j, i])
+
+    if len(jacobian) == 2:
+        return np.stack([jacobian[0, 0] + jacobian[1, 1], minor(0, 1)])
+    (a, b, c), (d, e, f), (g, h, i) = jacobian
+    determinant = a * (e * i + sign * f * h) + b * (f * g + sign * d * i) + c * (d * h + sign * e * g)
+    return np.stack([a + e + i, minor(0, 1) + minor(0, 2) + minor(1, 2), determinant])
+
+
+def characteristic_errors(jacobian: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Bounds of the errors of the coefficients, for an error of the derivative.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (m, m, n)
     error : ndarray, shape (n,)
-        Bound of the Frobenius norm of the derivative's error.
+        Bound of the Frobenius norm of its error.
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+
+    Notes
+    -----
+    A trace is at most sqrt(m) times a norm, so the derivatives of c_1, c_2 = (tr(J)^2 - tr(J^2))/2 and c_3 = det(J) are
+    at most sqrt(m), (m + 1) |J| (for m = 2, |J|) and |J|^2.
+    """
+    m = len(jacobian)
+    largest = np.sqrt((jacobian**2).sum(axis=(0, 1))) + error
+    factors = [np.sqrt(2.0), 1.0] if m == 2 else [np.sqrt(3.0), 4.0, 1.0]
+    return np.stack([factor * largest**k * error for k, factor in enumerate(factors)])
+
+
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def multiplier_changes(values: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """How eigenvalues move with the coefficients of the characteristic polynomial, to first order.
+
+    Parameters
+    ----------
+    values : ndarray of complex, shape (n, m)
+    change : ndarray, shape (m, n)
+        Of the coefficients.
+
+    Returns
+    -------
+    ndarray of complex, shape (n, m)
+        Zero where eigenvalues are too near each other for that.
+    """
+    m = len(change)
+    moved = np.zeros(values.shape, complex)
+    for i in range(m):
+        z = values[:, i]
+        gaps = np.array([z - values[:, k] for k in range(m) if k != i])
+        of_polynomial = sum((-1) ** k * change[k] * z ** (m - 1 - k) for k in range(m))
+        moved[:, i] = of_polynomial / gaps.prod(axis=0)
+        moved[~(np.abs(moved[:, i]) < _SIMPLE * np.abs(gaps).min(axis=0)), i] = 0.0
+    return moved
+
+
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def multiplier_bounds(values: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Bound of the error of every eigenvalue, for errors of the coefficients of the characteristic polynomial.
+
+    Parameters
+    ----------
+    values : ndarray of complex, shape (n, width)
+        The eigenvalues, as `multipliers` gives them.
+    error : ndarray, shape (m, n)
 
     Returns
     -------
@@ -60,43 +139,23 @@ def multiplier_bounds(jacobian: np.ndarray, values: np.ndarray, error: np.ndarra
 
     Notes
     -----
-    Of m zeros of a polynomial p one lies within m |p(z)|/|p'(z)| of z, and p(z) changes by the adjugate of z - J times
-    the error. Where eigenvalues meet, Elsner's bound is smaller (Bhatia, Matrix Analysis, theorem VIII.1.1,
-    doi:10.1007/978-1-4612-0653-8).
+    At an eigenvalue the true polynomial, a product of distances from its zeros, is no larger than the polynomial's
+    change d there: one zero lies within d^(1/m). By Rouche's theorem one lies within r if on that circle the product of
+    the distances from all eigenvalues exceeds the change; if eigenvalues are simple, an r little above d over the
+    product of the distances of the others.
     """
-    m = len(jacobian)
-    size = np.sqrt((jacobian**2).sum(axis=(0, 1)))
-    elsner = (2 * size + error) ** (1 - 1 / m) * error ** (1 / m)
-    worst = np.zeros(len(error))
-    norms = _adjugate_norms(jacobian, values.T[:m])
+    m = len(error)
+    powers = np.arange(m)[::-1, None]
+    worst = np.zeros(error.shape[1])
     for i in range(m):
-        gap = np.ones(len(error))
-        for k in set(range(m)) - {i}:
-            gap = gap * np.abs(values[:, i] - values[:, k])
-        worst = np.fmax(worst, np.fmin(m * error * norms[i] / gap, elsner))
-    return np.asarray(worst + np.where(np.isfinite(size), 0.0, np.nan))
-
-
-def _adjugate_norms(jacobian: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Frobenius norms (m, n) of the adjugates of z - J at its m eigenvalues (m, n), for m = 2 and 3.
-
-    The adjugate is the product of J less each of the other eigenvalues; its norm follows from scalar products.
-    """
-    m = len(jacobian)
-    trace, square = np.einsum("iin->n", jacobian), (jacobian**2).sum(axis=(0, 1))
-    if m == 2:
-        other = values[::-1]
-        norm = square - 2 * other.real * trace + 2 * np.abs(other) ** 2
-        largest = square
-    else:
-        twice = np.einsum("ijn,jkn->ikn", jacobian, jacobian)
-        total, product = values.sum(axis=0) - values, np.stack([values[k - 2] * values[k - 1] for k in range(3)])
-        largest = (twice**2).sum(axis=(0, 1))
-        norm = largest - 2 * total.real * (twice * jacobian).sum(axis=(0, 1))
-        norm += 2 * product.real * np.einsum("iin->n", twice) + np.abs(total) ** 2 * square
-        norm += 3 * np.abs(product) ** 2 - 2 * (total * product.conj()).real * trace
-    # Terms that cancel are known to the root of rounding.
-    return np.sqrt(np.maximum(norm, 0.0) + 1e-14 * largest)
+        size = np.abs(values[:, i])
+        change = (error * size**powers).sum(axis=0)
+        gaps = np.array([np.abs(values[:, i] - values[:, k]) for k in range(m) if k != i])
+        radius = _ROUCHE * change / gaps.prod(axis=0)
+        on_circle = radius * (gaps - radius).prod(axis=0)
+        is_simple = (radius < gaps.min(axis=0)) & (on_circle >= (error * (size + radius) ** powers).sum(axis=0))
+        worst = np.fmax(worst, np.where(is_simple, radius, change ** (1 / m)))
+    return np.asarray(worst + np.where(np.isfinite(values[:, 0]), 0.0, np.nan))
 
 
 def other_multipliers(kind: str, jacobian: np.ndarray) -> np.ndarray:

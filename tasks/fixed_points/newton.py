@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tasks.fixed_points.rounding import rounding
+from tasks.fixed_points.multipliers import characteristic
+from tasks.fixed_points.rounding import characteristic_scale, rounding
 from tasks.step.problem import Problem, joint_sizes
 from tasks.step.step_map import Stride, matvec
 
@@ -42,6 +43,23 @@ def newton_step(stride: Stride, w: np.ndarray) -> np.ndarray:
     ndarray, shape (m + phases, n)
     """
     return np.vstack([_similarity(stride.y, stride.newton), stride.newton_times - w[len(stride.y) :]])
+
+
+def relative_sizes(w: np.ndarray, m: int) -> np.ndarray:
+    """How far similarity coordinates and event times move for relative changes by 1 of angle, rates and period.
+
+    Parameters
+    ----------
+    w : ndarray, shape (m + phases, n)
+    m : int
+
+    Returns
+    -------
+    ndarray, shape (m + phases, n)
+    """
+    sizes = np.ones(w.shape)
+    sizes[1:m], sizes[m:] = np.abs(w[1:m]).max(axis=0), w[-1]
+    return sizes
 
 
 @dataclass
@@ -113,8 +131,8 @@ def newton(
     return NewtonResult(w, converged)
 
 
-def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Lipschitz estimate of the Newton map at solutions: maximum over directions of |F'^-1 dF'|/|dw|.
+def curvature(problem: Problem, X: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How the derivatives change near solutions, by differences in all directions.
 
     Directions are those of the section and of the event times, F the joint equations of both.
 
@@ -127,23 +145,27 @@ def lipschitz(problem: Problem, X: np.ndarray, times: np.ndarray) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (n,)
+    lipschitz : ndarray, shape (n,)
+        Estimate for the Newton map: maximum over directions of |F'^-1 dF'|/|dw|.
+    gradient : ndarray, shape (m, m + phases, n)
+        Derivatives of the coefficients of the characteristic polynomial by w, over their `characteristic_scale`.
     """
     w, m = np.vstack([X[: problem.m], times]), problem.m
-    estimates, lanes = np.full(X.shape[1], np.nan), np.arange(X.shape[1])
+    lipschitz, lanes = np.full(X.shape[1], np.nan), np.arange(X.shape[1])
+    gradient = np.full((m, *w.shape), np.nan)
     for h in _DIFFERENCES:
-        estimates[lanes] = _lipschitz(problem.some(lanes), w[:, lanes], X[m, lanes], h)
+        lipschitz[lanes], gradient[..., lanes] = _curvature(problem.some(lanes), w[:, lanes], X[m, lanes], h)
         # Where the derivative changes much over the difference, that must be smaller.
-        lanes = lanes[~(estimates[lanes] * h < _MAX_CHANGE)]
+        lanes = lanes[~(lipschitz[lanes] * h < _MAX_CHANGE)]
         if not len(lanes):
             break
-    return estimates
+    return lipschitz, gradient
 
 
-def _lipschitz(problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float) -> np.ndarray:
-    """Lipschitz estimates (n,) at w by differences h."""
+def _curvature(problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """What `curvature` returns, at w by differences h."""
     base, _ = problem.stride(w, log_slope)
-    worst = np.zeros(w.shape[1])
+    worst, gradient = np.zeros(w.shape[1]), np.zeros((problem.m, *w.shape))
     # In relative coordinates of the base point; another scale would multiply rows and divide columns by the same.
     size = joint_sizes(base.y, problem.phases)
     for i in range(len(w)):
@@ -154,4 +176,5 @@ def _lipschitz(problem: Problem, w: np.ndarray, log_slope: np.ndarray, h: float)
         product = np.stack([matvec(base.inverse, change[:, j]) for j in range(len(w))], axis=1)
         weighted = product * size[None] / size[:, None]
         worst = np.maximum(worst, np.abs(weighted).sum(axis=1).max(axis=0))
-    return worst
+        gradient[:, i] = (characteristic(stride.jacobian) - characteristic(base.jacobian)) / h
+    return worst, gradient / characteristic_scale(base)[:, None]

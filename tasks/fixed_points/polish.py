@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from tasks.fixed_points.newton import lipschitz as lipschitz_at
-from tasks.fixed_points.newton import newton_step
-from tasks.fixed_points.rounding import apply_newton_step, rounding, rounding_std
+from tasks.fixed_points.multipliers import characteristic
+from tasks.fixed_points.newton import curvature, newton_step, relative_sizes
+from tasks.fixed_points.rounding import apply_newton_step, characteristic_scale, rounding, rounding_std
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step import extended_precision
 from tasks.step.problem import EPS, Problem, joint_sizes
@@ -29,7 +29,9 @@ _MAX_BOUND = 1e-3
 _MAX_CONTRACTION = 0.1
 #: States side by side by which the rounding of a gait alone is measured; a fine atlas averages over its nodes.
 _NEAR_STATES = 3
-#: Relative distance from the fixed point up to which multipliers are as accurate as there.
+#: Rounding of the eigenvalues themselves, as that of the terms of the polynomial's coefficients.
+_EIGENVALUES = 8 * EPS
+#: Relative distance from the fixed point up to which the multipliers there follow from their derivatives.
 _NEAR = 2e-12
 
 
@@ -50,8 +52,9 @@ class Polished:
         The last step evaluated, its impacts corrected to the fixed point.
     bound, doubles : ndarray, shape (n,)
         Bound of the relative error of angle, rates and period; the same before any extended precision.
-    jacobian_error : ndarray, shape (n,)
-        Bound of the Frobenius norm of the error of the step map's derivative.
+    change, error : ndarray, shape (m, n)
+        What the last Newton step adds to the coefficients of the derivative's characteristic polynomial, and bounds of
+        their errors.
     converged, step : ndarray of bool, shape (n,)
         Whether Newton converged, and to a step that happens.
     leg_passes : ndarray of int, shape (n,)
@@ -65,7 +68,8 @@ class Polished:
     stride: Stride
     bound: np.ndarray
     doubles: np.ndarray
-    jacobian_error: np.ndarray
+    change: np.ndarray
+    error: np.ndarray
     converged: np.ndarray
     step: np.ndarray
     leg_passes: np.ndarray
@@ -90,15 +94,16 @@ class Polished:
 class Guesses:
     """Guesses of n gaits, with what the atlas knows of the steps around them.
 
-    `w` (m + k, n) similarity coordinates and event times; `slope` (n,) [rad]; `lipschitz` (n,) estimates of the Newton
-    map and `rounding_std` (o, n) standard deviations that rounding gives angle, rates and period, over their
-    `sensitivity`, both NaN where they are to be measured at the gait; `leg_passes` (n,) how often the legs pass where
-    the step is known to happen, elsewhere UNKNOWN.
+    `w` (m + k, n) similarity coordinates and event times; `slope` (n,) [rad]; `lipschitz` (n,) and `gradient`
+    (m, m + k, n) what `curvature` measures, and `rounding_std` (o + m, n) what that function does, all NaN where they
+    are to be measured at the gait; `leg_passes` (n,) how often the legs pass where the step is known to happen,
+    elsewhere UNKNOWN.
     """
 
     w: np.ndarray
     slope: np.ndarray
     lipschitz: np.ndarray
+    gradient: np.ndarray
     rounding_std: np.ndarray
     leg_passes: np.ndarray
 
@@ -116,8 +121,13 @@ def unmeasured(problem: Problem, w: np.ndarray, slope: np.ndarray) -> Guesses:
     w : ndarray, shape (m + k, n)
     slope : ndarray, shape (n,) [rad]
     """
-    n, outputs = len(slope), 2 + problem.map.start_size // 2
-    return Guesses(w, slope, np.full(n, np.nan), np.full((outputs, n), np.nan), np.full(n, UNKNOWN))
+    n = len(slope)
+    return Guesses(w, slope, *not_measured(problem.m, problem.phases, n), np.full(n, UNKNOWN))
+
+
+def not_measured(m: int, phases: int, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Curvatures and rounding of n gaits, as `Guesses` has them, that are to be measured at the gaits."""
+    return np.full(n, np.nan), np.full((m, m + phases, n), np.nan), np.full((3 + phases + m, n), np.nan)
 
 
 def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: float = 0.0) -> Polished:
@@ -135,14 +145,15 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     """
     slope, leg_passes = guesses.slope, guesses.leg_passes
     stride, scale, w = _polish(problem, guesses.w, slope, guesses.lipschitz, SAMPLES if sampled else 0)
-    eta = np.abs(newton_step(stride, w)).max(axis=0)
-    lipschitz = _lipschitz_at_points(problem, w, slope, guesses.lipschitz, eta)
-    std = _rounding_at_points(problem, w, slope, guesses.rounding_std)
+    last, relative = newton_step(stride, w), relative_sizes(w, problem.m)
+    eta = np.abs(last).max(axis=0)
+    lipschitz, gradient = _curvature_at_points(problem, w, guesses, eta)
+    std, of_polynomial = np.split(_rounding_at_points(problem, w, slope, guesses.rounding_std), [-problem.m])
     # The states at the impacts are corrected to the fixed point, as the times are.
     stride.impact = stride.impact + matvec(stride.impact_by_y, stride.newton)
     stride.knee = stride.knee + matvec(stride.knee_by_y, stride.newton)
     gait = apply_newton_step(problem, stride, problem.parameters(slope, scale))
-    y, times, state = gait.y, gait.times, gait.state
+    y, times, state = gait.y, gait.times.copy(), gait.state
     # How far the values move if the unknowns move by 1, each in its unit.
     moves = matvec(np.abs(gait.by_unknowns), joint_sizes(y, problem.phases))
     error = gait.sensitivity * (SAFETY_FACTOR * std + EPS / 2) + moves * 2 * lipschitz * eta**2
@@ -157,7 +168,8 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
     lost = np.flatnonzero(~(near & (bound < extended_precision.UNTRUSTED)))
     first, unit = problem.section(guesses.w[:, lost])
     y[:, lost], times[:, lost] = first * (unit / scale[lost]), guesses.w[problem.m :, lost]
-    for lane in np.flatnonzero(~(converged & (bound <= enough))).tolist():
+    unsure = np.flatnonzero(~(converged & (bound <= enough)))
+    for lane in unsure.tolist():
         near_it = y[:, lane], times[:, lane], slope[lane], scale[lane]
         wide = extended_precision.refine(
             problem, lane, stride, *near_it, bound[lane], amplification[lane], 0.9 * accuracy
@@ -165,6 +177,14 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         y[:, lane], times[:, lane], stride.impact[:, lane], state[:, lane] = wide.y, wide.times, wide.impact, wide.state
         bound[lane] = wide.bound
         converged[lane] = bound[lane] < extended_precision.ESCALATE_AGAIN
+    if len(unsure):
+        # What describes the step and its derivative is taken at the better gait.
+        some, samples = problem.some(unsure), SAMPLES if sampled else 0
+        parameters = some.parameters(slope[unsure], scale[unsure])
+        better = some.map(y[:, unsure], times[:, unsure], parameters, samples=samples)
+        better.impact = stride.impact[:, unsure]
+        stride.assign(unsure, better)
+        last[:, unsure] = 0.0
     step = strikes_fall_in_order(stride.closing, times)
     lanes = np.nonzero(leg_passes == UNKNOWN)[0]
     if len(lanes):
@@ -172,41 +192,34 @@ def settle(problem: Problem, guesses: Guesses, sampled: bool = False, accuracy: 
         _, check = verify_steps(problem.some(lanes), w[:, lanes], np.log(slope[lanes]), known)
         step[lanes], leg_passes = check.step, leg_passes.copy()
         leg_passes[lanes] = check.leg_passes
-    jacobian_error = _jacobian_error(problem.m, stride, lipschitz * (eta + doubles) + SAFETY_FACTOR * std.max(axis=0))
-    return Polished(y, state, times, scale, stride, bound, doubles, jacobian_error, converged, step, leg_passes)
+    # The derivative is that before the last step, and rounds on its way.
+    distance = (np.abs(last) / relative).max(axis=0) + bound
+    of_state = (np.abs(gradient) * relative).sum(axis=1) * distance
+    unit = characteristic_scale(stride)
+    change = (gradient * last).sum(axis=1) * unit
+    rounded = _EIGENVALUES * characteristic(np.abs(stride.jacobian), 1.0)
+    error = (of_state + SAFETY_FACTOR * of_polynomial) * unit + rounded
+    return Polished(y, state, times, scale, stride, bound, doubles, change, error, converged, step, leg_passes)
 
 
-@np.errstate(divide="ignore", invalid="ignore", over="ignore")
-def _jacobian_error(m: int, stride: Stride, error: np.ndarray) -> np.ndarray:
-    """Bound of the error of dP/dy (n,), for a relative error (n,) of the derivative of the joint equations.
-
-    That was integrated at the state before the last Newton step, and its integration rounds as the image does. dP/dy is
-    what remains of it when the event times are eliminated, which divides by the rates of the guards.
-    """
-    size = np.sqrt((stride.derivative**2).sum(axis=(0, 1)))
-    by_time = np.sqrt((stride.derivative[:m, m:-1] ** 2).sum(axis=(0, 1))) / np.abs(stride.closing).min(axis=0)
-    times = np.sqrt((stride.times_by_y**2).sum(axis=(0, 1)))
-    return np.asarray(size * (error + EPS) * (1 + by_time) * (1 + times))
-
-
-def _lipschitz_at_points(
-    problem: Problem, w: np.ndarray, slope: np.ndarray, lipschitz: np.ndarray, eta: np.ndarray
-) -> np.ndarray:
-    """Lipschitz estimates (n,), measured at the point itself where there is none or it does not suffice.
+def _curvature_at_points(problem: Problem, w: np.ndarray, guesses: Guesses, eta: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What `curvature` gives, measured at the point itself where there is nothing or it does not suffice.
 
     At a fold the map at fixed slope is singular, and ever less so beside it: the estimate at that node says nothing of
     the segment.
     """
-    lanes = np.nonzero(~(2 * lipschitz * eta <= _MAX_CONTRACTION))[0]
+    lipschitz, gradient = guesses.lipschitz, guesses.gradient
+    known = np.isfinite(gradient).all(axis=(0, 1))
+    lanes = np.nonzero(~((2 * lipschitz * eta <= _MAX_CONTRACTION) & known))[0]
     if len(lanes):
-        X = np.vstack([w[: problem.m, lanes], np.log(slope[lanes])])
-        lipschitz = lipschitz.copy()
-        lipschitz[lanes] = lipschitz_at(problem.some(lanes), X, w[problem.m :, lanes])
-    return lipschitz
+        X = np.vstack([w[: problem.m, lanes], np.log(guesses.slope[lanes])])
+        lipschitz, gradient = lipschitz.copy(), gradient.copy()
+        lipschitz[lanes], gradient[..., lanes] = curvature(problem.some(lanes), X, w[problem.m :, lanes])
+    return lipschitz, gradient
 
 
 def _rounding_at_points(problem: Problem, w: np.ndarray, slope: np.ndarray, std: np.ndarray) -> np.ndarray:
-    """Standard deviations of rounding (o, n), measured at the point itself where they are not known."""
+    """Standard deviations of rounding (o + m, n), measured at the point itself where they are not known."""
     lanes = np.nonzero(np.isnan(std).any(axis=0))[0]
     if len(lanes):
         std = std.copy()

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tasks.fixed_points.multipliers import characteristic
 from tasks.step.problem import EPS, Problem, residual_sizes, sizes
 from tasks.step.step_map import Stride, matvec
 
@@ -70,6 +71,27 @@ def apply_newton_step(problem: Problem, stride: Stride, parameters: np.ndarray) 
     return NewtonStep(y, times, state, values, size, by_unknowns, size + matvec(np.abs(by_unknowns), moved))
 
 
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def characteristic_scale(stride: Stride) -> np.ndarray:
+    """How far a relative error of 1 on the way moves the coefficients of the derivative's characteristic polynomial.
+
+    Eliminating the event times divides by the rates of the guards, twice: the derivative, and their own error.
+
+    Parameters
+    ----------
+    stride : Stride
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+    """
+    m, size = len(stride.y), sizes(stride.y)
+    norm = np.sqrt(((stride.jacobian * (size[None] / size[:, None])) ** 2).sum(axis=(0, 1)))
+    by_time = np.sqrt(((stride.derivative[:m, m:-1] / size[:, None]) ** 2).sum(axis=(0, 1)))
+    slowest = np.abs(stride.closing).min(axis=0) / np.abs(stride.y[0])
+    return np.asarray(norm ** np.arange(1, m + 1)[:, None] * (1 + by_time / slowest))
+
+
 #: Units in which a step is evaluated to see how it rounds; a number divisible by fifteen is exact in each.
 UNITS = (1.0, 0.75, 1.25, 0.9375)
 #: Distance of neighbouring states: enough to round differently, and near enough to the gait even for long steps.
@@ -95,6 +117,8 @@ def by_fifteen(y: np.ndarray) -> np.ndarray:
 def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: int = 1) -> np.ndarray:
     """Standard deviation that rounding gives angle, rates and period of a fixed point, over their `sensitivity`.
 
+    And the coefficients of the derivative's characteristic polynomial, over their `characteristic_scale`.
+
     Parameters
     ----------
     w : ndarray, shape (m + phases, n)
@@ -106,8 +130,8 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
 
     Returns
     -------
-    ndarray, shape (o, n)
-        NaN where there is no step.
+    ndarray, shape (o + m, n)
+        The coefficients' last. NaN where there is no step.
 
     Notes
     -----
@@ -121,10 +145,11 @@ def rounding_std(problem: Problem, w: np.ndarray, log_slope: np.ndarray, near: i
         values = []
         for unit in UNITS:
             parameters = problem.parameters(slope, scale * unit)
-            gait = apply_newton_step(problem, problem.map(y / unit, w[m:], parameters), parameters)
-            values.append(np.vstack([gait.values[:-1] * unit, gait.values[-1:]]))
+            stride = problem.map(y / unit, w[m:], parameters)
+            gait = apply_newton_step(problem, stride, parameters)
+            values.append(np.vstack([gait.values[:-1] * unit, gait.values[-1:], characteristic(stride.jacobian)]))
         # The sensitivity is the same in all units but for rounding: the last serves.
-        sensitivity = np.vstack([gait.sensitivity[:-1] * unit, gait.sensitivity[-1:]])
+        sensitivity = np.vstack([gait.sensitivity[:-1] * unit, gait.sensitivity[-1:], characteristic_scale(stride)])
         variances.append(np.var(values, axis=0, ddof=1) / sensitivity**2)
     known = np.isfinite(variances)
     return np.sqrt(np.where(known, variances, 0.0).sum(axis=0) / known.sum(axis=0))

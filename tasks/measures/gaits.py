@@ -11,7 +11,7 @@ import numpy as np
 from tasks import status
 from tasks.accuracy import MANTISSA, significant_bits
 from tasks.fixed_points.labels import places
-from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
+from tasks.fixed_points.multipliers import multiplier_bounds, multiplier_changes, multipliers
 from tasks.fixed_points.polish import Polished
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.measures import violations
@@ -206,7 +206,7 @@ def describe(
     if "energy_imbalance" in want:
         solved["energy_imbalance"] = energy_imbalance(walker, slope, solved, 1)
     if any(VARIABLES[name].group == "multipliers" for name in want):
-        solved |= measured_multipliers(stride.jacobian, at.jacobian_error, walker.knees)
+        solved |= measured_multipliers(stride.jacobian, at.change, at.error, walker.knees)
     solved = {name: np.array(value) for name, value in solved.items()}
     for name, value in solved.items():
         if value.dtype == float and name not in ("residual", "heelstrike_rate_ratio"):
@@ -334,15 +334,15 @@ def energy_imbalance(walker: Walker, slope: np.ndarray, measured: Mapping[str, n
     return np.asarray((losses - drop) / drop)
 
 
-def measured_multipliers(jacobian: np.ndarray, error: np.ndarray, kneed: bool) -> Arrays:
+def measured_multipliers(jacobian: np.ndarray, change: np.ndarray | float, error: np.ndarray, kneed: bool) -> Arrays:
     """Variables of the group `multipliers`.
 
     Parameters
     ----------
     jacobian : ndarray, shape (m, m, n)
         Derivative of the step map.
-    error : ndarray, shape (n,)
-        Bound of the Frobenius norm of its error.
+    change, error : ndarray, shape (m, n)
+        What is to be added to the coefficients of its characteristic polynomial, and bounds of their errors.
     kneed : bool
 
     Returns
@@ -350,9 +350,10 @@ def measured_multipliers(jacobian: np.ndarray, error: np.ndarray, kneed: bool) -
     dict of ndarray, shape (n[, multipliers])
     """
     values = multipliers(jacobian, 4 if kneed else 3)
+    values[:, : len(jacobian)] += multiplier_changes(values[:, : len(jacobian)], change + 0 * error)
     return {
         "multiplier_real": values.real.copy(),
         "multiplier_imag": values.imag.copy(),
         "spectral_radius": np.abs(values).max(axis=1),
-        "multiplier_error_bound": multiplier_bounds(jacobian, values, error),
+        "multiplier_error_bound": multiplier_bounds(values, error),
     }

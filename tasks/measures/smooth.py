@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tasks import status
+from tasks.fixed_points.multipliers import characteristic_errors
 from tasks.measures.gaits import Arrays, measured_multipliers, without_knees
 from tasks.measures.kinematics import TRAVEL, step_length, travel
 from tasks.measures.losses import velocity_ratio
@@ -125,7 +126,7 @@ class Smooth:
         m = math.isqrt(len(self.entries))
         jacobian = np.stack([columns[name] for name in self.entries]).reshape(m, m, -1)
         size = np.maximum(1.0, np.abs(jacobian).max(axis=(0, 1)))
-        return measured_multipliers(jacobian, m * error * size, self.walker.knees)
+        return measured_multipliers(jacobian, 0.0, characteristic_errors(jacobian, m * error * size), self.walker.knees)
 
     def gaits(
         self,

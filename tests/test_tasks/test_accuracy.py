@@ -12,8 +12,8 @@ from tasks import interpolate_points, solve_at_slope, status
 from tasks.accuracy import OF_INTEGRATION, is_interpolated, nodes_for, significant_bits
 from tasks.families.box import roots
 from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
-from tasks.fixed_points.multipliers import multiplier_bounds, multipliers
-from tasks.fixed_points.newton import lipschitz
+from tasks.fixed_points.multipliers import characteristic_errors, multiplier_bounds, multipliers
+from tasks.fixed_points.newton import curvature
 from tasks.fixed_points.rounding import rounding_std
 from tasks.interpolate_points import Interpolation, _PanelGaits
 from tasks.measures.gaits import round_bits, to_accuracy
@@ -273,7 +273,7 @@ def test_what_a_panel_measures_is_no_less_than_at_its_gaits():
     q = np.log(np.linspace(0.01, 0.012, 9))
     guesses = made.pieces[0].guesses(q)
     measured, m = made._measured(guesses, q, len(q)), problem.m
-    assert (measured.lipschitz > lipschitz(problem, np.vstack([guesses.w[:m], q]), guesses.w[m:])).all()
+    assert (measured.lipschitz > curvature(problem, np.vstack([guesses.w[:m], q]), guesses.w[m:])[0]).all()
     # Estimates of single points scatter.
     np.testing.assert_array_less(rounding_std(problem, guesses.w, q).mean(axis=1) / 3, measured.rounding_std.T[0])
 
@@ -298,8 +298,8 @@ def test_the_error_of_a_derivative_is_that_of_all_its_entries():
     columns = {name: np.array([J[int(name[0]), int(name[1])]]) for name in smooth.entries}
     found = smooth.multipliers(columns, 1e-3)["multiplier_error_bound"]
     # Every entry off by 1e-3 of the largest.
-    norm = np.array([np.sqrt(4) * 1e-3 * 2.0])
-    np.testing.assert_allclose(found, multiplier_bounds(J[:, :, None], multipliers(J[:, :, None], 3), norm), rtol=0.1)
+    error = characteristic_errors(J[:, :, None], np.array([np.sqrt(4) * 1e-3 * 2.0]))
+    np.testing.assert_allclose(found, multiplier_bounds(multipliers(J[:, :, None], 3), error), rtol=0.1)
 
 
 def test_rounding_to_bits():
@@ -346,69 +346,6 @@ def test_more_digits_than_doubles_give_are_computed():
     # Where doubles give fourteen digits no more are computed unless asked for.
     assert 1e-15 < solved("D", [0.003])["error_bound"][0, 0] < 1e-12
     assert coarse("D", [0.003], 1e-15)["error_bound"][0, 0] <= 1e-15
-
-
-def test_bounds_of_eigenvalues():
-    """Against random matrices and errors; where two eigenvalues meet they move like the root of the error."""
-    draw = np.random.default_rng(4)
-    for m in (2, 3):
-        matrices = draw.normal(size=(m, m, 400)) * 10.0 ** draw.uniform(-1, 1, 400)
-        matrices[0, 1, :50], matrices[1, 0, :50] = 1.0, 0.0
-        matrices[1, 1, :50] = matrices[0, 0, :50] + 10.0 ** draw.uniform(-9, -3, 50)
-        error = 10.0 ** draw.uniform(-9, -3, 400)
-        values = multipliers(matrices, 4)
-        bound = multiplier_bounds(matrices, values, error)
-        for _ in range(20):
-            change = draw.normal(size=(m, m, 400))
-            change *= error / np.sqrt((change**2).sum(axis=(0, 1)))
-            moved = multipliers(matrices + change, 4)
-            apart = np.abs(values[:, :m, None] - moved[:, None, :m]).min(axis=2).max(axis=1)
-            assert (apart <= bound * (1 + 1e-9)).all()
-        assert np.median(bound / error) < 100
-
-
-def test_multipliers_are_within_their_bounds_of_more_digits():
-    """Differences of the step map in 113 bits give its derivative to 1e-12 and better."""
-    from tasks.step.extended_precision import _extended_step_map
-
-    for walker, slope in (("D", 0.01), ("A", 0.003), ("B", 0.02)):
-        problem = Problem(resolve(walker))
-        out = solved(walker, [slope], want=SMOOTH)
-        for g in (0, 1):
-            exact = _multipliers_in_quadruple(problem, _extended_step_map(problem.map.structure, 1), out, slope, g)
-            own = out["multiplier_real"][0, g] + 1j * out["multiplier_imag"][0, g]
-            apart = np.abs(exact[:, None] - own).min(axis=1).max()
-            assert apart <= out["multiplier_error_bound"][0, g] < 1e-5
-
-
-def _multipliers_in_quadruple(problem, step_map, out, slope, g):
-    """Eigenvalues of the derivative of one step by differences, the event time eliminated by its guard."""
-    from tasks.fixed_points.polish import settle, unmeasured
-
-    w = _similarity(problem, out, g)
-    at = settle(problem, unmeasured(problem, w, np.array([slope])))
-    parameters = problem.parameters(np.array([slope]), at.scale)[:, 0]
-    y, times = at.y[:, 0], at.times[:, 0]
-    number, m = step_map.number, problem.m
-    wide = step_map.array(parameters)
-    base, _ = step_map(step_map.array(y), step_map.array(times), wide)
-    h = number(2.0**-50)
-    columns = []
-    for i in range(m + len(times)):
-        moved = [step_map.array(y), step_map.array(times)]
-        moved[i >= m][i - m if i >= m else i] += h
-        residual, _ = step_map(*moved, wide)
-        columns.append([float((a - b) / h) for a, b in zip(residual, base, strict=True)])
-    J = np.array(columns).T
-    image = J[:m, :m] + np.eye(m) - J[:m, m:] @ np.linalg.solve(J[m:, m:], J[m:, :m])
-    return np.linalg.eigvals(image)
-
-
-def _similarity(problem, out, g):
-    unit = np.sqrt(problem.walker.leg / problem.walker.g)
-    angle = out["stance_angle"][0, g]
-    rates = [out[name][0, g] * unit / angle for name in ("stance_rate", "thigh_rate")][: problem.m - 1]
-    return np.array([[np.log(angle), *rates, out["period"][0, g] / unit]]).T
 
 
 def test_the_number_of_nodes_rises_with_the_digits():
