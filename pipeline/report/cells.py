@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipeline.report.figures.style import plain
+from pipeline.report.words import plain
 
 
 @dataclass(frozen=True)

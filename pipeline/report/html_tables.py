@@ -15,8 +15,8 @@ from pipeline.report.cells import Cell, cell, column_cells
 from pipeline.report.figures import landmarks as places
 from pipeline.report.figures import measured
 from pipeline.report.figures.starts import addresses
-from pipeline.report.figures.style import plain
-from pipeline.report.source import ANSWERS, Source, print_units
+from pipeline.report.source import ANSWERS, Source
+from pipeline.report.words import plain, print_units
 
 #: Failed points listed on the page, and points without a gait in the CSV file; the archive has all of them.
 MAX_ROWS, MAX_LISTED = 60, 20_000

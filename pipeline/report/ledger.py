@@ -12,8 +12,7 @@ import pandas as pd
 
 from pipeline.report.cells import Cell, cell
 from pipeline.report.entry import Entry
-from pipeline.report.figures.style import plain
-from pipeline.report.source import SUPERSCRIPTS
+from pipeline.report.words import SUPERSCRIPTS, plain
 
 #: Families of claims by the letter of their id.
 FAMILIES = {

@@ -28,9 +28,9 @@ from pipeline.archive.citation import PAPER
 from pipeline.archive.read import blamed_if_damaged
 from pipeline.report import entry, html_tables, ledger, results
 from pipeline.report.figures import FIGURES, draw, starts
-from pipeline.report.figures.style import plain
 from pipeline.report.figures.svg import Drawing
 from pipeline.report.source import Source, read
+from pipeline.report.words import plain
 
 _TEMPLATES, _SCRIPTS = Path(__file__).parent / "templates", Path(__file__).parent / "scripts"
 

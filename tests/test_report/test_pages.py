@@ -23,8 +23,8 @@ from pipeline.archive.citation import PAPER
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError
 from pipeline.report import html_tables, ledger, pages, source
-from pipeline.report.figures.style import plain
 from pipeline.report.source import read
+from pipeline.report.words import plain
 from pipeline.store.record import count
 from test_report import synthetic
 from test_report.reading import Page, numbers_in

@@ -11,10 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from pipeline.report.figures.sketch import Panel, Sketch
 from pipeline.report.figures.starts import START, cells
-from pipeline.report.figures.style import axis_values, canvas, plain, rows_caption, shorten, spread_evenly
-from pipeline.report.figures.svg import Panel, Sketch
-from pipeline.report.source import SYMBOLS, Source
+from pipeline.report.figures.style import rows_caption, spread_evenly
+from pipeline.report.source import Source, rows_at
+from pipeline.report.words import SYMBOLS, axis_values, plain, shorten, spaced, with_unit
 
 #: Quantities mapped, from left to right, and their titles.
 _SHOWN = {
@@ -50,8 +51,8 @@ _MAX_ROWS = 4
 
 def design(source: Source) -> Sketch | None:
     """Map smallest slope, largest stable slope and fastest stable speed over two keys, one row per walker."""
-    table = source.tables.get("design")
-    if table is None or table.empty or not set(_SHOWN) <= set(table.columns):
+    table = source.table("design", *_SHOWN)
+    if table is None:
         return None
     keys = [c for c in source.line_columns(table) if c != "walker" and table[c].nunique() > 1][:2]
     if len(keys) < 2:
@@ -60,37 +61,34 @@ def design(source: Source) -> Sketch | None:
     others = [c for c in source.line_columns(table) if c not in keys]
     every = table[others].drop_duplicates().to_dict("records") if others else [{}]
     rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]
-    figure = canvas(100 + 150 * len(rows))
-    panels = figure.subplots(len(rows), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
-    maps: list[Panel] = []
+    sketch = Sketch(100 + 150 * len(rows), len(rows), len(_SHOWN), sharex=True, sharey=True)
+    panels = sketch.grid
     several = [{k: v for k, v in at.items() if table[k].nunique() > 1} for at in rows]
     pictures: dict[str, Any] = {}
     is_marked = False
     for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
-        part = table[np.logical_and.reduce([table[c] == v for c, v in at.items()], initial=True)] if at else table
+        part = rows_at(table, at)
         for axes, (column, words) in zip(row, _SHOWN.items(), strict=True):
             pictures[column] = _draw_map(axes, part.pivot(index=down, columns=along, values=column), table[column])
             own = source.walkers.get(str(at.get("walker", source.walker)), {})
             is_marked = _mark_walkers(axes, own, down, along) or is_marked
             axes.set_title(words if k == 0 else "", pad=5)
-            maps += _panel(axes, source, part, at, (down, along), column, panels.size)
+            sketch.maps += _panel(axes, source, part, at, (down, along), column, panels.size)
         name = axis_values(several[k])
         row[0].set_ylabel(f"{shorten(name, 22)}: {_symbol(source, down)}" if name else _symbol(source, down))
     for axes, picture, column in zip(panels[-1], pictures.values(), panels.T, strict=True):
         axes.set_xlabel(_symbol(source, along))
         axes.xaxis.set_major_locator(MaxNLocator(3))
-        _add_bar(figure, picture, list(column))
-    circles = f" Circles: {_named(down, along)}." if is_marked else ""
-    return Sketch(
-        figure,
-        "Design map",
-        "The smallest slope with a gait, the largest slope with a stable gait, and the speed over √(gl) of the fastest "
-        f"stable gait, over {down} and {along}.{circles} Blank: no such gait." + rows_caption(several, every),
-        f"Heat maps over {along} and {down}: "
-        + "; ".join(f"{c.replace('_', ' ')} from {plain(table[c].min())} to {plain(table[c].max())}" for c in _SHOWN)
-        + ".",
+        _add_bar(sketch.figure, picture, list(column))
+    ends = [(spaced(c), table[c].min(), table[c].max()) for c in _SHOWN]
+    return sketch.finish(
         table[[*source.line_columns(table), *(c for c in _DATA if c in table)]],
-        panels=maps,
+        down=down,
+        along=along,
+        circles=_named(down, along) if is_marked else "",
+        blank=True,
+        more=rows_caption(several, every),
+        ranges="; ".join(f"{name} from {plain(low)} to {plain(high)}" for name, low, high in ends),
     )
 
 
@@ -99,15 +97,13 @@ def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series) -> Any:
     values = np.asarray(whole, float)
     low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
     low, high = (low, high) if low <= high else (0.0, 1.0)
-    picture = axes.pcolormesh(
-        z.columns, z.index, z.values, shading="nearest", cmap="cividis", rasterized=True, vmin=low, vmax=high
-    )
+    scale: Any = {"cmap": "cividis", "vmin": low, "vmax": high, "rasterized": True}
+    picture = axes.pcolormesh(z.columns, z.index, z.values, shading="nearest", **scale)
     axes.grid(False)
     if min(z.shape) >= _MIN_CONTOURED and np.isfinite(z.to_numpy()).any():
-        levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(np.nanmin(z.to_numpy()), np.nanmax(z.to_numpy()))
-        drawn = axes.contour(
-            z.columns, z.index, np.ma.masked_invalid(z.to_numpy()), levels=levels, colors="#ffffff", linewidths=0.7
-        )
+        inner = np.ma.masked_invalid(z.to_numpy())
+        levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(inner.min(), inner.max())
+        drawn = axes.contour(z.columns, z.index, inner, levels=levels, colors="#ffffff", linewidths=0.7)
         curves = [max(parts, key=len) for parts in drawn.allsegs if sum(map(len, parts))]
         # Labels in the middle of the curves, where they fit, not in a row.
         middles = [curve[int(len(curve) * (0.4 + 0.2 * (k % 2)))] for k, curve in enumerate(curves) if _fits(curve, z)]
@@ -178,5 +174,4 @@ def _panel(
 
 
 def _symbol(source: Source, key: str) -> str:
-    unit = source.units(key)
-    return f"{SYMBOLS.get(key, key)} ({unit})" if unit else SYMBOLS.get(key, key)
+    return with_unit(SYMBOLS.get(key, key), source.units(key))

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from pipeline.report.figures import fields
-from pipeline.report.figures.style import axis_values, spread_evenly
-from pipeline.report.source import RATES, SYMBOLS, Source
+from pipeline.report.figures.style import spread_evenly
+from pipeline.report.source import RATES, Source
+from pipeline.report.words import axis_values, symbol
 
 #: A gait's start just after heelstrike, as columns of tables and variables of grids.
 START = ("slope", "stance_angle", *RATES)
@@ -72,28 +73,26 @@ def lines(source: Source) -> list[dict[str, Any]]:
         return []
     by_line = _of_grid(source) if set(START[1:]) <= set(source.grid.data_vars) else {}
     for name in _TABLES:
-        table = source.tables.get(name)
-        if table is not None and {"slope", "stance_angle"} <= set(table.columns):
-            columns = source.line_columns(table)
-            for key, rows in table.groupby(columns, sort=False) if columns else [((), table)]:
-                at = dict(zip(columns, key, strict=True))
-                walker = str(at.pop("walker", source.walker))
-                known = name == "branches" and set(START[:4]) <= set(rows.columns)
-                branches = [part for _, part in rows.groupby("branch", sort=False)] if known else []
-                by_line.setdefault((walker, *map(float, at.values())), (walker, at, branches))
+        table = source.table(name, "slope", "stance_angle")
+        columns = [] if table is None else source.line_columns(table)
+        for _, rows in [] if table is None else table.groupby(columns, sort=False) if columns else [((), table)]:
+            walker, at = source.line_of(rows)
+            known = name == "branches" and set(START[:4]) <= set(rows.columns)
+            branches = [part for _, part in rows.groupby("branch", sort=False)] if known else []
+            by_line.setdefault((walker, *at.values()), (walker, at, branches))
     chosen = list(by_line.values())[:_MAX_LINES]
     total = sum(len(branch) for _, _, branches in chosen for branch in branches)
     records: list[dict[str, Any]] = []
     for walker, at, branches in chosen:
-        settings = {key: float(value) for key, value in at.items()}
-        if keys := parameters(source, walker, settings):
+        if keys := parameters(source, walker, at):
+            every = {"walker": walker, **at}
             records.append(
                 {
-                    "name": axis_values({"walker": walker, **settings}),
-                    "at": {"walker": walker, **settings},
+                    "name": axis_values(every),
+                    "at": every,
                     "keys": keys,
-                    "command": source.command(walker, settings),
-                    "first": _first(walker, settings, branches),
+                    "command": source.command(walker, at),
+                    "first": _first(walker, at, branches),
                     "branches": [_nodes(branch, total, keys["knees"]) for branch in branches if len(branch)],
                 }
             )
@@ -197,7 +196,7 @@ def cells(
         "keys": keys,
         "command": source.command(walker, {k: v for k, v in fixed.items() if k != "slope"}),
         "label": label or walker,
-        "shown": [[SYMBOLS.get(name, name.replace("_", " ")), name] for name in shown],
+        "shown": [[symbol(name), name] for name in shown],
         "moved": moved,
         "fields": _fields(
             {k: v for k, v in columns.items() if k not in (*names, *fixed)}, bool(keys.get("knees")), maps

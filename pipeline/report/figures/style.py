@@ -13,7 +13,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from pipeline.report.source import SUPERSCRIPTS, SYMBOLS
+from pipeline.report.words import axis_values, plain, shorten, superscript
 
 #: Width of a figure [pt]; its text stays legible on a phone.
 WIDTH = 480
@@ -36,6 +36,12 @@ RASTER = {"long": "#3c8fd6", "short": "#e0691f"}
 
 #: Dash patterns that distinguish lines of one gait; the first is solid.
 DASHES: tuple[Any, ...] = ("-", (0, (6, 1.6)), (0, (2, 1.4)), (0, (7, 1.5, 1.5, 1.5)), (0, (1, 1)), (0, (10, 3)))
+
+#: Dashes of laws, borders and guides.
+DOTTED = (0, (1, 2))
+
+#: Markers that distinguish lines of points.
+MARKERS = "osD^vPXd"
 
 #: Largest number of marks drawn as vectors, and of points drawn of one curve.
 SHAPES, SAMPLES = 2000, 600
@@ -101,18 +107,6 @@ def colour(gait: str) -> str:
     return GAIT_COLOURS.get(gait, INK)
 
 
-def plain(value: float, digits: int = 4) -> str:
-    """A number as it is written in print: 0.0153, 1.2 × 10⁻⁶, −3."""
-    if not np.isfinite(value):
-        return {np.inf: "∞", -np.inf: "−∞"}.get(float(value), "–")
-    text = f"{value + 0.0:.{digits}g}"  # adding zero turns −0 into 0
-    mantissa, _, exponent = text.partition("e")
-    if exponent:
-        power = _superscript(int(exponent))
-        text = f"10{power}" if mantissa == "1" else f"{mantissa} × 10{power}"
-    return text.replace("-", "−")
-
-
 def _is_narrow(low: float, high: float) -> bool:
     """Whether a logarithmic axis spans little more than two decades."""
     return high < 200 * low
@@ -149,12 +143,7 @@ def log_axis(axes: Axes, which: str) -> None:
 
 def _decade(value: float) -> str:
     power = round(np.log10(value)) if value > 0 else 0
-    return {0: "1", 1: "10"}.get(power, "10" + _superscript(power))
-
-
-def _superscript(power: int) -> str:
-    """An integer in superscripts."""
-    return str(power).translate(SUPERSCRIPTS)
+    return {0: "1", 1: "10"}.get(power, "10" + superscript(power))
 
 
 def draw_curve(
@@ -186,14 +175,14 @@ def labelled(frame: pd.DataFrame, gait: str, column: str = "stance_angle") -> pd
     return frame[column].where(has_label | has_label.shift(fill_value=False))
 
 
+def write_at(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **how: Any) -> None:
+    """Write words beside a point, at a distance from it [pt]."""
+    axes.annotate(text, at, xytext=offset, textcoords="offset points", **{"fontsize": 8.5, **how})
+
+
 def set_heading(axes: Axes, text: str) -> None:
     """Write the title of the vertical axis horizontally above its end."""
     axes.set_title(text, loc="left", pad=7)
-
-
-def shorten(name: str, most: int = 30) -> str:
-    """Cut a name to a length."""
-    return name if len(name) <= most else name[: most - 1] + "…"
 
 
 def spread_evenly(count: int, most: int) -> np.ndarray:
@@ -219,17 +208,12 @@ def thin(frame: pd.DataFrame, most: int = SAMPLES) -> pd.DataFrame:
     return frame if len(frame) <= most else frame.iloc[spread_evenly(len(frame), most)]
 
 
-def axis_values(at: dict[str, Any]) -> str:
-    """Values of axes in words: a walker's name, numbers with their symbols."""
-    return ", ".join(str(v) if k == "walker" else f"{SYMBOLS.get(k, k)} = {plain(float(v), 6)}" for k, v in at.items())
-
-
 def rows_caption(drawn: list[dict[str, Any]], every: list[dict[str, Any]]) -> str:
     """Sentence of a caption that lists the rows of a figure."""
     if len(every) < 2:
         return ""
     head = "Rows" if len(drawn) == len(every) else f"Rows, {len(drawn)} of {len(every)}"
-    return f" {head}: {'; '.join(map(axis_values, drawn))}."
+    return f"{head}: {'; '.join(map(axis_values, drawn))}."
 
 
 def end_labels(axes: Axes, labels: list[tuple[float, float, str, str]], gap: float = 11) -> None:
@@ -251,17 +235,8 @@ def end_labels(axes: Axes, labels: list[tuple[float, float, str, str]], gap: flo
     for height, x, y, names, ink in sorted(placed, key=lambda item: item[0]):
         lift = max(0.0, lowest + gap - height)
         lowest = height + lift
-        axes.annotate(
-            shorten(_merge_names(sorted(names, key=order.index))),
-            (x, y),
-            xytext=(-5, lift),
-            textcoords="offset points",
-            ha="right",
-            va="center",
-            color=ink,
-            fontsize=8.5,
-            annotation_clip=False,
-        )
+        text, how = shorten(_merge_names(sorted(names, key=order.index))), {"ha": "right", "va": "center"}
+        write_at(axes, text, (x, y), (-5, lift), color=ink, annotation_clip=False, **how)
 
 
 def _merge_names(names: list[str]) -> str:
