@@ -6,19 +6,13 @@ import numpy as np
 import pandas as pd
 
 from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import GAIT_COLOURS, INK, MUTED, PRINTED, set_heading
+from pipeline.report.figures.style import INK, MUTED, PRINTED, VARIABLES, set_heading
 from pipeline.report.source import Source
-from pipeline.report.words import spaced
+from pipeline.report.words import WORDS, spaced
 
 #: Colour and marker of each verdict; a square is a proof here as in the ledger.
-_MARKS = {
-    "proved": (GAIT_COLOURS["long"], "s"),
-    "reproduced": (GAIT_COLOURS["long"], "o"),
-    "consistent within rounding": (PRINTED, "o"),
-    "approximate": (MUTED, "^"),
-    "not reproduced": (GAIT_COLOURS["short"], "X"),
-    "not checkable": (MUTED, "X"),
-}
+_INKS = {name: ink for ink, name in VARIABLES.items()}
+_MARKS = {verdict: (_INKS[style["ink"]], style["marker"]) for verdict, style in WORDS["verdicts"].items()}
 
 
 def claims(source: Source) -> Sketch | None:
