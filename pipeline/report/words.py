@@ -62,6 +62,11 @@ def symbol(name: str) -> str:
     return SYMBOLS.get(name, spaced(name))
 
 
+def titled(name: str, unit: str, words: str = "") -> str:
+    """A quantity in words, or in those given, with its symbol and unit."""
+    return with_unit(" ".join(filter(None, (words or spaced(name), SYMBOLS.get(name)))), unit)
+
+
 def shorten(name: str, most: int = 30) -> str:
     """Cut a name to a length."""
     return name if len(name) <= most else name[: most - 1] + "…"

@@ -14,7 +14,7 @@ from pipeline.report.figures import FIGURES, design_maps, draw, families, fields
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.cycle import traced_steps
 from pipeline.report.figures.degrees import add_degrees
-from pipeline.report.figures.style import GAIT_COLOURS, MUTED, log_axis, style
+from pipeline.report.figures.style import GAIT_COLOURS, MUTED, set_log, style
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
 from pipeline.report.words import WORDS, plain, sentences
@@ -252,7 +252,7 @@ def test_branches_of_one_label_have_its_colour_and_one_entry_in_the_legend(tmp_p
 @pytest.mark.parametrize(("key", "own"), [("R", True), ("foot_mass_ratio", False)])
 def test_a_design_map_tells_of_circles_where_it_has_some(tmp_path, key, own):
     side = np.linspace(0.1, 0.3, 3)
-    names = (*design_maps._SHOWN, "fastest_slope")
+    names = (*design_maps.MAPPED, "fastest_slope")
     rows = {key: np.repeat(side, 3), "c_t": np.tile(side, 3), **dict.fromkeys(names, np.arange(9) / 100)}
     text = f'name = "d"\nkind = "design"\nwalker = "B"\n[axes]\n{key} = [0.1, 0.3]\nc_t = [0.1]\nslope = [0.01, 0.1]\n'
     walker = POINT | {"R": 0.2, "c_t": 0.2}
@@ -529,7 +529,7 @@ def test_what_is_drawn_in_radians_has_second_axes_in_degrees():
 @pytest.mark.parametrize(("low", "high"), [(0.0155, 0.0185), (0.01, 0.05), (1e-3, 0.1), (1e-6, 0.1)])
 def test_ticks_of_a_logarithmic_axis_differ(low, high):
     axes = Figure().subplots()
-    log_axis(axes, "x")
+    set_log(axes, "x")
     axes.set_xlim(low, high)
     axes.figure.draw_without_rendering()
     labels = [label.get_text() for label in axes.get_xticklabels() if label.get_text()]

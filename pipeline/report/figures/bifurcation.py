@@ -57,12 +57,8 @@ def bifurcation(source: Source) -> Sketch | None:
         sketch.key("computed", lw=0.8, ls=DOTTED)
     return sketch.finish(
         table,
-        count=len(table),
-        low=table["slope"].min(),
-        high=table["slope"].max(),
         transients=_transients(source, table),
         printed=landmarks.sentence(every),
-        omitted=len(every_line) > len(lines),
         drawn=len(lines),
         every=len(every_line),
     )

@@ -106,8 +106,8 @@ def _sketch(bodies: Collection[str], of_few: float) -> Sketch:
 def _finish(sketch: Sketch, source: Source, bodies: Collection[str], data: pd.DataFrame, **values: Any) -> Sketch:
     """Say which walkers are drawn."""
     every, names = len(source.walkers), ", ".join(f"walker {name}" for name in bodies)
-    drawn: Any = {"drawn": len(bodies), "every": every, "omitted": every > len(bodies)}
-    return sketch.finish(data, names=names, varied=", ".join(source.varied), **drawn, **values)
+    varied = ", ".join(source.varied)
+    return sketch.finish(data, names=names, varied=varied, drawn=len(bodies), every=every, **values)
 
 
 def walker(source: Source) -> Sketch | None:

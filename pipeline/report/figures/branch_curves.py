@@ -14,9 +14,7 @@ from pipeline.report.figures.style import (
     INK,
     MUTED,
     PAPER,
-    colour,
-    draw_curve,
-    labelled,
+    draw_gait,
     set_heading,
     spread_evenly,
     thin,
@@ -98,14 +96,11 @@ def locus(source: Source) -> Sketch | None:
         data,
         numbered=numbered,
         printed=landmarks.sentence(printed) if has_printed else "",
-        omitted=len(every) > len(chosen),
         drawn=len(chosen),
         every=len(every),
         count=count,
         s="s" * (count > 1),
         special=len(special),
-        low=data["slope"].min(),
-        high=data["slope"].max(),
     )
 
 
@@ -126,9 +121,8 @@ def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame
         for _, run in whole.groupby(np.cumsum((at & np.roll(at, 1, axis=1)).any(axis=0))):
             rows = thin(run, 400).reset_index(drop=True)
             rows = rows.assign(branch=branch, gait=rows["gait"].astype(str) if "gait" in rows else "")
-            stable = rows["stable"] if "stable" in rows else pd.Series(np.nan, rows.index)
             for gait in rows["gait"].unique():
-                draw_curve(axes, rows["slope"], labelled(rows, gait), stable, colour(gait), k)
+                draw_gait(axes, rows, gait, k)
             pieces.append(rows)
     return pieces
 

@@ -55,7 +55,6 @@ def claims(source: Source) -> Sketch | None:
     compared = int(np.isfinite(printed).sum())
     return sketch.finish(
         table,
-        count=len(table),
         counts=", ".join(f"{drawn.count(verdict)} {verdict}" for verdict in known),
         compared=compared,
         uncompared=not compared,

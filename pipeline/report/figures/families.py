@@ -19,11 +19,10 @@ from pipeline.report.figures.style import (
     PAPER,
     SAMPLES,
     colour,
-    draw_curve,
+    draw_gait,
     end_labels,
-    labelled,
-    log_axis,
     set_heading,
+    set_log,
     thin,
     write_at,
 )
@@ -35,8 +34,7 @@ def loglog(source: Source) -> Sketch | None:
     """Plot stance angle against slope on logarithmic axes, with the fitted power laws."""
     sketch = Sketch(350)
     (axes,) = sketch.panels
-    log_axis(axes, "x")
-    log_axis(axes, "y")
+    set_log(axes, "xy")
     lines = [line for line in source.lines if "stance_angle" in line.data]
     names, labels = _line_titles(source, lines), _draw_families(sketch, source, lines)
     if not labels:
@@ -76,7 +74,7 @@ def _draw_families(sketch: Sketch, source: Source, lines: list[Line]) -> list[tu
                 points = frame[(frame["gait"] == gait) & frame["stance_angle"].notna()]
                 if points.empty:
                     continue
-                draw_curve(axes, frame["slope"], labelled(frame, gait), frame["stable"], colour(gait), k, k)
+                draw_gait(axes, frame, gait, k, k)
                 starts.append(tuple(points.loc[points["slope"].idxmin(), ["slope", "stance_angle"]]))
                 tips = TIPS | {"spectral_radius": "max |λ|"}
                 sketch.mark_gaits(axes, points, f"{gait} step · {names[k]}", line.command, tips, group=k)
@@ -105,8 +103,6 @@ def _finish(sketch: Sketch, source: Source, names: list[str], is_measured: bool,
         lines=names if len(names) > 2 else [],
         names=_line_names(names),
         stable=(data["stable"] == 1).any(),
-        low=data["slope"].min(),
-        high=data["slope"].max(),
         most=data["stance_angle"].max(),
         count=data["line"].nunique(),
         gaits=", ".join(data["gait"].unique()),
@@ -233,7 +229,7 @@ def residuals(source: Source) -> Sketch | None:
     if not sketch.pieces:
         return None
     data = pd.concat(sketch.pieces, ignore_index=True)
-    log_axis(axes, "x")
+    set_log(axes, "x")
     axes.axhline(0, color=MUTED, lw=0.7)
     axes.set_xlabel("slope γ (rad)")
     set_heading(axes, "relative residual of the stance angle (%)")

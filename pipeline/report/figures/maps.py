@@ -15,9 +15,9 @@ from matplotlib.patches import Rectangle
 from pipeline.report.figures import fields
 from pipeline.report.figures.sketch import Panel, Sketch
 from pipeline.report.figures.starts import START, cells, parameters
-from pipeline.report.figures.style import INK, RASTER, SHAPES, log_axis, rows_caption, set_heading, spread_evenly
+from pipeline.report.figures.style import INK, RASTER, SHAPES, rows_caption, set_heading, set_log, spread_evenly
 from pipeline.report.source import Source, rows_at
-from pipeline.report.words import SYMBOLS, axis_values, plain, print_units, shorten, spaced, symbol, with_unit
+from pipeline.report.words import SYMBOLS, axis_values, plain, print_units, shorten, spaced, symbol, titled
 
 #: Quantities that a map may show: the first that the archive holds.
 _SHOWN = ("speed", "froude_speed", "stance_angle", "period", "spectral_radius")
@@ -112,7 +112,7 @@ def _set_scales(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
     """Make axes that span more than a factor of 30 logarithmic."""
     for which, values in (("x", x), ("y", y)):
         if len(values) > 2 and (values > 0).all() and values[-1] / values[0] > 30:
-            log_axis(axes, which)
+            set_log(axes, which)
 
 
 def _edges(values: np.ndarray, scale: str) -> np.ndarray:
@@ -125,10 +125,8 @@ def _edges(values: np.ndarray, scale: str) -> np.ndarray:
 
 def _axis_title(source: Source, name: str) -> str:
     column = source.grid.variables.get(name)
-    unit = source.units(name)
     words = str(column.attrs.get("long_name", "")) if column is not None else ""
-    words = words if words and len(words) < 34 else spaced(name)
-    return with_unit(" ".join(filter(None, (words, SYMBOLS.get(name)))), unit)
+    return titled(name, source.units(name), words if len(words) < 34 else "")
 
 
 def _is_fall(outcome: str) -> bool:
@@ -138,8 +136,7 @@ def _is_fall(outcome: str) -> bool:
 
 def _column(table: pd.DataFrame, name: str) -> str:
     """A column's name in words, with its symbol and unit."""
-    unit = print_units(table.attrs.get("units", {}).get(name, "1"))
-    return with_unit(" ".join(filter(None, (spaced(name), SYMBOLS.get(name)))), unit)
+    return titled(name, print_units(table.attrs.get("units", {}).get(name, "1")))
 
 
 def basin(source: Source) -> Sketch | None:

@@ -10,9 +10,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import INK, PAPER, colour, draw_curve, labelled, set_heading, thin
+from pipeline.report.figures.style import INK, PAPER, draw_gait, set_heading, thin
 from pipeline.report.source import Source, rows_at
-from pipeline.report.words import SYMBOLS, plain, print_units, spaced, with_unit
+from pipeline.report.words import plain, print_units, spaced, titled, with_unit
 
 #: How measurements are drawn, and their entry in a legend.
 _MARK: Any = {"fmt": "s", "color": INK, "mfc": PAPER, "ms": 5, "capsize": 2.5, "lw": 0.9, "zorder": 7}
@@ -141,13 +141,12 @@ def measured(source: Source) -> Sketch | None:
                 curve = thin(whole)
                 for gait in curve["gait"].unique() if name in curve else ():
                     part = curve[(curve["gait"] == gait) & curve[name].notna()]
-                    stable = curve["stable"] if "stable" in curve else pd.Series(np.nan, curve.index)
-                    draw_curve(axes, curve["slope"], labelled(curve, gait, name), stable, colour(str(gait)), k)
+                    draw_gait(axes, curve, gait, k, y=name)
                     sketch.pieces.append(part.assign(line=label, variable=name, value=part[name]))
         draw(axes, source, name)
         values = {"γ (rad)": rows["slope"], spaced(name): rows[name]}
         sketch.mark(axes, rows["slope"], rows[name], "measured", values)
-        set_heading(axes, with_unit(" ".join([spaced(name), *filter(None, [SYMBOLS.get(name)])]), source.units(name)))
+        set_heading(axes, titled(name, source.units(name)))
     sketch.panels[-1].set_xlabel("slope γ (rad)")
     data = pd.concat(sketch.pieces, ignore_index=True) if sketch.pieces else pd.DataFrame(columns=["gait"])
     sketch.gait_keys(data[["gait"]])

@@ -10,7 +10,7 @@ import pandas as pd
 
 from pipeline.report.figures import measured
 from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import DOTTED, MUTED, colour, draw_curve, labelled, log_axis, set_heading, thin
+from pipeline.report.figures.style import DOTTED, MUTED, draw_gait, set_heading, set_log, thin
 from pipeline.report.source import RATES, Source
 from pipeline.report.words import WORDS, spaced, with_unit
 
@@ -56,8 +56,7 @@ def draw(name: str, source: Source) -> Sketch | None:
         return None
     sketch = Sketch(330)
     (axes,) = sketch.panels
-    for which in quantity.log:
-        log_axis(axes, which)
+    set_log(axes, quantity.log)
     tips = {column: spaced(column) for column in ("slope", quantity.abscissa, *quantity.reads)}
     for k, line in enumerate(lines):
         for frame in line.curves(*quantity.reads):
@@ -66,8 +65,7 @@ def draw(name: str, source: Source) -> Sketch | None:
             for gait in (g for g in source.gaits if (curve["gait"] == g).any()):
                 part = curve[(curve["gait"] == gait) & curve["value"].notna()]
                 # With the points that the gait lacks, so that no line crosses a gap.
-                y = labelled(curve, gait, "value")
-                draw_curve(axes, curve[quantity.abscissa], y, curve["stable"], colour(gait), k, k)
+                draw_gait(axes, curve, gait, k, k, quantity.abscissa, "value")
                 label, x = f"{gait} step · {line.label}", quantity.abscissa
                 sketch.mark_gaits(axes, part, label, line.command, tips, x, "value", group=k)
                 sketch.pieces.append(part.drop(columns=list(RATES), errors="ignore").assign(line=line.label))

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import DASHES, DOTTED, GAIT_COLOURS, INK, MARKERS, MUTED, log_axis, set_heading
+from pipeline.report.figures.style import DASHES, DOTTED, GAIT_COLOURS, INK, MARKERS, MUTED, set_heading, set_log
 from pipeline.report.source import Source
 from pipeline.report.words import plain, spaced
 
@@ -34,8 +34,7 @@ def transition_ladder(source: Source) -> Sketch | None:
     sketch = Sketch(380 if has_exponents else 260, **shape)
     top, below = sketch.panels[0], sketch.panels[-1]
     ratio = table["foot_mass_ratio"].to_numpy()
-    log_axis(top, "x")
-    log_axis(top, "y")
+    set_log(top, "xy")
     anchor = table[np.isfinite(table["slope_transition"])].iloc[0]
     law = anchor["slope_transition"] * (ratio / anchor["foot_mass_ratio"]) ** 1.5
     top.plot(ratio, law, color=INK, lw=1, ls=DOTTED, label="∝ ρ³ᐟ²")

@@ -16,8 +16,8 @@ from pipeline.report.figures.style import (
     MARKERS,
     MUTED,
     PAPER,
-    log_axis,
     set_heading,
+    set_log,
     write_at,
 )
 from pipeline.report.source import Source, rows_at
@@ -38,8 +38,7 @@ def census(source: Source) -> Sketch | None:
         return None
     sketch = Sketch(430, 2, sharex=True, height_ratios=[5, 3])
     top, below = sketch.panels
-    log_axis(top, "x")
-    log_axis(top, "y")
+    set_log(top, "xy")
     every, reached = source.line_groups(table), coverage[coverage["converged"] > 0]
     tips = {"γ (rad)": "slope", "θ* (rad)": "stance_angle", "hits": "hits" if "hits" in table else "slope"}
     for k, (at, rows) in enumerate(every):
@@ -64,7 +63,7 @@ def census(source: Source) -> Sketch | None:
     sketch.dot_key("legs pass more than once", mfc=PAPER, ms=5)
     most = int(coverage["anthropomorphic"].max())
     worst = float(reached["unseen"].max()) if len(reached) else 1.0
-    return sketch.finish(table, count=len(table), most=most, worst=f"{100 * worst:.1f}", abreast=len(every) > 1)
+    return sketch.finish(table, most=most, worst=f"{100 * worst:.1f}", abreast=len(every) > 1)
 
 
 def cascade(source: Source) -> Sketch | None:
@@ -93,7 +92,7 @@ def cascade(source: Source) -> Sketch | None:
             sketch.pieces.append(pd.DataFrame({**values, **named}))
     if not sketch.pieces:
         return None
-    log_axis(axes, "y")
+    set_log(axes, "y")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("number of the flip")
     set_heading(axes, "distance to the next flip in slope (rad)")

@@ -119,11 +119,18 @@ class Sketch:
     def finish(
         self, data: pd.DataFrame | None = None, columns: int = 3, lines: Iterable[str] = (), **values: Any
     ) -> Sketch:
-        """Draw the legend, and keep the figure's data and the values of its words."""
+        """Draw the legend, and keep the figure's data and the values of its words.
+
+        Unless others are given, `count` is the number of its rows, `low` and `high` are the ends of their slopes. Where
+        not `every` line is `drawn`, some are `omitted`.
+        """
         if self.keys:
             self.figure.legend(handles=self.keys, loc="outside upper left", ncols=columns)
         self.data = pd.concat(self.pieces, ignore_index=True) if data is None else data
-        self.lines, self.values = list(lines), values
+        known: dict[str, Any] = {"count": len(self.data), "omitted": values.get("drawn") != values.get("every")}
+        if "slope" in self.data:
+            known |= {"low": self.data["slope"].min(), "high": self.data["slope"].max()}
+        self.lines, self.values = list(lines), known | values
         return self
 
     def words(self, name: str) -> tuple[str, str, str]:

@@ -74,8 +74,7 @@ def lines(source: Source) -> list[dict[str, Any]]:
     by_line = _of_grid(source) if set(START[1:]) <= set(source.grid.data_vars) else {}
     for name in _TABLES:
         table = source.table(name, "slope", "stance_angle")
-        columns = [] if table is None else source.line_columns(table)
-        for _, rows in [] if table is None else table.groupby(columns, sort=False) if columns else [((), table)]:
+        for _, rows in [] if table is None else source.line_groups(table):
             walker, at = source.line_of(rows)
             known = name == "branches" and set(START[:4]) <= set(rows.columns)
             branches = [part for _, part in rows.groupby("branch", sort=False)] if known else []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import matplotlib
@@ -128,17 +129,18 @@ class _Decades(LogLocator):
         return super().__call__()
 
 
-def log_axis(axes: Axes, which: str) -> None:
-    """Make an axis (`"x"` or `"y"`) logarithmic, its decades written as powers of ten."""
-    getattr(axes, f"set_{which}scale")("log")
-    axis = getattr(axes, f"{which}axis")
-    axis.set_major_locator(_Decades())
-    axis.set_major_formatter(
-        FuncFormatter(
-            lambda value, _: plain(value, _digits(axis)) if _is_narrow(*axis.get_view_interval()) else _decade(value)
-        )
-    )
-    axis.set_minor_locator(NullLocator())
+def set_log(axes: Axes, which: str) -> None:
+    """Make axes (`"x"`, `"y"` or `"xy"`) logarithmic, their decades written as powers of ten."""
+    for side in which:
+        getattr(axes, f"set_{side}scale")("log")
+        axis: Axis = getattr(axes, f"{side}axis")
+        axis.set_major_locator(_Decades())
+        axis.set_major_formatter(FuncFormatter(partial(_tick, axis)))
+        axis.set_minor_locator(NullLocator())
+
+
+def _tick(axis: Axis, value: float, _: int) -> str:
+    return plain(value, _digits(axis)) if _is_narrow(*axis.get_view_interval()) else _decade(value)
 
 
 def _decade(value: float) -> str:
@@ -146,33 +148,31 @@ def _decade(value: float) -> str:
     return {0: "1", 1: "10"}.get(power, "10" + superscript(power))
 
 
-def draw_curve(
-    axes: Axes, x: pd.Series, y: pd.Series, stable: pd.Series, ink: str, k: int = 0, group: int | None = None
-) -> None:
-    """Draw line k of a colour: thin, and thick where it is stable, with the same dashes; a point by itself as a dot.
+def draw_gait(
+    axes: Axes, curve: pd.DataFrame, gait: str, k: int = 0, group: int | None = None, x: str = "slope",
+    y: str = "stance_angle",
+) -> None:  # fmt: skip
+    """Draw line k where it has a gait's label: thin, and thick where it is stable; a point by itself as a dot.
 
-    `group` is the number of the line that the page highlights as one.
+    It goes one point beyond, so that a new label leaves no gap. `group` is the number of the line that the page
+    highlights as one.
     """
-    gid = None if group is None else f"line-{group}"
+    has_label = curve["gait"] == gait
+    across, upward = curve[x], curve[y].where(has_label | has_label.shift(fill_value=False))
+    is_stable = (curve["stable"] == 1).to_numpy() if "stable" in curve else np.zeros(len(curve), bool)
     dash = DASHES[k % len(DASHES)]
     thick = dash if dash == "-" else (0, tuple(length / 2.2 for length in dash[1]))
-    is_stable = stable.to_numpy() == 1
+    how: Any = {"color": colour(gait), "gid": None if group is None else f"line-{group}"}
     # The thin line extends one point into the thick one, so that there is no gap between them.
     inside = is_stable & np.roll(is_stable, 1) & np.roll(is_stable, -1)
     inside[[0, -1]] &= is_stable[[0, -1]]
-    axes.plot(x, y.mask(inside), color=ink, lw=1.1, ls=dash, gid=gid)
-    axes.plot(x, y.where(is_stable), color=ink, lw=2.6, ls=thick, gid=gid)
+    axes.plot(across, upward.mask(inside), lw=1.1, ls=dash, **how)
+    axes.plot(across, upward.where(is_stable), lw=2.6, ls=thick, **how)
     # A line of one point is invisible.
-    alone = y.notna() & y.shift().isna() & y.shift(-1).isna()
+    alone = upward.notna() & upward.shift().isna() & upward.shift(-1).isna()
     for dots, size in ((alone & ~is_stable, 3), (alone & is_stable, 5)):
         if dots.any():
-            axes.plot(x[dots], y[dots], "o", color=ink, ms=size, gid=gid)
-
-
-def labelled(frame: pd.DataFrame, gait: str, column: str = "stance_angle") -> pd.Series:
-    """Values of a curve where it has that label, and one point beyond, so that a new label leaves no gap."""
-    has_label = frame["gait"] == gait
-    return frame[column].where(has_label | has_label.shift(fill_value=False))
+            axes.plot(across[dots], upward[dots], "o", ms=size, **how)
 
 
 def write_at(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **how: Any) -> None:
