@@ -7,16 +7,16 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from pipeline.report.figures import landmarks
-from pipeline.report.figures.branch_curves import MAX_PANELS
 from pipeline.report.figures.sketch import Sketch
 from pipeline.report.figures.style import (
     DOTTED,
     GAIT_COLOURS,
+    MAX_PANELS,
     PRINTED,
     RASTER,
     SHAPES,
+    evenly,
     set_heading,
-    spread_evenly,
     thin,
 )
 from pipeline.report.source import Source
@@ -30,7 +30,7 @@ def bifurcation(source: Source) -> Sketch | None:
         return None
     table = table[np.isfinite(table["stance_angle"])]
     every_line = source.line_groups(table)
-    lines = [every_line[i] for i in spread_evenly(len(every_line), MAX_PANELS)]
+    lines = evenly(every_line, MAX_PANELS)
     sketch = Sketch(330 if len(lines) == 1 else 230 * len(lines), len(lines), sharex=True)
     raster = len(table) > SHAPES
     sketch.panels[-1].set_xlabel("slope γ (rad)")

@@ -12,34 +12,20 @@ from pipeline.report.figures import landmarks, measured
 from pipeline.report.figures.sketch import TIPS, Sketch
 from pipeline.report.figures.style import (
     INK,
+    MAX_PANELS,
     MUTED,
     PAPER,
     draw_gait,
+    evenly,
     set_heading,
-    spread_evenly,
     thin,
     write_at,
 )
 from pipeline.report.source import Source, rows_at
-from pipeline.report.words import axis_values, shorten, spaced
+from pipeline.report.words import WORDS, axis_values, shorten, spaced
 
-MAX_PANELS = 6
 #: Spectral radius above which it is rounding of one without bound.
 _UNBOUNDED = 1e12
-#: Marker of each kind of special point; ends are filled.
-_SHAPES = {
-    "fold": "o",
-    "flip": "s",
-    "neimark_sacker": "D",
-    "branch_point": "P",
-    "release_hyperextension": "^",
-    "end_kneestrike_at_heelstrike": "X",
-    "end_tangential_heelstrike": "v",
-    "end_tangential_kneestrike": "<",
-    "end_zero_step": "d",
-    "end_contact_lost": "p",
-    "end_earlier_strike": "h",
-}
 
 
 def locus(source: Source) -> Sketch | None:
@@ -50,7 +36,7 @@ def locus(source: Source) -> Sketch | None:
     special = source.tables.get("special_points", pd.DataFrame())
     every = source.line_groups(table)
     together = len(every) == 2 and all(set(at) == {"walker"} for at, _ in every)
-    chosen = [every[i] for i in spread_evenly(len(every), MAX_PANELS)]
+    chosen = evenly(every, MAX_PANELS)
     count = 1 if together else len(chosen)
     across = min(count, 3)
     rows = -(-count // across)
@@ -107,7 +93,12 @@ def locus(source: Source) -> Sketch | None:
 def _mark(kind: str) -> dict[str, Any]:
     """Properties of the mark of a kind of special point."""
     is_end = kind.startswith("end_")
-    return {"marker": _SHAPES.get(kind, "*"), "color": INK, "mfc": INK if is_end else PAPER, "ms": 6 if is_end else 5}
+    return {
+        "marker": WORDS["special_points"].get(kind, "*"),
+        "color": INK,
+        "mfc": INK if is_end else PAPER,
+        "ms": 6 if is_end else 5,
+    }
 
 
 def _draw_branches(axes: Axes, frame: pd.DataFrame, k: int) -> list[pd.DataFrame]:

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from pipeline.report.figures.body import Body, draw_leg
 from pipeline.report.figures.sketch import Sketch
-from pipeline.report.figures.style import DOTTED, INK, MUTED, colour, set_heading, spread_evenly, write_at
+from pipeline.report.figures.style import DOTTED, INK, MUTED, colour, evenly, set_heading, write_at
 from pipeline.report.source import Source
 from pipeline.report.words import axis_values, plain, shorten, with_unit
 
@@ -50,8 +50,7 @@ def traced_steps(source: Source) -> Iterator[TracedStep]:
         return
     known = table.dropna(subset=["time", "theta_st", "theta_th"])
     steps = [rows for _, rows in known.groupby([*source.line_columns(table), "gait", "slope"], sort=False)]
-    for i in spread_evenly(len(steps), _MAX_STEPS) if steps else ():
-        frame = steps[i]
+    for frame in evenly(steps, _MAX_STEPS):
         gait, slope = str(frame["gait"].iloc[0]), float(frame["slope"].iloc[0])
         walker, settings = source.line_of(frame)
         body = Body.of(source.parameters(walker, settings))

@@ -13,9 +13,9 @@ from matplotlib.ticker import MaxNLocator
 
 from pipeline.report.figures.sketch import Panel, Sketch
 from pipeline.report.figures.starts import START, cells
-from pipeline.report.figures.style import rows_caption, spread_evenly
+from pipeline.report.figures.style import choose_rows
 from pipeline.report.source import Source, rows_at
-from pipeline.report.words import SYMBOLS, axis_values, plain, shorten, spaced, with_unit
+from pipeline.report.words import SYMBOLS, plain, shorten, spaced, with_unit
 
 
 class Mapped(NamedTuple):
@@ -54,8 +54,6 @@ _NAMED = {"detuning": (0.0, 1.0)}
 _LABELLED = 0.2
 #: Fewest cells along each side of a map on which contours are drawn.
 _MIN_CONTOURED = 6
-#: Largest number of rows of maps, one for each value of the other axes.
-_MAX_ROWS = 4
 
 
 def design(source: Source) -> Sketch | None:
@@ -69,10 +67,9 @@ def design(source: Source) -> Sketch | None:
     down, along = keys
     others = [c for c in source.line_columns(table) if c not in keys]
     every = table[others].drop_duplicates().to_dict("records") if others else [{}]
-    rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]
+    rows, names, more = choose_rows(every)
     sketch = Sketch(100 + 150 * len(rows), len(rows), len(MAPPED), sharex=True, sharey=True)
     panels = sketch.grid
-    several = [{k: v for k, v in at.items() if table[k].nunique() > 1} for at in rows]
     pictures: dict[str, Any] = {}
     is_marked = False
     for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
@@ -83,8 +80,7 @@ def design(source: Source) -> Sketch | None:
             is_marked = _mark_walkers(axes, own, down, along) or is_marked
             axes.set_title(mapped.title if k == 0 else "", pad=5)
             sketch.maps += _panel(axes, source, part, at, (down, along), column, panels.size)
-        name = axis_values(several[k])
-        row[0].set_ylabel(f"{shorten(name, 22)}: {_symbol(source, down)}" if name else _symbol(source, down))
+        row[0].set_ylabel(f"{shorten(names[k], 22)}: " * bool(names[k]) + _symbol(source, down))
     for axes, picture, column in zip(panels[-1], pictures.values(), panels.T, strict=True):
         axes.set_xlabel(_symbol(source, along))
         axes.xaxis.set_major_locator(MaxNLocator(3))
@@ -96,7 +92,7 @@ def design(source: Source) -> Sketch | None:
         along=along,
         circles=_named(down, along) if is_marked else "",
         blank=True,
-        more=rows_caption(several, every),
+        more=more,
         ranges="; ".join(f"{name} from {plain(low)} to {plain(high)}" for name, low, high in ends),
     )
 
@@ -173,11 +169,8 @@ def _panel(
     grids = {to: table.pivot(index=down, columns=along, values=name) for to, name in names.items()}
     columns = {name: grid.to_numpy(float) for name, grid in grids.items()}
     columns["slope"] = columns["slope"] * inside
-    settings = {k: v for k, v in at.items() if k != "walker"}
-    walker = str(at.get("walker", source.walker))
     shown = (down, along, *(name for name in ("slope", "froude_speed") if name in names))
-    label = f"{called} · {walker}"
-    start = cells(source, walker, settings, (along, down), columns, shown, maps, label)
+    start = cells(source, at, (along, down), columns, shown, maps, called)
     x, y = (axis.to_numpy(float) for axis in (grids["slope"].columns, grids["slope"].index))
     return [Panel(axes, (along, down), x, y, start)]
 

@@ -145,12 +145,12 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
             height = row.fitted_cube_root * cross ** (1 / 3)
             axes.plot([cross], [height], "o", color=INK, mfc=PAPER, ms=5, zorder=6)
             write_at(axes, f"{shorten(name, 12)}: γ = {plain(cross, 3)}", (cross, height), (8, -26 if words else -12))
-            for x, power in ((below[0] * 30, row.fitted_exponent), (cross / 8, 1 / 3)):
-                law = row.fitted_amplitude * x**power if power > 0.5 else row.fitted_cube_root * x**power
-                lift = (-4, 5) if (power > 0.5) == bool(words) else (9, -9)
-                text = f"θ* ∝ γᵖ, p = {plain(power, 4)}" if power > 0.5 else "p = 1/3"
-                if power > 0.5 or not words:
-                    write_at(axes, text, (x, law), lift, ha="right" if lift[0] < 0 else "left")
+            x, law = 30 * below[0], f"θ* ∝ γᵖ, p = {plain(row.fitted_exponent)}"
+            offset, how = ((-4, 5), {"ha": "right"}) if words else ((9, -9), {"ha": "left"})
+            write_at(axes, law, (x, row.fitted_amplitude * x**row.fitted_exponent), offset, **how)
+            if not words:
+                x = cross / 8
+                write_at(axes, "p = 1/3", (x, row.fitted_cube_root * x ** (1 / 3)), (-4, 5), ha="right")
             words.append(f"{name} at γ = {plain(cross, 4)} rad")
     axes.set_xlim(left, right)
     ratio = source.table("fits/transition_ratio", "fitted_lines", "predicted")

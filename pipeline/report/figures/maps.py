@@ -15,15 +15,12 @@ from matplotlib.patches import Rectangle
 from pipeline.report.figures import fields
 from pipeline.report.figures.sketch import Panel, Sketch
 from pipeline.report.figures.starts import START, cells, parameters
-from pipeline.report.figures.style import INK, RASTER, SHAPES, rows_caption, set_heading, set_log, spread_evenly
+from pipeline.report.figures.style import INK, RASTER, SHAPES, choose_rows, set_heading, set_log
 from pipeline.report.source import Source, rows_at
 from pipeline.report.words import SYMBOLS, axis_values, plain, print_units, shorten, spaced, symbol, titled
 
 #: Quantities that a map may show: the first that the archive holds.
 _SHOWN = ("speed", "froude_speed", "stance_angle", "period", "spectral_radius")
-
-#: Largest number of rows of maps, one for each value of the other axes.
-_MAX_ROWS = 4
 
 #: Colours of outcomes other than gaits and falls, and of falls: muted, so that gaits stand out, and of different hues,
 #: so that they can be distinguished on light and dark pages.
@@ -41,8 +38,7 @@ def heatmap(source: Source) -> Sketch | None:
     grid = grid.sortby(wide)  # an axis may fall
     rest = [d for d in source.axes if d not in wide]
     every = [dict(zip(rest, place, strict=True)) for place in itertools.product(*(grid[d].values for d in rest))]
-    rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]
-    several = [{d: v for d, v in at.items() if grid.sizes[d] > 1} for at in rows]
+    rows, names, more = choose_rows(every)
     slices = {gait: [grid.sel(at).sel(gait=gait) for at in rows] for gait in source.gaits}
     present = [gait for gait, maps in slices.items() if any(np.isfinite(part[variable]).any() for part in maps)]
     if not (gaits := present[:2]):
@@ -51,9 +47,7 @@ def heatmap(source: Source) -> Sketch | None:
     panels = sketch.grid
     values = np.array([part[variable].values for gait in gaits for part in slices[gait]])
     low, high = np.nanmin(values), np.nanmax(values)
-    for k, (at, words) in enumerate(zip(rows, several, strict=True)):
-        fixed = dict(at)
-        walker = str(fixed.pop("walker", source.walker))
+    for k, (at, name) in enumerate(zip(rows, names, strict=True)):
         for axes, gait in zip(panels[k], gaits, strict=True):
             part = slices[gait][k].transpose(down, along, ...)
             x, y, z = part[along].values, part[down].values, part[variable].values
@@ -62,16 +56,15 @@ def heatmap(source: Source) -> Sketch | None:
             picture = axes.pcolormesh(*sides, z, cmap="cividis", vmin=low, vmax=high, rasterized=True)
             _draw_stability_border(axes, part, x, y)
             axes.grid(False)
-            title = ", ".join(filter(None, (f"{gait} step", axis_values(words))))
+            title = ", ".join(filter(None, (f"{gait} step", name)))
             axes.set_title(shorten(title, 60 // len(gaits)), pad=5)
             columns = [v for v in dict.fromkeys((variable, "spectral_radius")) if v in part]
             frame = part[columns].to_dataframe().reset_index()[[down, along, *columns]]
-            sketch.pieces.append(frame.assign(gait=gait, **words))
+            sketch.pieces.append(frame.assign(gait=gait, **{d: v for d, v in at.items() if grid.sizes[d] > 1}))
             starts = {name: part[name].values for name in START[1:] if name in part} if source.steps == 1 else {}
             known = starts if set(START[1:4]) <= set(starts) else {}
             numbers = {**{v: part[v].values for v in columns}, **known}
-            shown, label = (down, along, *columns), f"{gait} step · {walker}"
-            start = cells(source, walker, fixed, (along, down), numbers, shown, panels.size, label)
+            start = cells(source, at, (along, down), numbers, (down, along, *columns), panels.size, f"{gait} step")
             sketch.maps.append(Panel(axes, (along, down), x, y, start))
         panels[k][0].set_ylabel(_axis_title(source, down) if len(rows) == 1 else symbol(down))
     quantity, x_title, y_title = (_axis_title(source, name) for name in (variable, along, down))
@@ -81,7 +74,6 @@ def heatmap(source: Source) -> Sketch | None:
     bar.outline.set_visible(False)
     bar.ax.grid(False)
     bar.set_label(quantity)
-    more = rows_caption(several, every)
     return sketch.finish(
         quantity=spaced(variable),
         Quantity=quantity.capitalize(),

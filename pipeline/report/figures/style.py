@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -43,6 +44,9 @@ DOTTED = (0, (1, 2))
 
 #: Markers that distinguish lines of points.
 MARKERS = "osD^vPXd"
+
+#: Largest numbers of panels, one for each line, and of rows of maps, one for each value of the other axes.
+MAX_PANELS, MAX_ROWS = 6, 4
 
 #: Largest number of marks drawn as vectors, and of points drawn of one curve.
 SHAPES, SAMPLES = 2000, 600
@@ -208,12 +212,17 @@ def thin(frame: pd.DataFrame, most: int = SAMPLES) -> pd.DataFrame:
     return frame if len(frame) <= most else frame.iloc[spread_evenly(len(frame), most)]
 
 
-def rows_caption(drawn: list[dict[str, Any]], every: list[dict[str, Any]]) -> str:
-    """Sentence of a caption that lists the rows of a figure."""
-    if len(every) < 2:
-        return ""
-    head = "Rows" if len(drawn) == len(every) else f"Rows, {len(drawn)} of {len(every)}"
-    return f"{head}: {'; '.join(map(axis_values, drawn))}."
+def evenly(items: Sequence[Any], most: int) -> list[Any]:
+    """At most `most` of some items, evenly spaced, the first and the last included."""
+    return [items[i] for i in spread_evenly(len(items), most)] if items else []
+
+
+def choose_rows(every: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[str], str]:
+    """Rows of maps, one for each value of some axes: those drawn, what tells each from the others, and a sentence."""
+    rows, keys = evenly(every, MAX_ROWS), [key for key in every[0] if any(at[key] != every[0][key] for at in every)]
+    names = [axis_values({key: at[key] for key in keys}) for at in rows]
+    head = "Rows" if len(rows) == len(every) else f"Rows, {len(rows)} of {len(every)}"
+    return rows, names, f"{head}: {'; '.join(names)}." if len(every) > 1 else ""
 
 
 def end_labels(axes: Axes, labels: list[tuple[float, float, str, str]], gap: float = 11) -> None:
