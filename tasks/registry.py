@@ -60,7 +60,7 @@ TASKS = {
         Task("orbit", "tasks.iterate_orbits:orbit", 7, needs=("atlas",)),
         Task("cascade", "tasks.locate_cascade:cascade", 14, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 9, needs=("atlas",)),
-        Task("curve", "tasks.follow_curves:curve", 9, needs=("atlas",)),
+        Task("curve", "tasks.follow_curves:curve", 10, needs=("atlas",)),
         Task("design", "tasks.map_designs:design", 16),
         Task("census", "tasks.count_gaits:census", 11),
         Task("scaling", "tasks.fit_laws:scaling", 4, needs=("points",)),
