@@ -65,10 +65,10 @@ TASKS = {
         Task("census", "tasks.count_gaits:census", 11),
         Task("scaling", "tasks.fit_laws:scaling", 4, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 4, needs=("points",)),
-        Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",)),
+        Task("landmarks", "tasks.locate_landmarks:landmarks", 3, needs=("atlas",)),
         Task("corners", "tasks.locate_landmarks:corners", 2, needs=("atlas",)),
         Task("crises", "tasks.locate_landmarks:crises", 4, needs=("atlas", "cascade", "corners")),
-        Task("claims", "tasks.check_claims:claims", 14, needs=("points", "atlas")),
+        Task("claims", "tasks.check_claims:claims", 15, needs=("points", "atlas")),
     )
 }
 
