@@ -21,9 +21,9 @@ from pipeline.archive import read as archive_reader
 from pipeline.archive.citation import PAPER
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError
-from pipeline.report import html_tables, ledger, pages, source
-from pipeline.report.figures.style import plain
+from pipeline.report import entry, html_tables, ledger, pages, source
 from pipeline.report.source import read
+from pipeline.report.words import plain
 from pipeline.store.record import count
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
@@ -358,6 +358,16 @@ def test_a_page_that_lies_about_itself_takes_nothing_away(tmp_path):
     pages.write([_small(tmp_path, "t")], tmp_path / ".", only=True)
     assert (tmp_path / "precious.csv").is_file() and (tmp_path / "torn.html").is_file()
     assert not (tmp_path / "s.html").exists()
+
+
+def test_an_entry_is_read_from_the_head_of_a_page_and_from_nothing_else(report):
+    page = (report / "transition.html").read_text()
+    found = entry.read(page)
+    assert found.slug == "transition" and found.thumbnail.startswith("<svg")
+    head, _, rest = page.partition("</head>")
+    for other in ("", rest, head.replace('id="entry"', 'id="exit"'), head.replace('"slug"', '"slag"')):
+        assert entry.read(other) is None
+    assert entry.read('<script id="entry">' + "[" * 100_000 + "</script>") is None
 
 
 def test_every_page_names_the_paper(report):
