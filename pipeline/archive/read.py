@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
 import json
 import os
@@ -27,6 +26,7 @@ SCHEMA = 2
 _TIMEOUT, _MIN_SPEED = 30.0, 2e5
 _TICK, _MAX_CHARGED = 0.1, 0.5  # interval of checks of the reading process, and largest time charged to it for one [s]
 _MAX_VALUES, _MAX_POINTS = 1 << 20, 1 << 16  # values, and points of a variable, read at a time
+_LITTLE_MEMORY = 1 << 23  # numbers, more than any part that is read at a time
 _MAGIC, _HEADER = b"\x89HDF\r\n\x1a\n", 1 << 16  # how a netCDF-4 file begins, and where its attributes are [byte]
 
 
@@ -81,6 +81,12 @@ def size_of(path: Path) -> int:
     return status.st_size
 
 
+def _check_limits(path: Path) -> None:
+    """Say what the netCDF library does not: that the system opens no more files, or gives no more memory."""
+    size_of(path)
+    np.empty(_LITTLE_MEMORY)
+
+
 @contextlib.contextmanager
 def open_archive(path: Path) -> Iterator[Any]:
     """Open an archive of this schema for reading.
@@ -97,7 +103,7 @@ def open_archive(path: Path) -> Iterator[Any]:
     try:
         file = opened.__enter__()
     except (OSError, RuntimeError, ValueError) as error:
-        size_of(path)  # the netCDF library does not report that the system opens no more files
+        _check_limits(path)
         raise ArchiveError(f"{path} is no netCDF file that can be read.") from error
     with blamed_if_damaged(path):
         try:
@@ -124,6 +130,8 @@ def blamed_if_damaged(path: Path) -> Iterator[None]:
     except (GaitsweepError, MemoryError):
         raise
     except Exception as error:
+        if "NetCDF:" in str(error):
+            _check_limits(path)
         # Opened anew: who used it may have changed how its variables are read.
         fault = _one_line(error) if "NetCDF:" in str(error) else damage(path)
         if not fault:
@@ -164,7 +172,7 @@ def damage(path: Path) -> str:
             misfits = (misfit for misfit in structure.misfits(file) if "not_attempted" not in misfit)
             return next(itertools.chain(_damage(file), misfits), "")
     except (OSError, RuntimeError) as error:
-        size_of(path)
+        _check_limits(path)
         return _one_line(error)
 
 
@@ -280,12 +288,6 @@ def _wait(process: subprocess.Popen[bytes], seconds: float) -> None:
         before, clock = clock, time.monotonic()
         seconds -= min(_MAX_CHARGED, clock - before)
     raise TimeoutError
-
-
-@functools.lru_cache(64)
-def probe_once(path: Path, modified: int) -> None:
-    """As `probe`, of one archive, but only once until its time of modification changes."""
-    probe([path])
 
 
 def _read_whole(path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipeline.report.figures.style import plain
+from pipeline.report.words import WORDS, plain, spaced
 
 
 @dataclass(frozen=True)
@@ -44,34 +44,20 @@ def cell(value: Any, counted: bool = False, digits: int = 6) -> Cell:
     return Cell(str(value))
 
 
-#: Columns of names with underscores, which a page shows as words.
-_CODED = ("kind", "status", "smallest_at", "stability_lost_by")
-
-#: Columns of flags, shown as yes and no.
-_FLAGS = ("stable", "walks", "matters_most", "knees", "chaotic", "zero_slope_capable")
-
-#: Columns of errors and bounds.
-_ERRORS = (
-    "error_bound",
-    "standard_error",
-    "amplitude_linear_error",
-    "residual",
-    "energy_imbalance",
-    "repeats_to",
-    "error",
-)
+#: Names of columns of words, of flags and of errors.
+_KINDS = WORDS["kinds"]
 
 
 def column_cells(name: str, frame: pd.DataFrame) -> list[Cell]:
     """Make the cells of one column of a frame, each number with the digits that fit it."""
     column = frame[name]
-    if name in _CODED:
-        return [Cell(str(v).replace("_", " ")) for v in column]
-    if name in _FLAGS and set(column) <= {0, 1}:
+    if name in _KINDS["coded"]:
+        return [Cell(spaced(v)) for v in column]
+    if name in _KINDS["flags"] and set(column) <= {0, 1}:
         return [cell(bool(v)) for v in column]
     if column.dtype.kind != "f":
         return [cell(v) for v in column]
-    if name in _ERRORS:
+    if name in _KINDS["errors"]:
         return [cell(float(v), digits=2) for v in column]
     if name in ("low", "high") and {"low", "high"} <= set(frame.columns):
         width = np.abs((frame["high"] - frame["low"]) / column)

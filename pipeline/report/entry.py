@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,8 @@ class Entry:
     figures: list[str]
     claims: list[dict[str, Any]]
     files: list[str]
-    thumbnail: str = ""
-    lines: list[dict[str, Any]] = field(default_factory=list)
+    thumbnail: str
+    lines: list[dict[str, Any]]
 
     @property
     def order(self) -> tuple[bool, bool, list[tuple[int, str]], str]:
@@ -39,17 +40,28 @@ class Entry:
         return not self.figures, not numbered, [(int(p), "") if p.isdigit() else (0, p) for p in parts], self.slug
 
 
+class _Reader(HTMLParser):
+    """Reads the text of the element called `entry`."""
+
+    text, is_inside = "", False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.is_inside = ("id", "entry") in attrs
+
+    def handle_endtag(self, tag: str) -> None:
+        self.is_inside = False
+
+    def handle_data(self, data: str) -> None:
+        self.text += data * self.is_inside
+
+
 def read(page: str) -> Entry | None:
-    """Read the entry in a page's text, with the page's first picture; None if there is no entry."""
-    record = re.search(r'<script type="application/json" id="entry">(.*?)</script>', page, re.S)
-    if not record:
-        return None
-    picture = re.search(r'<div class="picture"[^>]*>(.*?)</div>', page, re.S)
+    """Read the entry in the head of a page's text; None if there is none."""
+    reader = _Reader()
+    reader.feed(page.partition("</head>")[0])
     try:
-        fields = json.loads(record[1])
-        fields["thumbnail"] = fields["thumbnail"] or (picture[1] if picture else "")
-        return Entry(**fields)
-    except (ValueError, TypeError, KeyError):
+        return Entry(**json.loads(reader.text))
+    except (ValueError, TypeError, RecursionError):
         return None
 
 

@@ -15,8 +15,8 @@ from pipeline.report.cells import Cell, cell, column_cells
 from pipeline.report.figures import landmarks as places
 from pipeline.report.figures import measured
 from pipeline.report.figures.starts import addresses
-from pipeline.report.figures.style import plain
-from pipeline.report.source import ANSWERS, Source, print_units
+from pipeline.report.source import ANSWERS, Source
+from pipeline.report.words import WORDS, grouped, plain, print_units, spaced, with_unit
 
 #: Failed points listed on the page, and points without a gait in the CSV file; the archive has all of them.
 MAX_ROWS, MAX_LISTED = 60, 20_000
@@ -29,76 +29,6 @@ _WEIGHTS = ("no_gait", "fell", "converged")
 
 #: Rows of the longest table that a page shows unfolded.
 _OPEN_ROWS = 20
-
-_HEADS = {
-    "exponent_low": "low",
-    "exponent_high": "high",
-    "slope_from": "from γ",
-    "slope_to": "to γ",
-    "from": "from",
-    "n": "points",
-    "starts": "initial conditions",
-    "strides": "steps",
-    "foot_mass_ratio": "ρ",
-    "slope": "γ",
-    "stance_angle": "θ*",
-    "period": "T",
-    "slope_transition": "γ where asymptotes cross",
-    "slope_transition_fitted": "γ where fitted lines cross",
-    "amplitude_linear": "linear amplitude",
-    "amplitude_linear_error": "relative error",
-    "amplitude_cube_root": "cube-root amplitude",
-    "linear_to": "linear up to γ",
-    "fitted_below": "lower line below γ",
-    "fitted_above": "upper line above γ",
-    "fitted_exponent": "exponent of the lower line",
-    "fitted_amplitude": "amplitude of the lower line",
-    "fitted_cube_root": "amplitude of the upper line",
-    "asymptotic": "γ by the asymptotic formula",
-    "local_exponent": "local exponent",
-    "local_exponent_fitted": "local exponent of fitted lines",
-    "predicted": "by the 3/2 law",
-    "exact_asymptotes": "by asymptotes",
-    "fitted_lines": "by fitted lines",
-    "found_deflated": "added by deflation",
-    "found_once": "found once",
-    "non_anthropomorphic": "legs pass more than once",
-    "unseen": "share unseen",
-    "over_error": "residual / error",
-    "error_bound": "relative error bound",
-    "largest_stable_slope": "largest stable γ",
-    "smallest_slope": "smallest γ",
-    "fastest_slope": "γ of the fastest",
-    "fastest_froude_speed": "fastest stable Fr",
-    "fastest_stable_speed": "fastest stable v",
-    "stance_rate_values": "θ̇*",
-    "stride": "step",
-    "spectral_radius": "max |λ|",
-    "stance_rate": "θ̇*",
-    **{key: key for key in ("l_t", "w_t", "m_t", "r_t", "c_t", "l_s", "w_s", "m_s", "r_s", "c_s", "m_h", "eps_T")},
-}
-
-#: Captions of the tables of fits.
-_FITS = {
-    "fits/scaling": "Fitted power laws",
-    "fits/transition": "Scaling transition of the short step",
-    "fits/transition_ratio": "Ratio of transition slopes",
-}
-
-#: What the columns of a table of fits mean.
-_NOTES = {
-    "fits/scaling": "Regime: the law at the smallest slopes or speeds of the line, or another at its largest. Low, "
-    "high: the range of local exponents over the fitted range, joined with the 95 % confidence interval of the "
-    "regression. It shows how far the curve bends, not how uncertain its limit is: an exact exponent that is reached "
-    "at vanishing slopes only, such as 1/3, may lie at its end or just beyond.",
-    "fits/transition": "Fitted lines: a power law below a tenth of the slope at which the asymptotes cross, and one of "
-    "power 1/3 above three times it, each to the end of this study's slopes. Where they cross depends on the range and "
-    "the number of slopes and differs between studies; where the asymptotes cross does not.",
-    "fits/transition_ratio": "By fitted lines: over the slopes of this study; over other ranges the ratio differs.",
-}
-
-#: Fitted laws.
-_LAWS = {"stance_angle": "θ* of γ", "speed": "v of γ", "power_speed": "P of v"}
 
 
 @dataclass(frozen=True)
@@ -130,7 +60,7 @@ class Table:
 
 def head(column: str) -> str:
     """Heading of a column: the paper's symbol where there is one, else the name in words."""
-    return _HEADS.get(column, column.replace("_", " "))
+    return str(WORDS["columns"].get(column, spaced(column)))
 
 
 def from_frame(
@@ -146,69 +76,63 @@ def from_frame(
     counts = frame.columns[[kind.kind in "iu" for kind in frame.dtypes]]
     units = frame.attrs.get("units", {})
     shown = {str(c): column_cells(str(c), frame) for c in frame.columns}
-    heads = [_with_unit("steps" if c == "period" and c in counts else head(str(c)), units.get(c, "")) for c in frame]
+    names = ["steps" if c == "period" and c in counts else head(str(c)) for c in frame]
+    heads = [with_unit(name, print_units(units.get(c, ""))) for c, name in zip(frame, names, strict=True)]
     rows = [list(row) for row in zip(*shown.values(), strict=True)] if len(frame) else []
     return Table(caption, heads, rows, note, [frame.attrs.get("meanings", {}).get(c, "") for c in frame], name, whole)
 
 
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} ({print_units(unit)})" if print_units(unit) else name
+def named(
+    name: str, frame: pd.DataFrame, most: int = MAX_ROWS, where: str = "archive", note: str = "",
+    whole: pd.DataFrame | None = None,
+) -> Table:  # fmt: skip
+    """Make a table of the first rows of a frame, with the words of its name and the number of rows left out."""
+    words, left = WORDS["tables"].get(name, {}), len(frame) - most
+    notes = [words.get("note", ""), note, f"{left} more are in the {where}." if left > 0 else ""]
+    caption, whole = words.get("caption", spaced(name).replace("/", ": ")), frame if whole is None else whole
+    return from_frame(caption, frame.head(most), " ".join(filter(None, notes)), name.replace("/", "-"), whole)
 
 
 def fits(source: Source) -> list[Table]:
     """One table for each fit in the archive."""
-    tables = []
-    for name, table in source.tables.items():
-        if name.startswith("fits/") and not table.empty:
-            fitted = table[table["n"] > 0] if "n" in table else table
-            shown = fitted.head(2 * MAX_ROWS)
-            if "quantity" in shown:
-                shown = shown.assign(quantity=[_LAWS.get(q, q) for q in shown["quantity"]]).rename(
-                    columns={"quantity": "law"}
-                )
-            note = f"{len(table) - len(shown)} more rows are in the archive." if len(shown) < len(fitted) else ""
-            if len(fitted) < len(table) and not note:
-                missing, more = len(table) - len(fitted), "more " if len(fitted) else ""
-                note = f"{missing} {more}fits found no range over which a power law holds."
-            words = " ".join(filter(None, (_NOTES.get(name, ""), note)))
-            caption = _FITS.get(name, name.replace("_", " "))
-            tables.append(from_frame(caption, shown, words, name.replace("/", "-"), table))
-    return tables
+    return [_fit(name, frame) for name, frame in source.tables.items() if name.startswith("fits/") and len(frame)]
+
+
+def _fit(name: str, frame: pd.DataFrame) -> Table:
+    fitted = frame[frame["n"] > 0] if "n" in frame else frame
+    missing, more = len(frame) - len(fitted), "more " if len(fitted) else ""
+    note = f"{missing} {more}fits found no range over which a power law holds." if missing else ""
+    if "quantity" in fitted:
+        law = fitted["quantity"].map(lambda quantity: WORDS["laws"].get(quantity, quantity))
+        fitted = fitted.assign(quantity=law).rename(columns={"quantity": "law"})
+    return named(name, fitted, 2 * MAX_ROWS, note=note, whole=frame)
 
 
 def landmarks(source: Source) -> Table | None:
     """Landmarks that the paper prints or numbers, beside those computed and what rounding allows."""
-    names = ["landmark", "walker", "point", "printed", "slope", "slope_low", "slope_high", "stance_angle"]
-    tables = [source.tables[n] for n in ("landmarks", "crises") if n in source.tables]
-    frame = pd.concat([t[names] for t in tables if set(names) <= set(t.columns)] or [pd.DataFrame(columns=names)])
+    heads = WORDS["landmarks"]
+    tables = [source.table(name, *heads) for name in ("landmarks", "crises")]
+    frame = pd.concat([t[list(heads)] for t in tables if t is not None] or [pd.DataFrame()])
     if frame.empty:
         return None
-    heads = ["landmark", "walker", "point"]
-    heads += ["printed γ (rad)", "computed γ (rad)", "from γ (rad)", "to γ (rad)", "θ* (rad)"]
     rows = [[cell(v) for v in row] for row in frame.itertuples(index=False, name=None)]
     words, gaits = places.note(frame), addresses(source, frame)
-    return Table("The paper's numbers beside the computed ones", heads, rows, words, gaits=gaits)
+    return Table("The paper's numbers beside the computed ones", list(heads.values()), rows, words, gaits=gaits)
 
 
 def residuals(source: Source) -> Table | None:
     """The study's own measurements beside the computed values."""
     frame = measured.residuals(source)
-    if frame.empty:
-        return None
-    shown = frame.head(2 * MAX_ROWS)
-    note = "Residual: measured less computed; – where no computed gait has that slope."
-    note += f" {len(frame) - len(shown)} more are in the CSV file." if len(shown) < len(frame) else ""
-    return from_frame("Residuals of the measurements", shown, note, "residuals", frame)
+    return None if frame.empty else named("residuals", frame, 2 * MAX_ROWS, "CSV file")
 
 
 def special_points(source: Source) -> Table | None:
     """Folds, flips and ends, with their coordinates."""
-    table = source.tables.get("special_points")
-    if table is None or table.empty:
+    frame = source.table("special_points")
+    if frame is None:
         return None
-    shown = table.head(2 * MAX_ROWS)
-    note = f"{len(table) - len(shown)} more are in the archive." if len(shown) < len(table) else ""
-    return replace(from_frame("Special points", shown, note, "special_points", table), gaits=addresses(source, shown))
+    table = named("special_points", frame, 2 * MAX_ROWS)
+    return replace(table, gaits=addresses(source, frame.head(2 * MAX_ROWS)))
 
 
 def points(source: Source) -> pd.DataFrame:
@@ -271,11 +195,10 @@ def outcome_sentence(source: Source) -> str:
     if not total:
         return ""
     what = source.whole + ("" if total == 1 else "s")
-    grouped = f"{total:,}".replace(",", "\u202f")
     if set(counts) == {"converged"}:
-        return f"{ {1: 'The', 2: 'Both'}.get(total, f'All {grouped}') } {what} converged."
-    parts = [f"{count:,}".replace(",", "\u202f") + f" {name.replace('_', ' ')}" for name, count in counts.items()]
-    return f"Of {grouped} {what}: {', '.join(parts)}."
+        return f"{ {1: 'The', 2: 'Both'}.get(total, f'All {grouped(total)}') } {what} converged."
+    parts = [f"{grouped(count)} {spaced(name)}" for name, count in counts.items()]
+    return f"Of {grouped(total)} {what}: {', '.join(parts)}."
 
 
 def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
@@ -289,14 +212,8 @@ def outcomes(source: Source, absent: pd.DataFrame) -> Table | None:
     rows = [[Cell("converged"), Cell(""), cell(solved, True), *_range(slopes)]] if solved else []
     groups = absent.groupby(["status", "reason"], sort=False, observed=True)
     for (status, reason), group in itertools.islice(groups, _MAX_REASONS):
-        rows.append(
-            [
-                Cell(status.replace("_", " ")),
-                Cell(reason),
-                cell(len(group), True),
-                *_range(group["slope"].to_numpy() if "slope" in group else np.array([])),
-            ]
-        )
+        over = _range(group["slope"].to_numpy() if "slope" in group else np.array([]))
+        rows.append([Cell(spaced(status)), Cell(reason), cell(len(group), True), *over])
     caption, what = ("Outcomes by gait", "gaits") if source.whole == "point" else ("Outcomes by line", "lines")
     note = f"{groups.ngroups - _MAX_REASONS} more reasons are in the archive." if groups.ngroups > _MAX_REASONS else ""
     return Table(caption, ["status", "reason", what, "from γ (rad)", "to γ (rad)"], rows, note)
@@ -328,11 +245,8 @@ def failures(absent: pd.DataFrame) -> Table | None:
 
 def failed_tasks(source: Source) -> Table | None:
     """Tasks on whole lines or on the study that failed."""
-    table = source.tables.get("failed_tasks")
-    if table is None or table.empty:
-        return None
-    note = f"{len(table) - MAX_ROWS} more are in the archive." if len(table) > MAX_ROWS else ""
-    return from_frame("Failed tasks", table.head(MAX_ROWS), note)
+    frame = source.table("failed_tasks")
+    return None if frame is None else replace(named("failed_tasks", frame), name="")
 
 
 def walkers(source: Source) -> Table | None:
@@ -369,7 +283,7 @@ def pairs(record: dict[str, Any]) -> list[tuple[str, Cell]]:
         elif isinstance(value, list):
             entries.append((str(key), Cell(", ".join(str(v) for v in value))))
         elif value is not None:
-            entries.append((str(key).replace("_", " "), cell(value)))
+            entries.append((spaced(key), cell(value)))
     return entries
 
 

@@ -2,42 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
 from pipeline.report.cells import Cell, cell
 from pipeline.report.entry import Entry
-from pipeline.report.figures.style import plain
-from pipeline.report.source import SUPERSCRIPTS
-
-#: Families of claims by the letter of their id.
-FAMILIES = {
-    "D": "Simplest walker",
-    "E": "Point feet with mass",
-    "P": "Physical walker",
-    "T": "Tuning",
-    "Z": "Zero-slope walkers",
-    "M": "Energy",
-    "K": "Kneed chaos",
-    "W": "Wheels",
-    "G": "General",
-    "A": "Appendix A",
-}
-
-#: Verdicts, best first, and the sign of each.
-_SIGNS = {
-    "proved": "proved",
-    "reproduced": "yes",
-    "consistent within rounding": "within",
-    "approximate": "open",
-    "not reproduced": "no",
-    "not checkable": "open",
-}
+from pipeline.report.words import WORDS, plain, spaced, superscript
 
 
 @dataclass(frozen=True)
@@ -77,67 +53,52 @@ class ClaimRow:
     command: str
 
 
-@dataclass(frozen=True)
-class Family:
-    """Claims on one subject."""
-
-    title: str
-    verdicts: list[ClaimRow] = field(default_factory=list)
-
-
-def families(entries: Iterable[Entry]) -> list[Family]:
-    """Every claim of some pages by family, each with a link to its figure."""
+def families(entries: Iterable[Entry]) -> dict[str, list[ClaimRow]]:
+    """Every claim of some pages by subject, each with a link to its figure."""
     entries = list(entries)
     pages = {entry.slug: f"{entry.slug}.html" for entry in entries}
     pages |= {f"{entry.study}/{name}": f"{entry.slug}.html#{name}" for entry in entries for name in entry.figures}
-    groups: dict[str, Family] = {}
-    for entry in entries:
-        for row in entry.claims:
-            title = FAMILIES.get(str(row["id"])[:1].upper(), "Others")
-            groups.setdefault(title, Family(title)).verdicts.append(_claim_row(row, entry, pages))
-    order = [*FAMILIES.values(), "Others"]
-    for family in groups.values():
-        family.verdicts.sort(key=lambda v: (v.id[:1], len(v.id), v.id))
-    return sorted(groups.values(), key=lambda f: order.index(f.title))
+    rows = [_claim_row(row, entry, pages) for entry in entries for row in entry.claims]
+    groups: dict[str, list[ClaimRow]] = {subject: [] for subject in (*WORDS["subjects"].values(), "Others")}
+    for row in sorted(rows, key=lambda row: (row.id[:1], len(row.id), row.id)):
+        groups[WORDS["subjects"].get(row.id[:1].upper(), "Others")].append(row)
+    return {subject: members for subject, members in groups.items() if members}
 
 
-def tally(ledger: Iterable[Family]) -> dict[str, list[ClaimRow]]:
+def tally(ledger: Mapping[str, list[ClaimRow]]) -> dict[str, list[ClaimRow]]:
     """Claims by verdict, the best verdict first."""
-    rows = [row for family in ledger for row in family.verdicts]
-    order = list(dict.fromkeys([*_SIGNS, *(row.verdict for row in rows)]))
-    return {verdict: members for verdict in order if (members := [row for row in rows if row.verdict == verdict])}
+    groups: dict[str, list[ClaimRow]] = {verdict: [] for verdict in WORDS["verdicts"]}
+    for row in itertools.chain(*ledger.values()):
+        groups.setdefault(row.verdict, []).append(row)
+    return {verdict: members for verdict, members in groups.items() if members}
 
 
-def table(ledger: Iterable[Family]) -> pd.DataFrame:
+def table(ledger: Mapping[str, list[ClaimRow]]) -> pd.DataFrame:
     """The ledger as a table, for the CSV file."""
-    return pd.DataFrame(
-        [
-            {
-                "id": row.id,
-                "claim": row.printed.text,
-                "quotation": row.quotation,
-                "place": row.source,
-                "printed": row.number.value,
-                "computed": row.value.value,
-                "interval_low": row.interval[0].value if row.interval else None,
-                "interval_high": row.interval[1].value if row.interval else None,
-                "verdict": row.verdict,
-                "result": "; ".join(row.computed),
-                "command": row.command,
-            }
-            for family in ledger
-            for row in family.verdicts
-        ]
-    )
+    columns = {
+        "id": lambda row: row.id,
+        "claim": lambda row: row.printed.text,
+        "quotation": lambda row: row.quotation,
+        "place": lambda row: row.source,
+        "printed": lambda row: row.number.value,
+        "computed": lambda row: row.value.value,
+        "interval_low": lambda row: row.interval[0].value if row.interval else None,
+        "interval_high": lambda row: row.interval[1].value if row.interval else None,
+        "verdict": lambda row: row.verdict,
+        "result": lambda row: "; ".join(row.computed),
+        "command": lambda row: row.command,
+    }
+    rows = list(itertools.chain(*ledger.values()))
+    return pd.DataFrame({name: [value(row) for row in rows] for name, value in columns.items()})
 
 
 #: What plain text writes for signs, in the order of replacement.
 _SIGNS_IN_TEXT = (
-    (r"(?<![\w.])1e([+-]\d+)\b", lambda m: "10" + _raised(m[1])),
-    (r"(?<=\d)e([+-]\d+)\b", lambda m: " × 10" + _raised(m[1])),
+    (r"(?<![\w.])1e([+-]\d+)\b", lambda m: "10" + superscript(int(m[1]))),
+    (r"(?<=\d)e([+-]\d+)\b", lambda m: " × 10" + superscript(int(m[1]))),
     (r"\^\(1/3\)", lambda _: "¹ᐟ³"),
     (r"\^\(3/2\)", lambda _: "³ᐟ²"),
-    (r"\^(\d+)\b(?!\.)", lambda m: _raised(m[1])),
+    (r"\^(\d+)\b(?!\.)", lambda m: superscript(int(m[1]))),
     (r"\^p\b", lambda _: "ᵖ"),
     (r"->", lambda _: "→"),
     (r"\+-", lambda _: "±"),
@@ -155,18 +116,15 @@ def typeset(text: str) -> str:
     return text
 
 
-def _raised(power: str) -> str:
-    return str(int(power)).translate(SUPERSCRIPTS)
-
-
 def sign(verdict: str) -> str:
     """Sign of a verdict: proved, yes, within, no or open."""
-    words = verdict.replace("_", " ").strip().lower()
-    return _SIGNS.get(words, "no" if words.startswith("not ") else "open")
+    words = spaced(verdict).strip().lower()
+    known = WORDS["verdicts"].get(words)
+    return str(known["chip"]) if known else "no" if words.startswith("not ") else "open"
 
 
 def _claim_row(row: Mapping[str, Any], entry: Entry, pages: Mapping[str, str]) -> ClaimRow:
-    verdict, figure = str(row.get("verdict", "")).replace("_", " "), str(row.get("figure", ""))
+    verdict, figure = spaced(row.get("verdict", "")), str(row.get("figure", ""))
     href = pages.get(figure) or pages.get(f"{entry.study}/{figure}") or pages.get(entry.slug, "")
     interval = [_number(row, name) for name in ("interval_low", "interval_high")]
     computed = row.get("computed", "")
@@ -214,11 +172,9 @@ def _bar(row: Mapping[str, Any]) -> Bar | None:
     def place(x: float) -> float:
         return round(100 * (x - left) / (right - left), 2)
 
+    by_rounding = f", from {plain(low)} to {plain(high)} by rounding" if has_interval else ""
+    words = f"computed {plain(value, 6)}{by_rounding}"
     if not math.isfinite(printed):
-        words = f"computed {plain(value, 6)}, from {plain(low, 4)} to {plain(high, 4)} by rounding"
         return Bar(None, 0, 0, place(value), place(low), place(high), words)
-    words = f"printed {plain(printed, 4)}, computed {plain(value, 6)}"
-    words += f", from {plain(low, 4)} to {plain(high, 4)} by rounding" if has_interval else ""
-    return Bar(
-        place(printed), place(printed - half), place(printed + half), place(value), place(low), place(high), words
-    )
+    rounds_to = place(printed - half), place(printed + half)
+    return Bar(place(printed), *rounds_to, place(value), place(low), place(high), f"printed {plain(printed)}, {words}")

@@ -15,7 +15,7 @@ import re
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from multiprocessing import connection
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,9 @@ from pipeline.archive.citation import PAPER
 from pipeline.archive.read import blamed_if_damaged
 from pipeline.report import entry, html_tables, ledger, results
 from pipeline.report.figures import FIGURES, draw, starts
-from pipeline.report.figures.style import plain
 from pipeline.report.figures.svg import Drawing
 from pipeline.report.source import Source, read
+from pipeline.report.words import grouped, plain
 
 _TEMPLATES, _SCRIPTS = Path(__file__).parent / "templates", Path(__file__).parent / "scripts"
 
@@ -62,8 +62,9 @@ class Page:
     """One study as its page shows it.
 
     `undrawn` names the figures that the archive holds no data for; `lines` are those whose gaits its script can start,
-    `states` those states that its marks start from, once each;
-    `absent` lists the points without a converged gait; `tables` are those of results, by their place on the page.
+    `states` those states that its marks start from, once each; `absent` lists the points without a converged gait,
+    `listed` those in the CSV file; `tables` are those of results, by their place on the page; `files` are the texts of
+    its data files, by file name.
     """
 
     slug: str
@@ -72,42 +73,10 @@ class Page:
     undrawn: list[str]
     lines: list[dict[str, Any]]
     states: list[list[float]]
-    statuses: list[tuple[str, int, float]]
     absent: pd.DataFrame
+    listed: pd.DataFrame
     tables: dict[str, Any]
-
-    @cached_property
-    def listed(self) -> pd.DataFrame:
-        """The absent points that the CSV file lists."""
-        return html_tables.listed(self.absent)
-
-    @cached_property
-    def files(self) -> dict[str, str]:
-        """Texts of the data files of the page, by file name."""
-        figures = {f"{self.slug}-{drawing.name}.csv": _csv(drawing.data) for drawing in self.drawings}
-        every = [t for value in self.tables.values() for t in (value if isinstance(value, list) else [value]) if t]
-        tables = {f"{self.slug}-table-{t.name}.csv": _csv(t.frame) for t in every if t.name and t.frame is not None}
-        absent = {f"{self.slug}-absent.csv": _csv(self.listed)} if len(self.absent) else {}
-        return figures | tables | absent
-
-    @property
-    def entry(self) -> dict[str, Any]:
-        """The record for the index and the ledger, without the first picture unless it has a small version."""
-        source, first = self.source, self.drawings[0] if self.drawings else None
-        return {
-            "slug": self.slug,
-            "study": source.slug,
-            "name": source.name,
-            "title": source.title,
-            "about": source.about,
-            "whole": source.whole,
-            "statuses": self.statuses,
-            "figures": [drawing.name for drawing in self.drawings],
-            "claims": html_tables.claims(source),
-            "files": list(self.files),
-            "thumbnail": first.small if first and first.small != first.svg else "",
-            "lines": starts.brief(self.lines),
-        }
+    files: dict[str, str]
 
 
 def write(
@@ -281,51 +250,67 @@ def _check_own(out: Path, pages: dict[str, tuple[str, dict[str, str]]], listed: 
 
 def _study(environment: jinja2.Environment, page: Page) -> str:
     """Render the page of one study, which depends on no other."""
-    claims = html_tables.claims(page.source)
+    source = page.source
+    record = _entry(page)
     return environment.get_template("study.html").render(
         page=page,
-        claims=[(row["id"], str(row.get("verdict", "")), ledger.sign(str(row.get("verdict", "")))) for row in claims],
+        entry=vars(record),
+        claims=[(row["id"], verdict := str(row.get("verdict", "")), ledger.sign(verdict)) for row in record.claims],
         **page.tables,
-        sentence=html_tables.outcome_sentence(page.source),
-        outcomes=html_tables.outcomes(page.source, page.absent),
+        sentence=html_tables.outcome_sentence(source),
+        outcomes=html_tables.outcomes(source, page.absent),
         failures=html_tables.failures(page.absent),
-        failed_tasks=html_tables.failed_tasks(page.source),
-        walkers=html_tables.walkers(page.source),
-        run=html_tables.pairs({_RUN[k]: v for k, v in page.source.run.items() if k in _RUN}),
-        origin=_origin(page.source),
-        provenance=html_tables.pairs(_rest(page.source)),
+        failed_tasks=html_tables.failed_tasks(source),
+        walkers=html_tables.walkers(source),
+        run=html_tables.pairs({_RUN[k]: v for k, v in source.run.items() if k in _RUN}),
+        origin=_origin(source),
+        provenance=html_tables.pairs(_rest(source)),
+    )
+
+
+def _entry(page: Page) -> entry.Entry:
+    """The record for the index and the ledger."""
+    source = page.source
+    return entry.Entry(
+        slug=page.slug,
+        study=source.slug,
+        name=source.name,
+        title=source.title,
+        about=source.about,
+        whole=source.whole,
+        statuses=html_tables.statuses(source),
+        figures=[drawing.name for drawing in page.drawings],
+        claims=html_tables.claims(source),
+        files=list(page.files),
+        thumbnail=page.drawings[0].small if page.drawings else "",
+        lines=starts.brief(page.lines),
     )
 
 
 def _page(source: Source, slug: str) -> Page:
-    wanted = list(dict.fromkeys(source.figures))
-    if "fits/scaling" in source.tables and "residuals" not in wanted:
-        wanted.append("residuals")
-    if "overlay" in source.tables and "measured" not in wanted:
-        wanted.append("measured")
+    added = {"fits/scaling": "residuals", "overlay": "measured"}
+    wanted = dict.fromkeys([*source.figures, *(name for table, name in added.items() if table in source.tables)])
     drawings: list[Drawing] = []
     for name in wanted:
         drawing = draw(source, name, slug, small=not drawings)  # the index shows the first
         drawings += [drawing] if drawing else []
-    undrawn = [name for name in source.figures if name not in [drawing.name for drawing in drawings]]
-    tables = {
+    tables: dict[str, Any] = {
         "landmarks": html_tables.landmarks(source),
         "residuals": html_tables.residuals(source),
         "fits": html_tables.fits(source),
         "special": html_tables.special_points(source),
         "results": results.tables(source),
     }
-    return Page(
-        slug,
-        source,
-        drawings,
-        undrawn,
-        starts.lines(source),
-        _share_states(drawings),
-        html_tables.statuses(source),
-        html_tables.points(source),
-        tables,
-    )
+    absent = html_tables.points(source)
+    listed = html_tables.listed(absent)
+    frames = {drawing.name: drawing.data for drawing in drawings}
+    every = [*tables["fits"], *tables["results"], tables["residuals"], tables["special"]]
+    frames |= {f"table-{table.name}": table.frame for table in every if table and table.name}
+    frames |= {"absent": listed} if len(absent) else {}
+    files = {f"{slug}-{name}.csv": _csv(frame) for name, frame in frames.items()}
+    undrawn = [name for name in source.figures if name not in [drawing.name for drawing in drawings]]
+    states = _share_states(drawings)
+    return Page(slug, source, drawings, undrawn, starts.lines(source), states, absent, listed, tables, files)
 
 
 def _share_states(drawings: list[Drawing]) -> list[list[float]]:
@@ -353,8 +338,7 @@ def _origin(source: Source) -> str:
     record, packages = source.provenance, source.provenance.get("packages", {})
     version = packages.get("gaitsweep", "") if isinstance(packages, dict) else ""
     parts = [f"gaitsweep {version}".strip()]
-    parts += [f"{word} {str(record[key])[:12]}" for word, key in (("commit", "commit"), ("Python", "python"))
-              if record.get(key)]  # fmt: skip
+    parts += [f"{word} {str(record[word.lower()])[:12]}" for word in ("commit", "Python") if record.get(word.lower())]
     return ", ".join([*parts, *_times(source.run)])
 
 
@@ -410,7 +394,7 @@ def _environment() -> jinja2.Environment:
         known=list(FIGURES),
         paper=PAPER,
     )
-    environment.filters.update(plain=plain, grouped=lambda n: f"{n:,}".replace(",", "\u202f"))
+    environment.filters.update(plain=plain, grouped=grouped)
     return environment
 
 

@@ -22,23 +22,7 @@ import xarray as xr
 from pipeline.archive import read as archives
 from pipeline.archive.unfold import dataset, unfolded
 from pipeline.paths import sidecar_path
-
-#: The paper's symbols.
-SYMBOLS = {
-    "slope": "γ",
-    "foot_mass_ratio": "ρ",
-    "stance_angle": "θ*",
-    "stance_rate": "θ̇*",
-    "period": "T",
-    "speed": "v",
-    "power": "P",
-    "spectral_radius": "max |λ|",
-    "eps_T": "ε_T",
-    "froude_speed": "Fr",
-}
-
-#: Superscripts of the characters of an integer.
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+from pipeline.report.words import axis_values, print_units
 
 #: Rates of a state just after heelstrike.
 RATES = ("stance_rate", "thigh_rate", "shank_rate")
@@ -55,9 +39,13 @@ MAX_POINTS = 500_000
 _AS_STORED = {"mask_and_scale": False, "decode_times": False}
 
 
-def print_units(units: str) -> str:
-    """CF units as they are written in print: `m s-1` becomes m s⁻¹, and `1` nothing."""
-    return "" if units == "1" else units.translate(SUPERSCRIPTS)
+def rows_at(frame: pd.DataFrame, at: Mapping[str, Any], tolerance: float = 1e-9) -> pd.DataFrame:
+    """Rows of a frame at some values of those axes that it has; numbers may differ by a share of their size."""
+    for column in at.keys() & set(frame.columns):
+        # Relative to the value alone: axes such as `foot_mass_ratio` may hold values of 1e-9.
+        value, own = at[column], frame[column]
+        frame = frame[own == value if isinstance(value, str) else np.isclose(own, value, rtol=tolerance, atol=0)]
+    return frame
 
 
 class _Shared(dict[str, str]):
@@ -290,17 +278,41 @@ class Source:
 
     def _lines(self) -> Iterator[Line]:
         across = [d for d in self.axes if d != "slope"]
-        named = list(self.walkers)
+        walkers = list(self.walkers)
         for place in itertools.product(*(range(self.grid.sizes[d]) for d in across)):
             at = dict(zip(across, place, strict=True))
             settings = {d: float(self.grid[d].values[i]) for d, i in at.items() if d != "walker"}
             i = at.get("walker", 0)
-            walker = named[i] if i < len(named) else str(self.grid["walker"].values[i]) if "walker" in at else ""
+            walker = walkers[i] if i < len(walkers) else str(self.grid["walker"].values[i]) if "walker" in at else ""
             varying = {d: v for d, v in settings.items() if self.grid.sizes[d] > 1}
-            words = [f"{SYMBOLS.get(d, d)} = {v:g}" for d, v in varying.items()]
-            if self.grid.sizes.get("walker", 1) > 1 or not words:
-                words.insert(0, walker)
-            yield Line(walker, settings, ", ".join(words), self.grid.isel(at), self.command(walker, settings))
+            named = {"walker": walker} if self.grid.sizes.get("walker", 1) > 1 or not varying else {}
+            label = axis_values({**named, **varying})
+            yield Line(walker, settings, label, self.grid.isel(at), self.command(walker, settings))
+
+    def table(self, name: str, *columns: str) -> pd.DataFrame | None:
+        """A table of the archive that has rows and the columns that a figure needs; None if there is none."""
+        table = self.tables.get(name)
+        return table if table is not None and len(table) and set(columns) <= set(table.columns) else None
+
+    def position(self, line: Line) -> dict[str, Any]:
+        """Values of a line's axes, as columns of tables."""
+        return {**line.set, **({"walker": line.walker} if len(self.walkers) > 1 else {})}
+
+    def line_of(self, rows: pd.DataFrame) -> tuple[str, dict[str, float]]:
+        """The walker and the values of the axes of the line on which rows of a table lie."""
+        settings = {c: float(rows[c].iloc[0]) for c in self.line_columns(rows) if c != "walker"}
+        return str(rows["walker"].iloc[0]) if "walker" in rows else self.walker, settings
+
+    def line_command(self, rows: pd.DataFrame) -> str:
+        """The `gaitsweep solve` command of the line of some rows, without the slope."""
+        return self.command(*self.line_of(rows))
+
+    def line_groups(self, table: pd.DataFrame) -> list[tuple[dict[str, Any], pd.DataFrame]]:
+        """Rows of a table by line, in the archive's order, with the values that differ between lines."""
+        columns = [c for c in self.line_columns(table) if table[c].nunique() > 1]
+        if not columns:
+            return [({}, table)]
+        return [(dict(zip(columns, key, strict=True)), rows) for key, rows in table.groupby(columns, sort=False)]
 
     def line_columns(self, table: pd.DataFrame) -> list[str]:
         """Columns of a table that identify the line of a row."""

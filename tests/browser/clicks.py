@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipeline.report.figures.design_maps import _GAIT
+from pipeline.report.figures.design_maps import MAPPED
 from pipeline.report.source import Source, read
 
 #: What a page says of a step of no length, which cannot walk.
@@ -118,7 +118,7 @@ def in_cell(source: Source, panel: dict[str, Any], which: int, values: list[str]
     for key, value in {**panel["at"], **named}.items():
         if key in table:
             table = table[table[key] == value if key == "walker" else np.isclose(table[key], value, rtol=1e-6)]
-    slope, of = list(_GAIT.values())[which]
+    _, _, slope, of, _ = list(MAPPED.values())[which]
     (row,) = table.to_dict("records")
     gait = {"walker": panel["at"]["walker"], **named, "slope": row[slope], "stance_angle": row[f"stance_angle{of}"]}
     return pd.DataFrame([gait] if np.isfinite(row[slope]) else [])

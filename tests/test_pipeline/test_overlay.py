@@ -188,5 +188,5 @@ def test_rows_that_a_page_leaves_out_are_counted(monkeypatch):
     rows = pd.DataFrame({"task": ["trace"] * 130, "residual": np.zeros(130)})
     monkeypatch.setattr(measured, "residuals", lambda source: rows)
     assert html_tables.residuals(None).note.endswith("10 more are in the CSV file.")
-    failed = html_tables.failed_tasks(SimpleNamespace(tables={"failed_tasks": rows}))
+    failed = html_tables.failed_tasks(SimpleNamespace(table=lambda name: {"failed_tasks": rows}.get(name)))
     assert len(failed.rows) == 60 and failed.note == "70 more are in the archive."

@@ -249,8 +249,8 @@ def cascade(folder: Path, points: int = 6000) -> Path:
 def states(angles: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Made-up states of the gaits of a design map's quantities, by their stance angles."""
     return {
-        f"{name}{suffix}": share * angle
-        for (_, suffix), angle in zip(design_maps._GAIT.values(), angles.values(), strict=True)
+        f"{name}{mapped.ending}": share * angle
+        for mapped, angle in zip(design_maps.MAPPED.values(), angles.values(), strict=True)
         for name, share in (("stance_angle", 1.0), ("stance_rate", -1.0), ("thigh_rate", -0.9))
     }
 

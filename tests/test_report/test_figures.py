@@ -14,9 +14,10 @@ from pipeline.report.figures import FIGURES, design_maps, draw, families, fields
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.cycle import traced_steps
 from pipeline.report.figures.degrees import add_degrees
-from pipeline.report.figures.style import GAIT_COLOURS, MUTED, log_axis, plain, style
+from pipeline.report.figures.style import GAIT_COLOURS, MUTED, set_log, style
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
+from pipeline.report.words import WORDS, plain, sentences
 from test_report import synthetic
 from test_report.shape import GAITS, KNEED, POINT, write
 
@@ -154,7 +155,7 @@ def test_a_census_draws_gaits_at_their_slopes_or_side_by_side_around_them(tmp_pa
     drawn = np.array([mark.x for mark in sketch.marks]) / [1e-3, 1e-2]
     assert np.abs(np.log(drawn)).max() < np.log(1.25) * (len(walkers) > 1) + 1e-12
     np.testing.assert_allclose(np.exp(np.log(drawn).mean()), 1)
-    assert ("side by side" in sketch.caption) == (len(walkers) > 1)
+    assert ("side by side" in sketch.words("census")[1]) == (len(walkers) > 1)
 
 
 @pytest.mark.parametrize(
@@ -166,7 +167,7 @@ def test_a_basin_tells_falls_of_every_cause_from_walking_and_its_share_in_plain_
     rows = {"stance_angle": angle, "stance_rate": rate, "outcome": np.where(np.arange(100) < 25, outcome, "long")}
     text = 'name = "basin"\nkind = "basin"\nwalker = "C"\n[axes]\nslope = [0.05]\n'
     sketch = FIGURES["basin"](read(write(tmp_path / "b.nc", text, {}, {}, {"C": KNEED}, {"basin": rows})))
-    assert f"; {share} % of them lead to walking" in sketch.caption
+    assert f"; {share} % of them lead to walking" in sketch.words("basin")[1]
 
 
 @pytest.mark.parametrize(
@@ -179,7 +180,9 @@ def test_a_basin_in_a_section_of_three_coordinates_says_which_plane_and_which_ra
     tables = {"basin": rows | {"outcome": np.array(["long"] * 100)}}
     sketch = FIGURES["basin"](read(write(tmp_path / "b.nc", text, {}, {}, {"C": walker}, tables)))
     assert sketch.figure.axes[0].get_title(loc="left") == title
-    assert f"is 1.25 times the stance leg's, as in the long gait, both just {when} heelstrike" in sketch.caption
+    assert (
+        f"is 1.25 times the stance leg's, as in the long gait, both just {when} heelstrike" in sketch.words("basin")[1]
+    )
 
 
 def test_a_heatmap_on_a_logarithmic_axis_has_every_cell_around_its_value(tmp_path):
@@ -200,7 +203,7 @@ def test_branches_touch_where_a_curve_of_folds_turns_back_and_not_one_of_flips(t
     text = 'name = "curves"\nkind = "curve"\nwalker = "C"\n[axes]\nslope = [0.01, 0.1]\n'
     tables = {"curves": curve | {"value": [0.1, 0.2] * 2}, "turnings": turns}
     sketch = FIGURES["curves"](read(write(tmp_path / "c.nc", text, {}, {}, {"C": KNEED}, tables)))
-    assert "re-pair: detuning 0.5 and slope 0.011 rad." in sketch.caption
+    assert "re-pair: detuning 0.5 and slope 0.011 rad." in sketch.words("curves")[1]
 
 
 def test_a_curve_names_the_unit_of_its_key(tmp_path):
@@ -212,7 +215,7 @@ def test_a_curve_names_the_unit_of_its_key(tmp_path):
         file["curves/value"].units = "m"
     sketch = FIGURES["curves"](read(archive))
     assert sketch.figure.axes[0].get_title(loc="left") == "R (m)"
-    assert sketch.caption == "Flips and folds over slope and R."
+    assert sketch.words("curves")[1] == "Flips and folds over slope and R."
 
 
 @pytest.mark.parametrize(("ratios", "said"), [([4.5], " is 4.5."), ([4.5, 4.6], "s are 4.5, 4.6."), ([np.nan], "")])
@@ -221,7 +224,7 @@ def test_the_last_ratios_of_a_cascade_are_counted(tmp_path, ratios, said):
     text = 'name = "cascade"\nkind = "cascade"\nwalker = "D"\n[axes]\nslope = [0.01, 0.02]\n'
     tables = {"cascade": flips, "accumulation": {"slope": [0.0163] * len(ratios), "ratio": ratios}}
     sketch = FIGURES["cascade"](read(write(tmp_path / "c.nc", text, {}, {}, {"D": POINT}, tables)))
-    assert sketch.caption.endswith("through the last." + (f" The last ratio{said}" if said else ""))
+    assert sketch.words("cascade")[1].endswith("through the last." + (f" The last ratio{said}" if said else ""))
 
 
 @pytest.mark.parametrize("lines", [6, 9])
@@ -231,7 +234,7 @@ def test_a_bifurcation_diagram_of_many_lines_says_how_many_it_draws(tmp_path, li
     text = 'name = "orbits"\nkind = "orbit"\nwalker = "B"\n[axes]\nslope = [0.01, 0.02]\nR = [0.1, 0.2]\n'
     sketch = FIGURES["bifurcation"](read(write(tmp_path / "o.nc", text, {}, {}, {"B": POINT}, {"orbits": orbits})))
     assert sum(bool(axes.lines) for axes in sketch.figure.axes) == 6
-    assert ("6 of 9 lines are drawn." in sketch.caption) == (lines == 9)
+    assert ("6 of 9 lines are drawn." in sketch.words("bifurcation")[1]) == (lines == 9)
 
 
 def test_branches_of_one_label_have_its_colour_and_one_entry_in_the_legend(tmp_path):
@@ -249,12 +252,12 @@ def test_branches_of_one_label_have_its_colour_and_one_entry_in_the_legend(tmp_p
 @pytest.mark.parametrize(("key", "own"), [("R", True), ("foot_mass_ratio", False)])
 def test_a_design_map_tells_of_circles_where_it_has_some(tmp_path, key, own):
     side = np.linspace(0.1, 0.3, 3)
-    names = (*design_maps._SHOWN, "fastest_slope")
+    names = (*design_maps.MAPPED, "fastest_slope")
     rows = {key: np.repeat(side, 3), "c_t": np.tile(side, 3), **dict.fromkeys(names, np.arange(9) / 100)}
     text = f'name = "d"\nkind = "design"\nwalker = "B"\n[axes]\n{key} = [0.1, 0.3]\nc_t = [0.1]\nslope = [0.01, 0.1]\n'
     walker = POINT | {"R": 0.2, "c_t": 0.2}
     sketch = FIGURES["design"](read(write(tmp_path / "d.nc", text, {}, {}, {"B": walker}, {"design": rows})))
-    assert ("Circles: the walker itself." in sketch.caption) == own == bool(sketch.figure.axes[0].lines)
+    assert ("Circles: the walker itself." in sketch.words("design")[1]) == own == bool(sketch.figure.axes[0].lines)
 
 
 def test_a_measured_loss_is_not_drawn_among_shares_of_losses(tmp_path):
@@ -277,7 +280,19 @@ def test_a_walker_table_gives_a_command_with_its_base_and_keys(sources):
 def test_a_ladder_of_many_detunings_is_drawn_in_six_panels(tmp_path):
     drawing = draw(read(synthetic.detuning(tmp_path, 17)), "locus", "test")
     assert drawing.data["detuning"].nunique() == 6
-    assert "Six of 17 lines" in drawing.caption
+    assert "6 of 17 lines" in drawing.caption
+
+
+def test_a_sentence_stands_where_its_value_is_given_and_numbers_are_printed():
+    texts = {"always": "From {low:2} to {high}, {name}.", "many": "Of {many} lines.", "none": "None."}
+    values = {"low": 1.26e-5, "high": np.float64(0.5), "name": "{low}", "many": 3, "none": 0}
+    assert sentences(texts, values) == "From 1.3 × 10⁻⁵ to 0.5, {low}. Of 3 lines."
+    assert sentences(texts, values | {"many": "", "none": True}) == "From 1.3 × 10⁻⁵ to 0.5, {low}. None."
+
+
+def test_every_figure_has_its_words():
+    assert set(WORDS["figures"]) == {"all", *FIGURES}
+    assert all({"title", "caption", "alt"} <= set(WORDS["figures"][name]) for name in FIGURES)
 
 
 def test_the_body_closes_as_the_paper_says():
@@ -460,7 +475,7 @@ def test_a_fine_design_map_has_labelled_contours_and_marks_the_tuned_and_the_phy
         places = [tuple(line.get_xydata()[0]) for line in axes.lines]
         assert sorted(places) == sorted([(0.0, 0.0), (1.0, 0.0)] * 2)
         assert axes.get_xlim()[0] < 0.005 and axes.texts
-    assert "Circles: the tuned walker (detuning 0) and the physical one (1)." in sketch.caption
+    assert "Circles: the tuned walker (detuning 0) and the physical one (1)." in sketch.words("design")[1]
     assert "surveyed" not in sketch.data and len(sketch.data) == 600
     drawing = draw(source, "design", "test")
     assert sum(len(target["rows"]) for target in drawing.targets) <= 260
@@ -514,7 +529,7 @@ def test_what_is_drawn_in_radians_has_second_axes_in_degrees():
 @pytest.mark.parametrize(("low", "high"), [(0.0155, 0.0185), (0.01, 0.05), (1e-3, 0.1), (1e-6, 0.1)])
 def test_ticks_of_a_logarithmic_axis_differ(low, high):
     axes = Figure().subplots()
-    log_axis(axes, "x")
+    set_log(axes, "x")
     axes.set_xlim(low, high)
     axes.figure.draw_without_rendering()
     labels = [label.get_text() for label in axes.get_xticklabels() if label.get_text()]
@@ -537,6 +552,6 @@ def test_fitted_lines_are_those_of_the_lines_own_foot_mass_ratio():
     lines = [types.SimpleNamespace(set={"foot_mass_ratio": ratio}, data=data) for ratio in ratios]
     axes = Figure().subplots()
     axes.loglog(data.slope, data.slope)
-    source = types.SimpleNamespace(tables={"fits/transition": table})
+    source = types.SimpleNamespace(table=lambda name, *columns: {"fits/transition": table}.get(name))
     words = families._draw_fitted_lines(source, axes, lines, ["heavy", "light"])
-    assert words.endswith("cross for heavy at γ = 0.0002 rad, light at γ = 0.0001 rad. ")
+    assert words.endswith("cross for heavy at γ = 0.0002 rad, light at γ = 0.0001 rad.")

@@ -3,7 +3,6 @@ import json
 import multiprocessing
 import os
 import re
-import resource
 import signal
 import subprocess
 import sys
@@ -22,9 +21,9 @@ from pipeline.archive import read as archive_reader
 from pipeline.archive.citation import PAPER
 from pipeline.cli import commands
 from pipeline.errors import ArchiveError
-from pipeline.report import html_tables, ledger, pages, source
-from pipeline.report.figures.style import plain
+from pipeline.report import entry, html_tables, ledger, pages, source
 from pipeline.report.source import read
+from pipeline.report.words import plain
 from pipeline.store.record import count
 from test_report import synthetic
 from test_report.reading import Page, numbers_in
@@ -229,13 +228,23 @@ def test_pages_made_in_one_process_or_several_have_the_same_bytes(report, archiv
     }
 
 
-def _command(archives, folder, limit=None, **environment):
+#: `gaitsweep` with little more memory than its modules take: to import them without it may never end.
+_LITTLE_MEMORY = """
+import re, resource, sys
+import pipeline.report.pages
+from pipeline.cli import commands
+used = int(re.search(r"VmData:\\s+(\\d+)", open("/proc/self/status").read())[1]) << 10
+resource.setrlimit(resource.RLIMIT_DATA, (used + (8 << 20),) * 2)
+sys.exit(commands.main(sys.argv[1:]))
+"""
+
+
+def _command(archives, folder, program=("-m", "pipeline.cli.commands"), **environment):
     """What `gaitsweep report` returns and prints to standard error, in a process of its own."""
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "pipeline.cli.commands", "report", *map(str, archives), "-o", str(folder / "out")],
+        [sys.executable, "-P", *program, "report", *map(str, archives), "-o", str(folder / "out")],
         cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
-        capture_output=True, text=True, timeout=200,
-        preexec_fn=limit and (lambda: resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))),
+        capture_output=True, text=True, timeout=100,
     )  # fmt: skip
     return done.returncode, done.stderr
 
@@ -252,8 +261,19 @@ def test_a_report_depends_on_no_setting_of_the_reader(report, archives, tmp_path
 
 def test_a_report_without_the_memory_for_it_says_so_in_a_line(archives, tmp_path):
     """Its processes, too, have none: it waited for them without end."""
-    code, said = _command(archives, tmp_path, limit=150 << 20)
+    code, said = _command(archives, tmp_path, ["-c", _LITTLE_MEMORY])
     assert code and said.startswith("gaitsweep: ") and said.count("\n") == 1 and "Internal error" not in said
+
+
+@pytest.mark.parametrize("step", ["opened", "read"])
+def test_an_archive_that_is_read_without_memory_is_not_damaged(archives, monkeypatch, step):
+    """The netCDF library speaks of an HDF error, whatever the cause."""
+    failure = Mock(side_effect=RuntimeError("NetCDF: HDF error"))
+    monkeypatch.setattr(archive_reader, "_LITTLE_MEMORY", 1 << 50)
+    if step == "opened":
+        monkeypatch.setattr(archive_reader, "open_netcdf", lambda *_: Mock(__enter__=failure))
+    with pytest.raises(MemoryError), archive_reader.open_archive(archives[0]):
+        failure()
 
 
 def test_the_pages_of_a_long_report_are_counted(archives, tmp_path, monkeypatch, capsys):
@@ -338,6 +358,16 @@ def test_a_page_that_lies_about_itself_takes_nothing_away(tmp_path):
     pages.write([_small(tmp_path, "t")], tmp_path / ".", only=True)
     assert (tmp_path / "precious.csv").is_file() and (tmp_path / "torn.html").is_file()
     assert not (tmp_path / "s.html").exists()
+
+
+def test_an_entry_is_read_from_the_head_of_a_page_and_from_nothing_else(report):
+    page = (report / "transition.html").read_text()
+    found = entry.read(page)
+    assert found.slug == "transition" and found.thumbnail.startswith("<svg")
+    head, _, rest = page.partition("</head>")
+    for other in ("", rest, head.replace('id="entry"', 'id="exit"'), head.replace('"slug"', '"slag"')):
+        assert entry.read(other) is None
+    assert entry.read('<script id="entry">' + "[" * 100_000 + "</script>") is None
 
 
 def test_every_page_names_the_paper(report):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
+from functools import partial
 from unittest import mock
 
 from pipeline.report.figures import (
@@ -24,8 +24,9 @@ from pipeline.report.figures import (
     searches,
 )
 from pipeline.report.figures.degrees import add_degrees
+from pipeline.report.figures.sketch import Sketch
 from pipeline.report.figures.style import style
-from pipeline.report.figures.svg import Drawing, Sketch, render
+from pipeline.report.figures.svg import Drawing, render
 from pipeline.report.source import Source
 
 FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
@@ -41,10 +42,7 @@ FIGURES: dict[str, Callable[[Source], Sketch | None]] = {
     "heatmap": maps.heatmap,
     "basin": maps.basin,
     "design": design_maps.design,
-    "multipliers": quantities.multipliers,
-    "losses": quantities.losses,
-    "heelstrike": quantities.heelstrike,
-    "power": quantities.power,
+    **{name: partial(quantities.draw, name) for name in quantities.QUANTITIES},
     "measured": measured.measured,
     "claims": claims.claims,
     "exponents": laws.exponents,
@@ -72,7 +70,5 @@ def draw(source: Source, name: str, salt: str, small: bool = True) -> Drawing | 
         if sketch is None:
             return None
         add_degrees(sketch.figure)
-        if source.steps > 1:
-            caption = f"{sketch.caption} The gaits repeat after {source.steps} steps, not sooner."
-            sketch = replace(sketch, caption=caption)
+        sketch.values["steps"] = source.steps if source.steps > 1 else None
         return render(sketch, name, salt, small)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle
 
-from pipeline.report.figures.style import INK, MUTED, PAPER, canvas, colour, plain, shorten
-from pipeline.report.figures.svg import Marks, Sketch
+from pipeline.report.figures.sketch import Sketch
+from pipeline.report.figures.style import DOTTED, INK, MUTED, PAPER, colour
 from pipeline.report.source import Source
+from pipeline.report.words import fill, shorten
 
 _LEG_KEYS = ("l_t", "l_s", "R", "eps_T")
 #: Walkers drawn at most, and in one row.
@@ -74,18 +74,9 @@ def draw_leg(axes: Axes, body: Body, hip: complex, thigh: float, shank: float, *
     axes.plot(joints.real, joints.imag, solid_joinstyle="round", **line)
     if body.radius:
         toward = np.degrees(shank) - 90
-        axes.add_patch(
-            Arc(
-                (foot.real, foot.imag),
-                2 * body.radius,
-                2 * body.radius,
-                theta1=toward - 28,
-                theta2=toward + 28,
-                color=line.get("color", INK),
-                lw=line.get("lw", 1),
-                zorder=line.get("zorder", 2),
-            )
-        )
+        ends = {"theta1": toward - 28, "theta2": toward + 28, "zorder": line.get("zorder", 2)}
+        how = {"color": line.get("color", INK), "lw": line.get("lw", 1)}
+        axes.add_patch(Arc((foot.real, foot.imag), 2 * body.radius, 2 * body.radius, **ends, **how))
     else:
         axes.plot(foot.real, foot.imag, "o", color=line.get("color", INK), ms=2 + line.get("lw", 1))
 
@@ -96,29 +87,27 @@ def _bodies(source: Source) -> dict[str, tuple[Body, dict[str, Any]]]:
     return {name: (body, table) for name, (body, table) in bodies.items() if body is not None}
 
 
-def _caption_note(source: Source, drawn: int) -> str:
-    """Addition to a caption if the study has more walkers than are drawn, or varies their keys."""
-    more = f" {drawn} of {len(source.walkers)} walkers are drawn." if len(source.walkers) > drawn else ""
-    keys = list(source.varied)
-    return more + (f" The study varies {', '.join(keys)}; the walkers are drawn before that." if keys else "")
+def _sketch(bodies: Collection[str], of_few: float) -> Sketch:
+    """A panel for each walker, with its name as the title; more than six stand in two rows.
 
-
-def _panels(figure: Figure, names: list[str]) -> list[Axes]:
-    """A panel for each walker, with its name as the title; more than six stand in two rows."""
-    rows = 1 if len(names) <= _MAX_IN_ROW else 2
-    across = -(-len(names) // rows)
-    panels = list(np.atleast_1d(figure.subplots(rows, across)).flat)
-    for axes in panels:
+    The height [pt] of a figure of one or two is given.
+    """
+    rows = 1 if len(bodies) <= _MAX_IN_ROW else 2
+    across = -(-len(bodies) // rows)
+    sketch = Sketch(of_few if len(bodies) < 3 else 190 if rows == 1 else 370, rows, across)
+    for axes in sketch.panels:
         axes.set_aspect("equal")
         axes.axis("off")
-    for axes, name in zip(panels, names, strict=False):
+    for axes, name in zip(sketch.panels, bodies, strict=False):
         axes.set_title(shorten(name, 48 // across), pad=2)
-    return panels[: len(names)]
+    return sketch
 
 
-def _height(names: Collection[str], of_few: float) -> float:
-    """Height of a figure of walkers [pt]; that of one or two is given."""
-    return of_few if len(names) < 3 else 190 if len(names) <= _MAX_IN_ROW else 370
+def _finish(sketch: Sketch, source: Source, bodies: Collection[str], data: pd.DataFrame, **values: Any) -> Sketch:
+    """Say which walkers are drawn."""
+    every, names = len(source.walkers), ", ".join(f"walker {name}" for name in bodies)
+    varied = ", ".join(source.varied)
+    return sketch.finish(data, names=names, varied=varied, drawn=len(bodies), every=every, **values)
 
 
 def walker(source: Source) -> Sketch | None:
@@ -126,34 +115,15 @@ def walker(source: Source) -> Sketch | None:
     bodies = _bodies(source)
     if not bodies:
         return None
-    figure = canvas(_height(bodies, 270))
-    marks = []
-    for axes, (name, (body, table)) in zip(_panels(figure, list(bodies)), bodies.items(), strict=True):
-        marks += _draw_walker(axes, name, body, table)
-    data = pd.DataFrame(
-        [
-            {"walker": name, "parameter": key, "value": value}
-            for name, (_, table) in bodies.items()
-            for key, value in table.items()
-        ]
-    )
-    several = len(bodies) > 1
-    return Sketch(
-        figure,
-        "The walkers" if several else "The walker",
-        "Drawn to scale from the archive's parameters"
-        + (", each to its own scale" if several else "")
-        + ". Discs are masses, with areas in proportion; rings are their radii of gyration."
-        + _caption_note(source, len(bodies)),
-        "Side view of "
-        + ", ".join(f"walker {name}" for name in bodies)
-        + ": two legs joined at the hip, on the ground, with their masses as discs.",
-        data,
-        marks,
-    )
+    sketch, rows = _sketch(bodies, 270), []
+    for axes, (name, (body, table)) in zip(sketch.panels, bodies.items(), strict=False):
+        _draw_walker(sketch, axes, name, body, table)
+        rows += [{"walker": name, "parameter": key, "value": value} for key, value in table.items()]
+    s, each = ("s", ", each to its own scale") if len(bodies) > 1 else ("", "")
+    return _finish(sketch, source, bodies, pd.DataFrame(rows), s=s, each=each)
 
 
-def _draw_walker(axes: Axes, name: str, body: Body, table: Mapping[str, Any]) -> list[Marks]:
+def _draw_walker(sketch: Sketch, axes: Axes, name: str, body: Body, table: Mapping[str, Any]) -> None:
     """Draw one walker with its legs apart, the front leg darker."""
     spread = 0.26
     hip = complex(body.hip(spread))
@@ -171,28 +141,18 @@ def _draw_walker(axes: Axes, name: str, body: Body, table: Mapping[str, Any]) ->
         "hip": (hip, _number(table, "m_h"), 0.0),
     }
     total = sum(m * (1 if part == "hip" else 2) for part, (_, m, _) in masses.items()) or 1.0
-    marks = []
     for part, (at, mass, gyration) in masses.items():
         if not np.isfinite(mass) or mass <= 0:
             continue
-        axes.add_patch(
-            Circle(
-                (at.real, at.imag),
-                0.11 * height * np.sqrt(mass / total),
-                color=colour("long"),
-                alpha=0.75,
-                lw=0,
-                zorder=4,
-            )
-        )
+        size = 0.11 * height * np.sqrt(mass / total)
+        axes.add_patch(Circle((at.real, at.imag), size, color=colour("long"), alpha=0.75, lw=0, zorder=4))
         if gyration > 0:
             axes.add_patch(Circle((at.real, at.imag), gyration, fill=False, color=MUTED, lw=0.7, ls=(0, (2, 2))))
         letter = part[0]
         values = {f"m_{letter}": [mass]} | ({f"r_{letter}": [gyration]} if part != "hip" else {})
-        marks.append(Marks(axes, np.array([at.real]), np.array([at.imag]), f"{name} · {part}", values))
+        sketch.mark(axes, [at.real], [at.imag], f"{name} · {part}", values)
     axes.set_xlim(hip.real - 0.5 * height, hip.real + 0.5 * height)
     axes.set_ylim(ground - 0.04 * height, ground + 1.12 * height)
-    return marks
 
 
 def _centres_of_mass(body: Body, table: Mapping[str, Any], hip: complex, angle: float) -> tuple[complex, complex]:
@@ -213,16 +173,15 @@ def conditions(source: Source) -> Sketch | None:
     bodies = _bodies(source)
     if not bodies:
         return None
-    figure = canvas(_height(bodies, 290))
-    rows = []
-    for axes, (name, (body, table)) in zip(_panels(figure, list(bodies)), bodies.items(), strict=True):
+    sketch, rows = _sketch(bodies, 290), []
+    for axes, (name, (body, table)) in zip(sketch.panels, bodies.items(), strict=False):
         hip = complex(body.hip(0.0))
         knee, height = body.knee(hip, 0.0), body.length + body.radius
         thigh, shank = _centres_of_mass(body, table, hip, 0.0)
         masses = np.array([2 * _number(table, "m_t"), 2 * _number(table, "m_s"), _number(table, "m_h")])
         centre = complex(masses @ np.array([thigh, shank, hip]) / (masses.sum() or 1.0))
         axes.axhline(0, color=MUTED, lw=0.8)
-        axes.plot([0, 0], [0, 1.06 * height], color=MUTED, lw=1, ls=(0, (1, 2)))
+        axes.plot([0, 0], [0, 1.06 * height], color=MUTED, lw=1, ls=DOTTED)
         draw_leg(axes, body, hip, 0.0, 0.0, color=INK, lw=1.8)
         if table.get("knees"):
             axes.plot([knee.real, shank.real], [knee.imag, shank.imag], color=colour("short"), lw=1.2, ls=(0, (4, 1.5)))
@@ -231,31 +190,12 @@ def conditions(source: Source) -> Sketch | None:
         axes.plot(centre.real, centre.imag, "P", color=INK, ms=8, mec=PAPER, zorder=6)
         axes.set_xlim(-0.4 * height, 0.4 * height)
         axes.set_ylim(-0.04 * height, 1.12 * height)
-        rows.append(
-            {
-                "walker": name,
-                "centre_of_mass_from_line": centre.real,
-                "shank_centre_of_mass_from_knee_line": shank.real - knee.real,
-            }
-        )
-    return Sketch(
-        figure,
-        "Standing at zero slope",
-        "Legs parallel, hip above the contact. Discs: centres of mass of thigh and shank; cross: that of the whole "
-        "walker. Walking at vanishing slopes requires the cross to lie on the dotted line and, with free knees, "
-        "the dashed line from the knee to the shank's centre of mass to be parallel to it."
-        + _caption_note(source, len(bodies)),
-        "Side view of "
-        + ", ".join(f"walker {name}" for name in bodies)
-        + " standing on parallel legs: "
-        + "; ".join(
-            f"the centre of mass of {r['walker']} lies {plain(r['centre_of_mass_from_line'], 3)} from the line"
-            for r in rows
-        )
-        + ".",
-        pd.DataFrame(rows),
-        [],
-    )
+        from_knee = shank.real - knee.real
+        offsets = {"centre_of_mass_from_line": centre.real, "shank_centre_of_mass_from_knee_line": from_knee}
+        rows.append({"walker": name, **offsets})
+    said = "the centre of mass of {walker} lies {centre_of_mass_from_line:3} from the line"
+    distances = "; ".join(fill(said, row) for row in rows)
+    return _finish(sketch, source, bodies, pd.DataFrame(rows), distances=distances)
 
 
 def _number(table: Mapping[str, Any], key: str) -> float:

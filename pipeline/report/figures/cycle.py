@@ -4,24 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
 from pipeline.report.figures.body import Body, draw_leg
-from pipeline.report.figures.style import (
-    INK,
-    MUTED,
-    canvas,
-    colour,
-    plain,
-    set_heading,
-    shorten,
-    spread_evenly,
-)
-from pipeline.report.figures.svg import Marks, Sketch
-from pipeline.report.source import SYMBOLS, Source
+from pipeline.report.figures.sketch import Sketch
+from pipeline.report.figures.style import DOTTED, INK, MUTED, colour, evenly, set_heading, write_at
+from pipeline.report.source import Source
+from pipeline.report.words import axis_values, plain, shorten, with_unit
 
 #: Steps of the archive that are read, evenly spread.
 _MAX_STEPS = 12
@@ -52,26 +45,21 @@ class TracedStep:
 
 def traced_steps(source: Source) -> Iterator[TracedStep]:
     """Yield the steps in the archive's table `trace`, at most `_MAX_STEPS` of them."""
-    table = source.tables.get("trace")
-    if table is None or not {"gait", "slope", "time", "theta_st", "theta_th"} <= set(table.columns):
+    table = source.table("trace", "gait", "slope", "time", "theta_st", "theta_th")
+    if table is None:
         return
-    coordinates = source.line_columns(table)
-    steps = list(
-        table.dropna(subset=["time", "theta_st", "theta_th"]).groupby([*coordinates, "gait", "slope"], sort=False)
-    )
-    for i in spread_evenly(len(steps), _MAX_STEPS) if steps else ():
-        key, frame = steps[i]
-        at = dict(zip(coordinates, key, strict=False))
-        gait, slope = str(key[-2]), float(key[-1])
-        walker = str(at.pop("walker", source.walker))
-        settings = {k: float(v) for k, v in at.items()}
+    known = table.dropna(subset=["time", "theta_st", "theta_th"])
+    steps = [rows for _, rows in known.groupby([*source.line_columns(table), "gait", "slope"], sort=False)]
+    for frame in evenly(steps, _MAX_STEPS):
+        gait, slope = str(frame["gait"].iloc[0]), float(frame["slope"].iloc[0])
+        walker, settings = source.line_of(frame)
         body = Body.of(source.parameters(walker, settings))
         frame = frame.sort_values("time", kind="stable").reset_index(drop=True)
         if body is None or len(frame) < 2:
             continue
         shank = frame.get("theta_sh", frame["theta_th"])
         frame = frame.assign(time=frame["time"] - frame["time"].iloc[0], theta_sh=shank.fillna(frame["theta_th"]))
-        label = ", ".join([walker, *(f"{SYMBOLS.get(k, k)} = {v:g}" for k, v in settings.items())])
+        label = axis_values({"walker": walker, **settings})
         yield TracedStep(label, gait, slope, source.command(walker, settings), body, frame)
 
 
@@ -80,41 +68,26 @@ def angles(source: Source) -> Sketch | None:
     steps = _one_per_walker(list(traced_steps(source)))
     if not steps:
         return None
-    figure = canvas(310 if len(steps) == 1 else 270 * len(steps))
-    panels = figure.subplots(2 * len(steps), 1, height_ratios=[5, 2] * len(steps))
-    pieces, marks = [], []
-    for k, step in enumerate(steps):
-        top, below = panels[2 * k], panels[2 * k + 1]
-        piece, mark = _draw_angles(top, step)
-        pieces.append(piece)
-        marks += mark
-        words = f"{shorten(step.label, 24)}: angle from the ground normal (rad)" if len(steps) > 1 else ""
-        set_heading(top, words or "angle from the ground normal (rad)")
-        unit = source.units("period")
-        top.set_xlabel(f"time ({unit})" if unit else "time")
+    several = len(steps) > 1
+    sketch = Sketch(270 * len(steps) if several else 310, 2 * len(steps), height_ratios=[5, 2] * len(steps))
+    for top, below, step in zip(sketch.panels[::2], sketch.panels[1::2], steps, strict=True):
+        _draw_angles(sketch, top, step)
+        set_heading(top, f"{shorten(step.label, 24)}: " * several + "angle from the ground normal (rad)")
+        top.set_xlabel(with_unit("time", source.units("period")))
         _draw_strobe(below, step)
-    data = pd.concat(pieces, ignore_index=True)
-    kneed = any(step.kneestrike for step in steps)
+    data = pd.concat(sketch.pieces, ignore_index=True)
     listing = "; ".join(f"the {s.gait} gait of walker {s.label} at γ = {plain(s.slope)} rad" for s in steps)
-    caption = (
-        f"Two steps of {listing}. The heavy line is the leg drawn heavy in the cartoon, first in stance, then in swing."
-        + (" Dashed: the shank while the knee is free, until kneestrike." if kneed else "")
-    )
-    alt = (
-        f"Joint angles over two steps of {listing}, "
-        f"between {plain(data['angle'].min(), 3)} and {plain(data['angle'].max(), 3)} rad; the walker is drawn below."
-    )
-    return Sketch(figure, "A walking cycle", caption, alt, data, marks)
+    kneed = any(step.kneestrike for step in steps)
+    return sketch.finish(data, gaits=listing, kneed=kneed, low=data["angle"].min(), high=data["angle"].max())
 
 
-def _draw_angles(axes: Axes, step: TracedStep) -> tuple[pd.DataFrame, list[Marks]]:
-    """Draw the angles of both legs over two steps, with the impacts; their data and marks."""
+def _draw_angles(sketch: Sketch, axes: Axes, step: TracedStep) -> None:
+    """Draw the angles of both legs over two steps, with the impacts."""
     frame, period = step.frame, step.period
     time = frame["time"].to_numpy()
     first = {"thigh": frame["theta_st"].to_numpy(), "shank": frame["theta_st"].to_numpy()}
     second = {"thigh": frame["theta_th"].to_numpy(), "shank": frame["theta_sh"].to_numpy()}
-    pieces, marks = [], []
-    kneed = step.kneestrike is not None
+    pieces, kneed = [], step.kneestrike is not None
     for leg, (early, late) in {"heavy": (first, second), "light": (second, first)}.items():
         for part in ("thigh", "shank") if kneed else ("thigh",):
             t, angle = np.concatenate([time, period + time]), np.concatenate([early[part], late[part]])
@@ -123,8 +96,9 @@ def _draw_angles(axes: Axes, step: TracedStep) -> tuple[pd.DataFrame, list[Marks
             pieces.append(pd.DataFrame({"time": t, "angle": angle, "leg": leg, "link": part if kneed else "leg"}))
             if leg == "heavy":
                 label, values = f"{part if kneed else 'leg'}, heavy line", {"time": t, "angle (rad)": angle}
-                marks.append(Marks(axes, t, angle, label, values, step.command, np.full(len(t), step.slope)))
+                sketch.mark(axes, t, angle, label, values, command=step.command, slopes=np.full(len(t), step.slope))
     data = pd.concat(pieces, ignore_index=True).assign(walker=step.label, gait=step.gait, slope=step.slope)
+    sketch.pieces.append(data)
     impacts = [("heelstrike", period)]
     if step.kneestrike is not None:
         impacts += [("kneestrike", step.kneestrike), ("kneestrike", period + step.kneestrike)]
@@ -132,20 +106,11 @@ def _draw_angles(axes: Axes, step: TracedStep) -> tuple[pd.DataFrame, list[Marks
     for word, at in impacts:
         near = data.loc[(data["time"] - at).abs() < 0.05 * period, "angle"]
         is_below = near.min() - low >= high - near.max()  # the words stand where there is room
-        axes.axvline(at, color=MUTED, lw=0.8, ls="-" if word == "heelstrike" else (0, (1, 2)))
-        axes.annotate(
-            word,
-            (at, 0.01 if is_below else 0.99),
-            xycoords=axes.get_xaxis_transform(),
-            xytext=(-2 if is_below else 2, 0),
-            textcoords="offset points",
-            rotation=90,
-            ha="right" if is_below else "left",
-            va="bottom" if is_below else "top",
-            fontsize=8,
-        )
+        axes.axvline(at, color=MUTED, lw=0.8, ls="-" if word == "heelstrike" else DOTTED)
+        how: Any = {"ha": "right", "va": "bottom"} if is_below else {"ha": "left", "va": "top"}
+        how |= {"xycoords": axes.get_xaxis_transform(), "rotation": 90, "fontsize": 8}
+        write_at(axes, word, (at, 0.01 if is_below else 0.99), (-2 if is_below else 2, 0), **how)
     axes.set_xlim(0, 2 * period)
-    return data, marks
 
 
 def _one_per_walker(steps: list[TracedStep]) -> list[TracedStep]:

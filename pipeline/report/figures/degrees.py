@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from pipeline.report.figures.style import MUTED, plain
+from pipeline.report.figures.style import MUTED
+from pipeline.report.words import plain
 
 _UNIT = "(rad)"
 _MAX_INTERVALS = 5

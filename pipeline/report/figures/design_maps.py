@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -11,47 +11,55 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from pipeline.report.figures.sketch import Panel, Sketch
 from pipeline.report.figures.starts import START, cells
-from pipeline.report.figures.style import axis_values, canvas, plain, rows_caption, shorten, spread_evenly
-from pipeline.report.figures.svg import Panel, Sketch
-from pipeline.report.source import SYMBOLS, Source
+from pipeline.report.figures.style import choose_rows
+from pipeline.report.source import Source, rows_at
+from pipeline.report.words import SYMBOLS, plain, shorten, spaced, with_unit
 
-#: Quantities mapped, from left to right, and their titles.
-_SHOWN = {
-    "smallest_slope": "smallest slope γ (rad)",
-    "largest_stable_slope": "largest stable γ (rad)",
-    "fastest_froude_speed": "fastest stable v/√(gl)",
+
+class Mapped(NamedTuple):
+    """A quantity that is mapped.
+
+    `title` and what a cell is called; the column of its gait's slope, and the ending of those of its state; the factor
+    by which the slope of a cell lies beside the border that it is, so that its digits do not exceed it.
+    """
+
+    title: str
+    cell: str
+    slope: str
+    ending: str
+    inside: float
+
+
+#: Quantities mapped, from left to right.
+MAPPED = {
+    "smallest_slope": Mapped(
+        "smallest slope γ (rad)", "smallest slope with a gait", "smallest_slope", "_at_smallest_slope", 1 + 2e-8
+    ),
+    "largest_stable_slope": Mapped(
+        "largest stable γ (rad)",
+        "largest slope with a stable gait",
+        "largest_stable_slope",
+        "_at_largest_stable_slope",
+        1 - 2e-8,
+    ),
+    "fastest_froude_speed": Mapped("fastest stable v/√(gl)", "fastest stable gait", "fastest_slope", "", 1 - 2e-8),
 }
-#: What the cells of the maps are called.
-_TITLES = {
-    "smallest_slope": "smallest slope with a gait",
-    "largest_stable_slope": "largest slope with a stable gait",
-    "fastest_froude_speed": "fastest stable gait",
-}
-#: Names of the columns of a quantity's gait: its slope, and what follows the names of its state.
-_GAIT = {
-    "smallest_slope": ("smallest_slope", "_at_smallest_slope"),
-    "largest_stable_slope": ("largest_stable_slope", "_at_largest_stable_slope"),
-    "fastest_froude_speed": ("fastest_slope", ""),
-}
-#: Factor by which the slope of a cell lies beside the border that it is, so that its digits do not exceed it.
-_INSIDE = {"smallest_slope": 1 + 2e-8, "largest_stable_slope": 1 - 2e-8, "fastest_froude_speed": 1 - 2e-8}
 #: Columns of the figure's data, besides the keys.
-_DATA = (*_SHOWN, "smallest_at", "stability_lost_by", "fastest_slope")
+_DATA = (*MAPPED, "smallest_at", "stability_lost_by", "fastest_slope")
 #: Values of derived keys at which walkers of the paper lie: the tuned one and the physical one.
 _NAMED = {"detuning": (0.0, 1.0)}
 #: Extent of contours that have a label, over that of the map.
 _LABELLED = 0.2
 #: Fewest cells along each side of a map on which contours are drawn.
 _MIN_CONTOURED = 6
-#: Largest number of rows of maps, one for each value of the other axes.
-_MAX_ROWS = 4
 
 
 def design(source: Source) -> Sketch | None:
     """Map smallest slope, largest stable slope and fastest stable speed over two keys, one row per walker."""
-    table = source.tables.get("design")
-    if table is None or table.empty or not set(_SHOWN) <= set(table.columns):
+    table = source.table("design", *MAPPED)
+    if table is None:
         return None
     keys = [c for c in source.line_columns(table) if c != "walker" and table[c].nunique() > 1][:2]
     if len(keys) < 2:
@@ -59,38 +67,33 @@ def design(source: Source) -> Sketch | None:
     down, along = keys
     others = [c for c in source.line_columns(table) if c not in keys]
     every = table[others].drop_duplicates().to_dict("records") if others else [{}]
-    rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]
-    figure = canvas(100 + 150 * len(rows))
-    panels = figure.subplots(len(rows), len(_SHOWN), sharex=True, sharey=True, squeeze=False)
-    maps: list[Panel] = []
-    several = [{k: v for k, v in at.items() if table[k].nunique() > 1} for at in rows]
+    rows, names, more = choose_rows(every)
+    sketch = Sketch(100 + 150 * len(rows), len(rows), len(MAPPED), sharex=True, sharey=True)
+    panels = sketch.grid
     pictures: dict[str, Any] = {}
     is_marked = False
     for k, (row, at) in enumerate(zip(panels, rows, strict=True)):
-        part = table[np.logical_and.reduce([table[c] == v for c, v in at.items()], initial=True)] if at else table
-        for axes, (column, words) in zip(row, _SHOWN.items(), strict=True):
+        part = rows_at(table, at)
+        for axes, (column, mapped) in zip(row, MAPPED.items(), strict=True):
             pictures[column] = _draw_map(axes, part.pivot(index=down, columns=along, values=column), table[column])
             own = source.walkers.get(str(at.get("walker", source.walker)), {})
             is_marked = _mark_walkers(axes, own, down, along) or is_marked
-            axes.set_title(words if k == 0 else "", pad=5)
-            maps += _panel(axes, source, part, at, (down, along), column, panels.size)
-        name = axis_values(several[k])
-        row[0].set_ylabel(f"{shorten(name, 22)}: {_symbol(source, down)}" if name else _symbol(source, down))
+            axes.set_title(mapped.title if k == 0 else "", pad=5)
+            sketch.maps += _panel(axes, source, part, at, (down, along), column, panels.size)
+        row[0].set_ylabel(f"{shorten(names[k], 22)}: " * bool(names[k]) + _symbol(source, down))
     for axes, picture, column in zip(panels[-1], pictures.values(), panels.T, strict=True):
         axes.set_xlabel(_symbol(source, along))
         axes.xaxis.set_major_locator(MaxNLocator(3))
-        _add_bar(figure, picture, list(column))
-    circles = f" Circles: {_named(down, along)}." if is_marked else ""
-    return Sketch(
-        figure,
-        "Design map",
-        "The smallest slope with a gait, the largest slope with a stable gait, and the speed over √(gl) of the fastest "
-        f"stable gait, over {down} and {along}.{circles} Blank: no such gait." + rows_caption(several, every),
-        f"Heat maps over {along} and {down}: "
-        + "; ".join(f"{c.replace('_', ' ')} from {plain(table[c].min())} to {plain(table[c].max())}" for c in _SHOWN)
-        + ".",
+        _add_bar(sketch.figure, picture, list(column))
+    ends = [(spaced(c), table[c].min(), table[c].max()) for c in MAPPED]
+    return sketch.finish(
         table[[*source.line_columns(table), *(c for c in _DATA if c in table)]],
-        panels=maps,
+        down=down,
+        along=along,
+        circles=_named(down, along) if is_marked else "",
+        blank=True,
+        more=more,
+        ranges="; ".join(f"{name} from {plain(low)} to {plain(high)}" for name, low, high in ends),
     )
 
 
@@ -99,15 +102,13 @@ def _draw_map(axes: Axes, z: pd.DataFrame, whole: pd.Series) -> Any:
     values = np.asarray(whole, float)
     low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
     low, high = (low, high) if low <= high else (0.0, 1.0)
-    picture = axes.pcolormesh(
-        z.columns, z.index, z.values, shading="nearest", cmap="cividis", rasterized=True, vmin=low, vmax=high
-    )
+    scale: Any = {"cmap": "cividis", "vmin": low, "vmax": high, "rasterized": True}
+    picture = axes.pcolormesh(z.columns, z.index, z.values, shading="nearest", **scale)
     axes.grid(False)
     if min(z.shape) >= _MIN_CONTOURED and np.isfinite(z.to_numpy()).any():
-        levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(np.nanmin(z.to_numpy()), np.nanmax(z.to_numpy()))
-        drawn = axes.contour(
-            z.columns, z.index, np.ma.masked_invalid(z.to_numpy()), levels=levels, colors="#ffffff", linewidths=0.7
-        )
+        inner = np.ma.masked_invalid(z.to_numpy())
+        levels = MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]).tick_values(inner.min(), inner.max())
+        drawn = axes.contour(z.columns, z.index, inner, levels=levels, colors="#ffffff", linewidths=0.7)
         curves = [max(parts, key=len) for parts in drawn.allsegs if sum(map(len, parts))]
         # Labels in the middle of the curves, where they fit, not in a row.
         middles = [curve[int(len(curve) * (0.4 + 0.2 * (k % 2)))] for k, curve in enumerate(curves) if _fits(curve, z)]
@@ -160,23 +161,19 @@ def _panel(
 ) -> list[Panel]:
     """A map each cell of which starts the gait of its quantity; none where the archive lacks the gaits."""
     down, along = keys
-    slope, of = _GAIT[column]
-    names = {name: f"{name}{of}" for name in START[1:] if f"{name}{of}" in table}
+    _, called, slope, ending, inside = MAPPED[column]
+    names = {name: f"{name}{ending}" for name in START[1:] if f"{name}{ending}" in table}
     if not set(START[1:4]) <= set(names):
         return []
     names |= {"slope": slope} if column == slope else {"slope": slope, "froude_speed": column}
     grids = {to: table.pivot(index=down, columns=along, values=name) for to, name in names.items()}
     columns = {name: grid.to_numpy(float) for name, grid in grids.items()}
-    columns["slope"] = columns["slope"] * _INSIDE[column]
-    settings = {k: v for k, v in at.items() if k != "walker"}
-    walker = str(at.get("walker", source.walker))
+    columns["slope"] = columns["slope"] * inside
     shown = (down, along, *(name for name in ("slope", "froude_speed") if name in names))
-    label = f"{_TITLES[column]} · {walker}"
-    start = cells(source, walker, settings, (along, down), columns, shown, maps, label)
+    start = cells(source, at, (along, down), columns, shown, maps, called)
     x, y = (axis.to_numpy(float) for axis in (grids["slope"].columns, grids["slope"].index))
     return [Panel(axes, (along, down), x, y, start)]
 
 
 def _symbol(source: Source, key: str) -> str:
-    unit = source.units(key)
-    return f"{SYMBOLS.get(key, key)} ({unit})" if unit else SYMBOLS.get(key, key)
+    return with_unit(SYMBOLS.get(key, key), source.units(key))

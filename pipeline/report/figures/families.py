@@ -8,55 +8,64 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from pipeline.report.figures import landmarks, measured
+from pipeline.report.figures.sketch import TIPS, Sketch
 from pipeline.report.figures.style import (
     DASHES,
+    DOTTED,
     INK,
     MUTED,
     PAPER,
-    PRINTED,
     SAMPLES,
-    canvas,
     colour,
-    draw_curve,
+    draw_gait,
     end_labels,
-    labelled,
-    log_axis,
-    plain,
     set_heading,
-    shorten,
+    set_log,
     thin,
+    write_at,
 )
-from pipeline.report.figures.svg import Marks, Sketch
-from pipeline.report.source import RATES, Line, Source
+from pipeline.report.source import RATES, Line, Source, rows_at
+from pipeline.report.words import plain, shorten
 
 
 def loglog(source: Source) -> Sketch | None:
     """Plot stance angle against slope on logarithmic axes, with the fitted power laws."""
-    return _families(source, "log")
+    sketch = Sketch(350)
+    (axes,) = sketch.panels
+    set_log(axes, "xy")
+    lines = [line for line in source.lines if "stance_angle" in line.data]
+    names, labels = _line_titles(source, lines), _draw_families(sketch, source, lines)
+    if not labels:
+        return None
+    fitted = _draw_power_laws(source, axes, lines)
+    crossings = _draw_fitted_lines(source, axes, lines, names)
+    is_measured = measured.draw(axes, source, "stance_angle")
+    printed = landmarks.rows(source)
+    has_printed = bool(len(printed)) and landmarks.draw_at_angles(axes, printed)
+    if len(lines) > 1:
+        end_labels(axes, labels)
+    sentence = landmarks.sentence(printed[np.isfinite(printed["stance_angle"])]) if has_printed else ""
+    return _finish(sketch, source, names, is_measured, fitted=fitted, crossings=crossings, printed=sentence)
 
 
 def linear(source: Source) -> Sketch | None:
     """Plot stance angle against slope on linear axes."""
-    return _families(source, "linear")
-
-
-def _families(source: Source, scale: str) -> Sketch | None:
+    sketch = Sketch(350)
+    (axes,) = sketch.panels
     lines = [line for line in source.lines if "stance_angle" in line.data]
-    if not lines:
+    if not _draw_families(sketch, source, lines):
         return None
-    names = _line_titles(source, lines)
-    figure = canvas(350)
-    axes = figure.add_subplot()
-    if scale == "log":
-        log_axis(axes, "x")
-        log_axis(axes, "y")
-    pieces: list[pd.DataFrame] = []
-    marks: list[Marks] = []
-    labels = []
+    is_measured = measured.draw(axes, source, "stance_angle")
+    axes.set_xlim(left=0)
+    axes.set_ylim(bottom=0)
+    return _finish(sketch, source, _line_titles(source, lines), is_measured)
+
+
+def _draw_families(sketch: Sketch, source: Source, lines: list[Line]) -> list[tuple[float, float, str, str]]:
+    """Draw every gait of every line; where each begins, with the name of its line and its colour."""
+    (axes,), labels, names = sketch.panels, [], _line_titles(source, lines)
     for k, line in enumerate(lines):
         curves = [thin(c, max(60, 3 * SAMPLES // len(lines))) for c in line.curves("stance_angle", "period")]
         for gait in source.gaits:
@@ -65,54 +74,40 @@ def _families(source: Source, scale: str) -> Sketch | None:
                 points = frame[(frame["gait"] == gait) & frame["stance_angle"].notna()]
                 if points.empty:
                     continue
-                draw_curve(axes, frame["slope"], labelled(frame, gait), frame["stable"], colour(gait), k, k)
+                draw_gait(axes, frame, gait, k, k)
                 starts.append(tuple(points.loc[points["slope"].idxmin(), ["slope", "stance_angle"]]))
-                marks.append(_marks(axes, points, f"{gait} step · {names[k]}", line.command, k))
-                pieces.append(points.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
+                tips = TIPS | {"spectral_radius": "max |λ|"}
+                sketch.mark_gaits(axes, points, f"{gait} step · {names[k]}", line.command, tips, group=k)
+                sketch.pieces.append(points.drop(columns=list(RATES), errors="ignore").assign(line=line.label))
             if starts:
                 labels.append((*min(starts), names[k], colour(gait)))
-    if not pieces:
-        return None
-    data = pd.concat(pieces, ignore_index=True)
-    fitted = _draw_power_laws(source, axes, lines) if scale == "log" else False
-    crossings = _draw_fitted_lines(source, axes, lines, names) if scale == "log" else ""
-    printed = landmarks.rows(source) if scale == "log" else pd.DataFrame()
-    own = measured.draw(axes, source, "stance_angle")
-    has_printed = bool(len(printed)) and landmarks.draw_at_angles(axes, printed)
+    return labels
+
+
+def _finish(sketch: Sketch, source: Source, names: list[str], is_measured: bool, **sentences: Any) -> Sketch:
+    """Name the axes of the families, and say what is drawn."""
+    (axes,) = sketch.panels
+    data = pd.concat(sketch.pieces, ignore_index=True)
     axes.set_xlabel("slope γ (rad)")
-    letter = _letter(source, scale)
-    set_heading(axes, f"{letter}stance angle θ* (rad)")
-    if scale == "linear":
-        axes.set_xlim(left=0)
-        axes.set_ylim(bottom=0)
-    if len(lines) > 1 and scale == "log":
-        end_labels(axes, labels)
-    _add_legend(figure, data, fitted, names, has_printed, own)
-    kind = "logarithmic" if scale == "log" else "linear"
-    caption = (
-        f"Stance angle just after heelstrike against slope, on {kind} axes, for {_line_names(names)}. "
-        + ("Thick: stable. " if (data["stable"] == 1).any() else "")
-        + ("Dotted: fitted power laws. " if fitted else "")
-        + crossings
-        + (landmarks.sentence(printed[np.isfinite(printed["stance_angle"])]) if has_printed else "")
+    set_heading(axes, f"{_letter(source, axes.get_xscale())}stance angle θ* (rad)")
+    sketch.gait_keys(data)
+    if sentences.get("fitted"):
+        sketch.key("fitted", MUTED, lw=1, ls=DOTTED)
+    if sentences.get("printed"):
+        sketch.printed_key()
+    if is_measured:
+        sketch.dot_key(**measured.KEY)
+    sketch.line_keys(names, axes)
+    return sketch.finish(
+        data,
+        lines=names if len(names) > 2 else [],
+        names=_line_names(names),
+        stable=(data["stable"] == 1).any(),
+        most=data["stance_angle"].max(),
+        count=data["line"].nunique(),
+        gaits=", ".join(data["gait"].unique()),
+        **sentences,
     )
-    alt = (
-        f"Line plot on {kind} axes of stance angle against slope from {plain(data['slope'].min())} to "
-        f"{plain(data['slope'].max())} rad; stance angles reach {plain(data['stance_angle'].max())} rad. "
-        f"{data['line'].nunique()} walkers, gaits: {', '.join(data['gait'].unique())}."
-    )
-    title = "Gait families" + (", on logarithmic axes" if scale == "log" else "")
-    return Sketch(figure, title, caption.strip(), alt, data, marks, names if len(names) > 2 else [])
-
-
-def _marks(axes: Axes, frame: pd.DataFrame, label: str, command: str, group: int) -> Marks:
-    slopes, angles = frame["slope"].to_numpy(), frame["stance_angle"].to_numpy()
-    values = {"γ (rad)": slopes, "θ* (rad)": angles}
-    if "period" in frame:
-        values["period"] = frame["period"].to_numpy()
-    if "spectral_radius" in frame:
-        values["max |λ|"] = frame["spectral_radius"].to_numpy()
-    return Marks(axes, slopes, angles, label, values, command, slopes, group=group, gaits=frame)
 
 
 def _letter(source: Source, scale: str) -> str:
@@ -133,15 +128,14 @@ def _line_titles(source: Source, lines: list[Line]) -> list[str]:
 
 def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: list[str]) -> str:
     """Draw the lines fitted to the short step's two regimes and their crossing; the crossings in words."""
-    table = source.tables.get("fits/transition")
-    needed = {"foot_mass_ratio", "fitted_exponent", "fitted_amplitude", "fitted_cube_root", "slope_transition_fitted"}
-    if table is None or not needed <= set(table.columns) or len(lines) > 4:
+    fields = ("foot_mass_ratio", "fitted_exponent", "fitted_amplitude", "fitted_cube_root", "slope_transition_fitted")
+    table = source.table("fits/transition", *fields)
+    if table is None or len(lines) > 4:
         return ""
     words: list[str] = []
     left, right = axes.get_xlim()
     for line, name in zip(lines, names, strict=True):
-        own = line.set.get("foot_mass_ratio", np.nan)
-        fits = table[np.isclose(table["foot_mass_ratio"], own, rtol=1e-9, atol=0)]
+        fits = rows_at(table, {"foot_mass_ratio": line.set.get("foot_mass_ratio", np.nan)})
         for row in fits[np.isfinite(fits["slope_transition_fitted"])].itertuples():
             cross = row.slope_transition_fitted
             ink: Any = {"color": INK, "lw": 0.6, "zorder": 4}
@@ -150,53 +144,33 @@ def _draw_fitted_lines(source: Source, axes: Axes, lines: list[Line], names: lis
             axes.plot(above, row.fitted_cube_root * above ** (1 / 3), **ink)
             height = row.fitted_cube_root * cross ** (1 / 3)
             axes.plot([cross], [height], "o", color=INK, mfc=PAPER, ms=5, zorder=6)
-            axes.annotate(
-                f"{shorten(name, 12)}: γ = {plain(cross, 3)}",
-                (cross, height),
-                xytext=(8, -26 if words else -12),
-                textcoords="offset points",
-                fontsize=8.5,
-            )
-            for x, power in ((below[0] * 30, row.fitted_exponent), (cross / 8, 1 / 3)):
-                law = row.fitted_amplitude * x**power if power > 0.5 else row.fitted_cube_root * x**power
-                lift = (-4, 5) if (power > 0.5) == bool(words) else (9, -9)
-                text = f"θ* ∝ γᵖ, p = {plain(power, 4)}" if power > 0.5 else "p = 1/3"
-                if power > 0.5 or not words:
-                    axes.annotate(
-                        text, (x, law), xytext=lift, textcoords="offset points", fontsize=8.5,
-                        ha="right" if lift[0] < 0 else "left",
-                    )  # fmt: skip
+            write_at(axes, f"{shorten(name, 12)}: γ = {plain(cross, 3)}", (cross, height), (8, -26 if words else -12))
+            x, law = 30 * below[0], f"θ* ∝ γᵖ, p = {plain(row.fitted_exponent)}"
+            offset, how = ((-4, 5), {"ha": "right"}) if words else ((9, -9), {"ha": "left"})
+            write_at(axes, law, (x, row.fitted_amplitude * x**row.fitted_exponent), offset, **how)
+            if not words:
+                x = cross / 8
+                write_at(axes, "p = 1/3", (x, row.fitted_cube_root * x ** (1 / 3)), (-4, 5), ha="right")
             words.append(f"{name} at γ = {plain(cross, 4)} rad")
     axes.set_xlim(left, right)
-    ratio = source.tables.get("fits/transition_ratio")
+    ratio = source.table("fits/transition_ratio", "fitted_lines", "predicted")
     sentence = f"Thin black: lines fitted to the short step beside its transition; they cross for {', '.join(words)}"
-    if (
-        words
-        and ratio is not None
-        and {"fitted_lines", "predicted"} <= set(ratio.columns)
-        and ratio["fitted_lines"].notna().all()
-    ):
+    if ratio is not None and ratio["fitted_lines"].notna().all():
         fitted, predicted = (plain(ratio[name].iloc[0], 3) for name in ("fitted_lines", "predicted"))
         ends = (plain(source.grid["slope"].values[i], 2) for i in (0, -1))
         sentence += f", a ratio of {fitted} as fitted to slopes from {' to '.join(ends)} (the 3/2 law: {predicted})"
-    return f"{sentence}. " if words else ""
+    return f"{sentence}." if words else ""
 
 
 def _scaling_laws(source: Source, line: Line, gait: str) -> pd.DataFrame:
     """Fitted power laws θ* ∝ γ^p of one gait of one line."""
-    table = source.tables.get("fits/scaling")
-    needed = {"quantity", "gait", "exponent", "amplitude", "slope_from", "slope_to"}
-    if table is not None:
-        table = table.rename(columns={"from": "slope_from", "to": "slope_to"})
-    if table is None or not needed <= set(table.columns):
+    table = source.table("fits/scaling", "quantity", "gait", "exponent", "amplitude")
+    if table is None:
         return pd.DataFrame()
+    table = table.rename(columns={"from": "slope_from", "to": "slope_to"})
     keep = (table["quantity"] == "stance_angle") & (table["gait"] == gait)
-    for column in source.line_columns(table):
-        if column in line.set:
-            keep &= np.isclose(table[column].astype(float), line.set[column], rtol=1e-9, atol=0)
-        elif column == "walker" and len(source.walkers) > 1:
-            keep &= table[column] == line.walker
-    return table[keep & np.isfinite(table["exponent"]) & np.isfinite(table["amplitude"])]
+    table = table[keep & np.isfinite(table["exponent"]) & np.isfinite(table["amplitude"])]
+    return rows_at(table, source.position(line))
 
 
 def _is_one_curve(rows: pd.DataFrame) -> bool:
@@ -217,7 +191,7 @@ def _draw_power_laws(source: Source, axes: Axes, lines: list[Line]) -> bool:
                 ends = [[min(lo, cross), max(hi, cross)] for lo, hi in ends]
             for row, (low, high) in zip(rows.itertuples(), ends, strict=True):
                 slopes = np.array([low, high])
-                axes.plot(slopes, row.amplitude * slopes**row.exponent, color=MUTED, lw=1, ls=(0, (1, 2)), zorder=1.5)
+                axes.plot(slopes, row.amplitude * slopes**row.exponent, color=MUTED, lw=1, ls=DOTTED, zorder=1.5)
                 drawn = True
     return drawn
 
@@ -226,34 +200,12 @@ def _line_names(names: list[str]) -> str:
     return ", ".join(names) if len(names) < 7 else f"{len(names)} lines from {names[0]} to {names[-1]}"
 
 
-def _add_legend(
-    figure: Figure, data: pd.DataFrame, fitted: bool, names: list[str], printed: bool, own: Line2D | None
-) -> None:
-    handles = [
-        Line2D([], [], color=colour(g), lw=1.4, label=f"{g} step" if g in ("long", "short") else shorten(g))
-        for g in data["gait"].unique()
-    ]
-    if (data["stable"] == 1).any():
-        handles.append(Line2D([], [], color=INK, lw=2.6, label="stable"))
-    if fitted:
-        handles.append(Line2D([], [], color=MUTED, lw=1, ls=(0, (1, 2)), label="fitted"))
-    if printed:
-        handles.append(Line2D([], [], color=PRINTED, lw=5, alpha=0.4, label="printed, and allowed by rounding"))
-    handles += [own] if own else []
-    figure.legend(handles=handles, loc="outside upper left", ncols=3)
-    if 1 < len(names) <= len(DASHES):
-        keys = [Line2D([], [], color=MUTED, lw=1.2, ls=DASHES[k], label=shorten(n)) for k, n in enumerate(names)]
-        figure.axes[0].legend(handles=keys, loc="lower right", handlelength=3)
-
-
 def residuals(source: Source) -> Sketch | None:
     """Plot the relative residuals of the fitted power laws, each over its fitted range."""
     if "stance_angle" not in source.grid:
         return None
-    figure = canvas(210)
-    axes = figure.add_subplot()
-    pieces = []
-    marks = []
+    sketch = Sketch(210)
+    (axes,) = sketch.panels
     for k, line in enumerate(source.lines):
         curves = list(line.curves("stance_angle"))
         for gait in source.gaits:
@@ -266,31 +218,20 @@ def residuals(source: Source) -> Sketch | None:
                     continue
                 law = row.amplitude * used["slope"] ** row.exponent
                 used = used.assign(residual=used["stance_angle"] / law - 1)
-                axes.plot(used["slope"], 100 * used["residual"], color=colour(gait), lw=1.2, ls=DASHES[k % len(DASHES)])
+                percent = 100 * used["residual"]
+                axes.plot(used["slope"], percent, color=colour(gait), lw=1.2, ls=DASHES[k % len(DASHES)])
                 regime = getattr(row, "regime", "")
                 label = f"{gait} step · {line.label} · {regime} slopes"
-                slopes, percent = used["slope"].to_numpy(), 100 * used["residual"].to_numpy()
-                values = {"γ (rad)": slopes, "residual (%)": percent}
-                marks.append(Marks(axes, slopes, percent, label, values, line.command, slopes, gaits=used))
-                pieces.append(used.drop(columns=list(RATES), errors="ignore").assign(line=line.label, regime=regime))
-    if not pieces:
+                tips = {"slope": "γ (rad)", "percent": "residual (%)"}
+                sketch.mark_gaits(axes, used.assign(percent=percent), label, line.command, tips, y="percent")
+                used = used.drop(columns=list(RATES), errors="ignore")
+                sketch.pieces.append(used.assign(line=line.label, regime=regime))
+    if not sketch.pieces:
         return None
-    data = pd.concat(pieces, ignore_index=True)
-    log_axis(axes, "x")
+    data = pd.concat(sketch.pieces, ignore_index=True)
+    set_log(axes, "x")
     axes.axhline(0, color=MUTED, lw=0.7)
     axes.set_xlabel("slope γ (rad)")
     set_heading(axes, "relative residual of the stance angle (%)")
-    figure.legend(
-        handles=[Line2D([], [], color=colour(g), lw=1.4, label=shorten(f"{g} step")) for g in data["gait"].unique()],
-        loc="outside upper left",
-        ncols=4,
-    )
-    worst = plain(100 * data["residual"].abs().max(), 2)
-    return Sketch(
-        figure,
-        "Residuals of the power laws",
-        "Relative residuals of the fitted power laws, each over its fitted range.",
-        f"Residuals of the fitted power laws in percent; the largest is {worst} percent.",
-        data,
-        marks,
-    )
+    sketch.gait_keys(data[["gait"]])
+    return sketch.finish(data, 4, worst=100 * data["residual"].abs().max())

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pipeline.report.figures.style import INK, PRINTED, plain
+from pipeline.report.figures.style import INK, PRINTED, write_at
 from pipeline.report.source import Source
+from pipeline.report.words import plain
 
 #: Columns of the tables of landmarks.
 _COLUMNS = ["landmark", "walker", "printed", "half_unit", "slope", "slope_low", "slope_high", "stance_angle"]
@@ -22,8 +23,8 @@ _TUNED = ("A", "C")
 
 def rows(source: Source, walker: str | None = None) -> pd.DataFrame:
     """Rows of the tables `landmarks` and `crises` with a printed number, of one walker or of all."""
-    tables = [source.tables[name] for name in ("landmarks", "crises") if name in source.tables]
-    tables = [table[_COLUMNS] for table in tables if set(_COLUMNS) <= set(table.columns)]
+    found = [source.table(name, *_COLUMNS) for name in ("landmarks", "crises")]
+    tables = [table[_COLUMNS] for table in found if table is not None]
     table = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=_COLUMNS)
     table = table.astype(dict.fromkeys(_COLUMNS[2:], float))
     table = table[np.isfinite(table["printed"])]
@@ -32,8 +33,8 @@ def rows(source: Source, walker: str | None = None) -> pd.DataFrame:
 
 def point_numbers(source: Source) -> pd.DataFrame:
     """Rows of the table `landmarks` that are numbered in the paper's figure."""
-    table = source.tables.get("landmarks")
-    if table is None or not {"point", "slope", "walker"} <= set(table.columns):
+    table = source.table("landmarks", "point", "slope", "walker")
+    if table is None:
         return pd.DataFrame(columns=["walker", "slope", "point"])
     return table[table["point"].astype(str) != ""]
 
@@ -53,21 +54,15 @@ def draw_at_angles(axes: Axes, table: pd.DataFrame) -> bool:
         at_left = not log and row.printed == table["printed"].min()  # the others stand to the right of the curves
         axes.plot([row.slope_low, row.slope_high], [row.stance_angle] * 2, color=PRINTED, lw=5, alpha=0.3, zorder=3)
         axes.plot([row.printed], [row.stance_angle], "|", color=PRINTED, ms=15, mew=2, zorder=6)
-        axes.annotate(
-            _as_printed(row.printed, row.half_unit),
-            (row.printed if log else row.slope_low if at_left else row.slope_high, row.stance_angle),
-            xytext=(5, -10) if log else (-5 if at_left else 5, 0),
-            textcoords="offset points",
-            ha="right" if at_left else "left",
-            va="center",
-            color=PRINTED,
-            fontsize=8.5,
-        )
+        at = row.printed if log else row.slope_low if at_left else row.slope_high
+        offset, how = (5, -10) if log else (-5 if at_left else 5, 0), {"ha": "right" if at_left else "left"}
+        text = _as_printed(row.printed, row.half_unit)
+        write_at(axes, text, (at, row.stance_angle), offset, va="center", color=PRINTED, **how)
     return bool(len(table))
 
 
-def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> bool:
-    """Mark printed slopes by lines across the panel, beside the computed ones; whether there were any."""
+def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> None:
+    """Mark printed slopes by lines across the panel, beside the computed ones."""
     for row in table.sort_values("slope").itertuples():
         axes.axvspan(row.slope_low, row.slope_high, color=PRINTED, alpha=0.12, lw=0, zorder=0.5)
         axes.axvline(row.printed, color=PRINTED, lw=1.4, ls=(0, (5, 2)), zorder=3)
@@ -76,17 +71,9 @@ def draw_over_slopes(axes: Axes, table: pd.DataFrame) -> bool:
             (f"printed {_as_printed(row.printed, row.half_unit)}", row.printed, PRINTED, 0.02),
             (f"computed {plain(row.slope, 5)}", row.slope, INK, 0.1),
         ):
-            axes.annotate(
-                text,
-                (at, height),
-                xycoords=axes.get_xaxis_transform(),
-                xytext=(3 if at == max(row.printed, row.slope) else -3, 0),
-                textcoords="offset points",
-                ha="left" if at == max(row.printed, row.slope) else "right",
-                color=ink,
-                fontsize=8,
-            )
-    return bool(len(table))
+            is_right = at == max(row.printed, row.slope)
+            how = {"ha": "left" if is_right else "right", "xycoords": axes.get_xaxis_transform(), "fontsize": 8}
+            write_at(axes, text, (at, height), (3 if is_right else -3, 0), color=ink, **how)
 
 
 def has_rounding(table: pd.DataFrame) -> bool:
@@ -108,7 +95,7 @@ def sentence(table: pd.DataFrame) -> str:
         printed = _as_printed(row.printed, row.half_unit)
         parts.append(f"{row.landmark}: printed {printed}, computed {plain(row.slope, 5)}{interval}")
     head = "printed slopes, and the interval that rounding allows" if has_rounding(table) else "printed slopes"
-    return f" Purple: {head} ({'; '.join(parts)})." if parts else ""
+    return f"Purple: {head} ({'; '.join(parts)})." if parts else ""
 
 
 def note(table: pd.DataFrame) -> str:

@@ -10,32 +10,17 @@ import pandas as pd
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
-from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from pipeline.report.figures import fields
+from pipeline.report.figures.sketch import Panel, Sketch
 from pipeline.report.figures.starts import START, cells, parameters
-from pipeline.report.figures.style import (
-    INK,
-    RASTER,
-    SHAPES,
-    axis_values,
-    canvas,
-    log_axis,
-    plain,
-    rows_caption,
-    set_heading,
-    shorten,
-    spread_evenly,
-)
-from pipeline.report.figures.svg import Panel, Sketch
-from pipeline.report.source import SYMBOLS, Source, print_units
+from pipeline.report.figures.style import INK, RASTER, SHAPES, choose_rows, set_heading, set_log
+from pipeline.report.source import Source, rows_at
+from pipeline.report.words import SYMBOLS, axis_values, plain, print_units, shorten, spaced, symbol, titled
 
 #: Quantities that a map may show: the first that the archive holds.
 _SHOWN = ("speed", "froude_speed", "stance_angle", "period", "spectral_radius")
-
-#: Largest number of rows of maps, one for each value of the other axes.
-_MAX_ROWS = 4
 
 #: Colours of outcomes other than gaits and falls, and of falls: muted, so that gaits stand out, and of different hues,
 #: so that they can be distinguished on light and dark pages.
@@ -53,21 +38,16 @@ def heatmap(source: Source) -> Sketch | None:
     grid = grid.sortby(wide)  # an axis may fall
     rest = [d for d in source.axes if d not in wide]
     every = [dict(zip(rest, place, strict=True)) for place in itertools.product(*(grid[d].values for d in rest))]
-    rows = [every[i] for i in spread_evenly(len(every), _MAX_ROWS)]
-    several = [{d: v for d, v in at.items() if grid.sizes[d] > 1} for at in rows]
+    rows, names, more = choose_rows(every)
     slices = {gait: [grid.sel(at).sel(gait=gait) for at in rows] for gait in source.gaits}
     present = [gait for gait, maps in slices.items() if any(np.isfinite(part[variable]).any() for part in maps)]
     if not (gaits := present[:2]):
         return None
-    omitted = f" Not drawn: {', '.join(present[2:])}." if len(present) > 2 else ""
-    figure = canvas(260 if len(rows) == 1 else 60 + 150 * len(rows))
-    panels = figure.subplots(len(rows), len(gaits), sharex=True, sharey=True, squeeze=False)
+    sketch = Sketch(260 if len(rows) == 1 else 60 + 150 * len(rows), len(rows), len(gaits), sharex=True, sharey=True)
+    panels = sketch.grid
     values = np.array([part[variable].values for gait in gaits for part in slices[gait]])
     low, high = np.nanmin(values), np.nanmax(values)
-    pieces, maps = [], []
-    for k, (at, words) in enumerate(zip(rows, several, strict=True)):
-        fixed = dict(at)
-        walker = str(fixed.pop("walker", source.walker))
+    for k, (at, name) in enumerate(zip(rows, names, strict=True)):
         for axes, gait in zip(panels[k], gaits, strict=True):
             part = slices[gait][k].transpose(down, along, ...)
             x, y, z = part[along].values, part[down].values, part[variable].values
@@ -76,37 +56,38 @@ def heatmap(source: Source) -> Sketch | None:
             picture = axes.pcolormesh(*sides, z, cmap="cividis", vmin=low, vmax=high, rasterized=True)
             _draw_stability_border(axes, part, x, y)
             axes.grid(False)
-            title = ", ".join(filter(None, (f"{gait} step", axis_values(words))))
+            title = ", ".join(filter(None, (f"{gait} step", name)))
             axes.set_title(shorten(title, 60 // len(gaits)), pad=5)
-            frame = part[[v for v in (variable, "spectral_radius") if v in part]].to_dataframe().reset_index()
-            frame = frame[[c for c in dict.fromkeys((down, along, variable, "spectral_radius")) if c in frame]]
-            pieces.append(frame.assign(gait=gait, **words))
+            columns = [v for v in dict.fromkeys((variable, "spectral_radius")) if v in part]
+            frame = part[columns].to_dataframe().reset_index()[[down, along, *columns]]
+            sketch.pieces.append(frame.assign(gait=gait, **{d: v for d, v in at.items() if grid.sizes[d] > 1}))
             starts = {name: part[name].values for name in START[1:] if name in part} if source.steps == 1 else {}
-            known = starts if {"stance_angle", "stance_rate", "thigh_rate"} <= set(starts) else {}
-            numbers = {**{v: part[v].values for v in (variable, "spectral_radius") if v in part}, **known}
-            shown = tuple(dict.fromkeys((down, along, variable, *({"spectral_radius"} & set(part)))))
-            label = f"{gait} step · {walker}"
-            start = cells(source, walker, fixed, (along, down), numbers, shown, panels.size, label)
-            maps.append(Panel(axes, (along, down), x, y, start))
-        symbol = SYMBOLS.get(down, down.replace("_", " "))
-        panels[k][0].set_ylabel(_axis_title(source, down) if len(rows) == 1 else symbol)
+            known = starts if set(START[1:4]) <= set(starts) else {}
+            numbers = {**{v: part[v].values for v in columns}, **known}
+            start = cells(source, at, (along, down), numbers, (down, along, *columns), panels.size, f"{gait} step")
+            sketch.maps.append(Panel(axes, (along, down), x, y, start))
+        panels[k][0].set_ylabel(_axis_title(source, down) if len(rows) == 1 else symbol(down))
     quantity, x_title, y_title = (_axis_title(source, name) for name in (variable, along, down))
     for axes in panels[-1]:
         axes.set_xlabel(x_title)
-    bar = figure.colorbar(picture, ax=list(panels.ravel()), shrink=0.9, aspect=24)
+    bar = sketch.figure.colorbar(picture, ax=sketch.panels, shrink=0.9, aspect=24)
     bar.outline.set_visible(False)
     bar.ax.grid(False)
     bar.set_label(quantity)
-    data = pd.concat(pieces, ignore_index=True)
-    border = " White line: the border of stability, max |λ| = 1." if "spectral_radius" in grid else ""
-    rows_shown = rows_caption(several, every)
-    return Sketch(
-        figure,
-        f"Map of {variable.replace('_', ' ')}",
-        f"{quantity.capitalize()} over {x_title} and {y_title}. Blank: no such gait.{border}{omitted}{rows_shown}",
-        f"Heat map of {variable} over {along} and {down}, from {plain(low)} to {plain(high)}.{rows_shown}",
-        data,
-        panels=maps,
+    return sketch.finish(
+        quantity=spaced(variable),
+        Quantity=quantity.capitalize(),
+        variable=variable,
+        x=x_title,
+        y=y_title,
+        along=along,
+        down=down,
+        border="spectral_radius" in grid,
+        omitted=", ".join(present[2:]),
+        more=more,
+        rows=f" {more}" if more else "",
+        low=low,
+        high=high,
     )
 
 
@@ -123,7 +104,7 @@ def _set_scales(axes: Axes, x: np.ndarray, y: np.ndarray) -> None:
     """Make axes that span more than a factor of 30 logarithmic."""
     for which, values in (("x", x), ("y", y)):
         if len(values) > 2 and (values > 0).all() and values[-1] / values[0] > 30:
-            log_axis(axes, which)
+            set_log(axes, which)
 
 
 def _edges(values: np.ndarray, scale: str) -> np.ndarray:
@@ -136,11 +117,8 @@ def _edges(values: np.ndarray, scale: str) -> np.ndarray:
 
 def _axis_title(source: Source, name: str) -> str:
     column = source.grid.variables.get(name)
-    unit = source.units(name)
     words = str(column.attrs.get("long_name", "")) if column is not None else ""
-    words = words if words and len(words) < 34 else name.replace("_", " ")
-    symbol = SYMBOLS.get(name, "")
-    return " ".join(p for p in (words, symbol, f"({unit})" if unit else "") if p)
+    return titled(name, source.units(name), words if len(words) < 34 else "")
 
 
 def _is_fall(outcome: str) -> bool:
@@ -150,14 +128,13 @@ def _is_fall(outcome: str) -> bool:
 
 def _column(table: pd.DataFrame, name: str) -> str:
     """A column's name in words, with its symbol and unit."""
-    unit = print_units(table.attrs.get("units", {}).get(name, "1"))
-    return " ".join(filter(None, (name.replace("_", " "), SYMBOLS.get(name), f"({unit})" if unit else "")))
+    return titled(name, print_units(table.attrs.get("units", {}).get(name, "1")))
 
 
 def basin(source: Source) -> Sketch | None:
     """Map the outcome of each initial condition over its first two coordinates, whole and around the gaits."""
-    table = source.tables.get("basin")
-    if table is None or "outcome" not in table or table.empty:
+    table = source.table("basin", "outcome")
+    if table is None:
         return None
     others = {*source.line_columns(table), "outcome", "slope", "steps", "swing_rate"}
     known = [c for c in table.columns if c not in others and table[c].dtype.kind == "f" and table[c].nunique() > 1]
@@ -167,23 +144,21 @@ def basin(source: Source) -> Sketch | None:
     table = table.astype({"outcome": str})
     same = [c for c in (*source.line_columns(table), "slope") if c in table and table[c].nunique() > 1]
     first = table[same].iloc[0].to_dict() if same else {}
-    shown = table[np.logical_and.reduce([table[c] == v for c, v in first.items()])] if first else table
+    shown = rows_at(table, first)
     outcomes = sorted(set(shown["outcome"]), key=lambda o: (_is_fall(o), o))
     other_inks, fall_inks = itertools.cycle(_OTHER_COLOURS), itertools.cycle(_FALL_COLOURS)
     inks = [next(fall_inks) if _is_fall(o) else RASTER.get(o) or next(other_inks) for o in outcomes]
     walking = shown[~shown["outcome"].map(_is_fall)]
     window = _window(walking, plane) if 0 < len(walking) < 0.3 * len(shown) else []
-    figure = canvas(330 if window else 380)
-    panels = np.atleast_1d(figure.subplots(1, 1 + bool(window)))
+    sketch = Sketch(330 if window else 380, 1, 1 + bool(window))
+    panels = sketch.panels
     gaits, manifold = (_points(source, name, first, plane) for name in ("fixed_points", "stable_manifold"))
     for axes, width in zip(panels, (0.8, 1.6) if window else (1.6,), strict=True):
         _draw_outcomes(axes, shown, plane, outcomes, inks)
         for row in gaits.itertuples():
-            stable = row.gait in outcomes
-            axes.plot(
-                *(getattr(row, c) for c in plane), "o" if stable else "X", color=INK, mfc=INK if stable else "#ffffff",
-                ms=6, mew=1, zorder=5,
-            )  # fmt: skip
+            marker, fill = ("o", INK) if row.gait in outcomes else ("X", "#ffffff")
+            place = (getattr(row, c) for c in plane)
+            axes.plot(*place, marker, color=INK, mfc=fill, ms=6, mew=1, zorder=5)
         _draw_dots(axes, manifold[plane[0]].to_numpy(), manifold[plane[1]].to_numpy(), width)
         axes.grid(False)
         axes.set_xlabel(_column(table, plane[0]))
@@ -192,56 +167,39 @@ def basin(source: Source) -> Sketch | None:
     symbol = f" {SYMBOLS['stance_rate']}" if start and start["keys"]["knees"] else ""
     set_heading(panels[0], _column(table, plane[1]).replace(symbol, ""))
     if window:
-        panels[1].set_xlim(*window[0])
-        panels[1].set_ylim(*window[1])
+        across, upward = window
+        panels[1].set_xlim(*across)
+        panels[1].set_ylim(*upward)
         set_heading(panels[1], "around the gaits")
-        panels[0].add_patch(
-            Rectangle(
-                (window[0][0], window[1][0]), np.diff(window[0])[0], np.diff(window[1])[0], fill=False, ec=INK, lw=0.9
-            )
-        )
-    handles = [
-        Line2D([], [], ls="", marker="s", ms=7, color=ink, label=shorten(outcome.replace("_", " ")))
-        for outcome, ink in zip(outcomes, inks, strict=True)
-    ]
-    for label, marker, fill in (("stable gait", "o", INK), ("unstable gait", "X", "#ffffff")) if len(gaits) else ():
-        handles.append(Line2D([], [], ls="", marker=marker, color=INK, mfc=fill, label=label))
+        corner, sides = (across[0], upward[0]), (across[1] - across[0], upward[1] - upward[0])
+        panels[0].add_patch(Rectangle(corner, *sides, fill=False, ec=INK, lw=0.9))
+    for outcome, ink in zip(outcomes, inks, strict=True):
+        sketch.dot_key(shorten(spaced(outcome)), ink, "s", ms=7)
+    if len(gaits):
+        sketch.dot_key("stable gait", mfc=INK)
+        sketch.dot_key("unstable gait", marker="X", mfc="#ffffff")
     if len(manifold):
-        handles.append(Line2D([], [], ls=":", lw=2, color=INK, label="stable manifold"))
-    figure.legend(handles=handles, loc="outside upper left", ncols=4)
-    share = plain(100 * len(walking) / len(shown), 2 if len(walking) < 0.99 * len(shown) else 4)
-    only = f" Drawn: {axis_values(first)}; the archive has the others." if first else ""
-    saddles = " and ".join(sorted(set(manifold["gait"].astype(str))))
-    edge = (
-        f" Dots: initial conditions that tend to the unstable {saddles} gait, its stable manifold." if saddles else ""
-    )
-    return Sketch(
-        figure,
-        "Basin of attraction",
-        f"Initial conditions coloured by outcome; {share} % of them lead to walking, the others, in muted colours, "
-        f"fall.{edge}{_section(start)}{only}",
-        f"{len(shown)} initial conditions over {' and '.join(plane)}, coloured by outcome: {', '.join(outcomes)}.",
+        sketch.key("stable manifold", ls=":", lw=2)
+    sketch.maps = _cells(panels, shown, plane, start)
+    return sketch.finish(
         table,
-        panels=_cells(panels, shown, plane, start),
-    )
-
-
-def _section(start: dict[str, Any]) -> str:
-    """Say in which plane of a section of three coordinates the initial conditions lie; empty if it has two."""
-    if "ratio" not in start:
-        return ""
-    when = "before" if start["keys"]["knees"] else "after"
-    return (
-        f" The swing leg's rate is {plain(start['ratio'], 3)} times the stance leg's, as in the long gait, both just "
-        f"{when} heelstrike; gaits with another ratio are drawn at their angles and stance rates."
+        4,
+        count=len(shown),
+        plane=" and ".join(plane),
+        outcomes=", ".join(outcomes),
+        share=plain(100 * len(walking) / len(shown), 2 if len(walking) < 0.99 * len(shown) else 4),
+        saddles=" and ".join(sorted(set(manifold["gait"].astype(str)))),
+        # The plane of a section of three coordinates in which the initial conditions lie.
+        ratio=start.get("ratio"),
+        when="before" if start and start["keys"]["knees"] else "after",
+        only=axis_values(first),
     )
 
 
 def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
     """What the script needs to start any initial condition: the line, its slope and the ratio of the rates."""
     row = table.iloc[0]
-    walker = str(row.get("walker", source.walker))
-    settings = {c: float(row[c]) for c in source.line_columns(table) if c != "walker"}
+    walker, settings = source.line_of(table)
     if not (keys := parameters(source, walker, settings)) or "slope" not in row:
         return {}
     start = {"slope": float(row["slope"])}
@@ -250,7 +208,7 @@ def _motion(source: Source, table: pd.DataFrame) -> dict[str, Any]:
     return {"at": {"walker": walker, **settings}, "keys": keys, "command": source.command(walker, settings), **start}
 
 
-def _cells(panels: np.ndarray, table: pd.DataFrame, plane: list[str], start: dict[str, Any]) -> list[Panel]:
+def _cells(panels: list[Axes], table: pd.DataFrame, plane: list[str], start: dict[str, Any]) -> list[Panel]:
     """The maps whose every cell names its outcome and, with a start, is set in motion."""
     grid = table.pivot_table(index=plane[1], columns=plane[0], values="outcome", aggfunc="first")
     outcomes = grid.fillna("–").to_numpy(str)
@@ -264,15 +222,12 @@ def _draw_outcomes(axes: Axes, table: pd.DataFrame, plane: list[str], outcomes: 
     """Draw outcomes as cells where the initial conditions are a grid, else as dots."""
     which = table["outcome"].map(outcomes.index).astype(float)
     if len(table) != table[plane[0]].nunique() * table[plane[1]].nunique():
-        axes.scatter(
-            table[plane[0]], table[plane[1]], s=4, lw=0, c=[inks[int(w)] for w in which], rasterized=len(table) > SHAPES
-        )
+        colours, raster = [inks[int(w)] for w in which], len(table) > SHAPES
+        axes.scatter(table[plane[0]], table[plane[1]], s=4, lw=0, c=colours, rasterized=raster)
         return
     z = table.assign(which=which).pivot(index=plane[1], columns=plane[0], values="which")
-    limits: Any = {"vmin": -0.5, "vmax": len(inks) - 0.5}
-    axes.pcolormesh(
-        z.columns, z.index, z.values, shading="nearest", cmap=ListedColormap(inks), rasterized=True, **limits
-    )
+    how: Any = {"cmap": ListedColormap(inks), "vmin": -0.5, "vmax": len(inks) - 0.5, "rasterized": True}
+    axes.pcolormesh(z.columns, z.index, z.values, shading="nearest", **how)
 
 
 def _window(walking: pd.DataFrame, plane: list[str]) -> list[tuple[float, float]]:
@@ -294,9 +249,5 @@ def _draw_dots(axes: Axes, x: np.ndarray, y: np.ndarray, width: float) -> None:
 
 def _points(source: Source, name: str, first: dict[str, Any], plane: list[str]) -> pd.DataFrame:
     """Points of a table on the line and at the slope drawn, in the coordinates of the map."""
-    table = source.tables.get(name)
-    if table is None or not {"gait", *plane} <= set(table.columns):
-        return pd.DataFrame(columns=["gait", *plane])
-    for column, value in first.items():
-        table = table[table[column] == value] if column in table else table
-    return table
+    table = source.table(name, "gait", *plane)
+    return pd.DataFrame(columns=["gait", *plane]) if table is None else rows_at(table, first)

@@ -8,26 +8,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 
-from pipeline.report.figures.style import (
-    DASHES,
-    INK,
-    PAPER,
-    canvas,
-    colour,
-    draw_curve,
-    labelled,
-    plain,
-    set_heading,
-    shorten,
-    thin,
-)
-from pipeline.report.figures.svg import Marks, Sketch
-from pipeline.report.source import SYMBOLS, Line, Source, print_units
+from pipeline.report.figures.sketch import Sketch
+from pipeline.report.figures.style import INK, PAPER, draw_gait, set_heading, thin
+from pipeline.report.source import Source, rows_at
+from pipeline.report.words import plain, print_units, spaced, titled, with_unit
 
-#: How measurements are drawn.
+#: How measurements are drawn, and their entry in a legend.
 _MARK: Any = {"fmt": "s", "color": INK, "mfc": PAPER, "ms": 5, "capsize": 2.5, "lw": 0.9, "zorder": 7}
+KEY: Any = {"label": "measured", "marker": "s", "mfc": PAPER, "ms": 5}
+
+#: Share by which a measurement's values may differ from those of a line's axes.
+_SAME = 1e-5
 
 
 def table(source: Source) -> pd.DataFrame:
@@ -42,40 +34,22 @@ def variables(source: Source) -> list[str]:
     return [n for n in names if n not in ("walker", "gait", *source.axes, "slope") and not n.endswith("_error")]
 
 
-def draw(axes: Axes, source: Source, variable: str, at: dict[str, Any] | None = None) -> Line2D | None:
-    """Draw the measurements of a variable against slope; their entry for the legend, None if there are none."""
-    rows = _rows(table(source), at or {})
+def draw(axes: Axes, source: Source, variable: str, at: dict[str, Any] | None = None) -> bool:
+    """Draw the measurements of a variable against slope; whether there are any."""
+    rows = rows_at(table(source), at or {}, _SAME)
     if variable not in rows or "slope" not in rows or not rows[variable].notna().any():
-        return None
-    errors = {
-        key: rows[name].fillna(0.0)
-        for key, name in (("xerr", "slope_error"), ("yerr", f"{variable}_error"))
-        if name in rows
-    }
-    axes.errorbar(rows["slope"], rows[variable], **errors, **_MARK)
-    return Line2D([], [], ls="", marker="s", color=INK, mfc=PAPER, ms=5, label="measured")
-
-
-def _rows(frame: pd.DataFrame, at: dict[str, Any]) -> pd.DataFrame:
-    """Rows of measurements on one line."""
-    for column, value in at.items():
-        if column in frame:
-            # Relative to the value alone: axes such as `foot_mass_ratio` may hold values of 1e-9.
-            same = frame[column] == value if isinstance(value, str) else np.isclose(frame[column], value, atol=0)
-            frame = frame[same]
-    return frame
-
-
-def _position(line: Line, source: Source) -> dict[str, Any]:
-    """Values of a line's axes, as columns of the measurements."""
-    return {**line.set, **({"walker": line.walker} if len(source.walkers) > 1 else {})}
+        return False
+    errors = {"xerr": "slope_error", "yerr": f"{variable}_error"}
+    bars = {key: rows[name].fillna(0.0) for key, name in errors.items() if name in rows}
+    axes.errorbar(rows["slope"], rows[variable], **bars, **_MARK)
+    return True
 
 
 def _branch_lines(source: Source) -> list[tuple[str, dict[str, Any], list[pd.DataFrame]]]:
     """Lines of the study: name, values of the axes, and curves with `slope`, `gait` and variables."""
     if source.lines:
         names = [v for v in variables(source) if v in source.grid]
-        return [(line.label, _position(line, source), list(line.curves(*names))) for line in source.lines]
+        return [(line.label, source.position(line), list(line.curves(*names))) for line in source.lines]
     branches = source.tables.get("branches")
     if branches is None:
         return []
@@ -110,7 +84,7 @@ def residuals(source: Source) -> pd.DataFrame:
         several gaits the nearest is taken, unless the measurement names one.
     """
     frame, rows = table(source), []
-    lines = [(_rows(frame, at), curves) for _, at, curves in _branch_lines(source)]
+    lines = [(rows_at(frame, at, _SAME), curves) for _, at, curves in _branch_lines(source)]
     compared = [part.index for part, _ in lines]
     # Measurements between the values of an axis are on no line; they are listed without a computed value.
     lines.append((frame.drop(np.concatenate(compared)) if compared else frame, []))
@@ -126,7 +100,7 @@ def residuals(source: Source) -> pd.DataFrame:
                     rows.append(
                         {
                             **place,
-                            "variable": variable.replace("_", " ") + (f" ({unit})" if unit else ""),
+                            "variable": with_unit(spaced(variable), unit),
                             "measured": value,
                             "computed": computed,
                             "residual": value - computed,
@@ -159,43 +133,26 @@ def measured(source: Source) -> Sketch | None:
     names = [v for v in variables(source) if any(v in c for _, _, curves in _branch_lines(source) for c in curves)]
     if not names or "slope" not in table(source):
         return None
-    figure = canvas(60 + 250 * len(names))
-    panels = np.atleast_1d(figure.subplots(len(names), 1, sharex=True))
-    marks, pieces, gaits = [], [], []
-    for axes, name in zip(panels, names, strict=True):
-        for k, (label, _, curves) in enumerate(_branch_lines(source)):
+    sketch = Sketch(60 + 250 * len(names), len(names), sharex=True)
+    lines, rows = _branch_lines(source), table(source)
+    for axes, name in zip(sketch.panels, names, strict=True):
+        for k, (label, _, curves) in enumerate(lines):
             for whole in curves:
                 curve = thin(whole)
                 for gait in curve["gait"].unique() if name in curve else ():
                     part = curve[(curve["gait"] == gait) & curve[name].notna()]
-                    stable = curve["stable"] if "stable" in curve else pd.Series(np.nan, curve.index)
-                    draw_curve(axes, curve["slope"], labelled(curve, gait, name), stable, colour(str(gait)), k)
-                    gaits += [str(gait)] if len(part) else []
-                    pieces.append(part.assign(line=label, variable=name, value=part[name]))
-        rows = table(source)
+                    draw_gait(axes, curve, gait, k, y=name)
+                    sketch.pieces.append(part.assign(line=label, variable=name, value=part[name]))
         draw(axes, source, name)
-        values = {"γ (rad)": rows["slope"].to_numpy(), name.replace("_", " "): rows[name].to_numpy()}
-        marks.append(Marks(axes, rows["slope"].to_numpy(), rows[name].to_numpy(), "measured", values))
-        unit = source.units(name)
-        symbol = SYMBOLS.get(name, "")
-        set_heading(axes, " ".join(filter(None, (name.replace("_", " "), symbol, f"({unit})" if unit else ""))))
-    panels[-1].set_xlabel("slope γ (rad)")
-    keys = [Line2D([], [], color=colour(g), lw=1.4, label=f"{shorten(g)} step") for g in dict.fromkeys(gaits) if g]
-    keys.append(Line2D([], [], ls="", marker="s", color=INK, mfc=PAPER, ms=5, label="measured"))
-    labels = [label for label, _, _ in _branch_lines(source)]
-    if 1 < len(labels) <= len(DASHES):
-        keys += [Line2D([], [], color=INK, lw=1, ls=DASHES[k], label=shorten(n)) for k, n in enumerate(labels)]
-    figure.legend(handles=keys, loc="outside upper left", ncols=4)
-    data = pd.concat(pieces, ignore_index=True) if pieces else pd.DataFrame()
+        values = {"γ (rad)": rows["slope"], spaced(name): rows[name]}
+        sketch.mark(axes, rows["slope"], rows[name], "measured", values)
+        set_heading(axes, titled(name, source.units(name)))
+    sketch.panels[-1].set_xlabel("slope γ (rad)")
+    data = pd.concat(sketch.pieces, ignore_index=True) if sketch.pieces else pd.DataFrame(columns=["gait"])
+    sketch.gait_keys(data[["gait"]])
+    sketch.dot_key(**KEY)
+    sketch.line_keys([label for label, _, _ in lines])
     left = residuals(source)
     largest = left["residual"].abs().groupby(left["variable"], sort=False).max().dropna() if len(left) else {}
     worst = "".join(f"; the largest residual of {name} is {plain(value, 3)}" for name, value in largest.items())
-    return Sketch(
-        figure,
-        "Measured and computed",
-        f"Squares: the study's own measurements with their errors ({len(table(source))} rows){worst}. The table of "
-        "residuals compares each with the curve.",
-        f"Measurements of {', '.join(names)} beside the computed curves, against slope.",
-        data,
-        marks,
-    )
+    return sketch.finish(data, 4, names=", ".join(names), count=len(rows), worst=worst)

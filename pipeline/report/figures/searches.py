@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from matplotlib.lines import Line2D
+from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from pipeline.report.figures.branch_curves import groups, line_command, title
+from pipeline.report.figures.sketch import Sketch
 from pipeline.report.figures.style import (
     DASHES,
+    DOTTED,
     GAIT_COLOURS,
     INK,
+    MARKERS,
     MUTED,
     PAPER,
-    canvas,
-    log_axis,
-    plain,
     set_heading,
-    shorten,
+    set_log,
+    write_at,
 )
-from pipeline.report.figures.svg import Marks, Sketch
-from pipeline.report.source import SYMBOLS, Source, print_units
+from pipeline.report.source import Source, rows_at
+from pipeline.report.words import axis_values, plain, print_units, shorten, spaced, symbol, with_unit
 
 #: Feigenbaum's constant: the limit of the ratios of successive distances between flips.
 FEIGENBAUM = 4.669201609102990
@@ -30,170 +30,122 @@ _INKS = tuple(GAIT_COLOURS.values())
 _ABREAST = 1.5
 
 
-def _columns(source: Source, name: str, needed: set[str]) -> pd.DataFrame | None:
-    """A table of the archive that has rows and all the columns that a figure needs."""
-    table = source.tables.get(name)
-    return table if table is not None and len(table) and needed <= set(table.columns) else None
-
-
 def census(source: Source) -> Sketch | None:
     """Plot the gaits that a census found, and the bound on what it missed, against slope."""
-    table = _columns(source, "census", {"slope", "stance_angle", "anthropomorphic"})
-    coverage = _columns(source, "coverage", {"slope", "unseen", "converged", "anthropomorphic"})
+    table = source.table("census", "slope", "stance_angle", "anthropomorphic")
+    coverage = source.table("coverage", "slope", "unseen", "converged", "anthropomorphic")
     if table is None or coverage is None:
         return None
-    figure = canvas(430)
-    top, below = figure.subplots(2, 1, sharex=True, height_ratios=[5, 3])
-    log_axis(top, "x")
-    log_axis(top, "y")
-    marks, names, every = [], [], groups(source, table)
+    sketch = Sketch(430, 2, sharex=True, height_ratios=[5, 3])
+    top, below = sketch.panels
+    set_log(top, "xy")
+    every, reached = source.line_groups(table), coverage[coverage["converged"] > 0]
+    tips = {"γ (rad)": "slope", "θ* (rad)": "stance_angle", "hits": "hits" if "hits" in table else "slope"}
     for k, (at, rows) in enumerate(every):
-        names.append(title(at) or source.walker)
-        ink, dash = _INKS[k % 4], DASHES[k // 4 % len(DASHES)]
+        name, ink, marker = axis_values(at) or source.walker, _INKS[k % 4], MARKERS[k % 8]
+        dash = DASHES[k // 4 % len(DASHES)]
         # Walkers at one slope stand side by side, one alone at its slope.
         beside = _ABREAST ** ((k + 0.5) / len(every) - 0.5)
         for passes_once, fill in ((1, ink), (0, PAPER)):
             part = rows[rows["anthropomorphic"] == passes_once]
-            top.plot(beside * part["slope"], part["stance_angle"], "osD^vPXd"[k % 8], color=ink, mfc=fill, ms=5, ls="")
-        slopes, angles = rows["slope"].to_numpy(), rows["stance_angle"].to_numpy()
-        values = {"γ (rad)": slopes, "θ* (rad)": angles, "hits": rows.get("hits", rows["slope"]).to_numpy()}
-        marks.append(Marks(top, beside * slopes, angles, names[-1], values, line_command(source, rows), slopes))
-        seen = coverage
-        for column, value in at.items():
-            seen = seen[seen[column] == value]
-        seen = seen[seen["converged"] > 0]
-        below.plot(
-            beside * seen["slope"], 100 * seen["unseen"], color=ink, ls=dash, lw=1.1, marker="osD^vPXd"[k % 8], ms=4
-        )
+            top.plot(beside * part["slope"], part["stance_angle"], marker, color=ink, mfc=fill, ms=5, ls="")
+        values, place = {tip: rows[column] for tip, column in tips.items()}, beside * rows["slope"]
+        command = source.line_command(rows)
+        sketch.mark(top, place, rows["stance_angle"], name, values, command=command, slopes=rows["slope"])
+        seen = rows_at(reached, at)
+        below.plot(beside * seen["slope"], 100 * seen["unseen"], color=ink, ls=dash, lw=1.1, marker=marker, ms=4)
+        if k < len(MARKERS):
+            sketch.key(shorten(name), ink, ls=dash, marker=marker, ms=5)
     set_heading(top, "stance angle θ* of every gait found (rad)")
     set_heading(below, "converging guesses that may lead to unseen gaits, at most (%)")
     below.set_ylim(bottom=0)
     below.set_xlabel("slope γ (rad)")
-    keys = [
-        Line2D([], [], color=_INKS[k % 4], ls=DASHES[k // 4], marker="osD^vPXd"[k % 8], ms=5, label=shorten(name))
-        for k, name in enumerate(names[:8])
-    ]
-    keys.append(Line2D([], [], color=INK, mfc=PAPER, marker="o", ls="", ms=5, label="legs pass more than once"))
-    figure.legend(handles=keys, loc="outside upper left", ncols=3)
-    abreast = " Gaits of one slope stand side by side around it." if len(every) > 1 else ""
-    most, reached = int(coverage["anthropomorphic"].max()), coverage[coverage["converged"] > 0]
+    sketch.dot_key("legs pass more than once", mfc=PAPER, ms=5)
+    most = int(coverage["anthropomorphic"].max())
     worst = float(reached["unseen"].max()) if len(reached) else 1.0
-    return Sketch(
-        figure,
-        "Gaits found by the census",
-        f"At most {most} gaits whose legs pass once for any walker at any slope (filled). Below: the bound of Good and "
-        f"Turing on the converging initial guesses that would lead to a gait not found, at most {100 * worst:.1f} %."
-        f"{abreast}",
-        f"Stance angles of {len(table)} gaits found from initial guesses over the section, against slope, and the "
-        f"largest share of converging guesses that may lead to unseen gaits, {100 * worst:.1f} percent.",
-        table,
-        marks,
-    )
+    return sketch.finish(table, most=most, worst=f"{100 * worst:.1f}", abreast=len(every) > 1)
 
 
 def cascade(source: Source) -> Sketch | None:
     """Plot the distances between successive flips of each family on a logarithmic axis, with Feigenbaum's line."""
-    table = _columns(source, "cascade", {"slope", "kind", "family"})
+    table = source.table("cascade", "slope", "kind", "family")
     if table is None:
         return None
-    figure = canvas(330)
-    axes = figure.add_subplot()
-    pieces: list[pd.DataFrame] = []
-    marks, keys = [], []
-    for at, rows in groups(source, table):
+    sketch = Sketch(330)
+    (axes,) = sketch.panels
+    for at, rows in source.line_groups(table):
         for family, events in rows[rows["kind"] == "flip"].groupby("family", sort=False):
             slopes = events["slope"].to_numpy()
             if len(slopes) < 3:
                 continue
-            distance, number = np.diff(slopes), np.arange(1, len(slopes))
-            k = len(pieces)
-            ink, name = _INKS[k % 4], ", ".join(filter(None, (title(at), f"period {family}")))
-            axes.semilogy(number, np.abs(distance), "osD^v"[k % 5], color=ink, ms=5, ls=DASHES[k % len(DASHES)], lw=0.9)
+            distance, number, k = np.diff(slopes), np.arange(1, len(slopes)), len(sketch.pieces)
+            name = ", ".join(filter(None, (axis_values(at), f"period {family}")))
+            ink, marker, dash = _INKS[k % 4], MARKERS[k % 5], DASHES[k % len(DASHES)]
+            axes.semilogy(number, np.abs(distance), marker, color=ink, ms=5, ls=dash, lw=0.9)
             law = np.abs(distance[-1]) * FEIGENBAUM ** (number[-1] - number)
-            axes.semilogy(number, law, color=MUTED, lw=1, ls=(0, (1, 2)))
-            keys.append(Line2D([], [], color=ink, marker="osD^v"[k % 5], ms=5, lw=0.9, label=shorten(name)))
-            command = line_command(source, rows)
+            axes.semilogy(number, law, color=MUTED, lw=1, ls=DOTTED)
+            sketch.key(shorten(name), ink, marker=marker, ms=5, lw=0.9)
             values = {"flip (rad)": slopes[:-1], "next flip (rad)": slopes[1:], "distance (rad)": distance}
-            marks.append(Marks(axes, number, np.abs(distance), name, values, command, slopes[:-1]))
-            pieces.append(pd.DataFrame({**values, "number": number, "line": title(at), "family": str(family)}))
-    if not pieces:
+            command = source.line_command(rows)
+            sketch.mark(axes, number, np.abs(distance), name, values, command=command, slopes=slopes[:-1])
+            named = {"number": number, "line": axis_values(at), "family": str(family)}
+            sketch.pieces.append(pd.DataFrame({**values, **named}))
+    if not sketch.pieces:
         return None
-    log_axis(axes, "y")
+    set_log(axes, "y")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("number of the flip")
     set_heading(axes, "distance to the next flip in slope (rad)")
-    keys.append(Line2D([], [], color=MUTED, lw=1, ls=(0, (1, 2)), label=f"Feigenbaum's ratio {FEIGENBAUM:.4f}"))
-    figure.legend(handles=keys, loc="outside upper left", ncols=3)
-    limits = _columns(source, "accumulation", {"slope", "ratio"})
+    sketch.key(f"Feigenbaum's ratio {FEIGENBAUM:.4f}", MUTED, lw=1, ls=DOTTED)
+    limits = source.table("accumulation", "slope", "ratio")
     ratios = [] if limits is None else [plain(r, 5) for r in limits["ratio"].dropna()]
     sentence = f" The last ratio{'s are' if len(ratios) > 1 else ' is'} {', '.join(ratios)}." if ratios else ""
-    return Sketch(
-        figure,
-        "Period doublings",
-        "Distances in slope between successive period doublings of each family; dotted, the geometric law of "
-        f"Feigenbaum through the last.{sentence}",
-        f"Distances between successive flips of {len(pieces)} families, each about 4.67 times the next.{sentence}",
-        pd.concat(pieces, ignore_index=True),
-        marks,
-    )
+    return sketch.finish(count=len(sketch.pieces), ratios=sentence)
 
 
 def curves(source: Source) -> Sketch | None:
     """Plot the curves of folds, flips or ends over the slope and the key that varies, with their turning points."""
-    table = _columns(source, "curves", {"slope", "key", "value", "curve"})
+    table = source.table("curves", "slope", "key", "value", "curve")
     if table is None:
         return None
-    figure = canvas(330)
-    axes = figure.add_subplot()
-    marks, kinds = [], list(dict.fromkeys(table["kind"].astype(str))) if "kind" in table else ["curve"]
-    for at, rows in groups(source, table):
+    sketch = Sketch(330)
+    (axes,) = sketch.panels
+    table = table if "kind" in table else table.assign(kind="curve")
+    kinds = {str(kind): (_INKS[k % 4], DASHES[k % len(DASHES)]) for k, kind in enumerate(table["kind"].unique())}
+    for at, rows in source.line_groups(table):
         for number, curve in rows.groupby("curve", sort=False):
-            kind = str(curve["kind"].iloc[0]) if "kind" in curve else "curve"
-            k = kinds.index(kind)
-            axes.plot(curve["slope"], curve["value"], color=_INKS[k % 4], lw=1.5, ls=DASHES[k % len(DASHES)])
-            slopes, values = curve["slope"].to_numpy(), curve["value"].to_numpy()
-            key = str(curve["key"].iloc[0])
-            label = ", ".join(filter(None, (title(at), f"{kind.replace('_', ' ')}, curve {number}")))
-            base = line_command(source, curve.drop(columns=key, errors="ignore"))
-            commands = [
-                f"{base} --set {key}={float(v)!r} --slope {float(s)!r}" for s, v in zip(slopes, values, strict=True)
-            ]
-            marks.append(Marks(axes, slopes, values, label, {"γ (rad)": slopes, key: values}, commands=commands))
-    key = str(table["key"].iloc[0])
-    turns = _columns(source, "turnings", {"slope", "value", "turn"})
-    touching = turns[turns["turn"] == "key"] if turns is not None else pd.DataFrame()
-    # Where curves of flips or ends turn back, two such points meet on one branch.
-    touching = touching[touching["kind"].astype(str) == "fold"] if "kind" in touching else touching
-    touches = []
-    for row in touching.itertuples():
-        axes.plot([row.slope], [row.value], "o", color=INK, mfc=PAPER, ms=7, zorder=5)
-        axes.annotate(
-            f"branches touch: {key} {plain(row.value, 6)}, γ = {plain(row.slope, 6)}",
-            (row.slope, row.value),
-            xytext=(0, -16),
-            textcoords="offset points",
-            ha="center",
-            fontsize=8.5,
-        )
-        touches.append(f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad")
+            kind, key = str(curve["kind"].iloc[0]), str(curve["key"].iloc[0])
+            ink, dash = kinds[kind]
+            axes.plot(curve["slope"], curve["value"], color=ink, lw=1.5, ls=dash)
+            label = ", ".join(filter(None, (axis_values(at), f"{spaced(kind)}, curve {number}")))
+            base = source.line_command(curve.drop(columns=key, errors="ignore"))
+            places = curve[["slope", "value"]].to_numpy(float).tolist()
+            commands = [f"{base} --set {key}={v!r} --slope {s!r}" for s, v in places]
+            values = {"γ (rad)": curve["slope"], key: curve["value"]}
+            sketch.mark(axes, curve["slope"], curve["value"], label, values, commands=commands)
+    key, unit = str(table["key"].iloc[0]), print_units(table.attrs.get("units", {}).get("value", ""))
     axes.set_xlabel("slope γ (rad)")
-    unit = print_units(table.attrs.get("units", {}).get("value", ""))
-    set_heading(axes, SYMBOLS.get(key, key.replace("_", " ")) + (f" ({unit})" if unit else ""))
-    keys = [
-        Line2D([], [], color=_INKS[k % 4], lw=1.5, ls=DASHES[k % len(DASHES)], label=f"{kind.replace('_', ' ')}s")
-        for k, kind in enumerate(kinds)
-    ]
-    figure.legend(handles=keys, loc="outside upper left", ncols=4)
-    return Sketch(
-        figure,
-        "Curves of special points",
-        f"{' and '.join(k.replace('_', ' ') + 's' for k in kinds).capitalize()} over slope and {key}."
-        + (
-            f" Where the curve turns back in {key}, two branches touch and re-pair: {'; '.join(touches)}."
-            if touches
-            else ""
-        ),
-        f"Curves of {', '.join(kinds)} over slope and {key}, with {len(touching)} places where branches touch.",
-        table,
-        marks,
+    set_heading(axes, with_unit(symbol(key), unit))
+    touches = _mark_touches(source, axes, key)
+    for kind, (ink, dash) in kinds.items():
+        sketch.key(f"{spaced(kind)}s", ink, lw=1.5, ls=dash)
+    named = " and ".join(f"{spaced(kind)}s" for kind in kinds).capitalize()
+    return sketch.finish(
+        table, 4, Kinds=named, kinds=", ".join(kinds), key=key, count=len(touches), touches="; ".join(touches)
     )
+
+
+def _mark_touches(source: Source, axes: Axes, key: str) -> list[str]:
+    """Mark where branches touch: where a curve of folds turns back in its key; these places in words."""
+    turns = source.table("turnings", "slope", "value", "turn")
+    if turns is None:
+        return []
+    # Where curves of flips or ends turn back, two such points meet on one branch.
+    kinds = turns["kind"].astype(str) if "kind" in turns else pd.Series("fold", turns.index)
+    touches = []
+    for row in turns[(turns["turn"] == "key") & (kinds == "fold")].itertuples():
+        axes.plot([row.slope], [row.value], "o", color=INK, mfc=PAPER, ms=7, zorder=5)
+        words = f"branches touch: {key} {plain(row.value, 6)}, γ = {plain(row.slope, 6)}"
+        write_at(axes, words, (row.slope, row.value), (0, -16), ha="center")
+        touches.append(f"{key} {plain(row.value, 9)} and slope {plain(row.slope, 9)} rad")
+    return touches

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 
 from pipeline.report.figures import fields
-from pipeline.report.figures.style import axis_values, spread_evenly
-from pipeline.report.source import RATES, SYMBOLS, Source
+from pipeline.report.figures.style import spread_evenly
+from pipeline.report.source import RATES, Source
+from pipeline.report.words import axis_values, symbol
 
 #: A gait's start just after heelstrike, as columns of tables and variables of grids.
 START = ("slope", "stance_angle", *RATES)
@@ -72,28 +73,25 @@ def lines(source: Source) -> list[dict[str, Any]]:
         return []
     by_line = _of_grid(source) if set(START[1:]) <= set(source.grid.data_vars) else {}
     for name in _TABLES:
-        table = source.tables.get(name)
-        if table is not None and {"slope", "stance_angle"} <= set(table.columns):
-            columns = source.line_columns(table)
-            for key, rows in table.groupby(columns, sort=False) if columns else [((), table)]:
-                at = dict(zip(columns, key, strict=True))
-                walker = str(at.pop("walker", source.walker))
-                known = name == "branches" and set(START[:4]) <= set(rows.columns)
-                branches = [part for _, part in rows.groupby("branch", sort=False)] if known else []
-                by_line.setdefault((walker, *map(float, at.values())), (walker, at, branches))
+        table = source.table(name, "slope", "stance_angle")
+        for _, rows in [] if table is None else source.line_groups(table):
+            walker, at = source.line_of(rows)
+            known = name == "branches" and set(START[:4]) <= set(rows.columns)
+            branches = [part for _, part in rows.groupby("branch", sort=False)] if known else []
+            by_line.setdefault((walker, *at.values()), (walker, at, branches))
     chosen = list(by_line.values())[:_MAX_LINES]
     total = sum(len(branch) for _, _, branches in chosen for branch in branches)
     records: list[dict[str, Any]] = []
     for walker, at, branches in chosen:
-        settings = {key: float(value) for key, value in at.items()}
-        if keys := parameters(source, walker, settings):
+        if keys := parameters(source, walker, at):
+            every = {"walker": walker, **at}
             records.append(
                 {
-                    "name": axis_values({"walker": walker, **settings}),
-                    "at": {"walker": walker, **settings},
+                    "name": axis_values(every),
+                    "at": every,
                     "keys": keys,
-                    "command": source.command(walker, settings),
-                    "first": _first(walker, settings, branches),
+                    "command": source.command(walker, at),
+                    "first": _first(walker, at, branches),
                     "branches": [_nodes(branch, total, keys["knees"]) for branch in branches if len(branch)],
                 }
             )
@@ -141,31 +139,23 @@ def brief(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for record in [record for record in records if record["first"]][:2]:
         start = dict(parse_qsl(record["first"]))
         gaits = [gait for branch in record["branches"] for gait in branch]
-        near = min(
-            gaits, key=lambda gait: abs(gait[0] - float(start["slope"])) + abs(gait[1] - float(start["stance_angle"]))
-        )
+        slope, angle = float(start["slope"]), float(start["stance_angle"])
+        near = min(gaits, key=lambda gait: abs(gait[0] - slope) + abs(gait[1] - angle))
         shortened.append({**record, "branches": [[near]]})
     return shortened
 
 
 def cells(
-    source: Source,
-    walker: str,
-    settings: Mapping[str, Any],
-    names: Sequence[str],
-    columns: Mapping[str, np.ndarray],
-    shown: Sequence[str],
-    maps: int,
-    label: str = "",
-) -> dict[str, Any]:
+    source: Source, at: Mapping[str, Any], names: Sequence[str], columns: Mapping[str, np.ndarray],
+    shown: Sequence[str], maps: int, called: str,
+) -> dict[str, Any]:  # fmt: skip
     """What the script needs to name and start the gait of any cell of a map.
 
     Parameters
     ----------
     source : Source
-    walker : str
-    settings : mapping
-        Values of the axes that the map does not vary.
+    at : mapping
+        Values of the axes that the map does not vary, the study's first walker if none is among them.
     names : sequence of str
         Keys along the map, across and down.
     columns : mapping
@@ -174,8 +164,8 @@ def cells(
         Columns and keys whose values a cell shows under the pointer.
     maps : int
         Number of maps of the figure, which share its room.
-    label : str
-        What the cells are called; the walker's name if empty.
+    called : str
+        What the cells are called, before the walker's name.
 
     Returns
     -------
@@ -185,8 +175,10 @@ def cells(
         numbers of the cells: whether there is a gait, its slope (unless it is along the map or given), stance angle and
         rates over the stance angle, and what is shown.
     """
-    fixed = {key: float(value) for key, value in settings.items()}
+    walker = str(at.get("walker", source.walker))
+    fixed = {key: float(value) for key, value in at.items() if key != "walker"}
     keys = parameters(source, walker, fixed)
+    own = {name: values for name, values in columns.items() if name not in (*names, *fixed)}
     moved = {}
     for key, axes in source.varied.items():
         across = [axis for axis in axes if axis in names]
@@ -196,12 +188,10 @@ def cells(
         "at": {"walker": walker, **fixed},
         "keys": keys,
         "command": source.command(walker, {k: v for k, v in fixed.items() if k != "slope"}),
-        "label": label or walker,
-        "shown": [[SYMBOLS.get(name, name.replace("_", " ")), name] for name in shown],
+        "label": f"{called} · {walker}",
+        "shown": [[symbol(name), name] for name in shown],
         "moved": moved,
-        "fields": _fields(
-            {k: v for k, v in columns.items() if k not in (*names, *fixed)}, bool(keys.get("knees")), maps
-        ),
+        "fields": _fields(own, bool(keys.get("knees")), maps),
     }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import matplotlib
@@ -13,7 +15,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from pipeline.report.source import SUPERSCRIPTS, SYMBOLS
+from pipeline.report.words import axis_values, plain, shorten, superscript
 
 #: Width of a figure [pt]; its text stays legible on a phone.
 WIDTH = 480
@@ -36,6 +38,15 @@ RASTER = {"long": "#3c8fd6", "short": "#e0691f"}
 
 #: Dash patterns that distinguish lines of one gait; the first is solid.
 DASHES: tuple[Any, ...] = ("-", (0, (6, 1.6)), (0, (2, 1.4)), (0, (7, 1.5, 1.5, 1.5)), (0, (1, 1)), (0, (10, 3)))
+
+#: Dashes of laws, borders and guides.
+DOTTED = (0, (1, 2))
+
+#: Markers that distinguish lines of points.
+MARKERS = "osD^vPXd"
+
+#: Largest numbers of panels, one for each line, and of rows of maps, one for each value of the other axes.
+MAX_PANELS, MAX_ROWS = 6, 4
 
 #: Largest number of marks drawn as vectors, and of points drawn of one curve.
 SHAPES, SAMPLES = 2000, 600
@@ -101,18 +112,6 @@ def colour(gait: str) -> str:
     return GAIT_COLOURS.get(gait, INK)
 
 
-def plain(value: float, digits: int = 4) -> str:
-    """A number as it is written in print: 0.0153, 1.2 × 10⁻⁶, −3."""
-    if not np.isfinite(value):
-        return {np.inf: "∞", -np.inf: "−∞"}.get(float(value), "–")
-    text = f"{value + 0.0:.{digits}g}"  # adding zero turns −0 into 0
-    mantissa, _, exponent = text.partition("e")
-    if exponent:
-        power = _superscript(int(exponent))
-        text = f"10{power}" if mantissa == "1" else f"{mantissa} × 10{power}"
-    return text.replace("-", "−")
-
-
 def _is_narrow(low: float, high: float) -> bool:
     """Whether a logarithmic axis spans little more than two decades."""
     return high < 200 * low
@@ -134,66 +133,60 @@ class _Decades(LogLocator):
         return super().__call__()
 
 
-def log_axis(axes: Axes, which: str) -> None:
-    """Make an axis (`"x"` or `"y"`) logarithmic, its decades written as powers of ten."""
-    getattr(axes, f"set_{which}scale")("log")
-    axis = getattr(axes, f"{which}axis")
-    axis.set_major_locator(_Decades())
-    axis.set_major_formatter(
-        FuncFormatter(
-            lambda value, _: plain(value, _digits(axis)) if _is_narrow(*axis.get_view_interval()) else _decade(value)
-        )
-    )
-    axis.set_minor_locator(NullLocator())
+def set_log(axes: Axes, which: str) -> None:
+    """Make axes (`"x"`, `"y"` or `"xy"`) logarithmic, their decades written as powers of ten."""
+    for side in which:
+        getattr(axes, f"set_{side}scale")("log")
+        axis: Axis = getattr(axes, f"{side}axis")
+        axis.set_major_locator(_Decades())
+        axis.set_major_formatter(FuncFormatter(partial(_tick, axis)))
+        axis.set_minor_locator(NullLocator())
+
+
+def _tick(axis: Axis, value: float, _: int) -> str:
+    return plain(value, _digits(axis)) if _is_narrow(*axis.get_view_interval()) else _decade(value)
 
 
 def _decade(value: float) -> str:
     power = round(np.log10(value)) if value > 0 else 0
-    return {0: "1", 1: "10"}.get(power, "10" + _superscript(power))
+    return {0: "1", 1: "10"}.get(power, "10" + superscript(power))
 
 
-def _superscript(power: int) -> str:
-    """An integer in superscripts."""
-    return str(power).translate(SUPERSCRIPTS)
+def draw_gait(
+    axes: Axes, curve: pd.DataFrame, gait: str, k: int = 0, group: int | None = None, x: str = "slope",
+    y: str = "stance_angle",
+) -> None:  # fmt: skip
+    """Draw line k where it has a gait's label: thin, and thick where it is stable; a point by itself as a dot.
 
-
-def draw_curve(
-    axes: Axes, x: pd.Series, y: pd.Series, stable: pd.Series, ink: str, k: int = 0, group: int | None = None
-) -> None:
-    """Draw line k of a colour: thin, and thick where it is stable, with the same dashes; a point by itself as a dot.
-
-    `group` is the number of the line that the page highlights as one.
+    It goes one point beyond, so that a new label leaves no gap. `group` is the number of the line that the page
+    highlights as one.
     """
-    gid = None if group is None else f"line-{group}"
+    has_label = curve["gait"] == gait
+    across, upward = curve[x], curve[y].where(has_label | has_label.shift(fill_value=False))
+    is_stable = (curve["stable"] == 1).to_numpy() if "stable" in curve else np.zeros(len(curve), bool)
     dash = DASHES[k % len(DASHES)]
     thick = dash if dash == "-" else (0, tuple(length / 2.2 for length in dash[1]))
-    is_stable = stable.to_numpy() == 1
+    how: Any = {"color": colour(gait), "gid": None if group is None else f"line-{group}"}
     # The thin line extends one point into the thick one, so that there is no gap between them.
     inside = is_stable & np.roll(is_stable, 1) & np.roll(is_stable, -1)
     inside[[0, -1]] &= is_stable[[0, -1]]
-    axes.plot(x, y.mask(inside), color=ink, lw=1.1, ls=dash, gid=gid)
-    axes.plot(x, y.where(is_stable), color=ink, lw=2.6, ls=thick, gid=gid)
+    axes.plot(across, upward.mask(inside), lw=1.1, ls=dash, **how)
+    axes.plot(across, upward.where(is_stable), lw=2.6, ls=thick, **how)
     # A line of one point is invisible.
-    alone = y.notna() & y.shift().isna() & y.shift(-1).isna()
+    alone = upward.notna() & upward.shift().isna() & upward.shift(-1).isna()
     for dots, size in ((alone & ~is_stable, 3), (alone & is_stable, 5)):
         if dots.any():
-            axes.plot(x[dots], y[dots], "o", color=ink, ms=size, gid=gid)
+            axes.plot(across[dots], upward[dots], "o", ms=size, **how)
 
 
-def labelled(frame: pd.DataFrame, gait: str, column: str = "stance_angle") -> pd.Series:
-    """Values of a curve where it has that label, and one point beyond, so that a new label leaves no gap."""
-    has_label = frame["gait"] == gait
-    return frame[column].where(has_label | has_label.shift(fill_value=False))
+def write_at(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **how: Any) -> None:
+    """Write words beside a point, at a distance from it [pt]."""
+    axes.annotate(text, at, xytext=offset, textcoords="offset points", **{"fontsize": 8.5, **how})
 
 
 def set_heading(axes: Axes, text: str) -> None:
     """Write the title of the vertical axis horizontally above its end."""
     axes.set_title(text, loc="left", pad=7)
-
-
-def shorten(name: str, most: int = 30) -> str:
-    """Cut a name to a length."""
-    return name if len(name) <= most else name[: most - 1] + "…"
 
 
 def spread_evenly(count: int, most: int) -> np.ndarray:
@@ -219,17 +212,17 @@ def thin(frame: pd.DataFrame, most: int = SAMPLES) -> pd.DataFrame:
     return frame if len(frame) <= most else frame.iloc[spread_evenly(len(frame), most)]
 
 
-def axis_values(at: dict[str, Any]) -> str:
-    """Values of axes in words: a walker's name, numbers with their symbols."""
-    return ", ".join(str(v) if k == "walker" else f"{SYMBOLS.get(k, k)} = {plain(float(v), 6)}" for k, v in at.items())
+def evenly(items: Sequence[Any], most: int) -> list[Any]:
+    """At most `most` of some items, evenly spaced, the first and the last included."""
+    return [items[i] for i in spread_evenly(len(items), most)] if items else []
 
 
-def rows_caption(drawn: list[dict[str, Any]], every: list[dict[str, Any]]) -> str:
-    """Sentence of a caption that lists the rows of a figure."""
-    if len(every) < 2:
-        return ""
-    head = "Rows" if len(drawn) == len(every) else f"Rows, {len(drawn)} of {len(every)}"
-    return f" {head}: {'; '.join(map(axis_values, drawn))}."
+def choose_rows(every: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[str], str]:
+    """Rows of maps, one for each value of some axes: those drawn, what tells each from the others, and a sentence."""
+    rows, keys = evenly(every, MAX_ROWS), [key for key in every[0] if any(at[key] != every[0][key] for at in every)]
+    names = [axis_values({key: at[key] for key in keys}) for at in rows]
+    head = "Rows" if len(rows) == len(every) else f"Rows, {len(rows)} of {len(every)}"
+    return rows, names, f"{head}: {'; '.join(names)}." if len(every) > 1 else ""
 
 
 def end_labels(axes: Axes, labels: list[tuple[float, float, str, str]], gap: float = 11) -> None:
@@ -251,17 +244,8 @@ def end_labels(axes: Axes, labels: list[tuple[float, float, str, str]], gap: flo
     for height, x, y, names, ink in sorted(placed, key=lambda item: item[0]):
         lift = max(0.0, lowest + gap - height)
         lowest = height + lift
-        axes.annotate(
-            shorten(_merge_names(sorted(names, key=order.index))),
-            (x, y),
-            xytext=(-5, lift),
-            textcoords="offset points",
-            ha="right",
-            va="center",
-            color=ink,
-            fontsize=8.5,
-            annotation_clip=False,
-        )
+        text, how = shorten(_merge_names(sorted(names, key=order.index))), {"ha": "right", "va": "center"}
+        write_at(axes, text, (x, y), (-5, lift), color=ink, annotation_clip=False, **how)
 
 
 def _merge_names(names: list[str]) -> str:

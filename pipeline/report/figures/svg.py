@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
@@ -15,8 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from pipeline.report.figures.sketch import Marks, Panel, Sketch
 from pipeline.report.figures.starts import START, rounded
-from pipeline.report.figures.style import VARIABLES, plain, spread_evenly
+from pipeline.report.figures.style import VARIABLES, spread_evenly
+from pipeline.report.words import plain
 
 #: Points of a figure that show their values under the pointer.
 TARGETS = 240
@@ -24,62 +26,8 @@ TARGETS = 240
 #: Dots that a picture on the index may have as vectors; more are left out there.
 _MAX_DOTS = 1500
 
-#: Size above which the index shows a figure more coarsely [character], and the resolution of its rasters there.
-_THUMBNAILS = ((11_000, 50), (30_000, 20))
-
-
-@dataclass(frozen=True)
-class Marks:
-    """Points of one curve that show their values and the command that reproduces them under the pointer.
-
-    The command is `command` with a slope of `slopes`, or one of `commands`. `gaits` has the stance angles of the
-    points and their rates, from which the page's script starts them; with `free` they are steps of no gait. Points
-    that are drawn `above` others are found before those that they hide.
-    """
-
-    axes: Axes
-    x: np.ndarray
-    y: np.ndarray
-    label: str
-    values: Mapping[str, Any]
-    command: str = ""
-    slopes: np.ndarray | None = None
-    commands: Sequence[str] | None = None
-    group: int | None = None
-    gaits: pd.DataFrame | None = None
-    free: bool = False
-    above: bool = False
-
-
-@dataclass(frozen=True)
-class Panel:
-    """A map whose every cell has a gait, a motion or an outcome of its own.
-
-    `x` and `y` are the values along its axes, called `names`; `cells` is what the script needs to name and start one.
-    """
-
-    axes: Axes
-    names: tuple[str, str]
-    x: np.ndarray
-    y: np.ndarray
-    cells: Mapping[str, Any]
-
-
-@dataclass
-class Sketch:
-    """A figure as its function returns it: matplotlib's figure, its texts, its data and its marks.
-
-    `lines` names the groups of curves that the page highlights one at a time.
-    """
-
-    figure: Figure
-    title: str
-    caption: str
-    alt: str
-    data: pd.DataFrame
-    marks: list[Marks] = field(default_factory=list)
-    lines: list[str] = field(default_factory=list)
-    panels: list[Panel] = field(default_factory=list)
+#: Size above which the index shows the rasters of a figure more coarsely [character].
+_MAX_THUMBNAIL = 30_000
 
 
 @dataclass(frozen=True)
@@ -117,29 +65,23 @@ def render(sketch: Sketch, name: str, salt: str, small: bool = True) -> Drawing:
     width, height = (float(side) for side in figure.get_size_inches() * 72)
     return Drawing(
         name,
-        sketch.title,
-        sketch.caption,
-        sketch.alt,
+        *sketch.words(name),
         svg,
         width,
         height,
         sketch.data,
-        _thumbnail(figure, svg, f"{salt}/{name}/small") if small else svg,
+        _thumbnail(figure, f"{salt}/{name}/small") if small else "",
         _targets(sketch.marks, height),
         sketch.lines,
-        [_panel(k, sketch.panels, height) for k in range(len(sketch.panels))],
+        [_panel(k, sketch.maps, height) for k in range(len(sketch.maps))],
         [_frame(axes, height) for axes in figure.axes if axes.axison and axes.get_label() != "<colorbar>"],
     )
 
 
-def _thumbnail(figure: Figure, svg: str, salt: str) -> str:
-    """A small version of a figure drawn as `svg`; the same if that is small."""
-    small = svg
-    for most, dpi in _THUMBNAILS:
-        # Without a raster the second would be the first.
-        if len(small) > most and (small is svg or "<image" in small):
-            small = _small(_to_svg(figure, salt, dpi, 0))
-    return small
+def _thumbnail(figure: Figure, salt: str) -> str:
+    """A small version of a figure, with more coarsely drawn rasters if it would be large."""
+    small = _small(_to_svg(figure, salt, 50, 0))
+    return _small(_to_svg(figure, salt, 20, 0)) if len(small) > _MAX_THUMBNAIL and "<image" in small else small
 
 
 def _coarsen(figure: Figure) -> None:
@@ -206,14 +148,11 @@ def _targets(marks: list[Marks], height: float) -> list[dict[str, Any]]:
             continue
         inside = inside[spread_evenly(len(inside), share)]
         pixels = mark.axes.transData.transform(np.column_stack([x[inside], y[inside]]))
+        columns = [np.asarray(column)[inside].tolist() for column in mark.values.values()]
+        commands = [mark.commands[i] for i in inside] if mark.commands is not None else _slopes(mark, inside)
         rows = [
-            [
-                round(float(a), 1),
-                round(float(height - b), 1),
-                _command(mark, i),
-                *(_text(column[i]) for column in mark.values.values()),
-            ]
-            for i, (a, b) in zip(inside.tolist(), pixels, strict=True)
+            [round(float(a), 1), round(float(height - b), 1), command, *map(_text, values)]
+            for (a, b), command, *values in zip(pixels, commands, *columns, strict=True)
         ]
         target = {"label": mark.label, "names": list(mark.values), "command": mark.command, "rows": rows}
         target |= _starts(mark, inside) | ({"above": True} if mark.above else {})
@@ -278,12 +217,10 @@ def _frame(axes: Axes, height: float) -> dict[str, Any]:
     return {"box": [round(float(v), 2) for v in (box.x0, height - box.y1, box.x1, height - box.y0)], **sides}
 
 
-def _command(mark: Marks, i: int) -> float | str | None:
-    """Command of point i: the slope that completes the curve's command, the whole command, or None."""
-    if mark.commands is not None:
-        return mark.commands[i]
-    return None if mark.slopes is None else float(mark.slopes[i])
+def _slopes(mark: Marks, inside: np.ndarray) -> list[float | None]:
+    """The slopes that complete a curve's command at some of its points."""
+    return [None] * len(inside) if mark.slopes is None else np.asarray(mark.slopes, float)[inside].tolist()
 
 
 def _text(value: Any) -> str:
-    return plain(float(value), 7) if isinstance(value, (float, np.floating)) else str(value)
+    return plain(value, 7) if isinstance(value, float) else str(value)

@@ -1,0 +1,140 @@
+"""A figure while it is drawn: panels, marks that a page walks along, legend, data, and the values of its words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from pipeline.report.figures.style import DASHES, INK, MUTED, PRINTED, canvas, colour
+from pipeline.report.words import WORDS, fill, sentences, shorten
+
+#: What a gait's columns are called under the pointer.
+TIPS = {"slope": "γ (rad)", "stance_angle": "θ* (rad)", "period": "period"}
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Points of one curve that show their values and the command that reproduces them under the pointer.
+
+    The command is `command` with a slope of `slopes`, or one of `commands`. `gaits` has the stance angles of the
+    points and their rates, from which the page's script starts them; with `free` they are steps of no gait. Points
+    that are drawn `above` others are found before those that they hide.
+    """
+
+    axes: Axes
+    x: Any
+    y: Any
+    label: str
+    values: Mapping[str, Any]
+    command: str = ""
+    slopes: Any = None
+    commands: Sequence[str] | None = None
+    group: int | None = None
+    gaits: pd.DataFrame | None = None
+    free: bool = False
+    above: bool = False
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A map whose every cell has a gait, a motion or an outcome of its own.
+
+    `x` and `y` are the values along its axes, called `names`; `cells` is what the script needs to name and start one.
+    """
+
+    axes: Axes
+    names: tuple[str, str]
+    x: np.ndarray
+    y: np.ndarray
+    cells: Mapping[str, Any]
+
+
+class Sketch:
+    """A figure of some height [pt] with a grid of panels.
+
+    Its words are those of its name in `words.toml`, filled in with the `values` given at the end. `lines` names the
+    groups of curves that the page highlights one at a time.
+    """
+
+    def __init__(self, height: float, rows: int = 1, columns: int = 1, **grid: Any) -> None:
+        self.figure = canvas(height)
+        self.grid: Any = self.figure.subplots(rows, columns, squeeze=False, **grid)
+        self.panels: list[Axes] = list(self.grid.flat)
+        self.marks: list[Marks] = []
+        self.maps: list[Panel] = []
+        self.keys: list[Any] = []
+        self.pieces: list[pd.DataFrame] = []
+        self.data = pd.DataFrame()
+        self.values: dict[str, Any] = {}
+        self.lines: list[str] = []
+
+    def mark(self, axes: Axes, x: Any, y: Any, label: str, values: Mapping[str, Any], **more: Any) -> None:
+        """Add points with the values that they show, and the other fields of `Marks`."""
+        self.marks.append(Marks(axes, x, y, label, values, **more))
+
+    def mark_gaits(
+        self, axes: Axes, rows: pd.DataFrame, label: str, command: str, tips: Mapping[str, str] = TIPS,
+        x: str = "slope", y: str = "stance_angle", **more: Any,
+    ) -> None:  # fmt: skip
+        """Add gaits, a row each, that lie at two of their columns and show those that `tips` names."""
+        values = {title: rows[column] for column, title in tips.items() if column in rows}
+        self.mark(axes, rows[x], rows[y], label, values, command=command, slopes=rows["slope"], gaits=rows, **more)
+
+    def key(self, label: str, color: str = INK, **line: Any) -> None:
+        """Add an entry to the legend."""
+        self.keys.append(Line2D([], [], color=color, label=label, **line))
+
+    def dot_key(self, label: str, color: str = INK, marker: str = "o", **line: Any) -> None:
+        """Add an entry of points to the legend."""
+        self.key(label, color, ls="", marker=marker, **line)
+
+    def gait_keys(self, rows: pd.DataFrame) -> None:
+        """Add the colours of the gaits in some rows to the legend, and how stable ones are drawn if there are any."""
+        for gait in rows["gait"].unique():
+            if gait:
+                self.key(shorten(f"{gait} step"), colour(gait), lw=1.4)
+        if "stable" in rows and (rows["stable"] == 1).any():
+            self.key("stable", lw=2.6)
+
+    def line_keys(self, names: Sequence[str], axes: Axes | None = None) -> None:
+        """Add the dashes of lines to the legend, or to one of a panel; if they are too many to tell, none."""
+        if not 1 < len(names) <= len(DASHES):
+            return
+        keys = [Line2D([], [], color=MUTED, lw=1.2, ls=DASHES[k], label=shorten(n)) for k, n in enumerate(names)]
+        if axes is None:
+            self.keys += keys
+        else:
+            axes.legend(handles=keys, loc="lower right", handlelength=3)
+
+    def printed_key(self) -> None:
+        """Add the marks of printed numbers to the legend."""
+        self.key("printed, and allowed by rounding", PRINTED, lw=5, alpha=0.4)
+
+    def finish(
+        self, data: pd.DataFrame | None = None, columns: int = 3, lines: Iterable[str] = (), **values: Any
+    ) -> Sketch:
+        """Draw the legend, and keep the figure's data and the values of its words.
+
+        Unless others are given, `count` is the number of its rows, `low` and `high` are the ends of their slopes. Where
+        not `every` line is `drawn`, some are `omitted`.
+        """
+        if self.keys:
+            self.figure.legend(handles=self.keys, loc="outside upper left", ncols=columns)
+        self.data = pd.concat(self.pieces, ignore_index=True) if data is None else data
+        known: dict[str, Any] = {"count": len(self.data), "omitted": values.get("drawn") != values.get("every")}
+        if "slope" in self.data:
+            known |= {"low": self.data["slope"].min(), "high": self.data["slope"].max()}
+        self.lines, self.values = list(lines), known | values
+        return self
+
+    def words(self, name: str) -> tuple[str, str, str]:
+        """Title, caption and alt text, of the figure's name."""
+        words = WORDS["figures"][name]
+        caption = {**words["caption"], **WORDS["figures"]["all"]}
+        return fill(words["title"], self.values), sentences(caption, self.values), fill(words["alt"], self.values)
