@@ -56,7 +56,7 @@ TASKS = {
         ),
         Task("points", "tasks.solve_points:points", 18, needs=("atlas",)),
         Task("trace", "tasks.trace_motion:trace", 4, needs=("atlas",)),
-        Task("branch", "tasks.follow_branches:branch", 14, needs=("atlas",)),
+        Task("branch", "tasks.follow_branches:branch", 15, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 7, needs=("atlas",)),
         Task("cascade", "tasks.locate_cascade:cascade", 14, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 9, needs=("atlas",)),

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tasks.continuation.joint import determinants, joint, joint_by_X, rounding_step
 from tasks.continuation.pseudo_arclength import bordered_matrix, replace_singular
+from tasks.continuation.tracking import Point
 from tasks.fixed_points.rounding import UNITS, by_fifteen
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.problem import EPS, Lanes, Problem
@@ -218,7 +220,7 @@ def _speed_maximum(at: Evaluation) -> np.ndarray:
 
 
 #: The scalar that vanishes at a special point, by its kind.
-SCALARS: dict[str, Callable[[Evaluation], np.ndarray]] = {
+SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "fold": _fold,
     "flip": _flip,
     "neimark_sacker": _neimark_sacker,
@@ -236,14 +238,15 @@ SCALARS: dict[str, Callable[[Evaluation], np.ndarray]] = {
 
 
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.ndarray:
+def scalar(kind: str, at: Evaluation | Point, target: np.ndarray | float = 0.0) -> np.ndarray:
     """Return the scalar that vanishes at special points of a kind.
 
     Parameters
     ----------
     kind : str
         Of SCALARS.
-    at : Evaluation
+    at : Evaluation, or Point
+        Of a point of a branch, scalars that need no derivative of the equations.
     target : ndarray, shape (n,), or float
         The value that a scalar has at the special point: of ln slope for `window`, of ln speed in the walker's
         units for `speed`, of d ln angle/d ln slope for `exponent`.
@@ -366,7 +369,7 @@ class Polish:
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def newton_step(
-    problem: Lanes,
+    problem: Problem,
     kind: str,
     Z: np.ndarray,
     rows: np.ndarray,
@@ -431,7 +434,7 @@ class Solved:
 
 
 def solve(
-    problem: Lanes,
+    problem: Problem,
     kind: str,
     guess: np.ndarray,
     target: np.ndarray | float = 0.0,
