@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,20 +11,10 @@ import numpy as np
 from tasks import registry
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
-from tasks.continuation.codimension_one import (
-    CLOSED,
-    DIFFERENCE,
-    ENDS,
-    SCALARS,
-    Curve,
-    End,
-    Point,
-    follow,
-    turning,
-)
+from tasks.continuation.codimension_one import DIFFERENCE, Curve, follow_both_directions, turning
 from tasks.continuation.defining import slope_error
 from tasks.continuation.special_points import special_points
-from tasks.step.problem import EPS, Lanes, Problem
+from tasks.step.problem import EPS, Problem
 from tasks.walkers.resolve import is_one_link, resolve
 from tasks.walkers.walker import ONE_LINK, Walker, WalkerError
 
@@ -82,28 +71,27 @@ def curve(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
             begin += 1e-3 * (usual - begin)
         problem = Problem(walker_at(begin))
         branches = atlases.from_arrays(inputs[0]) if begin == own else atlases.survey(problem)
-        seeds = _seeds(problem, branches, options["kinds"], window)
         seen: list[tuple[str, np.ndarray]] = []
-        for kind, U, times in seeds:
-            equations = (End if kind in ENDS else Curve)(kind, walker_at, usual, (low, high))
-            U = equations.begin(U, times, begin)
-            border = np.zeros(len(U))
-            border[-1] = 1.0
-            first = equations.correct(U, times, border)
-            if not first.ok or any(k == kind and np.abs(first.U - p).max() < 1e-3 for k, p in seen):
+        for kind, Z in _seeds(problem, branches, options["kinds"], window):
+            equations = Curve(kind, walker_at, usual, (low, high))
+            place = equations.m + 1
+            first = equations.correct(np.insert(Z, place, begin / equations.scale), np.eye(len(Z) + 1)[place])
+            own_part = first.Z[: place + 1, 0]
+            if not first.ok[0] or any(k == kind and np.abs(own_part - p).max() < 1e-3 for k, p in seen):
                 continue
-            points = _follow_both_directions(equations, first, window)
+            points, tangents, stopped = follow_both_directions(equations, first, window)
             # A curve that returns to the line it began on passes through another of its points.
-            seen += [(kind, p.U) for p in _returns(equations, points, first)]
+            seen += [(kind, p[: place + 1]) for p in _returns(equations, points, first.Z[:, 0])]
             number = len(set(rows["curve"]))
-            for p in points:
-                place = *_place(equations, p, key, window), _error(equations, p, window)
-                _add(rows, (number, kind, *place, int(equations.walks(p)), p.stopped))
-            for component, turn in ((-1, "key"), (-2, "slope")):
-                for a, b in itertools.pairwise(points):
-                    point = turning(equations, a, b, component)
-                    if point is not None and point.ok:
-                        _add(turns, (number, kind, turn, *_place(equations, point, key, window), point.error))
+            why = [stopped[0], *[""] * (len(points) - 2), stopped[1]] if len(points) > 1 else [stopped[1]]
+            for p, reason in zip(points, why, strict=True):
+                row = *_place(equations, p, key, window), _error(equations, p, window), int(equations.walks(p)), reason
+                _add(rows, (number, kind, *row))
+            for component, turn in ((place, "key"), (place - 1, "slope")):
+                for a, b in itertools.pairwise(zip(points, tangents, strict=True)):
+                    found = turning(equations, a, b, component)
+                    if found is not None:
+                        _add(turns, (number, kind, turn, *_place(equations, found[0], key, window), found[1]))
         if seen:
             break
     return {f"curves/{k}": np.array(v) for k, v in rows.items()} | {
@@ -129,19 +117,18 @@ def _add(table: dict[str, list[Any]], row: tuple[Any, ...]) -> None:
         column.append(value)
 
 
-def _place(equations: Curve, p: Point, key: str, window: Mapping[str, tuple[float, float]]) -> tuple[Any, ...]:
+def _place(equations: Curve, Z: np.ndarray, key: str, window: Mapping[str, tuple[float, float]]) -> tuple[Any, ...]:
     """Slope, key, its value, stance angle and period of a point, in the walker's units."""
-    walker = equations.walker(p.U)
-    slope, value = np.exp(np.clip(p.U[-2], *window["q"])), np.clip(p.U[-1] * equations.scale, *window["key"])
-    period = p.times[-1] * np.sqrt(walker.leg / walker.g)
-    return float(slope), key, float(value), float(np.exp(p.U[0])), float(period)
+    m, walker = equations.m, equations.walker_at(equations.value(Z))
+    slope, value = np.exp(np.clip(Z[m], *window["q"])), np.clip(Z[m + 1] * equations.scale, *window["key"])
+    period = Z[-1] * np.sqrt(walker.leg / walker.g)
+    return float(slope), key, float(value), float(np.exp(Z[0])), float(period)
 
 
-def _error(equations: Curve, p: Point, window: Mapping[str, tuple[float, float]]) -> float:
+def _error(equations: Curve, Z: np.ndarray, window: Mapping[str, tuple[float, float]]) -> float:
     """Bound on the relative error of a point's slope, at its value of the key; infinite where the key turns."""
-    # At a special value the walker alone would have a map of fewer dimensions.
-    problem = Lanes([equations.walker(p.U)], equations.structure).alone(0)
-    Z = np.concatenate([p.U[: equations.m], [np.clip(p.U[-2], *window["q"])], p.times])
+    m, problem = equations.m, equations.problem(Z)
+    Z = np.concatenate([Z[:m], [np.clip(Z[m], *window["q"])], Z[m + 2 :]])
     return slope_error(problem, equations.kind, Z) + 8 * EPS
 
 
@@ -157,49 +144,32 @@ def _own_value(line: Mapping[str, Any], key: str) -> float:
 
 def _seeds(
     problem: Problem, branches: list[Branch], kinds: Any, window: Mapping[str, tuple[float, float]]
-) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Special points of a line's branches at which curves begin: kind, (w, q) and event times."""
+) -> list[tuple[str, np.ndarray]]:
+    """Special points of a line's branches at which curves begin: kind, and Z (c,) without a key."""
     seeds = []
     m = problem.m
     for branch in branches:
         for point in special_points(problem, branch):
             q = np.log(float(point["slope"]))
-            if point["kind"] not in kinds or point["kind"] not in (*SCALARS, *ENDS):
-                continue
-            if not window["q"][0] <= q <= window["q"][1]:
+            if point["kind"] not in kinds or not window["q"][0] <= q <= window["q"][1]:
                 continue
             # Folds are nodes; between nodes the branch's polynomial is accurate enough as a guess.
             angle = np.log(float(point["stance_angle"]))
             near = [branch.Z[np.argmin(np.abs(branch.Z[:, [0, m]] - [angle, q]).max(axis=1))]]
             near += [Z[0] for _, Z, _ in branch.guesses(np.array([q]))]
-            Z = min(near, key=lambda z: abs(z[0] - angle) + abs(z[m] - q))
-            seeds.append((str(point["kind"]), Z[: m + 1], Z[m + 1 :]))
+            seeds.append((str(point["kind"]), min(near, key=lambda z: abs(z[0] - angle) + abs(z[m] - q))))
     return seeds
 
 
-def _follow_both_directions(equations: Curve, first: Point, window: Mapping[str, tuple[float, float]]) -> list[Point]:
-    """The curve through a point, from the end with decreasing to that with increasing arclength; or once round."""
-    up = follow(equations, replace(first), 1.0, window)
-    if up[-1].stopped == CLOSED:
-        up[0].stopped = CLOSED
-        return up
-    down = follow(equations, replace(first), -1.0, window)
-    for p in down:
-        p.tangent = -p.tangent
-    up[0].stopped = up[0].stopped or down[0].stopped  # where either is its only point
-    return down[:0:-1] + up
-
-
-def _returns(equations: Curve, points: list[Point], first: Point) -> list[Point]:
+def _returns(equations: Curve, points: np.ndarray, first: np.ndarray) -> list[np.ndarray]:
     """Points of a curve at the value of the key at which it began."""
-    border = np.zeros(len(first.U))
-    border[-1] = 1.0
-    value = first.U[-1]
+    place = equations.m + 1
+    border, value = np.eye(len(first))[place], first[place]
     # One that began at the border of the range ends there.
-    returns = [first, *(p for p in (points[0], points[-1]) if abs(p.U[-1] - value) < 1e-9)]
+    returns = [first, *(p for p in (points[0], points[-1]) if abs(p[place] - value) < 1e-9)]
     for a, b in itertools.pairwise(points):
-        if (a.U[-1] - value) * (b.U[-1] - value) < 0:
-            h = (value - a.U[-1]) / (b.U[-1] - a.U[-1])
-            p = equations.correct((1 - h) * a.U + h * b.U, (1 - h) * a.times + h * b.times, border)
-            returns += [p] if p.ok else []
+        if (a[place] - value) * (b[place] - value) < 0:
+            h = (value - a[place]) / (b[place] - a[place])
+            at = equations.correct((1 - h) * a + h * b, border)
+            returns += [at.Z[:, 0]] if at.ok[0] else []
     return returns

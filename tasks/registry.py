@@ -56,19 +56,19 @@ TASKS = {
         ),
         Task("points", "tasks.solve_points:points", 18, needs=("atlas",)),
         Task("trace", "tasks.trace_motion:trace", 4, needs=("atlas",)),
-        Task("branch", "tasks.follow_branches:branch", 14, needs=("atlas",)),
+        Task("branch", "tasks.follow_branches:branch", 15, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 7, needs=("atlas",)),
         Task("cascade", "tasks.locate_cascade:cascade", 14, needs=("atlas",)),
         Task("basin", "tasks.map_basin:basin", 9, needs=("atlas",)),
-        Task("curve", "tasks.follow_curves:curve", 9, needs=("atlas",)),
+        Task("curve", "tasks.follow_curves:curve", 10, needs=("atlas",)),
         Task("design", "tasks.map_designs:design", 16),
         Task("census", "tasks.count_gaits:census", 11),
         Task("scaling", "tasks.fit_laws:scaling", 4, needs=("points",)),
         Task("transition", "tasks.fit_laws:transition", 4, needs=("points",)),
-        Task("landmarks", "tasks.locate_landmarks:landmarks", 2, needs=("atlas",)),
+        Task("landmarks", "tasks.locate_landmarks:landmarks", 3, needs=("atlas",)),
         Task("corners", "tasks.locate_landmarks:corners", 2, needs=("atlas",)),
         Task("crises", "tasks.locate_landmarks:crises", 4, needs=("atlas", "cascade", "corners")),
-        Task("claims", "tasks.check_claims:claims", 14, needs=("points", "atlas")),
+        Task("claims", "tasks.check_claims:claims", 15, needs=("points", "atlas")),
     )
 }
 

@@ -236,16 +236,20 @@ def _characteristic_error(
     cases = [(scale * unit, Y) for unit in _UNITS] + [(scale, Y + shift) for shift in shifts]
     steps = _evaluate(problem, cycle, slope, cases)
 
-    def change(derivatives: np.ndarray) -> np.ndarray:
-        return np.abs(characteristic(product(derivatives)) - characteristic(product(A)))
-
-    error = _SAFETY * np.max([change(step.jacobian) for step in steps[: len(_UNITS)]], axis=0)
+    # Products of the steps before each and after it.
+    before, after = [np.eye(m)], [np.eye(m)]
+    for i in range(n):
+        before.append(A[:, :, i] @ before[-1])
+        after.append(after[-1] @ A[:, :, n - 1 - i])
+    whole = characteristic(before[n])
+    error = _SAFETY * np.max(
+        [np.abs(characteristic(product(s.jacobian)) - whole) for s in steps[: len(_UNITS)]], axis=0
+    )
     for shift, row, step in zip(shifts, moved, steps[len(_UNITS) :], strict=True):
         for i in range(n):
-            alone = A.copy()
-            alone[:, :, i] = step.jacobian[:, :, i]
-            error += change(alone) / shift.max(axis=0)[i] * row[i]
-    return np.asarray(error + _SAFETY * EPS * characteristic(np.abs(product(A)), 1.0))
+            alone = after[n - 1 - i] @ step.jacobian[:, :, i] @ before[i]
+            error += np.abs(characteristic(alone) - whole) / shift.max(axis=0)[i] * row[i]
+    return np.asarray(error + _SAFETY * EPS * characteristic(np.abs(before[n]), 1.0))
 
 
 def _evaluate(

@@ -52,8 +52,6 @@ def load(archive: str | Path, table: str | None = None) -> Any:
     if not isinstance(archive, str | Path):
         raise ArchiveError(f"An archive must be a file; got {type(archive).__name__}.")
     path = Path(archive)
-    read.size_of(path)
-    read.probe_once(path.resolve(), path.stat().st_mtime_ns)
     with read.open_archive(path) as file:  # unreadable parts of a damaged file are reported as such
         tables = list(read.tables(file))
         if table is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
 import json
 import os
@@ -289,12 +288,6 @@ def _wait(process: subprocess.Popen[bytes], seconds: float) -> None:
         before, clock = clock, time.monotonic()
         seconds -= min(_MAX_CHARGED, clock - before)
     raise TimeoutError
-
-
-@functools.lru_cache(64)
-def probe_once(path: Path, modified: int) -> None:
-    """As `probe`, of one archive, but only once until its time of modification changes."""
-    probe([path])
 
 
 def _read_whole(path: Path) -> None:

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from tasks.continuation.branch import Branch
+from tasks.continuation.defining import SCALARS, scalar
 from tasks.continuation.locate import correct_and_evaluate
 from tasks.continuation.lockstep import Call, Procedure
 from tasks.continuation.tracking import correct, fall_margin
@@ -108,14 +109,14 @@ def _with_consistent_ends(branch: Branch) -> Procedure[Branch]:
     m, why = branch.m, list(branch.why)
     Z = branch.Z[[0, -1]].T
     point = yield Call(correct, (Z[: m + 1], Z[m + 1 :], branch.direction[[0, -1]].T), (("max_iterations", 1),))
-    closing = point.stride.closing / point.stride.y[0]
-    values = {
-        "end_kneestrike_at_heelstrike": Z[-1] - Z[m + 1],
-        "end_tangential_heelstrike": closing[-1],
-        "end_tangential_kneestrike": closing[0],
-        "a fall": fall_margin(Z[: m + 1], Z[m + 1 :]),
-    }
-    for side in (0, 1):
-        if why[side] in values and not abs(values[why[side]][side]) < _MAX_END:
+    at_ends = replace(point, X=Z[: m + 1], times=Z[m + 1 :])
+    for side, kind in enumerate(branch.why):
+        if kind == "a fall":
+            value = fall_margin(at_ends.X, at_ends.times)[side]
+        elif kind in SCALARS and kind not in ("fold", "window"):
+            value = scalar(kind, at_ends)[side]
+        else:
+            continue
+        if not abs(value) < _MAX_END:
             why[side] = "no further point"
     return replace(branch, why=(why[0], why[1])) if tuple(why) != branch.why else branch

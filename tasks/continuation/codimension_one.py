@@ -1,34 +1,31 @@
 """Curves of special points in two parameters: folds, flips and ends of walking in slope and one walker key.
 
-A point of a fold or a flip is U = (w, q, k): similarity coordinates of the section, q = ln slope and the key over its
-scale. It solves P(y) = y together with one smooth scalar g: det(I - A) for a fold, det(I + A) for a flip. Derivatives
-of P by y and slope are exact, all others are central differences, evaluated as further lanes of one call.
-
-Where walking ends in a tangential heelstrike its time is no smooth function of the rest. So the time is an unknown,
-U = (w, T, q, k), with the equation that the foot is on the ground, and g is the rate of the heelstrike guard. Where
-heelstrike coincides with kneestrike, g is the height of the foot at kneestrike. Nothing is singular where both meet.
+A point is Z = (X, key, times): similarity coordinates and ln slope, the key over its range, and the event times. It
+solves the defining equations (`tasks.continuation.defining`) with the key as a further unknown. Nothing is singular
+where strikes turn tangential or coincide, so ends are followed as folds and flips are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tasks.continuation import pseudo_arclength as engine
-from tasks.continuation.joint import determinants, linearised
+from tasks.continuation.defining import joint_derivative
 from tasks.continuation.root import passes
-from tasks.mechanics.lumped import constants_of, structure_of
-from tasks.step.problem import Lanes
-from tasks.step.simulate import STRUCK, scanner
+from tasks.continuation.tracking import CLOSED, Track
+from tasks.mechanics.lumped import structure_of
+from tasks.step.problem import Lanes, Problem
+from tasks.step.simulate import STRUCK
 from tasks.step.simulate import stride as simulate_step
-from tasks.step.step_map import Stride, StrideMap, stride_map
 from tasks.walkers.walker import Walker, WalkerError
 
-#: Relative step of the central differences.
+#: Step of the central differences by Z and by the key over its range.
 DIFFERENCE = 1e-5
 _NEWTON = engine.Newton(max_iterations=14, max_step=0.5, small=1e-8, shrinking=0.3)
+#: Newton step that is rounding.
+_ROUNDING_STEP = 1e-14
 #: Steps grow where the predictor's error over their length is below the target, and are kept elsewhere.
 _CONTROL = engine.StepControl(
     shortest=5e-4,
@@ -40,361 +37,230 @@ _CONTROL = engine.StepControl(
     reduction=0.4,
     max_bend=0.1,
 )
-_MAX_POINTS = 5000
-#: Why a curve is followed no further.
-BORDER, CLOSED, LOST, TOO_MANY = "border", "closed", "no further point", "too many points"
-
-
-def _shifted_det(sign: float) -> Callable[[Stride], np.ndarray]:
-    """Test function det(I + sign A) of a step's Jacobian A."""
-
-    def value(stride: Stride) -> np.ndarray:
-        A = np.moveaxis(stride.jacobian, -1, 0)
-        return determinants(np.eye(A.shape[1]) + sign * A)
-
-    return value
-
-
-#: The scalar g that vanishes at folds and at flips.
-SCALARS: dict[str, Callable[[Stride], np.ndarray]] = {"fold": _shifted_det(-1.0), "flip": _shifted_det(1.0)}
-#: Time after kneestrike to which steps that end there are integrated; its value has no effect [sqrt(leg/g)].
-_TIME_BEYOND = 0.1
-#: The ends of walking that can be followed.
-ENDS = ("end_kneestrike_at_heelstrike", "end_tangential_heelstrike")
-
-
-@dataclass
-class Point:
-    """A point of a curve.
-
-    Attributes
-    ----------
-    U, tangent : ndarray, shape (u,)
-        The point and the curve's unit tangent.
-    times : ndarray, shape (k,) [sqrt(leg/g)]
-        Event times.
-    ok : bool
-        Whether Newton converged.
-    error : float
-        Size of the last Newton step.
-    stopped : str
-        Why the curve was followed no further; empty between its ends.
-    """
-
-    U: np.ndarray
-    times: np.ndarray
-    tangent: np.ndarray
-    ok: bool
-    error: float
-    stopped: str = ""
+#: Length of the first step, and most points of a curve.
+_FIRST_STEP, _MAX_POINTS = 0.02, 5000
+#: Why a curve is followed no further; or it is CLOSED.
+BORDER, LOST, TOO_MANY = "border", "no further point", "too many points"
 
 
 class Curve:
-    """The equations of folds or flips over slope and a key; `scale`, its range, is the key's unit in U.
+    """The equations of special points over slope and a key.
 
     Parameters
     ----------
     kind : str
-        Of SCALARS, or of ENDS for `End`.
+        Of `defining.SCALARS`.
     walker_at : callable
         The walker at a value of the key.
     value : float
         An ordinary value: constants that vanish only at special ones stay parameters.
     limits : tuple of float
-        Least and largest value of the key.
+        Least and largest value of the key; its unit in Z is their difference, `scale`.
     """
 
     def __init__(self, kind: str, walker_at: Callable[[float], Walker], value: float, limits: tuple[float, float]):
         self.kind, self.walker_at, self.limits, self.scale = kind, walker_at, limits, limits[1] - limits[0]
         self.structure = structure_of(walker_at(value))
-        self.map: StrideMap = stride_map(self.structure)
-        self.m = self.map.m
+        self.m = self.structure.dimension
 
-    def walker(self, U: np.ndarray) -> Walker:
-        """Return the walker at a point, or at the limit of the key where it lies beyond.
+    def value(self, Z: np.ndarray) -> float:
+        """Return the key's value at a point Z (c,), or its limit where the point lies beyond."""
+        return float(np.clip(Z[self.m + 1] * self.scale, *self.limits))
 
-        Parameters
-        ----------
-        U : ndarray, shape (u,)
+    def problem(self, Z: np.ndarray) -> Problem:
+        """Return the step map at a point Z (c,)."""
+        # At a special value the walker alone would have a map of fewer dimensions.
+        return Lanes([self.walker_at(self.value(Z))], self.structure).alone(0)
+
+    def _lanes(self, values: np.ndarray) -> Lanes:
+        """The step map at values of the key (n,); beyond its limits, where there may be no walker, continued linearly.
+
+        It is the constants that are continued.
         """
-        return self.walker_at(float(np.clip(U[-1] * self.scale, *self.limits)))
-
-    def begin(self, X: np.ndarray, times: np.ndarray, value: float) -> np.ndarray:
-        """Return U for a line's point at a value of the key.
-
-        Parameters
-        ----------
-        X : ndarray, shape (m + 1,)
-            Similarity coordinates and ln slope.
-        times : ndarray, shape (k,) [sqrt(leg/g)]
-            Event times.
-        value : float
-            Of the key.
-
-        Returns
-        -------
-        ndarray, shape (u,)
-        """
-        return np.append(X, value / self.scale)
-
-    def _section(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Section coordinates and parameters at points U (u, n), each with a walker of its own."""
-        angle = np.exp(U[0])
-        size = np.full(U.shape[1], np.exp2(np.floor(np.log2(angle[0]))))
-        parameters = np.vstack([np.exp(U[-2]), size, self._constants(U[-1] * self.scale)])
-        return np.vstack([angle, angle * U[1 : self.m]]) / size, parameters
-
-    def _constants(self, values: np.ndarray) -> np.ndarray:
-        """Constants at values of the key (n,); beyond its limits, where there may be no walker, continued linearly."""
         inner = np.clip(values, *self.limits)
-        places = [inner] if (inner == values).all() else [inner, 2 * inner - values]
-        at = [constants_of([self.walker_at(v) for v in each.tolist()], self.structure) for each in places]
-        return 2 * at[0] - at[1] if len(at) > 1 else at[0]
+        lanes = Lanes([self.walker_at(v) for v in inner.tolist()], self.structure)
+        if (inner != values).any():
+            mirrored = Lanes([self.walker_at(v) for v in (2 * inner - values).tolist()], self.structure)
+            lanes.constants = 2 * lanes.constants - mirrored.constants
+        return lanes
 
-    def system(
-        self, U: np.ndarray, times: np.ndarray, h: float = DIFFERENCE
-    ) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    def system(self, Z: np.ndarray, h: float = DIFFERENCE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Evaluate the equations at one point.
 
         Parameters
         ----------
-        U : ndarray, shape (u,)
-        times : ndarray, shape (k,) [sqrt(leg/g)]
-            Event times to begin with.
+        Z : ndarray, shape (c,)
         h : float
             Step of the central differences.
 
         Returns
         -------
-        residual : ndarray, shape (u - 1,)
-        derivative : ndarray, shape (u - 1, u)
-        times_after : callable
-            Event times after a change of U.
+        residual : ndarray, shape (c - 1,)
+        derivative : ndarray, shape (c - 1, c)
+            By X, the key and the durations of the phases.
+        times_by : ndarray, shape (k, c)
+            Derivatives of the event times by the same.
         """
-        m = self.m
-        lanes = _neighbours(U, h)
-        y, parameters = self._section(lanes)
-        # The Jacobian is as accurate as the event times: each lane first corrects its own.
-        own_times = self.map(y, np.repeat(times[:, None], lanes.shape[1], axis=1), parameters, slope=True).times
-        steps = self.map(y, own_times, parameters, slope=True)
-        residual, by_X = linearised(steps, lanes[: m + 1])
-        g = SCALARS[self.kind](steps)
-        derivative = np.zeros((m + 1, m + 2))
-        derivative[:m, : m + 1] = by_X[0]
-        derivative[:m, m + 1] = (residual[-2] - residual[-1]) / (2 * h)
-        derivative[m] = (g[1::2] - g[2::2]) / (2 * h)
-        by_y, by_slope = steps.times_by_y[:, :, 0], steps.times_by_slope[:, 0]
+        place = self.m + 1
+        lanes = self._lanes((Z[place] + h * np.array([0.0, 1.0, -1.0])) * self.scale)
+        residual, derivative, times_by = joint_derivative(lanes, self.kind, np.delete(Z, place), np.array([h]), h=h)
+        by_key, derivative = derivative[:, -1:], derivative[:, :-1]
+        derivative = np.hstack([derivative[:, :place], by_key, derivative[:, place:]])
+        return residual, derivative, np.insert(times_by, place, 0.0, axis=1)
 
-        def times_after(dU: np.ndarray) -> np.ndarray:
-            y = steps.y[:, 0]
-            dy = np.append(dU[0] * y[0], y[0] * dU[1:m] + dU[0] * y[1:])
-            return steps.times[:, 0] + by_y @ dy + by_slope * np.exp(U[m]) * dU[m]
+    def correct(self, Z: np.ndarray, border: np.ndarray) -> engine.Corrected:
+        """Correct a point of the curve in the plane through Z normal to `border`, both (c,) or (c, 1), by Newton."""
+        Z, border = Z.reshape(-1, 1), border.reshape(-1, 1)
+        return engine.bordered_newton(self._linearise, lambda *_: _ROUNDING_STEP, _NEWTON, Z, border, self.m + 2)
 
-        return np.append(residual[0], g[0]), derivative, times_after
+    def _linearise(self, lanes: np.ndarray, Z: np.ndarray) -> engine.Linearisation:
+        """The equations at one point, as a lane; NaN where there is no such walker."""
+        c, k = len(Z), len(Z) - self.m - 2
+        try:
+            residual, derivative, times_by = self.system(Z[:, 0])
+        except WalkerError:
+            residual, derivative, times_by = np.full(c - 1, np.nan), np.full((c - 1, c), np.nan), np.zeros((k, c))
+        return engine.Linearisation(residual[None], derivative[None], times_by[..., None], np.zeros((k, 1)))
 
-    def correct(self, U: np.ndarray, times: np.ndarray, border: np.ndarray) -> Point:
-        """Correct a point of the curve in the plane through U normal to `border`, by Newton.
-
-        Parameters
-        ----------
-        U, border : ndarray, shape (u,)
-        times : ndarray, shape (k,) [sqrt(leg/g)]
-            Event times to begin with.
-        """
-        normal = np.pad(border, (0, len(times)))[:, None]
-        return self._point(self._correct_lanes(np.append(U, times)[:, None], normal, len(U)), border)
-
-    def _correct_lanes(self, Z: np.ndarray, border: np.ndarray, u: int) -> engine.Corrected:
-        """Correct n points Z = (U, times), shape (u + k, n), in the planes normal to `border`."""
-        return engine.bordered_newton(lambda lanes, Z: self._linearise(Z, u), lambda *_: 1e-14, _NEWTON, Z, border, u)
-
-    def _point(self, at: engine.Corrected, direction: np.ndarray) -> Point:
-        """Return the one corrected point, its tangent on the side of a direction (u,)."""
-        u = len(direction)
-        if not at.ok[0]:
-            return Point(np.full(u, np.nan), at.Z[u:, 0], direction, False, np.inf)
-        tangent = at.direction[:u, 0] * (np.sign(at.direction[:u, 0] @ direction) or 1.0)
-        return Point(at.Z[:u, 0], at.Z[u:, 0], tangent, True, float(at.error[0]))
-
-    def _linearise(self, Z: np.ndarray, u: int) -> engine.Linearisation:
-        """The equations at n points; NaN where there is no such walker."""
-        k, n = len(Z) - u, Z.shape[1]
-        residual, derivative = np.full((n, u - 1), np.nan), np.full((n, u - 1, u), np.nan)
-        times_by, late = np.full((k, u, n), np.nan), np.full((k, n), np.nan)
-        for i in range(n):
-            try:
-                residual[i], derivative[i], times_after = self.system(Z[:u, i], Z[u:, i])
-            except WalkerError:
-                continue
-            own = times_after(np.zeros(u))
-            times_by[..., i] = np.transpose([times_after(e) - own for e in np.eye(u)])
-            late[:, i] = own - Z[u:, i]
-        return engine.Linearisation(residual, derivative, times_by, late)
-
-    def walks(self, point: Point) -> bool:
-        """Whether the strikes solved for are the first ones of the step, by simulation."""
-        U = point.U
-        y = np.append(np.exp(U[0]), np.exp(U[0]) * U[1 : self.m])[:, None]
-        # At a special value the walker alone would have a map of fewer dimensions.
-        step = simulate_step(Lanes([self.walker(U)], self.structure), y, np.exp(U[self.m : self.m + 1]), exact=False)
-        return bool(step.outcome[0] == STRUCK and np.abs(step.times[:, 0] - point.times).max() < 1e-3)
+    def walks(self, Z: np.ndarray) -> bool:
+        """Whether a point's step happens, or at an end of walking is the limit of steps that do."""
+        problem, w, q = self.problem(Z), np.delete(Z, [self.m, self.m + 1])[:, None], Z[self.m : self.m + 1]
+        times = w[self.m :]
+        if self.kind.startswith("end_"):
+            # Kneestrike is not late, and the foot does not rise as it strikes.
+            stride, _ = problem.stride(w, q)
+            early = (times > 0).all() and (np.diff(times[:, 0]) > -1e-6).all()
+            return bool(early and stride.closing[-1, 0] < 1e-6 * stride.y[0, 0])
+        y = np.exp(w[:1]) * np.vstack([np.ones((1, 1)), w[1 : self.m]])
+        step = simulate_step(problem, y, np.exp(q), exact=False)
+        return bool(step.outcome[0] == STRUCK and np.abs(step.times - times).max() < 1e-3)
 
 
-class End(Curve):
-    """The equations of an end of walking: heelstrike coincides with kneestrike, or is tangential."""
-
-    def _end_of_step(self, U: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Integrate steps to their end at points U (u, n).
-
-        Returns
-        -------
-        y : ndarray, shape (m, n)
-            Section coordinates at the start.
-        final : ndarray, shape (4, n)
-            Scaled state of the locked legs at the end.
-        times : ndarray, shape (k, n)
-            Event times.
-        parameters : ndarray, shape (n_parameters, n)
-        """
-        y, parameters = self._section(U)
-        if len(times) == 1:
-            step = self.map(y, U[self.m][None], parameters, samples=1)
-            return y, step.motion[-1][-1], U[self.m][None], parameters
-        tangential = self.kind == "end_tangential_heelstrike"
-        knee = np.full(U.shape[1], times[0])
-        # The error of kneestrike's time, squared each time, must not show in the differences.
-        for _ in range(3):
-            heel = U[self.m] if tangential else knee + _TIME_BEYOND
-            step = self.map(y, np.vstack([knee, heel]), parameters, samples=int(tangential))
-            knee = step.times[0]
-        if tangential:
-            return y, step.motion[-1][-1], np.vstack([knee, heel]), parameters
-        # Heelstrike is at kneestrike: the knee has just locked.
-        return y, scanner(self.structure).lock(step.knee, parameters), np.vstack([knee, knee]), parameters
-
-    def begin(self, X: np.ndarray, times: np.ndarray, value: float) -> np.ndarray:
-        """Return U, as `Curve.begin` does, with the time of a tangential heelstrike."""
-        heel = times[-1:] if self.kind == "end_tangential_heelstrike" else times[:0]
-        return np.concatenate([X[:-1], heel, X[-1:], [value / self.scale]])
-
-    def system(
-        self, U: np.ndarray, times: np.ndarray, h: float = DIFFERENCE
-    ) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-        """Evaluate the equations at one point, as `Curve.system` does."""
-        y, final, own_times, parameters = self._end_of_step(_neighbours(U, h), times)
-        a, b, a_rate, b_rate = final
-        image = final[1:] if self.structure.kneed else scanner(self.structure).strike(final, parameters)
-        rate = [a_rate + b_rate] if self.kind == "end_tangential_heelstrike" else []
-        G = np.vstack([*(image - y), a + b, *rate]) / y[0]
-        derivative, times_by_U = ((v[:, 1::2] - v[:, 2::2]) / (2 * h) for v in (G, own_times))
-        return G[:, 0], derivative, lambda dU: own_times[:, 0] + times_by_U @ dU
-
-    def walks(self, point: Point) -> bool:
-        """Whether walking ends here: kneestrike is not late, and the foot does not rise as it strikes."""
-        y, final, times, _ = self._end_of_step(point.U[:, None], point.times)
-        early = (times > 0).all() and (np.diff(times[:, 0]) > -1e-6).all()
-        return bool(early and final[2, 0] + final[3, 0] < 1e-6 * y[0, 0])
-
-
-def _neighbours(U: np.ndarray, h: float) -> np.ndarray:
-    """U, then U + h and U - h along each axis, shape (u, 1 + 2 u)."""
-    lanes = [U]
-    for step in h * np.eye(len(U)):
-        lanes += [U + step, U - step]
-    return np.array(lanes).T
-
-
-def follow(
-    curve: Curve, first: Point, direction: float, window: Mapping[str, tuple[float, float]], step: float = 0.02
-) -> list[Point]:
+def follow(curve: Curve, first: engine.Corrected, direction: float, window: Mapping[str, tuple[float, float]]) -> Track:
     """Follow a curve from a point on it up to the window's border, or until it closes.
 
     Parameters
     ----------
-    first : Point
+    first : Corrected
         Where it begins.
     direction : float
         1 towards increasing values of the key, -1 towards decreasing ones.
     window : mapping
         `q` (ln slope) and `key`: least and largest value of each.
-    step : float
-        Length of the first continuation step.
     """
-    first.tangent = first.tangent * (np.sign(first.tangent[-1] or 1.0) * direction)
-    points, u = [first], len(first.U)
+    tangent = first.direction * (np.sign(first.direction[curve.m + 1, 0]) or 1.0) * direction
+    Z, T, measured = [first.Z[:, 0]], [tangent[:, 0]], curve.m + 2
 
     def judge(point: engine.Corrected, guess: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.ones(1, bool), error / step
+        return np.ones(1, bool), error / track.step
 
-    while len(points) < _MAX_POINTS and step > _CONTROL.shortest:
-        last = points[-1]
-        track = engine.Tracks(
-            _CONTROL, engine.column(last.U, last.times), engine.column(last.tangent, 0 * last.times), step, u
-        )
-        if len(points) > 1:
-            back = np.linalg.norm(last.U - points[-2].U)
-            track.turning = engine.column(last.tangent - points[-2].tangent, 0 * last.times) / back
-            track.tangent[u:, 0] = (last.times - points[-2].times) / back
-        corrected, fair = track.advance(np.array([0]), lambda Z, border: curve._correct_lanes(Z, border, u), judge)
-        if fair[0]:
-            new = curve._point(corrected, last.tangent)
-            if (leaves := _exit(curve, last, new, window)) is None:
-                if len(points) > 3 and passes(first.U, first.tangent, last.U, last.tangent, new.U, new.tangent):
-                    return [*points, replace(first, stopped=CLOSED)]
-                points.append(new)
-                step = float(track.step[0])
-                continue
+    def until(reason: str) -> Track:
+        return Track(np.array(Z), np.array(T), reason)
+
+    track = engine.Tracks(_CONTROL, first.Z, tangent, _FIRST_STEP, measured)
+    while len(Z) < _MAX_POINTS and track.step[0] > _CONTROL.shortest:
+        step = track.step[0]
+        _, fair = track.advance(np.array([0]), curve.correct, judge)
+        if not fair[0]:
+            continue
+        new, ahead = track.Z[:, 0].copy(), track.tangent[:, 0].copy()
+        if (leaves := _exit(curve, Z[-1], new, window)) is not None:
             component, edge, share = leaves
             if share < 1e-9:  # it begins there
-                return [*points[:-1], replace(last, stopped=BORDER)]
-            guess = last.U + share * (new.U - last.U)
+                return until(BORDER)
+            guess = Z[-1] + share * (new - Z[-1])
             guess[component] = edge
-            new = curve.correct(guess, last.times + share * (new.times - last.times), np.eye(u)[component])
-            if new.ok:
-                new.tangent *= np.sign(new.tangent @ last.tangent) or 1.0
-                return [*points, replace(new, stopped=BORDER)]
-        step *= _CONTROL.reduction
-    points[-1].stopped = LOST if len(points) < _MAX_POINTS else TOO_MANY
-    return points
+            at = curve.correct(guess, np.eye(len(guess))[component])
+            if at.ok[0]:
+                Z.append(at.Z[:, 0])
+                T.append(at.direction[:, 0] * (np.sign(at.direction[:, 0] @ T[-1]) or 1.0))
+                return until(BORDER)
+            track = engine.Tracks(_CONTROL, Z[-1][:, None], T[-1][:, None], _CONTROL.reduction * step, measured)
+            continue
+        own = (each[:measured] for each in (Z[0], T[0], Z[-1], T[-1], new, ahead))
+        closes = len(Z) > 3 and passes(*own)
+        Z.append(Z[0] if closes else new)
+        T.append(T[0] if closes else ahead)
+        if closes:
+            return until(CLOSED)
+    return until(LOST if len(Z) < _MAX_POINTS else TOO_MANY)
 
 
 def _exit(
-    curve: Curve, last: Point, new: Point, window: Mapping[str, tuple[float, float]]
+    curve: Curve, last: np.ndarray, new: np.ndarray, window: Mapping[str, tuple[float, float]]
 ) -> tuple[int, float, float] | None:
-    """Component of U in which a continuation step leaves the window, the border, and the share of the step up to it."""
+    """Component of Z in which a continuation step leaves the window, the border, and the share of the step up to it."""
     exits = []
-    for component, (low, high) in ((-2, window["q"]), (-1, np.array(window["key"]) / curve.scale)):
-        edge = float(np.clip(new.U[component], low, high))
-        if edge != new.U[component]:
-            share = float((edge - last.U[component]) / (new.U[component] - last.U[component]))
+    for component, (low, high) in ((curve.m, window["q"]), (curve.m + 1, np.array(window["key"]) / curve.scale)):
+        edge = float(np.clip(new[component], low, high))
+        if edge != new[component]:
+            share = float((edge - last[component]) / (new[component] - last[component]))
             exits.append((component, edge, share))
     return min(exits, key=lambda each: each[2], default=None)
 
 
-def turning(curve: Curve, a: Point, b: Point, component: int) -> Point | None:
-    """Locate where one component of the curve's tangent vanishes between two points; None where it keeps its sign.
+def follow_both_directions(
+    curve: Curve, first: engine.Corrected, window: Mapping[str, tuple[float, float]]
+) -> tuple[np.ndarray, np.ndarray, tuple[str, str]]:
+    """Follow a curve from a point on it in both directions, or once round.
+
+    Returns
+    -------
+    Z, tangent : ndarray, shape (p, c)
+        Points in the order of increasing arclength, and the tangents there.
+    stopped : tuple of str
+        Why it was followed no further at the first and at the last.
+    """
+    up = follow(curve, first, 1.0, window)
+    if up.stop_reason == CLOSED:
+        return up.Z, up.tangent, (CLOSED, CLOSED)
+    down = follow(curve, first, -1.0, window)
+    Z, tangent = np.vstack([down.Z[:0:-1], up.Z]), np.vstack([-down.tangent[:0:-1], up.tangent])
+    return Z, tangent, (down.stop_reason, up.stop_reason)
+
+
+def turning(
+    curve: Curve, a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], component: int
+) -> tuple[np.ndarray, float] | None:
+    """Locate where a component of the curve's tangent vanishes between two points; None where it keeps its sign.
+
+    Parameters
+    ----------
+    a, b : tuple of ndarray, shape (c,)
+        The points, each with the tangent there.
+
+    Returns
+    -------
+    Z : ndarray, shape (c,)
+    error : float
+        Of ln slope: Newton's last step, and how far the turning moves when the tangent's differences are taken over
+        twice the step.
 
     Notes
     -----
     Where the key turns along a curve of folds, two branches of gaits touch and exchange their halves; where the slope
-    turns as well, two folds annihilate (a cusp). `error` of the point is that of ln slope: Newton's last step, and how
-    far the turning moves when the tangent's differences are taken over twice the step.
+    turns as well, two folds annihilate (a cusp).
     """
-    if a.tangent[component] * b.tangent[component] >= 0:
+    if a[1][component] * b[1][component] >= 0:
         return None
-    u, length = len(a.U), float(np.linalg.norm(b.U - a.U))
+    measured = curve.m + 2
+    chord = (b[0] - a[0]) * (np.arange(len(a[0])) < measured)
+    length = float(np.linalg.norm(chord))
+    chord /= length
 
-    def at(Z: np.ndarray, direction: np.ndarray) -> Point:
-        return curve.correct(Z[:u], Z[u:], direction[:u])
+    def along(point: engine.Corrected) -> np.ndarray:
+        return point.direction[:, 0] * (np.sign(point.direction[:, 0] @ chord) or 1.0)
 
-    ends = [curve.correct(p.U, p.times, (b.U - a.U) / length) for p in (a, b)]
-    if not all(p.ok for p in ends) or ends[0].tangent[component] * ends[1].tangent[component] >= 0:
+    ends = [curve.correct(Z, chord) for Z, _ in (a, b)]
+    tangents = [along(point)[component] for point in ends]
+    if not all(point.ok[0] for point in ends) or tangents[0] * tangents[1] >= 0:
         return None
-    one, other = ((np.append(p.U, p.times), np.append(p.tangent, 0 * p.times)) for p in (a, b))
-    turn = engine.root_between(one, other, u, at, lambda point: float(point.tangent[component]), 1e-11)
-    curvature = abs(ends[1].tangent[component] - ends[0].tangent[component]) / length
-    coarse = np.linalg.svd(curve.system(turn.U, turn.times, 2 * DIFFERENCE)[1])[2][-1]
-    coarse *= np.sign(coarse @ turn.tangent)
-    moved = abs(coarse[component] - turn.tangent[component]) / curvature + 1e-11 * length
-    turn.error += float(moved * abs(turn.tangent[-2])) + 8 * np.finfo(float).eps
-    return turn
+    turn = engine.root_between(a, b, measured, curve.correct, lambda point: float(along(point)[component]), 1e-11)
+    if not turn.ok[0]:
+        return None
+    Z, tangent = turn.Z[:, 0], along(turn)
+    derivative = curve.system(Z, 2 * DIFFERENCE)[1]
+    coarse = np.linalg.svd(derivative)[2][-1][:measured]
+    coarse *= np.sign(coarse @ tangent[:measured]) / np.linalg.norm(coarse)
+    moved = abs(coarse[component] - tangent[component]) * length / abs(tangents[1] - tangents[0]) + 1e-11 * length
+    return Z, float(turn.error[0] + moved * abs(tangent[curve.m])) + 8 * np.finfo(float).eps

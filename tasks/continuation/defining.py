@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tasks.continuation.joint import determinants, joint, joint_by_X, rounding_step
 from tasks.continuation.pseudo_arclength import bordered_matrix, replace_singular
+from tasks.continuation.tracking import Point
 from tasks.fixed_points.rounding import UNITS, by_fifteen
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.step.problem import EPS, Lanes, Problem
@@ -49,8 +51,8 @@ class Evaluation:
         By X and the durations of the phases.
     times_by : ndarray, shape (k, c, n)
         Derivatives of the event times by the same.
-    radius, log_unit : ndarray, shape (n,)
-        Radius of the foot over the leg, and the logarithm of sqrt(g leg) in the walker's units.
+    problem : Problem
+        Of one walker, or of the n lanes.
     """
 
     Z: np.ndarray
@@ -58,8 +60,7 @@ class Evaluation:
     residual: np.ndarray
     derivative: np.ndarray
     times_by: np.ndarray
-    radius: np.ndarray
-    log_unit: np.ndarray
+    problem: Problem
 
     @property
     def m(self) -> int:
@@ -70,6 +71,16 @@ class Evaluation:
     def jacobians(self) -> np.ndarray:
         """Jacobians of the step map, shape (n, m, m)."""
         return np.moveaxis(self.stride.jacobian, -1, 0)
+
+    @property
+    def radius(self) -> np.ndarray:
+        """Radius of the foot over the leg, shape (n,)."""
+        return _radius_and_unit(self.problem, self.Z.shape[1])[0]
+
+    @property
+    def log_unit(self) -> np.ndarray:
+        """Logarithm of sqrt(g leg) in the walker's units, shape (n,)."""
+        return _radius_and_unit(self.problem, self.Z.shape[1])[1]
 
     @property
     def log_froude(self) -> np.ndarray:
@@ -174,7 +185,7 @@ def evaluate(problem: Problem, Z: np.ndarray, samples: int = 0) -> Evaluation:
 def _evaluation(problem: Problem, Z: np.ndarray, stride: Stride) -> Evaluation:
     residual, derivative = joint(stride, Z)
     times_by = joint_by_X(stride.times_by, stride, Z)
-    return Evaluation(Z, stride, residual, derivative, times_by, *_radius_and_unit(problem, Z.shape[1]))
+    return Evaluation(Z, stride, residual, derivative, times_by, problem)
 
 
 def _flip(at: Evaluation) -> np.ndarray:
@@ -197,13 +208,19 @@ def _fold(at: Evaluation) -> np.ndarray:
     return determinants(np.delete(at.derivative, at.m, axis=2))
 
 
+def _exponent(at: Evaluation) -> np.ndarray:
+    """Local exponent d ln angle/d ln slope."""
+    derivative, m = at.derivative, at.m
+    return -np.linalg.solve(np.delete(derivative, m, axis=2), derivative[:, :, [m]])[:, 0, 0]
+
+
 def _speed_maximum(at: Evaluation) -> np.ndarray:
     """Determinant that vanishes where the speed is stationary along the branch."""
     return determinants(at.bordered(at.speed_by_Z))
 
 
 #: The scalar that vanishes at a special point, by its kind.
-SCALARS: dict[str, Callable[[Evaluation], np.ndarray]] = {
+SCALARS: dict[str, Callable[[Any], np.ndarray]] = {
     "fold": _fold,
     "flip": _flip,
     "neimark_sacker": _neimark_sacker,
@@ -216,21 +233,23 @@ SCALARS: dict[str, Callable[[Evaluation], np.ndarray]] = {
     "label": lambda at: gait_ratio(at.stride) - 0.5,
     "window": lambda at: at.Z[at.m],
     "speed": lambda at: at.log_froude + at.log_unit,
+    "exponent": _exponent,
 }
 
 
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
-def scalar(kind: str, at: Evaluation, target: np.ndarray | float = 0.0) -> np.ndarray:
+def scalar(kind: str, at: Evaluation | Point, target: np.ndarray | float = 0.0) -> np.ndarray:
     """Return the scalar that vanishes at special points of a kind.
 
     Parameters
     ----------
     kind : str
         Of SCALARS.
-    at : Evaluation
+    at : Evaluation, or Point
+        Of a point of a branch, scalars that need no derivative of the equations.
     target : ndarray, shape (n,), or float
         The value that a scalar has at the special point: of ln slope for `window`, of ln speed in the walker's
-        units for `speed`.
+        units for `speed`, of d ln angle/d ln slope for `exponent`.
 
     Returns
     -------
@@ -258,6 +277,47 @@ def gradient(problem: Problem, kind: str, Z: np.ndarray) -> np.ndarray:
     moved = (Z[:, None, :] + steps.T[:, :, None]).reshape(c, -1)
     values = scalar(kind, evaluate(problem.some(np.tile(np.arange(n), 2 * c)), moved)).reshape(2, c, n)
     return np.asarray((values[0] - values[1]) / (2 * _DIFFERENCE))
+
+
+# Where heelstrike is tangential to the last digit the map has no derivative.
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")
+def joint_derivative(
+    problem: Lanes, kind: str, Z: np.ndarray, steps: np.ndarray, target: float = 0.0, h: float = _DIFFERENCE
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the defining equations of one point and their derivative, with keys as further unknowns.
+
+    By implicit differentiation the last columns give how the point moves with the keys.
+
+    Parameters
+    ----------
+    problem : Lanes
+        The walker, then for each key walkers with more of it by its step, then with less.
+    kind : str
+    Z : ndarray, shape (c,)
+    steps : ndarray, shape (i,)
+        Changes of the keys.
+    target : float
+        As for `scalar`.
+    h : float
+        Step of the central differences by Z.
+
+    Returns
+    -------
+    residual : ndarray, shape (c,)
+    derivative : ndarray, shape (c, c + i)
+        By X, the durations of the phases and the keys, which leave the event times as they are.
+    times_by : ndarray, shape (k, c)
+        Derivatives of the event times by X and the durations.
+    """
+    c, keys = len(Z), len(steps)
+    moved = np.hstack([np.zeros((c, 1)), h * np.eye(c), -h * np.eye(c), np.zeros((c, 2 * keys))])
+    lanes = np.concatenate([np.zeros(1 + 2 * c, int), np.arange(1, 1 + 2 * keys)])
+    at = evaluate(problem.some(lanes), Z[:, None] + moved)
+    values = np.vstack([at.residual.T, scalar(kind, at, target)])
+    up, down = np.split(values[:, 1 + 2 * c :], 2, axis=1)
+    row = (values[-1, 1 : 1 + c] - values[-1, 1 + c : 1 + 2 * c]) / (2 * h)
+    matrix = bordered_matrix(at.derivative[:1], row[:, None], at.times_by[..., :1])[0]
+    return values[:, 0], np.hstack([matrix, (up - down) / (2 * steps)]), at.times_by[..., 0]
 
 
 def defining_system(problem: Lanes, kind: str, Z: np.ndarray, target: float = 0.0) -> np.ndarray:
@@ -309,7 +369,7 @@ class Polish:
 # Where heelstrike is tangential to the last digit the map has no derivative.
 @np.errstate(invalid="ignore", over="ignore", divide="ignore")
 def newton_step(
-    problem: Lanes,
+    problem: Problem,
     kind: str,
     Z: np.ndarray,
     rows: np.ndarray,
@@ -374,7 +434,7 @@ class Solved:
 
 
 def solve(
-    problem: Lanes,
+    problem: Problem,
     kind: str,
     guess: np.ndarray,
     target: np.ndarray | float = 0.0,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tasks.continuation.branch import Branch
+from tasks.continuation.defining import scalar
 from tasks.continuation.locate import (
-    TestFunction,
     check_steps,
     correct_at,
     is_step,
@@ -19,8 +19,9 @@ from tasks.continuation.locate import (
     sampled_steps,
     search_segment,
     strike_distances,
+    test_function,
 )
-from tasks.continuation.lockstep import Call, Procedure, lanes_of
+from tasks.continuation.lockstep import Call, Procedure
 from tasks.continuation.root import root_search
 from tasks.continuation.tracking import Point, correct
 from tasks.step.step_map import SAMPLES
@@ -45,12 +46,8 @@ class BranchEnd:
     error: float
 
 
-#: Test functions of the ends of walking.
-_ENDS: dict[str, TestFunction] = {
-    "end_kneestrike_at_heelstrike": lambda point, direction: float(point.times[-1, 0] - point.times[0, 0]),
-    "end_tangential_heelstrike": lambda point, direction: float(point.stride.closing[-1, 0] / point.stride.y[0, 0]),
-    "end_tangential_kneestrike": lambda point, direction: float(point.stride.closing[0, 0] / point.stride.y[0, 0]),
-}
+#: The ends of walking that equations define.
+_ENDS = ("end_kneestrike_at_heelstrike", "end_tangential_heelstrike", "end_tangential_kneestrike")
 
 
 def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
@@ -60,9 +57,10 @@ def locate_end(branch: Branch, good: int, bad: int) -> Procedure[BranchEnd]:
     at_good = yield from correct_at(branch, segment, branch.Z[good, axis])
     at_bad = yield from correct_at(branch, segment, branch.Z[bad, axis])
     ends: list[tuple[float, BranchEnd]] = []
-    for kind, test in _ENDS.items():
+    for kind in _ENDS:
         if "kneestrike" in kind and len(at_good[0].times) == 1:
             continue
+        test = test_function(kind)
         if test(*at_good) * test(*at_bad) < 0:
             end = BranchEnd(kind, *(yield from locate_root(branch, segment, test)), 0.0)
             # In the coordinate in which the segment is monotone: all others turn where kneestrike is tangential.
@@ -90,8 +88,7 @@ def _walks_up_to(branch: Branch, good: int, segment: int, end: BranchEnd) -> Pro
     border = np.repeat(end.direction[:, None], len(_SHARES), axis=1)
     points = yield Call(correct, (Z[: m + 1], Z[m + 1 :], border))
     check = yield Call(check_steps, (points.X, points.times))
-    each = [lanes_of(points, np.array([i])) for i in range(len(_SHARES))]
-    values = np.array([_ENDS[end.kind](point, end.direction) for point in each])
+    values = scalar(end.kind, points)
     # Corrected points lie slightly off the polynomial; those beyond the end do not count.
     before = (np.sign(values) == np.sign(values[0])) & (np.abs(values) > _MIN_DISTANCE)
     return bool((check.step | ~points.ok | ~before).all())

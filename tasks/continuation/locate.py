@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tasks.continuation.branch import Branch
+from tasks.continuation.defining import scalar
 from tasks.continuation.lockstep import Call, Procedure, lanes_of, run
 from tasks.continuation.root import root_search
 from tasks.continuation.tracking import Point, correct
@@ -32,6 +33,11 @@ _MAX_SPLITS, _MAX_PREDICTION_ERROR = 12, 1e-3
 _MAX_MOVE = 1e-4
 #: Error of a fold's ln slope up to which doubles locate it well enough.
 _SHARP = 1e-13
+
+
+def test_function(kind: str) -> Callable[[Point, np.ndarray], float]:
+    """Return the scalar of a kind of special point as a test function."""
+    return lambda point, direction: float(scalar(kind, point)[0])
 
 
 def oriented_tangent(point: Point, direction: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Special points of a branch, each the root of a smooth test function that is evaluated at corrected points.
+"""Special points of a branch: where a scalar of `defining` vanishes along it, evaluated at corrected points.
 
 Folds, flips, Neimark-Sacker and branch points; the ends of walking, where heelstrike meets kneestrike, heelstrike turns
 tangential or an earlier strike occurs; and the hyperextension of the released knee, beyond which the branch continues.
@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from tasks.continuation.branch import LOST, Branch
-from tasks.continuation.defining import SCALARS, slope_error
-from tasks.continuation.locate import TestFunction, fold_error, locate_root, oriented_tangent
+from tasks.continuation.defining import SCALARS, scalar, slope_error
+from tasks.continuation.locate import fold_error, locate_root, test_function
 from tasks.continuation.lockstep import Procedure, side_by_side
 from tasks.continuation.tracking import Point, branch_point_determinant, correct
 from tasks.fixed_points.rounding import rounding
@@ -22,30 +22,6 @@ from tasks.step.problem import EPS, Problem
 _ON_GROUND = 1e-12
 #: Points from which the slope of vanishing steps is extrapolated, and how far they reach, over the first's distance.
 _EXTRAPOLATION_POINTS, _EXTRAPOLATION_SPAN = 10, 3.0
-
-
-def _eigen_products(A: np.ndarray) -> np.ndarray:
-    """Product over i < j of (lambda_i lambda_j - 1), shape (n,): zero where a pair lies on the unit circle."""
-    # Where heelstrike is tangential to the last digit the map has no derivative.
-    finite = np.isfinite(A).all(axis=(-2, -1))
-    values = np.full(A.shape[:-1], np.nan, complex)
-    values[finite] = np.linalg.eigvals(A[finite])
-    m = A.shape[-1]
-    out = np.ones(A.shape[:-2], complex)
-    for i in range(m):
-        for j in range(i + 1, m):
-            out *= values[..., i] * values[..., j] - 1
-    return out.real
-
-
-def _jacobians(point: Point) -> np.ndarray:
-    """Jacobians of the step map, shape (n, m, m)."""
-    return np.moveaxis(point.stride.jacobian, -1, 0)
-
-
-def _release_rate(point: Point) -> np.ndarray:
-    """Rate of the knee's flexion just after its release, over the stance angle, shape (n,)."""
-    return (point.stride.start[4] - point.stride.start[5]) / point.stride.y[0]
 
 
 # Where heelstrike is tangential to the last digit the map has no derivative.
@@ -64,28 +40,18 @@ def special_points(problem: Problem, branch: Branch) -> list[dict[str, Any]]:
     X, times = branch.Z[:, : m + 1].T, branch.Z[:, m + 1 :].T
     direction = branch.direction.T
     nodes = correct(problem, X, times, direction)
-    A = _jacobians(nodes)
-    tests: dict[str, tuple[np.ndarray, TestFunction]] = {
-        "fold": (branch.tangent[:, m], lambda p, w: float(oriented_tangent(p, w)[m])),
-        "flip": (np.linalg.det(A + np.eye(m)), lambda p, w: float(np.linalg.det(_jacobians(p) + np.eye(m))[0])),
-        "neimark_sacker": (_eigen_products(A), lambda p, w: float(_eigen_products(_jacobians(p))[0])),
-        "branch_point": (
-            branch_point_determinant(nodes, direction),
-            lambda p, w: float(branch_point_determinant(p, w[:, None])[0]),
-        ),
-    }
-    if problem.phases == 2:
-        tests["release_hyperextension"] = (_release_rate(nodes), lambda p, w: float(_release_rate(p)[0]))
-    records: list[tuple[float, dict[str, Any]]] = []
+    # Folds have nodes of their own.
+    records = [(float(first), _record("fold", problem, nodes, first)) for first, _ in branch.pieces()[1:]]
+    kinds = ["flip", "neimark_sacker", *(["release_hyperextension"] if problem.phases == 2 else [])]
+    tests = {kind: (scalar(kind, nodes), test_function(kind)) for kind in kinds}
+    tests["branch_point"] = (
+        branch_point_determinant(nodes, direction),
+        lambda p, w: float(branch_point_determinant(p, w[:, None])[0]),
+    )
     crossed: list[tuple[str, int, Procedure[tuple[Point, np.ndarray]]]] = []
     for kind, (values, test) in tests.items():
         crosses = np.sign(values[1:]) != np.sign(values[:-1])
-        if kind == "fold":
-            # Folds have nodes of their own, where the sign of the tangent is that of rounding.
-            crosses = np.zeros(len(values) - 1, bool)
-            for first, _ in branch.pieces()[1:]:
-                records.append((float(first), _record("fold", problem, nodes, first)))
-        if kind in ("flip", "neimark_sacker", "branch_point"):
+        if kind != "release_hyperextension":
             # The derivative has a pole where a strike turns tangential: that sign change is no root.
             for i in (0, -1):
                 crosses[i] &= not branch.why[i].startswith("end_tangential")
@@ -146,9 +112,9 @@ def _limit_of_short_steps(branch: Branch, end: int) -> dict[str, float]:
 
 def _is_genuine(kind: str, point: Point) -> bool:
     """Whether a sign change of the test function is a special point of its kind."""
-    if not np.isfinite(_jacobians(point)).all():
+    if not np.isfinite(point.jacobians).all():
         return False
-    values = np.linalg.eigvals(_jacobians(point)[0])
+    values = np.linalg.eigvals(point.jacobians[0])
     if kind == "flip":
         return bool(np.abs(values + 1).min() < 1e-6)
     if kind == "neimark_sacker":

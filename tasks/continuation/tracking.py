@@ -75,6 +75,16 @@ class Point:
     derivative: np.ndarray
 
     @property
+    def m(self) -> int:
+        """Number of section coordinates."""
+        return len(self.X) - 1
+
+    @property
+    def jacobians(self) -> np.ndarray:
+        """Jacobians of the step map, shape (n, m, m)."""
+        return np.moveaxis(self.stride.jacobian, -1, 0)
+
+    @property
     def Z(self) -> np.ndarray:
         """The points with their event times, shape (m + 1 + k, n)."""
         return np.vstack([self.X, self.times])

@@ -196,10 +196,9 @@ def _from_point_3() -> Arrays:
     """
     kneed = line("physical")
     third, first = (kneed.special_of(k)[0] for k in ("release_hyperextension", "end_kneestrike_at_heelstrike"))
-    X, times = place(kneed, LANDMARKS["point 3"])
-    slope, angle = np.exp(X[-1:]), np.exp(X[:1])
-    speed = step_length(kneed.walker, angle) / (times[-1:] * np.sqrt(kneed.walker.leg / kneed.walker.g))
-    at = {"slope": slope, "knee_share": times[:1] / times[-1:], "speed": speed}
+    angle, *_, q, knee, period = place(kneed, LANDMARKS["point 3"])
+    speed = step_length(kneed.walker, np.exp(angle)) / (period * np.sqrt(kneed.walker.leg / kneed.walker.g))
+    at = {"slope": np.exp(q), "knee_share": knee / period, "speed": speed}
     nodes = kneed.curve(third["branch"])
     rises = third["place"] < first["place"]
     beyond = slice(int(np.ceil(third["place"])), None) if rises else slice(int(np.floor(third["place"])), None, -1)

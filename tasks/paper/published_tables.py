@@ -113,7 +113,7 @@ def rounding() -> Columns:
             {
                 "landmark": name,
                 "walker": mark.walker,
-                "kind": mark.test,
+                "kind": mark.kind,
                 "slope": bounds.value,
                 "stance_angle": bounds.angle,
                 "slope_low": bounds.low,

@@ -1,85 +1,46 @@
 """How far the rounding of a walker's printed parameters can move a landmark: its interval (sections 4 and 5).
 
-A landmark is a zero of G(X, p) = (P(X, p) - X, test(X, p)), with X the gait and ln slope and p the printed parameters.
-Implicit differentiation gives dX/dp = -G_X^-1 G_p. G is evaluated with converged event times; the fixed point's
-part of G_X comes from the variational equations, G_p and the test's own row from central differences at two step
-sizes, extrapolated. The interval is the printed walker's value plus or minus the sum of |sensitivity| x half unit.
+A landmark is a zero of the defining equations of a special point (`tasks.continuation.defining`), G(Z, p) = 0, with Z
+the gait and ln slope and p the printed parameters. Implicit differentiation gives dZ/dp = -G_Z^-1 G_p. The interval is
+the printed walker's value plus or minus the sum of |sensitivity| x half unit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import heyoka as hy
 import numpy as np
 
 from tasks.continuation.branch import Branch
-from tasks.continuation.joint import linearised
-from tasks.continuation.locate import locate_root
-from tasks.continuation.lockstep import run
-from tasks.continuation.tracking import Point
-from tasks.mechanics.equations import Symbols
-from tasks.mechanics.impacts import heelstrike
+from tasks.continuation.defining import evaluate, joint_derivative, scalar, solve
 from tasks.paper.lines import Line, line, memoize
 from tasks.paper.published import HALF_UNITS
 from tasks.step.problem import Lanes, Problem
-from tasks.step.step_map import Stride
 from tasks.walkers.catalogue import tune_exactly
 from tasks.walkers.walker import Walker
 
-#: Step of the central differences: of X, and of parameters relative to their size and the gait's angle (what counts is
-#: an offset of a mass relative to the angle).
-STEP = 2e-4
-#: A test function: of a step and X, shape (m + 1, n), to values whose zero is the landmark, shape (n,).
-Test = Callable[[Stride, np.ndarray], np.ndarray]
-
-
-def _square(stride: Stride, X: np.ndarray) -> np.ndarray:
-    return linearised(stride, X)[1][:, :, :-1]
-
-
-def _fold(stride: Stride, X: np.ndarray) -> np.ndarray:
-    return np.linalg.det(_square(stride, X))
-
-
-def _flip(stride: Stride, X: np.ndarray) -> np.ndarray:
-    return np.linalg.det(np.moveaxis(stride.jacobian, -1, 0) + np.eye(len(X) - 1))
-
-
-def _exponent(stride: Stride, X: np.ndarray) -> np.ndarray:
-    """Local exponent d ln angle/d ln slope less 2/3."""
-    derivative = linearised(stride, X)[1]
-    return -np.linalg.solve(derivative[:, :, :-1], derivative[:, :, -1:])[:, 0, 0] - 2 / 3
-
-
-#: Test functions by kind of landmark.
-TESTS: dict[str, Test] = {
-    "fold": _fold,
-    "flip": _flip,
-    "exponent": _exponent,
-    "end_kneestrike_at_heelstrike": lambda stride, X: stride.times[-1] - stride.times[0],
-    "end_tangential_heelstrike": lambda stride, X: stride.closing[-1] / stride.y[0],
-    "release_hyperextension": lambda stride, X: (stride.start[4] - stride.start[5]) / stride.y[0],
-}
+#: Step of the central differences by parameters, relative to their size and the gait's angle: what counts is an offset
+#: of a mass relative to the angle.
+STEP = 1e-5
 
 
 @dataclass(frozen=True)
 class Landmark:
-    """A special point of a walker: its test, the gait's label, and which of several.
+    """A special point of a walker: its kind, as `defining.SCALARS` has it, the gait's label, and which of several.
 
     `printed` is the slope as the paper prints it and `half_unit` half a unit of its last digit [rad]; `point` is its
-    number in the paper's figure 6.
+    number in the paper's figure 6, `target` the scalar's value there.
     """
 
     name: str
     walker: str
-    test: str
+    kind: str
     label: str = ""
     which: int = 0
     printed: float = float("nan")
     half_unit: float = float("nan")
     point: str = ""
+    target: float = 0.0
 
 
 #: Landmarks compared with numbers of the paper, and those of figure 6.
@@ -94,7 +55,7 @@ LANDMARKS = {
         Landmark("highest slope, kneed", "physical", "fold", which=1),
         Landmark("C flip", "C", "flip", "long", printed=0.084, half_unit=5e-4),
         Landmark("C-printed flip", "C-printed", "flip", "long", printed=0.084, half_unit=5e-4),
-        Landmark("C exponent 2/3", "C", "exponent", "long", printed=0.00015, half_unit=5e-6),
+        Landmark("C exponent 2/3", "C", "exponent", "long", printed=0.00015, half_unit=5e-6, target=2 / 3),
         Landmark("C release, long", "C", "release_hyperextension", "long"),
         Landmark("C release, short", "C", "release_hyperextension", "short"),
     )
@@ -130,168 +91,67 @@ def changed(walker: str, base: Walker, key: str, change: float) -> Walker:
     return tune_exactly(moved) if walker in ("A", "C") else moved
 
 
-def place(gaits: Line, mark: Landmark) -> tuple[np.ndarray, np.ndarray]:
+def place(gaits: Line, mark: Landmark) -> np.ndarray:
     """Locate a landmark on the branches of its walker.
 
     Returns
     -------
-    X, times : ndarray, shape (m + 1,) and (phases,)
-        The gait with ln slope last, and its event times.
+    ndarray, shape (m + 1 + k,)
+        The gait's similarity coordinates, ln slope and event times.
 
     Raises
     ------
     ValueError
         If the walker has no such point.
     """
-    rows = []
-    for branch in gaits.branches:
-        for Z in _candidates(gaits.problem, branch, mark.test):
-            if not mark.label or mark.label == ("short" if gaits.is_short(Z) else "long"):
-                rows.append(Z)
+    guesses = np.vstack([_guesses(gaits.problem, branch, mark) for branch in gaits.branches])
+    found = solve(Lanes([gaits.walker] * len(guesses)), mark.kind, guesses.T, mark.target) if len(guesses) else None
+    rows = list(found.Z.T[found.ok]) if found else []
+    if mark.label:
+        rows = [Z for Z in rows if mark.label == ("short" if gaits.is_short(Z) else "long")]
     rows.sort(key=lambda Z: Z[gaits.problem.m])
     if len(rows) <= mark.which:
         raise ValueError(f"{mark.walker} has no {mark.name}")
-    Z, m = rows[mark.which], gaits.problem.m
-    if mark.test == "end_tangential_heelstrike":
-        return _locate_grazing(gaits, Z[: m + 1], Z[m + 1 :])
-    return Z[: m + 1], Z[m + 1 :]
+    return rows[mark.which]
 
 
-def _candidates(problem: Problem, branch: Branch, test: str) -> list[np.ndarray]:
-    """Rows (X, times) of a branch at which a test vanishes."""
-    m = branch.m
-    if test == "fold":
-        return [branch.Z[first] for first, _ in branch.pieces()[1:]]
-    if test.startswith("end_"):
-        return [branch.Z[i] for i, why in ((0, branch.why[0]), (-1, branch.why[1])) if why == test]
-    X = branch.Z[:, : m + 1].T
-    stride, _ = problem.stride(np.delete(branch.Z, m, axis=1).T, X[m], slope=True)
-    values = TESTS[test](stride, X)
+def _guesses(problem: Problem, branch: Branch, mark: Landmark) -> np.ndarray:
+    """Points (n, c) of a branch at which a landmark's scalar vanishes: nodes, or between two by interpolation."""
+    if mark.kind == "fold":
+        return branch.Z[[first for first, _ in branch.pieces()[1:]]]
+    if mark.kind.startswith("end_"):
+        return branch.Z[[i for i, why in zip((0, -1), branch.why, strict=True) if why == mark.kind]]
+    values = scalar(mark.kind, evaluate(problem, branch.Z.T), mark.target)
     # A jump across a pole is no root: values on both sides must be small.
-    changes = np.nonzero((np.sign(values[1:]) != np.sign(values[:-1])) & (np.abs(np.diff(values)) < 2))[0]
-
-    def value(point: Point, direction: np.ndarray) -> float:
-        return float(TESTS[test](point.stride, point.X)[0])
-
-    points = [run(problem, locate_root(branch, int(k), value))[0] for k in changes]
-    return [np.concatenate([p.X[:, 0], p.times[:, 0]]) for p in points if p.ok[0]]
+    segment = np.nonzero((np.sign(values[1:]) != np.sign(values[:-1])) & (np.abs(np.diff(values)) < 2))[0]
+    return branch.at(segment + values[segment] / (values[segment] - values[segment + 1]))
 
 
-def _values(walkers: list[Walker], X: np.ndarray, times: np.ndarray, test: Test) -> tuple[np.ndarray, np.ndarray]:
-    """G at n lanes, shape (m + 1, n), and the fixed point's rows of G_X, shape (n, m, m + 1)."""
-    problem, m = Lanes(walkers), len(X) - 1
-    for _ in range(3):
-        stride, _ = problem.stride(np.vstack([X[:m], times]), X[m], slope=True)
-        times = stride.times
-    residual, derivative = linearised(stride, X)
-    return np.vstack([residual.T, test(stride, X)[None]]), derivative
-
-
-def _grazing(walkers: list[Walker], Z: np.ndarray) -> np.ndarray:
-    """G of a straight-legged gait whose heelstrike is tangential, shape (m + 2, n), with the period an unknown.
-
-    Notes
-    -----
-    There the period has no derivative by the state, so Z = (ln angle, rates/angle, period, ln slope) and
-    G = (heelstrike of the final state - start, height of the foot, its closing rate).
-    """
-    problem = Lanes(walkers)
-    m = problem.m
-    angle = np.exp(Z[0])
-    scale = np.exp2(np.floor(np.log2(angle)))
-    y = np.vstack([angle, angle * Z[1:m]]) / scale
-    parameters = problem.parameters(np.exp(Z[m + 1]), scale)
-    stride = problem.map(y, Z[m : m + 1], parameters, True, 1)
-    a, b, a_rate, b_rate = stride.motion[-1][-1]
-    p = Symbols(problem.structure)
-    names = hy.make_vars("angle", "stance", "swing")
-    strike = hy.cfunc(heelstrike(p, names[0], names[1], names[2], False), vars=[*names, *p.variables])
-    rates = strike(np.ascontiguousarray(np.vstack([b, a_rate, b_rate, parameters])))[: m - 1]
-    return np.vstack([b - y[0], rates - y[1:], a + b, a_rate + b_rate]) / y[0]
-
-
-def _locate_grazing(gaits: Line, X: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """X and the period where heelstrike is tangential, by Newton on G, from a branch's end shortly before it."""
-    Z = np.concatenate([X[:-1], times, X[-1:]])
-    n = len(Z)
-    for _ in range(4):
-        places = np.concatenate([Z + factor * STEP * np.eye(n) for factor in (1.0, -1.0, 2.0, -2.0)] + [Z[None]])
-        G = _grazing([gaits.walker] * len(places), places.T)
-        Z = Z - np.linalg.solve(_central(G[:, :-1], np.full(n, STEP)), G[:, -1])
-    return np.concatenate([Z[: len(X) - 1], Z[-1:]]), Z[len(X) - 1 : -1]
-
-
-def grazing_sensitivities(
-    mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str], step: float = STEP
-) -> np.ndarray:
-    """Compute the sensitivities dX/dp of the end where heelstrike becomes tangential.
-
-    Parameters
-    ----------
-    mark, X, times, base, keys, step
-        As for `sensitivities`.
-
-    Returns
-    -------
-    ndarray, shape (m + 1, keys)
-    """
-    Z = np.concatenate([X[:-1], times, X[-1:]])
-    sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
-    walkers, places, n = [], [], len(Z)
-    for factor in (1.0, -1.0, 2.0, -2.0):
-        walkers += [base] * n
-        walkers += [changed(mark.walker, base, k, factor * size) for k, size in zip(keys, sizes, strict=True)]
-        places += [*(Z + factor * step * np.eye(n)), *([Z] * len(keys))]
-    slopes = _central(_grazing(walkers, np.array(places).T), np.concatenate([np.full(n, step), sizes]))
-    by_key = -np.linalg.solve(slopes[:, :n], slopes[:, n:])
-    return np.vstack([by_key[: len(X) - 1], by_key[-1:]])
-
-
-def _central(values: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """Derivatives from values at +h, -h, +2h, -2h, side by side."""
-    plus, minus, plus_2, minus_2 = np.split(values, 4, axis=1)
-    return (8 * (plus - minus) - (plus_2 - minus_2)) / (12 * h)
-
-
-def sensitivities(
-    mark: Landmark, X: np.ndarray, times: np.ndarray, base: Walker, keys: list[str], step: float = STEP
-) -> np.ndarray:
+def sensitivities(mark: Landmark, Z: np.ndarray, base: Walker, keys: list[str], step: float = STEP) -> np.ndarray:
     """Compute the sensitivities dX/dp of a landmark.
 
     Parameters
     ----------
     mark : Landmark
-    X, times : ndarray, shape (m + 1,) and (phases,)
+    Z : ndarray, shape (m + 1 + k,)
         The landmark, as from `place`.
     base : Walker
     keys : list of str
         Parameters p.
     step : float
-        Step of the central differences.
+        Step of the central differences by parameters.
 
     Returns
     -------
     ndarray, shape (m + 1, keys)
         Per unit of each key.
     """
-    m = len(X) - 1
-    sizes = np.array([_size(base, k) for k in keys]) * step * np.exp(X[0])
-    walkers, places = [], []
-    for factor in (1.0, -1.0, 2.0, -2.0):
-        for i in range(m + 1):
-            walkers.append(base)
-            places.append(X + factor * step * np.eye(m + 1)[i])
-        for key, size in zip(keys, sizes, strict=True):
-            walkers.append(changed(mark.walker, base, key, factor * size))
-            places.append(X)
-    walkers.append(base)
-    places.append(X)
-    lanes = np.array(places).T
-    G, derivative = _values(walkers, lanes, np.repeat(times[:, None], lanes.shape[1], axis=1), TESTS[mark.test])
-    slopes = _central(G[:, :-1], np.concatenate([np.full(m + 1, step), sizes]))
-    G_X = slopes[:, : m + 1]
-    G_X[:m] = derivative[-1]
-    return -np.linalg.solve(G_X, slopes[:, m + 1 :])
+    steps = np.array([_size(base, k) for k in keys]) * step * np.exp(Z[0])
+    moved = [changed(mark.walker, base, k, h) for each in (steps, -steps) for k, h in zip(keys, each, strict=True)]
+    lanes = Lanes([base, *moved])
+    _, derivative, _ = joint_derivative(lanes, mark.kind, Z, steps, mark.target)
+    by_key = -np.linalg.solve(derivative[:, : len(Z)], derivative[:, len(Z) :])
+    return by_key[: lanes.m + 1]
 
 
 def _size(walker: Walker, key: str) -> float:
@@ -306,12 +166,9 @@ def interval(name: str) -> Interval:
     """Compute the interval of a landmark, by its name."""
     mark = LANDMARKS[name]
     gaits = line(mark.walker)
-    X, times = place(gaits, mark)
-    half = dict(HALF_UNITS[mark.walker])
-    keys = list(half)
-    slope, angle = float(np.exp(X[-1])), float(np.exp(X[0]))
-    differentiate = grazing_sensitivities if mark.test == "end_tangential_heelstrike" else sensitivities
-    by_key = differentiate(mark, X, times, gaits.walker, keys)
+    m, Z, half = gaits.problem.m, place(gaits, mark), dict(HALF_UNITS[mark.walker])
+    keys, slope, angle = list(half), float(np.exp(Z[m])), float(np.exp(Z[0]))
+    by_key = sensitivities(mark, Z, gaits.walker, keys)
     sensitivity = {k: slope * float(d) for k, d in zip(keys, by_key[-1], strict=True)}
     total = sum(abs(sensitivity[k]) * half[k] for k in keys)
     return Interval(

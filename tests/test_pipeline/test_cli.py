@@ -11,6 +11,7 @@ import re
 import resource
 import shlex
 import shutil
+import sqlite3
 import subprocess
 import sys
 import threading
@@ -397,6 +398,37 @@ def test_a_run_is_not_refused_by_a_look_at_its_state(toy):
         with locks.lock_archive(path):
             pass
         timer.join()
+
+
+@pytest.mark.parametrize("reason", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
+def test_a_disk_without_locks_is_refused(toy, monkeypatch, capsys, reason):
+    """As some network disks are; two runs of one archive would not know of each other."""
+    monkeypatch.chdir(toy.folder)
+    monkeypatch.setattr(locks.fcntl, "flock", Mock(side_effect=OSError(reason, os.strerror(reason))))
+    assert commands.main(["run", "toy.toml", "--jobs", "1"]) == 2
+    assert capsys.readouterr().err.endswith("cannot be locked: its disk has no locks; choose another folder.\n")
+    assert not sidecar_path(toy, ".journal").exists()
+
+
+def test_a_disk_without_shared_memory_holds_a_journal(toy, monkeypatch):
+    """SQLite keeps no write-ahead log there, but a journal to roll back; this file system of its own has none."""
+    monkeypatch.chdir(toy.folder)
+    toy.write('name = "toy"\nwalker = "D"\n[axes]\nslope = [0.01]\n')
+    run = ["run", "toy.toml", "--jobs", "1", "--quiet"]
+    assert commands.main(run) == 0
+    whole, connect, modes = toy.bytes(), sqlite3.connect, []
+
+    def without_shared_memory(path, **options):
+        options["uri"] = True
+        db = connect(path if str(path).startswith("file:") else f"file:{path}?vfs=unix-dotfile", **options)
+        modes.append(db.execute("PRAGMA journal_mode=WAL").fetchone())
+        return db
+
+    monkeypatch.setattr(sqlite3, "connect", without_shared_memory)
+    for options in (["--fresh"], []):
+        assert commands.main([*run, *options]) == 0
+        assert toy.bytes() == whole
+    assert ("delete",) in modes and ("wal",) not in modes
 
 
 def test_a_snapshot_that_finds_no_room_does_not_end_the_run(toy, monkeypatch, capsys):

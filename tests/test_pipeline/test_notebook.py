@@ -213,7 +213,7 @@ def test_calls_from_threads_take_turns(monkeypatch):
         raise StudyError("Enough.")
 
     walker = type("Slow", (dict,), {"items": slow})()
-    monkeypatch.setattr("pipeline.archive.read.probe_once", slow)
+    monkeypatch.setattr("pipeline.archive.read.size_of", slow)
     with ThreadPoolExecutor(8) as pool:
         calls = [
             *(pool.submit(function, walker, 0.01) for function in (pipeline.gaits, pipeline.solve) * 2),

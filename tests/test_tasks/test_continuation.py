@@ -14,6 +14,7 @@ from soak.stress import random_walker
 from tasks.continuation import atlas
 from tasks.continuation.atlas import survey
 from tasks.continuation.branch import Branch
+from tasks.continuation.defining import evaluate, scalar
 from tasks.continuation.locate import row_tangent
 from tasks.continuation.lockstep import run
 from tasks.continuation.refine import COARSE, FINE, without_jumps
@@ -161,6 +162,15 @@ def test_a_pole_of_the_derivative_is_no_flip():
     (branch,) = [b for b in survey(problem) if "end_tangential_heelstrike" in b.why]
     ends = tuple("end of the window" if why == "end_tangential_heelstrike" else why for why in branch.why)
     assert not pick(special_points(problem, replace(branch, why=ends)), "flip")
+
+
+def test_a_scalar_at_a_point_of_a_branch_is_that_of_its_coordinates():
+    problem, found = branches("physical")
+    Z = found[0].Z[::20].T
+    m, at = problem.m, evaluate(problem, Z)
+    point = correct(problem, Z[: m + 1], Z[m + 1 :], np.eye(len(Z))[:, [m] * Z.shape[1]], max_iterations=1)
+    for kind in ("flip", "neimark_sacker", "release_hyperextension", "end_kneestrike_at_heelstrike"):
+        np.testing.assert_allclose(scalar(kind, point), scalar(kind, at), rtol=1e-6, atol=1e-10)
 
 
 def test_forward_and_back_to_the_start():

@@ -8,56 +8,61 @@ import pytest
 
 from lines import _atlas, branches
 from tasks.continuation import codimension_one
-from tasks.continuation.codimension_one import Curve, follow, turning
+from tasks.continuation.codimension_one import Curve, follow, follow_both_directions, turning
 from tasks.continuation.joint import rounding_step
 from tasks.continuation.special_points import special_points
-from tasks.follow_curves import _follow_both_directions, _is_ordinary, curve
+from tasks.follow_curves import _is_ordinary, curve
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import WalkerError
 
 LINE = {"walker": "C", "set": {}}
 WINDOW = {"q": (-6.0, -1.0), "key": (0.6, 0.8)}
-#: A fold of C on the way to the machine: similarity coordinates, ln slope, detuning; event times.
-FOLD = np.array([-0.76050299, -1.55377883, -0.47724619, -2.05756334, 0.76301856])
-TIMES = np.array([1.69557706, 2.31306058])
+#: A fold of C on the way to the machine: similarity coordinates, ln slope, detuning, event times.
+FOLD = np.array([-0.76050299, -1.55377883, -0.47724619, -2.05756334, 0.76301856, 1.69557706, 2.31306058])
+DETUNING = 4
+
+
+def folds_of_c():
+    return Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[DETUNING], (0.0, 1.0))
+
+
+def pairs(points, tangents):
+    return itertools.pairwise(zip(points, tangents, strict=True))
 
 
 def test_branches_re_pair_where_the_curve_of_folds_turns(monkeypatch):
-    folds = Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[-1], (0.0, 1.0))
-    key = np.append(np.zeros(4), 1.0)
-    points = follow(folds, folds.correct(FOLD, TIMES, key), -1.0, WINDOW)
-    found = [p for a, b in itertools.pairwise(points) if (p := turning(folds, a, b, -1)) is not None]
-    assert len(found) == 1
+    folds = folds_of_c()
+    track = follow(folds, folds.correct(FOLD, np.eye(7)[DETUNING]), -1.0, WINDOW)
+    both = [(a, b) for a, b in pairs(track.Z, track.tangent) if turning(folds, a, b, DETUNING) is not None]
+    assert len(both) == 1
+    found, error = turning(folds, *both[0], DETUNING)
     # Branches followed at 0.72 and 0.73 show the two pairings, and a fold at 0.0902 on the far side.
-    assert found[0].U[-1] == pytest.approx(0.72386360373, abs=1e-9)
-    assert np.exp(found[0].U[-2]) == pytest.approx(0.1001868636, abs=1e-9)
-    assert all(p.ok for p in points)
+    assert found[DETUNING] == pytest.approx(0.72386360373, abs=1e-9)
+    assert np.exp(found[3]) == pytest.approx(0.1001868636, abs=1e-9)
     # A bound that is measured, on the slope; differences over other steps move the turning by less.
-    assert 1e-15 < found[0].error < 1e-8
+    assert 1e-15 < error < 1e-8
     monkeypatch.setattr(codimension_one, "DIFFERENCE", 3e-5)
     monkeypatch.setattr(Curve.system, "__defaults__", (3e-5,))
-    pair = next((a, b) for a, b in itertools.pairwise(points) if a.tangent[-1] * b.tangent[-1] < 0)
-    other = turning(folds, *pair, -1)
-    assert abs(other.U[-2] - found[0].U[-2]) < other.error + found[0].error
-    assert folds.walks(found[0])
+    other, other_error = turning(folds, *both[0], DETUNING)
+    assert 0 < abs(other[3] - found[3]) < other_error + error
+    assert folds.walks(found)
 
 
-def test_event_times_after_a_change_are_those_of_the_changed_point():
-    folds = Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[-1], (0.0, 1.0))
-    after = folds.system(FOLD, TIMES)[2]
-    own = after(np.zeros(5))
-    for i in range(4):  # the key moves on the curve's own scale, by differences
-        change = np.zeros(5)
-        change[i] = 1e-5
-        there = folds.system(FOLD + change, own)[2](np.zeros(5))
-        back = folds.system(FOLD - change, own)[2](np.zeros(5))
-        np.testing.assert_allclose(after(change) - own, 0.5 * (there - back), rtol=1e-5, atol=1e-12)
+def test_the_equations_of_a_curve_have_the_derivatives_that_differences_have():
+    """By X and the key; those by the durations follow from the event times."""
+    folds, h = folds_of_c(), 1e-6
+    _, derivative, times_by = folds.system(FOLD)
+    for i in range(5):
+        # What the event times change by in this direction is added to it.
+        change = np.append(np.eye(5)[i], times_by[:, i])
+        up, down = (folds.system(FOLD + sign * h * change)[0] for sign in (1, -1))
+        np.testing.assert_allclose(derivative[:, i], (up - down) / (2 * h), rtol=1e-5, atol=1e-7)
 
 
 def test_beyond_its_limits_a_curve_has_the_walker_there_and_constants_continued_linearly():
-    folds = Curve("fold", lambda value: resolve("C", {"detuning": value}), FOLD[-1], (0.0, 1.0))
-    assert folds.walker(np.append(FOLD[:-1], 1.5)) == folds.walker_at(1.0)
-    beyond, at, before = folds._constants(np.array([1.25, 1.0, 0.75])).T
+    folds = folds_of_c()
+    assert folds.value(np.insert(np.delete(FOLD, DETUNING), DETUNING, 1.5)) == 1.0
+    beyond, at, before = folds._lanes(np.array([1.25, 1.0, 0.75])).constants.T
     np.testing.assert_allclose(beyond - at, at - before, rtol=1e-12)
 
 
@@ -221,14 +226,15 @@ class Plane(Curve):
     """A curve of one equation in ln slope and the key, without a gait; `equation` gives its value and derivatives."""
 
     def __init__(self, equation):
-        self.equation, self.scale = equation, 1.0
+        self.equation, self.scale, self.m = equation, 1.0, 0
 
-    def system(self, U, times, h=codimension_one.DIFFERENCE):
-        value, by_U = self.equation(*U)
-        return np.array([value]), np.array([by_U]), lambda dU: times
+    def system(self, Z, h=codimension_one.DIFFERENCE):
+        value, by_Z = self.equation(*Z[:2])
+        # The event time is zero.
+        return np.array([value, Z[2]]), np.array([[*by_Z, 0.0], [0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])
 
     def through(self, q, key):
-        return self.correct(np.array([q, key]), np.zeros(1), np.array([0.0, 1.0]))
+        return self.correct(np.array([q, key, 0.0]), np.array([0.0, 1.0, 0.0]))
 
 
 def circle(q, key):
@@ -246,37 +252,36 @@ def test_a_closed_curve_is_gone_round_once(begin):
     """It was gone round again and again, in both directions."""
     curve = Plane(circle)
     window = {"q": (-2.0, 2.0), "key": (-2.0, 2.0)}
-    points = _follow_both_directions(curve, curve.through(*begin), window)
-    assert [p.stopped for p in points] == ["closed", *[""] * (len(points) - 2), "closed"]
-    U = np.array([p.U for p in points])
-    assert U[0] == pytest.approx(U[-1], abs=1e-14)
-    angles = np.unwrap(np.arctan2(U[:, 1], U[:, 0]))
+    Z, tangent, stopped = follow_both_directions(curve, curve.through(*begin), window)
+    assert stopped == ("closed", "closed")
+    assert Z[0] == pytest.approx(Z[-1], abs=1e-14)
+    angles = np.unwrap(np.arctan2(Z[:, 1], Z[:, 0]))
     assert abs(angles[-1] - angles[0]) == pytest.approx(2 * np.pi) and len(set(np.sign(np.diff(angles)))) == 1
     # Each turning point once.
-    turns = [turning(curve, a, b, -1) for a, b in itertools.pairwise(points)]
-    assert sorted(p.U[-1] for p in turns if p is not None) == pytest.approx([-1.0, 1.0])
+    turns = [turning(curve, a, b, 1) for a, b in pairs(Z, tangent)]
+    assert sorted(turn[0][1] for turn in turns if turn is not None) == pytest.approx([-1.0, 1.0])
     # One that leaves the window ends there, though it would close.
-    arc = _follow_both_directions(curve, curve.through(*begin), {**window, "q": (-2.0, 0.9)})
-    assert [arc[0].stopped, arc[-1].stopped] == ["border", "border"]
-    assert [arc[0].U[0], arc[-1].U[0]] == pytest.approx([0.9, 0.9])
+    arc, _, stopped = follow_both_directions(curve, curve.through(*begin), {**window, "q": (-2.0, 0.9)})
+    assert stopped == ("border", "border")
+    assert arc[[0, -1], 0] == pytest.approx([0.9, 0.9])
 
 
 def test_a_long_curve_is_followed_to_the_border():
     """It ended after 300 points, without a word."""
     curve = Plane(lambda q, key: (key - np.sin(q) / 4, [-np.cos(q) / 4, 1.0]))
-    points = _follow_both_directions(curve, curve.through(1.0, 0.2), {"q": (-40.0, 40.0), "key": (-1.0, 1.0)})
-    assert [points[0].U[0], points[-1].U[0]] == pytest.approx([-40.0, 40.0])
-    assert [p.stopped for p in points] == ["border", *[""] * (len(points) - 2), "border"]
+    Z, _, stopped = follow_both_directions(curve, curve.through(1.0, 0.2), {"q": (-40.0, 40.0), "key": (-1.0, 1.0)})
+    assert Z[[0, -1], 0] == pytest.approx([-40.0, 40.0])
+    assert stopped == ("border", "border")
 
 
 def test_a_curve_that_is_lost_says_so():
     curve = Plane(lambda q, key: (ended(key) - q, [-1.0, 1.0]))
-    points = _follow_both_directions(curve, curve.through(1.0, 1.0), {"q": (0.0, 2.0), "key": (0.0, 2.0)})
-    assert [points[0].stopped, points[-1].stopped] == ["border", "no further point"]
-    assert points[-1].U[-1] == pytest.approx(1.5, abs=1e-3)
+    Z, _, stopped = follow_both_directions(curve, curve.through(1.0, 1.0), {"q": (0.0, 2.0), "key": (0.0, 2.0)})
+    assert stopped == ("border", "no further point")
+    assert Z[-1, 1] == pytest.approx(1.5, abs=1e-3)
     # One that begins on the border has its first point there.
-    points = _follow_both_directions(curve, curve.through(0.0, 0.0), {"q": (0.0, 1.0), "key": (0.0, 2.0)})
-    assert [points[0].stopped, points[-1].stopped] == ["border", "border"] and points[0].U[-1] == 0.0
+    Z, _, stopped = follow_both_directions(curve, curve.through(0.0, 0.0), {"q": (0.0, 1.0), "key": (0.0, 2.0)})
+    assert stopped == ("border", "border") and Z[0, 1] == 0.0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from oracle import Oracle, StepFailed
 from tasks.continuation.atlas import to_arrays
 from tasks.continuation.special_points import special_points
 from tasks.fixed_points import polish
-from tasks.fixed_points.multipliers import _adjugate_norms, multipliers, other_multipliers
+from tasks.fixed_points.multipliers import multipliers, other_multipliers
 from tasks.fixed_points.rounding import rounding
 from tasks.fixed_points.search import search
 from tasks.interpolate_planes import similarity
@@ -272,16 +272,6 @@ def test_labels_follow_the_contract():
     u = out["heelstrike_rate_ratio"]
     assert (u[:, GAITS.index("long")] < 0.25).all()
     assert (u[:, GAITS.index("short")] > 0.9).all()
-
-
-@pytest.mark.parametrize("m", [2, 3])
-def test_norms_of_adjugates_are_those_of_their_cofactors(m):
-    jacobian = np.random.default_rng(m).normal(size=(m, m, 20))
-    values = np.linalg.eigvals(jacobian.transpose(2, 0, 1)).T
-    for k, z in np.ndindex(20, m):
-        matrix = values[z, k] * np.eye(m) - jacobian[..., k]
-        minors = [np.linalg.det(np.delete(np.delete(matrix, i, 0), j, 1)) for i, j in np.ndindex(m, m)]
-        assert _adjugate_norms(jacobian, values)[z, k] == pytest.approx(np.linalg.norm(minors), rel=1e-6)
 
 
 @pytest.mark.parametrize("large", [0.7, -0.7, 1.8, -1.8])

@@ -18,7 +18,7 @@ from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import WalkerError
 
 #: Kinds that equations define, and lines of the long test.
-KINDS = {*SCALARS, "end_earlier_strike"} - {"window", "label", "speed", "fastest", "foot_at_kneestrike"}
+KINDS = {*SCALARS, "end_earlier_strike"} - {"window", "label", "speed", "fastest", "exponent", "foot_at_kneestrike"}
 LINES = 300
 
 
