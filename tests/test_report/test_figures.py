@@ -14,7 +14,7 @@ from pipeline.report.figures import FIGURES, design_maps, draw, families, fields
 from pipeline.report.figures.body import Body
 from pipeline.report.figures.cycle import traced_steps
 from pipeline.report.figures.degrees import add_degrees
-from pipeline.report.figures.style import GAIT_COLOURS, MUTED, set_log, style
+from pipeline.report.figures.style import GAIT_COLOURS, MUTED, choose_rows, set_log, style
 from pipeline.report.figures.svg import TARGETS
 from pipeline.report.source import read
 from pipeline.report.words import WORDS, plain, sentences
@@ -288,6 +288,14 @@ def test_a_sentence_stands_where_its_value_is_given_and_numbers_are_printed():
     values = {"low": 1.26e-5, "high": np.float64(0.5), "name": "{low}", "many": 3, "none": 0}
     assert sentences(texts, values) == "From 1.3 × 10⁻⁵ to 0.5, {low}. Of 3 lines."
     assert sentences(texts, values | {"many": "", "none": True}) == "From 1.3 × 10⁻⁵ to 0.5, {low}. None."
+
+
+def test_rows_of_maps_are_named_by_what_tells_them_apart():
+    every = [{"walker": "B", "c_t": 0.01 * k} for k in range(9)]
+    rows, names, words = choose_rows(every)
+    assert rows == [every[k] for k in (0, 3, 5, 8)] and names == [f"c_t = {0.01 * k:g}" for k in (0, 3, 5, 8)]
+    assert words == "Rows, 4 of 9: c_t = 0; c_t = 0.03; c_t = 0.05; c_t = 0.08."
+    assert choose_rows(every[:1]) == (every[:1], [""], "")
 
 
 def test_every_figure_has_its_words():
