@@ -63,7 +63,7 @@ soak: $(COMPLETE)
 	$(BIN)/python -m coverage report --skip-covered
 
 prove: $(COMPLETE)
-	$(BIN)/python -m pipeline.cli.prove data/reference/proofs
+	$(BIN)/python -m pipeline.cli.proofs data/reference/proofs
 
 # Mutants of the core drawn by lot, two at a time; the same command resumes, AGAIN=again retries survivors.
 mutants: $(COMPLETE)

@@ -29,7 +29,7 @@ _HEAD = struct.Struct(f"8Q{len(KINDS)}Q512s600s")
 #: What commands import when they first need it.
 _IMPORTED = (
     *("charset_normalizer", "joblib", "netCDF4", "dask.array", "scipy.sparse"),
-    *("pipeline.cli.text", "pipeline.engine.runner", "pipeline.report.pages", "pipeline.study.parse"),
+    *("pipeline.cli.run", "pipeline.engine.runner", "pipeline.report.pages", "pipeline.study.parse"),
 )
 _SECONDS = 120  # a run that takes longer hangs
 _SUBREAPER = 36  # of prctl: orphans below become children of this process

@@ -1,7 +1,8 @@
-"""The command `gaitsweep claims`: what the paper says, the computed number and the verdict."""
+"""`gaitsweep claims`: what the paper says, the computed number and the verdict."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import tomllib
 from collections.abc import Iterable, Iterator
@@ -10,6 +11,7 @@ from typing import Any
 
 from pipeline import terminal
 from pipeline.archive import provenance, read
+from pipeline.cli import kinds
 from pipeline.dispatch import ask
 from pipeline.errors import ArchiveError, StudyError
 from tasks.registry import CLAIMS, TASKS
@@ -17,7 +19,13 @@ from tasks.registry import CLAIMS, TASKS
 _FOLDER = Path("data", "archive")
 
 
-def report(ids: list[str], as_json: bool) -> int:
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    command.add_argument("ids", nargs="*", metavar="ID", help="such as D2 or K1 (default: all)")
+    kinds.add_json(command)
+
+
+def run(options: argparse.Namespace) -> int:
     """Print the results of claims, each as soon as it is known; returns the exit code.
 
     Results in archives of `data/archive` of the present versions of all tasks are not computed again.
@@ -27,11 +35,12 @@ def report(ids: list[str], as_json: bool) -> int:
     StudyError
         If there is no such claim.
     """
+    ids = options.ids
     unknown = [name for name in ids if name not in CLAIMS]
     if unknown:
         raise StudyError(f"There is no claim {unknown[0]!r}; there are {', '.join(CLAIMS)}.")
     results = _results(sorted(set(ids) or CLAIMS, key=lambda name: (name[0], int(name[1:]))))
-    if as_json:
+    if options.json:
         print(json.dumps(list(results)))
         return 0
     for claim in results:

@@ -34,6 +34,17 @@ autoload -U +X bashcompinit && bashcompinit
 """
 
 
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    command.add_argument("shell", choices=("bash", "zsh"))
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the script."""
+    print(script(options.top(), options.shell), end="")
+    return 0
+
+
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
     """Completion script for a shell, "bash" or "zsh"."""
     (commands,) = (a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction))

@@ -92,3 +92,15 @@ class Settings(Action):
         if key in known:
             raise ArgumentError(self, f"`{key}` is given twice")
         setattr(options, self.dest, {**known, key: value})
+
+
+def add_accuracy(command: ArgumentParser) -> None:
+    """Add the option of the largest error bound."""
+    command.add_argument(
+        "--accuracy", type=number, metavar="A", help="largest error bound wanted, 1e-2 to 1e-15 (default: best)"
+    )
+
+
+def add_json(command: ArgumentParser) -> None:
+    """Add the option of output for machines."""
+    command.add_argument("--json", action="store_true", help="for machines")

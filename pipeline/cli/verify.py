@@ -1,15 +1,23 @@
-"""The command `gaitsweep verify`."""
+"""`gaitsweep verify`: whether an archive is intact, complete and valid."""
 
 from __future__ import annotations
 
+import argparse
 import json
 from pathlib import Path
 
 from pipeline.archive import read, verify
+from pipeline.cli import kinds
 from pipeline.errors import ArchiveError
 
 
-def report(archive: Path, as_json: bool) -> int:
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    command.add_argument("archive", type=Path, metavar="ARCHIVE.nc")
+    kinds.add_json(command)
+
+
+def run(options: argparse.Namespace) -> int:
     """Check an archive and print its problems; returns the exit code.
 
     Raises
@@ -17,13 +25,14 @@ def report(archive: Path, as_json: bool) -> int:
     ArchiveError
         If there is no such file.
     """
+    archive = options.archive
     read.size_of(archive)
     try:
         read.probe([archive])
         problems = verify.verify(archive)
     except ArchiveError as error:
         problems = [str(error)]
-    if as_json:
+    if options.json:
         print(json.dumps({"archive": str(archive), "valid": not problems, "problems": problems}))
     else:
         print("\n".join(problems) or f"{archive} is intact, complete and valid (schema {read.SCHEMA}).")

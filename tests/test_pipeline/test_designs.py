@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import pipeline
-from pipeline.cli import text
+from pipeline.cli import plan
 from pipeline.errors import StudyError
 from pipeline.graph import layers
 from pipeline.graph.plan import Plan, summary
@@ -81,7 +81,7 @@ def test_a_plan_tells_what_designs_cost(tmp_path):
     planned = Plan(many, Store(tmp_path / "journal"))
     todo = summary(planned)
     # The slopes are a window, of which each design is one answer.
-    assert next(text.plan(planned, todo, many.path)).startswith("designs: 100 R x 2 m_h x 20 m_s, 4,000 designs ->")
+    assert next(plan.lines(planned, todo, many.path)).startswith("designs: 100 R x 2 m_h x 20 m_s, 4,000 designs ->")
     assert todo.todo["design"] == {"new": 2}
     assert todo.seconds == pytest.approx(2 * seconds(many, "design"), rel=0.3)
 

@@ -17,7 +17,7 @@ import pytest
 
 from pipeline import paths
 from pipeline.archive import provenance, read
-from pipeline.cli import claims, commands, text
+from pipeline.cli import claims, commands, status
 from pipeline.engine import runner
 from pipeline.engine.locks import lock_archive
 from pipeline.engine.progress import last_state
@@ -154,11 +154,11 @@ def test_what_the_system_says_of_a_file_is_repeated(tmp_path, monkeypatch):
 
 def test_a_state_is_read_of_files_only(tmp_path):
     os.mkfifo(tmp_path / "s.events.jsonl")
-    assert text.state(tmp_path / "s.nc") is None
+    assert status.state_of(tmp_path / "s.nc") is None
     (tmp_path / "s.events.jsonl").unlink()
     (tmp_path / "s.events.jsonl").write_text('{"event": "state"}\n')
     os.mkfifo(tmp_path / "s.journal-lock")
-    assert text.state(tmp_path / "s.nc") == {"event": "state", "over": False, "running": False}
+    assert status.state_of(tmp_path / "s.nc") == {"event": "state", "over": False, "running": False}
 
 
 @contextlib.contextmanager

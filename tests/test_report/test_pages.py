@@ -20,6 +20,7 @@ from pipeline import paths
 from pipeline.archive import read as archive_reader
 from pipeline.archive.citation import PAPER
 from pipeline.cli import commands
+from pipeline.cli import report as report_command
 from pipeline.errors import ArchiveError
 from pipeline.report import entry, html_tables, ledger, pages, source
 from pipeline.report.source import read
@@ -233,6 +234,7 @@ _LITTLE_MEMORY = """
 import re, resource, sys
 import pipeline.report.pages
 from pipeline.cli import commands
+from pipeline.cli import report as report_command
 used = int(re.search(r"VmData:\\s+(\\d+)", open("/proc/self/status").read())[1]) << 10
 resource.setrlimit(resource.RLIMIT_DATA, (used + (8 << 20),) * 2)
 sys.exit(commands.main(sys.argv[1:]))
@@ -277,9 +279,9 @@ def test_an_archive_that_is_read_without_memory_is_not_damaged(archives, monkeyp
 
 
 def test_the_pages_of_a_long_report_are_counted(archives, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(commands, "_QUIET", -1.0)
-    monkeypatch.setattr(commands.terminal, "is_terminal", lambda: True)
-    monkeypatch.setattr(commands.time, "monotonic", itertools.count().__next__)
+    monkeypatch.setattr(report_command, "_QUIET", -1.0)
+    monkeypatch.setattr(report_command.terminal, "is_terminal", lambda: True)
+    monkeypatch.setattr(report_command.time, "monotonic", itertools.count().__next__)
     assert commands.main(["report", *map(str, archives), "-o", str(tmp_path)]) == 0
     counted = re.findall(r"(\d+) of (\d+) pages, (\d+) s to go", capsys.readouterr().err)
     assert [int(made) for made, *_ in counted] == list(range(1, len(archives) + 1))

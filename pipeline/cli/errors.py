@@ -1,0 +1,44 @@
+"""An error of a command in one line, and its exit code."""
+
+from __future__ import annotations
+
+import contextlib
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+
+from pipeline import terminal
+from pipeline.errors import DiskFullError, GaitsweepError, is_disk_full, reached_limit, unwritten
+
+
+@contextlib.contextmanager
+def report_errors(codes: list[int], debug: bool) -> Iterator[None]:
+    """Print an error on one line and append its exit code to `codes`."""
+    try:
+        yield
+    except GaitsweepError as error:
+        if debug:
+            traceback.print_exc()
+        terminal.say(f"gaitsweep: {error}")
+        codes.append(error.exit_code)
+    except BrokenPipeError:
+        terminal.silence(1)
+        codes.append(1)
+    except KeyboardInterrupt:
+        terminal.say("gaitsweep: Stopped.")
+        codes.append(130)
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        if is_disk_full(error):  # of standard output
+            terminal.silence(1)
+            terminal.say("gaitsweep: The disk is full; not everything could be printed.")
+            codes.append(DiskFullError.exit_code)
+            return
+        if limit := reached_limit(error):
+            terminal.say(f"gaitsweep: {(known := unwritten(Path(), limit))}")
+            codes.append(known.exit_code)
+            return
+        message = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+        terminal.say(f"gaitsweep: Internal error, {message}; --debug shows where.")
+        codes.append(2)

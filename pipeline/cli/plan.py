@@ -1,0 +1,110 @@
+"""`gaitsweep plan`: what would run and why."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from pipeline import paths
+from pipeline.cli import kinds, studies
+from pipeline.engine.progress import duration
+from pipeline.graph.plan import Plan, Summary, summary
+from pipeline.grid import costs
+from pipeline.store.store import Store
+from pipeline.study import corners
+from pipeline.study import options as study_options
+from tasks.registry import FITS, VARIABLES
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    command.epilog, command.formatter_class = study_options.listing(), argparse.RawDescriptionHelpFormatter
+    command.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
+    kinds.add_accuracy(command)
+    command.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
+    command.add_argument("--retry-failed", action="store_true", help="as `run` would")
+    kinds.add_json(command)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the plan of every study."""
+    records = []
+    for study, path in studies.archives(options):
+        store = Store(paths.sidecar_path(path, ".journal"), write=False)
+        planned = Plan(study, store, options.retry_failed)
+        describe = _record if options.json else lines
+        records.append(describe(planned, summary(planned), path))
+    print(json.dumps(records) if options.json else "\n".join(line for record in records for line in record))
+    return 0
+
+
+def lines(planned: Plan, counts: Summary, path: Path) -> Iterator[str]:
+    """Describe a plan: for each task what runs and why, what is cached, and what is not requested."""
+    study = planned.study
+    walkers = [f"{len(study.walkers)} walkers"] if study.walker_axis else []
+    axes, total = study.axes, f"{study.points:,} points"
+    if study.kind in ("design", "cascade", "curve"):  # whose slopes are a window
+        name = "design" if study.kind == "design" else "line"
+        axes, total = study.line_axes, f"{study.lines:,} {name}{'s' if study.lines > 1 else ''}"
+    shape = [*walkers, *(f"{len(a)} {a.name}" for a in axes)]
+    yield f"{study.name}: {' x '.join(shape)}{', ' if shape else ''}{total} -> {path}"
+    for name, layer in planned.graph.layers.items():
+        what = "point" if name == "points" else "line" if layer.per_line else "study"
+        parts = [f"{n:,} {why}" for why, n in sorted(counts.todo[name].items()) if n]
+        parts += [f"{counts.cached[name]:,} cached"] if counts.cached[name] else []
+        yield f"  {name:<12} version {layer.task.version}  per {what}: {', '.join(parts) or 'none'}"
+    every = sum(counts.todo["points"].values()) if "points" in counts.todo else 0
+    if (integrated := costs.integrated(planned.study, every)) < every:
+        yield f"  integrated: about {integrated:,} points to an accuracy of {planned.study.accuracy:g}, all others not"
+    yield from (f"  note: {sentence}" for sentence in corners.notes(planned.study))
+    yield f"  not wanted: {', '.join(_omitted(planned)) or 'nothing'}"
+    yield f"  about {duration(counts.seconds)} of work for one core" if counts.seconds else "  nothing to do"
+
+
+def _record(planned: Plan, counts: Summary, path: Path) -> dict[str, Any]:
+    """A plan for machines.
+
+    Parameters
+    ----------
+    planned : Plan
+    counts : Summary
+    path : Path
+        The archive.
+
+    Returns
+    -------
+    dict
+        `study`, `archive`, `points` of the grid; of these (of the lines, in studies of other kinds) how many are
+        `new`, `changed` (failures that are tried again included) and `cached`; `not_wanted`, names of variables and
+        tasks; `flown`, about how many points are integrated; `seconds` of work for one core; and `tasks`, the counts
+        of each.
+    """
+    study = planned.study
+    main = "points" if study.kind == "grid" else study.kind
+    new, every = counts.todo[main]["new"], sum(counts.todo[main].values())
+    tasks = {name: {**dict(todo), "cached": counts.cached[name]} for name, todo in counts.todo.items()}
+    return {
+        "study": study.name,
+        "archive": str(path),
+        "points": study.points,
+        "new": new,
+        "changed": every - new,
+        "cached": counts.cached[main],
+        "not_wanted": _omitted(planned),
+        "flown": costs.integrated(study, every) if main == "points" else 0,
+        "seconds": counts.seconds,
+        "tasks": tasks,
+    }
+
+
+def _omitted(planned: Plan) -> list[str]:
+    """What the study does not want: whole groups, other variables, and tasks."""
+    tasks, variables = planned.omissions()
+    names = [name for name in tasks if name in (*FITS, "trace", "claims")]
+    if planned.study.kind != "grid":
+        return names
+    groups = {v.group for v in VARIABLES.values()} - {VARIABLES[v].group for v in planned.graph.variables}
+    return list(dict.fromkeys(VARIABLES[v].group if VARIABLES[v].group in groups else v for v in variables)) + names

@@ -1,0 +1,80 @@
+"""`gaitsweep report`: HTML pages from archives."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from pipeline import terminal
+from pipeline.archive import read
+from pipeline.errors import unwritten
+
+#: Time for which a report says nothing [s].
+_QUIET = 2.0
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    command.add_argument("archives", nargs="+", metavar="ARCHIVE.nc", type=Path)
+    command.add_argument(
+        "-o",
+        dest="out",
+        type=Path,
+        default=Path("reports"),
+        metavar="DIR",
+        help="folder to which pages are added (default reports)",
+    )
+    command.add_argument("--only", action="store_true", help="remove other pages there")
+    command.add_argument("--open", action="store_true", help="open the index in a browser")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Make the pages, and print the path of their index."""
+    read.probe(options.archives)
+    for path in options.archives:
+        with read.open_archive(path):
+            pass
+    # Asked whether an array is one of dask's, xarray would import dask.array, and so half of SciPy: a second a process.
+    no_dask = sys.modules.setdefault("dask.array", None) is None  # type: ignore[arg-type]
+    try:
+        from pipeline.report import pages
+
+        with _pages_counted(len(options.archives)) as tell:
+            index = pages.write(options.archives, options.out, options.only, tell)
+    except OSError as error:
+        raise unwritten(options.out, error) from error
+    finally:
+        if no_dask:
+            del sys.modules["dask.array"]
+    print(index)
+    if options.open:
+        import webbrowser
+
+        if not webbrowser.open(index.resolve().as_uri()):
+            terminal.say("gaitsweep: No browser could be opened.")
+    return 0
+
+
+@contextlib.contextmanager
+def _pages_counted(total: int) -> Iterator[Callable[[int], None]]:
+    """Show how many pages of a report are made, if it takes long."""
+    begin = said = time.monotonic()
+    shown = False
+
+    def tell(made: int) -> None:
+        nonlocal said, shown
+        now = time.monotonic()
+        if now - begin > _QUIET and now - said > (0.5 if terminal.is_terminal() else 10):
+            said, shown = now, terminal.is_terminal()
+            text = f"{made} of {total} pages, {(now - begin) / made * (total - made):.0f} s to go"
+            terminal.say(f"\r\033[K{text}" if shown else text, end="" if shown else "\n")
+
+    try:
+        yield tell
+    finally:
+        if shown:
+            terminal.say("\r\033[K", end="")

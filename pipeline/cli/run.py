@@ -1,0 +1,89 @@
+"""`gaitsweep run`: run studies; the same command again resumes."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import shlex
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+from pipeline import terminal
+from pipeline.cli import kinds, studies
+from pipeline.cli.errors import report_errors
+from pipeline.engine import runner
+from pipeline.engine.progress import duration
+from pipeline.paths import sidecar_path
+
+#: Exit codes of several studies, gravest first: the gravest is that of all.
+_EXIT_CODES_BY_SEVERITY = (143, 130, 129, 4, 3, 2, 5, 1, 0)
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    command.add_argument("studies", nargs="+", metavar="STUDY.toml", type=Path)
+    kinds.add_accuracy(command)
+    command.add_argument("--jobs", type=kinds.jobs, default=2, metavar="N", help="worker processes (default 2)")
+    command.add_argument("--cluster", metavar="ADDRESS", help="a Dask scheduler, tcp://HOST:PORT, or local:N")
+    command.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
+    command.add_argument("--fresh", action="store_true", help="discard the results of earlier runs")
+    command.add_argument("--retry-failed", action="store_true", help="retry failed points and tasks")
+    command.add_argument(
+        "--chunk",
+        type=kinds.count,
+        metavar="N",
+        help="most points that a worker computes at a time (default: those of a chunk)",
+    )
+    command.add_argument(
+        "--snapshot",
+        type=kinds.interval,
+        default=60.0,
+        metavar="SECONDS",
+        help="minimum interval at which a running study publishes its archive (default 60)",
+    )
+    command.add_argument("--quiet", action="store_true", help="print errors only")
+    command.add_argument("--verbose", action="store_true", help="report every chunk")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run studies; returns the gravest exit code."""
+    codes: list[int] = []
+    targets = studies.archives(options, codes)
+    names = (field.name for field in dataclasses.fields(runner.Options))
+    run_options = runner.Options(**{name: getattr(options, name) for name in names})
+    start = time.monotonic()
+
+    def report(error: Exception) -> None:
+        with report_errors([], options.debug):
+            raise error
+
+    ends = runner.run(targets, run_options, report)
+    codes += ends
+    if not options.quiet:
+        finished = {study.path: path for (study, path), end in zip(targets, ends, strict=True) if end in (0, 1)}
+        others = [str(path) for path in options.studies if path not in finished]
+        for line in _after(list(finished.values()), others, time.monotonic() - start):
+            terminal.say(line)
+    return min(codes, key=_EXIT_CODES_BY_SEVERITY.index)
+
+
+def _after(archives: list[Path], unfinished: list[str], seconds: float) -> Iterator[str]:
+    """Closing lines of a run: outcomes of its studies, unfinished ones, and how to see the results."""
+    counts: Counter[str] = Counter()
+    for path in archives:
+        try:
+            counts.update(json.loads(sidecar_path(path, ".run.json").read_text(encoding="utf-8"))["counts"])
+        except (OSError, ValueError, KeyError):
+            continue
+    if len(archives) + len(unfinished) > 1:
+        count = f"{len(archives)} of {len(archives) + len(unfinished)}" if unfinished else f"{len(archives)}"
+        parts = [", ".join(f"{k} {n:,}" for k, n in counts.items())] if counts else []
+        parts += [f"not run to the end: {', '.join(unfinished)}"] if unfinished else []
+        yield f"{count} studies in {duration(seconds)}: {'; '.join(parts)}"
+    if archives:
+        folder = archives[0].parent / "*.nc" if len(archives) > 1 and len({p.parent for p in archives}) == 1 else None
+        shown = str(folder) if folder else " ".join(shlex.quote(str(path)) for path in archives)
+        yield f"To see it: gaitsweep report {shown}  (makes {Path('reports', 'index.html')})"

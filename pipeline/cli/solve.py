@@ -1,0 +1,93 @@
+"""`gaitsweep solve`: all gaits at one point."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from pipeline import terminal
+from pipeline.cli import kinds
+from pipeline.study.single_point import solve
+from tasks.registry import VARIABLES
+
+#: Units in degrees for those in radians; a rate of a walker in consistent units has the unit 1.
+_DEGREES = {"rad": "deg", "rad s-1": "deg s-1", "1": "deg per unit of time"}
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    command.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
+    command.add_argument("--slope", required=True, type=kinds.number, metavar="S", help="rad")
+    command.add_argument(
+        "--set", action=kinds.Settings, type=kinds.setting, default={}, metavar="KEY=VALUE", help="a walker key"
+    )
+    command.add_argument(
+        "--tuned",
+        action="append",
+        default=[],
+        metavar="KEY",
+        help="a key changed by least so that the walker meets the static conditions",
+    )
+    kinds.add_accuracy(command)
+    command.add_argument("--all", action="store_true", help="include gaits that are not anthropomorphic")
+    command.add_argument(
+        "--limit",
+        action=kinds.Settings,
+        type=kinds.limit,
+        default={},
+        metavar="VIOLATION=VALUE",
+        help="flag a violation above this value instead of its default (listed by `plan --help`)",
+    )
+    command.add_argument(
+        "--steps", type=kinds.count, default=1, metavar="N", help="gaits that repeat after N steps (default 1)"
+    )
+    command.add_argument("--degrees", action="store_true", help="slope and angles in degrees (--json: the slope only)")
+    kinds.add_json(command)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the gaits; the exit code is 1 if one is not converged."""
+    slope = math.radians(options.slope) if options.degrees else options.slope
+    asked = options.all, options.steps, options.accuracy, options.limit, options.tuned
+    answer = solve(options.walker, slope, options.set, *asked)
+    for line in answer.get("search", []):
+        terminal.say(line)
+    if options.degrees and answer.get("search"):
+        terminal.say("Slopes in the lines above are in rad.")
+    if options.json:
+        # JSON has no infinite numbers; `float` reads the word.
+        gaits = [{k: "inf" if v == math.inf else v for k, v in gait.items()} for gait in answer["gaits"]]
+        print(json.dumps(gaits, allow_nan=False))
+    else:
+        print("\n".join(_lines(answer["gaits"], answer["units"], options.degrees)))
+    return int(any(gait["status"] != "converged" for gait in answer["gaits"]))
+
+
+def _lines(all_gaits: Iterable[dict[str, Any]], units: dict[str, str], in_degrees: bool = False) -> Iterator[str]:
+    """Gaits at one point, a paragraph each, with units; angles and rates in degrees if asked."""
+    is_empty, has_others = True, False
+    for gait in all_gaits:
+        is_empty = False
+        width = max(16, *(len(key) for key, value in gait.items() if value is not None))
+        yield f"{gait['gait']} ({'stable' if gait['stable'] else 'unstable'}, {gait['status']})"
+        for key, value in gait.items():
+            if key in ("gait", "stable", "status", "contact_mass_matrix") or value is None:
+                continue
+            if key == "multipliers":
+                value = ", ".join(f"{re:.12g}{im:+.12g}j" if im else f"{re:.12g}" for re, im in value)
+            elif isinstance(value, float):
+                unit = units.get(key, "1")
+                if in_degrees and (key == "slope" or (key in VARIABLES and VARIABLES[key].kind in ("angle", "rate"))):
+                    value, unit = math.degrees(value), _DEGREES[unit]
+                value = f"{value:.15g} {unit}".removesuffix(" 1")
+            elif isinstance(value, list):
+                value = ", ".join(map(str, value)) or "none"
+            yield f"  {key:<{width}} {value}"
+        has_others = has_others or str(gait["gait"]).startswith("other")
+    if has_others:
+        yield "Of several gaits under one label that of the largest stance angle has it; others are other1, other2, ..."
+    if is_empty:
+        yield "no gait"

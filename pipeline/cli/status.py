@@ -1,0 +1,86 @@
+"""`gaitsweep status`: progress of the current or last run."""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from pipeline.cli import kinds, studies
+from pipeline.engine.progress import duration, last_state, sentence
+from pipeline.paths import sidecar_path
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    command.add_argument("studies", nargs="*", metavar="STUDY.toml", type=Path)
+    command.add_argument("--archive", type=kinds.archive, metavar="FILE", help="instead of data/archive/NAME.nc")
+    kinds.add_json(command)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the state of every run."""
+    logs = sorted(Path("data/archive").glob("*.events.jsonl"))
+    recorded = [log.with_name(log.name.removesuffix(".events.jsonl") + ".nc") for log in logs]
+    every = [options.archive] if options.archive else recorded
+    archives = [path for _, path in studies.archives(options)] or every
+    states = {path: state_of(path) for path in archives}
+    if options.json:
+        print(json.dumps([{"archive": str(path), **(state or {})} for path, state in states.items()]))
+        return 0
+    for path, state in states.items():
+        print("\n".join(_lines(path, state)))
+    if not states:
+        print("There is no record of a run in data/archive.")
+    return 0
+
+
+def state_of(path: Path) -> dict[str, Any] | None:
+    """State of the run of an archive, with `running` and, if so, its `holder`; None without a record."""
+    last = last_state(sidecar_path(path, ".events.jsonl"))
+    if last is None:
+        return None
+    last["running"] = False
+    lock = sidecar_path(path, ".journal-lock")
+    if not lock.is_file():  # another one might be waited for
+        return last
+    try:
+        with open(lock, encoding="utf-8") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except OSError:
+                last |= {"running": True, "holder": json.load(file)}
+    except (OSError, ValueError):
+        pass
+    return last
+
+
+def _lines(path: Path, run_state: dict[str, Any] | None) -> Iterator[str]:
+    """Describe the state of a run in a few lines."""
+    if run_state is None:
+        yield f"{path}: there is no record of a run."
+        return
+    try:
+        yield from list(_described(path, run_state))
+    except (LookupError, TypeError, ValueError, AttributeError):  # of another version, or of another program
+        yield f"{path}: its record of a run is not one of this version."
+
+
+def _described(path: Path, run_state: dict[str, Any]) -> Iterator[str]:
+    holder = run_state.get("holder", {})
+    condition = (
+        f"running as process {holder.get('pid')} on {holder.get('host')}"
+        if run_state["running"]
+        else "finished"
+        if run_state.get("over")
+        else "stopped"
+    )
+    yield f"{path}: {condition}; {sentence(run_state)}"
+    yield f"  after {duration(run_state['elapsed'])}; memory {run_state['memory'] / 2**20:.0f} MiB" + "".join(
+        f"; worker {w['pid']} {w['memory'] / 2**20:.0f} MiB" for w in run_state["workers"]
+    )
+    if run_state["counts"]:
+        yield "  " + ", ".join(f"{name} {n:,}" for name, n in sorted(run_state["counts"].items()))

@@ -1,0 +1,27 @@
+"""The studies that a command names."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from pathlib import Path
+
+from pipeline.cli.errors import report_errors
+from pipeline.errors import StudyError
+from pipeline.study import parse
+from pipeline.study.model import Study
+
+
+def archives(options: argparse.Namespace, codes: list[int] | None = None) -> list[tuple[Study, Path]]:
+    """Read and check each study and name its archive; with `codes`, invalid studies are reported and skipped."""
+    if options.archive and len(options.studies) > 1:
+        raise StudyError("`--archive` names one file, but there are several studies.")
+    studies = []
+    for path in options.studies:
+        with contextlib.nullcontext() if codes is None else report_errors(codes, options.debug):
+            studies.append(parse.read(path, getattr(options, "accuracy", None)))
+    targets = [(s, options.archive or Path("data", "archive", f"{s.name}.nc")) for s in studies]
+    for i, (study, path) in enumerate(targets):
+        if any(path == other for _, other in targets[:i]):
+            raise StudyError(f"Two studies are called {study.name}.")
+    return targets

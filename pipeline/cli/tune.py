@@ -1,0 +1,43 @@
+"""`gaitsweep tune`: the nearest walker that meets the conditions of walking at vanishing slope."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from pipeline.cli import kinds
+from pipeline.cli.walkers import table
+from pipeline.dispatch import ask
+from pipeline.study import files
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    command.add_argument("--walker", required=True, metavar="NAME|FILE.toml")
+    command.add_argument("--free", action="append", default=[], metavar="KEY", help="a key that may change")
+    kinds.add_json(command)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the walker as a table ready to paste."""
+    free = {"free": options.free} if options.free else {}
+    answer = ask("tune", {"walker": files.walker(options.walker, Path()), **free})
+    if options.json:
+        print(json.dumps(answer))
+        return 0
+    print("\n".join(_lines(answer)))
+    return 0
+
+
+def _lines(answer: dict[str, Any]) -> Iterator[str]:
+    """Nearest tuned walker as a TOML table; changed keys and residuals of the conditions precede it as comments."""
+    if not answer["moved"]:
+        yield "# It meets the zero-slope conditions already; no key was changed."
+    for key, (old, new) in answer["moved"].items():
+        yield f"# {key} changed from {old!r} to {new!r}"
+    for name, before in answer["before"].items():
+        yield f"# {name.replace('_', ' ')}: {before + 0.0:.3g} before, {answer['after'][name] + 0.0:.3g} after"
+    yield from table("walker", answer["walker"])

@@ -1,0 +1,53 @@
+"""`gaitsweep walkers`: the catalogue of walkers, or one walker."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from pipeline.cli import kinds
+from pipeline.dispatch import ask
+from pipeline.study import files
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    command.add_argument("name", nargs="?", metavar="NAME")
+    kinds.add_json(command)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the walkers."""
+    table = files.walker(options.name, Path()) if options.name else None
+    walkers = ask("walkers", {"walker": table} if isinstance(table, dict) else {"name": table})["walkers"]
+    if options.json:
+        print(json.dumps(walkers))
+        return 0
+    print("\n".join(_lines(walkers, in_full=options.name is not None)))
+    return 0
+
+
+def table(name: str, values: dict[str, Any]) -> Iterator[str]:
+    """Format a TOML table."""
+    yield f"[{name}]"
+    for key, value in values.items():
+        yield f"{key} = {json.dumps(value)}"
+
+
+def _lines(descriptions: Iterable[dict[str, Any]], in_full: bool) -> Iterator[str]:
+    """The catalogue, a line for each walker, or one walker in full."""
+    for walker in descriptions:
+        if not in_full:
+            yield f"{walker['name']:<18} {walker['description']}"
+            continue
+        yield f"{walker['name']}: {walker['description']}"
+        yield walker["drawing"]
+        yield from table("walker", walker["parameters"])
+        yield ""
+        for key, value in walker["statics"].items():
+            yield f"{key:<16} {value + 0.0:.12g}"
+        yield "Only a walker with zero residuals can walk at vanishing slope, and not every such walker does."
+        yield "`gaitsweep tune` shows the nearest one, `gaitsweep solve` whether it walks."
