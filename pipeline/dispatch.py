@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from pipeline import dispatch
 from pipeline.errors import StudyError
 from tasks.registry import CALLS
 
@@ -21,7 +20,7 @@ def call(name: str, params: dict[str, Any]) -> Any:
     return resolve(CALLS[name])(params)
 
 
-def ask(call: str, params: dict[str, Any]) -> Any:
+def ask(name: str, params: dict[str, Any]) -> Any:
     """Call a function of `tasks` by its name in the registry.
 
     Raises
@@ -30,7 +29,7 @@ def ask(call: str, params: dict[str, Any]) -> Any:
         If the walker or another parameter is invalid.
     """
     try:
-        return dispatch.call(call, params)
+        return call(name, params)
     except ValueError as error:
         if not hasattr(error, "bound"):
             raise

@@ -11,11 +11,10 @@ import numpy as np
 
 from pipeline.archive import layout, read, structure
 from pipeline.archive.read import columns, open_archive
-from pipeline.statuses import ALL_STATUSES
+from pipeline.statuses import FOUND
 from tasks.registry import VARIABLES, Variable
 
 #: Statuses of gaits that were found, whose values stand in the archive; of others it holds none.
-_FOUND = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate"))
 #: What every gait has that an archive holds at all.
 _ALWAYS = ("stance_angle", "stance_rate", "thigh_rate", "shank_rate", "period")
 
@@ -47,7 +46,7 @@ def _values(file: Any) -> Iterator[str]:
             values = np.ma.getdata(variable[box] if large else variable[...])
             total += read.box_checksum(variable, values, box) if large else layout.checksum(values)
             if large and description and description.dtype == "f8":
-                other = ~np.isin(file.variables["status"][box], _FOUND)
+                other = ~np.isin(file.variables["status"][box], FOUND)
                 misplaced += int(np.count_nonzero(~np.isnan(values[other])))
                 impossible += int(np.count_nonzero(_is_impossible(description, values[~other])))
         if total % 2**32 != sums.get(name):

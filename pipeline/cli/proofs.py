@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.archive import read
 from pipeline.dispatch import ask
 from pipeline.errors import ArchiveError
-from pipeline.statuses import ALL_STATUSES
+from pipeline.statuses import FOUND
 from pipeline.study import files, parse, slopes
 from pipeline.study.location import Location
 from tasks.registry import GAITS
@@ -145,8 +145,7 @@ def _stored(path: Path, sample: int | None) -> Iterator[dict[str, Any]]:
                 f"{path} holds no gaits to prove: with knees it needs kneestrike_time, which it has not."
             )
         status = np.ma.getdata(file["status"][...])
-        solved = [ALL_STATUSES[k] for k in ("converged", "less_accurate") if k in ALL_STATUSES]
-        places = np.argwhere(np.isin(status, solved))
+        places = np.argwhere(np.isin(status, FOUND))
         if sample is not None and sample < len(places):
             places = places[np.sort(np.random.default_rng(_DRAW).choice(len(places), sample, replace=False))]
         coordinates = {d: file[d][...] for d in dims}

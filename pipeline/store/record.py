@@ -20,13 +20,13 @@ import numpy as np
 
 from pipeline import serialize
 from pipeline.grid.grid import Shape
-from pipeline.statuses import ALL_STATUSES, ANSWERS, ENDINGS
+from pipeline.statuses import ALL_STATUSES, ANSWERS, ENDINGS, FOUND
 from pipeline.store.packing import Packed, pack_values, unpack
 from tasks.registry import GAITS, STATUSES, VARIABLES
 
 _BASE = 1 + max(ALL_STATUSES.values())
 _NAMES = {code: name for name, code in ALL_STATUSES.items()}
-_BEST = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate", "fell", "no_gait"))
+_BEST = (*FOUND, *(ALL_STATUSES[name] for name in ("fell", "no_gait")))
 #: Type of the numbers of sentences.
 _REASON = np.dtype("u8")
 

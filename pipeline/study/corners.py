@@ -11,8 +11,8 @@ from pipeline.study.model import Study
 from tasks import registry
 
 
-def check_walkers(study: Study, top: Location) -> Study:
-    """Check every walker at the corners of the grid of lines; store the properties of each.
+def check_walkers(study: Study, top: Location) -> tuple[dict[str, Any], ...]:
+    """Check every walker at the corners of the grid of lines; returns the properties of each.
 
     Raises
     ------
@@ -32,8 +32,7 @@ def check_walkers(study: Study, top: Location) -> Study:
             if study.kind == "curve":
                 _check_curve(study, candidate, values, top.at("options"))
         checks.append(check)
-    object.__setattr__(study, "checks", tuple(checks))
-    return study
+    return tuple(checks)
 
 
 def notes(study: Study) -> list[str]:

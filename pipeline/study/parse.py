@@ -133,7 +133,7 @@ def parse(table: Mapping[str, Any], text: str, path: Path, asked: float | None =
     count = study.lines if kind == "design" else study.points
     if count > MAX_POINTS:
         raise top.at("axes").error(f"The grid has {count:.3g} points, more than {MAX_POINTS:.0e}")
-    check_walkers(study, top)
+    study = replace(study, checks=check_walkers(study, top))
     if kind in registry.WINDOWED and study.slope.min() == study.slope.max():
         sentence = f"The slopes of a `{kind}` are a window: give at least two; got {study.slope[0]:g}"
         raise top.at("axes", "slope").error(sentence)
