@@ -400,6 +400,14 @@ def test_a_run_is_not_refused_by_a_look_at_its_state(toy):
         timer.join()
 
 
+@pytest.mark.parametrize(("line", "shown"), [('name = "Öre 2"', "Öre 2"), ("", "custom")])
+def test_a_walker_of_a_file_is_shown_by_its_name(tmp_path, monkeypatch, capsys, line, shown):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(f'[walker]\nbase = "D"\n{line}\n', encoding="utf-8")
+    assert commands.main(["walkers", "mine.toml"]) == 0
+    assert capsys.readouterr().out.startswith(f"{shown}: a walker of your own\n")
+
+
 @pytest.mark.parametrize("reason", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
 def test_a_disk_without_locks_is_refused(toy, monkeypatch, capsys, reason):
     """As some network disks are; two runs of one archive would not know of each other."""
