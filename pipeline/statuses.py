@@ -10,8 +10,6 @@ ENDINGS = {"worker_died": 4, "timed_out": 5, "out_of_memory": 6, "not_attempted"
 ALL_STATUSES = dict(sorted({**STATUSES, **ENDINGS}.items(), key=lambda item: item[1]))
 #: Statuses that are answers; all others are failures.
 ANSWERS = tuple(STATUSES[name] for name in ("converged", "no_gait", "fell"))
-#: Their names.
-ANSWER_NAMES = tuple(name for name, code in STATUSES.items() if code in ANSWERS)
 #: Statuses of gaits that were found.
 FOUND = tuple(ALL_STATUSES[name] for name in ("converged", "less_accurate"))
 #: Reason of points that nobody has computed.

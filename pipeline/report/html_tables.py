@@ -15,9 +15,8 @@ from pipeline.report.cells import Cell, cell, column_cells
 from pipeline.report.figures import landmarks as places
 from pipeline.report.figures import measured
 from pipeline.report.figures.starts import addresses
-from pipeline.report.source import Source
+from pipeline.report.source import ANSWERS, Source
 from pipeline.report.words import WORDS, grouped, plain, print_units, spaced, with_unit
-from pipeline.statuses import ANSWER_NAMES
 
 #: Failed points listed on the page, and points without a gait in the CSV file; the archive has all of them.
 MAX_ROWS, MAX_LISTED = 60, 20_000
@@ -228,13 +227,13 @@ def listed(absent: pd.DataFrame) -> pd.DataFrame:
     """Points without a converged gait that the CSV file lists: failures first, which answers would push out."""
     if absent.empty:
         return absent
-    order = np.argsort(absent["status"].isin(ANSWER_NAMES).to_numpy(), kind="stable")
+    order = np.argsort(absent["status"].isin(ANSWERS).to_numpy(), kind="stable")
     return absent.iloc[order[:MAX_LISTED]]
 
 
 def failures(absent: pd.DataFrame) -> Table | None:
     """Points that failed; that there is no gait at a point is an answer, not a failure."""
-    failed = absent[~absent["status"].isin(ANSWER_NAMES)] if len(absent) else absent
+    failed = absent[~absent["status"].isin(ANSWERS)] if len(absent) else absent
     if failed.empty:
         return None
     shown = failed.head(MAX_ROWS)
