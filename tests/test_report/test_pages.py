@@ -264,8 +264,10 @@ def test_a_report_depends_on_no_setting_of_the_reader(report, archives, tmp_path
 def test_a_report_without_the_memory_for_it_says_so_in_a_line(archives, tmp_path):
     """Its processes, too, have none: it waited for them without end."""
     code, said = _command(archives, tmp_path, ["-c", _LITTLE_MEMORY])
+    assert code
     if code != -signal.SIGABRT:  # by which the netCDF library ends where it gets no memory
-        assert code and said.startswith("gaitsweep: ") and said.count("\n") == 1 and "Internal error" not in said
+        # Python may complain before of objects that it could not free.
+        assert said.splitlines()[-1].startswith("gaitsweep: ") and "Internal error" not in said
 
 
 @pytest.mark.parametrize("step", ["opened", "read"])
