@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import heyoka as hy
@@ -18,7 +18,7 @@ import numpy as np
 
 from tasks.mechanics.equations import system
 from tasks.mechanics.kernel import prepare_compiler
-from tasks.mechanics.lumped import Structure, structure_of
+from tasks.mechanics.lumped import Structure, general_structure
 from tasks.step.problem import Lanes, Problem
 from tasks.step.simulate import (
     BACKWARD,
@@ -115,7 +115,7 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
 
 def section_problem(walker: Walker) -> Lanes:
     """Step map of a walker with three coordinates on its section, those of point feet as of other straight legs."""
-    return Lanes([walker], replace(structure_of(walker), point_foot=False))
+    return Lanes([walker], general_structure(walker.knees))
 
 
 def check_state(state: np.ndarray) -> None:

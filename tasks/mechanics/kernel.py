@@ -63,9 +63,9 @@ class Flow:
     that is lost or turns over is integrated again lane by lane to keep that true.
     """
 
-    def __init__(self, structure: Structure, free_knee: bool, directions: int, with_slope: bool, coarse: bool):
-        motion = system(structure, free_knee, directions, with_slope)
-        self.size, self.angles = len(motion.equations), (6 if free_knee else 4)
+    def __init__(self, structure: Structure, directions: int, with_slope: bool, coarse: bool):
+        motion = system(structure, structure.kneed, directions, with_slope)
+        self.size, self.angles = len(motion.equations), (6 if structure.kneed else 4)
         # Without a foot mass the links do not couple: with so few terms a group of two registers is faster.
         self.lanes = 2 * LANES if ("eps", 0.0) in structure.units else LANES
         self.evaluations = self.idle = 0
@@ -155,15 +155,13 @@ def _differ(reached: np.ndarray, duration: np.ndarray) -> np.ndarray:
 FLOWS: dict[tuple[Any, ...], Flow] = {}
 
 
-def flow(structure: Structure, free_knee: bool, directions: int, with_slope: bool, coarse: bool = False) -> Flow:
+def flow(structure: Structure, directions: int, with_slope: bool, coarse: bool = False) -> Flow:
     """Return the compiled flow of a structure, one a process; the compiled code is kept on disk between processes.
 
     Parameters
     ----------
     structure : Structure
-        Which constants exist.
-    free_knee : bool
-        Three links, or two.
+        That of straight legs, or of knees while the swing knee is free; once locked they move as straight legs.
     directions : int
         Number of variations carried along.
     with_slope : bool
@@ -171,11 +169,11 @@ def flow(structure: Structure, free_knee: bool, directions: int, with_slope: boo
     coarse : bool
         Integrate to the search's tolerance only.
     """
-    key = structure, free_knee, directions, with_slope, coarse
+    key = structure, directions, with_slope, coarse
     if key not in FLOWS:
         prepare_compiler()
         # Who follows branches needs both flows: two workers compile one each.
-        other = (structure, free_knee, directions + 1, True)
+        other = (structure, directions + 1, True)
         with compile_cache.turn(repr(key), (lambda: None) if with_slope or coarse else (lambda: flow(*other))):
             FLOWS[key] = Flow(*key)
     return FLOWS[key]

@@ -19,6 +19,9 @@ from heyoka import real128
 from tasks.walkers.walker import NUMBERS, Walker
 from tasks.walkers.walker_array import WalkerArray
 
+#: Lumped constants of every walker, and the further ones of those with knees, in the order of `lump`.
+_CONSTANTS = ("R", "l", "eps", "S_a_re", "S_a_im", "C_aa", "S_b_re", "S_b_im", "C_bb")
+_OF_KNEES = ("S_c_re", "S_c_im", "C_cc", "H_re", "H_im")
 #: Offset of a centre of mass, over its distance, below which it is computed in 128 bits.
 _NEARLY_TUNED = 1e-2
 
@@ -159,7 +162,7 @@ def _pair(name: str, v: _Vector) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Structure:
-    """Which constants a walker has; code is compiled once per structure, never per value."""
+    """Which constants a walker has as parameters; code is compiled once per structure, never per value."""
 
     kneed: bool
     point_foot: bool
@@ -177,41 +180,64 @@ class Structure:
         return 2 if self.point_foot else 3
 
 
+def general_structure(kneed: bool) -> Structure:
+    """Return the structure of all walkers with or without knees: every constant is a parameter."""
+    return Structure(kneed, False, _CONSTANTS + (_OF_KNEES if kneed else ()), ())
+
+
+def locked(parameters: np.ndarray) -> np.ndarray:
+    """Parameters of the general structure of straight legs, for walkers with knees while these are locked.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (n_parameters, ...)
+        Slope, scale and constants of the general structure of knees.
+
+    Returns
+    -------
+    ndarray, shape (slope, scale and the constants of straight legs, ...)
+    """
+    common, (S_b_re, S_b_im, C_bb, S_c_re, S_c_im, C_cc, H_re, _) = parameters[:8], parameters[8:]
+    return np.concatenate([common, [S_b_re + S_c_re, S_b_im + S_c_im, C_bb + C_cc + 2 * H_re]])
+
+
 def structure_of(walker: Walker) -> Structure:
-    """Return a walker's structure: a straight leg's constants that are 0 or +-1 become code, all others parameters."""
+    """Return a walker's structure, the general one except for point feet and massless straight legs.
+
+    With these the motion loses whole terms, as the constants that are 0 or +-1 become code. Other walkers gain little
+    from a zero, less than another structure takes to compile.
+    """
     return structures_of([walker])[0]
 
 
 def structures_of(walkers: Sequence[Walker]) -> list[Structure]:
     """Return the structures of several walkers, as `structure_of` does."""
-    structures: dict[int, Structure] = {}
-    for knees in (False, True):
-        numbers = [i for i, walker in enumerate(walkers) if walker.knees == knees]
-        if not numbers:
-            continue
-        constants = _lump_all([walkers[i] for i in numbers], float)
-        # Three links compile slowly and gain little from a zero, so all kneed walkers share one structure.
-        plain = () if knees else (0.0, 1.0, -1.0)
-        values = np.array(list(constants.values())).T
-        known: dict[tuple[bool, bytes], Structure] = {}
-        for i, row, is_fixed in zip(numbers, values, np.isin(values, plain), strict=True):
-            pattern = walkers[i].point_foot, np.where(is_fixed, row, np.nan).tobytes()
-            if pattern not in known:
-                each = list(zip(constants, row.tolist(), is_fixed.tolist(), strict=True))
-                free = tuple(k for k, _, is_unit in each if not is_unit)
-                units = tuple((k, value) for k, value, is_unit in each if is_unit)
-                known[pattern] = Structure(knees, pattern[0], free, units)
-            structures[i] = known[pattern]
-    return [structures[i] for i in range(len(walkers))]
+    structures = [general_structure(walker.knees) for walker in walkers]
+    special = [i for i, walker in enumerate(walkers) if _is_special(walker)]
+    if special:
+        constants = _lump_all([walkers[i] for i in special], float)
+        for i, row in zip(special, np.array(list(constants.values())).T.tolist(), strict=True):
+            structures[i] = _structure(walkers[i], dict(zip(constants, row, strict=True)))
+    return structures
 
 
 def common_structure(walkers: WalkerArray) -> Structure:
     """Return a structure for all of an array of walkers: only what is 0 or +-1 for each of them becomes code."""
+    if not _is_special(walkers):
+        return general_structure(walkers.knees)
     constants = _lump_all(walkers, float)
-    plain = () if walkers.knees else (0.0, 1.0, -1.0)
-    units = tuple((k, value) for k, v in constants.items() for value in plain if (v == value).all())
-    free = tuple(k for k in constants if k not in dict(units))
-    return Structure(walkers.knees, walkers.point_foot, free, units)
+    return _structure(walkers, {k: v[0] if (v == v[0]).all() else np.nan for k, v in constants.items()})
+
+
+def _is_special(walker: Walker | WalkerArray) -> bool:
+    """Whether constants that are 0 or +-1 become code."""
+    return not walker.knees and (walker.point_foot or walker.massless_leg)
+
+
+def _structure(walker: Walker | WalkerArray, constants: dict[str, float]) -> Structure:
+    """Structure in which constants that are 0 or +-1 are code, all others parameters."""
+    units = tuple((k, float(v)) for k, v in constants.items() if v in (0.0, 1.0, -1.0))
+    return Structure(False, walker.point_foot, tuple(k for k in constants if k not in dict(units)), units)
 
 
 def constants_of(walkers: Sequence[Walker] | WalkerArray, structure: Structure) -> np.ndarray:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from tasks.fit_laws import transition
-from tasks.mechanics.lumped import constants_of
 from tasks.paper.claim import APPROXIMATE, ClaimResult, claim, verdict
 from tasks.paper.lines import LONG, SHORT, foot_ratio, line, memoize, numbers, root
-from tasks.step.problem import Problem
-from tasks.step.step_map import stride_map
+from tasks.simulate_steps import section_problem
 
 #: Foot mass ratios at which the transition is located, down to where the 3/2 power is exact.
 RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)
@@ -37,11 +33,7 @@ def two_dimensional() -> ClaimResult:
 
 def _third_multiplier(walker: str) -> float:
     """Smallest multiplier of both gaits at slope 0.01 on the section of a general straight-legged walker."""
-    problem = Problem(line(walker).walker)
-    problem.structure = replace(problem.structure, point_foot=False)
-    problem.map = stride_map(problem.structure)
-    problem.constants = constants_of([problem.walker], problem.structure)[:, 0]
-    problem.m = problem.map.m
+    problem = section_problem(line(walker).walker)
     gaits = line(walker).at([0.01])
     unit = np.sqrt(problem.walker.leg / problem.walker.g)
     angle = gaits["stance_angle"][0, :2]
@@ -53,7 +45,7 @@ def _third_multiplier(walker: str) -> float:
             gaits["period"][0, :2] / unit,
         ]
     )
-    stride, _ = problem.stride(w, np.full(2, np.log(0.01)))
+    stride, _ = problem.some(np.zeros(2, int)).stride(w, np.full(2, np.log(0.01)))
     return float(np.abs(np.linalg.eigvals(np.moveaxis(stride.jacobian, -1, 0))).min(axis=1).max())
 
 

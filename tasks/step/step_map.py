@@ -22,7 +22,7 @@ import numpy as np
 
 from tasks.mechanics.equations import ZERO, Solver, Sym, Symbols, rows
 from tasks.mechanics.kernel import LANES, CompiledFunction, flow, prepare_compiler, whole_groups
-from tasks.mechanics.lumped import Structure
+from tasks.mechanics.lumped import Structure, general_structure, locked
 from tasks.step.symbols import derivatives_along, end_of_step, flat, inverse, lock_knee, matrix, start_of_step
 
 #: Intervals at whose ends the motion is sampled to verify a step.
@@ -317,7 +317,7 @@ class StrideMap:
         times_by = np.zeros((k, m + k + 1, n))
         times_by[:, m + k - 1] = np.arange(k)[:, None] == k - 1
         if self.kneed:
-            integrate = flow(self.structure, True, m + slope, slope, coarse)
+            integrate = flow(self.structure, m + slope, slope, coarse)
             final, phase = integrate(np.vstack([start, _lanes(D)]), parameters, times[0], samples)
             motion.append(phase)
             out = self._apply(self._knee, np.vstack([final[:6], _unlanes(final[6:], 6, m + 1), parameters]))
@@ -329,8 +329,9 @@ class StrideMap:
             times_by[1, [*range(m + 1), m + 2]] -= parts[: m + 2]
         else:
             start2, duration = start, times[0]
-        integrate = flow(self.structure, False, D.shape[1], slope, coarse)
-        final, phase = integrate(np.vstack([start2, _lanes(D)]), parameters, duration, samples)
+        integrate = flow(general_structure(False) if self.kneed else self.structure, D.shape[1], slope, coarse)
+        constants = locked(parameters) if self.kneed else parameters
+        final, phase = integrate(np.vstack([start2, _lanes(D)]), constants, duration, samples)
         motion.append(phase)
         directions = _unlanes(final[4:], 4, 4 if self.kneed else m + 1)
         out = self._apply(self._finish, np.vstack([y, final[:4], directions, parts, knee, parameters]))

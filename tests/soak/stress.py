@@ -245,8 +245,8 @@ def _lanes(family: str, problem: Lanes, random: Random, outcomes: Outcomes) -> N
 
 
 def _strides(problem: Lanes) -> int:
-    """Steps integrated so far with a structure's exact flow; each ends with locked knees."""
-    return flow(problem.structure, False, 3 if problem.phases == 2 else problem.m, False).evaluations
+    """Steps integrated so far with a structure's exact flow; with knees, each begins with a free one."""
+    return flow(problem.structure, problem.m, False).evaluations
 
 
 def _outcome(converged: bool, step: bool, leg_passes: int, ratio: float) -> str:

@@ -80,7 +80,7 @@ def test_the_choice_is_the_atlas_s_alone_and_flies_little():
     problem, found = branches("E")
     line = {"line": {"walker": "E", "set": {}}, "slope_from": 1e-4, "slope_to": 0.1, "adaptive": 1e-3}
     first = branch(line, [to_arrays(found)])
-    counter = flow(problem.structure, False, 2, False)
+    counter = flow(problem.structure, 2, False)
     counter.evaluations = 0
     again = branch(line, [to_arrays(found)])
     for name, values in first.items():

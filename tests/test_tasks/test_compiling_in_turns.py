@@ -38,18 +38,18 @@ def another(tmp_path, monkeypatch):
 def test_a_worker_compiles_the_other_flow_while_one_is_compiled_elsewhere(another, monkeypatch):
     """Both workers compiled every flow of an empty cache."""
     structure, compiled = structure_of(resolve("D", {})), []
-    with another(repr((structure, False, 2, False, False))) as holder:
+    with another(repr((structure, 2, False, False))) as holder:
 
         def compile_(*key):
-            compiled.append(key[2:4])
-            if key[3]:
+            compiled.append(key[1:3])
+            if key[2]:
                 holder.communicate()  # the other worker is done, and its turn over
             return Mock()
 
         monkeypatch.setattr(kernel, "prepare_compiler", lambda: None)
         monkeypatch.setattr(kernel, "FLOWS", {})
         monkeypatch.setattr(kernel, "Flow", compile_)
-        kernel.flow(structure, False, 2, False)
+        kernel.flow(structure, 2, False)
     assert compiled == [(3, True), (2, False)]
 
 
