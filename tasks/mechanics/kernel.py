@@ -18,8 +18,16 @@ from tasks.mechanics.lumped import Structure
 _MAX_STEPS = 120
 #: The vectorised sine reduces the arguments of a whole register differently if one of them is larger [rad].
 _LARGE_ANGLE = 10.0
+
+
+def _register() -> int:
+    """Numbers in a SIMD register: heyoka recommends half of AVX-512's, with which a lane takes half as long again."""
+    found = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+    return 8 if any("512" in name or name == "X86_V4" for name in found) else int(hy.recommended_simd_size())
+
+
 #: Numbers in a SIMD register; a processor with wide registers can do as one with narrower ones.
-LANES = int(os.environ.get("GAITSWEEP_LANES") or hy.recommended_simd_size())
+LANES = int(os.environ.get("GAITSWEEP_LANES") or _register())
 #: Tolerance of the exact flows: order 18, whose truncation error is a fiftieth of rounding.
 _FINE = 1.75e-15
 #: Tolerance of a search's flows, which only give the exact ones their initial guesses.
@@ -66,14 +74,14 @@ class Flow:
     def __init__(self, structure: Structure, directions: int, with_slope: bool, coarse: bool):
         motion = system(structure, structure.kneed, directions, with_slope)
         self.size, self.angles = len(motion.equations), (6 if structure.kneed else 4)
-        # Without a foot mass the links do not couple: with so few terms a group of two registers is faster.
-        self.lanes = 2 * LANES if ("eps", 0.0) in structure.units else LANES
+        # Without a foot mass the links do not couple: with so few terms a group of two narrow registers is faster.
+        self.lanes = max(LANES, 8) if ("eps", 0.0) in structure.units else LANES
         self.evaluations = self.idle = 0
         self.seconds = 0.0
         self._ta = hy.taylor_adaptive_batch(
             motion.equations, state=np.zeros((self.size, self.lanes)), tol=_COARSE if coarse else _FINE
         )
-        self._parameters = motion.parameters()
+        self._parameters = motion.parameters(batch_size=LANES)
         # Views of the integrator's own memory.
         ta: Any = self._ta
         self._state, self._pars, self._time = ta.state, ta.pars, ta.time
@@ -185,7 +193,7 @@ class CompiledFunction:
     seconds = 0.0
 
     def __init__(self, outputs: list[Any], variables: list[Any]):
-        self._function = hy.cfunc(outputs, vars=variables, compact_mode=False)
+        self._function = hy.cfunc(outputs, vars=variables, compact_mode=False, batch_size=LANES)
 
     def __call__(self, inputs: np.ndarray, outputs: np.ndarray | None = None) -> np.ndarray:
         """Values of the function, shape (outputs, n), at inputs of shape (variables, n)."""

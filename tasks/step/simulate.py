@@ -115,7 +115,7 @@ class Scanner:
         ndarray, shape (outputs, n)
         """
         n = inputs[0].shape[1]
-        padded = np.empty((sum(map(len, inputs)), n + -n % (4 * LANES)))
+        padded = np.empty((sum(map(len, inputs)), n + -n % (LANES)))
         np.concatenate(inputs, out=padded[:, :n])
         padded[:, n:] = padded[:, n - 1 : n]
         return function(padded)[:, :n]
@@ -240,7 +240,7 @@ class Scanner:
         became so large that in the next step the compiled sine might reduce those of its neighbours in another way.
         """
         size, n = x.shape
-        width = n + -n % (4 * LANES)
+        width = n + -n % (LANES)
         inputs = np.empty((size + 1 + len(parameters), width))
         inputs[:size, :n], inputs[size], inputs[size + 1 :, :n] = x, h, parameters
         inputs[:, n:] = inputs[:, n - 1 : n]

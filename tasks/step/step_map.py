@@ -255,7 +255,7 @@ class StrideMap:
         """Call a compiled function on lanes padded to whole SIMD groups, so that every lane runs the same code."""
         # A register's sines are computed in another way if one of its arguments is not finite.
         lost = ~np.isfinite(inputs).all(axis=0)
-        result = function(whole_groups(np.where(lost, 0.0, inputs), 4 * LANES))[:, : inputs.shape[1]]
+        result = function(whole_groups(np.where(lost, 0.0, inputs), LANES))[:, : inputs.shape[1]]
         result[:, lost] = np.nan
         return result
 

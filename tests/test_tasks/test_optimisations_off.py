@@ -7,7 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import heyoka
 import numpy as np
 import pytest
 
@@ -153,7 +152,6 @@ def registers(lanes):
         compiled_anew(monkeypatch)
         for module in (kernel, step_map):
             monkeypatch.setattr(module, "LANES", lanes)
-        monkeypatch.setattr(heyoka, "cfunc", functools.partial(heyoka.cfunc, batch_size=lanes))
 
     return patch
 
