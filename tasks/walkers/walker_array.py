@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,12 @@ class WalkerArray(Walker):
     def __post_init__(self) -> None:
         """Check nothing."""
 
-    def __len__(self) -> int:
+    @functools.cached_property
+    def _size(self) -> int:
         return max(np.size(getattr(self, key)) for key in KEYS)
+
+    def __len__(self) -> int:
+        return self._size
 
     def __getitem__(self, lane: int) -> Walker:
         return Walker(**{key: v[lane].item() if isinstance(v, np.ndarray) else v for key, v in self.table().items()})
