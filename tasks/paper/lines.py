@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from scipy.optimize import brentq
 
 from tasks.continuation import atlas as atlases
 from tasks.continuation.branch import Branch
+from tasks.continuation.root import bracketed_root
 from tasks.continuation.special_points import special_points
 from tasks.continuation.tracking import correct
 from tasks.fixed_points.multipliers import multipliers
@@ -291,9 +291,8 @@ def root(function: Callable[[float], float], slope: np.ndarray, values: np.ndarr
     if not len(changes):
         return float("nan")
     k = changes[-1 if last else 0]
-    return float(
-        np.exp(brentq(lambda q: function(float(np.exp(q))), np.log(slope[k]), np.log(slope[k + 1]), xtol=1e-11))
-    )
+    low, high = (float(np.log(s)) for s in slope[k : k + 2])
+    return float(np.exp(bracketed_root(lambda q: function(float(np.exp(q))), low, high, 1e-11)))
 
 
 def foot_ratio(walker: Walker, data: Arrays) -> np.ndarray:

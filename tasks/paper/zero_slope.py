@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import brentq
 
+from tasks.continuation.root import bracketed_root
 from tasks.fixed_points.multipliers import multipliers
 from tasks.fixed_points.newton import newton
 from tasks.paper.claim import ClaimResult, claim, compare, verdict
@@ -130,7 +130,7 @@ def mass_limit(slope: float = 1e-9) -> float:
     # At vanishing slopes Newton's basin is narrow: small steps from E's own foot mass.
     for ratio in np.arange(0.0995, 0.0948, -5e-4):
         w, _ = solve(float(ratio), w)
-    return float(brentq(lambda ratio: solve(ratio, w)[1], 0.0947, 0.0953, xtol=1e-9))
+    return bracketed_root(lambda ratio: solve(ratio, w)[1], 0.0947, 0.0953, 1e-9)
 
 
 def _stability_limit(walker: str) -> float:
