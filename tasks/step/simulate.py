@@ -200,18 +200,16 @@ class Scanner:
             fraction = crossing(free, X, h, ground)
             strikes = fraction >= 0
             angle = X[1:, 0] * parameters[1]
+            # In the order in which they count; what follows the first of them in a lane does not.
+            ends = {STRUCK: strikes}
+            if not np.isfinite(X[-1]).all():  # what is lost remains so
+                ends[LOST] = ~np.isfinite(X[1:]).all(axis=1)
             with np.errstate(invalid="ignore"):
-                # In the order in which they count; what follows the first of them in a lane does not.
-                ends = {
-                    STRUCK: strikes,
-                    LOST: ~np.isfinite(X[1:]).all(axis=1),
-                    FORWARD: angle < -MAX_ANGLE,
-                    BACKWARD: angle > MAX_ANGLE,
-                    NO_KNEESTRIKE if free else NO_HEELSTRIKE: (
-                        begin[lanes] + np.arange(i + 1, i + count + 1)[:, None] * h > MAX_TIME
-                    ),
-                }
-            any_end = np.any(list(ends.values()), axis=0)
+                ends |= {FORWARD: angle < -MAX_ANGLE, BACKWARD: angle > MAX_ANGLE}
+            if begin[lanes].max() + (i + count) * h > MAX_TIME:
+                late = begin[lanes] + np.arange(i + 1, i + count + 1)[:, None] * h > MAX_TIME
+                ends[NO_KNEESTRIKE if free else NO_HEELSTRIKE] = late
+            any_end = np.logical_or.reduce([*ends.values()])
             done, first = any_end.any(axis=0), any_end.argmax(axis=0)
             if done.any():
                 k = np.flatnonzero(done)
@@ -252,6 +250,9 @@ class Scanner:
             self._step[free](inputs, outputs=X[k + 1])
         scale, half = inputs[size + 2], size // 2
         with np.errstate(invalid="ignore"):
+            top = np.abs(X[1:-1]).max(axis=(0, 2), initial=0.0) * scale.max()
+            if max(top[:half].max(), h * top[half:].max()) < _WILD:
+                return X[:, :, :n]
             moved = np.maximum(np.abs(X[1:-1, :half]).max(axis=1), h * np.abs(X[1:-1, half:]).max(axis=1)) * scale
             wild = ~(moved < _WILD).all(axis=1)
         return X[: 2 + int(wild.argmax()) if wild.any() else None, :, :n]
