@@ -10,7 +10,7 @@ from tasks.continuation.branch import Branch
 from tasks.continuation.special_points import special_points
 from tasks.paper.claim import ClaimResult, claim, verdict
 from tasks.paper.lines import LONG, SHORT, Line, line, memoize, numbers
-from tasks.solve_points import atlas
+from tasks.solve_points import lines
 from tasks.walkers.catalogue import CATALOGUE
 from tasks.walkers.statics import is_tuned, statics
 from tasks.walkers.walker import Walker
@@ -173,12 +173,6 @@ def _short_end(gaits: Line) -> dict[str, Any]:
     return min((p for kind in kinds for p in gaits.special_of(kind)), key=lambda p: p["slope"])
 
 
-def _smallest_slope(name: str, settings: dict[str, float]) -> float:
-    """Smallest slope of any gait [rad]; a coarse atlas locates the ends of branches as a fine one does."""
-    survey = atlas({"line": {"walker": name, "set": settings}, "coarse": True}, [])
-    return Line(name, settings, survey).ends()[0]
-
-
 @memoize
 def offsets() -> dict[str, np.ndarray]:
     """Tabulate the smallest slope against fore-aft offsets from exact tuning.
@@ -188,9 +182,12 @@ def offsets() -> dict[str, np.ndarray]:
     dict
         walker, key, key_value and offset [m], smallest_slope [rad].
     """
+    # Coarse atlases, which locate the ends of branches as fine ones do.
+    each = [{"walker": name, "set": {key: value}} for name, key, value in OFFSETS]
+    surveys = [atlas for atlas, _ in lines({"lines": each, "slope": np.empty(0), "want": ()}, [])]
     rows = [
-        (name, key, value, value - getattr(CATALOGUE[name], key), _smallest_slope(name, {key: value}))
-        for name, key, value in OFFSETS
+        (name, key, value, value - getattr(CATALOGUE[name], key), Line(name, {key: value}, survey).ends()[0])
+        for (name, key, value), survey in zip(OFFSETS, surveys, strict=True)
     ]
     names = ("walker", "key", "key_value", "offset", "smallest_slope")
     return {name: np.array([row[k] for row in rows]) for k, name in enumerate(names)}
