@@ -8,6 +8,7 @@ from tasks.fit_laws import transition
 from tasks.paper.claim import APPROXIMATE, ClaimResult, claim, verdict
 from tasks.paper.lines import LONG, SHORT, foot_ratio, line, memoize, numbers, root
 from tasks.simulate_steps import section_problem
+from tasks.solve_points import lines
 
 #: Foot mass ratios at which the transition is located, down to where the 3/2 power is exact.
 RATIOS = (0.1, 0.05, 0.01, 1e-3, 1e-4, 1e-5)
@@ -93,9 +94,9 @@ def short_two_laws() -> ClaimResult:
 def _transitions() -> dict[str, np.ndarray]:
     """Tables of task `transition` for the foot mass ratios in `RATIOS`."""
     slope = np.geomspace(1e-11, 0.2, 220)
-    lines = [{"walker": "E", "set": {"foot_mass_ratio": r}} for r in RATIOS]
-    inputs = [line("E", foot_mass_ratio=r).at(slope, ("stance_angle",)) for r in RATIOS]
-    return transition({"lines": lines}, inputs)
+    each = [{"walker": "E", "set": {"foot_mass_ratio": r}} for r in RATIOS]
+    solved = lines({"lines": each, "slope": slope, "want": ("stance_angle",)}, [])
+    return transition({"lines": each}, [{"slope": slope, **points} for _, points in solved])
 
 
 @claim(
