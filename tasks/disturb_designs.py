@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tasks.step.problem import Lanes, sizes
-from tasks.step.simulate import STRUCK, stride
-from tasks.step.uneven_ground import step_onto
+from tasks.step.simulate import STRUCK, step_onto, stride
 from tasks.walkers.walker_array import WalkerArray
 
 #: Relative displacement of initial states from the gait, steps that are dropped, and the longest period identified.
@@ -24,32 +23,6 @@ _RECOVERY, _BACK, _BETWEEN = 200, 1e-3, 6
 _NEAR, _SAFETY = 1e-5, 8.0
 #: Lanes that walk side by side.
 _LANES = 4096
-
-
-def section(problem: Lanes, state: np.ndarray, slope: float) -> np.ndarray:
-    """Return section coordinates of states just after heelstrike.
-
-    Parameters
-    ----------
-    problem : Lanes
-        Of n lanes.
-    state : ndarray, shape (3, n) [rad, rad/sqrt(leg/g)]
-        Stance angle, stance rate and thigh rate.
-    slope : float [rad]
-
-    Returns
-    -------
-    ndarray, shape (m, n)
-        For kneed walkers with the rates just before the heelstrike, of which those after it are linear functions.
-    """
-    if not problem.structure.kneed:
-        return state[: problem.m].copy()
-    n, size = state.shape[1], problem.map.start_size
-    scale = np.exp2(np.floor(np.log2(state[0])))
-    at_rest = np.vstack([state[:1] / scale, np.zeros((2, n))])
-    by_y = problem.map.start(at_rest, problem.parameters(np.full(n, slope), scale))[size:].reshape(size, 3, n)
-    matrix = by_y[[size // 2, size // 2 + 1], 1:].transpose(2, 0, 1)
-    return np.vstack([state[:1], np.linalg.solve(matrix, state[1:].T[:, :, None])[:, :, 0].T])
 
 
 class _Neighbourhoods:

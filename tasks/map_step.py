@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from tasks.measures.losses import heelstrike_losses, kneestrike_loss
-from tasks.simulate_steps import check_state, from_section, section_problem, take_step, to_section
+from tasks.simulate_steps import check_state, section_problem, take_step
+from tasks.step.problem import Problem, scale_of
 from tasks.step.simulate import CAUSES, STRUCK
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import WalkerError
@@ -47,9 +48,9 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
     problem = section_problem(walker)
     time_unit = np.sqrt(walker.leg / walker.g)
     units = np.array([1.0, time_unit, time_unit])  # by which the walker's are multiplied
-    scale = np.exp2(np.floor(np.log2(state[:1])))
+    scale = scale_of(state[:1])
     parameters = problem.parameters(slope, scale)
-    y = to_section(problem, state * units / scale, parameters)
+    y = problem.section_of((state * units)[:, None], slope) / scale
     start = problem.map.start(y, parameters)[: problem.map.start_size, 0]
     located = take_step(problem, start, parameters[:, 0])
     if located.outcome != STRUCK:
@@ -57,7 +58,7 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
         raise WalkerError("state", tuple(state.tolist()), f"leads to no heelstrike ({cause})")
     step = problem.map(y, np.array(located.times)[:, None], parameters, slope=True)
     times = step.times
-    before, after = (from_section(problem, section, parameters) for section in (y, step.image))
+    before, after = (_start(problem, section, parameters) for section in (y, step.image))
     image = after[0] * scale / units
     jacobian = after[1] @ step.jacobian[:, :, 0] @ np.linalg.inv(before[1]) * units / units[:, None]
     values, vectors = _modes(jacobian, walker.point_foot or walker.massless_leg)
@@ -75,6 +76,14 @@ def map_step(params: Mapping[str, Any]) -> dict[str, Any]:
         "loss_tangential": float(tangential[0] * energy),
         "loss_kneestrike": float(kneestrike_loss(walker, step.knee * scale)[0] * energy) if walker.knees else None,
     }
+
+
+def _start(problem: Problem, y: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scaled angle, stance and thigh rate at the start of a step from section coordinates (3, 1), and derivatives."""
+    size = problem.map.start_size
+    start, by_y = np.split(problem.map.start(y, parameters)[:, 0], [size])
+    rows = [0, size // 2, size // 2 + 1]
+    return start[rows], by_y.reshape(size, 3)[rows]
 
 
 def _modes(jacobian: np.ndarray, singular: bool) -> tuple[np.ndarray, np.ndarray]:

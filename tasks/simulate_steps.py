@@ -19,7 +19,7 @@ import numpy as np
 from tasks.mechanics.equations import system
 from tasks.mechanics.kernel import prepare_compiler
 from tasks.mechanics.lumped import Structure, general_structure
-from tasks.step.problem import Lanes, Problem
+from tasks.step.problem import Lanes, Problem, scale_of
 from tasks.step.simulate import (
     BACKWARD,
     CAUSES,
@@ -32,7 +32,6 @@ from tasks.step.simulate import (
     STRUCK,
     scanner,
 )
-from tasks.step.uneven_ground import heelstrike_of
 from tasks.walkers.resolve import resolve
 from tasks.walkers.walker import Walker, WalkerError
 
@@ -73,11 +72,11 @@ def simulate_steps(params: Mapping[str, Any]) -> dict[str, Any]:
     problem = section_problem(walker)
     time_unit = np.sqrt(walker.leg / walker.g)
     n, phases = int(params["steps"]), problem.phases
-    state = np.array(params["state"], float)
+    state, slope = np.array(params["state"], float), np.array([float(params["slope"])])
     check_state(state)
-    scale = np.exp2(np.floor(np.log2(state[0])))
-    parameters = problem.parameters(np.array([float(params["slope"])]), np.array([scale]))
-    y = to_section(problem, state * [1.0, time_unit, time_unit] / scale, parameters)
+    scale = scale_of(state[0])
+    parameters = problem.parameters(slope, scale[None])
+    y = problem.section_of((state * [1.0, time_unit, time_unit])[:, None], slope) / scale
     x = problem.map.start(y, parameters)[: problem.map.start_size, 0]
     states, times = np.full((n + 1, 6), np.nan), np.full((n, phases), np.nan)
     motion = np.full((n, 4, phases, SAMPLES + 1), np.nan)
@@ -135,51 +134,6 @@ def check_state(state: np.ndarray) -> None:
         raise WalkerError("state", f"{float(state[0])!r} rad", f"must have a stance angle in (0, {MAX_ANGLE:.4g}) rad")
 
 
-def to_section(problem: Problem, state: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-    """Section coordinates of a state just after heelstrike.
-
-    Parameters
-    ----------
-    problem : Problem
-        As `section_problem` returns it.
-    state : ndarray, shape (3,)
-        Scaled stance angle, stance rate and thigh rate [sqrt(g/leg)].
-    parameters : ndarray, shape (n_parameters, 1)
-
-    Returns
-    -------
-    ndarray, shape (3, 1)
-        For kneed walkers with the rates just before the heelstrike, of which those after it are linear functions.
-    """
-    if not problem.structure.kneed:
-        return state[:, None]
-    at_rest = np.array([[state[0]], [0.0], [0.0]])
-    rates = np.linalg.solve(from_section(problem, at_rest, parameters)[1][1:, 1:], state[1:])
-    return np.array([state[:1], *rates[:, None]])
-
-
-def from_section(problem: Problem, y: np.ndarray, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """State just after heelstrike at section coordinates, and its derivatives by them.
-
-    Parameters
-    ----------
-    problem : Problem
-        As `section_problem` returns it.
-    y : ndarray, shape (3, 1)
-        Scaled.
-    parameters : ndarray, shape (n_parameters, 1)
-
-    Returns
-    -------
-    state, by_y : ndarray, shape (3,) and (3, 3)
-        Scaled.
-    """
-    size = problem.map.start_size
-    start, by_y = np.split(problem.map.start(y, parameters)[:, 0], [size])
-    rows = [0, size // 2, size // 2 + 1]
-    return start[rows], by_y.reshape(size, 3)[rows]
-
-
 def _push(x: np.ndarray, change: np.ndarray) -> np.ndarray:
     """State with changes (2,) added to the scaled rates of stance leg and swing leg; a free knee is not bent by it."""
     n = len(x) // 2
@@ -222,6 +176,7 @@ def take_step(
     Step
     """
     structure, begin = problem.structure, 0.0
+    scan, lane = scanner(structure), parameters[:, None]
     times, motion = [], []
     for free in (True, False) if structure.kneed else (False,):
         x, end, outcome, samples = _phase(structure, free).integrate(x, begin, parameters, height, sampled)
@@ -230,11 +185,9 @@ def take_step(
             break
         times.append(end)
         if free:
-            x, begin = scanner(structure).lock(x[:, None], parameters[:, None])[:, 0], end
+            x, begin = scan.lock(x[:, None], lane)[:, 0], end
     else:
-        rates = heelstrike_of(structure)(np.concatenate([x, parameters]))
-        angles = [x[1], x[0], x[0]] if structure.kneed else [x[1], x[0]]
-        x = np.concatenate([angles, rates])
+        x = scan.land(x[:, None], lane)[:, 0]
     return Step(outcome, times, x, np.array(motion).reshape(-1, 4, SAMPLES + 1))
 
 

@@ -101,7 +101,7 @@ class Problem:
         scale : ndarray, shape (n,)
         """
         angle = np.exp(w[0])
-        scale = np.exp2(np.floor(np.log2(angle)))
+        scale = scale_of(angle)
         return np.vstack([angle, angle * w[1 : self.m]]) / scale, scale
 
     def start(self, y: np.ndarray, slope: np.ndarray) -> np.ndarray:
@@ -117,9 +117,31 @@ class Problem:
         ndarray, shape (4, n) [rad, rad/sqrt(leg/g)]
             Stance angle and the rates of stance leg, thigh and shank.
         """
-        scale, size = np.exp2(np.floor(np.log2(y[0]))), self.map.start_size
+        scale, size = scale_of(y[0]), self.map.start_size
         state = self.map.start(y / scale, self.parameters(slope, scale))[:size] * scale
         return state[[0, size // 2, size // 2 + 1, size - 1]]
+
+    def section_of(self, state: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """Section coordinates of states just after heelstrike: what `start` takes to them.
+
+        Parameters
+        ----------
+        state : ndarray, shape (3, n) [rad, rad/sqrt(leg/g)]
+            Stance angle, stance rate and thigh rate.
+        slope : ndarray, shape (n,) [rad]
+
+        Returns
+        -------
+        ndarray, shape (m, n)
+            For kneed walkers with the rates just before the heelstrike, of which those after it are linear functions.
+        """
+        if not self.structure.kneed:
+            return state[: self.m].copy()
+        scale, size = scale_of(state[0]), self.map.start_size
+        at_rest = np.vstack([state[:1] / scale, np.zeros_like(state[1:])])
+        by_y = self.map.start(at_rest, self.parameters(slope, scale))[size:].reshape(size, 3, -1)
+        matrix = by_y[[size // 2, size // 2 + 1], 1:].transpose(2, 0, 1)
+        return np.vstack([state[:1], np.linalg.solve(matrix, state[1:].T[:, :, None])[:, :, 0].T])
 
 
 class Lanes(Problem):
@@ -177,6 +199,11 @@ class Lanes(Problem):
         alone.walker, alone.structure, alone.map = self.walker_of(lane), self.structure, self.map
         alone.constants, alone.m, alone.phases = self.constants[:, self.lanes[lane]], self.m, self.phases
         return alone
+
+
+def scale_of(angle: np.ndarray) -> np.ndarray:
+    """Power of two by which angles and rates of a step from a stance angle are divided."""
+    return np.asarray(np.exp2(np.floor(np.log2(angle))))
 
 
 def sizes(y: np.ndarray) -> np.ndarray:

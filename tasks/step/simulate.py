@@ -10,17 +10,17 @@ correction. A lane's bits depend on its initial state alone.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 
 import heyoka as hy
 import numpy as np
 
 from tasks.mechanics.equations import ZERO, Solver, Symbols, rows
+from tasks.mechanics.impacts import heelstrike
 from tasks.mechanics.kernel import LANES, CompiledFunction, prepare_compiler
 from tasks.mechanics.lumped import Structure
 from tasks.step.crossing import crossing, guard
-from tasks.step.problem import Problem
-from tasks.step.step_map import Stride
+from tasks.step.problem import Problem, scale_of
 from tasks.step.symbols import end_of_step, lock_knee
 
 #: Outcomes of a step. All but STRUCK are falls.
@@ -31,6 +31,8 @@ MAX_LOG_ANGLE = 0.5
 MAX_ANGLE, MAX_TIME = float(np.exp(MAX_LOG_ANGLE)), 12.0
 #: Time step of the scan [sqrt(leg/g)], by whether there are knees: a free shank swings faster.
 _TIME_STEP = {False: 0.125, True: 0.0625}
+#: Lanes simulated side by side: their states stay in the cache.
+_SIDE_BY_SIDE = 4096
 #: Most time steps taken before strikes are looked for: of a lane, and of all lanes together.
 _MAX_BLOCK, _BLOCK = 16, 8192
 #: Angle, and change of an angle in a time step, at which a block ends [rad].
@@ -60,13 +62,13 @@ class SimulatedSteps:
     outcome : ndarray of int, shape (n,)
         Index of CAUSES.
     jacobian : ndarray, shape (m, m, n)
-        NaN of falls, and empty where the steps are not exact.
+        NaN of falls, and of steps that are not exact.
     """
 
     image: np.ndarray
     times: np.ndarray
     outcome: np.ndarray
-    jacobian: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 0)))
+    jacobian: np.ndarray
 
 
 class Scanner:
@@ -101,19 +103,18 @@ class Scanner:
         x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
         return CompiledFunction(end_of_step(self.structure, p, x), [*x, *p.variables])
 
+    @functools.cached_property
+    def _rates_on_uneven_ground(self) -> CompiledFunction:
+        """Rates after a heelstrike from two links' state and the parameters, at any two angles of the legs."""
+        prepare_compiler()
+        p = Symbols(self.structure)
+        x = list(hy.make_vars(*(f"x{i}" for i in range(4))))
+        rates = heelstrike(p, x[1], x[2], x[3], self.structure.kneed, old_angle=x[0])
+        return CompiledFunction(rates, [*x, *p.variables])
+
     @staticmethod
-    def call(function: CompiledFunction, *inputs: np.ndarray) -> np.ndarray:
-        """Call a compiled function on lanes padded to whole SIMD groups.
-
-        Parameters
-        ----------
-        function : CompiledFunction
-        *inputs : ndarray, shape (k, n)
-
-        Returns
-        -------
-        ndarray, shape (outputs, n)
-        """
+    def _call(function: CompiledFunction, *inputs: np.ndarray) -> np.ndarray:
+        """Call a compiled function on lanes (k, n) padded to whole SIMD groups."""
         n = inputs[0].shape[1]
         padded = np.empty((sum(map(len, inputs)), n + -n % (LANES)))
         np.concatenate(inputs, out=padded[:, :n])
@@ -122,7 +123,7 @@ class Scanner:
 
     def _advance(self, free: bool, x: np.ndarray, h: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """States after a time step h (n,) of the formula, of three links or two."""
-        return self.call(self._step[free], x, h[None], parameters)
+        return self._call(self._step[free], x, h[None], parameters)
 
     def lock(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """State of two links after kneestrike.
@@ -139,7 +140,7 @@ class Scanner:
         ndarray, shape (4, n)
         """
         assert self._lock
-        return self.call(self._lock, x, parameters)
+        return self._call(self._lock, x, parameters)
 
     def strike(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
         """Section coordinates at heelstrike: just after it for straight legs, just before it for knees.
@@ -155,9 +156,64 @@ class Scanner:
         -------
         ndarray, shape (m, n)
         """
-        return x[1:4].copy() if self._strike is None else self.call(self._strike, x, parameters)
+        return x[1:4].copy() if self._strike is None else self._call(self._strike, x, parameters)
 
-    def integrate_to_event(
+    def land(self, x: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """State just after a heelstrike on ground of any height, on which the legs stand at two different angles.
+
+        Parameters
+        ----------
+        x : ndarray, shape (4, n)
+            Scaled state of two links just before it.
+        parameters : ndarray, shape (n_parameters, n)
+            Slope, scale and the structure's constants.
+
+        Returns
+        -------
+        ndarray, shape (4 or 6, n)
+        """
+        rates = self._call(self._rates_on_uneven_ground, x, parameters)
+        return np.vstack([x[1], np.repeat(x[:1], len(rates) - 1, axis=0), rates])
+
+    def to_heelstrike(
+        self, x: np.ndarray, parameters: np.ndarray, height: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Integrate every lane from just after a heelstrike to just before the next.
+
+        Parameters
+        ----------
+        x : ndarray, shape (4 or 6, n)
+            Scaled states.
+        parameters : ndarray, shape (n_parameters, n)
+            Slope, scale and the structure's constants.
+        height : ndarray, shape (n,), optional
+            By which the ground rises until then, over l.
+
+        Returns
+        -------
+        lanes : ndarray of int, shape (k,)
+            Those that strike.
+        state : ndarray, shape (4, k)
+            Theirs.
+        times : ndarray, shape (phases, n) [sqrt(leg/g)]
+            Kneestrike, for knees, and heelstrike; NaN of those that do not strike.
+        outcome : ndarray of int, shape (n,)
+            Index of CAUSES.
+        """
+        n, kneed = x.shape[1], self.structure.kneed
+        times, outcome = np.full((1 + kneed, n), np.nan), np.full(n, LOST)
+        lanes, begin = np.arange(n), np.zeros(n)
+        for strike, free in zip(times, (True, False) if kneed else (False,), strict=True):
+            over = None if free or height is None else height[lanes]
+            x, time, outcome[lanes] = self._integrate_to_event(free, x, begin, parameters[:, lanes], over)
+            struck = outcome[lanes] == STRUCK
+            lanes, begin, x = lanes[struck], (begin + time)[struck], x[:, struck]
+            strike[lanes] = begin
+            if free and len(lanes):
+                x = self.lock(x, parameters[:, lanes])
+        return lanes, x, times, outcome
+
+    def _integrate_to_event(
         self,
         free: bool,
         x: np.ndarray,
@@ -299,51 +355,64 @@ def stride(problem: Problem, y: np.ndarray, slope: np.ndarray, exact: bool = Tru
     -------
     SimulatedSteps
     """
+    n = y.shape[1]
+    if n > _SIDE_BY_SIDE:
+        parts = np.split(np.arange(n), range(_SIDE_BY_SIDE, n, _SIDE_BY_SIDE))
+        blocks = [stride(problem.some(part), y[:, part], slope[part], exact) for part in parts]
+        joined = {f.name: np.concatenate([getattr(b, f.name) for b in blocks], axis=-1) for f in fields(SimulatedSteps)}
+        return SimulatedSteps(**joined)
     steps, scale, parameters = _scan(problem, y, slope)
-    lanes = np.nonzero(steps.outcome == STRUCK)[0]
-    if exact:
-        steps.jacobian = np.full((len(y), *y.shape), np.nan)
+    lanes = np.flatnonzero(steps.outcome == STRUCK)
     if exact and len(lanes):
-        stride = problem.map(y[:, lanes] / scale[lanes], steps.times[:, lanes], parameters[:, lanes])
-        _correct(steps, lanes, stride, scale[lanes])
+        at = problem.map(y[:, lanes] / scale[lanes], steps.times[:, lanes], parameters[:, lanes])
+        steps.image[:, lanes], steps.times[:, lanes] = at.image * scale[lanes], at.times
+        steps.jacobian[:, :, lanes] = at.jacobian
+        steps.outcome[lanes[~np.isfinite(at.image).all(axis=0)]] = LOST
     return steps
 
 
-def _correct(steps: SimulatedSteps, lanes: np.ndarray, stride: Stride, scale: np.ndarray) -> None:
-    """Put the exact map's images, times and Jacobians in place of the scan's."""
-    steps.image[:, lanes], steps.times[:, lanes] = stride.image * scale, stride.times
-    steps.jacobian[:, :, lanes] = stride.jacobian
-    lost = ~np.isfinite(steps.image[:, lanes]).all(axis=0)
-    steps.outcome[lanes[lost]] = LOST
+def step_onto(problem: Problem, y: np.ndarray, slope: np.ndarray, height: np.ndarray) -> SimulatedSteps:
+    """Simulate two steps: one that ends on ground of another height, and one on ground parallel to the slope.
+
+    Parameters
+    ----------
+    problem : Problem
+        The walker.
+    y : ndarray, shape (m, n)
+        Section coordinates [rad, rad/sqrt(leg/g)] before them.
+    slope : ndarray, shape (n,) [rad]
+    height : ndarray, shape (n,)
+        By which the ground rises at the end of the first step, over l.
+
+    Returns
+    -------
+    SimulatedSteps
+        The second step, not exact.
+    """
+    return _scan(problem, y, slope, height)[0]
 
 
-def _scan(problem: Problem, y: np.ndarray, slope: np.ndarray) -> tuple[SimulatedSteps, np.ndarray, np.ndarray]:
-    """Steps by the scan alone, with the scales and parameters of every lane."""
+def _scan(
+    problem: Problem, y: np.ndarray, slope: np.ndarray, height: np.ndarray | None = None
+) -> tuple[SimulatedSteps, np.ndarray, np.ndarray]:
+    """Steps by the scan alone (those after one onto a `height`), with the scales and parameters of every lane."""
     scan = scanner(problem.structure)
     m, n = y.shape
     valid = np.isfinite(y).all(axis=0) & (y[0] > 0) & (y[0] < MAX_ANGLE)
-    angle = np.where(valid, y[0], 0.5)
-    scale = np.exp2(np.floor(np.log2(angle)))
+    scale = scale_of(np.where(valid, y[0], 0.5))
     parameters = problem.parameters(slope, scale)
     image, times, outcome = np.full((m, n), np.nan), np.full((problem.phases, n), np.nan), np.full(n, LOST)
     # With the new stance leg behind or upright the walker falls back.
     outcome[np.isfinite(y[0]) & (y[0] <= 0)] = BACKWARD
     outcome[y[0] >= MAX_ANGLE] = FORWARD
-    lanes = np.nonzero(valid)[0]
+    lanes = np.flatnonzero(valid)
     x = problem.map.start(y[:, lanes] / scale[lanes], parameters[:, lanes])[: problem.map.start_size]
-    begin = np.zeros(len(lanes))
-    if problem.phases == 2:
-        x, time, outcome[lanes] = scan.integrate_to_event(True, x, begin, parameters[:, lanes])
-        struck = outcome[lanes] == STRUCK
-        times[0, lanes] = np.where(struck, time, np.nan)
-        lanes, begin, x = lanes[struck], time[struck], x[:, struck]
-        if len(lanes):
-            x = scan.lock(x, parameters[:, lanes])
-    if len(lanes):
-        x, time, outcome[lanes] = scan.integrate_to_event(False, x, begin, parameters[:, lanes])
-        struck = outcome[lanes] == STRUCK
-        lanes, x = lanes[struck], x[:, struck]
-        times[-1, lanes] = begin[struck] + time[struck]
+    for ground in (height, None) if height is not None else (None,):
+        over = None if ground is None else ground[lanes]
+        struck, x, times[:, lanes], outcome[lanes] = scan.to_heelstrike(x, parameters[:, lanes], over)
+        lanes = lanes[struck]
+        if ground is not None and len(lanes):
+            x = scan.land(x, parameters[:, lanes])
     if len(lanes):
         image[:, lanes] = scan.strike(x, parameters[:, lanes]) * scale[lanes]
-    return SimulatedSteps(image, times, outcome), scale, parameters
+    return SimulatedSteps(image, times, outcome, np.full((m, m, n), np.nan)), scale, parameters

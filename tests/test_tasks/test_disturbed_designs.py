@@ -6,12 +6,11 @@ import pytest
 import pipeline
 from lines import gait
 from tasks import disturb_designs
-from tasks.disturb_designs import attractors, section
+from tasks.disturb_designs import attractors
 from tasks.map_designs import design
 from tasks.mechanics.lumped import structure_of
 from tasks.step.problem import Lanes
-from tasks.step.simulate import stride
-from tasks.step.uneven_ground import step_onto
+from tasks.step.simulate import step_onto, stride
 from tasks.walkers.resolve import resolve, resolve_many
 
 
@@ -93,7 +92,7 @@ def test_steps_onto_other_ground_are_those_of_a_simulation(walker):
     own = resolve_many(walker, {"m_h": np.full(5, resolve(walker).m_h)})
     problem = Lanes(own, structure_of(resolve(walker)))
     unit = np.sqrt(own.leg / own.g)
-    y = section(problem, np.repeat((state * [1, unit, unit])[:, None], 5, axis=1), 0.009)
+    y = problem.section_of(np.repeat((state * [1, unit, unit])[:, None], 5, axis=1), np.full(5, 0.009))
     after = step_onto(problem, y, np.full(5, 0.009), heights * own.leg / own.l)
     start = problem.start(after.image, np.full(5, 0.009))
     for i, h in enumerate(heights):

@@ -6,15 +6,16 @@ import pytest
 from oracle import Oracle, SimplestWalker, StepFailed
 from soak.stress import random_walker
 from tasks.mechanics.kernel import Flow, integrating_seconds
+from tasks.mechanics.lumped import structure_of
 from tasks.registry import ALWAYS
 from tasks.solve_points import lines
 from tasks.status import CONVERGED
 from tasks.step import simulate
 from tasks.step.crossing import crossing
-from tasks.step.problem import Problem
+from tasks.step.problem import Lanes, Problem
 from tasks.step.simulate import BACKWARD, CAUSES, FORWARD, STRUCK, stride
 from tasks.step.verify_step import _cubics, _extrema, _least_distance, _unclear, _zero
-from tasks.walkers.resolve import resolve
+from tasks.walkers.resolve import resolve, resolve_many
 
 LONG_D = np.array([[0.2003109005442470894], [-0.1998324730049523546]])
 
@@ -37,6 +38,21 @@ def test_bits_do_not_depend_on_how_often_strikes_are_looked_for(monkeypatch, wal
     single = stride(problem, y, slope, exact=False)
     for name in ("image", "times", "outcome"):
         assert getattr(whole, name).tobytes() == getattr(single, name).tobytes()
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_lanes_simulated_in_parts_have_the_same_bits(monkeypatch, exact):
+    """Each with its own walker and slope."""
+    own = resolve_many("A", {"m_h": np.linspace(0.1, 2.0, 10)})
+    problem, dice = Lanes(own, structure_of(resolve("A"))), np.random.default_rng(4)
+    y = np.array([[0.2], [-0.22], [0.02]]) * dice.uniform(0.7, 1.3, (3, 10))
+    slope = np.linspace(0.01, 0.04, 10)
+    whole = stride(problem, y, slope, exact)
+    assert 2 < (whole.outcome == STRUCK).sum() < 10 and np.isfinite(whole.jacobian).any() == exact
+    monkeypatch.setattr(simulate, "_SIDE_BY_SIDE", 3)
+    parts = stride(problem, y, slope, exact)
+    for name in ("image", "times", "outcome", "jacobian"):
+        assert getattr(whole, name).tobytes() == getattr(parts, name).tobytes()
 
 
 def test_time_in_compiled_code_is_counted(simplest):
