@@ -17,16 +17,9 @@ from tasks.costs import PANEL
 from tasks.families.box import Box
 from tasks.families.cell import Cell, Family
 from tasks.families.division import Cells
+from tasks.families.patch import PREDICTED_WITHIN, are_predicted, similarity
 from tasks.fixed_points.polish import Polished, join, settle
-from tasks.interpolate_planes import (
-    PREDICTED_WITHIN,
-    Sheet,
-    are_predicted,
-    interpolate,
-    patch_guesses,
-    sheets,
-    similarity,
-)
+from tasks.interpolate import Sheet, interpolate, sheets
 from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from tasks.registry import GAITS, VARIABLES
 from tasks.solve_points import lines as lines_side_by_side
@@ -185,8 +178,12 @@ def solve(
         some = slice(k, k + lines)
         part = {name: value[k * s : (k + lines) * s] for name, value in out.items()}
         accepted[some] = _away_from_events(cell, keys[some], slope)
+        integrated = np.ones(len(keys[some]), bool)
+        if made:
+            parts, sure = interpolate(family, cell, made, keys[some], slope, solved, accuracy)
+            store(part, parts, wanted)
+            integrated = ~sure
         shared = family, cell, keys[some], slope, solved, wanted, part
-        integrated = ~_interpolate_block(*shared, made, accuracy) if made else np.ones(len(keys[some]), bool)
         accepted[some] &= _solve_block(*shared, limits, accuracy, np.flatnonzero(integrated & accepted[some]))
     return {name: value.reshape(n, s, *value.shape[1:]) for name, value in out.items()}, accepted
 
@@ -200,34 +197,11 @@ def _away_from_events(cell: Cell, keys: np.ndarray, slope: np.ndarray) -> np.nda
     unit, q = cell.box.unit(keys), np.log(slope)
     away = np.ones(len(keys), bool)
     for patch in cell.patches:
-        ends = patch.ends_at(unit)
-        for end in (0, 1):
-            inwards = (q - ends[:, [end]]) * (1, -1)[end]
-            error = PREDICTED_WITHIN * max(patch.end_errors[end], _MIN_END_ERROR)
-            away &= (np.abs(inwards) > error if patch.events[end] else inwards >= 0).all(axis=1)
+        ends = patch.span.ends(unit)[:, :, None]
+        for inwards, error, is_event in zip((q - ends[0], ends[1] - q), patch.end_errors, patch.events, strict=True):
+            near = PREDICTED_WITHIN * max(error, _MIN_END_ERROR)
+            away &= (np.abs(inwards) > near if is_event else inwards >= 0).all(axis=1)
     return away
-
-
-def _interpolate_block(
-    family: Family,
-    cell: Cell,
-    keys: np.ndarray,
-    slope: np.ndarray,
-    solved: list[str],
-    wanted: set[str],
-    out: Arrays,
-    made: Sequence[Sheet],
-    accuracy: float,
-) -> np.ndarray:
-    """Store the gaits of lines that polynomials give in `out`, shape (n s, ...), and return which lines these are."""
-    parts, sure = interpolate(family, cell, made, keys, slope, solved, accuracy)
-    kept = []
-    for part in parts:
-        keep = np.flatnonzero(sure[part.index // len(slope)])
-        solved_part = {name: value[keep] for name, value in part.solved.items()}
-        kept.append(Part(part.index[keep], part.angle[keep], part.ratio[keep], solved_part))
-    store(out, kept, wanted)
-    return sure
 
 
 def _solve_block(
@@ -250,13 +224,11 @@ def _solve_block(
     unit, q = cell.box.unit(keys), np.log(slope)
     indices, predictions = [], []
     for patch in cell.patches:
-        ends = patch.ends_at(unit[lines])
+        low, high = patch.span.ends(unit[lines])[:, :, None]
         index = lines[:, None] * s + np.arange(s)
-        index = index[(ends[:, :1] <= q) & (q <= ends[:, 1:])]
-        line = index // s
-        w, node = patch.predict(unit[line], q[index % s], patch.ends_at(unit[line]))
+        index = index[(low <= q) & (q <= high)]
         indices.append(index)
-        predictions.append(patch_guesses(patch, w, node, slope[index % s]))
+        predictions.append(patch.guesses(unit[index // s], slope[index % s]))
     if not sum(map(len, indices)):
         return accepted
     guesses = join(predictions)
@@ -265,9 +237,8 @@ def _solve_block(
     problem = Lanes(walkers, cell.structure)
     at = settle(problem, guesses, sampled=True, accuracy=accuracy)
     counts = [len(index) for index in indices]
-    error, side = (np.repeat([getattr(patch, name) for patch in cell.patches], counts) for name in ("error", "side"))
-    fine = are_predicted(at, guesses, error, side)
-    np.logical_and.at(accepted, line, fine)
+    error, side = np.repeat([(patch.gaits.error, patch.side) for patch in cell.patches], counts, axis=0).T
+    np.logical_and.at(accepted, line, are_predicted(at, guesses, error, side))
     gaits = _describe(problem, walkers, at, guesses.slope, solved, limits)
     parts, ends_of = [], np.cumsum([len(i) for i in indices]).tolist()
     for patch, index, end in zip(cell.patches, indices, ends_of, strict=True):

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebval
 
 from tasks.continuation.defining import Polish, newton_step
 from tasks.continuation.extremes import Points, classify
-from tasks.families.patch import evaluate
+from tasks.families.chart import Chart
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Lanes
 from tasks.step.step_map import SAMPLES
@@ -36,8 +35,8 @@ class Cut:
         The key along which it ends.
     side : int
         1 if it ends towards higher values, else -1.
-    coefficients : ndarray, shape (n,)
-        Chebyshev coefficients of the coordinate at which it ends over that of the other key.
+    curve : Chart
+        The coordinate at which it ends over that of the other key, if there is one.
     turns : bool
         Whether two sheets meet there: beside it points depend on the root of the distance.
     powers : tuple of float
@@ -47,7 +46,7 @@ class Cut:
 
     axis: int
     side: int
-    coefficients: np.ndarray
+    curve: Chart
     turns: bool
     powers: tuple[float, ...] = ()
 
@@ -86,8 +85,7 @@ class Cut:
         -------
         ndarray, shape (n,)
         """
-        other = np.delete(unit, self.axis, axis=1)
-        return np.asarray(chebval(other[:, 0] if other.shape[1] else np.zeros(len(unit)), self.coefficients))
+        return np.asarray(self.curve(np.delete(unit, self.axis, axis=1))[0])
 
     def own(self, unit: np.ndarray) -> np.ndarray:
         """Return coordinates that run from -1 to 1 over the manifold.
@@ -204,6 +202,12 @@ class Coordinates:
         """
         return self.cut.growth(unit) if self.cut and self.cut.powers else (0.0, 1.0)
 
+    def predict(self, chart: Chart, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return points and the derivatives of their scalar, (c, n) each, that a chart over the coordinates has."""
+        Z, rows = np.split(chart(self.own(unit)), 2)
+        growth, factor = self.growth(unit)
+        return Z + growth, rows * factor
+
 
 @dataclass(frozen=True)
 class Manifold:
@@ -215,12 +219,9 @@ class Manifold:
     target : float
         As `tasks.continuation.defining.scalar` has it.
     coordinates : Coordinates
-    sizes : tuple of int
-        Nodes along each key.
-    coefficients : ndarray, shape (product of sizes, 2 c)
-        Of Z and of the derivatives of the kind's scalar.
-    moved : float
-        Largest Newton step from predictions at random points.
+    chart : Chart
+        Of Z and of the derivatives of the kind's scalar (2 c values); its error is the largest Newton step from
+        predictions at random points.
     linear, quadratic : float
         Largest error after a Newton step, over the step and over its square.
     """
@@ -228,11 +229,9 @@ class Manifold:
     kind: str
     target: float
     coordinates: Coordinates
-    sizes: tuple[int, ...]
-    coefficients: np.ndarray
-    moved: float = np.inf
-    linear: float = 0.0
-    quadratic: float = 0.0
+    chart: Chart
+    linear: float
+    quadratic: float
 
     def predict(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predict points and the derivatives of their scalar.
@@ -246,9 +245,7 @@ class Manifold:
         -------
         Z, rows : ndarray, shape (c, n)
         """
-        both = evaluate(self.coordinates.own(unit), self.sizes, self.coefficients).T
-        growth, factor = self.coordinates.growth(unit)
-        return both[: len(both) // 2] + growth, both[len(both) // 2 :] * factor
+        return self.coordinates.predict(self.chart, unit)
 
     def there(self, unit: np.ndarray) -> np.ndarray:
         """Return whether designs have a point of the manifold.
@@ -299,7 +296,7 @@ class Manifold:
         Z, rows = self.predict(unit)
         step = newton_step(problem, self.kind, Z, rows, self.target, 0 if _is_end(self.kind) else SAMPLES)
         size, change = np.abs(step.change).max(axis=0), step.change
-        near = size <= _SAFETY * max(self.moved, LEAST)
+        near = size <= _SAFETY * max(self.chart.error, LEAST)
         walks = _walks(problem, self.kind, step, near)
         error = self._error(size) + step.rounding
         again = np.flatnonzero(near & (error > _GOAL))

@@ -16,6 +16,7 @@ from tasks.continuation.refine import COARSE
 from tasks.families import landscape as landscapes
 from tasks.families.box import Box, Refused
 from tasks.families.cell import Family
+from tasks.families.chart import Chart
 from tasks.families.division import divide
 from tasks.families.landscape import _Surveyor, is_known, make
 from tasks.families.manifold import Cut
@@ -130,12 +131,14 @@ def test_wrong_polynomials_change_no_accepted_value(made, by):
     out, accepted = solved(family, right, keys)
     assert accepted.mean() > 0.95
     wrong = copy.deepcopy(right)
-    wrong.manifolds = [replace(m, coefficients=m.coefficients * (1 + by)) for m in right.manifolds]
+    wrong.manifolds = [
+        replace(m, chart=replace(m.chart, coefficients=m.chart.coefficients * (1 + by))) for m in right.manifolds
+    ]
     other, still = solved(family, wrong, keys)
     assert by < 1e-4 or not still.any()  # farther from their predictions than any that was measured
     assert_accepted_agree(out, other, still & accepted)
     # Whatever the distance, the step's own length bounds what is left of it.
-    wrong.manifolds = [replace(m, moved=1.0) for m in wrong.manifolds]
+    wrong.manifolds = [replace(m, chart=replace(m.chart, error=1.0)) for m in wrong.manifolds]
     other, still = solved(family, wrong, keys)
     assert by > 1e-4 or still.mean() > 0.9
     assert_accepted_agree(out, other, still & accepted)
@@ -243,7 +246,7 @@ def test_designs_beside_vanishing_slopes_are_those_of_lines(made, side):
 @pytest.mark.parametrize("turns", [False, True])
 @pytest.mark.parametrize("side", [-1, 1])
 def test_coordinates_of_a_part_are_inverse(turns, side):
-    cut = Cut(1, side, np.array([0.2, 0.1]), turns)
+    cut = Cut(1, side, Chart((2,), np.array([[0.2], [0.1]])), turns)
     own = np.random.default_rng(0).uniform(-1, 1, (9, 2))
     assert cut.own(cut.unit(own)) == pytest.approx(own, abs=1e-12)
     ends = cut.unit(np.array([[0.5, -side], [0.5, side]]))
@@ -288,10 +291,10 @@ def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
 def test_a_cut_is_smooth_where_the_last_coefficients_of_its_curve_vanish(monkeypatch):
     extension = object.__new__(_Extension)
     extension.d, extension.kind = 2, "fold"
-    coefficients = np.array([0.2, 0.1, 0.05, 1e-2, 1e-7, 1e-7])
-    monkeypatch.setattr(_Extension, "cut_along", lambda _, axis, side, places: Cut(axis, side, coefficients, True))
-    assert extension.smooth_cut(1, 1).coefficients is coefficients
-    coefficients[-2] = 1e-5
+    curve = Chart((6,), np.array([[0.2, 0.1, 0.05, 1e-2, 1e-7, 1e-7]]).T)
+    monkeypatch.setattr(_Extension, "cut_along", lambda _, axis, side, sizes: Cut(axis, side, curve, True))
+    assert extension.smooth_cut(1, 1).curve is curve
+    curve.coefficients[-2] = 1e-5
     with pytest.raises(Refused, match="a fold turns along a curve that is not smooth"):
         extension.smooth_cut(1, 1)
 
@@ -430,8 +433,8 @@ def test_a_manifold_over_one_key_ends_where_it_turns():
     (landscape,) = make(family, box, WINDOW, lambda part: 1000)
     assert not landscape.why
     (cut,) = [m.coordinates.cut for m in landscape.manifolds if m.coordinates.cut]
-    assert cut.turns and cut.coefficients.shape == (1,)
-    at = float(box.at(cut.coefficients[None])[0, 0])
+    assert cut.turns and cut.curve.sizes == ()
+    at = float(box.at(cut.curve.coefficients)[0, 0])
     line = {"walker": "A", "set": {"detuning": np.array([at - 2e-5, at + 2e-5])}}
     assert computed({"line": line, "slope": SLOPE})["stability_lost_by"].tolist() == ["flip", "never stable"]
 
