@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -104,22 +104,20 @@ class Maker:
             raise Refused(f"a {kind} counts where {error}") from None
 
 
-@dataclass
 class _Carried:
-    """Points (c, n) on their way to other designs, with the derivatives of their scalars, rates and next strides (n,).
+    """Points (c, n) on their way to other designs, with the derivatives of their scalars and the next strides (n,).
 
     Points and derivatives are accurate enough to lead to others.
     """
 
-    Z: np.ndarray
-    rows: np.ndarray
-    rate: np.ndarray
-    stride: np.ndarray
+    def __init__(self, Z: np.ndarray, rows: np.ndarray, stride: float):
+        self.Z, self.rows, self.stride = Z.copy(), rows.copy(), np.full(Z.shape[1], stride)
+        self.rate = np.zeros_like(Z)  # of the last steps: a parabola would lead to the other sheet beside a turn
 
-    @classmethod
-    def at(cls, Z: np.ndarray, rows: np.ndarray, stride: float) -> _Carried:
-        """Return points that have not moved."""
-        return cls(Z.copy(), rows.copy(), np.zeros_like(Z), np.full(Z.shape[1], stride))
+    def move(self, some: np.ndarray, Z: np.ndarray, rows: np.ndarray, step: np.ndarray) -> None:
+        """Move some of the points by steps."""
+        self.rate[:, some] = (Z - self.Z[:, some]) / step
+        self.Z[:, some], self.rows[:, some] = Z, rows
 
 
 class _Extension:
@@ -195,19 +193,17 @@ class _Extension:
         self,
         points: _Carried,
         active: np.ndarray,
-        unit: np.ndarray,
+        problem: Lanes,
         step: np.ndarray,
         within: float,
         growth: np.ndarray | float = 0.0,
     ) -> tuple[Solved, np.ndarray]:
-        """Carry some points, `active`, by a step to designs (n, d): what was solved there, and which are accepted."""
+        """Carry some points, `active`, by a step to other designs: what was solved there, and which are accepted."""
         guess = points.Z[:, active] + step * points.rate[:, active]
-        solved = solve(self.problem(unit), self.kind, guess + growth, self.target, points.rows[:, active], quick=True)
+        solved = solve(problem, self.kind, guess + growth, self.target, points.rows[:, active], quick=True)
         Z = solved.Z - growth
         fair = solved.ok & (np.abs(Z - guess).max(axis=0) < within)
-        new = active[fair]
-        points.rate[:, new] = (Z[:, fair] - points.Z[:, new]) / step[fair]
-        points.Z[:, new], points.rows[:, new] = Z[:, fair], solved.rows[:, fair]
+        points.move(active[fair], Z[:, fair], solved.rows[:, fair], step[fair])
         points.stride[active] *= np.where(fair, _LONGER, _SHORTER)
         return solved, fair
 
@@ -218,12 +214,12 @@ class _Extension:
             gradient(self.problem(self.unit[None]), self.kind, self.Z[:, None]),
             own.growth(self.unit[None])[0],
         )
-        points = _Carried.at(np.repeat(self.Z[:, None] - growth, n, axis=1), np.repeat(row, n, axis=1), _STRIDE)
+        points = _Carried(np.repeat(self.Z[:, None] - growth, n, axis=1), np.repeat(row, n, axis=1), _STRIDE)
         share, active = np.zeros(n), np.arange(n)
         while len(active):
             step = np.minimum(points.stride[active], 1 - share[active])
             unit = own.unit(start + (share[active] + step)[:, None] * (ends[active] - start))
-            _, fair = self.advance(points, active, unit, step, _MAX_STRIDE_ERROR, own.growth(unit)[0])
+            _, fair = self.advance(points, active, self.problem(unit), step, _MAX_STRIDE_ERROR, own.growth(unit)[0])
             share[active[fair]] += step[fair]
             active = active[(share[active] < 1 - 1e-12) & (points.stride[active] > _MIN_STRIDE)]
         points.Z += own.growth(nodes)[0]
@@ -259,7 +255,7 @@ class _Extension:
         points, there = self.carried(start, Coordinates())
         if not there.all():
             raise Refused(f"a {self.kind} is lost on its way to {(~there).sum()} designs", across)
-        ends, turned = self.followed(points, start, axis, side)
+        points, ends, turned = self.followed(points.Z, start, axis, side)
         curve = Chart.through(sizes, ends[None])
         if turned.all():
             if powers := self.powers(points.Z, start, ends, axis, side):
@@ -277,28 +273,31 @@ class _Extension:
         coarse[0] += side * (np.abs(Chart(few, coarse)(others)[0] - ends).max() + _BEYOND)
         return Cut(axis, side, Chart(few, coarse), False)
 
-    def followed(self, points: _Carried, start: np.ndarray, axis: int, side: int) -> tuple[np.ndarray, np.ndarray]:
+    def followed(
+        self, Z: np.ndarray, start: np.ndarray, axis: int, side: int
+    ) -> tuple[_Carried, np.ndarray, np.ndarray]:
         """Follow points along one key until no gaits beside them are stable any more, or two sheets meet.
 
         Returns
         -------
+        points : _Carried
         ends : ndarray, shape (n,)
             Coordinates of the key.
         turned : ndarray of bool, shape (n,)
             Where two sheets meet, so that points cannot be followed.
         """
         n, u, active = len(start), start[:, axis].copy(), np.arange(len(start))
-        points.rows = gradient(self.problem(start), self.kind, points.Z)
-        points.rate, points.stride = np.zeros_like(points.Z), np.full(n, _FIRST_STRIDE)
+        points = _Carried(Z, gradient(self.problem(start), self.kind, Z), _FIRST_STRIDE)
         counts, ended, turned = np.zeros(n, bool), np.zeros(n, bool), np.zeros(n, bool)
         while len(active):
             at, stride = start[active].copy(), points.stride[active]
             at[:, axis] = u[active] + side * stride
-            solved, fair = self.advance(points, active, at, stride, _FOLLOWED_WITHIN)
+            problem = self.problem(at)
+            solved, fair = self.advance(points, active, problem, stride, _FOLLOWED_WITHIN)
             new = active[fair]
             u[new] = at[fair, axis]
             # Gaits of a speed count whether they are stable or not.
-            jacobian = evaluate(self.problem(at), solved.Z).stride.jacobian
+            jacobian = evaluate(problem, solved.Z).stride.jacobian
             stable = (other_multipliers(self.kind, jacobian)[fair] < 1) | (self.kind == "speed")
             ended[new] = counts[new] & ~stable
             counts[new] |= stable
@@ -307,7 +306,7 @@ class _Extension:
             if (np.abs(u) > _FARTHEST).any():
                 raise Refused(f"a {self.kind} counts far beyond the box", self.across(axis))
             active = active[~ended[active] & ~turned[active]]
-        return u, turned
+        return points, u, turned
 
     def vanishing(self, unit: np.ndarray, axis: int) -> np.ndarray:
         """Coordinates (n,) of a key at which the smallest slope vanishes, by Newton's method from designs near them.
