@@ -14,12 +14,10 @@ from tasks.continuation.branch import Branch
 from tasks.families.box import Refused, tensor_nodes
 from tasks.families.cell import Cell, Family
 from tasks.families.chart import Chart, fit
-from tasks.families.patch import Patch, are_predicted
+from tasks.families.patch import Patch, are_predicted, measured
 from tasks.families.pieces import Piece, pieces_of
 from tasks.families.span import Span
-from tasks.fixed_points.newton import curvature
 from tasks.fixed_points.polish import Guesses, Polished, join, settle
-from tasks.fixed_points.rounding import rounding_std
 from tasks.measures.gaits import Part, describe
 from tasks.measures.smooth import Smooth
 from tasks.step.problem import Lanes, Problem
@@ -315,16 +313,12 @@ class Interpolation:
     def _measured(self, guesses: Guesses, q: np.ndarray, samples: int) -> Guesses:
         """Guesses with rounding and Lipschitz constants that are measured at a few of the samples of each panel."""
         lanes = (np.arange(0, len(q), samples)[:, None] + np.linspace(0, samples - 1, _MEASURED).astype(int)).ravel()
-        w, m = guesses.w[:, lanes], self.problem.m
-        lipschitz, gradient = curvature(self.problem, np.vstack([w[:m], q[lanes]]), w[m:])
-        lipschitz = lipschitz.reshape(-1, _MEASURED).max(axis=1)
-        gradient = gradient.reshape(*gradient.shape[:2], -1, _MEASURED).mean(axis=-1)
-        variance = rounding_std(self.problem, w, q[lanes]).reshape(len(guesses.rounding_std), -1, _MEASURED) ** 2
+        lipschitz, gradient, std = measured(self.problem, guesses.w[:, lanes], q[lanes], _MEASURED)
         return replace(
             guesses,
             lipschitz=np.repeat(_LIPSCHITZ_SAFETY * lipschitz, samples),
             gradient=np.repeat(gradient, samples, axis=-1),
-            rounding_std=np.repeat(np.sqrt(variance.mean(axis=2)), samples, axis=1),
+            rounding_std=np.repeat(std, samples, axis=-1),
         )
 
     def parts(self, slope: np.ndarray) -> tuple[list[Part], dict[tuple[int, int], np.ndarray]]:
@@ -358,11 +352,11 @@ class Interpolation:
                     integrated[k].append(own)
                     continue
                 points = sheet.span.points(q[own])
-                measured = sheet.is_measured(points)
-                integrated[k].append(own[~measured])
+                known = sheet.is_measured(points)
+                integrated[k].append(own[~known])
                 if sheet.passes == 1:
-                    own, numbers = own[measured], (piece.number, piece.place)
-                    one = _gaits(sheet.chart, points[measured], own, slope[own], self.smooth, self.want, *numbers)
+                    own, numbers = own[known], (piece.number, piece.place)
+                    one = _gaits(sheet.chart, points[known], own, slope[own], self.smooth, self.want, *numbers)
                     found.append((k, one))
         tied = _tied([one.part for _, one in found], len(slope), _TIE * self.accuracy)
         parts = []

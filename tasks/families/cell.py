@@ -17,12 +17,10 @@ from tasks.continuation.refine import COARSE
 from tasks.costs import PANEL
 from tasks.families.box import Box, Refused, tensor_nodes
 from tasks.families.chart import Chart, fit
-from tasks.families.patch import Patch, side_of_fold
+from tasks.families.patch import Patch, measured, side_of_fold
 from tasks.families.pieces import Piece, match, pieces_of, towards_middle
 from tasks.families.span import Span
-from tasks.fixed_points.newton import curvature, newton, newton_step
-from tasks.fixed_points.polish import not_measured
-from tasks.fixed_points.rounding import rounding_std
+from tasks.fixed_points.newton import newton, newton_step
 from tasks.fixed_points.step_check import verify_steps
 from tasks.mechanics.lumped import Structure, common_structure
 from tasks.step.problem import Lanes
@@ -261,9 +259,12 @@ class _Maker:
         sides = side_of_fold(self.stride(span, drawn, gaits(drawn)))
         if not (sides == sides[0]).all():
             raise Refused("a fold lies inside")
+        points = tensor_nodes((_MEASURED[0], *[_MEASURED[1]] * self.d))
+        along = measured(self.problem(points[:, 1:]), gaits(points), span.log_slope(points), _MEASURED[1] ** self.d)
+        if any(span.vanishing):  # rounding over step size grows from node to node: it is measured at each gait
+            along[-1][:] = np.nan
         end_errors = span.ends.tails().max(axis=0) * events
-        measured = self.measured(span, gaits)
-        return Patch(tensor_nodes(lines), numbers, span, events, end_errors, gaits, *measured, float(sides[0]))
+        return Patch(tensor_nodes(lines), numbers, span, events, end_errors, gaits, along, float(sides[0]))
 
     def stride(self, span: Span, points: np.ndarray, w: np.ndarray) -> Stride:
         """Steps from gaits (m + k, n) at points of a span."""
@@ -285,19 +286,6 @@ class _Maker:
                 f"{(~result.converged).sum()} of {len(points)} nodes do not converge, or move by {moved.max():.2g}"
             )
         return result.w
-
-    def measured(self, span: Span, gaits: Chart) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lipschitz estimates, gradients and rounding along a piece, as `Patch` has them."""
-        sizes, m = (_MEASURED[0], *[_MEASURED[1]] * self.d), self.structure.dimension
-        points = tensor_nodes(sizes)
-        w, q, problem = gaits(points), span.log_slope(points), self.problem(points[:, 1:])
-        lipschitz, gradient = curvature(problem, np.vstack([w[:m], q]), w[m:])
-        lipschitz = lipschitz.reshape(sizes[0], -1).max(axis=1)
-        gradient = np.moveaxis(gradient.reshape(*gradient.shape[:2], sizes[0], -1).mean(axis=-1), -1, 0)
-        if any(span.vanishing):  # rounding over step size grows from node to node: it is measured at each gait
-            return lipschitz, gradient, not_measured(m, problem.phases, sizes[0])[-1].T
-        std = rounding_std(problem, w, q)
-        return lipschitz, gradient, np.sqrt((std.reshape(len(std), sizes[0], -1) ** 2).mean(axis=-1)).T
 
     def is_lacking(self, patches: list[Patch]) -> bool:
         """Whether a line at a corner has a piece near the panel of which there is no patch.

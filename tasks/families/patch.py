@@ -9,7 +9,10 @@ import numpy as np
 from tasks.families.box import roots
 from tasks.families.chart import Chart
 from tasks.families.span import Span
+from tasks.fixed_points.newton import curvature
 from tasks.fixed_points.polish import UNKNOWN, Guesses, Polished
+from tasks.fixed_points.rounding import rounding_std
+from tasks.step.problem import Problem
 from tasks.step.step_map import Stride
 
 #: How far Newton's method may move a prediction, in units of the largest error that was measured.
@@ -51,12 +54,8 @@ class Patch:
         Errors of the span's ends.
     gaits : Chart
         Of the gaits in similarity coordinates; its error is the largest correction that was measured.
-    lipschitz : ndarray, shape (p,)
-        Largest Lipschitz estimates of the Newton map at `roots(p)` along the piece.
-    gradient : ndarray, shape (p, m, m + k)
-        Mean gradients of the characteristic polynomial there.
-    rounding_std : ndarray, shape (p, o + m)
-        Standard deviations of rounding there, as `Branch` has them.
+    measured : tuple of ndarray
+        What `measured` gives at `roots(p)` along the piece.
     side : float
         Of `side_of_fold`, the same on the whole piece.
     """
@@ -67,9 +66,7 @@ class Patch:
     events: tuple[bool, bool]
     end_errors: np.ndarray
     gaits: Chart
-    lipschitz: np.ndarray
-    gradient: np.ndarray
-    rounding_std: np.ndarray
+    measured: tuple[np.ndarray, np.ndarray, np.ndarray]
     side: float
 
     def numbers_at(self, unit: np.ndarray) -> np.ndarray:
@@ -85,13 +82,39 @@ class Patch:
             Coordinates of keys.
         slope : ndarray, shape (n,) [rad]
         """
-        points, last = self.span.points(np.log(slope), unit), len(self.lipschitz) - 1
+        points, (lipschitz, gradient, std) = self.span.points(np.log(slope), unit), self.measured
+        last = len(lipschitz) - 1
         node = np.abs(points[:, :1] - roots(last + 1)).argmin(axis=1)
         around = [np.clip(node + i, 0, last) for i in (-1, 0, 1)]
-        lipschitz = _LIPSCHITZ_SAFETY * np.max([self.lipschitz[k] for k in around], axis=0)
-        std = np.max([self.rounding_std[k] for k in around], axis=0).T
-        gradient = np.moveaxis(self.gradient[node], 0, -1)
-        return Guesses(self.gaits(points), slope, lipschitz, gradient, std, np.full(len(slope), UNKNOWN))
+        lipschitz = _LIPSCHITZ_SAFETY * np.max([lipschitz[k] for k in around], axis=0)
+        std = np.max([std[:, k] for k in around], axis=0)
+        return Guesses(self.gaits(points), slope, lipschitz, gradient[..., node], std, np.full(len(slope), UNKNOWN))
+
+
+def measured(problem: Problem, w: np.ndarray, q: np.ndarray, each: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Measure what the error bounds of gaits need, for groups of gaits.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of n lanes, or of one walker.
+    w : ndarray, shape (m + k, n)
+        Gaits in similarity coordinates.
+    q : ndarray, shape (n,)
+        Their ln slopes.
+    each : int
+        Gaits of a group, which follow one another.
+
+    Returns
+    -------
+    lipschitz, gradient, rounding_std : ndarray, shape (g,), (m, m + k, g) and (o + m, g)
+        The largest Lipschitz estimate of each group, its mean gradient and the root of its mean variance of rounding,
+        as `Guesses` has them.
+    """
+    lipschitz, gradient = curvature(problem, np.vstack([w[: problem.m], q]), w[problem.m :])
+    variance = rounding_std(problem, w, q) ** 2
+    gradient, variance = (values.reshape(*values.shape[:-1], -1, each).mean(axis=-1) for values in (gradient, variance))
+    return lipschitz.reshape(-1, each).max(axis=1), gradient, np.sqrt(variance)
 
 
 def similarity(at: Polished) -> np.ndarray:
