@@ -12,7 +12,7 @@ from tasks import status
 from tasks.accuracy import nodes_for
 from tasks.continuation.branch import Branch
 from tasks.families.box import Refused, tensor_nodes
-from tasks.families.cell import Cell, Family
+from tasks.families.cell import Block, Cell, Family
 from tasks.families.chart import Chart, fit
 from tasks.families.patch import Patch, are_predicted, measured
 from tasks.families.pieces import Piece, pieces_of
@@ -425,47 +425,37 @@ def _over(
 
 
 def interpolate(
-    family: Family,
-    cell: Cell,
-    made: Sequence[Sheet],
-    keys: np.ndarray,
-    slope: np.ndarray,
-    want: Sequence[str],
-    accuracy: float,
+    block: Block, made: Sequence[Sheet], want: Sequence[str], accuracy: float
 ) -> tuple[list[Part], np.ndarray]:
     """Gaits of lines in a cell by its polynomials.
 
     Parameters
     ----------
-    family : Family
-    cell : Cell
+    block : Block
     made : sequence of Sheet
-        One for each patch.
-    keys : ndarray, shape (n, d)
-    slope : ndarray, shape (s,) [rad]
+        One for each patch of the cell.
     want : sequence of str
     accuracy : float
 
     Returns
     -------
     parts : list of Part
-        With indices into the n s points of the lines that are sure.
+        With indices into the points of the lines that are sure.
     sure : ndarray of bool, shape (n,)
         Lines whose labels and stability do not depend on errors, all of which are known; the others are to be
         integrated.
     """
-    n, s = len(keys), len(slope)
-    unit, q, walkers = cell.box.unit(keys), np.log(slope), family.walkers(keys)
+    n, s = len(block.unit), len(block.slope)
     found, lost = [], np.zeros(n * s, bool)
-    for sheet, patch in zip(made, cell.patches, strict=True):
-        low, high = sheet.span.ends(unit)[:, :, None]
-        index = np.flatnonzero((low <= q) & (q <= high))
+    for sheet, patch in zip(made, block.cell.patches, strict=True):
+        index = block.on(patch)
         if sheet.chart is None or sheet.passes != 1 or not len(index):
             continue
-        line, own = unit[index // s], index % s
-        points = sheet.span.points(q[own], line)
-        smooth = Smooth.of(walkers.some(index // s), want, cell.structure.dimension)
-        one = _gaits(sheet.chart, points, index, slope[own], smooth, want, *patch.numbers_at(line).T)
+        line, own = index // s, index % s
+        unit = block.unit[line]
+        points = sheet.span.points(block.q[own], unit)
+        smooth = Smooth.of(block.walkers.some(line), want, block.cell.structure.dimension)
+        one = _gaits(sheet.chart, points, index, block.slope[own], smooth, want, *patch.numbers_at(unit).T)
         lost[index[one.uncertain | ~sheet.is_measured(points)]] = True
         found.append(one.part)
     sure = ~(lost | _tied(found, n * s, _TIE * accuracy)).reshape(n, s).any(axis=1)

@@ -81,6 +81,22 @@ class Cell:
     why: str = ""
 
 
+class Block:
+    """Lines of a cell, at values of its keys (n, d) and slopes (s,): n s points.
+
+    `unit` are the coordinates of the keys, `q` the ln slopes.
+    """
+
+    def __init__(self, family: Family, cell: Cell, keys: np.ndarray, slope: np.ndarray):
+        self.cell, self.slope, self.q = cell, slope, np.log(slope)
+        self.unit, self.walkers = cell.box.unit(keys), family.walkers(keys)
+
+    def on(self, patch: Patch) -> np.ndarray:
+        """Return the indices of the points between the ends of a patch."""
+        low, high = patch.span.ends(self.unit)[:, :, None]
+        return np.flatnonzero((low <= self.q) & (self.q <= high))
+
+
 def make_cell(family: Family, box: Box, low: float, surveyed: set[tuple[Box, int]], why: str = "") -> Cell:
     """Make the cell of a box for a panel.
 

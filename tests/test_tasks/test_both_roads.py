@@ -18,7 +18,7 @@ from tasks.families.box import Box
 from tasks.families.cell import Family, Refused, _Maker
 from tasks.families.division import Cells
 from tasks.registry import ALWAYS, GAITS
-from tasks.solve_planes import lines, solve
+from tasks.solve_planes import Wanted, lines, solve
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.solve_points import points
 from tasks.walkers.resolve import resolve
@@ -263,7 +263,7 @@ def test_wrong_patches_change_no_accepted_value(name):
     slope = np.exp(low + PANEL * np.array([0.2, 0.7]))
 
     def solved(cell):
-        return solve(family, cell, at, slope, WANT, set(GAITS))
+        return solve(family, cell, at, slope, Wanted(WANT, set(GAITS)))
 
     out, accepted = solved(right)
     assert accepted.mean() > 0.8

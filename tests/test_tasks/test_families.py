@@ -459,7 +459,7 @@ def test_gaits_of_a_plane_to_an_accuracy_are_not_integrated(monkeypatch):
     integrated = []
 
     def solve_block(*args):
-        integrated.append(len(args[-1]))
+        integrated.append(args[-1].sum())
         return np.ones(24, bool)
 
     monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
@@ -480,7 +480,9 @@ def test_lines_of_a_plane_whose_stability_errors_could_change_are_integrated(mon
 
     monkeypatch.setattr(Smooth, "multipliers", beside_the_unit_circle)
     usual = solve_planes._solve_block
-    monkeypatch.setattr(solve_planes, "_solve_block", lambda *args: (integrated.append(len(args[-1])), usual(*args))[1])
+    monkeypatch.setattr(
+        solve_planes, "_solve_block", lambda *args: (integrated.append(args[-1].sum()), usual(*args))[1]
+    )
     by_line(params)
     assert 0 < sum(integrated) < 12
 
@@ -495,9 +497,8 @@ def test_lines_of_a_plane_whose_labels_errors_could_change_are_integrated():
     coefficients[[0, np.prod(sizes[1:]) // sizes[1]], ratio] = 0.5, 0.1  # 1/2 in the middle of the first key
     made[0] = replace(made[0], chart=replace(made[0].chart, coefficients=coefficients, error=1e-3))
     unit = np.column_stack([[-0.9, -0.03, 0.03, 0.9], np.zeros(4)])
-    parts, sure = interpolate.interpolate(
-        family, cell, made, cell.box.at(unit), np.array([0.004]), ("stance_angle",), 1e-3
-    )
+    some = cells.Block(family, cell, cell.box.at(unit), np.array([0.004]))
+    parts, sure = interpolate.interpolate(some, made, ("stance_angle",), 1e-3)
     assert sure.tolist() == [True, False, False, True]
     assert parts[0].index.tolist() == [0, 3] and (parts[0].ratio < 0.5).tolist() == [True, False]
 
@@ -514,7 +515,7 @@ def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):
     integrated, usual = [], solve_planes._solve_block
 
     def solve_block(*args):
-        integrated.append(len(args[-1]))
+        integrated.append(args[-1].sum())
         return usual(*args)
 
     monkeypatch.setattr(interpolate, "Chart", SimpleNamespace(through=spoiled))
