@@ -11,16 +11,15 @@ from tasks.continuation.defining import Solved, defining_system, evaluate, gradi
 from tasks.families.box import Box, Refused, tensor_nodes
 from tasks.families.cell import Family
 from tasks.families.chart import Chart, fit
-from tasks.families.manifold import LEAST, Coordinates, Cut, Manifold
+from tasks.families.manifold import LEAST, Manifold, Region
 from tasks.fixed_points.multipliers import other_multipliers
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Lanes
 from tasks.walkers.statics import leg_moment
 from tasks.walkers.walker import WalkerError
 
-#: First and most nodes along each key, those with which coordinates are compared, and the error of predictions below
-#: which no more are taken.
-_FIRST, _MAX_NODES, _COMPARED, _GOOD = 5, 33, 9, 1e-6
+#: First and most nodes along each key, and the error of predictions below which no more are taken.
+_FIRST, _MAX_NODES, _GOOD = 5, 33, 1e-6
 #: Largest error of the predictions of a useful manifold.
 _FAIR = 1e-4
 _DRAWN = 24
@@ -128,31 +127,21 @@ class _Extension:
         self.kind, self.target, self.unit, self.Z = kind, target, unit, Z
 
     def manifold(self) -> Manifold:
-        nodes = tensor_nodes((_FIRST,) * self.d)
-        carried, there = self.carried(nodes, Coordinates())
-        cut = None if there.all() else self.cut(nodes[~there])
-        tries = []
-        for coordinates in [Coordinates(cut, ratio) for ratio in dict.fromkeys(((), self.box.ratio))]:
-            is_carried = not (coordinates.cut or coordinates.ratio)
-            chart = self.chart(coordinates, (_FIRST,) * self.d, points=carried if is_carried else None)
-            if self.box.ratio:
-                # This many nodes show which coordinate is the better one. Beside a turn poor predictions lead to
-                # the other sheet.
-                chart = self.chart(coordinates, (_COMPARED,) * self.d, None if cut else chart)
-            tries.append((chart, coordinates))
-        chart, coordinates = min(tries, key=lambda one: one[0].error)
-        attempt = partial(self.chart, coordinates)
-        return self.measured(coordinates, fit(chart, attempt, (_MAX_NODES,) * self.d, _GOOD, _FAIR, self.d))
+        sizes = (_FIRST,) * self.d
+        nodes, region = tensor_nodes(sizes), Region.whole(self.d)
+        points, there = self.carried(nodes, region)
+        if not there.all():
+            region = self.cut(nodes[~there])
+        first = self.chart(region, sizes, points=points if there.all() else None)
+        return self.measured(
+            region, fit(first, partial(self.chart, region), (_MAX_NODES,) * self.d, _GOOD, _FAIR, self.d)
+        )
 
     def chart(
-        self,
-        coordinates: Coordinates,
-        sizes: tuple[int, ...],
-        before: Chart | None = None,
-        points: _Carried | None = None,
+        self, region: Region, sizes: tuple[int, ...], before: Chart | None = None, points: _Carried | None = None
     ) -> Chart:
         """The chart through points at its nodes: those given, or predicted by the chart before, or carried there."""
-        nodes = coordinates.unit(tensor_nodes(sizes))
+        nodes = region.unit(tensor_nodes(sizes))
         Z, rows, ok = (
             np.zeros((len(self.Z), len(nodes))),
             np.zeros((len(self.Z), len(nodes))),
@@ -161,33 +150,32 @@ class _Extension:
         if points is not None:
             Z, rows, ok = points.Z, points.rows, ~ok
         elif before is not None:
-            guess, rows = coordinates.predict(before, nodes)
+            guess, rows = region.predict(before, nodes)
             solved = solve(self.problem(nodes), self.kind, guess, self.target, rows, quick=True)
             Z, rows, ok = solved.Z, solved.rows, solved.ok & (np.abs(solved.Z - guess).max(axis=0) < _MAX_STRIDE_ERROR)
         if not ok.all():
-            carried, there = self.carried(nodes[~ok], coordinates)
+            carried, there = self.carried(nodes[~ok], region)
             if not there.all():
                 lost = nodes[~ok][~there] - self.unit
                 why = f"a {self.kind} is lost on its way to {len(lost)} nodes"
                 raise Refused(why, int(np.abs(lost).sum(axis=0).argmax()))
             Z[:, ~ok], rows[:, ~ok] = carried.Z, carried.rows
-        return self.fitted(sizes, coordinates, nodes, Z, rows)
+        return self.fitted(sizes, region, nodes, Z, rows)
 
     def fitted(
-        self, sizes: tuple[int, ...], coordinates: Coordinates, nodes: np.ndarray, Z: np.ndarray, rows: np.ndarray
+        self, sizes: tuple[int, ...], region: Region, nodes: np.ndarray, Z: np.ndarray, rows: np.ndarray
     ) -> Chart:
         """The chart through points Z (c, n) at nodes (n, d) with the derivatives of their scalar, `rows` (c, n)."""
-        growth, factor = coordinates.growth(nodes)
+        growth, factor = region.growth(nodes)
         # Nodes are added for the points: it is they that are solved.
         chart = Chart.through(sizes, np.vstack([Z - growth, rows / factor]), np.repeat([1.0, np.inf], len(Z)))
-        unit = self.drawn(coordinates, chart)
-        off = newton_step(self.problem(unit), self.kind, *coordinates.predict(chart, unit), self.target).change
+        unit = self.drawn(region, chart)
+        off = newton_step(self.problem(unit), self.kind, *region.predict(chart, unit), self.target).change
         return replace(chart, error=float(np.nan_to_num(np.abs(off), nan=np.inf).max()))
 
-    def drawn(self, coordinates: Coordinates, chart: Chart) -> np.ndarray:
+    def drawn(self, region: Region, chart: Chart) -> np.ndarray:
         """Coordinates (n, d) of random designs that have a point of the manifold."""
-        unit, cut = self.box.draw(_DRAWN, self.d, f"{self.kind} {chart.sizes}"), coordinates.cut
-        return cut.unit(unit) if cut else unit
+        return region.unit(self.box.draw(_DRAWN, self.d, f"{self.kind} {chart.sizes}"))
 
     def advance(
         self,
@@ -207,7 +195,7 @@ class _Extension:
         points.stride[active] *= np.where(fair, _LONGER, _SHORTER)
         return solved, fair
 
-    def carried(self, nodes: np.ndarray, own: Coordinates) -> tuple[_Carried, np.ndarray]:
+    def carried(self, nodes: np.ndarray, own: Region) -> tuple[_Carried, np.ndarray]:
         """The point carried to other designs along straight lines in some coordinates, and whether it arrived, (n,)."""
         n, start, ends = len(nodes), own.own(self.unit[None]), own.own(nodes)
         row, growth = (
@@ -225,8 +213,8 @@ class _Extension:
         points.Z += own.growth(nodes)[0]
         return points, share >= 1 - 1e-12
 
-    def cut(self, lost: np.ndarray) -> Cut:
-        """The curve at which the manifold is cut, which does not extend to some designs, `lost` (n, d)."""
+    def cut(self, lost: np.ndarray) -> Region:
+        """The region of the manifold, which does not extend to some designs, `lost` (n, d)."""
         mean = np.mean(lost - self.unit, axis=0)
         refused = []
         for axis in np.argsort(-np.abs(mean)).tolist():
@@ -236,8 +224,8 @@ class _Extension:
                 refused.append(why)
         raise refused[0]
 
-    def smooth_cut(self, axis: int, side: int) -> Cut:
-        """The curve at which the manifold is cut towards one side of a key, smooth over the other."""
+    def smooth_cut(self, axis: int, side: int) -> Region:
+        """The region up to a curve towards one side of a key, smooth over the other."""
         for places in _PLACES if self.d == 2 else (1,):
             cut = self.cut_along(axis, side, (places,) * (self.d - 1))
             if not cut.turns or (cut.curve.tails(2) < _SMOOTH).all():
@@ -248,11 +236,11 @@ class _Extension:
         """The other key, or the only one."""
         return self.d - 1 - axis
 
-    def cut_along(self, axis: int, side: int, sizes: tuple[int, ...]) -> Cut:
-        """The curve at which the manifold ends towards one side of a key, by its ends at places along the other."""
+    def cut_along(self, axis: int, side: int, sizes: tuple[int, ...]) -> Region:
+        """The region up to a curve towards one side of a key, by the manifold's ends at places along the other."""
         others, across = tensor_nodes(sizes), self.across(axis)
         start = np.insert(others, axis, -side, axis=1)
-        points, there = self.carried(start, Coordinates())
+        points, there = self.carried(start, Region.whole(self.d))
         if not there.all():
             raise Refused(f"a {self.kind} is lost on its way to {(~there).sum()} designs", across)
         points, ends, turned = self.followed(points.Z, start, axis, side)
@@ -264,14 +252,14 @@ class _Extension:
                 curve = Chart.through(more, self.vanishing(near, axis)[None])
                 if not np.isfinite(curve.coefficients).all():
                     raise Refused(f"a {self.kind} vanishes along a curve that is not smooth", across)
-                return Cut(axis, side, curve, False, powers)
-            return Cut(axis, side, Chart.through(sizes, self.turns(points.Z, start, ends, axis)[None]), True)
+                return Region(axis, side, curve, powers=powers)
+            return Region(axis, side, Chart.through(sizes, self.turns(points.Z, start, ends, axis)[None]), True)
         if turned.any():
             raise Refused(f"a {self.kind} ends in two ways", across)
         few = tuple(min(n, _DEGREE + 1) for n in sizes)
         coarse = curve.coefficients[: len(tensor_nodes(few))].copy()
         coarse[0] += side * (np.abs(Chart(few, coarse)(others)[0] - ends).max() + _BEYOND)
-        return Cut(axis, side, Chart(few, coarse), False)
+        return Region(axis, side, Chart(few, coarse))
 
     def followed(
         self, Z: np.ndarray, start: np.ndarray, axis: int, side: int
@@ -326,7 +314,7 @@ class _Extension:
         return at[:, axis]
 
     def powers(self, Z: np.ndarray, start: np.ndarray, u: np.ndarray, axis: int, side: int) -> tuple[float, ...]:
-        """Powers of the root of the distance to a curve on which steps vanish, as `Cut` has them, if there is one.
+        """Powers of the root of the distance to a curve on which steps vanish, as `Region` has them, if there is one.
 
         Of points Z (c, n) beside it, at coordinates u (n,) of one key.
         """
@@ -367,14 +355,14 @@ class _Extension:
                 return np.asarray(V[-1])
         raise Refused(f"a {self.kind} is lost where it counts", axis)
 
-    def measured(self, coordinates: Coordinates, chart: Chart) -> Manifold:
+    def measured(self, region: Region, chart: Chart) -> Manifold:
         """The manifold through points that are solved to rounding, with what is measured at random ones."""
-        nodes = coordinates.unit(tensor_nodes(chart.sizes))
-        problem, (guess, rows) = self.problem(nodes), coordinates.predict(chart, nodes)
+        nodes = region.unit(tensor_nodes(chart.sizes))
+        problem, (guess, rows) = self.problem(nodes), region.predict(chart, nodes)
         Z = solve(problem, self.kind, guess, self.target, rows).Z
-        chart = self.fitted(chart.sizes, coordinates, nodes, Z, gradient(problem, self.kind, Z))
-        unit = self.drawn(coordinates, chart)
-        problem, (guess, rows) = self.problem(unit), coordinates.predict(chart, unit)
+        chart = self.fitted(chart.sizes, region, nodes, Z, gradient(problem, self.kind, Z))
+        unit = self.drawn(region, chart)
+        problem, (guess, rows) = self.problem(unit), region.predict(chart, unit)
         solved = solve(problem, self.kind, guess, self.target, rows)
         if not (chart.error <= _FAIR and solved.ok.all()):
             raise Refused(f"predictions of a {self.kind} err by {chart.error:.1g}")
@@ -383,4 +371,4 @@ class _Extension:
         off = displaced + newton_step(problem, self.kind, displaced, rows, self.target).change - Z
         own, moved = np.abs(guess + first - Z).max(axis=0), np.abs(first).max(axis=0)
         linear, quadratic = (own / np.maximum(moved, LEAST)).max(), np.abs(off).max() / _DISPLACED**2
-        return Manifold(self.kind, self.target, coordinates, chart, float(linear), float(quadratic))
+        return Manifold(self.kind, self.target, region, chart, float(linear), float(quadratic))

@@ -106,7 +106,7 @@ class Span:
         low, high = self.ends(unit)
         start, stop = self.part
         share = coordinate((q - low) / (high - low), self.folds, self.vanishing)
-        return np.column_stack([np.clip(2 * (share - start) / (stop - start) - 1, -1, 1), unit])
+        return np.column_stack([2 * (share - start) / (stop - start) - 1, unit])
 
     @property
     def bounds(self) -> tuple[float, float]:
