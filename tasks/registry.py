@@ -54,7 +54,7 @@ TASKS = {
             side_by_side="tasks.solve_points:lines",
             over_plane="tasks.solve_planes:lines",
         ),
-        Task("points", "tasks.solve_points:points", 18, needs=("atlas",)),
+        Task("points", "tasks.solve_points:points", 19, needs=("atlas",)),
         Task("trace", "tasks.trace_motion:trace", 4, needs=("atlas",)),
         Task("branch", "tasks.follow_branches:branch", 15, needs=("atlas",)),
         Task("orbit", "tasks.iterate_orbits:orbit", 7, needs=("atlas",)),

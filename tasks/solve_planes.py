@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -15,18 +16,11 @@ from tasks.accuracy import always, is_interpolated
 from tasks.continuation.lockstep import lanes_of
 from tasks.costs import PANEL
 from tasks.families.box import Box
-from tasks.families.cell import Cell, Family
+from tasks.families.cell import Block, Cell, Family
 from tasks.families.division import Cells
+from tasks.families.patch import PREDICTED_WITHIN, are_predicted, similarity
 from tasks.fixed_points.polish import Polished, join, settle
-from tasks.interpolate_planes import (
-    PREDICTED_WITHIN,
-    Sheet,
-    are_predicted,
-    interpolate,
-    patch_guesses,
-    sheets,
-    similarity,
-)
+from tasks.interpolate import Sheet, interpolate, sheets
 from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from tasks.registry import GAITS, VARIABLES
 from tasks.solve_points import lines as lines_side_by_side
@@ -65,8 +59,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
     values = tuple(tuple(map(float, each)) for each in cell["values"])
     accuracy = params.get("accuracy", 0.0)
     want = [v for v in VARIABLES if v in params["want"] or v in always(accuracy)]
-    wanted = set(params.get("gaits") or GAITS)
-    limits = params.get("violation_limits")
+    wanted = Wanted(want, set(params.get("gaits") or GAITS), params.get("violation_limits"), accuracy)
     keys = np.array([[line["set"][key] for key in family.keys] for line in all_lines])
     walkers, corners = family.walkers(keys), family.walkers(np.array([box.low, box.high]))
     # A massless leg's steps are the limit of those of light ones; its losses have formulas of their own.
@@ -90,8 +83,7 @@ def lines(params: Mapping[str, Any], inputs: list[Arrays]) -> list[tuple[Arrays,
             made: list[Sheet] = []
             if is_interpolated(want, accuracy):
                 made = _sheets(family, part, tuple(want), accuracy, part.box.count(values) * len(at_panel))
-            of_part = part, keys[inside], slope[at_panel], want, wanted, limits
-            solved, accepted[inside] = solve(family, *of_part, made, accuracy)
+            solved, accepted[inside] = solve(family, part, keys[inside], slope[at_panel], wanted, made)
             for name, value in solved.items():
                 out[name][np.ix_(inside, at_panel)] = value
     to_accuracy({name: value.reshape(-1, *value.shape[2:]) for name, value in out.items()}, accuracy)
@@ -137,16 +129,29 @@ def _reasons(family: Family, box: Box) -> list[str]:
     return status.reasons(*(status.absent(label, where) for label in GAITS[:2]))
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """What is wanted of gaits.
+
+    Attributes
+    ----------
+    names : list of str
+        Of variables.
+    labels : set of str
+    limits : mapping, optional
+        Limits of violations other than the registry's.
+    accuracy : float
+        Largest error bound wanted, 0 for any.
+    """
+
+    names: list[str]
+    labels: set[str]
+    limits: Mapping[str, float] | None = None
+    accuracy: float = 0.0
+
+
 def solve(
-    family: Family,
-    cell: Cell,
-    keys: np.ndarray,
-    slope: np.ndarray,
-    want: Sequence[str],
-    wanted: set[str],
-    limits: Mapping[str, float] | None = None,
-    made: Sequence[Sheet] = (),
-    accuracy: float = 0.0,
+    family: Family, cell: Cell, keys: np.ndarray, slope: np.ndarray, wanted: Wanted, made: Sequence[Sheet] = ()
 ) -> tuple[Arrays, np.ndarray]:
     """Solve the gaits at the slopes of lines in a cell.
 
@@ -158,16 +163,9 @@ def solve(
         Values of the free keys of n lines.
     slope : ndarray, shape (s,) [rad]
         Within the range of the cell.
-    want : sequence of str
-        Names of variables.
-    wanted : set of str
-        Labels.
-    limits : mapping, optional
-        Limits of violations other than the registry's.
+    wanted : Wanted
     made : sequence of Sheet
         Polynomials that give the gaits to an accuracy; where there are none the gaits are integrated.
-    accuracy : float
-        Largest error bound wanted, 0 for any.
 
     Returns
     -------
@@ -177,123 +175,82 @@ def solve(
         Lines all of whose gaits are accepted; what `out` has of the others is void.
     """
     n, s = len(keys), len(slope)
-    solved = [name for name in VARIABLES if name in want]
-    out = nothing_solved(solved, n * s, 4 if cell.structure.kneed else 3)
+    out = nothing_solved(wanted.names, n * s, 4 if cell.structure.kneed else 3)
     accepted = np.full(n, bool(not cell.why))
     lines = max(1, (_INTERPOLATED_BLOCK if made else _BLOCK) // s)
     for k in range(0, n if not cell.why else 0, lines):
         some = slice(k, k + lines)
-        part = {name: value[k * s : (k + lines) * s] for name, value in out.items()}
-        accepted[some] = _away_from_events(cell, keys[some], slope)
-        shared = family, cell, keys[some], slope, solved, wanted, part
-        integrated = ~_interpolate_block(*shared, made, accuracy) if made else np.ones(len(keys[some]), bool)
-        accepted[some] &= _solve_block(*shared, limits, accuracy, np.flatnonzero(integrated & accepted[some]))
+        block, part = (
+            Block(family, cell, keys[some], slope),
+            {name: v[k * s : (k + lines) * s] for name, v in out.items()},
+        )
+        integrated = accepted[some] = _away_from_events(block)
+        if made:
+            parts, sure = interpolate(block, made, wanted.names, wanted.accuracy)
+            store(part, parts, wanted.labels)
+            integrated = integrated & ~sure
+        accepted[some] &= _solve_block(block, wanted, part, integrated)
     return {name: value.reshape(n, s, *value.shape[1:]) for name, value in out.items()}, accepted
 
 
-def _away_from_events(cell: Cell, keys: np.ndarray, slope: np.ndarray) -> np.ndarray:
+def _away_from_events(block: Block) -> np.ndarray:
     """Whether all slopes of lines are farther from the ends of pieces than their errors, shape (n,).
 
     A piece goes on beyond the end at which it is cut. The cut lies at one distance from the event at the other, which
     beside the border of the box may be less than where the panel ends: there is no prediction.
     """
-    unit, q = cell.box.unit(keys), np.log(slope)
-    away = np.ones(len(keys), bool)
-    for patch in cell.patches:
-        ends = patch.ends_at(unit)
-        for end in (0, 1):
-            inwards = (q - ends[:, [end]]) * (1, -1)[end]
-            error = PREDICTED_WITHIN * max(patch.end_errors[end], _MIN_END_ERROR)
-            away &= (np.abs(inwards) > error if patch.events[end] else inwards >= 0).all(axis=1)
+    away = np.ones(len(block.unit), bool)
+    for patch in block.cell.patches:
+        low, high = patch.span.ends(block.unit)[:, :, None]
+        inwards = block.q - low, high - block.q
+        for off, error, is_event in zip(inwards, patch.end_errors, patch.events, strict=True):
+            near = PREDICTED_WITHIN * max(error, _MIN_END_ERROR)
+            away &= (np.abs(off) > near if is_event else off >= 0).all(axis=1)
     return away
 
 
-def _interpolate_block(
-    family: Family,
-    cell: Cell,
-    keys: np.ndarray,
-    slope: np.ndarray,
-    solved: list[str],
-    wanted: set[str],
-    out: Arrays,
-    made: Sequence[Sheet],
-    accuracy: float,
-) -> np.ndarray:
-    """Store the gaits of lines that polynomials give in `out`, shape (n s, ...), and return which lines these are."""
-    parts, sure = interpolate(family, cell, made, keys, slope, solved, accuracy)
-    kept = []
-    for part in parts:
-        keep = np.flatnonzero(sure[part.index // len(slope)])
-        solved_part = {name: value[keep] for name, value in part.solved.items()}
-        kept.append(Part(part.index[keep], part.angle[keep], part.ratio[keep], solved_part))
-    store(out, kept, wanted)
-    return sure
-
-
-def _solve_block(
-    family: Family,
-    cell: Cell,
-    keys: np.ndarray,
-    slope: np.ndarray,
-    solved: list[str],
-    wanted: set[str],
-    out: Arrays,
-    limits: Mapping[str, float] | None,
-    accuracy: float,
-    lines: np.ndarray,
-) -> np.ndarray:
-    """Store the gaits of a few `lines` in `out`, shape (n s, ...), and return which of all n are accepted."""
-    n, s = len(keys), len(slope)
-    accepted = np.ones(n, bool)
-    if not len(lines):
-        return accepted
-    unit, q = cell.box.unit(keys), np.log(slope)
-    indices, predictions = [], []
-    for patch in cell.patches:
-        ends = patch.ends_at(unit[lines])
-        index = lines[:, None] * s + np.arange(s)
-        index = index[(ends[:, :1] <= q) & (q <= ends[:, 1:])]
-        line = index // s
-        w, node = patch.predict(unit[line], q[index % s], patch.ends_at(unit[line]))
-        indices.append(index)
-        predictions.append(patch_guesses(patch, w, node, slope[index % s]))
+def _solve_block(block: Block, wanted: Wanted, out: Arrays, integrated: np.ndarray) -> np.ndarray:
+    """Store the gaits of lines that are to be `integrated` in `out`, and return which of all are accepted, (n,)."""
+    patches, s = block.cell.patches, len(block.slope)
+    accepted = np.ones(len(block.unit), bool)
+    indices = [index[integrated[index // s]] for index in map(block.on, patches)]
     if not sum(map(len, indices)):
         return accepted
-    guesses = join(predictions)
+    guesses = join(
+        [
+            patch.guesses(block.unit[index // s], block.slope[index % s])
+            for patch, index in zip(patches, indices, strict=True)
+        ]
+    )
     line = np.concatenate(indices) // s
-    walkers = family.walkers(keys).some(line)
-    problem = Lanes(walkers, cell.structure)
-    at = settle(problem, guesses, sampled=True, accuracy=accuracy)
+    walkers = block.walkers.some(line)
+    problem = Lanes(walkers, block.cell.structure)
+    at = settle(problem, guesses, sampled=True, accuracy=wanted.accuracy)
     counts = [len(index) for index in indices]
-    error, side = (np.repeat([getattr(patch, name) for patch in cell.patches], counts) for name in ("error", "side"))
-    fine = are_predicted(at, guesses, error, side)
-    np.logical_and.at(accepted, line, fine)
-    gaits = _describe(problem, walkers, at, guesses.slope, solved, limits)
-    parts, ends_of = [], np.cumsum([len(i) for i in indices]).tolist()
-    for patch, index, end in zip(cell.patches, indices, ends_of, strict=True):
-        own = {name: value[end - len(index) : end] for name, value in gaits.items()}
-        own["branch"], own["piece"] = patch.numbers_at(unit[index // s]).T
-        angle = np.where(own["anthropomorphic"], guesses.w[0, end - len(index) : end], np.nan)
+    error, side = np.repeat([(patch.gaits.error, patch.side) for patch in patches], counts, axis=0).T
+    np.logical_and.at(accepted, line, are_predicted(at, guesses, error, side))
+    gaits = _describe(problem, walkers, at, guesses.slope, wanted)
+    parts, of_part = (
+        [],
+        [slice(end - count, end) for count, end in zip(counts, np.cumsum(counts).tolist(), strict=True)],
+    )
+    for patch, index, part in zip(patches, indices, of_part, strict=True):
+        own = {name: value[part] for name, value in gaits.items()}
+        own["branch"], own["piece"] = patch.numbers_at(block.unit[index // s]).T
+        angle = np.where(own["anthropomorphic"], guesses.w[0, part], np.nan)
         parts.append(Part(index, angle, own["heelstrike_rate_ratio"], own))
-    store(out, parts, wanted)
+    store(out, parts, wanted.labels)
     w = similarity(at)
     for i, j in combinations(range(len(parts)), 2):
-        _, a, b = np.intersect1d(indices[i], indices[j], assume_unique=True, return_indices=True)
-        a, b = a + ends_of[i] - len(indices[i]), b + ends_of[j] - len(indices[j])
-        alike = np.abs(w[:, a] - w[:, b]).max(axis=0, initial=0.0) < _APART
-        accepted[line[a[alike]]] = False
+        both, a, b = np.intersect1d(indices[i], indices[j], assume_unique=True, return_indices=True)
+        alike = np.abs(w[:, of_part[i]][:, a] - w[:, of_part[j]][:, b]).max(axis=0, initial=0.0) < _APART
+        accepted[both[alike] // s] = False
     return accepted
 
 
-def _describe(
-    problem: Lanes,
-    walkers: WalkerArray,
-    at: Polished,
-    slope: np.ndarray,
-    want: list[str],
-    limits: Mapping[str, float] | None,
-) -> Arrays:
+def _describe(problem: Lanes, walkers: WalkerArray, at: Polished, slope: np.ndarray, wanted: Wanted) -> Arrays:
     """Measure the gaits: all at once, or walker by walker where violations are wanted."""
+    want, limits = wanted.names, wanted.limits
     if not any(VARIABLES[name].group == "violations" for name in want):
         return describe(problem, walkers, at, slope, want, limits)
     each = []

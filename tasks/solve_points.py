@@ -18,7 +18,7 @@ from tasks.continuation.lockstep import lanes_of
 from tasks.continuation.refine import COARSE, FINE
 from tasks.fixed_points.polish import Guesses, join, settle
 from tasks.follow_cycles import cycle_branches, from_arrays, to_arrays
-from tasks.interpolate_points import Interpolation
+from tasks.interpolate import Interpolation
 from tasks.measures.gaits import Arrays, Part, describe, nothing_solved, store, to_accuracy
 from tasks.mechanics.lumped import Structure, structures_of
 from tasks.registry import GAITS, PROVED, VARIABLES

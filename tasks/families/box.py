@@ -52,14 +52,6 @@ class Box:
     def _is_log(self) -> np.ndarray:
         return np.array([self.log and 0 < 8 * a < b for a, b in zip(self.low, self.high, strict=True)])
 
-    @property
-    def ratio(self) -> tuple[float, ...]:
-        """Quotient of `high` and `low` for keys whose coordinates are those of their logarithms, else 1; or nothing."""
-        if not self._is_log.any():
-            return ()
-        sides = zip(self.low, self.high, self._is_log.tolist(), strict=True)
-        return tuple(b / a if is_log else 1.0 for a, b, is_log in sides)
-
     def count(self, values: Sequence[Sequence[float] | np.ndarray]) -> int:
         """Return how many points of a grid lie inside or on the border.
 

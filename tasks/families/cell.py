@@ -6,7 +6,7 @@ import functools
 import itertools
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,28 +15,28 @@ from tasks.continuation.atlas import survey_lines
 from tasks.continuation.branch import Branch
 from tasks.continuation.refine import COARSE
 from tasks.costs import PANEL
-from tasks.families.box import Box, Refused, roots
-from tasks.families.patch import Patch, along, basis, fit, side_of_fold, tails
+from tasks.families.box import Box, Refused, tensor_nodes
+from tasks.families.chart import Chart, fit
+from tasks.families.patch import Patch, measured, side_of_fold
 from tasks.families.pieces import Piece, match, pieces_of, towards_middle
-from tasks.fixed_points.newton import curvature, newton, newton_step
-from tasks.fixed_points.polish import not_measured
-from tasks.fixed_points.rounding import rounding_std
+from tasks.families.span import Span
+from tasks.fixed_points.newton import newton, newton_step
 from tasks.fixed_points.step_check import verify_steps
 from tasks.mechanics.lumped import Structure, common_structure
 from tasks.step.problem import Lanes
+from tasks.step.step_map import Stride
 from tasks.walkers.resolve import resolve_many
 from tasks.walkers.walker_array import WalkerArray
 
 #: Lines surveyed along each key: always, and where pieces end in the panel.
 FEW, _MANY = 3, 5
-#: Nodes along a piece and along a key with which a patch begins, and at most.
-_FIRST, _MAX_NODES = 4, 11
-#: Largest Newton correction of a good patch's predictions at random points; a patch that stays worse is used up to the
-#: second.
-_GOOD, _FAIR = 1e-6, 2e-2
+#: Largest Newton correction of a good patch's predictions at random points, if its nodes are solved and if they are
+#: those of surveyed lines; a patch that stays worse is used up to the last.
+_GOOD, _COARSE_GOOD, _FAIR = 1e-6, 3e-5, 2e-2
 _DRAWN = 48
-#: Nodes along a piece that ends in the panel: as many as leave coefficients no larger than a coarse atlas resolves.
-_ALONG, _COARSE_TAIL = (8, 16, 32, 48), 1e-5
+#: Nodes along a piece with which a patch begins, and most along any dimension; the same of a piece that ends in the
+#: panel, along the piece alone.
+_FIRST, _MAX_NODES, _FIRST_OF_EVENTS, _MAX_OF_EVENTS = 4, 11, 8, 48
 #: Nodes along a piece and along each key at which rounding and the Lipschitz constant are measured.
 _MEASURED = (6, 3)
 #: A piece that goes on farther than this beyond the panel, in ln slope, is cut, at most twice as far.
@@ -79,6 +79,22 @@ class Cell:
     structure: Structure
     patches: list[Patch] = field(default_factory=list)
     why: str = ""
+
+
+class Block:
+    """Lines of a cell, at values of its keys (n, d) and slopes (s,): n s points.
+
+    `unit` are the coordinates of the keys, `q` the ln slopes.
+    """
+
+    def __init__(self, family: Family, cell: Cell, keys: np.ndarray, slope: np.ndarray):
+        self.cell, self.slope, self.q = cell, slope, np.log(slope)
+        self.unit, self.walkers = cell.box.unit(keys), family.walkers(keys)
+
+    def on(self, patch: Patch) -> np.ndarray:
+        """Return the indices of the points between the ends of a patch."""
+        low, high = patch.span.ends(self.unit)[:, :, None]
+        return np.flatnonzero((low <= self.q) & (self.q <= high))
 
 
 def make_cell(family: Family, box: Box, low: float, surveyed: set[tuple[Box, int]], why: str = "") -> Cell:
@@ -124,8 +140,8 @@ class _Maker:
         self.surveyed.add((self.box, n))
         return _survey(self.family, self.box, self.structure, n)
 
-    def problem(self, points: np.ndarray) -> Lanes:
-        return Lanes(self.family.walkers(points), self.structure)
+    def problem(self, unit: np.ndarray) -> Lanes:
+        return Lanes(self.family.walkers(self.box.at(unit)), self.structure)
 
     def patches(self) -> list[Patch]:
         patches = self.of_few_lines()
@@ -136,8 +152,7 @@ class _Maker:
                 patches.append(self.with_events(group) if np.isnan(cuts).any() else self.regular(group, cuts))
             if self.is_lacking(patches):
                 raise Refused("a line at a corner has a further piece")
-        self.check(patches)
-        return patches
+        return self.checked(patches)
 
     def of_few_lines(self) -> list[Patch] | None:
         """Patches of pieces that end near the panel nowhere in the box, by a few lines; None if more are needed."""
@@ -157,11 +172,8 @@ class _Maker:
 
     def is_whole(self, patch: Patch) -> bool:
         """Whether gaits at both ends of a patch are steps, in the middle, the corners and on the edges of the box."""
-        unit = np.repeat(list(itertools.product((-1.0, 0.0, 1.0), repeat=self.d)), 2, axis=0)
-        ends = patch.ends_at(unit)
-        q = ends[np.arange(len(unit)), np.arange(len(unit)) % 2]
-        w, _ = patch.predict(unit, q, ends)
-        _, check = verify_steps(self.problem(self.box.at(unit)), w, q)
+        points = np.array([(x, *unit) for *unit, x in itertools.product(*[(-1.0, 0.0, 1.0)] * self.d, (-1.0, 1.0))])
+        _, check = verify_steps(self.problem(points[:, 1:]), patch.gaits(points), patch.span.log_slope(points))
         return bool(check.step.all())
 
     def groups(self, n: int) -> list[list[Piece]]:
@@ -187,12 +199,12 @@ class _Maker:
         By their values on node lines; if the piece is on all n^d, by their polynomial too, up to the edges of the box;
         with n = 0 by their values alone.
         """
-        q = np.clip([piece.q for piece in known], self.low - _FAR, self.high + _FAR)
-        extremes = np.array([q.min(axis=0), q.max(axis=0)])
+        q = np.clip([piece.q for piece in known], self.low - _FAR, self.high + _FAR).T
+        extremes = np.array([q.min(axis=1), q.max(axis=1)])
         if len(known) == n**self.d:
             edges = np.array(list(itertools.product(np.linspace(-1, 1, 5), repeat=self.d)))
-            q = basis(edges, (n,) * self.d) @ fit(q, (n,) * self.d)
-            extremes = np.array([np.minimum(extremes[0], q.min(axis=0)), np.maximum(extremes[1], q.max(axis=0))])
+            q = Chart.through((n,) * self.d, q)(edges)
+            extremes = np.array([np.minimum(extremes[0], q.min(axis=1)), np.maximum(extremes[1], q.max(axis=1))])
         return np.asarray(extremes.T)
 
     def cuts(self, group: list[Piece], between: bool = True) -> np.ndarray:
@@ -206,25 +218,12 @@ class _Maker:
         return np.array([self.low - off[0], self.high + off[1]])
 
     def regular(self, group: list[Piece], cut: np.ndarray) -> Patch:
-        """A patch between two ln slopes, on which no piece ends: at more keys gaits follow from those of the lines."""
-        n = round(len(group) ** (1 / self.d))
-        sizes: tuple[int, ...] = (_FIRST, *[n] * self.d)
-        q = np.broadcast_to(cut, (len(group), 2))
-        patch = self.patch(group, (False, False), (False, False), sizes, q, self.gaits_of(group, q, sizes))
-        while self.error(patch) > _GOOD:
-            grow = tails(patch.gaits, sizes) > 0.1 * _GOOD
-            larger = tuple(min(size + 2 * int(more), _MAX_NODES) for size, more in zip(sizes, grow, strict=True))
-            if larger == sizes:
-                break
-            sizes = larger
-            ends = np.broadcast_to(cut, (int(np.prod(sizes[1:])), 2))
-            keys, q = self.grid(sizes, ends)
-            guess, _ = patch.predict(self.box.unit(keys), q, np.broadcast_to(cut, (len(q), 2)))
-            patch = self.patch(group, (False, False), (False, False), sizes, ends, self.solve(keys, q, guess))
-        return self.measured(patch)
+        """A patch between two ln slopes, on which no piece ends: at more nodes gaits follow from those of the lines."""
+        span = Span.between(cut, self.d)
+        return self.patch(group, span, (False, False), _FIRST, (_MAX_NODES,) * (1 + self.d))
 
     def with_events(self, group: list[Piece]) -> Patch:
-        """A patch that ends at events, whose slopes are those of surveyed lines."""
+        """A patch that ends at events, whose slopes and gaits are those of surveyed lines."""
         own, is_event = np.array([piece.q for piece in group]), np.isnan(self.cuts(group))
         q = own.copy()
         if not is_event.all():
@@ -239,19 +238,11 @@ class _Maker:
             kinds = {piece.kinds[end] for piece in group}
             if is_event[end] and len(kinds) > 1:
                 raise Refused(f"a piece ends at {' or '.join(sorted(kinds))}", self.steeper(own))
-        low, high = (bool(is_event[end]) and group[0].kinds[end] == "fold" for end in (0, 1))
-        at_zero = [bool(is_event[end]) and group[0].kinds[end] == "zero step length" for end in (0, 1)]
-        own_ends = (low, high), (at_zero[0], at_zero[1])
+        low, high = (kind if event else "" for kind, event in zip(group[0].kinds, is_event, strict=True))
+        at_zero = low == "zero step length", high == "zero step length"
+        span = Span(Chart.through((_MANY,) * self.d, q.T), (low == "fold", high == "fold"), at_zero)
         events = bool(is_event[0]), bool(is_event[1])
-        for along_piece in _ALONG:
-            sizes = (along_piece, *[_MANY] * self.d)
-            patch = self.patch(group, (low, high), events, sizes, q, self.gaits_of(group, q, sizes, *own_ends))
-            patch.vanishing = own_ends[1]
-            if tails(patch.gaits, sizes)[0] < _COARSE_TAIL:
-                break
-        patch.end_errors = np.array([tails(patch.ends[:, [i]], sizes[1:]).max() * is_event[i] for i in (0, 1)])
-        self.error(patch)
-        return self.measured(patch)
+        return self.patch(group, span, events, _FIRST_OF_EVENTS, (_MAX_OF_EVENTS, *[_MANY] * self.d))
 
     def steeper(self, q: np.ndarray) -> int:
         """The key along which ends, (n^d, 2), vary most."""
@@ -259,102 +250,58 @@ class _Maker:
         return int(np.argmax([np.ptp(ends, axis=k).max() for k in range(self.d)]))
 
     def patch(
-        self,
-        group: list[Piece],
-        folds: tuple[bool, bool],
-        events: tuple[bool, bool],
-        sizes: tuple[int, ...],
-        ends: np.ndarray,
-        w: np.ndarray,
+        self, group: list[Piece], span: Span, events: tuple[bool, bool], first: int, most: tuple[int, ...]
     ) -> Patch:
-        """A patch of the ends (l, 2) and gaits (m + k, n) at its nodes, with nothing measured."""
-        lines = self.box.unit(self.box.nodes(round(len(group) ** (1 / self.d))))
-        return Patch(
-            lines=lines,
-            numbers=np.array([[piece.number, piece.place] for piece in group]),
-            folds=folds,
-            events=events,
-            sizes=sizes,
-            ends=fit(ends, sizes[1:]),
-            end_errors=np.zeros(2),
-            gaits=fit(w.T, sizes),
-            error=np.inf,
-            lipschitz=np.zeros(0),
-            gradient=np.zeros((0, 0, 0)),
-            rounding_std=np.zeros((0, 0)),
-            side=0.0,
-        )
+        """The patch of a group of pieces over a span, at whose ends pieces may have `events`.
 
-    def grid(
-        self,
-        sizes: tuple[int, ...],
-        ends: np.ndarray,
-        folds: tuple[bool, bool] = (False, False),
-        vanishing: tuple[bool, bool] = (False, False),
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Keys (n, d) and ln slopes (n,) of a patch's nodes; the piece's own coordinate slowest."""
-        share = along(0.5 * (1 + roots(sizes[0])), folds, vanishing)
-        q = ends[:, 0] + share[:, None] * (ends[:, 1] - ends[:, 0])
-        return np.tile(self.box.nodes(sizes[1:]), (sizes[0], 1)), q.ravel()
+        With `first` nodes along the piece and those of the surveyed lines, up to `most`.
+        """
+        numbers = np.array([[piece.number, piece.place] for piece in group])
+        drawn = self.box.draw(_DRAWN, 1 + self.d, f"patch {numbers[0]}")
+        lines = (round(len(group) ** (1 / self.d)),) * self.d
 
-    def gaits_of(
-        self,
-        group: list[Piece],
-        ends: np.ndarray,
-        sizes: tuple[int, ...],
-        folds: tuple[bool, bool] = (False, False),
-        vanishing: tuple[bool, bool] = (False, False),
-    ) -> np.ndarray:
-        """Gaits at the nodes of a patch by the polynomials of surveyed lines, shape (m + k, n)."""
-        _, q = self.grid(sizes, ends, folds, vanishing)
-        by_line = q.reshape(sizes[0], -1)
+        def attempt(sizes: tuple[int, ...], before: Chart | None) -> Chart:
+            points = tensor_nodes(sizes)
+            if before is None or any(events):
+                chart = Chart.through(sizes, self.gaits_of(group, span, points))
+            else:
+                chart = Chart.through(sizes, self.solved(span, points, before))
+            w = chart(drawn)
+            off = np.abs(newton_step(self.stride(span, drawn, w), w))
+            return replace(chart, error=float(np.nan_to_num(off, nan=np.inf).max()))
+
+        good = _COARSE_GOOD if any(events) else _GOOD
+        gaits = fit(attempt((first, *lines), None), attempt, most, good, _FAIR, self.d)
+        sides = side_of_fold(self.stride(span, drawn, gaits(drawn)))
+        if not (sides == sides[0]).all():
+            raise Refused("a fold lies inside")
+        points = tensor_nodes((_MEASURED[0], *[_MEASURED[1]] * self.d))
+        along = measured(self.problem(points[:, 1:]), gaits(points), span.log_slope(points), _MEASURED[1] ** self.d)
+        if any(span.vanishing):  # rounding over step size grows from node to node: it is measured at each gait
+            along[-1][:] = np.nan
+        end_errors = span.ends.tails().max(axis=0) * events
+        return Patch(tensor_nodes(lines), numbers, span, events, end_errors, gaits, along, float(sides[0]))
+
+    def stride(self, span: Span, points: np.ndarray, w: np.ndarray) -> Stride:
+        """Steps from gaits (m + k, n) at points of a span."""
+        return self.problem(points[:, 1:]).stride(w, span.log_slope(points))[0]
+
+    def gaits_of(self, group: list[Piece], span: Span, points: np.ndarray) -> np.ndarray:
+        """Gaits at points over the surveyed lines by their polynomials, shape (m + k, n); the keys fastest."""
+        by_line = span.log_slope(points).reshape(-1, len(group))
         rows = np.stack([piece.at(by_line[:, i]) for i, piece in enumerate(group)], axis=1)
-        return np.delete(rows.reshape(len(q), -1), group[0].branch.m, axis=1).T
+        return np.delete(rows.reshape(len(points), -1), group[0].branch.m, axis=1).T
 
-    def solve(self, keys: np.ndarray, q: np.ndarray, guess: np.ndarray) -> np.ndarray:
-        """Gaits near guesses, shape (m + k, n)."""
-        result = newton(self.problem(keys), guess, q)
+    def solved(self, span: Span, points: np.ndarray, gaits: Chart) -> np.ndarray:
+        """Gaits near those of a chart, shape (m + k, n)."""
+        guess = gaits(points)
+        result = newton(self.problem(points[:, 1:]), guess, span.log_slope(points))
         moved = np.abs(result.w - guess).max(axis=0)
         if not result.converged.all() or moved.max() > 0.3:
             raise Refused(
-                f"{(~result.converged).sum()} of {len(q)} nodes do not converge, or move by {moved.max():.2g}"
+                f"{(~result.converged).sum()} of {len(points)} nodes do not converge, or move by {moved.max():.2g}"
             )
         return result.w
-
-    def error(self, patch: Patch) -> float:
-        """Set and return the largest correction of predictions at random points, and the side of a fold."""
-        drawn = self.box.draw(_DRAWN, 1 + self.d, f"patch {patch.numbers[0]}")
-        share, unit = along(0.5 * (1 + drawn[:, 0]), patch.folds, patch.vanishing), drawn[:, 1:]
-        ends = patch.ends_at(unit)
-        q = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
-        w, _ = patch.predict(unit, q, ends)
-        stride, _ = self.problem(self.box.at(unit)).stride(w, q)
-        patch.error = float(np.nan_to_num(np.abs(newton_step(stride, w)), nan=np.inf).max())
-        sides = side_of_fold(stride)
-        patch.side = float(sides[0]) if (sides == sides[0]).all() else np.nan
-        return patch.error
-
-    def measured(self, patch: Patch) -> Patch:
-        """A good patch with what is measured at its nodes."""
-        if not patch.error < _FAIR:
-            raise Refused(f"predictions err by {patch.error:.1g}", int(np.argmax(tails(patch.gaits, patch.sizes)[1:])))
-        if np.isnan(patch.side):
-            raise Refused("a fold lies inside")
-        sizes, m = (_MEASURED[0], *[_MEASURED[1]] * self.d), self.structure.dimension
-        unit = self.box.unit(self.box.nodes(sizes[1:]))
-        keys, q = self.grid(sizes, patch.ends_at(unit), patch.folds, patch.vanishing)
-        unit = self.box.unit(keys)
-        w, _ = patch.predict(unit, q, patch.ends_at(unit))
-        problem = self.problem(keys)
-        lipschitz, gradient = curvature(problem, np.vstack([w[:m], q]), w[m:])
-        patch.lipschitz = lipschitz.reshape(sizes[0], -1).max(axis=1)
-        patch.gradient = np.moveaxis(gradient.reshape(*gradient.shape[:2], sizes[0], -1).mean(axis=-1), -1, 0)
-        if any(patch.vanishing):  # rounding over step size grows from node to node: it is measured at each gait
-            patch.rounding_std = not_measured(m, problem.phases, sizes[0])[-1].T
-            return patch
-        std = rounding_std(problem, w, q)
-        patch.rounding_std = np.sqrt((std.reshape(len(std), sizes[0], -1) ** 2).mean(axis=-1)).T
-        return patch
 
     def is_lacking(self, patches: list[Patch]) -> bool:
         """Whether a line at a corner has a piece near the panel of which there is no patch.
@@ -363,10 +310,8 @@ class _Maker:
         """
         surveyed = self.survey(FEW)[FEW**self.d + 1 :]
         for unit, branches in zip(self.box.corners(_CORNER)[:, None], surveyed, strict=True):
-            ends = [patch.ends_at(unit) for patch in patches]
             for piece in self.near_panel(branches, 0.5 * _CLEAR):
-                off = [self.compare(patch, piece, unit, e) for patch, e in zip(patches, ends, strict=True)]
-                if not min(off, default=np.inf) < _ALIKE:
+                if not min((self.compare(patch, piece, unit) for patch in patches), default=np.inf) < _ALIKE:
                     return True
         return False
 
@@ -374,30 +319,32 @@ class _Maker:
         """Pieces that reach the panel, or `beyond` of it."""
         return [p for p in pieces_of(branches) if p.q[1] > self.low - beyond and p.q[0] < self.high + beyond]
 
-    def check(self, patches: list[Patch]) -> None:
-        """Survey a random line: it must have these pieces and no others; it shows the errors of their ends."""
+    def checked(self, patches: list[Patch]) -> list[Patch]:
+        """Patches with the errors of their ends on a random line, which must have these pieces and no others."""
         unit = self.box.lot()
         branches = self.survey(FEW)[FEW**self.d]
         pieces = self.near_panel(branches, _CLEAR)
+        checked = []
         for patch in patches:
-            ends = patch.ends_at(unit)
-            off = [self.compare(patch, piece, unit, ends) for piece in pieces]
+            (low,), (high,) = ends = patch.span.ends(unit)
+            off = [self.compare(patch, piece, unit) for piece in pieces]
             nearest = int(np.argmin(off)) if off else -1
             if off and off[nearest] < 1e-2:
-                piece = pieces.pop(nearest)
-                for end in (0, 1):
-                    if patch.events[end]:
-                        patch.end_errors[end] = max(patch.end_errors[end], abs(piece.q[end] - ends[0, end]))
-            elif ends[0, 1] > self.low - 0.5 * _CLEAR and ends[0, 0] < self.high + 0.5 * _CLEAR:
+                own = np.abs(np.array(pieces.pop(nearest).q) - ends[:, 0])
+                patch = replace(patch, end_errors=np.where(patch.events, np.maximum(patch.end_errors, own), 0.0))
+            elif high > self.low - 0.5 * _CLEAR and low < self.high + 0.5 * _CLEAR:
                 raise Refused("a line between the nodes lacks a piece")
+            checked.append(patch)
         if any(piece.q[1] > self.low and piece.q[0] < self.high for piece in pieces):
             raise Refused("a line between the nodes has a further piece")
+        return checked
 
-    def compare(self, patch: Patch, piece: Piece, unit: np.ndarray, ends: np.ndarray) -> float:
+    def compare(self, patch: Patch, piece: Piece, unit: np.ndarray) -> float:
         """How far a patch is from a piece of a line, at three slopes that both have; infinite where there is none."""
-        low, high = max(ends[0, 0], piece.q[0]), min(ends[0, 1], piece.q[1])
+        ends = patch.span.ends(unit)[:, 0]
+        low, high = max(ends[0], piece.q[0]), min(ends[1], piece.q[1])
         if low >= high:
             return np.inf
         q = low + (high - low) * np.array([0.2, 0.5, 0.8])
-        w, _ = patch.predict(np.repeat(unit, 3, axis=0), q, np.repeat(ends, 3, axis=0))
+        w = patch.gaits(patch.span.points(q, np.repeat(unit, 3, axis=0)))
         return float(np.abs(w - np.delete(piece.at(q), piece.branch.m, axis=1).T).max())

@@ -114,8 +114,8 @@ def points_at(
     predicted = [manifold.predict(unit)[0] for manifold in manifolds]
     kinds = np.array([manifold.kind for manifold in manifolds])
     froude = [log_froude(Z, foot_radius(problem)) for Z in predicted]
-    left = np.column_stack([manifold.there(unit) for manifold in manifolds])
-    near = ~np.logical_or.reduce([manifold.unsure(unit) for manifold in manifolds])
+    left = np.column_stack([manifold.region.holds(unit) for manifold in manifolds])
+    near = ~np.logical_or.reduce([manifold.region.is_near(unit) for manifold in manifolds])
     flags = np.where(left, -1, 0).astype(np.int8)
     parts = [nothing(problem, 0)]
     served = {name: np.full(n, np.inf) for name in QUANTITIES}

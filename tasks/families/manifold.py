@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebval
 
 from tasks.continuation.defining import Polish, newton_step
 from tasks.continuation.extremes import Points, classify
-from tasks.families.patch import evaluate
+from tasks.families.chart import Chart
 from tasks.fixed_points.step_check import verify_steps
 from tasks.step.problem import Lanes
 from tasks.step.step_map import SAMPLES
@@ -22,13 +21,14 @@ LEAST = 1e-9
 _GOAL = 1e-10
 #: Distance from an end at which its gaits must be steps.
 _INSIDE = 1e-3
-#: Share of the way to a turn within which designs are surveyed, and the smallest that counts.
-_AT_TURN, _MIN_SHARE = 1e-5, 1e-12
+#: Share of the way to a turn within which designs are surveyed, the smallest that counts, and that by which rounding
+#: puts designs on the border of a box beyond it.
+_AT_TURN, _MIN_SHARE, _BORDER = 1e-5, 1e-12, 1e-12
 
 
 @dataclass(frozen=True)
-class Cut:
-    """The border of a manifold inside a box: it lies on one side of a curve along the other key.
+class Region:
+    """The part of a box that a manifold covers: up to a curve along one key, or all of it.
 
     Attributes
     ----------
@@ -36,8 +36,8 @@ class Cut:
         The key along which it ends.
     side : int
         1 if it ends towards higher values, else -1.
-    coefficients : ndarray, shape (n,)
-        Chebyshev coefficients of the coordinate at which it ends over that of the other key.
+    curve : Chart
+        The coordinate at which it ends over that of the other key, if there is one.
     turns : bool
         Whether two sheets meet there: beside it points depend on the root of the distance.
     powers : tuple of float
@@ -47,60 +47,30 @@ class Cut:
 
     axis: int
     side: int
-    coefficients: np.ndarray
-    turns: bool
+    curve: Chart
+    turns: bool = False
     powers: tuple[float, ...] = ()
+
+    @classmethod
+    def whole(cls, d: int) -> Region:
+        """Return the whole of a box of d keys: it ends at the border."""
+        return cls(0, 1, Chart((1,) * (d - 1), np.ones((1, 1))))
 
     @property
     def is_root(self) -> bool:
         """Whether points depend on the root of the distance."""
         return self.turns or bool(self.powers)
 
-    def growth(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return what is known of points where steps vanish at the curve.
-
-        Parameters
-        ----------
-        unit : ndarray, shape (n, d)
-            Coordinates of keys.
-
-        Returns
-        -------
-        Z : ndarray, shape (c, n)
-            To be added to the smooth part of the points.
-        factor : ndarray, shape (n,)
-            Multiplies the smooth part of the derivatives of the scalar.
-        """
-        log_root = 0.5 * np.log(np.maximum(1 - self.share(unit), _MIN_SHARE))
-        return np.multiply.outer(np.array(self.powers[:-1]), log_root), np.exp(self.powers[-1] * log_root)
-
     def at(self, unit: np.ndarray) -> np.ndarray:
-        """Return the coordinates at which the manifold ends.
+        """Return the coordinates (n,) at which the manifold ends beside designs (n, d)."""
+        return np.asarray(self.curve(np.delete(unit, self.axis, axis=1))[0])
 
-        Parameters
-        ----------
-        unit : ndarray, shape (n, d)
-            Coordinates of keys.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-        """
-        other = np.delete(unit, self.axis, axis=1)
-        return np.asarray(chebval(other[:, 0] if other.shape[1] else np.zeros(len(unit)), self.coefficients))
+    def share(self, unit: np.ndarray) -> np.ndarray:
+        """Return the share (n,) of the way from the box's own border to the curve at designs (n, d)."""
+        return np.asarray((1 + self.side * unit[:, self.axis]) / (1 + self.side * self.at(unit)))
 
     def own(self, unit: np.ndarray) -> np.ndarray:
-        """Return coordinates that run from -1 to 1 over the manifold.
-
-        Parameters
-        ----------
-        unit : ndarray, shape (n, d)
-            Coordinates of keys.
-
-        Returns
-        -------
-        ndarray, shape (n, d)
-        """
+        """Return coordinates (n, d) that run from -1 to 1 over the manifold, in which it is smooth."""
         own, share = unit.copy(), self.share(unit)
         if self.is_root:
             share = 1 - np.sqrt(np.maximum(1 - share, 0.0))
@@ -108,89 +78,15 @@ class Cut:
         return own
 
     def unit(self, own: np.ndarray) -> np.ndarray:
-        """Return coordinates of keys, the inverse of `own`.
-
-        Parameters
-        ----------
-        own : ndarray, shape (n, d)
-            Coordinates that run from -1 to 1 over the manifold.
-
-        Returns
-        -------
-        ndarray, shape (n, d)
-        """
+        """Return coordinates of keys (n, d), the inverse of `own`."""
         unit, share = own.copy(), 0.5 * (1 + self.side * own[:, self.axis])
         if self.is_root:
             share = 1 - (1 - share) ** 2
         unit[:, self.axis] = self.side * (share * (1 + self.side * self.at(own)) - 1)
         return unit
 
-    def share(self, unit: np.ndarray) -> np.ndarray:
-        """Return the share of the way from the box's own border to the curve.
-
-        Parameters
-        ----------
-        unit : ndarray, shape (n, d)
-            Coordinates of keys.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-        """
-        return np.asarray((1 + self.side * unit[:, self.axis]) / (1 + self.side * self.at(unit)))
-
-
-@dataclass(frozen=True)
-class Coordinates:
-    """Coordinates that run from -1 to 1 over the part of a box that a manifold covers.
-
-    Attributes
-    ----------
-    cut : Cut or None
-        Where it ends inside the box.
-    ratio : tuple of float
-        For each key how many times faster the coordinate grows at the box's upper end than at its lower: in boxes whose
-        coordinates are logarithms some points depend more smoothly on the keys themselves. Empty for the box's own.
-    """
-
-    cut: Cut | None = None
-    ratio: tuple[float, ...] = ()
-
-    def own(self, unit: np.ndarray) -> np.ndarray:
-        """Return the coordinates on the manifold.
-
-        Parameters
-        ----------
-        unit : ndarray, shape (n, d)
-            Coordinates of keys.
-
-        Returns
-        -------
-        ndarray, shape (n, d)
-        """
-        own, r = self.cut.own(unit) if self.cut else unit, np.array(self.ratio or 1.0)
-        with np.errstate(invalid="ignore"):
-            return np.where(r == 1, own, 2 * (r ** (0.5 * (1 + own)) - 1) / (r - 1) - 1)
-
-    def unit(self, own: np.ndarray) -> np.ndarray:
-        """Return coordinates of keys, the inverse of `own`.
-
-        Parameters
-        ----------
-        own : ndarray, shape (n, d)
-            Coordinates on the manifold.
-
-        Returns
-        -------
-        ndarray, shape (n, d)
-        """
-        r = np.array(self.ratio or 1.0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            own = np.where(r == 1, own, 2 * np.log(1 + 0.5 * (r - 1) * (1 + own)) / np.log(r) - 1)
-        return self.cut.unit(own) if self.cut else own
-
     def growth(self, unit: np.ndarray) -> tuple[np.ndarray | float, np.ndarray | float]:
-        """Return what `Cut.growth` does; where steps vanish nowhere, 0 and 1.
+        """Return what is known of points where steps vanish at the curve; elsewhere 0 and 1.
 
         Parameters
         ----------
@@ -200,9 +96,28 @@ class Coordinates:
         Returns
         -------
         Z : ndarray, shape (c, n), or float
+            To be added to the smooth part of the points.
         factor : ndarray, shape (n,), or float
+            Multiplies the smooth part of the derivatives of the scalar.
         """
-        return self.cut.growth(unit) if self.cut and self.cut.powers else (0.0, 1.0)
+        if not self.powers:
+            return 0.0, 1.0
+        log_root = 0.5 * np.log(np.maximum(1 - self.share(unit), _MIN_SHARE))
+        return np.multiply.outer(np.array(self.powers[:-1]), log_root), np.exp(self.powers[-1] * log_root)
+
+    def predict(self, chart: Chart, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return points and the derivatives of their scalar, (c, n) each, of a chart over it at designs (n, d)."""
+        Z, rows = np.split(chart(self.own(unit)), 2)
+        growth, factor = self.growth(unit)
+        return Z + growth, rows * factor
+
+    def holds(self, unit: np.ndarray) -> np.ndarray:
+        """Return whether designs (n, d) have a point of the manifold, bool (n,)."""
+        return np.asarray(self.share(unit) <= 1 + _BORDER)
+
+    def is_near(self, unit: np.ndarray) -> np.ndarray:
+        """Return whether designs (n, d) lie too near a curve where two sheets meet, or steps vanish, bool (n,)."""
+        return np.asarray((np.abs(self.share(unit) - 1) < _AT_TURN) & self.is_root)
 
 
 @dataclass(frozen=True)
@@ -214,25 +129,20 @@ class Manifold:
     kind : str
     target : float
         As `tasks.continuation.defining.scalar` has it.
-    coordinates : Coordinates
-    sizes : tuple of int
-        Nodes along each key.
-    coefficients : ndarray, shape (product of sizes, 2 c)
-        Of Z and of the derivatives of the kind's scalar.
-    moved : float
-        Largest Newton step from predictions at random points.
+    region : Region
+    chart : Chart
+        Of Z and of the derivatives of the kind's scalar (2 c values); its error is the largest Newton step from
+        predictions at random points.
     linear, quadratic : float
         Largest error after a Newton step, over the step and over its square.
     """
 
     kind: str
     target: float
-    coordinates: Coordinates
-    sizes: tuple[int, ...]
-    coefficients: np.ndarray
-    moved: float = np.inf
-    linear: float = 0.0
-    quadratic: float = 0.0
+    region: Region
+    chart: Chart
+    linear: float
+    quadratic: float
 
     def predict(self, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Predict points and the derivatives of their scalar.
@@ -246,39 +156,7 @@ class Manifold:
         -------
         Z, rows : ndarray, shape (c, n)
         """
-        both = evaluate(self.coordinates.own(unit), self.sizes, self.coefficients).T
-        growth, factor = self.coordinates.growth(unit)
-        return both[: len(both) // 2] + growth, both[len(both) // 2 :] * factor
-
-    def there(self, unit: np.ndarray) -> np.ndarray:
-        """Return whether designs have a point of the manifold.
-
-        Parameters
-        ----------
-        unit : ndarray, shape (n, d)
-            Coordinates of keys.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-        """
-        cut = self.coordinates.cut
-        return cut.share(unit) <= 1 if cut else np.ones(len(unit), bool)
-
-    def unsure(self, unit: np.ndarray) -> np.ndarray:
-        """Return whether designs lie too near a curve at which two sheets of the manifold meet, or steps vanish.
-
-        Parameters
-        ----------
-        unit : ndarray, shape (n, d)
-            Coordinates of keys.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-        """
-        cut = self.coordinates.cut
-        return np.abs(cut.share(unit) - 1) < _AT_TURN if cut and cut.is_root else np.zeros(len(unit), bool)
+        return self.region.predict(self.chart, unit)
 
     def polish(self, problem: Lanes, unit: np.ndarray) -> tuple[Points, np.ndarray]:
         """Solve the points of designs that are `there`, by a Newton step from their predictions.
@@ -299,7 +177,7 @@ class Manifold:
         Z, rows = self.predict(unit)
         step = newton_step(problem, self.kind, Z, rows, self.target, 0 if _is_end(self.kind) else SAMPLES)
         size, change = np.abs(step.change).max(axis=0), step.change
-        near = size <= _SAFETY * max(self.moved, LEAST)
+        near = size <= _SAFETY * max(self.chart.error, LEAST)
         walks = _walks(problem, self.kind, step, near)
         error = self._error(size) + step.rounding
         again = np.flatnonzero(near & (error > _GOAL))

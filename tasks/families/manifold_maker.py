@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebfit, chebval
 
-from tasks.continuation.defining import defining_system, evaluate, gradient, newton_step, solve
-from tasks.families.box import Box, Refused, roots, tensor_nodes
+from tasks.continuation.defining import Solved, defining_system, evaluate, gradient, newton_step, solve
+from tasks.families.box import Box, Refused, tensor_nodes
 from tasks.families.cell import Family
-from tasks.families.manifold import LEAST, Coordinates, Cut, Manifold
-from tasks.families.patch import fit, tails
+from tasks.families.chart import Chart, fit
+from tasks.families.manifold import LEAST, Manifold, Region
 from tasks.fixed_points.multipliers import other_multipliers
 from tasks.mechanics.lumped import Structure
 from tasks.step.problem import Lanes
 from tasks.walkers.statics import leg_moment
 from tasks.walkers.walker import WalkerError
 
-#: Nodes along each key, those with which coordinates are compared, and the error of predictions below which no more are
-#: taken.
-_SIZES, _COMPARED, _GOOD = (5, 7, 9, 13, 17, 25, 33), 9, 1e-6
+#: First and most nodes along each key, and the error of predictions below which no more are taken.
+_FIRST, _MAX_NODES, _GOOD = 5, 33, 1e-6
 #: Largest error of the predictions of a useful manifold.
 _FAIR = 1e-4
 _DRAWN = 24
 #: First and smallest share of the way in which a point is carried from one design to another, and largest distance from
-#: its prediction.
+#: its prediction; the same of coordinates along which it is followed, with the largest, and by how much strides grow.
 _STRIDE, _MIN_STRIDE, _MAX_STRIDE_ERROR = 0.125, 1 / 256, 0.3
+_FIRST_STRIDE, _LEAST_STRIDE, _LARGEST_STRIDE, _FOLLOWED_WITHIN = 0.02, 1e-4, 0.1, 0.05
+_LONGER, _SHORTER = 1.5, 0.4
 #: Displacement that shows how Newton's method converges.
 _DISPLACED = 1e-4
 #: How far a manifold that does not cover the box is followed along a key, and how far it is kept beyond the place from
@@ -102,6 +103,22 @@ class Maker:
             raise Refused(f"a {kind} counts where {error}") from None
 
 
+class _Carried:
+    """Points (c, n) on their way to other designs, with the derivatives of their scalars and the next strides (n,).
+
+    Points and derivatives are accurate enough to lead to others.
+    """
+
+    def __init__(self, Z: np.ndarray, rows: np.ndarray, stride: float):
+        self.Z, self.rows, self.stride = Z.copy(), rows.copy(), np.full(Z.shape[1], stride)
+        self.rate = np.zeros_like(Z)  # of the last steps: a parabola would lead to the other sheet beside a turn
+
+    def move(self, some: np.ndarray, Z: np.ndarray, rows: np.ndarray, step: np.ndarray) -> None:
+        """Move some of the points by steps."""
+        self.rate[:, some] = (Z - self.Z[:, some]) / step
+        self.Z[:, some], self.rows[:, some] = Z, rows
+
+
 class _Extension:
     """The extension of a point over a box: its manifold, and where that ends."""
 
@@ -110,130 +127,94 @@ class _Extension:
         self.kind, self.target, self.unit, self.Z = kind, target, unit, Z
 
     def manifold(self) -> Manifold:
-        sizes = (_SIZES[0],) * self.d
-        nodes = tensor_nodes(sizes)
-        carried = self.carried(nodes)
-        cut = None if carried[-1].all() else self.cut(nodes[~carried[-1]])
-        tries = []
-        for ratio in [(), self.box.ratio] if self.box.ratio else [()]:
-            coordinates = Coordinates(cut, ratio)
-            manifold = self.through_nodes(sizes, coordinates, points=None if cut or ratio else carried)
-            if self.box.ratio:
-                # This many nodes show which coordinate is the better one. Beside a turn poor predictions lead to
-                # the other sheet.
-                more = (_COMPARED,) * self.d
-                manifold = self.through_nodes(more, coordinates, None if cut else manifold)
-            tries.append(manifold)
-        manifold = min(tries, key=lambda one: one.moved)
-        while manifold.moved > _GOOD:
-            tail = self.tails(manifold)
-            larger = tuple(
-                _SIZES[min(_SIZES.index(n) + int(t > 0.1 * min(_GOOD, tail.max())), len(_SIZES) - 1)]
-                for n, t in zip(manifold.sizes, tail, strict=True)
-            )
-            if larger == manifold.sizes:
-                break
-            manifold = self.through_nodes(larger, manifold.coordinates, manifold)
-        if manifold.moved < _FAIR:
-            manifold = self.measured(self.exact(manifold))
-        if not manifold.moved < _FAIR:
-            why = f"predictions of a {self.kind} err by {manifold.moved:.1g}"
-            raise Refused(why, int(np.argmax(self.tails(manifold))))
-        return manifold
+        sizes = (_FIRST,) * self.d
+        nodes, region = tensor_nodes(sizes), Region.whole(self.d)
+        points, there = self.carried(nodes, region)
+        if not there.all():
+            region = self.cut(nodes[~there])
+        first = self.chart(region, sizes, points=points if there.all() else None)
+        return self.measured(
+            region, fit(first, partial(self.chart, region), (_MAX_NODES,) * self.d, _GOOD, _FAIR, self.d)
+        )
 
-    def tails(self, manifold: Manifold) -> np.ndarray:
-        """Those of the coefficients of the points, shape (d,)."""
-        return tails(manifold.coefficients[:, : len(self.Z)], manifold.sizes)
-
-    def through_nodes(
-        self,
-        sizes: tuple[int, ...],
-        coordinates: Coordinates,
-        known: Manifold | None = None,
-        points: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
-    ) -> Manifold:
-        """The manifold through points at its nodes: those given, or predicted by a coarser one, or carried there.
-
-        They and the derivatives are accurate enough to lead to others and to show how far predictions are off.
-        """
-        nodes = coordinates.unit(tensor_nodes(sizes))
+    def chart(
+        self, region: Region, sizes: tuple[int, ...], before: Chart | None = None, points: _Carried | None = None
+    ) -> Chart:
+        """The chart through points at its nodes: those given, or predicted by the chart before, or carried there."""
+        nodes = region.unit(tensor_nodes(sizes))
+        Z, rows, ok = (
+            np.zeros((len(self.Z), len(nodes))),
+            np.zeros((len(self.Z), len(nodes))),
+            np.zeros(len(nodes), bool),
+        )
         if points is not None:
-            Z, rows, ok = points
-        elif known is not None:
-            guess, rows = known.predict(nodes)
+            Z, rows, ok = points.Z, points.rows, ~ok
+        elif before is not None:
+            guess, rows = region.predict(before, nodes)
             solved = solve(self.problem(nodes), self.kind, guess, self.target, rows, quick=True)
             Z, rows, ok = solved.Z, solved.rows, solved.ok & (np.abs(solved.Z - guess).max(axis=0) < _MAX_STRIDE_ERROR)
-        else:
-            Z, rows, ok = *np.zeros((2, len(self.Z), len(nodes))), np.zeros(len(nodes), bool)
         if not ok.all():
-            Z[:, ~ok], rows[:, ~ok], ok[~ok] = self.carried(nodes[~ok], coordinates)
-        if not ok.all():
-            lost = nodes[~ok] - self.unit
-            why = f"a {self.kind} is lost on its way to {len(lost)} nodes"
-            raise Refused(why, int(np.abs(lost).sum(axis=0).argmax()))
-        manifold = self.fitted(sizes, coordinates, nodes, Z, rows)
-        unit = self.drawn(manifold)
-        off = newton_step(self.problem(unit), self.kind, *manifold.predict(unit), self.target).change
-        return replace(manifold, moved=float(np.nan_to_num(np.abs(off), nan=np.inf).max()))
+            carried, there = self.carried(nodes[~ok], region)
+            if not there.all():
+                lost = nodes[~ok][~there] - self.unit
+                why = f"a {self.kind} is lost on its way to {len(lost)} nodes"
+                raise Refused(why, int(np.abs(lost).sum(axis=0).argmax()))
+            Z[:, ~ok], rows[:, ~ok] = carried.Z, carried.rows
+        return self.fitted(sizes, region, nodes, Z, rows)
 
     def fitted(
-        self, sizes: tuple[int, ...], coordinates: Coordinates, nodes: np.ndarray, Z: np.ndarray, rows: np.ndarray
-    ) -> Manifold:
-        """The manifold through points Z (c, n) at nodes (n, d) with the derivatives of their scalar, `rows` (c, n)."""
-        growth, factor = coordinates.growth(nodes)
-        values = np.vstack([Z - growth, rows / factor])
-        return Manifold(self.kind, self.target, coordinates, sizes, fit(values.T, sizes))
+        self, sizes: tuple[int, ...], region: Region, nodes: np.ndarray, Z: np.ndarray, rows: np.ndarray
+    ) -> Chart:
+        """The chart through points Z (c, n) at nodes (n, d) with the derivatives of their scalar, `rows` (c, n)."""
+        growth, factor = region.growth(nodes)
+        # Nodes are added for the points: it is they that are solved.
+        chart = Chart.through(sizes, np.vstack([Z - growth, rows / factor]), np.repeat([1.0, np.inf], len(Z)))
+        unit = self.drawn(region, chart)
+        off = newton_step(self.problem(unit), self.kind, *region.predict(chart, unit), self.target).change
+        return replace(chart, error=float(np.nan_to_num(np.abs(off), nan=np.inf).max()))
 
-    def exact(self, manifold: Manifold) -> Manifold:
-        """The manifold through the points at its nodes, solved to rounding, with the derivatives at each."""
-        nodes = manifold.coordinates.unit(tensor_nodes(manifold.sizes))
-        problem = self.problem(nodes)
-        guess, rows = manifold.predict(nodes)
-        Z = solve(problem, self.kind, guess, self.target, rows).Z
-        return self.fitted(manifold.sizes, manifold.coordinates, nodes, Z, gradient(problem, self.kind, Z))
-
-    def drawn(self, manifold: Manifold) -> np.ndarray:
+    def drawn(self, region: Region, chart: Chart) -> np.ndarray:
         """Coordinates (n, d) of random designs that have a point of the manifold."""
-        unit, cut = self.box.draw(_DRAWN, self.d, f"{self.kind} {manifold.sizes}"), manifold.coordinates.cut
-        return cut.unit(unit) if cut else unit
+        return region.unit(self.box.draw(_DRAWN, self.d, f"{self.kind} {chart.sizes}"))
 
-    def carried(
-        self, nodes: np.ndarray, coordinates: Coordinates | None = None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Carry the point to other designs, by continuation along straight lines in the box's or other coordinates.
+    def advance(
+        self,
+        points: _Carried,
+        active: np.ndarray,
+        problem: Lanes,
+        step: np.ndarray,
+        within: float,
+        growth: np.ndarray | float = 0.0,
+    ) -> tuple[Solved, np.ndarray]:
+        """Carry some points, `active`, by a step to other designs: what was solved there, and which are accepted."""
+        guess = points.Z[:, active] + step * points.rate[:, active]
+        solved = solve(problem, self.kind, guess + growth, self.target, points.rows[:, active], quick=True)
+        Z = solved.Z - growth
+        fair = solved.ok & (np.abs(Z - guess).max(axis=0) < within)
+        points.move(active[fair], Z[:, fair], solved.rows[:, fair], step[fair])
+        points.stride[active] *= np.where(fair, _LONGER, _SHORTER)
+        return solved, fair
 
-        Returns
-        -------
-        Z, rows : ndarray, shape (c, n)
-            The points and the derivatives of their scalar, accurate enough to lead to others.
-        ok : ndarray of bool, shape (n,)
-        """
-        own = coordinates or Coordinates()
+    def carried(self, nodes: np.ndarray, own: Region) -> tuple[_Carried, np.ndarray]:
+        """The point carried to other designs along straight lines in some coordinates, and whether it arrived, (n,)."""
         n, start, ends = len(nodes), own.own(self.unit[None]), own.own(nodes)
-        points, rows = np.repeat(self.Z[:, None], n, axis=1), np.zeros((len(self.Z), n))
-        rows[:] = gradient(self.problem(self.unit[None]), self.kind, self.Z[:, None])
-        points -= own.growth(self.unit[None])[0]
-        rate, share, stride = np.zeros_like(points), np.zeros(n), np.full(n, _STRIDE)
-        active = np.arange(n)
+        row, growth = (
+            gradient(self.problem(self.unit[None]), self.kind, self.Z[:, None]),
+            own.growth(self.unit[None])[0],
+        )
+        points = _Carried(np.repeat(self.Z[:, None] - growth, n, axis=1), np.repeat(row, n, axis=1), _STRIDE)
+        share, active = np.zeros(n), np.arange(n)
         while len(active):
-            step = np.minimum(stride[active], 1 - share[active])
+            step = np.minimum(points.stride[active], 1 - share[active])
             unit = own.unit(start + (share[active] + step)[:, None] * (ends[active] - start))
-            guess = points[:, active] + step * rate[:, active]
-            growth, _ = own.growth(unit)
-            solved = solve(self.problem(unit), self.kind, guess + growth, self.target, rows[:, active], quick=True)
-            off = np.abs(solved.Z - growth - guess).max(axis=0)
-            fair = solved.ok & (off < _MAX_STRIDE_ERROR)
-            new, Z = active[fair], (solved.Z - growth)[:, fair]
-            rate[:, new] = (Z - points[:, new]) / step[fair]
-            points[:, new], rows[:, new] = Z, solved.rows[:, fair]
-            share[new] += step[fair]
-            stride[new] *= 1.5
-            stride[active[~fair]] *= 0.5
-            active = active[(share[active] < 1 - 1e-12) & (stride[active] > _MIN_STRIDE)]
-        return points + own.growth(nodes)[0], rows, share >= 1 - 1e-12
+            _, fair = self.advance(points, active, self.problem(unit), step, _MAX_STRIDE_ERROR, own.growth(unit)[0])
+            share[active[fair]] += step[fair]
+            active = active[(share[active] < 1 - 1e-12) & (points.stride[active] > _MIN_STRIDE)]
+        points.Z += own.growth(nodes)[0]
+        return points, share >= 1 - 1e-12
 
-    def cut(self, lost: np.ndarray) -> Cut:
-        """The curve at which the manifold is cut, which does not extend to some designs, `lost` (n, d)."""
+    def cut(self, lost: np.ndarray) -> Region:
+        """The region of the manifold, which does not extend to some designs, `lost` (n, d)."""
         mean = np.mean(lost - self.unit, axis=0)
         refused = []
         for axis in np.argsort(-np.abs(mean)).tolist():
@@ -243,11 +224,11 @@ class _Extension:
                 refused.append(why)
         raise refused[0]
 
-    def smooth_cut(self, axis: int, side: int) -> Cut:
-        """The curve at which the manifold is cut towards one side of a key, smooth over the other."""
+    def smooth_cut(self, axis: int, side: int) -> Region:
+        """The region up to a curve towards one side of a key, smooth over the other."""
         for places in _PLACES if self.d == 2 else (1,):
-            cut = self.cut_along(axis, side, places)
-            if not cut.turns or self.d == 1 or np.abs(cut.coefficients[-2:]).max() < _SMOOTH:
+            cut = self.cut_along(axis, side, (places,) * (self.d - 1))
+            if not cut.turns or (cut.curve.tails(2) < _SMOOTH).all():
                 return cut
         raise Refused(f"a {self.kind} turns along a curve that is not smooth", self.across(axis))
 
@@ -255,72 +236,65 @@ class _Extension:
         """The other key, or the only one."""
         return self.d - 1 - axis
 
-    def cut_along(self, axis: int, side: int, places: int) -> Cut:
-        """The curve at which the manifold ends towards one side of a key, by its ends at places along the other."""
-        start, across = np.zeros((places, self.d)), self.across(axis)
-        start[:, across] = roots(places)
-        start[:, axis] = -side
-        points, _, ok = self.carried(start)
-        if not ok.all():
-            raise Refused(f"a {self.kind} is lost on its way to {(~ok).sum()} designs", across)
-        ends, where, turned = self.followed(points, start, axis, side)
+    def cut_along(self, axis: int, side: int, sizes: tuple[int, ...]) -> Region:
+        """The region up to a curve towards one side of a key, by the manifold's ends at places along the other."""
+        others, across = tensor_nodes(sizes), self.across(axis)
+        start = np.insert(others, axis, -side, axis=1)
+        points, there = self.carried(start, Region.whole(self.d))
+        if not there.all():
+            raise Refused(f"a {self.kind} is lost on its way to {(~there).sum()} designs", across)
+        points, ends, turned = self.followed(points.Z, start, axis, side)
+        curve = Chart.through(sizes, ends[None])
         if turned.all():
-            if powers := self.powers(where, start, ends, axis, side):
-                other = roots(_VANISHING if self.d == 2 else 1)
-                own = np.repeat(other[:, None], self.d, axis=1)
-                own[:, axis] = chebval(other, chebfit(start[:, across], ends, len(ends) - 1) if self.d == 2 else ends)
-                curve = self.vanishing(own, axis)
-                if not np.isfinite(curve).all():
+            if powers := self.powers(points.Z, start, ends, axis, side):
+                more = (_VANISHING,) * len(sizes)
+                near = np.insert(tensor_nodes(more), axis, curve(tensor_nodes(more))[0], axis=1)
+                curve = Chart.through(more, self.vanishing(near, axis)[None])
+                if not np.isfinite(curve.coefficients).all():
                     raise Refused(f"a {self.kind} vanishes along a curve that is not smooth", across)
-                return Cut(axis, side, chebfit(other, curve, len(other) - 1), False, powers)
-            ends = self.turns(where, start, ends, axis)
-            return Cut(axis, side, chebfit(start[:, across], ends, len(ends) - 1), True)
+                return Region(axis, side, curve, powers=powers)
+            return Region(axis, side, Chart.through(sizes, self.turns(points.Z, start, ends, axis)[None]), True)
         if turned.any():
             raise Refused(f"a {self.kind} ends in two ways", across)
-        curve = chebfit(start[:, across], ends, min(_DEGREE, len(ends) - 1))
-        curve[0] += side * (np.abs(chebval(start[:, across], curve) - ends).max() + _BEYOND)
-        return Cut(axis, side, curve, False)
+        few = tuple(min(n, _DEGREE + 1) for n in sizes)
+        coarse = curve.coefficients[: len(tensor_nodes(few))].copy()
+        coarse[0] += side * (np.abs(Chart(few, coarse)(others)[0] - ends).max() + _BEYOND)
+        return Region(axis, side, Chart(few, coarse))
 
     def followed(
-        self, points: np.ndarray, start: np.ndarray, axis: int, side: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        self, Z: np.ndarray, start: np.ndarray, axis: int, side: int
+    ) -> tuple[_Carried, np.ndarray, np.ndarray]:
         """Follow points along one key until no gaits beside them are stable any more, or two sheets meet.
 
         Returns
         -------
+        points : _Carried
         ends : ndarray, shape (n,)
             Coordinates of the key.
-        Z : ndarray, shape (c, n)
         turned : ndarray of bool, shape (n,)
             Where two sheets meet, so that points cannot be followed.
         """
-        n = len(start)
-        u, points = start[:, axis].copy(), points.copy()
-        rows, rate = gradient(self.problem(start), self.kind, points), np.zeros_like(points)
-        stride, counts, ended = np.full(n, 0.02), np.zeros(n, bool), np.zeros(n, bool)
-        turned, active = np.zeros(n, bool), np.arange(n)
+        n, u, active = len(start), start[:, axis].copy(), np.arange(len(start))
+        points = _Carried(Z, gradient(self.problem(start), self.kind, Z), _FIRST_STRIDE)
+        counts, ended, turned = np.zeros(n, bool), np.zeros(n, bool), np.zeros(n, bool)
         while len(active):
-            at = start[active].copy()
-            at[:, axis] = u[active] + side * stride[active]
-            guess = points[:, active] + stride[active] * rate[:, active]
+            at, stride = start[active].copy(), points.stride[active]
+            at[:, axis] = u[active] + side * stride
             problem = self.problem(at)
-            solved = solve(problem, self.kind, guess, self.target, rows[:, active], quick=True)
-            fair = solved.ok & (np.abs(solved.Z - guess).max(axis=0) < 0.05)
+            solved, fair = self.advance(points, active, problem, stride, _FOLLOWED_WITHIN)
             new = active[fair]
-            rate[:, new] = (solved.Z[:, fair] - points[:, new]) / stride[new]
-            points[:, new], rows[:, new], u[new] = solved.Z[:, fair], solved.rows[:, fair], at[fair, axis]
+            u[new] = at[fair, axis]
             # Gaits of a speed count whether they are stable or not.
             jacobian = evaluate(problem, solved.Z).stride.jacobian
             stable = (other_multipliers(self.kind, jacobian)[fair] < 1) | (self.kind == "speed")
             ended[new] = counts[new] & ~stable
             counts[new] |= stable
-            stride[new] = np.minimum(0.1, 1.5 * stride[new])
-            stride[active[~fair]] *= 0.4
-            turned[active] = stride[active] < 1e-4
+            points.stride[active] = np.minimum(_LARGEST_STRIDE, points.stride[active])
+            turned[active] = points.stride[active] < _LEAST_STRIDE
             if (np.abs(u) > _FARTHEST).any():
                 raise Refused(f"a {self.kind} counts far beyond the box", self.across(axis))
             active = active[~ended[active] & ~turned[active]]
-        return u, points, turned
+        return points, u, turned
 
     def vanishing(self, unit: np.ndarray, axis: int) -> np.ndarray:
         """Coordinates (n,) of a key at which the smallest slope vanishes, by Newton's method from designs near them.
@@ -340,7 +314,7 @@ class _Extension:
         return at[:, axis]
 
     def powers(self, Z: np.ndarray, start: np.ndarray, u: np.ndarray, axis: int, side: int) -> tuple[float, ...]:
-        """Powers of the root of the distance to a curve on which steps vanish, as `Cut` has them, if there is one.
+        """Powers of the root of the distance to a curve on which steps vanish, as `Region` has them, if there is one.
 
         Of points Z (c, n) beside it, at coordinates u (n,) of one key.
         """
@@ -381,25 +355,20 @@ class _Extension:
                 return np.asarray(V[-1])
         raise Refused(f"a {self.kind} is lost where it counts", axis)
 
-    def measured(self, manifold: Manifold) -> Manifold:
-        """The manifold with what is measured at random points."""
-        unit = self.drawn(manifold)
-        guess, rows = manifold.predict(unit)
-        problem = self.problem(unit)
-        first = newton_step(problem, self.kind, guess, rows, self.target).change
-        moved = np.abs(first).max(axis=0)
-        if not moved.max() < 0.1:
-            return manifold
+    def measured(self, region: Region, chart: Chart) -> Manifold:
+        """The manifold through points that are solved to rounding, with what is measured at random ones."""
+        nodes = region.unit(tensor_nodes(chart.sizes))
+        problem, (guess, rows) = self.problem(nodes), region.predict(chart, nodes)
+        Z = solve(problem, self.kind, guess, self.target, rows).Z
+        chart = self.fitted(chart.sizes, region, nodes, Z, gradient(problem, self.kind, Z))
+        unit = self.drawn(region, chart)
+        problem, (guess, rows) = self.problem(unit), region.predict(chart, unit)
         solved = solve(problem, self.kind, guess, self.target, rows)
-        if not solved.ok.all():
-            return manifold
-        Z = solved.Z
+        if not (chart.error <= _FAIR and solved.ok.all()):
+            raise Refused(f"predictions of a {self.kind} err by {chart.error:.1g}")
+        first, Z = newton_step(problem, self.kind, guess, rows, self.target).change, solved.Z
         displaced = Z + _DISPLACED * np.sign(self.box.draw(Z.shape[1], len(Z), "displaced")).T
         off = displaced + newton_step(problem, self.kind, displaced, rows, self.target).change - Z
-        own = np.abs(guess + first - Z).max(axis=0)
-        return replace(
-            manifold,
-            moved=float(moved.max()),
-            linear=float((own / np.maximum(moved, LEAST)).max()),
-            quadratic=float(np.abs(off).max() / _DISPLACED**2),
-        )
+        own, moved = np.abs(guess + first - Z).max(axis=0), np.abs(first).max(axis=0)
+        linear, quadratic = (own / np.maximum(moved, LEAST)).max(), np.abs(off).max() / _DISPLACED**2
+        return Manifold(self.kind, self.target, region, chart, float(linear), float(quadratic))

@@ -61,6 +61,13 @@ class Part:
     ratio: np.ndarray
     solved: Arrays
 
+    def some(self, keep: np.ndarray) -> Part:
+        """Part of some of its gaits: those that a mask, bool (n,), keeps."""
+        if keep.all():
+            return self
+        solved = {name: value[keep] for name, value in self.solved.items()}
+        return Part(self.index[keep], self.angle[keep], self.ratio[keep], solved)
+
 
 def store(out: Arrays, parts: Sequence[Part], wanted: set[str]) -> None:
     """Store gaits by label.

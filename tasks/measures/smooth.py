@@ -74,7 +74,7 @@ class Smooth:
 
         Returns
         -------
-        values, size : ndarray, shape (n, len(names))
+        values, size : ndarray, shape (len(names), n)
         """
         angle, period = solved["stance_angle"], solved["period"]
         fastest = np.max([np.abs(solved[name]) for name in _RATES], axis=0) * self._unit / angle
@@ -96,7 +96,7 @@ class Smooth:
                 value, own = jacobian[int(name[0]), int(name[1])], largest
             values.append(value)
             size.append(own)
-        return np.stack(values, axis=1), np.stack(size, axis=1)
+        return np.stack(values), np.stack(size)
 
     def needed(self, want: Sequence[str]) -> list[int]:
         """Columns from which variables follow."""

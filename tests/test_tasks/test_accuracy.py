@@ -8,15 +8,15 @@ import pytest
 
 import pipeline
 from lines import WANT, branches, solved
-from tasks import interpolate_points, solve_at_slope, status
+from tasks import interpolate, solve_at_slope, status
 from tasks.accuracy import OF_INTEGRATION, is_interpolated, nodes_for, significant_bits
 from tasks.families.box import roots
-from tasks.families.panels import Panel, Sampled, fit_panels, panels_over
+from tasks.families.span import Span
 from tasks.fixed_points.multipliers import characteristic_errors, multiplier_bounds, multipliers
 from tasks.fixed_points.newton import curvature
 from tasks.fixed_points.rounding import rounding_std
-from tasks.interpolate_points import Interpolation, _PanelGaits
-from tasks.measures.gaits import round_bits, to_accuracy
+from tasks.interpolate import Interpolation, Sampled, _gaits, _tied, fit_panels, panels_over
+from tasks.measures.gaits import Part, round_bits, to_accuracy
 from tasks.measures.smooth import Smooth
 from tasks.registry import GAITS
 from tasks.solve_points import atlas, points
@@ -117,13 +117,13 @@ def test_a_polynomial_that_is_wrong_somewhere_is_not_used(monkeypatch):
     spoiled = []
 
     def wrong(self, panels, ranges):
-        results = original(self, panels, ranges)
-        for k, panel in enumerate(panels):
-            if panel.part == (0.0, 1.0):
+        results = list(original(self, panels, ranges))
+        for k, (_, span) in enumerate(panels):
+            if span.part == (0.0, 1.0):
                 values = results[k].values.copy()
-                values[3, 0] += 1e-4  # ln of an angle at a node
+                values[0, 3] += 1e-4  # ln of an angle at a node
                 results[k] = replace(results[k], values=values)
-                spoiled.append(panel)
+                spoiled.append(span)
         return results
 
     monkeypatch.setattr(Interpolation, "_solve", wrong)
@@ -139,28 +139,27 @@ def test_panels_of_a_known_function(folds):
 
     def value(q):
         distance = (q - -3.7) if folds[0] else (-1.2 - q)
-        return np.stack([np.sin(2 * q) + (np.sqrt(distance) if any(folds) else 0), np.exp(q)], axis=1)
+        return np.stack([np.sin(2 * q) + (np.sqrt(distance) if any(folds) else 0), np.exp(q)])
 
     def solve(panels, ranges):
-        return [Sampled(value(q), np.ones((len(q), 2)), 1e-14, 1, True) for q in ranges]
+        return [Sampled(value(q), np.ones((2, len(q))), 1e-14, 1) for q in ranges]
 
     both = folds == (True, True)
     asked = np.linspace(-3.7, -1.2, 4001)[1:-1]
     asked_panels = panels_over(0, -3.7, -1.2, (folds[0], folds[1] and not both), asked)
-    panels = fit_panels(asked_panels, 10, 1e-9, solve, lambda panel: True)
-    assert all(len(panel.coefficients) for panel in panels)
-    edges = [panel.bounds for panel in panels]
+    sheets = [sheet for _, sheet in fit_panels(asked_panels, 10, 1e-9, solve, lambda span: True)]
+    assert all(sheet.chart for sheet in sheets)
+    edges = [sheet.span.bounds for sheet in sheets]
     assert edges[0][0] == pytest.approx(-3.7)
     assert edges[-1][1] == pytest.approx(-1.2)
     for (_, high), (low, _) in itertools.pairwise(edges):
         assert high == pytest.approx(low, abs=1e-12)
-    for panel in panels:
-        q = asked[(asked >= panel.bounds[0]) & (asked <= panel.bounds[1])]
-        x = panel.point(q)
-        inside = panel.is_measured(x)
-        predicted = np.stack([panel.evaluate(x, k) for k in (0, 1)], axis=1)
-        assert (np.abs(predicted - value(q))[inside] <= panel.error).all()
-        assert panel.error <= 1e-9
+    for sheet, (low, high) in zip(sheets, edges, strict=True):
+        q = asked[(asked >= low) & (asked <= high)]
+        points = sheet.span.points(q)
+        inside = sheet.is_measured(points)
+        assert (np.abs(sheet.chart(points) - value(q))[:, inside] <= sheet.chart.error).all()
+        assert sheet.chart.error <= 1e-9
 
 
 def test_the_bound_of_a_panel_counts_gaits_coefficients_and_drawn_points():
@@ -169,34 +168,35 @@ def test_the_bound_of_a_panel_counts_gaits_coefficients_and_drawn_points():
 
     def error(value, bound=0.0):
         def solve(panels, ranges):
-            x = [panel.point(q) for panel, q in zip(panels, ranges, strict=True)]
-            return [Sampled(value(each)[:, None], np.full((len(each), 1), 0.5), bound, 1, True) for each in x]
+            x = [span.points(q)[:, 0] for (_, span), q in zip(panels, ranges, strict=True)]
+            return [Sampled(value(each)[None], np.full((1, len(each)), 0.5), bound, 1) for each in x]
 
-        (panel,) = fit_panels(root, nodes, 1e3, solve, lambda panel: True)
-        return panel.error
+        ((_, sheet),) = fit_panels(root, nodes, 1e3, solve, lambda span: True)
+        return sheet.chart.error
 
     flat = error(lambda x: 1 + 0 * x)
     assert flat < 1e-13
     assert error(lambda x: 1 + 0 * x, bound=5e-4) == pytest.approx(5e-4, rel=1e-6)
     hidden = error(lambda x: 1e-3 * np.cos(nodes * np.arccos(x)))  # zero at the nodes
     assert 8 * 1e-3 / 0.5 * 0.9 < hidden <= 8 * 1e-3 / 0.5 * (1 + 1e-9)
-    assert error(lambda x: 1e-3 * np.cos((nodes - 1) * np.arccos(x))) == pytest.approx(1e-3 / 0.5, rel=1e-6)
+    for last in (1, 2):
+        assert error(lambda x, n=last: 1e-3 * np.cos((nodes - n) * np.arccos(x))) == pytest.approx(1e-3 / 0.5, rel=1e-6)
 
 
 def test_a_panel_whose_gaits_are_not_all_found_is_not_used():
     (root,) = panels_over(0, -2.9, -2.5, (False, False), np.array([-2.7]))
 
     def solve(panels, ranges):
-        return [Sampled(np.ones((len(q), 1)), np.ones((len(q), 1)), 1e-14, 1, False) for q in ranges]
+        return [Sampled(np.ones((1, len(q))), np.ones((1, len(q))), np.inf, 1) for q in ranges]
 
-    made = fit_panels([root], 8, 1e-3, solve, lambda panel: panel.part[0] == 0)
-    assert made and not any(len(panel.coefficients) for panel in made)
+    made = fit_panels([root], 8, 1e-3, solve, lambda span: span.part[0] == 0)
+    assert made and not any(sheet.chart for _, sheet in made)
 
 
 def test_a_panel_of_two_folds_is_inverted():
-    panel = Panel(0, -3.0, -2.0, (True, True), (0.25, 0.5))
-    x = np.linspace(-1, 1, 9)
-    np.testing.assert_allclose(panel.point(panel.log_slope(x)), x, atol=1e-12)
+    span = replace(Span.between(np.array([-3.0, -2.0]), 0, (True, True)), part=(0.25, 0.5))
+    x = np.linspace(-1, 1, 9)[:, None]
+    np.testing.assert_allclose(span.points(span.log_slope(x)), x, atol=1e-12)
 
 
 def test_gaits_of_a_label_beside_a_fold_are_integrated():
@@ -224,34 +224,27 @@ def test_gaits_whose_stability_errors_could_change_are_integrated():
 
 
 def test_gaits_of_a_label_that_errors_could_order_are_integrated():
-    problem, found = branches("A")
-    made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
     angles = {0: [0.2, 0.2, 0.2], 1: [0.2039, 0.2041, 0.2039]}  # four accuracies are 0.004
     ratio = {0: np.full(3, 0.3), 1: np.array([0.3, 0.3, 0.7])}
-    none = np.zeros(3, bool)
-    parts = [
-        _PanelGaits(
-            k, made.panels[0][0], np.arange(3), np.zeros(3), {"stance_angle": np.array(angles[k])}, ratio[k], none
-        )
-        for k in (0, 1)
-    ]
-    assert made._ties(parts, 3).tolist() == [True, False, False]
+    parts = [Part(np.arange(3), np.array(angles[k]), ratio[k], {}) for k in (0, 1)]
+    assert _tied(parts, 3, 0.004).tolist() == [True, False, False]
 
 
 def test_a_label_that_errors_could_change_is_near():
     problem, found = branches("A")
     made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
-    panel = made.panels[0][0]
-    coefficients = np.zeros_like(panel.coefficients)
+    chart = made.sheets[0][0].chart
+    coefficients = np.zeros_like(chart.coefficients)
     ratio = made.smooth.names.index("heelstrike_rate_ratio")
     coefficients[:2, ratio] = 0.5, 0.1  # 1/2 in the middle
-    x = np.array([-0.9, -0.03, 0.03, 0.9])
-    one = made._evaluate(0, replace(panel, coefficients=coefficients, error=1e-3), np.arange(4), x)
+    x, slope = np.array([[-0.9], [-0.03], [0.03], [0.9]]), np.full(4, 0.01)
+    changed = replace(chart, coefficients=coefficients, error=1e-3)
+    one = _gaits(changed, x, np.arange(4), slope, made.smooth, ("stance_angle",), 0, 0)
     assert one.uncertain.tolist() == [False, True, True, False]
 
 
 def test_gaits_with_another_number_of_leg_passes_share_no_panel(monkeypatch):
-    original = interpolate_points.describe
+    original = interpolate.describe
 
     def changed(*args):
         solved = original(*args)
@@ -260,11 +253,13 @@ def test_gaits_with_another_number_of_leg_passes_share_no_panel(monkeypatch):
 
     problem, found = branches("A")
     made = Interpolation(problem, found, ("stance_angle",), 1e-3, np.array([0.01]))
-    panel = made.panels[0][0]
-    q = panel.log_slope(panel.samples(len(panel.coefficients)))
-    assert made._solve([panel], [q])[0].good
-    monkeypatch.setattr(interpolate_points, "describe", changed)
-    assert not made._solve([panel], [q])[0].good
+    span = made.sheets[0][0].span
+    q = span.log_slope(span.samples(7))
+    (right,) = made._solve([(0, span)], [q])
+    assert right.bound < 1e-3
+    monkeypatch.setattr(interpolate, "describe", changed)
+    (wrong,) = made._solve([(0, span)], [q])
+    assert wrong.bound == np.inf
 
 
 def test_what_a_panel_measures_is_no_less_than_at_its_gaits():
@@ -381,7 +376,7 @@ def test_bounds_hold_at_every_accuracy_against_more_digits(walker, tell):
 def test_samples_of_a_panel_lie_in_every_gap_between_its_nodes_but_not_on_its_ends():
     nodes, places = 12, []
     for k in range(200):
-        samples = Panel(0, -3.0 - 0.01 * k, -2.0, (False, False)).samples(nodes)
+        samples = Span.between(np.array([-3.0 - 0.01 * k, -2.0]), 0).samples(nodes)[:, 0]
         np.testing.assert_allclose(samples[:nodes], roots(nodes))
         places.append(nodes / np.pi * np.arccos(-samples[nodes:]) - np.arange(nodes + 1))
     places = np.array(places)

@@ -1,7 +1,7 @@
 """Patches and lines give the same gaits, and those of 113 bits, in six families and in random cells."""
 
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import mpmath as mp
@@ -18,7 +18,7 @@ from tasks.families.box import Box
 from tasks.families.cell import Family, Refused, _Maker
 from tasks.families.division import Cells
 from tasks.registry import ALWAYS, GAITS
-from tasks.solve_planes import lines, solve
+from tasks.solve_planes import Wanted, lines, solve
 from tasks.solve_points import lines as lines_side_by_side
 from tasks.solve_points import points
 from tasks.walkers.resolve import resolve
@@ -263,7 +263,7 @@ def test_wrong_patches_change_no_accepted_value(name):
     slope = np.exp(low + PANEL * np.array([0.2, 0.7]))
 
     def solved(cell):
-        return solve(family, cell, at, slope, WANT, set(GAITS))
+        return solve(family, cell, at, slope, Wanted(WANT, set(GAITS)))
 
     out, accepted = solved(right)
     assert accepted.mean() > 0.8
@@ -277,25 +277,25 @@ def test_wrong_patches_change_no_accepted_value(name):
                 assert (np.abs(out["period"][line, k] / period - 1) <= bounds).any()
 
     wrong = copy.deepcopy(right)
-    for patch in wrong.patches:
-        patch.gaits *= 1 + 1e-4
+    wrong.patches = [
+        replace(p, gaits=replace(p.gaits, coefficients=p.gaits.coefficients * (1 + 1e-4))) for p in right.patches
+    ]
     other, still = solved(wrong)
     assert_unchanged(other, still)
     assert not still.all()  # farther from their predictions than any that was measured
-    for patch in wrong.patches:
-        patch.error = 1.0
+    wrong.patches = [replace(patch, gaits=replace(patch.gaits, error=1.0)) for patch in wrong.patches]
     other, still = solved(wrong)
     assert_unchanged(other, still)
     assert still[accepted].mean() > 0.8
     assert np.array_equal(other["status"][accepted & still], out["status"][accepted & still])
     a, b = wrong.patches
-    a.gaits, a.sizes, a.ends, b.gaits, b.sizes, b.ends = b.gaits, b.sizes, b.ends, a.gaits, a.sizes, a.ends
+    wrong.patches = [replace(a, gaits=b.gaits, span=b.span), replace(b, gaits=a.gaits, span=a.span)]
     assert_unchanged(*solved(wrong))
     maker = _Maker(family, box, low, set())
-    maker.check(right.patches)
+    maker.checked(right.patches)
     for k in range(len(right.patches)):
         fewer = copy.deepcopy(right)
         del fewer.patches[k]
         assert_unchanged(*solved(fewer))
         with pytest.raises(Refused, match="further piece"):
-            maker.check(fewer.patches)
+            maker.checked(fewer.patches)

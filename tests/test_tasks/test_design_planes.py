@@ -16,9 +16,10 @@ from tasks.continuation.refine import COARSE
 from tasks.families import landscape as landscapes
 from tasks.families.box import Box, Refused
 from tasks.families.cell import Family
+from tasks.families.chart import Chart
 from tasks.families.division import divide
 from tasks.families.landscape import _Surveyor, is_known, make
-from tasks.families.manifold import Cut
+from tasks.families.manifold import Region
 from tasks.families.manifold_maker import Maker, _Extension
 from tasks.fixed_points.step_check import gait_ratio
 from tasks.map_designs import _Rows, _solve, design
@@ -130,12 +131,14 @@ def test_wrong_polynomials_change_no_accepted_value(made, by):
     out, accepted = solved(family, right, keys)
     assert accepted.mean() > 0.95
     wrong = copy.deepcopy(right)
-    wrong.manifolds = [replace(m, coefficients=m.coefficients * (1 + by)) for m in right.manifolds]
+    wrong.manifolds = [
+        replace(m, chart=replace(m.chart, coefficients=m.chart.coefficients * (1 + by))) for m in right.manifolds
+    ]
     other, still = solved(family, wrong, keys)
     assert by < 1e-4 or not still.any()  # farther from their predictions than any that was measured
     assert_accepted_agree(out, other, still & accepted)
     # Whatever the distance, the step's own length bounds what is left of it.
-    wrong.manifolds = [replace(m, moved=1.0) for m in wrong.manifolds]
+    wrong.manifolds = [replace(m, chart=replace(m.chart, error=1.0)) for m in wrong.manifolds]
     other, still = solved(family, wrong, keys)
     assert by > 1e-4 or still.mean() > 0.9
     assert_accepted_agree(out, other, still & accepted)
@@ -181,7 +184,7 @@ def test_flags_that_no_line_has_are_not_known():
 def test_stability_ends_where_two_flips_meet(made):
     """Just before the curve on which they meet a line has a window of stable gaits, just beyond it none."""
     _, landscape = made("A")
-    (cut,) = [m.coordinates.cut for m in landscape.manifolds if m.coordinates.cut]
+    (cut,) = [m.region for m in landscape.manifolds if m.region.is_root]
     assert cut.turns and (cut.axis, cut.side) == (0, 1)
     for m_h in (0.1, 0.7):
         unit = landscape.box.unit(np.array([[0.5, m_h]]))
@@ -201,7 +204,7 @@ def test_the_smallest_slope_vanishes_where_the_leg_is_tuned(made):
     """Of a leg whose centre of mass is off by d, a step of angle a loses a^4 and d^2: the slope that pays for it, over
     the step's length, is least where a is of the order of d^(1/2), the slope of d^(3/2)."""
     _, landscape = made("tuned")
-    cuts = [m.coordinates.cut for m in landscape.manifolds if m.coordinates.cut]
+    cuts = [m.region for m in landscape.manifolds if m.region.is_root]
     assert sorted(cut.side for cut in cuts) == [-1, 1]
     for cut in cuts:
         assert cut.powers[:5] == (1, 0, 0, 3, 0)
@@ -213,7 +216,7 @@ def test_the_smallest_slope_vanishes_where_the_leg_is_tuned(made):
 def test_the_smallest_slope_over_one_key_vanishes_at_a_value_of_it():
     family, box = Family.of({"walker": "A", "set": {"detuning": 0.2}}, ("R",)), Box(("R",), (0.27,), (0.3,))
     (landscape,) = make(family, box, WINDOW, lambda part: 1000)
-    cuts = [m.coordinates.cut for m in landscape.manifolds if m.coordinates.cut]
+    cuts = [m.region for m in landscape.manifolds if m.region.is_root]
     assert [cut.powers[:5] for cut in cuts] == [(1, 0, 0, 3, 0)] * 2
     for cut in cuts:
         assert box.at(cut.at(np.zeros((1, 1)))[:, None])[0, 0] == pytest.approx(tuned_at(0.2), rel=1e-12)
@@ -234,20 +237,26 @@ def test_designs_beside_vanishing_slopes_are_those_of_lines(made, side):
     # By another power of the root of the distance no prediction is near enough.
     wrong = copy.deepcopy(landscape)
     for k, m in enumerate(wrong.manifolds):
-        if cut := m.coordinates.cut:
-            other = replace(cut, powers=(1.001, *cut.powers[1:]))
-            wrong.manifolds[k] = replace(m, coordinates=replace(m.coordinates, cut=other))
+        if powers := m.region.powers:
+            wrong.manifolds[k] = replace(m, region=replace(m.region, powers=(1.001, *powers[1:])))
     assert not solved(family, wrong, keys)[1].any()
 
 
 @pytest.mark.parametrize("turns", [False, True])
 @pytest.mark.parametrize("side", [-1, 1])
 def test_coordinates_of_a_part_are_inverse(turns, side):
-    cut = Cut(1, side, np.array([0.2, 0.1]), turns)
+    cut = Region(1, side, Chart((2,), np.array([[0.2], [0.1]])), turns)
     own = np.random.default_rng(0).uniform(-1, 1, (9, 2))
     assert cut.own(cut.unit(own)) == pytest.approx(own, abs=1e-12)
     ends = cut.unit(np.array([[0.5, -side], [0.5, side]]))
     assert ends[:, 1] == pytest.approx([-side, 0.25])
+
+
+@pytest.mark.parametrize("d", [1, 2])
+def test_a_whole_box_has_its_own_coordinates_border_included(d):
+    region, unit = Region.whole(d), np.vstack([np.random.default_rng(0).uniform(-1, 1, (9, d)), np.ones((1, d))])
+    assert region.own(unit) == pytest.approx(unit, abs=1e-15) and region.unit(unit) == pytest.approx(unit, abs=1e-15)
+    assert region.holds(unit * (1 + 4e-16)).all() and not region.is_near(unit).any()
 
 
 def test_boxes_with_logarithms_have_inverse_coordinates():
@@ -288,10 +297,10 @@ def test_a_box_that_is_refused_is_left_to_lines(monkeypatch):
 def test_a_cut_is_smooth_where_the_last_coefficients_of_its_curve_vanish(monkeypatch):
     extension = object.__new__(_Extension)
     extension.d, extension.kind = 2, "fold"
-    coefficients = np.array([0.2, 0.1, 0.05, 1e-2, 1e-7, 1e-7])
-    monkeypatch.setattr(_Extension, "cut_along", lambda _, axis, side, places: Cut(axis, side, coefficients, True))
-    assert extension.smooth_cut(1, 1).coefficients is coefficients
-    coefficients[-2] = 1e-5
+    curve = Chart((6,), np.array([[0.2, 0.1, 0.05, 1e-2, 1e-7, 1e-7]]).T)
+    monkeypatch.setattr(_Extension, "cut_along", lambda _, axis, side, sizes: Region(axis, side, curve, True))
+    assert extension.smooth_cut(1, 1).curve is curve
+    curve.coefficients[-2] = 1e-5
     with pytest.raises(Refused, match="a fold turns along a curve that is not smooth"):
         extension.smooth_cut(1, 1)
 
@@ -429,9 +438,9 @@ def test_a_manifold_over_one_key_ends_where_it_turns():
     box = Box(("detuning",), (0.4,), (0.7,))
     (landscape,) = make(family, box, WINDOW, lambda part: 1000)
     assert not landscape.why
-    (cut,) = [m.coordinates.cut for m in landscape.manifolds if m.coordinates.cut]
-    assert cut.turns and cut.coefficients.shape == (1,)
-    at = float(box.at(cut.coefficients[None])[0, 0])
+    (cut,) = [m.region for m in landscape.manifolds if m.region.is_root]
+    assert cut.turns and cut.curve.sizes == ()
+    at = float(box.at(cut.curve.coefficients)[0, 0])
     line = {"walker": "A", "set": {"detuning": np.array([at - 2e-5, at + 2e-5])}}
     assert computed({"line": line, "slope": SLOPE})["stability_lost_by"].tolist() == ["flip", "never stable"]
 

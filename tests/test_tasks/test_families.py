@@ -1,20 +1,21 @@
 """Patches over planes of keys predict; what is reported comes from the gaits' own steps, and is what lines give."""
 
-import copy
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tasks import interpolate_planes, solve_planes
+from tasks import interpolate, solve_planes
 from tasks.costs import PANEL
 from tasks.families import cell as cells
-from tasks.families import panels, pieces
+from tasks.families import pieces
 from tasks.families.box import Box, Refused, roots
 from tasks.families.cell import Family, _Maker
+from tasks.families.chart import Chart, fit
 from tasks.families.division import Cells
-from tasks.families.patch import along, basis, coordinate, fit
 from tasks.families.pieces import Piece
+from tasks.families.span import along, coordinate
 from tasks.measures.gaits import nothing_solved
 from tasks.measures.smooth import Smooth
 from tasks.mechanics.contact import Chain
@@ -68,10 +69,12 @@ def test_a_polynomial_of_the_nodes_degree_is_reproduced():
     points = np.column_stack([x.ravel(), y.ravel()])
 
     def value(p):
-        return (2 * p[:, 0] ** 3 - p[:, 0] * p[:, 1] ** 2 + 0.5)[:, None]
+        return np.array([2 * p[:, 0] ** 3 - p[:, 0] * p[:, 1] ** 2 + 0.5, p[:, 1]])
 
     other = np.random.default_rng(0).uniform(-1, 1, (9, 2))
-    assert basis(other, (4, 3)) @ fit(value(points), (4, 3)) == pytest.approx(value(other), abs=1e-14)
+    chart = Chart.through((4, 3), value(points))
+    assert chart(other) == pytest.approx(value(other), abs=1e-14)
+    assert chart(other, [1]) == pytest.approx(value(other)[1:], abs=1e-14)
 
 
 @pytest.mark.parametrize("folds", [(False, False), (True, False), (False, True), (True, True)])
@@ -230,11 +233,12 @@ def cell():
 def test_an_invented_branch_is_found(cell):
     family, right = cell
     maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL), set())
-    maker.check(right.patches)
-    moved = copy.deepcopy(right.patches)
-    moved[0].gaits[0] += 0.5
+    maker.checked(right.patches)
+    first, *others = right.patches
+    moved = first.gaits.coefficients.copy()
+    moved[0] += 0.5
     with pytest.raises(Refused, match="lacks a piece"):
-        maker.check(moved)
+        maker.checked([replace(first, gaits=replace(first.gaits, coefficients=moved)), *others])
 
 
 def test_ends_are_looked_for_up_to_the_edges_of_a_box(cell):
@@ -270,15 +274,67 @@ def test_few_lines_serve_where_only_their_polynomial_ends_near_the_panel(monkeyp
     assert maker.of_few_lines() is None
 
 
-def test_patches_whose_predictions_err_by_a_fiftieth_are_refused(cell):
+def test_patches_whose_predictions_err_by_a_fiftieth_are_refused(cell, monkeypatch):
     family, right = cell
     maker = _Maker(family, right.box, float(np.floor(np.log(0.01) / PANEL) * PANEL), set())
-    patch = copy.deepcopy(right.patches[0])
-    patch.error = 0.0199
-    assert maker.measured(patch) is patch
-    patch.error = 0.0201
-    with pytest.raises(Refused, match="err by 0.02"):
-        maker.measured(patch)
+    (group, *_), usual = maker.groups(3), cells.newton_step
+    # Where nothing grows the first chart is the last.
+    monkeypatch.setattr(cells, "_MAX_NODES", 0)
+    for error in (0.0199, 0.0201):
+        monkeypatch.setattr(cells, "newton_step", lambda stride, w, e=error: np.sign(usual(stride, w)) * e)
+        if error < 0.02:
+            assert maker.regular(group, maker.cuts(group)).gaits.error == pytest.approx(error)
+        else:
+            with pytest.raises(Refused, match="err by 0.02"):
+                maker.regular(group, maker.cuts(group))
+
+
+def growing(error, tails, good=1e-6, fair=1.0, most=(9, 9)):
+    """Sizes of the charts that `fit` tries, whose errors and last coefficients are functions of their sizes."""
+    tried = []
+
+    def attempt(sizes, before):
+        assert not tried or before.sizes == tried[-1]
+        tried.append(sizes)
+        coefficients = np.zeros((*sizes, 1))
+        for k, tail in enumerate(tails(sizes)):
+            coefficients[tuple(-1 if i == k else 0 for i in range(len(sizes)))] = tail
+        return Chart(sizes, coefficients.reshape(-1, 1), error(sizes))
+
+    return fit(attempt((4, 3), None), attempt, most, good, fair, 1), tried
+
+
+def test_nodes_are_added_where_the_last_coefficients_exceed_a_tenth_of_the_error_wanted():
+    chart, tried = growing(lambda n: 1e-3 if n[1] < 7 else 1e-7, lambda n: (0.9e-7, 1e-6))
+    assert tried == [(4, 3), (4, 5), (4, 7)] and chart.sizes == (4, 7)
+    # Or a tenth of the largest; no more than there may be, and then the chart is fair, or refused.
+    chart, tried = growing(lambda n: 1e-3 if n[1] < 7 else 1e-7, lambda n: (0.9e-10, 1e-9))
+    assert tried == [(4, 3), (4, 5), (4, 7)]
+    _, tried = growing(lambda n: 1e-3, lambda n: (1e-3, 0.0))
+    assert tried == [(4, 3), (6, 3), (8, 3), (9, 3)]
+    _, tried = growing(lambda n: 1e-3, lambda n: (1e-3, 1e-3), most=(13, 33))
+    assert tried[-3:] == [(13, 21), (13, 27), (13, 33)]
+    for tails in ((1e-3, 0.0), (0.0, 1e-3)):
+        with pytest.raises(Refused, match="err by 0.001") as refused:
+            growing(lambda n: 1.001e-3, lambda n, tails=tails: tails, fair=1e-3)
+        assert refused.value.axis == 0  # of the keys, of which there is one
+    with pytest.raises(Refused):
+        growing(lambda n: np.nan, lambda n: (0.0, 0.0))
+
+
+def test_last_coefficients_count_over_the_sizes_of_their_values():
+    chart = Chart((2, 3), np.arange(12.0).reshape(6, 2), size=np.array([1.0, 2.0]))
+    assert chart.tails().tolist() == [[6 + 8 + 10, (7 + 9 + 11) / 2], [4 + 10, (5 + 11) / 2]]
+    assert chart.tails(2)[1].tolist() == [2 + 4 + 8 + 10, (3 + 5 + 9 + 11) / 2]
+    assert chart.range_of(1) == (1 - 3 - 5 - 7 - 9 - 11, 1 + 3 + 5 + 7 + 9 + 11)
+
+
+def test_a_value_at_a_point_has_the_same_bits_in_any_company():
+    draw = np.random.default_rng(0)
+    chart, points = Chart((7, 5), draw.normal(size=(35, 4))), draw.uniform(-1, 1, (200, 2))
+    whole = chart(points)
+    for some in (slice(0, 1), slice(50, 193), slice(199, None)):
+        np.testing.assert_array_equal(chart(points[some]), whole[:, some])
 
 
 def test_a_box_of_few_lines_is_left_to_lines():
@@ -359,10 +415,11 @@ def test_lines_of_a_part_refused_for_one_panel_are_followed_at_all_slopes(monkey
 
 def test_polynomials_of_more_gaits_than_points_are_not_fitted():
     family, cell = cell_of("B", 0.004)
-    sheet = interpolate_planes.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)[0]
-    needed = int(np.prod(sheet.sizes)) + 64
-    assert interpolate_planes._sheet(family, cell, sheet.patch, ("stance_angle",), 1e-3, needed) is None
-    assert interpolate_planes._sheet(family, cell, sheet.patch, ("stance_angle",), 1e-3, needed + 1) is not None
+    sheet = interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)[0]
+    needed = int(np.prod(sheet.chart.sizes)) + 64
+    cell = replace(cell, patches=cell.patches[:1])
+    assert not interpolate.sheets(family, cell, ("stance_angle",), 1e-3, needed)
+    assert interpolate.sheets(family, cell, ("stance_angle",), 1e-3, needed + 1)
 
 
 #: Variables of a plane that polynomials may give.
@@ -402,7 +459,7 @@ def test_gaits_of_a_plane_to_an_accuracy_are_not_integrated(monkeypatch):
     integrated = []
 
     def solve_block(*args):
-        integrated.append(len(args[-1]))
+        integrated.append(args[-1].sum())
         return np.ones(24, bool)
 
     monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
@@ -423,34 +480,45 @@ def test_lines_of_a_plane_whose_stability_errors_could_change_are_integrated(mon
 
     monkeypatch.setattr(Smooth, "multipliers", beside_the_unit_circle)
     usual = solve_planes._solve_block
-    monkeypatch.setattr(solve_planes, "_solve_block", lambda *args: (integrated.append(len(args[-1])), usual(*args))[1])
+    monkeypatch.setattr(
+        solve_planes, "_solve_block", lambda *args: (integrated.append(args[-1].sum()), usual(*args))[1]
+    )
     by_line(params)
     assert 0 < sum(integrated) < 12
 
 
-def test_a_polynomial_whose_gaits_may_have_either_label_is_not_used(monkeypatch):
+def test_lines_of_a_plane_whose_labels_errors_could_change_are_integrated():
     family, cell = cell_of("B", 0.004)
-    assert interpolate_planes.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
-    monkeypatch.setattr(interpolate_planes.Sheet, "ratio_range", lambda self: (0.4, 0.6))
-    assert not interpolate_planes.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
+    made = interpolate.sheets(family, cell, ("stance_angle",), 1e-3, 10**6)
+    ratio = Smooth.of(resolve("B"), ("stance_angle",), 3).names.index("heelstrike_rate_ratio")
+    coefficients = made[0].chart.coefficients.copy()
+    coefficients[:, ratio] = 0.0
+    sizes = made[0].chart.sizes
+    coefficients[[0, np.prod(sizes[1:]) // sizes[1]], ratio] = 0.5, 0.1  # 1/2 in the middle of the first key
+    made[0] = replace(made[0], chart=replace(made[0].chart, coefficients=coefficients, error=1e-3))
+    unit = np.column_stack([[-0.9, -0.03, 0.03, 0.9], np.zeros(4)])
+    some = cells.Block(family, cell, cell.box.at(unit), np.array([0.004]))
+    parts, sure = interpolate.interpolate(some, made, ("stance_angle",), 1e-3)
+    assert sure.tolist() == [True, False, False, True]
+    assert parts[0].index.tolist() == [0, 3] and (parts[0].ratio < 0.5).tolist() == [True, False]
 
 
 def test_polynomials_of_a_plane_that_err_are_not_used(monkeypatch):
     params = {**block("B", 12), "want": ("stance_angle",), "accuracy": 1e-5}
     right = by_line(params)
 
-    def spoiled(values, sizes):
+    def spoiled(sizes, values, size):
         values = values.copy()
-        values[5, 0] += 1e-3
-        return fit(values, sizes)
+        values[0, 5] += 1e-3
+        return Chart.through(sizes, values, size)
 
     integrated, usual = [], solve_planes._solve_block
 
     def solve_block(*args):
-        integrated.append(len(args[-1]))
+        integrated.append(args[-1].sum())
         return usual(*args)
 
-    monkeypatch.setattr(panels, "fit", spoiled)
+    monkeypatch.setattr(interpolate, "Chart", SimpleNamespace(through=spoiled))
     monkeypatch.setattr(solve_planes, "_solve_block", solve_block)
     solve_planes._sheets.cache_clear()
     for one, other in zip(right, by_line(params), strict=True):

@@ -11,11 +11,11 @@ from lines import branches, gait, solved
 from oracle import Oracle, StepFailed
 from tasks.continuation.atlas import to_arrays
 from tasks.continuation.special_points import special_points
+from tasks.families.patch import similarity
 from tasks.fixed_points import polish
 from tasks.fixed_points.multipliers import multipliers, other_multipliers
 from tasks.fixed_points.rounding import rounding
 from tasks.fixed_points.search import search
-from tasks.interpolate_planes import similarity
 from tasks.measures.losses import heelstrike_losses
 from tasks.registry import ALWAYS, GAITS
 from tasks.solve_points import points

@@ -1,0 +1,133 @@
+"""Charts: polynomials with an error measured at points drawn, and the one rule by which nodes are added to them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+
+from tasks.families.box import Refused, roots
+
+#: Points at which polynomials are evaluated at a time.
+_ROWS = 64
+#: Share of the error wanted, or of the largest if all are below, above which the last coefficients along a dimension
+#: ask for more nodes there.
+_UNRESOLVED = 0.1
+#: Nodes are added by twos, and more where they are so many times as many.
+_GROWING = 6
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Polynomials of several values over the cube from -1 to 1.
+
+    Attributes
+    ----------
+    sizes : tuple of int
+        Nodes along each dimension; of no dimension the values are constant.
+    coefficients : ndarray, shape (product of sizes, c)
+        Of products of Chebyshev polynomials, the last dimension fastest.
+    error : float
+        The largest error that was measured, or a bound: as `fit` was given it.
+    size : ndarray, shape (c,), or float
+        Of each value, over which its errors count.
+    """
+
+    sizes: tuple[int, ...]
+    coefficients: np.ndarray
+    error: float = np.inf
+    size: np.ndarray | float = 1.0
+
+    @classmethod
+    def through(cls, sizes: tuple[int, ...], values: np.ndarray, size: np.ndarray | float = 1.0) -> Chart:
+        """Return the chart of values (c, n) at `tensor_nodes(sizes)`, with no error measured."""
+        coefficients = values.T.reshape(*sizes, -1)
+        for axis, n in enumerate(sizes):
+            inverse = 2.0 / n * chebvander(roots(n), n - 1).T
+            inverse[0] *= 0.5
+            coefficients = np.moveaxis(np.tensordot(inverse, coefficients, axes=(1, axis)), 0, axis)
+        return cls(sizes, coefficients.reshape(values.shape[1], -1), size=size)
+
+    def __call__(self, points: np.ndarray, columns: Sequence[int] | slice = slice(None)) -> np.ndarray:
+        """Evaluate some of the values at points, each by itself: the bits of one do not depend on the others.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, len(sizes))
+        columns : sequence of int, optional
+            Those wanted.
+
+        Returns
+        -------
+        ndarray, shape (c, n)
+        """
+        n, coefficients = len(points), self.coefficients[:, columns]
+        # A matrix product rounds differently for another number of rows: it gets blocks of one shape.
+        rows = np.zeros((n + -n % _ROWS, len(coefficients)))
+        product = np.ones((n, 1))
+        for x, count in zip(points.T, self.sizes, strict=True):
+            product = (product[:, :, None] * chebvander(x, count - 1)[:, None]).reshape(n, product.shape[1] * count)
+        rows[:n] = product
+        values = rows.reshape(-1, _ROWS, len(coefficients)) @ coefficients
+        return np.asarray(values.reshape(len(rows), coefficients.shape[1])[:n].T)
+
+    def tails(self, last: int = 1) -> np.ndarray:
+        """Return the sums of the sizes of the `last` coefficients in each dimension, over the sizes of the values.
+
+        Returns
+        -------
+        ndarray, shape (len(sizes), c)
+        """
+        c = np.abs(self.coefficients).reshape(*self.sizes, -1)
+        tails = [np.moveaxis(c, k, 0)[-last:].reshape(-1, c.shape[-1]).sum(axis=0) for k in range(len(self.sizes))]
+        return np.reshape(tails, (len(self.sizes), c.shape[-1])) / self.size
+
+    def range_of(self, column: int) -> tuple[float, float]:
+        """Return bounds of a value."""
+        first, *others = self.coefficients[:, column].tolist()
+        spread = sum(map(abs, others))
+        return first - spread, first + spread
+
+
+def fit(
+    chart: Chart,
+    attempt: Callable[[tuple[int, ...], Chart], Chart],
+    most: Sequence[int],
+    good: float,
+    fair: float,
+    keys: int,
+) -> Chart:
+    """Add nodes to a chart until it is good, along the dimensions that it does not resolve.
+
+    Parameters
+    ----------
+    chart : Chart
+        The first, with its error.
+    attempt : callable
+        The chart with given numbers of nodes, and its error, by the chart before.
+    most : sequence of int
+        Most nodes along each dimension, where the first chart has no more.
+    good, fair : float
+        The error wanted, and the largest of a useful chart.
+    keys : int
+        How many of the dimensions, the last, are those of keys.
+
+    Raises
+    ------
+    Refused
+        If the error is not fair where the dimensions that are not resolved have the most nodes.
+    """
+    while not chart.error <= good:
+        tails = chart.tails().max(axis=1)
+        sizes = tuple(
+            max(n, min(n + 2 * max(1, n // _GROWING), limit)) if tail > _UNRESOLVED * min(good, tails.max()) else n
+            for n, limit, tail in zip(chart.sizes, most, tails, strict=True)
+        )
+        if sizes == chart.sizes:
+            break
+        chart = attempt(sizes, chart)
+    if not chart.error <= fair:
+        raise Refused(f"predictions err by {chart.error:.1g}", int(np.argmax(chart.tails().max(axis=1)[-keys:])))
+    return chart
