@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 
 from pipeline.engine.account import Account
 from pipeline.engine.executors import Engine
-from pipeline.engine.worker_process import Packing, Request
+from pipeline.engine.request import Request
 from pipeline.graph.graph import Copies, Node
 from pipeline.graph.plan import Plan
 from pipeline.graph.reads import study_inputs
@@ -172,7 +173,7 @@ class Jobs:
             is_whole = node.todo is None
             shape = node.chunk.shape if is_whole else Shape.of_rows(node.lines, slopes)
             digests = self.graph.digests(node.chunk.lines) if node.line is None and is_whole else None
-            packing = Packing(shape, grid.multipliers, digests)
+            packing = {"shape": astuple(shape), "multipliers": grid.multipliers, "digests": digests}
         if node.lines:
             alone = self.graph.layers["atlas"].task.function, layer.task.function
         function, params = self.graph.function(node), self.graph.params(node)

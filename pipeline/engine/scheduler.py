@@ -15,8 +15,8 @@ from typing import Any
 from pipeline.engine.account import Account
 from pipeline.engine.executors import Engine
 from pipeline.engine.jobs import Jobs
+from pipeline.engine.request import Request
 from pipeline.engine.signals import Signals
-from pipeline.engine.worker_process import Request
 from pipeline.errors import GaitsweepError, WorkerError, described
 from pipeline.graph.graph import Node
 

@@ -10,7 +10,6 @@ import functools
 import os
 import resource
 import signal
-import struct
 import sys
 import time
 from collections.abc import Callable
@@ -18,7 +17,6 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from pipeline.dispatch import resolve
-from pipeline.engine.messages import receive, send
 from pipeline.errors import described
 from tasks.registry import CLOCK
 
@@ -39,37 +37,32 @@ def serve(parent: int) -> None:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     from pipeline import serialize
 
-    warm: set[bytes] = set()
-    modules, threads, used = 0, 1, (0.0, 0.0)
-    while True:
+    warm: set[str] = set()
+    modules, threads, used, idle = 0, 1, (0.0, 0.0), None
+    while requests.poll(idle):
         try:
-            head, *inputs = receive(requests)
+            request = requests.recv()
         except EOFError:
             return
-        request = serialize.load(head)
+        idle = request.idle
         try:
-            function = resolve(request["function"])
+            function = resolve(request.function)
         except Exception as error:
-            send(answers, b"broken", described(error).encode())
+            answers.send(("broken", described(error)))
             continue
         if len(sys.modules) != modules:  # a newly loaded library may have its own thread pool
             threads, modules = _limit_to_one_thread(), len(sys.modules)
-        _limit_memory(request["memory"])
-        params, trees = request["params"], [serialize.load(i) for i in inputs]
-        for key in ("want", "gaits"):
-            if key in params:
-                params[key] = tuple(params[key])
-        line = serialize.dump(params.get("line"))
-        if "line" in params and request["packing"] and line not in warm:
+        _limit_memory(request.memory)
+        params, inputs = request.params, [serialize.load(i) for i in request.inputs]
+        line = repr(params.get("line"))
+        if "line" in params and request.packing and line not in warm:
             # The time to load compiled code does not count for the first point.
-            _try(function, {**params, "slope": params["slope"][:0]}, trees)
+            _try(function, {**params, "slope": params["slope"][:0]}, inputs)
             warm.add(line)
-        send(answers, b"started", struct.pack("<QQ", _pages(1), threads))
-        outcome, parts = _try(functools.partial(_packed, function, request["packing"]), params, trees)
+        answers.send(("started", _pages(1), threads))
+        outcome, result = _try(functools.partial(_packed, function, request.packing), params, inputs)
         before, used = used, (time.process_time(), _integrating())
-        send(
-            answers, outcome, struct.pack("<2d", *(now - then for now, then in zip(used, before, strict=True))), *parts
-        )
+        answers.send((outcome, tuple(now - then for now, then in zip(used, before, strict=True)), result))
 
 
 def _integrating() -> float:
@@ -98,13 +91,13 @@ def _limit_to_one_thread() -> int:
     return max((pool["num_threads"] for pool in threadpoolctl.threadpool_info()), default=1)
 
 
-def _try(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[bytes, Any]:
+def _try(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[str, Any]:
     try:
-        return b"ok", function(params, inputs)
+        return "ok", function(params, inputs)
     except MemoryError:
-        return b"out_of_memory", [b""]
+        return "out_of_memory", ""
     except BaseException as error:  # sys.exit and KeyboardInterrupt too: no task ends the worker
-        return b"raised", [described(error).encode()]
+        return "raised", described(error)
 
 
 def _packed(
