@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 from pathlib import Path
 
 _LITTLE = 1 << 20  # fits on any disk that is not full [byte]
@@ -37,6 +38,16 @@ class DiskFullError(GaitsweepError):
     """There is no room on the disk, or a file may not grow; finished results are kept."""
 
     exit_code = 4
+
+
+def described(error: BaseException) -> str:
+    """Name and message of any exception on one line without a full stop, the same in every process."""
+    try:
+        text = " ".join(str(error).split())
+    except Exception:
+        text = ""
+    text = re.sub(r"0x[0-9a-f]{6,}", "0x...", text)[:300].removesuffix(".")
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def is_disk_full(error: BaseException) -> bool:

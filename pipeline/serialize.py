@@ -1,4 +1,4 @@
-"""Nested data and arrays as bytes, for pipes and the journal.
+"""Nested data and arrays as bytes, for the journal.
 
 Not pickle: a header of JSON, in which an array is `{"": [dtype, shape]}`, then the bytes of the arrays. Untrusted bytes
 can raise only ValueError.

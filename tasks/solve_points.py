@@ -49,7 +49,7 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
         `line`: `{"walker": name or table, "set": {key: value}}`; `coarse`: whether for few points; `steps` after which
         the gaits repeat (1 if omitted).
     inputs : list
-        Empty, or for gaits of several steps the atlas, not coarse, of those of one step; it is computed otherwise.
+        Empty.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def atlas(params: Mapping[str, Any], inputs: list[Arrays]) -> Arrays:
     steps = int(params.get("steps", 1))
     if steps > 1:
         # They are followed far from the branches where they begin.
-        single = atlases.from_arrays(inputs[0]) if inputs else atlases.survey(problem, FINE)
+        (single,) = _survey([problem.walker], problem.structure, FINE)
         return to_arrays(cycle_branches(problem, single, steps))
     (branches,) = _survey([problem.walker], problem.structure, COARSE if params.get("coarse") else FINE)
     return atlases.to_arrays(branches)

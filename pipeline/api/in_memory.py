@@ -1,114 +1,90 @@
-"""Gaits of arrays of walkers and slopes, in memory: the tasks of a study, without its files."""
+"""Gaits of arrays of walkers and slopes, in memory: studies without files, computed in this process."""
 
 from __future__ import annotations
 
-import functools
-import threading
-from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from pipeline import dispatch, serialize
-from pipeline.api import planes
+from pipeline import dispatch
 from pipeline.archive import attributes
 from pipeline.archive.citation import PAPER
-from pipeline.errors import StudyError
-from pipeline.statuses import ALL_STATUSES
+from pipeline.archive.written import Sentences
+from pipeline.errors import StudyError, described
+from pipeline.graph.graph import Graph
+from pipeline.graph.results import points_of
+from pipeline.grid.method import Method, method_of
+from pipeline.statuses import of_atlas
+from pipeline.store.memory import Memory
+from pipeline.store.record import Points, has_multipliers, joined
 from pipeline.study import slopes
 from pipeline.study.broadcast import broadcast
-from tasks.accuracy import always, is_interpolated
-from tasks.registry import GAITS, SHORT_LINE, TASKS, VARIABLES
+from pipeline.study.model import Axis, Study
+from tasks.accuracy import always
+from tasks.registry import GAITS, TASKS, VARIABLES
 
-_MAX_REMEMBERED = 256 << 20  # atlases kept for later calls, and as much of short lines' points [byte]
+#: Atlases and points of short lines kept for later calls [byte]: points of long ones are cheaper to compute again.
+_REMEMBERED = Memory(512 << 20)
 _BLOCK = 64  # short lines surveyed side by side
 #: How strings are stored, as in archives (`pipeline.archive.written`).
 _CHARACTERS = {"dtype": "S1"}
 Arrays = dict[str, np.ndarray]
 
 
-class Memory:
-    """Results by their bytes of parameters, the least recently used dropped beyond a bound of bytes."""
+@dataclass
+class _Line:
+    """A line of the grid, and its points: their numbers, their distinct slopes, and the slope of each among these."""
 
-    def __init__(self, bound: int):
-        self.bound, self.size = bound, 0
-        self.results: OrderedDict[bytes, tuple[int, Arrays]] = OrderedDict()
-        self.lock = threading.Lock()
-
-    def has(self, key: bytes) -> bool:
-        """Whether a result is remembered."""
-        with self.lock:
-            return key in self.results
-
-    def get(self, key: bytes, compute: Callable[[], Arrays]) -> Arrays:
-        """A result, computed if it is not remembered.
-
-        Parameters
-        ----------
-        key : bytes
-        compute : callable
-            Takes nothing.
-
-        Returns
-        -------
-        dict of ndarray
-        """
-        with self.lock:
-            if key in self.results:
-                self.results.move_to_end(key)
-                return self.results[key][1]
-        result = compute()
-        size = len(key) + sum(np.asarray(v).nbytes for v in result.values())
-        with self.lock:
-            if key not in self.results:
-                self.results[key] = size, result
-                self.size += size
-            while self.size > self.bound:
-                self.size -= self.results.popitem(last=False)[1][0]
-        return result
-
-
-_ATLASES, _POINTS = Memory(_MAX_REMEMBERED), Memory(_MAX_REMEMBERED)
+    line: dict[str, Any]
+    at: np.ndarray
+    check: dict[str, Any]
+    slopes: np.ndarray
+    row: np.ndarray
 
 
 @dataclass
-class _Points:
-    """Results at n points in the order of the flattened grid, and the sentences that `reason` indexes."""
+class _Request:
+    """What is wanted of every line: a study without its axes."""
 
-    values: Arrays
-    reason: np.ndarray
-    sentences: dict[str, int] = field(default_factory=dict)
+    walker: str | dict[str, Any]
+    variables: tuple[str, ...]
+    accuracy: float
+    options: dict[str, Any]
 
-    @classmethod
-    def empty(cls, n: int, wanted: tuple[str, ...], multipliers: int) -> _Points:
-        values = {}
-        for name in wanted:
-            variable = VARIABLES[name]
-            shape = (n, len(GAITS), *([multipliers] if "multiplier" in variable.dims else []))
-            values[name] = np.full(shape, variable.absent, variable.dtype)
-        return cls(values, np.zeros((n, len(GAITS)), np.int32))
+    def study(self, slope: np.ndarray, keys: Mapping[str, np.ndarray], check: dict[str, Any]) -> Study:
+        """The study over slopes and keys."""
+        axes = (Axis("slope", slope), *(Axis(name, values) for name, values in keys.items()))
+        checks, own = (check,), (self.walker,)
+        return Study(
+            "",
+            "",
+            "grid",
+            own,
+            GAITS,
+            axes,
+            self.variables,
+            options=self.options,
+            checks=checks,
+            accuracy=self.accuracy,
+        )
 
-    def number(self, sentence: str) -> int:
-        """Number of a sentence."""
-        return self.sentences.setdefault(sentence, len(self.sentences))
 
-    def fail(self, at: np.ndarray, sentence: str) -> None:
-        """Give points a status and a sentence instead of values."""
-        self.values["status"][at], self.reason[at] = ALL_STATUSES["raised"], self.number(sentence)
+@dataclass
+class _Found:
+    """Points in the order in which they are found, and the row of each point of the grid among them."""
 
-    def put(self, at: np.ndarray, result: Arrays, row: np.ndarray) -> None:
-        """Store rows of a task's result at points."""
-        for name, values in self.values.items():
-            part = result[name]
-            if part.ndim == 3:
-                values[at, :, : part.shape[2]] = part[row]
-            else:
-                values[at] = part[row]
-        table = np.array([self.number(str(s)) for s in result["reasons"]], np.int32)
-        self.reason[at] = table[result["reason"]][row]
+    rows: np.ndarray
+    parts: list[Points] = field(default_factory=list)
+    count: int = 0
+
+    def add(self, points: Points) -> int:
+        """Add points; returns the row of the first."""
+        self.parts.append(points)
+        self.count += len(points)
+        return self.count - len(points)
 
 
 def gaits(
@@ -147,6 +123,8 @@ def gaits(
         If the arguments do not broadcast, or no point has a slope and a walker that can be.
     """
     wanted = (*wanted, *(name for name in always(accuracy) if name not in wanted))
+    options = {**({"steps": steps} if steps > 1 else {}), **({"violation_limits": limits} if limits else {})}
+    request = _Request(walker, wanted, accuracy, options)
     arrays, grid = broadcast(arguments)
     flat = {name: a.values.ravel() for name, a in zip(arrays, grid, strict=True)}
     lines = list(_lines(walker, flat, [name for name, a in arrays.items() if name != "slope" and a.ndim]))
@@ -159,29 +137,28 @@ def gaits(
             (check for check in checks if isinstance(check, StudyError)),
             StudyError(f"`slope` {slopes.BOUND}; got {float(slope[0])!r}."),
         )
-    points = _Points.empty(len(slope), wanted, max((c["multipliers"] for c in answers), default=3))
-    for k in np.flatnonzero(~is_slope).tolist():
-        points.fail(np.array([k]), f"`slope` {slopes.BOUND}; got {float(slope[k])!r}.")
+    found = _Found(np.empty(len(slope), int))
+    wrong, which = np.unique(slope[~is_slope], return_inverse=True)
+    for k, value in enumerate(wrong.tolist()):
+        points = Points.of_ending(1, "raised", f"`slope` {slopes.BOUND}; got {value!r}.", wanted)
+        found.rows[np.flatnonzero(~is_slope)[which == k]] = found.add(points)
     solvable = []
     for (line, at), check in zip(lines, checks, strict=True):
         at = at[is_slope[at]]
         if isinstance(check, StudyError):
-            points.fail(at, str(check))
+            found.rows[at] = found.add(Points.of_ending(1, "raised", str(check), wanted))
         elif len(at):
-            solvable.append(_Line(line, at, *np.unique(slope[at], return_inverse=True), steps, accuracy, limits or {}))
-    solvable = _solve_plane(walker, solvable, wanted, points)
-    for k in range(0, len(solvable), _BLOCK):
-        if steps == 1:
-            short = [line for line in solvable[k : k + _BLOCK] if line.is_short]
-            _survey([line for line in short if not _POINTS.has(line.points_key(wanted))])
-        for one in solvable[k : k + _BLOCK]:
-            _solve(one, wanted, points)
+            solvable.append(_Line(line, at, check, *np.unique(slope[at], return_inverse=True)))
+    _solve(request, solvable, found)
     is_si = bool(answers) and answers[0]["si"]
     varying = {name: a for name, a in arrays.items() if a.ndim or name == "slope"}
     coordinates = {name: a.assign_attrs(attributes.of_axis(name, is_si)) for name, a in varying.items()}
     first = next((line for (line, _), check in zip(lines, checks, strict=True) if check in answers), None)
     constants = _constants(first, answers, varying) if first else {}
-    return _dataset(points, grid[0], coordinates, constants, is_si, steps, accuracy, limits)
+    parts = found.parts or [Points.of_ending(0, "raised", "", wanted)]
+    multipliers = max((check["multipliers"] for check in answers), default=3)
+    points = joined(parts, (len(GAITS), multipliers)).take(found.rows)
+    return _dataset(points, grid[0], coordinates, constants, is_si, request)
 
 
 def _lines(
@@ -223,146 +200,135 @@ def _check(line: dict[str, Any]) -> dict[str, Any] | StudyError:
         return error
 
 
-@dataclass
-class _Line:
-    """A line of the grid, its points, their distinct slopes, the slope of each among these, and what is wanted."""
-
-    line: dict[str, Any]
-    at: np.ndarray
-    slopes: np.ndarray
-    row: np.ndarray
-    steps: int
-    accuracy: float
-    limits: Mapping[str, float]
-
-    @property
-    def is_short(self) -> bool:
-        """Whether it is short, as in a study with as few slopes."""
-        return len(self.slopes) <= SHORT_LINE
-
-    def points_params(self, wanted: tuple[str, ...]) -> dict[str, Any]:
-        """Parameters of its points."""
-        params = {"line": self.line, "slope": self.slopes, "want": wanted, "steps": self.steps}
-        params |= {"violation_limits": dict(self.limits)} if self.limits else {}
-        return {**params, "accuracy": self.accuracy, "interpolated": self.is_interpolated(wanted)}
-
-    def is_interpolated(self, wanted: tuple[str, ...]) -> bool:
-        """Whether polynomials give its points, as in a study with as many slopes."""
-        return self.steps == 1 and not self.is_short and is_interpolated(wanted, self.accuracy)
-
-    def points_key(self, wanted: tuple[str, ...]) -> bytes:
-        """Key under which its points are remembered."""
-        return serialize.dump(self.points_params(wanted))
-
-    def atlas_params(self, coarse: bool, steps: int = 1) -> dict[str, Any]:
-        """Parameters of its atlas."""
-        return {"line": self.line, "coarse": coarse, **({"steps": steps} if steps > 1 else {})}
-
-    def atlas(self, coarse: bool, steps: int = 1) -> Arrays:
-        """Branches of its gaits that repeat after some steps, remembered or followed."""
-        params = self.atlas_params(coarse, steps)
-
-        def follow() -> Arrays:
-            atlas: Arrays = dispatch.resolve(TASKS["atlas"].function)(params, [self.atlas(False)] if steps > 1 else [])
-            return atlas
-
-        return _ATLASES.get(serialize.dump(params), follow)
+def _solve(request: _Request, lines: list[_Line], found: _Found) -> None:
+    """Solve the points of lines, as one study if they form a plane of keys, else as one study each."""
+    left = _solve_plane(request, lines, found)
+    for k in range(0, len(left), _BLOCK):
+        block = [_Alone(request, one) for one in left[k : k + _BLOCK]]
+        _survey([each for each in block if each.graph.method is Method.ALONE and each.key not in _REMEMBERED])
+        for each in block:
+            found.rows[each.one.at] = found.add(each.points()) + each.one.row
 
 
-def _solve_plane(
-    walker: str | dict[str, Any], lines: list[_Line], wanted: tuple[str, ...], points: _Points
-) -> list[_Line]:
-    """Solve lines that form a plane of keys as a study would; returns the remaining lines."""
-    if len(lines) < 2 or lines[0].steps > 1 or any(not np.array_equal(x.slopes, lines[0].slopes) for x in lines[1:]):
+def _solve_plane(request: _Request, lines: list[_Line], found: _Found) -> list[_Line]:
+    """Solve lines that form a plane of keys; returns the lines that are left."""
+    if len(lines) < 2 or any(not np.array_equal(one.slopes, lines[0].slopes) for one in lines[1:]):
         return lines
-    sets = [one.line["set"] for one in lines]
-    fixed = {key: value for key, value in sets[0].items() if all(each[key] == value for each in sets)}
-    keys = {key: np.array([each[key] for each in sets]) for key in sets[0] if key not in fixed}
-    study = planes.plane_of(walker, fixed, keys, lines[0].slopes, wanted, lines[0].accuracy, lines[0].limits)
-    if study is None:
+    values = {key: np.array([one.line["set"][key] for one in lines]) for key in lines[0].line["set"]}
+    keys = {key: np.unique(each) for key, each in values.items()}
+    shape = tuple(map(len, keys.values()))
+    if len(lines) != np.prod(shape):
         return lines
-    left = np.ones(len(lines), bool)
-    try:
-        for numbers, result in planes.cells(study, keys, [one.line for one in lines]):
-            some = [lines[k] for k in numbers.tolist()]
-            rows = [k * len(one.slopes) + one.row for k, one in enumerate(some)]
-            points.put(np.concatenate([one.at for one in some]), result, np.concatenate(rows))
-            left[numbers] = False
-    except Exception:  # as in a study, the lines of a cell that fails are tried one by one
-        pass
-    return [lines[k] for k in np.flatnonzero(left).tolist()]
+    places = [np.searchsorted(keys[key], values[key]) for key in keys]
+    by_number = np.argsort(np.ravel_multi_index(places, shape))
+    study = request.study(lines[0].slopes, keys, lines[by_number[-1]].check)
+    if method_of(study) is not Method.PLANE:
+        return lines
+    graph, left = Graph(study, in_memory=True), []
+    for k in range(graph.grid.chunks):
+        node = graph.chunk_node(chunk := graph.grid.chunk(k))
+        own = [lines[number] for number in by_number[chunk.lines].tolist()]
+        try:
+            points, _ = points_of(dispatch.resolve(graph.function(node)), graph.params(node), [])
+        except Exception:  # as in a run, the lines of a chunk that fails are tried one by one
+            left += own
+            continue
+        first = found.add(points)
+        for place, one in enumerate(own):
+            found.rows[one.at] = first + place * len(one.slopes) + one.row
+    return left
 
 
-def _survey(lines: list[_Line]) -> None:
+class _Alone:
+    """A line by itself: the graph of a study of it, and what it remembers of its atlas and points."""
+
+    def __init__(self, request: _Request, one: _Line):
+        keys = {key: np.array([value]) for key, value in one.line["set"].items()}
+        self.one, self.graph = one, Graph(request.study(one.slopes, keys, one.check), in_memory=True)
+        self._node, self.atlas = self.graph.chunk_node(self.graph.grid.chunk(0)), self.graph.line_node(0, "atlas")
+        self.key = self._node.key.key, self.graph.variables
+
+    def points(self) -> Points:
+        """Its points; as in a run, that a task raises is their status."""
+        points: Points | None = _REMEMBERED.get(self.key)
+        if points is not None:
+            return points
+        try:
+            atlas = self._atlas()
+        except Exception as error:
+            return self._failed(of_atlas(_raised(error)))
+        try:
+            points, _ = points_of(
+                dispatch.resolve(self.graph.function(self._node)), self.graph.params(self._node), [atlas]
+            )
+        except Exception as error:
+            return self._failed(_raised(error))
+        if self.graph.method is Method.ALONE:
+            _remember(self.key, points, points.values)
+        return points
+
+    def _atlas(self) -> Arrays:
+        key = self.atlas.key.key
+        atlas: Arrays | None = _REMEMBERED.get(key)
+        if atlas is None:
+            atlas = dispatch.resolve(self.graph.function(self.atlas))(self.graph.params(self.atlas), [])
+            _remember(key, atlas, atlas)
+        return atlas
+
+    def _failed(self, reason: str) -> Points:
+        return Points.of_ending(self._node.points, "raised", reason, self.graph.variables)
+
+
+def _raised(error: Exception) -> str:
+    return f"It raised {described(error)}."
+
+
+def _remember(key: Hashable, result: Points | Arrays, arrays: Arrays) -> None:
+    _REMEMBERED.put(key, result, sum(np.asarray(array).nbytes for array in arrays.values()))
+
+
+def _survey(lines: list[_Alone]) -> None:
     """Find the branches of short lines that are not remembered, side by side, and remember them."""
-    keys = {id(line): serialize.dump(line.atlas_params(True)) for line in lines}
-    unknown = [line for line in lines if not _ATLASES.has(keys[id(line)])]
+    unknown = [one for one in lines if one.atlas.key.key not in _REMEMBERED]
     if len(unknown) < 2:
         return
-    params = {"lines": [line.line for line in unknown], "slope": np.empty(0), "want": ()}
+    params = {"lines": [one.one.line for one in unknown], "slope": np.empty(0), "want": ()}
     try:
         results = dispatch.resolve(TASKS["atlas"].side_by_side)(params, [])
     except Exception:  # each is tried alone, and its own error becomes its points' reason
         return
-    for line, (atlas, _) in zip(unknown, results, strict=True):
-        _ATLASES.get(keys[id(line)], functools.partial(dict, atlas))
-
-
-def _solve(one: _Line, wanted: tuple[str, ...], points: _Points) -> None:
-    """Solve the points of a line, each slope once, from its branches."""
-
-    def solve() -> Arrays:
-        coarse = one.steps == 1 and (one.is_short or one.is_interpolated(wanted))
-        params, atlas = one.points_params(wanted), one.atlas(coarse, one.steps)
-        points: Arrays = dispatch.resolve(TASKS["points"].function)(params, [atlas])
-        return points
-
-    try:
-        # A slider returns to earlier values; points of long lines are cheaper to recompute than to keep.
-        result = _POINTS.get(one.points_key(wanted), solve) if one.is_short else solve()
-    except Exception as error:  # as in a study, a task that raises is a status at its points
-        points.fail(one.at, f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
-    else:
-        points.put(one.at, result, one.row)
+    for one, (atlas, _) in zip(unknown, results, strict=True):
+        _remember(one.atlas.key.key, dict(atlas), atlas)
 
 
 def _dataset(
-    points: _Points,
+    points: Points,
     grid: xr.DataArray,
     coordinates: Mapping[str, xr.DataArray],
     constants: Mapping[str, str | float],
     is_si: bool,
-    steps: int,
-    accuracy: float,
-    limits: Mapping[str, float] | None,
+    request: _Request,
 ) -> xr.Dataset:
     """Results as an archive holds them, the gaits after the dimensions of the grid."""
-    used = np.unique(points.reason)
-    by_number = {number: sentence for sentence, number in points.sentences.items()}
-    order = sorted((k for k in used.tolist() if k in by_number), key=by_number.__getitem__)
-    sentences = [by_number[k] for k in order]
-    table = np.zeros(max(by_number, default=0) + 1, np.int32)
-    table[order] = np.arange(len(order))
-    is_wide = len(sentences) > np.iinfo(np.int16).max
-    points.values["reason"] = table[points.reason].astype(np.int32 if is_wide else np.int16)
+    sentences = Sentences(points.sentences)
+    steps, limits = request.options.get("steps", 1), request.options.get("violation_limits")
     variables = {}
     for name in (v for v in VARIABLES if v in points.values):
-        values = points.values[name]
+        values = points.values[name] if name != "reason" else sentences.renumbered(points.values[name])
         dims = (*grid.dims, *VARIABLES[name].dims)
         values = values.reshape((*grid.shape, *values.shape[1:]))
         variables[name] = (dims, values, attributes.of_variable(VARIABLES[name], is_si, steps=steps, limits=limits))
-    text = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
-    named = {"long_name": "gait by its character", "units": "1"}
-    coords = {**grid.coords, "gait": ("gait", np.array(GAITS), named, _CHARACTERS)}
-    multipliers = [a.shape[-1] for name, a in points.values.items() if "multiplier" in VARIABLES[name].dims]
+    coords = {**grid.coords, "gait": ("gait", np.array(GAITS), attributes.GAIT, _CHARACTERS)}
+    multipliers = [a.shape[-1] for name, a in points.values.items() if has_multipliers(name)]
     if multipliers:
-        named = {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"}
-        coords["multiplier"] = ("multiplier", np.arange(multipliers[0], dtype=np.int32), named)
-    source = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"
-    described = {"Conventions": "CF-1.11", "source": source, "references": PAPER, **attributes.of_steps(steps)}
-    described |= {"accuracy": accuracy} if accuracy else {}
+        coords["multiplier"] = ("multiplier", np.arange(multipliers[0], dtype=np.int32), attributes.MULTIPLIER)
+    about = {"Conventions": attributes.CONVENTIONS, "source": attributes.SOURCE, "references": PAPER}
+    about |= attributes.of_steps(steps) | ({"accuracy": request.accuracy} if request.accuracy else {})
     return xr.Dataset(
-        {"reason_text": ("reason_index", np.array(sentences, str), text, _CHARACTERS), **variables},
+        {
+            "reason_text": ("reason_index", np.array(sentences.texts, str), attributes.REASON_TEXT, _CHARACTERS),
+            **variables,
+        },
         {**coords, **coordinates},
-        {**described, **constants},
+        {**about, **constants},
     )

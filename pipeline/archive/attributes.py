@@ -11,6 +11,12 @@ from pipeline.statuses import ALL_STATUSES
 from pipeline.study import units
 from tasks.registry import PROVED, VIOLATIONS, Variable
 
+CONVENTIONS = "CF-1.11"
+SOURCE = "gaitsweep: passive dynamic walking in two dimensions, solved numerically"
+#: Attributes of coordinates, and of the sentences.
+GAIT = {"long_name": "gait by its character", "units": "1"}
+MULTIPLIER = {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"}
+REASON_TEXT = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
 _LONG_NAMES = {
     "slope": "slope of the ground",
     "foot_mass_ratio": "mass of each foot over the total mass",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.archive import attributes, chunks, layout
-from pipeline.archive.written import Written, line_description, write_strings
+from pipeline.archive.written import Sentences, Written, line_description, write_strings
 from pipeline.graph.plan import Plan
 from pipeline.grid.grid import Chunk
 from pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
@@ -46,7 +46,7 @@ class PointWriter:
         self._texts: dict[int, str] = {}
         for chunk in self._chunks():
             self._survey(chunk)
-        self.sentences = sorted(set(self._texts.values()))
+        self.sentences = Sentences(self._texts)
         self.columns = self.columns[: max(np.flatnonzero(self._is_solved), default=0) + 1]
         self.dims = (*self.grid.sizes, "gait")
 
@@ -99,22 +99,20 @@ class PointWriter:
     def define(self, file: Any) -> None:
         """Create every variable, without values."""
         file.createDimension("gait", len(self.columns))
-        about = {"long_name": "gait by its character", "units": "1"}
-        write_strings(file, "gait", "gait", [GAITS[c] for c in self.columns], about)
+        write_strings(file, "gait", "gait", [GAITS[c] for c in self.columns], attributes.GAIT)
         names, multipliers = self.plan.graph.variables, self.grid.multipliers
         if any(has_multipliers(n) for n in names):
             file.createDimension("multiplier", multipliers)
             multiplier = file.createVariable("multiplier", "i4", ("multiplier",), fill_value=False)
-            attributes.put(multiplier, {"long_name": "number of the eigenvalue, largest magnitude first", "units": "1"})
+            attributes.put(multiplier, attributes.MULTIPLIER)
             multiplier[:] = np.arange(multipliers)
         is_si, is_mixed = units.is_si(self.study), len({c["si"] for c in self.study.checks}) > 1
         limits = self.study.options.get("violation_limits")
         for name in names:
             description = VARIABLES[name]
-            is_wide = name == "reason" and len(self.sentences) > np.iinfo(np.int16).max
             variable = file.createVariable(
                 name,
-                "i4" if is_wide else description.dtype,
+                self.sentences.dtype if name == "reason" else description.dtype,
                 (*self.grid.sizes, *description.dims),
                 **layout.FILTERS,
                 **_quantization(description, self.study.accuracy),
@@ -140,14 +138,15 @@ class PointWriter:
         key = self.plan.graph.chunk_key(chunk).key
         if key not in self.plan.store:
             status, reason = self._ending(chunk)
-            states = {"status": ALL_STATUSES[status], "reason": self._numbers[sentence_number(reason)]}
+            number = self.sentences.renumbered(np.array(sentence_number(reason), np.uint64))
+            states = {"status": ALL_STATUSES[status], "reason": int(number)}
             for name, g in itertools.product(self.dtypes, range(len(self.columns))):
                 yield name, g, self._same(name, states.get(name, VARIABLES[name].absent), chunk.shape.sizes)
             return
         data, payload = self.plan.store.get(key)
         with self.plan.store.reading():
             head, view = Head(data), memoryview(payload)
-            reasons = self._renumbered(head.unpack(view, "reason"))
+            reasons = self.sentences.renumbered(head.unpack(view, "reason"))
             for name, (g, column) in itertools.product(self.dtypes, enumerate(self.columns)):
                 if name == "reason":
                     values = chunk.shape.unfold(np.ascontiguousarray(reasons[:, column]))
@@ -155,18 +154,6 @@ class PointWriter:
                 else:
                     piece = head.piece(view, name, column)
                     yield name, g, piece or self._same(name, VARIABLES[name].absent, chunk.shape.sizes)
-
-    @functools.cached_property
-    def _numbers(self) -> dict[int, int]:
-        """Number of each sentence in the archive, by that in the store."""
-        places = {sentence: i for i, sentence in enumerate(self.sentences)}
-        return {number: places[text] for number, text in self._texts.items()}
-
-    def _renumbered(self, reason: np.ndarray) -> np.ndarray:
-        """Reasons by their numbers in the archive; those of gaits that are not archived are not used."""
-        numbers, places = np.unique(reason, return_inverse=True)
-        table = np.array([self._numbers.get(int(number), 0) for number in numbers], self.dtypes["reason"])
-        return np.asarray(table[places.reshape(reason.shape)])
 
     def _pack_same(self, name: str, value: float, sizes: tuple[int, ...]) -> Packed:
         """Piece of a chunk in which all values are the same."""

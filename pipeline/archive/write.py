@@ -21,10 +21,11 @@ from pipeline.archive.citation import PAPER
 from pipeline.archive.points import PointWriter
 from pipeline.archive.provenance import provenance
 from pipeline.archive.read import SCHEMA
-from pipeline.archive.written import Written, line_description, write_strings
+from pipeline.archive.written import Sentences, Written, line_description, write_strings
 from pipeline.errors import ArchiveError, DiskFullError, is_disk_full, shortage, unwritten
 from pipeline.graph.plan import Plan
 from pipeline.statuses import ALL_STATUSES, ANSWERS, NOT_ATTEMPTED, of_atlas
+from pipeline.store.record import sentence_number
 from pipeline.store.store import Key, Outcome
 from pipeline.study import corners, units
 from tasks.registry import VARIABLES
@@ -138,10 +139,10 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
     attributes.put(
         file,
         {
-            "Conventions": "CF-1.11",
+            "Conventions": attributes.CONVENTIONS,
             "title": f"gaitsweep study {study.name}",
             "institution": "gaitsweep developers",
-            "source": "gaitsweep: passive dynamic walking in two dimensions, solved numerically",
+            "source": attributes.SOURCE,
             "history": "written by gaitsweep run",
             "references": PAPER,
             "gaitsweep_schema": np.int32(SCHEMA),
@@ -168,9 +169,8 @@ def _write_header(file: Any, plan: Plan, writer: PointWriter | _LineWriter) -> N
         attributes.put(variable, attributes.of_axis(name, units.is_si(study)))
         variable[:] = axis.values
     parameters.write(file, study)
-    file.createDimension("reason_index", len(writer.sentences))
-    about = {"long_name": "sentences that `reason` counts from 0", "units": "1"}
-    write_strings(file, "reason_text", "reason_index", writer.sentences, about)
+    file.createDimension("reason_index", len(writer.sentences.texts))
+    write_strings(file, "reason_text", "reason_index", writer.sentences.texts, attributes.REASON_TEXT)
 
 
 def _write_checksums(file: Any, writer: PointWriter | _LineWriter) -> dict[str, str]:
@@ -202,12 +202,11 @@ class _LineWriter:
             end = self._outcome(plan.graph.line_keys(i))
             for number in plan.study.batch(i).tolist():
                 ends[number] = end
-        self.sentences = sorted({reason for _, reason in ends})
+        self.sentences = Sentences({sentence_number(reason): reason for _, reason in ends})
         shape = tuple(self.grid.sizes.values())
         self.status = np.array([ALL_STATUSES[status] for status, _ in ends], np.int8).reshape(shape)
-        places = {sentence: i for i, sentence in enumerate(self.sentences)}
-        is_wide = len(places) > np.iinfo(np.int16).max
-        self.reason = np.array([places[reason] for _, reason in ends], np.int32 if is_wide else np.int16).reshape(shape)
+        numbers = np.array([sentence_number(reason) for _, reason in ends], np.uint64)
+        self.reason = self.sentences.renumbered(numbers).reshape(shape)
         self.written = Written(Counter(status for status, _ in ends))
         for i, (status, reason) in enumerate(ends):
             if ALL_STATUSES[status] not in ANSWERS:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,6 +26,28 @@ class Written:
         """Count failures of one reason."""
         self.failures[reason] += n
         self.examples.setdefault(reason, example)
+
+
+class Sentences:
+    """The sentences of an archive, in their order, of which `reason` holds the numbers.
+
+    Parameters
+    ----------
+    texts : mapping
+        Sentences by their numbers in records.
+    """
+
+    def __init__(self, texts: Mapping[int, str]):
+        self.texts = sorted(set(texts.values()))
+        places = {text: place for place, text in enumerate(self.texts)}
+        self.dtype = np.dtype("i4" if len(places) > np.iinfo(np.int16).max else "i2")
+        self._known = np.array(sorted(texts), np.uint64)
+        self._places = np.array([places[texts[number]] for number in self._known.tolist()], self.dtype)
+
+    def renumbered(self, reason: np.ndarray) -> np.ndarray:
+        """Numbers in the archive of those in records; of a number that is not known, any."""
+        place = np.searchsorted(self._known, reason)
+        return self._places[np.minimum(place, len(self._known) - 1)]
 
 
 def write_strings(group: Any, name: str, dim: str, values: Iterable[str], attributes: dict[str, str]) -> None:

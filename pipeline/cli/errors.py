@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pipeline import terminal
-from pipeline.errors import DiskFullError, GaitsweepError, is_disk_full, reached_limit, unwritten
+from pipeline.errors import DiskFullError, GaitsweepError, described, is_disk_full, reached_limit, unwritten
 
 
 @contextlib.contextmanager
@@ -39,6 +39,5 @@ def report_errors(codes: list[int], debug: bool) -> Iterator[None]:
             terminal.say(f"gaitsweep: {(known := unwritten(Path(), limit))}")
             codes.append(known.exit_code)
             return
-        message = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
-        terminal.say(f"gaitsweep: Internal error, {message}; --debug shows where.")
+        terminal.say(f"gaitsweep: Internal error, {described(error)}; --debug shows where.")
         codes.append(2)

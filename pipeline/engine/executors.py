@@ -11,7 +11,7 @@ from typing import Any
 
 from pipeline.archive.provenance import software
 from pipeline.engine import worker_process
-from pipeline.engine.worker_process import Request
+from pipeline.engine.request import Request
 from pipeline.errors import WorkerError
 
 MAX_JOBS = 1000  # worker processes on one computer

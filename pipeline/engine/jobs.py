@@ -5,20 +5,20 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 
 from pipeline.engine.account import Account
 from pipeline.engine.executors import Engine
-from pipeline.engine.worker_process import Packing, Request
+from pipeline.engine.request import Request
 from pipeline.graph.graph import Copies, Node
 from pipeline.graph.plan import Plan
 from pipeline.graph.reads import study_inputs
 from pipeline.grid import costs
 from pipeline.grid.grid import Chunk, Shape
-from pipeline.grid.method import Method
-from pipeline.store.record import Head, Points, count, joined, pack, unpacked
+from pipeline.store.record import Head, Points, count, joined, pack, rows_of, unpacked
 from pipeline.store.store import Key, Outcome
 
 _IDLE_TIMEOUT = 2.0  # a process on a cluster ends after waiting this long [s]: it cannot see the end of a run
@@ -167,18 +167,16 @@ class Jobs:
             inputs = list(study_inputs(self.plan, node.task))
         else:
             inputs = [self.store.get(need)[1] for need in node.needs]
-        function, packing, alone = layer.task.function, None, ("", "")
+        packing, alone = None, ("", "")
         if node.chunk:
             slopes = len(study.slope[node.chunk.slopes])
             is_whole = node.todo is None
             shape = node.chunk.shape if is_whole else Shape.of_rows(node.lines, slopes)
             digests = self.graph.digests(node.chunk.lines) if node.line is None and is_whole else None
-            packing = Packing(shape, grid.multipliers, digests)
+            packing = {"shape": astuple(shape), "multipliers": grid.multipliers, "digests": digests}
         if node.lines:
-            atlas = self.graph.layers["atlas"].task
-            function = atlas.over_plane if self.graph.method is Method.PLANE else atlas.side_by_side
-            alone = atlas.function, layer.task.function
-        params = self.graph.params(node)
+            alone = self.graph.layers["atlas"].task.function, layer.task.function
+        function, params = self.graph.function(node), self.graph.params(node)
         return Request(function, params, inputs, limits.seconds, limits.memory, idle, packing, alone, self.most)
 
     def record(self, node: Node, result: dict[str, Any]) -> None:
@@ -234,12 +232,12 @@ class Jobs:
             parts, places = [unpacked(*record)], [node.todo]
         for key in dict.fromkeys(copies.keys):
             of_key = np.array([k == key for k in copies.keys])
-            some = unpacked(*self.store.get(key)).take(copies.rows[of_key], slopes)
+            some = unpacked(*self.store.get(key)).take(rows_of(copies.rows[of_key], slopes))
             names = ("status", *(name for name in self.graph.variables if name != "status"))
             parts.append(Points({name: some.values[name] for name in names}, some.sentences))
             places.append(copies.places[of_key])
         order = np.argsort(np.concatenate(places))
-        points, digests = joined(parts).take(order, slopes), self.graph.digests(chunk.lines)
+        points, digests = joined(parts).take(rows_of(order, slopes)), self.graph.digests(chunk.lines)
         return pack(points, chunk.shape, self.graph.grid.multipliers, self.study.gaits, digests)
 
     def copy(self, key: Key, data: bytes) -> None:

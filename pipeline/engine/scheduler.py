@@ -15,9 +15,9 @@ from typing import Any
 from pipeline.engine.account import Account
 from pipeline.engine.executors import Engine
 from pipeline.engine.jobs import Jobs
+from pipeline.engine.request import Request
 from pipeline.engine.signals import Signals
-from pipeline.engine.worker_process import Request
-from pipeline.errors import GaitsweepError, WorkerError
+from pipeline.errors import GaitsweepError, WorkerError, described
 from pipeline.graph.graph import Node
 
 _JOBS_PER_WORKER = 16  # jobs submitted or not yet read, for each worker
@@ -81,7 +81,7 @@ class Scheduler:
                 if self.engine.address is None or isinstance(error, GaitsweepError):
                     raise
                 broken += 1
-                message = f"{type(error).__name__}: {' '.join(str(error).split())[:200].rstrip('.')}"
+                message = described(error)
                 if broken > _MAX_RETRIES:
                     raise WorkerError(f"Workers cannot be kept alive: {message}.") from error
                 for study in self.studies:

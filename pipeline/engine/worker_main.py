@@ -8,10 +8,8 @@ from __future__ import annotations
 import ctypes
 import functools
 import os
-import re
 import resource
 import signal
-import struct
 import sys
 import time
 from collections.abc import Callable
@@ -19,7 +17,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from pipeline.dispatch import resolve
-from pipeline.engine.messages import receive, send
+from pipeline.errors import described
 from tasks.registry import CLOCK
 
 _PR_SET_PDEATHSIG = 1
@@ -39,46 +37,32 @@ def serve(parent: int) -> None:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     from pipeline import serialize
 
-    warm: set[bytes] = set()
-    modules, threads, used = 0, 1, (0.0, 0.0)
-    while True:
+    warm: set[str] = set()
+    modules, threads, used, idle = 0, 1, (0.0, 0.0), None
+    while requests.poll(idle):
         try:
-            head, *inputs = receive(requests)
+            request = requests.recv()
         except EOFError:
             return
-        request = serialize.load(head)
+        idle = request.idle
         try:
-            function = resolve(request["function"])
+            function = resolve(request.function)
         except Exception as error:
-            send(answers, b"broken", _sentence(error).encode())
+            answers.send(("broken", described(error)))
             continue
         if len(sys.modules) != modules:  # a newly loaded library may have its own thread pool
             threads, modules = _limit_to_one_thread(), len(sys.modules)
-        _limit_memory(request["memory"])
-        params, trees = request["params"], [serialize.load(i) for i in inputs]
-        for key in ("want", "gaits"):
-            if key in params:
-                params[key] = tuple(params[key])
-        line = serialize.dump(params.get("line"))
-        if "line" in params and request["packing"] and line not in warm:
+        _limit_memory(request.memory)
+        params, inputs = request.params, [serialize.load(i) for i in request.inputs]
+        line = repr(params.get("line"))
+        if "line" in params and request.packing and line not in warm:
             # The time to load compiled code does not count for the first point.
-            _try(function, {**params, "slope": params["slope"][:0]}, trees)
+            _try(function, {**params, "slope": params["slope"][:0]}, inputs)
             warm.add(line)
-        if "lines" in params and request["packing"]:
-            function = functools.partial(_side_by_side, function)
-        send(answers, b"started", struct.pack("<QQ", _pages(1), threads))
-        outcome, result = _try(function, params, trees)
-        if outcome == b"ok":
-            try:
-                parts = _packed(request, result)
-            except Exception as error:
-                outcome, parts = b"raised", [_sentence(error).encode()]
-        else:
-            parts = [result.encode()]
+        answers.send(("started", _pages(1), threads))
+        outcome, result = _try(functools.partial(_packed, function, request.packing), params, inputs)
         before, used = used, (time.process_time(), _integrating())
-        send(
-            answers, outcome, struct.pack("<2d", *(now - then for now, then in zip(used, before, strict=True))), *parts
-        )
+        answers.send((outcome, tuple(now - then for now, then in zip(used, before, strict=True)), result))
 
 
 def _integrating() -> float:
@@ -107,69 +91,30 @@ def _limit_to_one_thread() -> int:
     return max((pool["num_threads"] for pool in threadpoolctl.threadpool_info()), default=1)
 
 
-def _try(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[bytes, Any]:
+def _try(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> tuple[str, Any]:
     try:
-        return b"ok", function(params, inputs)
+        return "ok", function(params, inputs)
     except MemoryError:
-        return b"out_of_memory", ""
+        return "out_of_memory", ""
     except BaseException as error:  # sys.exit and KeyboardInterrupt too: no task ends the worker
-        return b"raised", _sentence(error)
+        return "raised", described(error)
 
 
-def _sentence(error: BaseException) -> str:
-    """Message of an exception on one line without a full stop, the same in every process."""
-    try:
-        text = " ".join(str(error).split())
-    except Exception:
-        text = ""
-    text = re.sub(r"0x[0-9a-f]{6,}", "0x...", text)[:300].removesuffix(".")
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
-
-
-def _packed(request: dict[str, Any], result: Any) -> list[bytes]:
-    """Pack the result of a request: head and payload of points, and the atlases of their lines."""
+def _packed(
+    function: Callable[..., Any], packing: dict[str, Any] | None, params: dict[str, Any], inputs: list[Any]
+) -> list[bytes]:
+    """Result of a task; of a chunk head and payload of the record of its points, and the atlases of its lines."""
     from pipeline import serialize
 
-    packing, params = request["packing"], request["params"]
-    if not packing:
-        return [serialize.dump(result)]
+    if packing is None:
+        return [serialize.dump(function(params, inputs))]
+    from pipeline.graph.results import points_of
     from pipeline.grid.grid import Shape
     from pipeline.store.record import pack
 
-    points, atlases = result if "lines" in params else (_points(params, result, len(params["slope"])), [])
+    points, atlases = points_of(function, params, inputs)
     record = pack(points, Shape.of(*packing["shape"]), packing["multipliers"], params["gaits"], packing.get("digests"))
     return [*record, *(serialize.dump(atlas) for atlas in atlases if params["atlases"])]
-
-
-def _points(params: dict[str, Any], result: dict[str, Any], n: int) -> Any:
-    from pipeline.store.record import Points
-
-    return Points.of_result(result, params["want"], n)
-
-
-def _side_by_side(function: Callable[..., Any], params: dict[str, Any], inputs: list[Any]) -> Any:
-    """Points of lines, and the atlas of each; those of a plane are computed cell by cell."""
-    import numpy as np
-
-    from pipeline.store.record import joined
-
-    cells: dict[int, list[int]] = {}
-    for k, line in enumerate(params["lines"]):
-        cells.setdefault(line.get("cell", 0), []).append(k)
-    parts, n = [], len(params["slope"])
-    atlases: list[dict[str, Any]] = [{}] * len(params["lines"])
-    for cell, places in cells.items():
-        lines = [{key: params["lines"][k][key] for key in ("walker", "set")} for k in places]
-        own = {"cell": params["cells"][cell]} if "cells" in params else {}
-        pairs = function({**params, "lines": lines, **own}, inputs)
-        parts += [_points(params, points, len(points["status"])) for _, points in pairs]
-        for k, (atlas, _) in zip(places, pairs, strict=False):
-            atlases[k] = atlas
-    order = np.argsort(np.concatenate(list(cells.values())))
-    points = joined(parts)
-    if len(points) != n * len(order):
-        raise ValueError(f"{len(points)} points are returned of {len(order)} lines of {n}")
-    return points.take(order, n), atlases
 
 
 if __name__ == "__main__":

@@ -13,19 +13,17 @@ import os
 import platform
 import resource
 import signal
-import struct
 import subprocess
 import sys
 import threading
 import time
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 
-from pipeline import serialize
-from pipeline.engine import messages
+from pipeline.engine.request import Request
 from pipeline.errors import WorkerError
 from pipeline.grid.grid import Shape
 from pipeline.statuses import of_atlas
@@ -36,42 +34,11 @@ _POLL_INTERVAL, _MAX_CHARGED = 0.1, 0.5  # interval of checks of a worker, and l
 _LOAD_TIMEOUT = 300.0  # time a worker may take to load its task [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "BLIS_NUM_THREADS")
 _PIECES = 16  # parts of a chunk that failed
-_WHOLE_TASK_FACTOR = 60  # a task, or lines side by side, may take this many times the limit of a point
 #: Place of a line in its chunk, and outcome, reason and data of its atlas.
 Atlas = tuple[int, str, str, bytes]
 _local = threading.local()
 _workers: set[WorkerProcess] = set()
 _closing = threading.Event()
-
-
-@dataclass(frozen=True, slots=True)
-class Packing:
-    """How the points of a chunk are packed: `digests` are those of its lines, if these are computed side by side."""
-
-    shape: Shape
-    multipliers: int
-    digests: np.ndarray | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """A task to run in a worker process.
-
-    With `packing` it is a chunk of points, of one line or of `lines` side by side, which is divided if it fails; then
-    `alone` names the functions of the atlas and the points of one line, and `most` how many points are computed at a
-    time. `seconds` and `memory` [byte] limit one point, or a whole task. The process ends after waiting `idle` seconds
-    for another request.
-    """
-
-    function: str
-    params: dict[str, Any]
-    inputs: list[bytes]
-    seconds: float
-    memory: int
-    idle: float | None = None
-    packing: Packing | None = None
-    alone: tuple[str, str] = ("", "")
-    most: int | None = None
 
 
 class WorkerProcess:
@@ -100,7 +67,6 @@ class WorkerProcess:
         self._requests = Connection(os.dup(self.pipes[0].fileno()), readable=False)
         self._answers = Connection(os.dup(self.pipes[1].fileno()), writable=False)
         self.threads, self.used = 1, (0.0, 0.0)  # processor time of the last request, and that in integrators [s]
-        self.lock = threading.Lock()  # held during a request
         _workers.add(self)
 
     def close(self) -> int:
@@ -113,39 +79,32 @@ class WorkerProcess:
                 end.close()
         return self.process.wait()
 
-    def ask(self, message: bytes, inputs: list[bytes], seconds: float, memory: int) -> tuple[str, Any]:
+    def ask(self, request: Request) -> tuple[str, Any]:
         """Send one request; returns "ok" or a name of `statuses.ENDINGS`, and the parts of the answer or a sentence."""
+        self.used = 0.0, 0.0
+        too_much = "out_of_memory", f"It needed more than {_size(request.memory)} of memory."
         try:
-            messages.send(self._requests, message, *inputs)
+            self._requests.send(request)
             kind, *parts = self._answer(_LOAD_TIMEOUT)
-            if kind == b"broken":
-                raise WorkerError(f"A worker cannot load its task: {parts[0].decode()}.")
-            resident, self.threads = struct.unpack("<QQ", parts[0])
-            outcome, *parts = self._answer(seconds, resident + memory)
-            self.used = struct.unpack("<2d", parts[0])
+            if kind == "broken":
+                raise WorkerError(f"A worker cannot load its task: {parts[0]}.")
+            resident, self.threads = parts
+            outcome, self.used, parts = self._answer(request.time_limit, resident + request.memory)
         except TimeoutError:
             self.close()
-            return "timed_out", f"It took longer than {seconds:g} s."
+            return "timed_out", f"It took longer than {request.time_limit:g} s."
         except MemoryError:
             self.close()
-            return "out_of_memory", f"It needed more than {_size(memory)} of memory."
+            return too_much
         except (EOFError, OSError, ValueError):  # ValueError: `stop` closed its pipes
             if _closing.is_set():
                 raise WorkerError("The run is being stopped.") from None
             return "worker_died", self._death()
-        if outcome == b"ok":
-            return "ok", parts
-        if outcome == b"out_of_memory":
-            return "out_of_memory", f"It needed more than {_size(memory)} of memory."
-        return outcome.decode(), f"It raised {parts[1].decode()}."
+        if outcome == "out_of_memory":
+            return too_much
+        return outcome, parts if outcome == "ok" else f"It raised {parts}."
 
-    def leave(self) -> None:
-        """End the process if no request is pending."""
-        if self.lock.acquire(blocking=False):
-            self.close()
-            self.lock.release()
-
-    def _answer(self, seconds: float, memory: int | None = None) -> list[bytes]:
+    def _answer(self, seconds: float, memory: int | None = None) -> Any:
         last_poll = time.monotonic()
         while not self._answers.poll(min(_POLL_INTERVAL, max(0.0, seconds))):
             if _closing.is_set():
@@ -157,7 +116,7 @@ class WorkerProcess:
                 raise TimeoutError
             if memory is not None and self.resident() > memory:
                 raise MemoryError
-        return messages.receive(self._answers)
+        return self._answers.recv()
 
     def resident(self) -> int:
         """Resident memory of the process [byte]; 0 after its end."""
@@ -209,26 +168,14 @@ def _member(worker: WorkerProcess) -> dict[str, Any]:
 
 def _ask(request: Request, **changes: Any) -> tuple[str, Any]:
     """Ask the worker process of this thread; changes are of the request."""
-    request = replace(request, **changes)
-    packing = request.packing
-    head: dict[str, Any] = {"function": request.function, "memory": request.memory, "params": request.params}
-    head["packing"] = packing and {
-        "shape": astuple(packing.shape),
-        "multipliers": packing.multipliers,
-        **({} if packing.digests is None else {"digests": packing.digests}),
-    }
-    seconds = request.seconds * (1 if packing and "line" in request.params else _WHOLE_TASK_FACTOR)
-    message = serialize.dump(head)
-    while True:
-        worker = getattr(_local, "worker", None)
-        if worker is None or worker not in _workers:
-            worker = _local.worker = WorkerProcess()
-        with worker.lock:
-            if worker in _workers:  # it may have ended meanwhile
-                worker.used = 0.0, 0.0
-                answer = worker.ask(message, request.inputs, seconds, request.memory)
-                _local.used = [a + b for a, b in zip(_local.used, worker.used, strict=True)]
-                return answer
+    worker = getattr(_local, "worker", None)
+    if worker and worker.process.poll() is not None:  # killed, or tired of waiting
+        worker.close()
+    if worker is None or worker not in _workers:
+        worker = _local.worker = WorkerProcess()
+    answer: tuple[str, Any] = worker.ask(replace(request, **changes))
+    _local.used = [a + b for a, b in zip(_local.used, worker.used, strict=True)]
+    return answer
 
 
 def _ask_again(request: Request, **changes: Any) -> tuple[str, Any]:
@@ -257,93 +204,72 @@ def run(request: Request) -> dict[str, Any]:
         If the worker cannot load the task, or the run is being stopped.
     """
     start = time.perf_counter()
-    if timer := getattr(_local, "timer", None):
-        timer.cancel()
     answer: dict[str, Any]
     _local.used = [0.0, 0.0]
     if request.packing:
         answer = _run_chunk(request, request.packing)
     else:
-        outcome, parts = _ask_again(request)
-        is_ok = outcome == "ok" and len(parts[1]) <= MAX_PAYLOAD
-        if outcome == "ok" and not is_ok:
-            outcome, parts = "raised", f"Its result of {_size(len(parts[1]))} is larger than a journal can hold."
-        answer = {"outcome": outcome, "data": parts[1] if is_ok else b"", "reason": "" if is_ok else parts}
+        outcome, result = _ask_again(request)
+        if outcome == "ok" and len(result[0]) > MAX_PAYLOAD:
+            outcome, result = "raised", f"Its result of {_size(len(result[0]))} is larger than a journal can hold."
+        is_ok = outcome == "ok"
+        answer = {"outcome": outcome, "data": result[0] if is_ok else b"", "reason": "" if is_ok else result}
     worker = getattr(_local, "worker", None)
     if worker:
         answer["worker"] = _member(worker)
-    if worker and request.idle is not None:
-        timer = _local.timer = threading.Timer(request.idle, worker.leave)
-        timer.daemon = True
-        timer.start()
     used = dict(zip(("cpu", "integrating"), _local.used, strict=True))
     return {**answer, **used, "seconds": time.perf_counter() - start, "pid": os.getpid()}
 
 
-def _run_chunk(request: Request, packing: Packing) -> dict[str, Any]:
-    """Run a chunk of points, as a whole if that does."""
-    lines, n = request.params.get("lines"), len(request.params["slope"])
-    points = n * (1 if lines is None else len(lines))
-    if request.most is None or points <= request.most:
-        outcome, parts = _ask(request)
+def _run_chunk(request: Request, packing: dict[str, Any]) -> dict[str, Any]:
+    """Run a chunk of points: as a whole if that does, else in parts that are packed together."""
+    lines, slopes, failed = request.params.get("lines"), request.params["slope"], ("", "")
+    places = None if lines is None else np.arange(len(lines))
+    if len(slopes) * (1 if lines is None else len(lines)) <= (request.most or math.inf):
+        failed = outcome, parts = _ask(request)
         if outcome == "ok":
-            atlases = [(k, "ok", "", atlas) for k, atlas in enumerate(parts[3:])]
-            return {"head": parts[1], "payload": parts[2], "atlases": atlases}
-        failed = outcome, parts
-    else:
-        failed = "", ""  # by its size
-    if lines is None:
-        found, atlases = _run_slopes(request, request.params["slope"], failed), []
-    else:
-        found, atlases = _run_lines(request, np.arange(len(lines)), failed)
-    head, payload = pack(joined(found), packing.shape, packing.multipliers, request.params["gaits"], packing.digests)
+            atlases = [(k, "ok", "", atlas) for k, atlas in enumerate(parts[2:])]
+            return {"head": parts[0], "payload": parts[1], "atlases": atlases}
+    found, atlases = _run_part(request, places, slopes, failed)
+    shape = Shape.of(*packing["shape"])
+    head, payload = pack(joined(found), shape, packing["multipliers"], request.params["gaits"], packing["digests"])
     return {"head": head, "payload": payload, "atlases": atlases}
 
 
-def _run_slopes(request: Request, slopes: np.ndarray, failed: tuple[str, Any] | None = None) -> list[Points]:
-    """Points of one line; if they fail together, or have `failed` so, in parts, down to the point responsible."""
-    assert request.packing
-    packing = replace(request.packing, shape=Shape.of_rows(1, len(slopes)), digests=None)
-
-    def ask() -> tuple[str, Any]:
-        return _ask(request, params={**request.params, "slope": slopes}, packing=packing)
-
-    outcome, parts = failed or (ask() if len(slopes) <= (request.most or len(slopes)) else ("", ""))
-    if len(slopes) == 1 and outcome in ("worker_died", "timed_out", "out_of_memory"):  # the cause may be external
-        outcome, parts = ask()
-    if outcome == "ok":
-        return [unpacked(*parts[1:3])]
-    if len(slopes) == 1:
-        return [Points.of_ending(1, outcome, parts, request.params["want"])]
-    pieces = np.array_split(slopes, _pieces(len(slopes), request.most))
-    return [points for piece in pieces for points in _run_slopes(request, piece)]
-
-
-def _pieces(n: int, most: int | None) -> int:
-    """Into how many parts so many points are divided."""
-    return min(n, max(_PIECES, math.ceil(n / most) if most else 0))
-
-
-def _run_lines(
-    request: Request, places: np.ndarray, failed: tuple[str, Any] | None = None
+def _run_part(
+    request: Request, places: np.ndarray | None, slopes: np.ndarray, failed: tuple[str, Any] | None = None
 ) -> tuple[list[Points], list[Atlas]]:
-    """Lines side by side; if they fail together, or have `failed` so, in parts, down to the line responsible."""
+    """Points of a part of a chunk: of its line, or of the lines side by side at some `places` in it.
+
+    If they fail together, or have `failed` so, they are run in smaller parts, down to the point responsible.
+    """
     assert request.packing
-    lines, slopes = [request.params["lines"][k] for k in places.tolist()], request.params["slope"]
-    packing = replace(request.packing, shape=Shape.of_rows(len(lines), len(slopes)), digests=None)
-    if not failed and len(lines) * len(slopes) <= (request.most or math.inf):
-        outcome, parts = _ask(request, params={**request.params, "lines": lines}, packing=packing)
-        if outcome == "ok":
-            return [unpacked(*parts[1:3])], [(int(k), "ok", "", a) for k, a in zip(places, parts[3:], strict=False)]
-    if len(lines) == 1:
+    size, params = (1 if places is None else len(places)), {**request.params, "slope": slopes}
+    if places is not None:
+        params["lines"] = [request.params["lines"][k] for k in places.tolist()]
+    packing = {**request.packing, "shape": astuple(Shape.of_rows(size, len(slopes))), "digests": None}
+    if failed is None:
+        is_small = size * len(slopes) <= (request.most or math.inf)
+        failed = _ask(request, params=params, packing=packing) if is_small else ("", "")
+    is_point = places is None and len(slopes) == 1
+    if is_point and failed[0] in ("worker_died", "timed_out", "out_of_memory"):  # the cause may be external
+        failed = _ask(request, params=params, packing=packing)
+    outcome, parts = failed
+    if outcome == "ok":
+        atlases = [] if places is None else zip(places.tolist(), parts[2:], strict=False)
+        return [unpacked(*parts[:2])], [(k, "ok", "", atlas) for k, atlas in atlases]
+    if is_point:
+        return [Points.of_ending(1, outcome, parts, request.params["want"])], []
+    if places is not None and size == 1:
         return _run_alone(request, int(places[0]))
-    found, atlases = list[Points](), list[Atlas]()
-    most = request.most and max(1, request.most // len(slopes))
-    for piece in np.array_split(places, _pieces(len(places), most)):
-        points, own = _run_lines(request, piece)
+    whole, each = (slopes, 1) if places is None else (places, len(slopes))
+    pieces = max(_PIECES, math.ceil(len(whole) / max(1, request.most // each)) if request.most else 0)
+    found, of_lines = list[Points](), list[Atlas]()
+    for piece in np.array_split(whole, min(len(whole), pieces)):
+        points, own = _run_part(request, None, piece) if places is None else _run_part(request, piece, slopes)
         found += points
-        atlases += own
-    return found, atlases
+        of_lines += own
+    return found, of_lines
 
 
 def _run_alone(request: Request, place: int) -> tuple[list[Points], list[Atlas]]:
@@ -351,10 +277,10 @@ def _run_alone(request: Request, place: int) -> tuple[list[Points], list[Atlas]]
     params = {key: value for key, value in request.params.items() if key not in ("lines", "atlases")}
     line = {key: value for key, value in request.params["lines"][place].items() if key != "cell"}
     atlas, points = request.alone
-    outcome, parts = _ask_again(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
+    outcome, result = _ask_again(request, function=atlas, params={"line": line, "coarse": True}, packing=None)
     slopes = params["slope"]
     if outcome != "ok":
-        ending = Points.of_ending(len(slopes), outcome, of_atlas(parts), params["want"])
-        return [ending], [(place, outcome, parts, b"")]
-    alone = replace(request, function=points, params={**params, "line": line}, inputs=[parts[1]])
-    return _run_slopes(alone, slopes), [(place, "ok", "", parts[1])]
+        ending = Points.of_ending(len(slopes), outcome, of_atlas(result), params["want"])
+        return [ending], [(place, outcome, result, b"")]
+    alone = replace(request, function=points, params={**params, "line": line}, inputs=result)
+    return _run_part(alone, None, slopes)[0], [(place, "ok", "", result[0])]

@@ -62,7 +62,7 @@ class Node:
 
 
 class Graph:
-    """The graph of a study.
+    """The graph of a study whose results are kept in a file, or in memory.
 
     Attributes
     ----------
@@ -73,8 +73,8 @@ class Graph:
         Variables of points.
     """
 
-    def __init__(self, study: Study):
-        self.study, self.grid, self.layers = study, Grid(study), layers.layers(study)
+    def __init__(self, study: Study, in_memory: bool = False):
+        self.study, self.grid, self.layers = study, Grid(study, in_memory), layers.layers(study)
         self.method, self.variables = self.grid.method, variables(study)
         self.digests = Digests(study, self.layers, self.method)
         #: Key of every task over a line, or a batch of designs; of its points, what the keys of their chunks share. The
@@ -103,7 +103,7 @@ class Graph:
         line, keys = self.study.batch_line(number), dict[str, Key]()
         for name, layer in self.layers.items():
             if layer.per_line:
-                params = layers.line_params(self.study, name, line)
+                params = layers.line_params(self.study, self.method, name, line)
                 keys[name] = layers.key(layer.task, params, [keys[need].key for need in layer.needs])
         return keys
 
@@ -150,16 +150,23 @@ class Graph:
         line = int(chunk.lines[0])
         return Node("points", key, (self.line_keys(line)["atlas"].key,), line, chunk)
 
+    def function(self, node: Node) -> str:
+        """Function of the task of a node; of lines side by side, that of their atlases and points."""
+        if not node.lines:
+            return self.layers[node.task].task.function
+        atlas = self.layers["atlas"].task
+        return atlas.over_plane if self.method is Method.PLANE else atlas.side_by_side
+
     def params(self, node: Node) -> dict[str, Any]:
         """Parameters of the task of a node; of lines side by side, those of each are in a list."""
         study, chunk = self.study, node.chunk
         if chunk is None:
             if node.line is None:
                 return layers.study_params(study, node.task)
-            return layers.line_params(study, node.task, study.batch_line(node.line))
+            return layers.line_params(study, self.method, node.task, study.batch_line(node.line))
         shared = {"slope": study.slope[chunk.slopes], "want": self.variables, "gaits": study.gaits}
         if node.line is not None:
-            return {**layers.line_params(study, "points", study.line(node.line)), **shared}
+            return {**layers.line_params(study, self.method, "points", study.line(node.line)), **shared}
         numbers = chunk.lines if node.todo is None else chunk.lines[node.todo]
         lines = [study.line(number) for number in numbers.tolist()]
         cells = {"cells": _mark_cells(study.plane, lines)} if self.method is Method.PLANE and study.plane else {}

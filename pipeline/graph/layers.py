@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.grid.method import Method, method_of
+from pipeline.grid.method import Method
 from pipeline.store.store import Key
 from pipeline.study.model import Study
 from tasks.registry import GAITS, LOSS_WINDOWS, READ_BY_CLAIMS, READS, TASKS, Task
@@ -65,9 +65,8 @@ def point_params(study: Study, method: Method) -> dict[str, Any]:
     return {**study.options, **given}
 
 
-def line_params(study: Study, name: str, line: Mapping[str, Any]) -> dict[str, Any]:
+def line_params(study: Study, method: Method, name: str, line: Mapping[str, Any]) -> dict[str, Any]:
     """Parameters of a task over one line, except the slopes of a chunk of points."""
-    method = method_of(study)
     if name == "atlas":
         return {"line": line, "coarse": method.is_coarse, **({"steps": study.steps} if study.steps > 1 else {})}
     if name == "points":

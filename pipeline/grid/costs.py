@@ -67,7 +67,10 @@ def integrated(study: Study, points: int) -> int:
 def of_point(study: Study, method: Method) -> float:
     """Processor time of a point of a study [s], whose lines are computed by that method."""
     wanted = {VARIABLES[name].group for name in variables(study)}
-    groups = "short" if method is Method.TASK else method.value, *sorted(wanted & {"violations", "proofs"})
+    groups = (
+        "short" if method in (Method.TASK, Method.ALONE) else method.value,
+        *sorted(wanted & {"violations", "proofs"}),
+    )
     return _total(study, [POINTS[group] for group in groups])
 
 

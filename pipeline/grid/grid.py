@@ -103,6 +103,8 @@ class Chunk:
 class Grid:
     """Dimensions of a study, walkers if there are several, then the axes in order; and its chunks, if it has points.
 
+    In memory, where nothing is gained by dividing a line, each is one chunk.
+
     Attributes
     ----------
     sizes : dict
@@ -113,14 +115,15 @@ class Grid:
         Shape of a chunk.
     """
 
-    def __init__(self, study: Study):
-        self.study, self.method = study, method_of(study)
+    def __init__(self, study: Study, in_memory: bool = False):
+        self.study, self.method = study, method_of(study, in_memory)
         walkers = [("walker", len(study.walkers))] if study.walker_axis else []
         axes = [axis for axis in study.axes if study.kind == "grid" or axis.name != "slope"]
         self.sizes = dict(walkers + [(axis.name, len(axis)) for axis in axes])
         self.lines = [name for name in self.sizes if name != "slope"]
         self.multipliers = max((check["multipliers"] for check in study.checks), default=3)
-        self.extent = () if self.method is Method.TASK else tuple(self._extent()[name] for name in self.sizes)
+        extent = {} if self.method is Method.TASK else self._extent(in_memory)
+        self.extent = tuple(extent[name] for name in self.sizes if extent)
 
     @functools.cached_property
     def _counts(self) -> tuple[int, ...]:
@@ -159,7 +162,7 @@ class Grid:
         numbers: np.ndarray = np.ravel_multi_index(indices, shape).ravel()
         return numbers
 
-    def _extent(self) -> dict[str, int]:
+    def _extent(self, in_memory: bool) -> dict[str, int]:
         """Size of a chunk along each dimension: many lines at all slopes, or a part of one."""
         slopes = len(self.study.slope)
         if self.method is Method.PLANE and self.study.plane:
@@ -168,6 +171,8 @@ class Grid:
         if self.method.is_of_lines:
             own = {name: self.sizes[name] for name in self.lines}
             return {**dict(zip(own, box_shape(own, _LINES), strict=True)), "slope": slopes}
+        if in_memory:
+            return {**dict.fromkeys(self.lines, 1), "slope": slopes}
         seconds = min(_SECONDS, self.study.limits.seconds / _MAX_SHARE)
         most = MOST_POINTS if self.study.slope.min() > _TINY else _MOST_TINY
         points = min(most, max(_FEWEST, int(seconds / costs.of_point(self.study, self.method))))

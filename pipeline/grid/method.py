@@ -19,6 +19,7 @@ class Method(StrEnum):
     CYCLES = "cycles"  # the same for gaits of several steps
     INTERPOLATED = "interpolated"  # from a coarse atlas, by polynomials where these are accurate enough
     SHORT = "short"  # atlases, coarse ones, and points of lines side by side
+    ALONE = "alone"  # the same for a line by itself, whose atlas is kept for other slopes: in memory
     PLANE = "plane"  # lines side by side, their gaits predicted over a plane of keys
     TASK = "task"
 
@@ -30,11 +31,11 @@ class Method(StrEnum):
     @property
     def is_coarse(self) -> bool:
         """Whether atlases are coarse: too few points are solved from each to pay for a fine one."""
-        return self.is_of_lines or self is Method.INTERPOLATED
+        return self.is_of_lines or self in (Method.ALONE, Method.INTERPOLATED)
 
 
-def method_of(study: Study) -> Method:
-    """Method of a study.
+def method_of(study: Study, in_memory: bool = False) -> Method:
+    """Method of a study, whose results are kept in a file or in memory.
 
     Claims read the nodes of atlases: theirs are those that `gaitsweep claims` computes, whatever the study's slopes.
     """
@@ -47,7 +48,9 @@ def method_of(study: Study) -> Method:
     if len(study.slope) > SHORT_LINE or not TASKS["atlas"].side_by_side:
         is_smooth = accuracy.is_interpolated(variables(study), study.accuracy)
         return Method.INTERPOLATED if is_smooth and len(study.slope) > SHORT_LINE else Method.LONG
-    return Method.PLANE if study.plane and TASKS["atlas"].over_plane and _wants_points_alone(study) else Method.SHORT
+    if study.plane and TASKS["atlas"].over_plane and _wants_points_alone(study):
+        return Method.PLANE
+    return Method.ALONE if in_memory else Method.SHORT
 
 
 def variables(study: Study) -> tuple[str, ...]:

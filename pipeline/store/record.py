@@ -22,7 +22,7 @@ from pipeline import serialize
 from pipeline.grid.grid import Shape
 from pipeline.statuses import ALL_STATUSES, ANSWERS, ENDINGS, FOUND
 from pipeline.store.packing import Packed, pack_values, unpack
-from tasks.registry import GAITS, STATUSES, VARIABLES
+from tasks.registry import GAITS, VARIABLES
 
 _BASE = 1 + max(ALL_STATUSES.values())
 _NAMES = {code: name for name, code in ALL_STATUSES.items()}
@@ -49,7 +49,7 @@ class Points:
     Attributes
     ----------
     values : dict of ndarray, shape (n, gaits[, multipliers])
-        `status` and `reason`, of all gaits; the other variables without trailing gaits that do not exist.
+        `status` and `reason`, of all gaits; the other variables perhaps without trailing gaits that do not exist.
     sentences : dict
         Sentences of `reason`, by their numbers.
     """
@@ -62,7 +62,7 @@ class Points:
 
     @classmethod
     def of_result(cls, result: Mapping[str, Any], want: Iterable[str], points: int) -> Points:
-        """What a task returns for points: each variable of its own type, without gaits that do not exist.
+        """What a task returns for points: each variable of its own type.
 
         Raises
         ------
@@ -78,10 +78,7 @@ class Points:
         reason = np.asarray(result["reason"])
         occurs = np.flatnonzero(np.bincount(reason.ravel(), minlength=len(sentences))).tolist()
         numbers = np.array([sentence_number(sentence) for sentence in sentences], _REASON)
-        gaits = _gaits_that_exist(values)
-        trimmed = {name: array if name == "status" else array[:, :gaits] for name, array in values.items()}
-        trimmed["reason"] = numbers[reason]
-        return cls(trimmed, {int(numbers[k]): sentences[k] for k in occurs})
+        return cls({**values, "reason": numbers[reason]}, {int(numbers[k]): sentences[k] for k in occurs})
 
     @classmethod
     def of_ending(cls, points: int, ending: str, reason: str, want: Iterable[str]) -> Points:
@@ -97,21 +94,27 @@ class Points:
                 values[name] = np.empty(extent, VARIABLES[name].dtype)
         return cls(values, {number: reason})
 
-    def take(self, lines: np.ndarray, slopes: int) -> Points:
-        """The points of some lines, by their places, which have so many slopes each."""
-        rows = (lines[:, None] * slopes + np.arange(slopes)).ravel()
+    def take(self, rows: np.ndarray) -> Points:
+        """Some of the points, in that order."""
         return Points({name: array[rows] for name, array in self.values.items()}, self.sentences)
 
 
-def joined(parts: Sequence[Points]) -> Points:
-    """Points one after the other; of a variable as many gaits and multipliers as any part has."""
-    if len(parts) == 1:
-        return parts[0]
+def rows_of(lines: np.ndarray, slopes: int) -> np.ndarray:
+    """Rows of the points of some lines, by their places, which have so many slopes each."""
+    rows: np.ndarray = (lines[:, None] * slopes + np.arange(slopes)).ravel()
+    return rows
+
+
+def joined(parts: Sequence[Points], least: tuple[int, int] = (0, 0)) -> Points:
+    """Points one after the other; of a variable as many gaits and multipliers as any part has, and at least so many."""
     sentences = {number: text for part in parts for number, text in part.sentences.items()}
     values = {}
     for name in parts[0].values:
         arrays = [part.values[name] for part in parts]
-        shape = tuple(map(max, zip(*(array.shape[1:] for array in arrays), strict=True)))
+        shape = tuple(map(max, zip(least[: arrays[0].ndim - 1], *(array.shape[1:] for array in arrays), strict=True)))
+        if len(arrays) == 1 and shape == arrays[0].shape[1:]:
+            values[name] = arrays[0]
+            continue
         whole = np.full((sum(map(len, parts)), *shape), _absent(name), arrays[0].dtype)
         start = 0
         for array in arrays:
@@ -125,21 +128,22 @@ def _absent(name: str) -> float:
     return 0 if name in ("status", "reason") else VARIABLES[name].absent
 
 
-def _gaits_that_exist(values: Mapping[str, np.ndarray]) -> int:
-    """Number of gaits without the last ones that no point has."""
-    status = values["status"]
+def _without_absent(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Values without the last gaits that no point has; `status` and `reason` are of all gaits."""
+    of_all = {name: array for name, array in values.items() if name in ("status", "reason")}
+    others = {name: array for name, array in values.items() if name not in of_all}
 
-    def is_empty(g: int) -> bool:
-        return bool(np.all(status[:, g] == STATUSES["no_gait"])) and all(
+    def is_absent(g: int) -> bool:
+        return all(
             np.array_equal(a[:, g], np.full_like(a[:, g], _absent(name)), equal_nan=a.dtype.kind == "f")
-            for name, a in values.items()
-            if name != "status"
+            for name, a in others.items()
+            if g < a.shape[1]
         )
 
-    gaits = status.shape[1]
-    while gaits and is_empty(gaits - 1):
+    gaits = max((array.shape[1] for array in others.values()), default=0)
+    while gaits and is_absent(gaits - 1):
         gaits -= 1
-    return gaits
+    return {name: array if name in of_all else array[:, :gaits] for name, array in values.items()}
 
 
 def pack(
@@ -163,8 +167,8 @@ def pack(
     -------
     head, payload : bytes
     """
-    pieces = []
-    for name, array in points.values.items():
+    pieces, values = [], _without_absent(points.values)
+    for name, array in values.items():
         extent = _extent(name, shape, multipliers)
         for g in range(array.shape[1]):
             column = array[:, g]
@@ -173,15 +177,15 @@ def pack(
                 wide[:, : column.shape[1]] = column
                 column = wide
             pieces.append(pack_values(np.ascontiguousarray(shape.unfold(column)), extent))
-    status, reason = points.values["status"], points.values["reason"]
+    status, reason = values["status"], values["reason"]
     rows, numbers = _status_rows(status), sorted(points.sentences)
     head = {
         "shape": dataclasses.astuple(shape),
         "multipliers": multipliers,
         "gaits": list(gaits),
         "lines": np.empty((0, 2), np.uint64) if lines is None else np.asarray(lines),
-        "names": list(points.values),
-        "columns": np.array([array.shape[1] for array in points.values.values()]),
+        "names": list(values),
+        "columns": np.array([array.shape[1] for array in values.values()]),
         "sizes": np.array([len(piece.data) for piece in pieces]),
         "checksums": np.array([piece.checksum for piece in pieces]),
         "rows": np.array(list(rows)),

@@ -138,7 +138,7 @@ class Study:
         values: dict[str, float] = {}
         for axis in reversed(self.line_axes):
             number, k = divmod(number, len(axis.values))
-            values[axis.name] = float(axis.values[k])
+            values[axis.name] = axis.values[k].item()  # of `knees` true or false
         return {"walker": self.walkers[number], "set": dict(reversed(values.items()))}
 
     @functools.cached_property

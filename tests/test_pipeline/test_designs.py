@@ -12,6 +12,7 @@ from pipeline.errors import StudyError
 from pipeline.graph import layers
 from pipeline.graph.plan import Plan, summary
 from pipeline.grid.costs import seconds
+from pipeline.grid.method import Method
 from pipeline.store.store import Store
 from pipeline.study.parse import read
 
@@ -62,7 +63,7 @@ def test_every_design_belongs_to_one_job(tmp_path, walker, axes, batches):
     numbers = [study.batch(k) for k in range(batches)]
     assert sorted(np.concatenate(numbers).tolist()) == list(range(study.lines))
     for k, each in enumerate(numbers):
-        line, params = study.batch_line(k), layers.line_params(study, "design", study.batch_line(k))
+        line, params = study.batch_line(k), layers.line_params(study, Method.TASK, "design", study.batch_line(k))
         for i, number in enumerate(each.tolist()):
             own = study.line(number)
             assert own["walker"] == line["walker"]

@@ -11,6 +11,8 @@ import pipeline
 from pipeline.api import in_memory
 from pipeline.errors import StudyError
 from pipeline.statuses import ALL_STATUSES
+from pipeline.store.memory import Memory
+from tasks import solve_points
 from tasks.registry import TASKS
 
 SLOPES = np.geomspace(0.004, 0.05, 4)
@@ -159,42 +161,52 @@ def test_wrong_input_is_one_sentence(arguments, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.fixture(autouse=True)
-def _forget_points(monkeypatch):
-    monkeypatch.setattr(in_memory, "_POINTS", in_memory.Memory(0))
+def forget(monkeypatch, bound=1 << 30):
+    monkeypatch.setattr(in_memory, "_REMEMBERED", memory := Memory(bound))
+    return memory
 
 
-def test_points_that_were_seen_are_not_solved_again(monkeypatch):
+@pytest.fixture
+def asked(monkeypatch):
+    """Names of the tasks that are called from now on, when nothing is remembered."""
+    names = []
+
+    def listen(name):
+        function = getattr(solve_points, name)
+        monkeypatch.setattr(solve_points, name, lambda *given: names.append(name) or function(*given))
+
+    forget(monkeypatch)
+    for name in ("atlas", "points", "lines"):
+        listen(name)
+    return names
+
+
+def test_points_that_were_seen_are_not_solved_again(asked):
     """What makes a slider over keys fast: 3 ms for 200 slopes."""
-    monkeypatch.setattr(in_memory, "_POINTS", memory := in_memory.Memory(1 << 30))
-    monkeypatch.setattr(in_memory, "_ATLASES", in_memory.Memory(1 << 30))
     radii = [[0.1], [0.2]]
     grid = pipeline.gaits("E", SLOPES, R=radii)
-    assert len(memory.results) == 2
-    monkeypatch.setattr(in_memory, "_ATLASES", atlases := in_memory.Memory(1 << 30))
+    assert asked == ["lines", "points", "points"]
     one = pipeline.gaits("E", SLOPES, R=0.2)
-    assert not atlases.results and same(one.period.values, grid.period.values[1])
+    assert len(asked) == 3 and same(one.period.values, grid.period.values[1])
     one.period[:] = 0.0  # a caller's own
-    assert same(pipeline.gaits("E", SLOPES, R=radii).period.values, grid.period.values) and not atlases.results
-    # Neither other variables nor other slopes nor longer gaits are taken for these.
-    names = ["period", "multipliers"]
-    assert "multiplier_real" in pipeline.gaits("E", SLOPES, R=0.2, variables=names) and len(memory.results) == 3
+    assert same(pipeline.gaits("E", SLOPES, R=radii).period.values, grid.period.values) and len(asked) == 3
+    # Neither other variables nor other slopes nor longer gaits are taken for these, but the branches are.
+    assert "multiplier_real" in pipeline.gaits("E", SLOPES, R=0.2, variables=["period", "multipliers"])
     assert not same(pipeline.gaits("E", SLOPES * 1.1, R=0.2).period.values, one.period.values)
+    assert asked[3:] == ["points", "points"]
     # Points of long lines cost less than to keep them.
-    kept = len(memory.results)
-    pipeline.gaits("E", np.geomspace(0.004, 0.05, 300), R=0.2, variables=["period"])
-    assert len(memory.results) == kept
+    for _ in range(2):
+        pipeline.gaits("E", np.geomspace(0.004, 0.05, 300), R=0.2, variables=["period"])
+    assert asked[5:] == ["atlas", "points", "points"]
 
 
-def test_what_is_remembered_changes_time_only(monkeypatch):
-    memory = in_memory.Memory(50_000)
-    monkeypatch.setattr(in_memory, "_ATLASES", memory)
+def test_what_is_remembered_changes_time_only(asked, monkeypatch):
+    memory = forget(monkeypatch, 100_000)
     radii = [0.1, 0.15, 0.2, 0.25, 0.3]
     first = pipeline.gaits("E", 0.01, R=radii)
-    assert 0 < len(memory.results) < len(radii) and memory.size <= memory.bound
-    kept = list(memory.results)
+    assert 0 < memory.size <= memory.bound and asked.count("points") == len(radii)
     assert pipeline.gaits("E", 0.01, R=radii[::-1]).isel(dim_0=slice(None, None, -1)).equals(first)
-    assert set(memory.results) != set(kept)
+    assert len(radii) < asked.count("points") < 2 * len(radii) and memory.size <= memory.bound
     one = pipeline.gaits("E", 0.01, R=radii[0])
     assert same(one.period.values, first.period.values[0])
 
@@ -205,27 +217,23 @@ def test_a_question_ends_a_sentence():
 
 
 def test_what_was_used_last_is_kept():
-    memory = in_memory.Memory(2 * (8 + 1))
-    for key in (b"a", b"b", b"a", b"c"):
-        memory.get(key, lambda: {"x": np.zeros(1)})
-    assert memory.has(b"a") and memory.has(b"c") and not memory.has(b"b") and memory.size == memory.bound
+    memory = Memory(20)
+    for key in "ab":
+        memory.put(key, key.upper(), 10)
+    assert memory.get("a") == "A"
+    memory.put("c", "C", 10)
+    assert "a" in memory and "c" in memory and memory.get("b") is None and memory.size == memory.bound
+    memory.put("d", "D", 30)  # larger than the bound
+    assert memory.size == 0 and "d" not in memory
 
 
-def test_a_line_is_surveyed_once(monkeypatch):
-    """What makes a slider over slopes fast: the second call needs no atlas."""
-    monkeypatch.setattr(in_memory, "_ATLASES", memory := in_memory.Memory(1 << 30))
-    pipeline.gaits("E", SLOPES)
-    remembered = dict(memory.results)
-    monkeypatch.setattr(memory, "get", lambda key, compute: remembered[key][1])
-    assert (pipeline.gaits("E", SLOPES + 1e-4).status.values[:, :2] == CONVERGED).all()
-
-
-def test_lines_side_by_side_are_those_that_are_surveyed_alone(monkeypatch):
-    monkeypatch.setattr(in_memory, "_ATLASES", in_memory.Memory(1 << 30))
+def test_lines_side_by_side_are_those_that_are_surveyed_alone(asked, monkeypatch):
     together = pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]])
-    monkeypatch.setattr(in_memory, "_ATLASES", in_memory.Memory(1 << 30))
-    monkeypatch.setattr(in_memory, "_survey", lambda lines: None)
-    assert pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]]).equals(together)
+    forget(monkeypatch)
+    for radius in (0.1, 0.2, 0.3):
+        pipeline.gaits("E", SLOPES, R=radius)
+    assert asked == ["lines", *["points"] * 3, *["atlas", "points"] * 3]
+    assert pipeline.gaits("E", SLOPES, R=[[0.1], [0.2], [0.3]]).equals(together) and len(asked) == 10
 
 
 def test_a_long_line_takes_the_atlas_that_a_long_study_takes(tmp_path):
@@ -237,23 +245,34 @@ def test_a_long_line_takes_the_atlas_that_a_long_study_takes(tmp_path):
     assert same(answer[:, : stored.shape[1]], stored)
 
 
-def test_long_lines_are_not_surveyed_side_by_side(monkeypatch):
-    monkeypatch.setattr(in_memory, "_ATLASES", memory := in_memory.Memory(1 << 30))
+def test_long_lines_are_not_surveyed_side_by_side(asked):
     pipeline.gaits("E", np.geomspace(0.004, 0.05, 300), R=[[0.1], [0.2]], variables=["period"])
-    assert len(memory.results) == 2
+    assert asked == ["atlas", "points"] * 2
 
 
-def test_a_task_that_raises_is_a_status(monkeypatch):
+@pytest.mark.parametrize(
+    ("broken", "reason"),
+    [
+        (("lines", "atlas"), "The atlas of the line: it raised MemoryError: of no use."),
+        (("points",), "It raised MemoryError: of no use."),
+    ],
+)
+def test_a_task_that_raises_is_a_status(monkeypatch, broken, reason):
     def fail(*_):
         raise MemoryError("of\nno use")
 
-    monkeypatch.setattr(in_memory._Line, "atlas", fail)
-    answer = pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]])
-    assert (answer.status == RAISED).all() and answer.reason_text.values.tolist() == ["MemoryError: of no use"]
+    with monkeypatch.context() as patched:
+        forget(patched)
+        for name in broken:
+            patched.setattr(solve_points, name, fail)
+        answer = pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]])
+        assert (answer.status == RAISED).all() and answer.reason_text.values.tolist() == [reason]
+    # A failure is not remembered.
+    assert (pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]]).status.values[..., :2] == CONVERGED).all()
 
 
-def test_lines_that_fail_side_by_side_are_surveyed_alone(monkeypatch):
-    monkeypatch.setattr(in_memory, "_ATLASES", in_memory.Memory(1 << 30))
+def test_lines_that_fail_side_by_side_are_surveyed_alone(asked, monkeypatch):
     broken = dataclasses.replace(TASKS["atlas"], side_by_side="tasks.solve_points:no_such_function")
     monkeypatch.setitem(TASKS, "atlas", broken)
     assert (pipeline.gaits("E", SLOPES, R=[[0.1], [0.2]]).status.values[..., :2] == CONVERGED).all()
+    assert asked == ["atlas", "points"] * 2

@@ -94,9 +94,9 @@ def test_the_atlases_of_claims_are_those_that_they_compute_without_a_study(path)
 
 def test_claims_want_atlases_that_are_not_coarse_whatever_the_accuracy(make):
     long = make(slope=np.geomspace(0.01, 0.02, 300), accuracy=1e-6)
-    assert layers.line_params(long, "atlas", long.line(0))["coarse"]
+    assert Graph(long).params(Graph(long).line_node(0, "atlas"))["coarse"]
     claimed = dataclasses.replace(long, claims=("E2",))
-    assert not layers.line_params(claimed, "atlas", claimed.line(0))["coarse"]
+    assert not Graph(claimed).params(Graph(claimed).line_node(0, "atlas"))["coarse"]
 
 
 def test_the_loss_of_walking_is_located_once_for_studies_of_different_kinds(make):

@@ -7,12 +7,12 @@ import pytest
 import xarray as xr
 
 import pipeline
-from pipeline.api import in_memory
 from pipeline.engine.runner import _check_room
 from pipeline.errors import DiskFullError
 from pipeline.graph.graph import Graph
 from pipeline.statuses import ALL_STATUSES
 from pipeline.study.parse import read
+from tasks import solve_points
 
 STUDY = """
 name = "plane"
@@ -150,7 +150,8 @@ def test_violations_are_measured_walker_by_walker(tmp_path):
 
 def test_arrays_over_a_plane_give_what_a_study_over_it_gives(archive, monkeypatch):
     """Through the same cells, in whatever order the values come, and beside a slope that cannot be."""
-    monkeypatch.setattr(in_memory, "_survey", None)  # no line is surveyed by itself
+    monkeypatch.setattr(solve_points, "atlas", None)  # no line is surveyed by itself
+    monkeypatch.setattr(solve_points, "lines", None)
     plane = xr.load_dataset(archive).transpose("R", "m_s", "slope", ...)
     R, m_s = plane.R.values[::-1, None, None], plane.m_s.values[:, None]
     answer = pipeline.gaits("B", [0.01, 0.7, 0.008], R=R, m_s=m_s, variables=["stance_angle", "period", "loss_normal"])
@@ -163,7 +164,7 @@ def test_arrays_over_a_plane_give_what_a_study_over_it_gives(archive, monkeypatc
 
 
 def test_arrays_that_are_no_plane_are_solved_line_by_line(monkeypatch):
-    monkeypatch.setattr(in_memory.planes, "cells", None)
+    monkeypatch.setattr("tasks.solve_planes.lines", None)
     m_s = np.linspace(0.08, 0.12, 70)
     R = np.where(np.arange(70) < 69, 0.1, 0.2)
     assert (pipeline.gaits("B", 0.01, R=R, m_s=m_s, variables=["period"]).status.sel(gait=BOTH) == 0).all()

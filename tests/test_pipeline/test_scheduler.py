@@ -15,6 +15,7 @@ import pytest
 from pipeline.engine import progress, worker_process
 from pipeline.engine.executors import Engine
 from pipeline.engine.jobs import Jobs
+from pipeline.engine.request import Request
 from pipeline.engine.scheduler import Scheduler
 from pipeline.engine.signals import Signals
 from pipeline.errors import StoppedError, StudyError
@@ -153,21 +154,21 @@ def _divided(monkeypatch, n, trouble):
     def ask(request, **changes):
         params = changes.get("params", request.params)
         if "lines" not in params:  # alone: first the atlas, then the points
-            return ("ok", [None, b"atlas"]) if changes.get("function") == "atlas" else ("raised", "trouble")
+            return ("ok", [b"atlas"]) if changes.get("function") == "atlas" else ("raised", "trouble")
         asked.append(len(params["lines"]))
         if trouble & set(params["lines"]):
             return "raised", "trouble"
         status = np.zeros((2 * len(params["lines"]), 4), np.int8)
         result = {"status": status, "reason": status, "reasons": [""], "period": np.ones(status.shape)}
         points = Points.of_result(result, ["period"], len(status))
-        packed = pack(points, changes.get("packing", request.packing).shape, 3, ["long"])
-        return "ok", [None, *packed, *(b"%d" % line for line in params["lines"])]
+        packed = pack(points, Shape.of(*changes.get("packing", request.packing)["shape"]), 3, ["long"])
+        return "ok", [*packed, *(b"%d" % line for line in params["lines"])]
 
     monkeypatch.setattr(worker_process, "_ask", ask)
     params = {"lines": list(range(n)), "slope": np.array([0.01, 0.02]), "want": ["period"], "gaits": ["long"]}
     monkeypatch.setattr(worker_process, "_run_alone", _run_alone)
-    packing = worker_process.Packing(Shape((n, 2), (n, 2), 1), 3)
-    request = worker_process.Request("f", params, [], 1.0, 1 << 30, packing=packing, alone=("atlas", "points"))
+    packing = {"shape": ((n, 2), (n, 2), 1), "multipliers": 3, "digests": None}
+    request = Request("f", params, [], 1.0, 1 << 30, packing=packing, alone=("atlas", "points"))
     answer = worker_process._run_chunk(request, packing)
     return unpacked(answer["head"], answer["payload"]), answer["atlases"], asked
 
@@ -196,7 +197,9 @@ def test_a_thread_keeps_its_worker_process_while_it_lives(monkeypatch):
     alive, made = [], []
 
     def start():
-        worker = SimpleNamespace(lock=threading.Lock(), ask=lambda *_: ("ok", len(made)))
+        worker = SimpleNamespace(
+            ask=lambda _: ("ok", len(made)), used=(0.0, 0.0), process=SimpleNamespace(poll=lambda: None)
+        )
         made.append(worker)
         alive.append(worker)
         return worker
@@ -204,7 +207,7 @@ def test_a_thread_keeps_its_worker_process_while_it_lives(monkeypatch):
     monkeypatch.setattr(worker_process, "WorkerProcess", start)
     monkeypatch.setattr(worker_process, "_workers", alive)
     monkeypatch.setattr(worker_process, "_local", SimpleNamespace(used=[0.0, 0.0]))
-    request = worker_process.Request("f", {}, [], 1.0, 1)
+    request = Request("f", {}, [], 1.0, 1)
     asked = [worker_process._ask(request)[1] for _ in range(2)]
     alive.clear()
     assert [*asked, worker_process._ask(request)[1]] == [1, 1, 2]
